@@ -18,7 +18,7 @@ import numpy as np
 from experiments.common import Options, in_parallel, need_data, table, with_error, write
 from phdtrack import config, pipeline
 from phdtrack.config import build_groups
-from phdtrack.formats.positions import Positions, read_groups, read_positions
+from phdtrack.formats.positions import Positions, read_positions
 from phdtrack.groups import Grouping, GroupLifeCycle, LifeCycleState
 from phdtrack.groups.pipeline import carriers, known_people
 from phdtrack.metrics.groups import GroupScores, LabelledFrame, nearest, score_groups
@@ -36,6 +36,16 @@ HOLDS = (0.0, 0.5, 1.0)
 NOISE, DETECTION, CLUTTER, MARGIN = 0.2, 0.9, 0.5, 1.0
 # States farther than this from all true positions are false, metres.
 WITHIN = 1.0
+
+
+def read_groups(path: Path) -> tuple[tuple[int, ...], ...]:
+    """The groups of a ``groups.txt`` of ETH and UCY: identities, a group a line. Lines that share people are one group."""
+    found: list[set[int]] = []
+    for text in path.read_text(encoding="utf-8").splitlines():
+        line = {int(word) for word in text.split()}
+        linked = [group for group in found if group & line]
+        found = [*(group for group in found if group not in linked), line.union(*linked)]
+    return tuple(tuple(sorted(group)) for group in found if group)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,7 @@
 """The detector that is made of annotated positions, and who is counted as together."""
 
+from pathlib import Path
+
 import numpy as np
 
 from experiments.groups import (
@@ -16,6 +18,7 @@ from experiments.groups import (
     known,
     membership,
     over_time,
+    read_groups,
 )
 from phdtrack.formats.positions import Positions
 from phdtrack.groups import Grouping
@@ -26,6 +29,12 @@ def two_walks() -> WalkedScene:
     state = np.array([[0.0, 1.0, 1.0, 40.0], [0, 0, 1, 0], [1.2, 1.2, 0.0, 1.2], [0, 0, 0, 0]])
     people = Positions(np.repeat([10, 16], 4), np.tile([1, 2, 3, 4], 2), np.tile(state, 2))
     return WalkedScene(people, membership(people.identity, [(1, 2)]), np.array([10, 16]), np.array([0.0, 0.4]))
+
+
+def test_lines_of_identities_that_share_people_are_one_group(tmp_path: Path) -> None:
+    path = tmp_path / "groups.txt"
+    path.write_text("1 2\n\n 3 4 \n5 6\n4 1\n7 7\n")
+    assert sorted(read_groups(path)) == [(1, 2, 3, 4), (5, 6), (7,)]
 
 
 def test_the_detector_has_the_stated_rates_and_noise() -> None:

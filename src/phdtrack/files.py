@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -97,3 +97,78 @@ def json_value(value: object) -> Any:
             import numpy as np
 
             return json_value(value.tolist()) if isinstance(value, np.generic | np.ndarray) else str(value)
+
+
+def read_json(path: Path, content: bytes) -> Any:
+    """What a JSON file holds; `InputError` names the line where it is none."""
+    import json
+
+    try:
+        return json.loads(content)
+    except UnicodeDecodeError:
+        raise InputError("expected JSON, came bytes that are no UTF-8 text", where=path) from None
+    except json.JSONDecodeError as error:
+        where = f"{path}, line {error.lineno}"
+        raise InputError(f"expected JSON, which breaks here: {error.msg}", where=where, cure="Is it complete?") from None
+    except RecursionError:
+        raise InputError("expected JSON, came brackets nested without end", where=path) from None
+
+
+@dataclass(frozen=True, slots=True)
+class Element:
+    """An element of an XML file: its name, its attributes, where it stands, and the elements around it, outermost first."""
+
+    name: str
+    attributes: Mapping[str, str]
+    path: Path
+    line: int
+    around: tuple[Element, ...]
+
+    @property
+    def where(self) -> str:
+        """Its place in words."""
+        return f"{self.path}, line {self.line}"
+
+    def number(self, *names: str) -> float:
+        """The value of the first of these attributes that there is; `InputError` where there is none, or it is no number."""
+        for name in names:
+            if name in self.attributes:
+                try:
+                    return float(self.attributes[name])
+                except ValueError:
+                    problem = f"expected a number for {name} of <{self.name}>, came '{self.attributes[name]}'"
+                    raise InputError(problem, where=self.where) from None
+        problem = f"expected <{self.name}> with a value for {' or '.join(names)}, came one without"
+        raise InputError(problem, where=self.where)
+
+
+def read_xml(path: Path, content: bytes) -> list[Element]:
+    """The elements of an XML file in the order in which they begin.
+
+    A document type or an entity is refused, because that is how a small file is made to expand without bound. `InputError`
+    names the line, also where the file is not well-formed.
+    """
+    from xml.parsers import expat
+
+    parser, found, open_ = expat.ParserCreate(), list[Element](), list[Element]()
+
+    def start(name: str, attributes: dict[str, str]) -> None:
+        found.append(Element(name, attributes, path, parser.CurrentLineNumber, tuple(open_)))
+        open_.append(found[-1])
+
+    def refuse(*_: object) -> None:
+        problem = "expected XML without a document type and entities, came a declaration of one"
+        cure = "Remove the <!DOCTYPE …> from the file."
+        raise InputError(problem, where=f"{path}, line {parser.CurrentLineNumber}", cure=cure)
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda name: open_.pop()
+    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
+    try:
+        parser.Parse(content, True)
+    except expat.ExpatError as error:
+        reason, where = expat.ErrorString(error.code), f"{path}, line {error.lineno}"
+        raise InputError(f"expected XML, which breaks here: {reason}", where=where, cure="Is it complete?") from None
+    except LookupError as error:
+        raise InputError(f"expected XML in UTF-8, came {error}", where=f"{path}, line 1") from None
+    return found

@@ -61,12 +61,6 @@ def test_a_broken_file(tmp_path: Path, damage: str) -> None:
     refused(read_detections, path, "", "expected a Parquet file, which cannot be read")
 
 
-def test_names_of_columns_must_differ(tmp_path: Path) -> None:
-    path = tmp_path / "boxes.parquet"
-    parquet.write_table(arrow.Table.from_arrays([arrow.array([1])] * 2, names=["frame", "frame"]), path)
-    refused(read_detections, path, "", "columns of different names")
-
-
 def test_without_pyarrow_the_line_that_installs_it_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = put(tmp_path, {"frame": [1, 2], **BOX})
     monkeypatch.setitem(sys.modules, "pyarrow", None)

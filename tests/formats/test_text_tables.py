@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections, read_tracks, read_truth
 from phdtrack.formats.text import numbers, scan
-from phdtrack.types import SequenceInfo
 
 GOOD = "1,-1,10,20,30,40,0.5,-1,-1,-1\n"
 
@@ -130,17 +129,6 @@ def test_frames_are_sorted_and_the_order_within_them_is_kept(tmp_path: Path) -> 
     assert table.frame.tolist() == [1, 1, 2, 3, 3]
     assert table.detections.xyxy[:, 0].tolist() == [2, 5, 4, 1, 3]
     assert table.detections.confidence.tolist() == [1] * 5
-
-
-def test_boxes_outside_of_the_picture(tmp_path: Path) -> None:
-    inside = "1,-1,-5,-5,6,6\n1,-1,99,49,50,50\n"
-    picture = SequenceInfo(width=100, height=50, fps=25.0)
-    assert len(read_detections(put(tmp_path, inside), within=picture)) == 2
-    for box in ("100,0,9,9", "0,50,9,9", "-9,0,9,9", "0,-9,9,9"):
-        path = put(tmp_path, f"{inside}2,-1,{box}\n")
-        assert len(read_detections(path)) == 3
-        with pytest.raises(InputError, match=r"line 3: expected a box in the picture of 100 × 50 pixels"):
-            read_detections(path, within=picture)
 
 
 def test_files_that_count_from_zero(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, counted
 from phdtrack.errors import InputError
 from phdtrack.files import load
-from phdtrack.formats.rows import Origin
+from phdtrack.formats.checks import Origin
 from phdtrack.formats.text import numbers, scan
 from phdtrack.ground import Calibration, fit_homography
 from phdtrack.ground.read import calibration_text

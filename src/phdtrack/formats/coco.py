@@ -8,7 +8,6 @@ identity, also where it stands among an annotation's ``attributes``; ``iscrowd``
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
@@ -16,10 +15,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.formats.rows import Kind, Origin, Rows, Source
-from phdtrack.types import F8
+from phdtrack.files import read_json
+from phdtrack.formats.checks import Origin
+from phdtrack.formats.table import LTWH, Column, Kind, Source, Table
 
-_FRAME = ("frame_id", "frame_index", "frame_number")
+# The keys of each column in an entry.
+_KEYS = {
+    Column.CONFIDENCE: ("score",),
+    Column.CLASS: ("category_id",),
+    Column.DISTRACTOR: ("ignore", "iscrowd"),
+    Column.IDENTITY: ("track_id", "instance_id", "identity"),
+}
 
 
 class _Entry(NamedTuple):
@@ -28,75 +34,52 @@ class _Entry(NamedTuple):
     values: dict[str, Any]
     where: str
 
-    def value(self, *names: str) -> object:
-        """What stands under the first of the names that it has."""
+    def number(self, *names: str, default: float | None = None) -> float:
+        """What stands under the first of the names that it has, as a number."""
         for name in names:
             if name in self.values:
-                return self.values[name]
+                return _number(self.values[name], name, self.where)
+        if default is not None:
+            return default
         came = ", ".join(self.values) or "none"
         raise InputError(f"expected a value for {' or '.join(names)}, came keys {came}", where=self.where)
 
-    def number(self, *names: str, default: float | None = None) -> float:
-        """The same as a number."""
-        if default is not None and not any(name in self.values for name in names):
-            return default
-        return _number(self.value(*names), names[0], self.where)
-
-    def corners(self) -> list[float]:
-        """Left, top, right, bottom."""
-        box = self.value("bbox")
+    def box(self) -> list[float]:
+        """Left, top, width, height."""
+        box = self.values.get("bbox")
         if not isinstance(box, list) or len(box) != 4:
             problem = f"expected four numbers for bbox (left, top, width, height), came {_brief(box)}"
             raise InputError(problem, where=self.where)
-        left, top, width, height = (_number(value, "bbox", self.where) for value in box)
-        return [left, top, left + width, top + height]
+        return [_number(value, "bbox", self.where) for value in box]
 
 
-def rows_of_coco(source: Source) -> Rows:
+def table_of_coco(source: Source) -> Table:
     """The boxes in COCO JSON.
 
     Raises
     ------
     InputError : the content is not JSON, or not of COCO's form, or (truth and tracks) has no identities.
     """
-    path, document = source.path, _parse(source.path, source.content)
+    path, document = source.path, read_json(source.path, source.content)
     if isinstance(document, dict):
-        unit, images = "annotation", list[_Entry]()
-        if "images" in document:
-            images = _entries(path, _list(path, document, "images"), "image", "id and file_name")
+        unit = "annotation"
+        images = _entries(path, _list(path, document, "images"), "image", "id and file_name") if "images" in document else []
         entries = _entries(path, _list(path, document, "annotations"), unit, "image_id and bbox")
     elif isinstance(document, list):
         unit, images = "entry", []
         entries = _entries(path, document, unit, "image_id and bbox")
     else:
         raise InputError(f"expected a list of results or a COCO data set, came {_brief(document)}", where=path)
-    image = [entry.number("image_id") for entry in entries]
-
-    def column(*names: str, default: float | None = None) -> F8:
-        return np.array([entry.number(*names, default=default) for entry in entries], np.float64)
-
-    return Rows(
-        Origin(path, unit, np.arange(1, len(entries) + 1)),
-        _frames(path, images, image, entries) if images else np.array(image, np.float64),
-        np.array([entry.corners() for entry in entries]).reshape(-1, 4),
-        source.first,
-        identity=None if source.kind is Kind.DETECTIONS else column("track_id", "instance_id", "identity"),
-        confidence=column("score", default=1.0),
-        class_id=column("category_id", default=0.0),
-        distractor=column("ignore", "iscrowd", default=0.0),
-    )
-
-
-def _parse(path: Path, content: bytes) -> object:
-    try:
-        return json.loads(content)
-    except UnicodeDecodeError:
-        raise InputError("expected UTF-8 text, came other bytes", where=path) from None
-    except json.JSONDecodeError as error:
-        where = f"{path}, line {error.lineno}"
-        raise InputError(f"expected JSON, which breaks here: {error.msg}", where=where, cure="Is it complete?") from None
-    except RecursionError:
-        raise InputError("expected COCO JSON, came brackets nested without end", where=path) from None
+    boxes = np.array([entry.box() for entry in entries], np.float64).reshape(-1, 4)
+    values = dict(zip(LTWH, boxes.T, strict=True))
+    numbers = [entry.number("image_id") for entry in entries]
+    values[Column.FRAME] = np.array(_frames(path, images, numbers, entries) if images else numbers, np.float64)
+    for column, keys in _KEYS.items():
+        if column is not Column.IDENTITY or source.kind is not Kind.DETECTIONS:
+            found = [entry.number(*keys, default=column.default) for entry in entries]
+            values[column] = np.array(found, np.float64)
+    origin = Origin(path, unit, np.arange(1, len(entries) + 1))
+    return Table(origin, source.first, values, np.zeros((len(entries), 0)))
 
 
 def _list(path: Path, document: dict[str, Any], key: str) -> list[Any]:
@@ -117,28 +100,24 @@ def _entries(path: Path, objects: list[Any], unit: str, keys: str) -> list[_Entr
     return entries
 
 
-def _frames(path: Path, images: list[_Entry], image: list[float], entries: list[_Entry]) -> F8:
-    """(M,) the frame number of each annotation, by its image."""
+def _frames(path: Path, images: list[_Entry], numbers: list[float], entries: list[_Entry]) -> list[float]:
+    """The frame number of each annotation, by the number of its image."""
     videos = {entry.values["video_id"] for entry in images if isinstance(entry.values.get("video_id"), int | str)}
     if len(videos) > 1:
         raise InputError(f"expected one video, came {len(videos)}", where=path, cure="Split the file by video_id.")
-    ids = [entry.number("id") for entry in images]
-    number = dict(zip(ids, _image_numbers(images, ids), strict=True))
-    for key, entry in zip(image, entries, strict=True):
-        if key not in number:
-            raise InputError(f"expected the id of one of the images, came image_id {key:.15g}", where=entry.where)
-    return np.array([number[key] for key in image], np.float64)
-
-
-def _image_numbers(images: list[_Entry], ids: list[float]) -> list[float]:
-    """The frame number of each image."""
-    for name in _FRAME:
-        if all(name in entry.values for entry in images):
-            return [entry.number(name) for entry in images]
+    frame = ids = [entry.number("id") for entry in images]
     stems = [PurePosixPath(str(entry.values.get("file_name", "")).replace("\\", "/")).stem for entry in images]
     digits = [match.group() for stem in stems if (match := re.search(r"[0-9]+$", stem))]
-    distinct = len(digits) == len(set(map(int, digits))) == len(images)
-    return [float(word) for word in digits] if distinct else ids
+    if len(digits) == len(set(map(int, digits))) == len(images):
+        frame = [float(word) for word in digits]
+    for name in ("frame_number", "frame_index", "frame_id"):
+        if all(name in entry.values for entry in images):
+            frame = [entry.number(name) for entry in images]
+    frame_of = dict(zip(ids, frame, strict=True))
+    for key, entry in zip(numbers, entries, strict=True):
+        if key not in frame_of:
+            raise InputError(f"expected the id of one of the images, came image_id {key:.15g}", where=entry.where)
+    return [frame_of[key] for key in numbers]
 
 
 def _number(value: object, name: str, where: str) -> float:

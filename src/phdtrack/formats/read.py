@@ -16,88 +16,70 @@ MOT15 has no classes: a row with 0 in column 7 is left out, all others are score
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
 
 from phdtrack.files import AnyPath, load
-from phdtrack.formats.coco import rows_of_coco
-from phdtrack.formats.columns import rows_of_parquet, rows_of_text
-from phdtrack.formats.cvml import rows_of_cvml
-from phdtrack.formats.rows import Kind, Origin, Rows, Rule, Source, enforce, repeated, whole
-from phdtrack.types import F8, I8, Bool, Detections, DetectionTable, SequenceInfo, Tracks, Truth
+from phdtrack.formats.checks import Origin, Rule, enforce, repeated, whole
+from phdtrack.formats.coco import table_of_coco
+from phdtrack.formats.cvml import table_of_cvml
+from phdtrack.formats.table import Column, Kind, Source, Table, table_of_parquet, table_of_text
+from phdtrack.types import F8, I8, Bool, Detections, DetectionTable, Tracks, Truth
 
 _DISTRACTORS, _MOT20_DISTRACTORS = (2, 7, 8, 12), (2, 6, 7, 8, 12)
 _PEDESTRIAN, _LAST_CLASS = 1, 13
-_BOX = "left {:.7g}, top {:.7g}, right {:.7g}, bottom {:.7g}"
 
 
-def read_detections(path: AnyPath, *, first_frame: int | None = None, within: SequenceInfo | None = None) -> DetectionTable:
+def read_detections(path: AnyPath, *, first_frame: int | None = None) -> DetectionTable:
     """The detections in a MOTChallenge ``det.txt``, CSV, Parquet, COCO JSON or CVML file, sorted by frame.
 
-    Boxes in pixels, xyxy. Confidence is 1 and class 0 where the file has none; confidence has no bounds. With ``within``
-    a box outside of the picture is an error.
-
-    Parameters
-    ----------
-    path : the file.
-    first_frame : the number that it gives the first frame; None: as usual in its format.
-    within : size of the picture.
+    Boxes in pixels, xyxy. Confidence is 1 and class 0 where the file has none; confidence has no bounds.
 
     Raises
     ------
     InputError : the file is missing or malformed; the message names the line.
     """
-    rows = _read(Path(path), Kind.DETECTIONS, first_frame)
-    confidence, label = _filled(rows, rows.confidence, 1), _filled(rows, rows.class_id, 0)
-    rules = [*_box_rules(rows), _finite(confidence, "confidence"), whole(label, "class")]
-    if within is not None:
-        rules.append(_outside(rows.xyxy, within))
-    covariance = None if rows.covariance is None else _symmetric(rows.covariance)
-    if covariance is not None:
+    table = _read(Path(path), Kind.DETECTIONS, first_frame)
+    label, covariance = table.get(Column.CLASS), None
+    rules = [*_box_rules(table), whole(label, "class")]
+    if table.triangle.shape[1]:
+        covariance = np.empty((len(label), 4, 4))
+        i, j = np.triu_indices(4)
+        covariance[:, i, j] = covariance[:, j, i] = table.triangle
         rules.append(_definite(covariance))
-    enforce(rows.origin, *rules)
-    frame = _frames(rows)
+    enforce(table.origin, *rules)
+    frame = _frames(table)
     order = np.argsort(frame, kind="stable")
-    return DetectionTable(frame[order], Detections(rows.xyxy, confidence, label.astype(np.int64), covariance).take(order))
+    found = Detections(table.xyxy(), table.get(Column.CONFIDENCE), label.astype(np.int64), covariance)
+    return DetectionTable(frame[order], found.take(order))
 
 
-def read_truth(path: AnyPath, *, first_frame: int | None = None, distractors: Collection[int] | None = None) -> Truth:
+def read_truth(path: AnyPath, *, first_frame: int | None = None) -> Truth:
     """The annotated objects in a MOTChallenge ``gt.txt``, CSV, Parquet, COCO JSON or CVML file, sorted by frame.
 
     Rows of confidence 0 that are no distractors are left out. In truth with classes (MOT16 and later) pedestrians are
-    scored, rows of the classes ``distractors`` are marked, all others left out. The default is the benchmark's choice:
-    2, 7, 8, 12, and 6 too where the path has a folder called MOT20-something.
-
-    Parameters
-    ----------
-    path : the file.
-    first_frame : the number that it gives the first frame; None: as usual in its format.
-    distractors : classes that do not count; None: the benchmark's.
+    scored, rows of the benchmark's distractors are marked, all others left out. The distractors are the classes 2, 7, 8, 12,
+    and 6 too where the path has a folder called MOT20-something.
 
     Raises
     ------
     InputError : the file is missing or malformed; the message names the line.
     """
     path = Path(path)
-    rows = _read(path, Kind.TRUTH, first_frame)
-    confidence, ignore = _filled(rows, rows.confidence, 1), _filled(rows, rows.distractor, 0)
-    rules = [_finite(confidence, "confidence"), _flag(ignore, "distractor")]
-    if rows.mot_class is not None and (rows.mot_class != -1).any():
-        label = rows.mot_class
+    table = _read(path, Kind.TRUTH, first_frame)
+    confidence, ignore, label = (table.get(c) for c in (Column.CONFIDENCE, Column.DISTRACTOR, Column.MOT_CLASS))
+    rules = [_flag(ignore, "distractor")]
+    if (label != -1).any():
         cure = "Truth of 8 or 9 columns has a MOTChallenge class in column 8; with 10 columns (MOT15) it has none."
-        unknown = ~np.isin(label, np.arange(1, _LAST_CLASS + 1))
-        rules.append(Rule(unknown, f"expected a class from 1 to {_LAST_CLASS}, came {{:.15g}}", label, cure))
-        if distractors is None:
-            mot20 = any(part.upper().startswith("MOT20") for part in path.absolute().parts)
-            distractors = _MOT20_DISTRACTORS if mot20 else _DISTRACTORS
-        ignore = np.isin(label, list(distractors)).astype(np.float64)
+        rules.append(whole(label, "class", low=_PEDESTRIAN, high=_LAST_CLASS, cure=cure))
+        mot20 = any(part.upper().startswith("MOT20") for part in path.absolute().parts)
+        ignore = np.isin(label, _MOT20_DISTRACTORS if mot20 else _DISTRACTORS).astype(np.float64)
         confidence = np.where(label == _PEDESTRIAN, confidence, 0.0)
-    frame, identity = _identified(rows, *rules)
+    frame, identity = _identified(table, *rules)
     order = np.argsort(frame, kind="stable")
     order = order[(confidence[order] != 0) | (ignore[order] != 0)]
-    return Truth(frame[order], identity[order], rows.xyxy[order], ignore[order] != 0)
+    return Truth(frame[order], identity[order], table.xyxy()[order], ignore[order] != 0)
 
 
 def read_tracks(path: AnyPath, *, first_frame: int | None = None) -> Tracks:
@@ -109,45 +91,40 @@ def read_tracks(path: AnyPath, *, first_frame: int | None = None) -> Tracks:
     ------
     InputError : the file is missing or malformed; the message names the line.
     """
-    rows = _read(Path(path), Kind.TRACKS, first_frame)
-    confidence, used = _filled(rows, rows.confidence, 1), _filled(rows, rows.detection, -1)
-    confirmed = _filled(rows, rows.confirmed, 1)
-    rules = _finite(confidence, "confidence"), whole(used, "detection", lowest=-1), _flag(confirmed, "confirmed")
-    frame, identity = _identified(rows, *rules)
-    everything = Tracks(frame, identity, rows.xyxy, confidence, used.astype(np.int64), confirmed != 0)
+    table = _read(Path(path), Kind.TRACKS, first_frame)
+    used, confirmed = table.get(Column.DETECTION), table.get(Column.CONFIRMED)
+    frame, identity = _identified(table, whole(used, "detection", low=-1), _flag(confirmed, "confirmed"))
+    confidence = table.get(Column.CONFIDENCE)
+    everything = Tracks(frame, identity, table.xyxy(), confidence, used.astype(np.int64), confirmed != 0)
     return everything.take(np.lexsort((identity, frame)))
 
 
-def _read(path: Path, kind: Kind, first_frame: int | None) -> Rows:
+def _read(path: Path, kind: Kind, first_frame: int | None) -> Table:
     """The rows of a file, not checked yet."""
     content = load(path)
     start = content[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()[:4]  # without a byte order mark
     usual = 0 if start.startswith(b"<") else 1
     source = Source(path, content, kind, usual if first_frame is None else first_frame)
     if not content.strip():
-        return Rows(Origin(path, "line", np.zeros(0, np.int64)), np.zeros(0), np.zeros((0, 4)))
+        return Table(Origin(path, "line", np.zeros(0, np.int64)), 1, {}, np.zeros((0, 0)))
     if start == b"PAR1":
-        return rows_of_parquet(source)
+        return table_of_parquet(source)
     if start.startswith(b"<"):
-        return rows_of_cvml(source)
-    return rows_of_coco(source) if start.startswith((b"[", b"{")) else rows_of_text(source)
+        return table_of_cvml(source)
+    return table_of_coco(source) if start.startswith((b"[", b"{")) else table_of_text(source)
 
 
-def _filled(rows: Rows, column: F8 | None, default: float) -> F8:
-    """(M,) the column, or the default where the file does not have it."""
-    return np.full(len(rows.frame), float(default)) if column is None else column
+def _frames(table: Table) -> I8:
+    """(M,) frame numbers from 1."""
+    return table.get(Column.FRAME).astype(np.int64) + (1 - table.first)
 
 
-def _frames(rows: Rows) -> I8:
-    return rows.frame.astype(np.int64) + (1 - rows.first)
-
-
-def _identified(rows: Rows, *rules: Rule) -> tuple[I8, I8]:
+def _identified(table: Table, *rules: Rule) -> tuple[I8, I8]:
     """Frames and identities (M,) of rows that obey the rules and have one box for an identity in a frame."""
-    values, origin = _filled(rows, rows.identity, 0), rows.origin
+    values, origin = table.get(Column.IDENTITY), table.origin
     cure = "An identity of −1 means that there is none: is this a file of detections?"
-    enforce(origin, *_box_rules(rows), whole(values, "identity", lowest=0, cure=cure), *rules)
-    frame, identity = _frames(rows), values.astype(np.int64)
+    enforce(origin, *_box_rules(table), whole(values, "identity", low=0, cure=cure), *rules)
+    frame, identity = _frames(table), values.astype(np.int64)
     before = repeated(identity, frame)
     problem = f"identity {{}} is in frame {{}} (counted from 1) already, in {origin.unit} {{}}"
     cure = "One object has one box in a frame: remove one, or give it an identity of its own."
@@ -156,49 +133,33 @@ def _identified(rows: Rows, *rules: Rule) -> tuple[I8, I8]:
     return frame, identity
 
 
-def _box_rules(rows: Rows) -> list[Rule]:
-    first, box = rows.first, rows.xyxy
-    number = whole(rows.frame, "frame number")
+def _box_rules(table: Table) -> list[Rule]:
+    """The faults of frame numbers, boxes and confidences."""
+    first, frame, box, confidence = table.first, table.get(Column.FRAME), table.xyxy(), table.get(Column.CONFIDENCE)
+    number = whole(frame, "frame number")
     cure = "Where the file counts from 0, add 1, or in Python read it with first_frame=0." if first == 1 else ""
     with np.errstate(invalid="ignore", over="ignore"):
-        early, size = rows.frame < first, box[:, 2:] - box[:, :2]
+        early, size = frame < first, box[:, 2:] - box[:, :2]
         flat = ~(box[:, 2:] > box[:, :2]).all(axis=1)
     finite: Bool = np.isfinite(np.abs(box).max(axis=1))  # a NaN is the largest
+    came = "left {:.7g}, top {:.7g}, right {:.7g}, bottom {:.7g}"
     empty = "expected a width and a height above 0, came width {:.7g}, height {:.7g}"
     return [
         number,
-        Rule(early & ~number.bad, f"expected frame {first} or later, came {{:.15g}}", rows.frame, cure),
-        Rule(~finite, f"expected finite numbers for the box, came {_BOX}", box, "Remove the row."),
+        Rule(early & ~number.bad, f"expected frame {first} or later, came {{:.15g}}", frame, cure),
+        Rule(~finite, f"expected finite numbers for the box, came {came}", box, "Remove the row."),
         Rule(flat & finite, empty, size, "Mend or remove the row."),
+        Rule(~np.isfinite(confidence), "expected a finite confidence, came {}", confidence),
     ]
 
 
-def _finite(values: F8, name: str) -> Rule:
-    return Rule(~np.isfinite(values), f"expected a finite {name}, came {{}}", values)
-
-
 def _flag(values: F8, name: str) -> Rule:
+    """The fault of a value that is neither 0 nor 1."""
     return Rule((values != 0) & (values != 1), f"expected 0 or 1 for {name}, came {{:.15g}}", values)
 
 
-def _outside(box: F8, picture: SequenceInfo) -> Rule:
-    """The fault of a box of which nothing is in the picture. Parts outside are usual: people walk in and out."""
-    with np.errstate(invalid="ignore"):
-        inside = (box[:, :2] < (picture.width, picture.height)) & (box[:, 2:] > 0)
-    problem = f"expected a box in the picture of {picture.width} × {picture.height} pixels, came {_BOX}"
-    cure = "Do the detections belong to this video, and are they in pixels of its full size?"
-    return Rule(np.logical_not(inside.all(axis=1)), problem, box, cure)
-
-
-def _symmetric(triangle: F8) -> F8:
-    """(M, 4, 4) from the (M, 10) upper triangles."""
-    full = np.empty((len(triangle), 4, 4))
-    i, j = np.triu_indices(4)
-    full[:, i, j] = full[:, j, i] = triangle
-    return full
-
-
 def _definite(covariance: F8) -> Rule:
+    """The fault of a matrix that is no covariance."""
     finite: Bool = np.isfinite(np.abs(covariance).max(axis=(1, 2)))
     matrix = np.where(finite[:, None, None], covariance, 0.0)
     lowest = np.linalg.eigvalsh(matrix).min(axis=1, initial=0.0)

@@ -52,25 +52,24 @@ def read_seqinfo(path: AnyPath) -> SequenceInfo:
         raise InputError("expected a section [Sequence], came none", where=path, cure="Put [Sequence] in the first line.")
     section = ini["Sequence"]
 
-    def number(key: str, *, whole: bool = True) -> float:
+    def number(key: str, kind: str = "whole number") -> float:
         if key not in section:
             cure = f"Add a line {key}=… under [Sequence]."
             raise InputError(f"expected a value for {key}, came none", where=path, cure=cure)
         try:
             value = float(section[key])
         except ValueError:
-            value = float("nan")
-        if not 0 < value < 1e9 or (whole and value != int(value)):
-            wanted = f"a {'whole ' if whole else ''}number above 0"
-            starts = [line.split("=")[0].split(":")[0].strip().lower() for line in text.splitlines()]
-            where = f"{path}, line {starts.index(key.lower()) + 1}"
-            raise InputError(f"expected {wanted} for {key}, came '{section[key]}'", where=where)
-        return value
+            value = 0.0
+        if 0 < value < 1e9 and (kind == "number" or value.is_integer()):
+            return value
+        starts = [re.split("[=:]", line)[0].strip().lower() for line in text.splitlines()]
+        where = f"{path}, line {starts.index(key.lower()) + 1}"
+        raise InputError(f"expected a {kind} above 0 for {key}, came '{section[key]}'", where=where)
 
     return SequenceInfo(
         width=int(number("imWidth")),
         height=int(number("imHeight")),
-        fps=number("frameRate", whole=False),
+        fps=number("frameRate", "number"),
         frames=int(number("seqLength")) if "seqLength" in section else 0,
         name=section.get("name", "").strip() or path.absolute().parent.name,
     )

@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.formats.rows import Origin
+from phdtrack.files import AnyPath, load
+from phdtrack.formats.checks import Origin
 from phdtrack.types import F8
 
 
@@ -31,15 +32,13 @@ class Text:
     origin : the file, and for each line its 1-based number there.
     lines : the M lines with values, without header, comments and empty lines.
     delimiter : None for any number of blanks.
-    pieces : number of values in the first line, header or not, empty ones included.
-    width : the same without empty ones at its end: the number of columns.
+    width : the number of columns: of values in the first line, header or not, without empty ones at its end.
     header : the names of the columns in lower case, empty where the file has no header.
     """
 
     origin: Origin
     lines: list[str]
     delimiter: str | None = None
-    pieces: int = 0
     width: int = 0
     header: tuple[str, ...] = ()
 
@@ -47,8 +46,13 @@ class Text:
         return len(self.lines)
 
     def cells(self, row: int) -> list[str]:
-        """The values of line ``row`` (0-based among ``lines``) as text."""
-        return _split(self.lines[row], self.delimiter)
+        """The values of line ``row`` (0-based among ``lines``) as text, without empty ones beyond the last column."""
+        cells = _split(self.lines[row], self.delimiter)
+        return cells[: max(self.width, _filled(cells))]
+
+    def empty(self, column: int) -> bool:
+        """Whether no line has a value in this column."""
+        return not any("".join(self.cells(row)[column : column + 1]) for row in range(len(self)))
 
 
 def scan(path: Path, content: bytes) -> Text:
@@ -68,8 +72,7 @@ def scan(path: Path, content: bytes) -> Text:
     first = _split(lines[0], delimiter)
     named = not any(_is_number(cell) for cell in first)
     header = tuple(normalise(cell) for cell in first) if named else ()
-    origin = Origin(path, "line", number[named:])
-    return Text(origin, lines[named:], delimiter, len(first), _filled(first), header)
+    return Text(Origin(path, "line", number[named:]), lines[named:], delimiter, _filled(first), header)
 
 
 def normalise(name: str) -> str:
@@ -86,6 +89,10 @@ def numbers(text: Text, columns: Sequence[int], labels: Sequence[str]) -> F8:
     columns : the k columns, 0-based.
     labels : what messages call them.
 
+    Returns
+    -------
+    The values.
+
     Raises
     ------
     InputError : a value is not a number, or a line has more or fewer values than the first.
@@ -94,17 +101,46 @@ def numbers(text: Text, columns: Sequence[int], labels: Sequence[str]) -> F8:
         return np.zeros((0, len(columns)))
     try:
         table = np.loadtxt(text.lines, delimiter=text.delimiter, comments=None, ndmin=2)
-        if table.shape[1] == text.pieces:
+        if table.shape[1] == text.width:
             return table[:, list(columns)]
     except ValueError:
         pass  # the slow way finds the line
     return np.array([_parse(text, row, columns, labels) for row in range(len(text))])
 
 
+def read_columns(path: AnyPath, names: Sequence[str], widths: Sequence[int]) -> tuple[Origin, F8]:
+    """A table of which the columns are known, by the names in its header or else by position.
+
+    Parameters
+    ----------
+    path : the file.
+    names : of the columns, in lower case.
+    widths : how many of them, from the first, a file may have.
+
+    Returns
+    -------
+    Where each row stands, and the values (M, k) of the columns that the file has, in this order.
+
+    Raises
+    ------
+    InputError : the file is missing, has other columns, or a value is not a number.
+    """
+    text = scan(Path(path), load(path))
+    found = [name for name in names if name in text.header] if text.header else list(names[: text.width or min(widths)])
+    width = len(found) if text.header or not len(text) else text.width
+    if width not in widths or found != list(names[:width]):
+        came = ", ".join(text.header) or f"{width} numbers a line"
+        optional = f", those from {names[min(widths)]} on optional" if len(widths) > 1 else ""
+        where = text.origin.at(0) if len(text) else str(path)
+        raise InputError(f"expected the columns {', '.join(names)}{optional}; came {came}", where=where)
+    at = [text.header.index(name) for name in found] if text.header else range(width)
+    return text.origin, numbers(text, at, found)
+
+
 def _parse(text: Text, row: int, columns: Sequence[int], labels: Sequence[str]) -> list[float]:
     """The values of one line."""
     cells = text.cells(row)
-    if len(cells) != text.pieces and _filled(cells) != text.width:
+    if len(cells) != text.width:
         raise InputError(
             f"expected {text.width} values as in the {'header' if text.header else 'first line'}, came {_filled(cells)}",
             where=text.origin.at(row),

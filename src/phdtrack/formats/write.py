@@ -7,7 +7,7 @@ whole sequence. All but the states are MOTChallenge files without a header, whic
 * tracks: ``frame,id,left,top,width,height,confidence,x,y,z,detection,confirmed``; x and y metres on the ground and z 0,
   or all three −1 where the place is not known;
 * detections: ``frame,-1,left,top,width,height,confidence,-1,-1,-1,class`` and the 10 values of the covariance where there is
-  one (see `phdtrack.formats.columns`);
+  one (see `phdtrack.formats.table`);
 * truth: ``frame,id,left,top,width,height,flag,class,visibility``, distractors with flag 0 and class 8, as in MOT16.
 
 States have a header: ``frame,time,weight,detection,left,top,width,height,s0,s1,…``. Frames count from 1, times are seconds,
@@ -23,7 +23,7 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.files import AnyPath
-from phdtrack.types import F8, I8, Detections, DetectionTable, Estimates, Tracks, Truth
+from phdtrack.types import F8, I8, Bool, Detections, DetectionTable, Estimates, Tracks, Truth
 
 # Seven digits: a thousandth of a pixel in the largest pictures, and boxes in other units do not collapse.
 _BOX = "%.7g,%.7g,%.7g,%.7g"
@@ -45,7 +45,7 @@ class Lines:
         except OSError as error:
             raise self._failed(error) from None
 
-    def write(self, pattern: str, *columns: F8 | I8) -> None:
+    def write(self, pattern: str, *columns: F8 | I8 | Bool) -> None:
         """One line for each row of the columns, which may be (M,) or (M, k); all of them reach the operating system."""
         width = pattern.count("%")
         values = [column.tolist() for block in columns for column in (block.T if block.ndim == 2 else block[None])]
@@ -87,34 +87,28 @@ class TracksWriter(Lines):
             np.where(known, place, -1.0).T,
             np.where(known, 0, -1),
             tracks.detection,
-            tracks.confirmed.astype(np.int64),
+            tracks.confirmed,
         )
 
 
 class DetectionsWriter(Lines):
     """``detections.csv``, frame by frame. A frame that was not observed leaves no trace, as an empty one."""
 
-    def append(self, frame: int, detections: Detections) -> None:
-        """Write the detections of frame ``frame``, counted from 1."""
-        self.append_table(DetectionTable(np.full(len(detections), frame, dtype=np.int64), detections))
-
-    def append_table(self, table: DetectionTable) -> None:
-        """Write the detections of many frames. Covariances come with every frame of a file or with none."""
-        found = table.detections
-        columns: list[F8 | I8] = [table.frame, _ltwh(found.xyxy), found.confidence, found.class_id]
-        if found.covariance is None:
+    def append(self, frame: int | I8, detections: Detections) -> None:
+        """Write the detections of frame ``frame``, from 1, or of many frames (N,). All have covariances, or none has."""
+        number = np.broadcast_to(frame, len(detections))
+        columns: list[F8 | I8] = [number, _ltwh(detections.xyxy), detections.confidence, detections.class_id]
+        if detections.covariance is None:
             self.write(_DETECTION, *columns)
         else:
             i, j = np.triu_indices(4)
-            self.write(_DETECTION + ",%.10g" * 10, *columns, found.covariance[:, i, j])
+            self.write(_DETECTION + ",%.10g" * 10, *columns, detections.covariance[:, i, j])
 
 
 class StatesWriter(Lines):
     """``states.csv``, frame by frame: what was extracted before it had identities. The header comes with the first frame."""
 
-    def __init__(self, path: AnyPath) -> None:
-        super().__init__(path)
-        self._started = False
+    _header = ""
 
     def append(self, frame: int, time: float, estimates: Estimates) -> None:
         """Write the states of a frame.
@@ -125,12 +119,12 @@ class StatesWriter(Lines):
         estimates : its states.
         """
         dim, n = estimates.state.shape
-        if not self._started:
-            self.write(",".join(["frame,time,weight,detection,left,top,width,height", *(f"s{i}" for i in range(dim))]))
-            self._started = True
+        if not self._header:
+            self._header = ",".join(["frame,time,weight,detection,left,top,width,height", *(f"s{i}" for i in range(dim))])
+            self.write(self._header)
         self.write(
             f"%d,%.6f,%.7g,%d,{_BOX}" + ",%.9g" * dim,
-            np.full(n, frame, dtype=np.int64),
+            np.full(n, frame),
             np.full(n, time),
             estimates.weight,
             estimates.detection,
@@ -159,14 +153,14 @@ def write_tracks(path: AnyPath, tracks: Tracks, place: F8 | None = None) -> None
 def write_detections(path: AnyPath, table: DetectionTable) -> None:
     """Write the detections of a sequence; an existing file is replaced. `InputError` where it cannot be written."""
     with DetectionsWriter(path) as writer:
-        writer.append_table(table)
+        writer.append(table.frame, table.detections)
 
 
 def write_truth(path: AnyPath, truth: Truth) -> None:
     """Write truth as MOT16 has it: scored rows as pedestrians with flag 1, distractors with flag 0."""
     label = np.where(truth.distractor, _DISTRACTOR, _PEDESTRIAN)
     with Lines(path) as file:
-        file.write(_TRUTH, truth.frame, truth.identity, _ltwh(truth.xyxy), (~truth.distractor).astype(np.int64), label)
+        file.write(_TRUTH, truth.frame, truth.identity, _ltwh(truth.xyxy), ~truth.distractor, label)
 
 
 def _ltwh(xyxy: F8) -> F8:

@@ -1,4 +1,4 @@
-"""Rows of numbers as a file gives them, where each stands in it, and the checks that all formats share.
+"""Where the rows of a file stand in it, and the checks that all formats share.
 
 The first bad row is reported, by its place in the file, with the number of further rows that have the same fault.
 """
@@ -6,7 +6,6 @@ The first bad row is reported, by its place in the file, with the number of furt
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum, auto
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,23 +15,6 @@ from phdtrack.errors import InputError
 from phdtrack.types import F8, I8, Bool
 
 _LARGEST = 2.0**53  # beyond it a float no longer tells neighbouring integers apart
-
-
-class Kind(Enum):
-    """What a file is read as."""
-
-    DETECTIONS = auto()
-    TRUTH = auto()
-    TRACKS = auto()
-
-
-class Source(NamedTuple):
-    """A file to be read: ``content`` are its bytes, ``first`` is the number that it gives the first frame."""
-
-    path: Path
-    content: bytes
-    kind: Kind
-    first: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,35 +28,6 @@ class Origin:
     def at(self, row: int) -> str:
         """The place of row ``row`` in words: "det.txt, line 12"."""
         return f"{self.path}, {self.unit} {self.number[row]}"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rows:
-    """M boxes, unchecked. Columns that the file does not have are None.
-
-    Attributes
-    ----------
-    origin : where each row stands in its file.
-    frame : (M,) as the file numbers them, the first one being ``first``.
-    xyxy : (M, 4) pixels.
-    identity, confidence, class_id, detection : (M,).
-    mot_class : (M,) the class of MOTChallenge's truth, which decides whether a row is scored.
-    distractor, confirmed : (M,) 0 or 1.
-    covariance : (M, 10) upper triangle, by rows, of (centre x, centre y, width, height) in pixels².
-    """
-
-    origin: Origin
-    frame: F8
-    xyxy: F8
-    first: int = 1
-    identity: F8 | None = None
-    confidence: F8 | None = None
-    class_id: F8 | None = None
-    mot_class: F8 | None = None
-    distractor: F8 | None = None
-    detection: F8 | None = None
-    confirmed: F8 | None = None
-    covariance: F8 | None = None
 
 
 class Rule(NamedTuple):
@@ -98,20 +51,25 @@ def enforce(origin: Origin, *rules: Rule) -> None:
     raise InputError(problem + more, where=origin.at(row), cure=rule.cure)
 
 
-def whole(values: F8, name: str, *, lowest: float = -_LARGEST, cure: str = "") -> Rule:
-    """The fault of a value that is no whole number, is below the lowest, or too large to be exact.
+def whole(values: F8, name: str, *, low: float = -_LARGEST, high: float = _LARGEST, cure: str = "") -> Rule:
+    """The fault of a value that is no whole number, is below ``low`` or above ``high``, or too large to be exact.
 
     Parameters
     ----------
     values : (M,).
     name : what messages call them.
-    lowest : smallest value allowed.
+    low, high : smallest and largest value allowed.
     cure : what the message advises.
+
+    Returns
+    -------
+    The fault.
     """
     with np.errstate(invalid="ignore"):
-        good = (np.abs(values) <= _LARGEST) & (np.floor(values) == values) & (values >= lowest)
-    least = "" if lowest == -_LARGEST else f" of {lowest:.0f} or more"
-    return Rule(~good, f"expected a whole number{least} for the {name}, came {{:.15g}}", values, cure)
+        good = (np.floor(values) == values) & (values >= low) & (values <= high)
+    limits = f" of {low:.0f} or more" if low > -_LARGEST else ""
+    limits = f" from {low:.0f} to {high:.0f}" if high < _LARGEST else limits
+    return Rule(~good, f"expected a whole number{limits} for the {name}, came {{:.15g}}", values, cure)
 
 
 def repeated(*columns: F8 | I8) -> I8:

@@ -1,0 +1,208 @@
+"""Tables of boxes: which column means what, by the names in a header or by position, in text and in Parquet files.
+
+A MOTChallenge file has no header. It is read as if it had one, the names by position (1-based) being: 1 frame, 2 identity,
+3–6 left, top, width, height, 7 confidence (optional). Then
+
+* detections: 11 class, 12–21 the upper triangle, by rows, of the covariance of (centre x, centre y, width, height);
+* truth of 8 or 9 columns (MOT16 and later): 8 class; in 10 columns (MOT15) 8–10 are places in the world, not used;
+* tracks: 11 detection, 12 confirmed.
+
+By name, a box may be given by left, top, width, height, by left, top, right, bottom, or by its centre and size. Plain
+``x, y`` with a size means left and top, as in COCO, unless the header names left or centre otherwise. A Parquet file needs
+pyarrow, which is imported on use.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from phdtrack.errors import InputError
+from phdtrack.formats.checks import Origin
+from phdtrack.formats.text import normalise, numbers, scan
+from phdtrack.types import F8
+
+
+class Column(Enum):
+    """A column: the value of rows in files without it, None where it is needed, and what a header may call it.
+
+    The usual name is the first. No header has capitals when it is compared: MOTChallenge's class is known by its position.
+    """
+
+    FRAME = None, "frame", "frame_id", "frame_number", "frame_no", "frame_num", "frame_idx", "frame_index", "frameid"
+    IDENTITY = None, "identity", "id", "track_id", "trackid", "tracker_id", "target_id", "object_id", "track", "label"
+    CONFIDENCE = 1.0, "confidence", "conf", "score", "probability", "prob"
+    CLASS = 0.0, "class", "class_id", "category_id", "category", "cls"
+    MOT_CLASS = -1.0, "MOT class"
+    DISTRACTOR = 0.0, "distractor", "ignore", "ignored"
+    DETECTION = -1.0, "detection", "detection_index"
+    CONFIRMED = 1.0, "confirmed", "is_confirmed"
+    LEFT = None, "left", "bb_left", "bbox_left", "xmin", "x_min", "x1"
+    TOP = None, "top", "bb_top", "bbox_top", "ymin", "y_min", "y1"
+    RIGHT = None, "right", "bb_right", "bbox_right", "xmax", "x_max", "x2"
+    BOTTOM = None, "bottom", "bb_bottom", "bbox_bottom", "ymax", "y_max", "y2"
+    WIDTH = None, "width", "bb_width", "bbox_width", "w"
+    HEIGHT = None, "height", "bb_height", "bbox_height", "h"
+    CENTRE_X = None, "cx", "xc", "center_x", "centre_x", "x_center", "x_centre"
+    CENTRE_Y = None, "cy", "yc", "center_y", "centre_y", "y_center", "y_centre"
+    X = None, "x"
+    Y = None, "y"
+
+    def __init__(self, default: float | None, *names: str) -> None:
+        self.default, self.names = default, names
+
+
+class Kind(Enum):
+    """What a file is read as, and the columns that are read beside the box."""
+
+    DETECTIONS = Column.FRAME, Column.CONFIDENCE, Column.CLASS
+    TRUTH = Column.FRAME, Column.IDENTITY, Column.CONFIDENCE, Column.MOT_CLASS, Column.DISTRACTOR
+    TRACKS = Column.FRAME, Column.IDENTITY, Column.CONFIDENCE, Column.DETECTION, Column.CONFIRMED
+
+
+LTWH = (Column.LEFT, Column.TOP, Column.WIDTH, Column.HEIGHT)
+_CORNERS = (Column.LEFT, Column.TOP, Column.RIGHT, Column.BOTTOM)
+CENTRE_SIZE = (Column.CENTRE_X, Column.CENTRE_Y, Column.WIDTH, Column.HEIGHT)
+_BOXES = (LTWH, _CORNERS, CENTRE_SIZE, (Column.X, Column.Y, Column.WIDTH, Column.HEIGHT))
+_COVARIANCE = tuple(f"cov_{a}_{b}" for i, a in enumerate("xywh") for b in "xywh"[i:])
+
+
+class Source(NamedTuple):
+    """A file to be read: ``content`` are its bytes, ``first`` is the number that it gives the first frame."""
+
+    path: Path
+    content: bytes
+    kind: Kind
+    first: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """M boxes, unchecked.
+
+    Attributes
+    ----------
+    origin : where each row stands in its file.
+    first : the number of the first frame.
+    values : (M,) of each column that the file has.
+    triangle : (M, 10) upper triangle, by rows, of the covariance of (centre x, centre y, width, height) in pixels²; (M, 0)
+        where the file has none.
+    """
+
+    origin: Origin
+    first: int
+    values: Mapping[Column, F8]
+    triangle: F8
+
+    def get(self, column: Column) -> F8:
+        """(M,) the column, or its default where the file does not have it."""
+        if column in self.values:
+            return self.values[column]
+        return np.full(len(self.origin.number), 0.0 if column.default is None else column.default)
+
+    def xyxy(self) -> F8:
+        """(M, 4) the boxes, pixels."""
+        form = next((form for form in _BOXES if all(column in self.values for column in form)), LTWH)
+        box = np.stack([self.get(column) for column in form], axis=1)
+        with np.errstate(invalid="ignore", over="ignore"):
+            if form is CENTRE_SIZE:
+                return np.hstack([box[:, :2] - box[:, 2:] / 2, box[:, :2] + box[:, 2:] / 2])
+            return box if form is _CORNERS else np.hstack([box[:, :2], box[:, :2] + box[:, 2:]])
+
+
+def table_of_text(source: Source) -> Table:
+    """The boxes in a text table.
+
+    Raises
+    ------
+    InputError : the content is no text, or a column or a number is missing or wrong.
+    """
+    text = scan(source.path, source.content)
+    if len(text) and not text.header and text.width < 6:
+        problem = f"expected at least 6 columns (frame, id, left, top, width, height), came {text.width}"
+        cure = "Give the columns in this order, or name them in a header line."
+        raise InputError(problem, where=text.origin.at(0), cure=cure)
+    header = text.header or _by_position(source.kind, text.width or 6)
+    layout = _layout(source, header, text.empty)
+    return _table(source, text.origin, layout, numbers(text, layout.at, [header[i] for i in layout.at]))
+
+
+def table_of_parquet(source: Source) -> Table:
+    """The boxes in a Parquet file.
+
+    Raises
+    ------
+    InputError : pyarrow is not installed, the file is no Parquet, or a column is missing or holds no numbers.
+    """
+    try:
+        import pyarrow as arrow
+        import pyarrow.parquet as parquet
+    except ImportError:
+        cure = "Install it: pip install 'phdtrack[parquet]'."
+        problem = "reading Parquet needs the package pyarrow, which is not installed"
+        raise InputError(problem, where=source.path, cure=cure) from None
+    try:
+        table = parquet.ParquetFile(arrow.BufferReader(source.content)).read()
+    except (arrow.ArrowException, OSError, UnicodeDecodeError) as error:  # a broken footer can be any of them
+        raise InputError(f"expected a Parquet file, which cannot be read: {error}", where=source.path) from None
+    header = [normalise(str(name)) for name in table.column_names]
+    layout = _layout(source, header, lambda at: table.column(at).null_count == len(table))
+    values = []
+    for at in layout.at:
+        try:
+            values.append(table.column(at).cast(arrow.float64()).fill_null(np.nan).to_numpy())
+        except arrow.ArrowException:
+            problem = f"expected numbers in the column {table.column_names[at]}, came {table.column(at).type}"
+            raise InputError(problem, where=source.path, cure="Convert it before it is written.") from None
+    return _table(source, Origin(source.path, "row", np.arange(1, len(table) + 1)), layout, np.stack(values, axis=1))
+
+
+def _by_position(kind: Kind, width: int) -> list[str]:
+    """The names of the columns of a file without a header, "" for those that are not used."""
+    names = ["frame", "id", "left", "top", "width", "height", "confidence"][:width] + [""] * (width - 7)
+    if kind is Kind.DETECTIONS and width > 10:
+        names[10] = "class"
+        names[11:21] = _COVARIANCE if width >= 21 else names[11:21]
+    elif kind is Kind.TRUTH and width in (8, 9):
+        names[7] = "MOT class"
+    elif kind is Kind.TRACKS and width >= 12:
+        names[10:12] = "detection", "confirmed"
+    return names
+
+
+class _Layout(NamedTuple):
+    """The columns to be read, and where they stand in a file, followed by where the covariance does if there is one."""
+
+    columns: list[Column]
+    at: list[int]
+
+
+def _layout(source: Source, header: Sequence[str], empty: Callable[[int], bool]) -> _Layout:
+    """The columns to be read, without optional ones that are ``empty``; unknown names are passed over."""
+    places = {column: next((header.index(name) for name in column.names if name in header), -1) for column in Column}
+    form = next((form for form in _BOXES if all(places[column] >= 0 for column in form)), ())
+    missing = next((column for column in source.kind.value if column.default is None and places[column] < 0), None)
+    if missing is not None or not form:
+        what, cure = "box", "Name left, top, width, height, or left, top, right, bottom, or cx, cy, width, height."
+        if missing is not None:
+            what, cure = missing.names[0], f"Name it one of {', '.join(missing.names)}."
+        came = ", ".join(header)[:200]
+        raise InputError(f"no column for the {what}; the columns are {came}", where=source.path, cure=cure)
+    wanted = [column for column in source.kind.value if places[column] >= 0]
+    # An optional column without any value is as good as absent.
+    columns = [column for column in wanted if column.default is None or not empty(places[column])] + list(form)
+    at = [places[column] for column in columns]
+    if source.kind is Kind.DETECTIONS and all(name in header for name in _COVARIANCE):
+        at += [header.index(name) for name in _COVARIANCE]
+    return _Layout(columns, at)
+
+
+def _table(source: Source, origin: Origin, layout: _Layout, values: F8) -> Table:
+    """The table of the values (M, k)."""
+    k = len(layout.columns)
+    return Table(origin, source.first, dict(zip(layout.columns, values[:, :k].T, strict=True)), values[:, k:])
