@@ -22,8 +22,7 @@ import numpy as np
 
 from phdtrack.files import AnyPath, load
 from phdtrack.formats.checks import Origin, Rule, enforce, repeated, whole
-from phdtrack.formats.coco import table_of_coco
-from phdtrack.formats.cvml import table_of_cvml
+from phdtrack.formats.markup import table_of_coco, table_of_cvml
 from phdtrack.formats.table import Column, Kind, Source, Table, table_of_parquet, table_of_text
 from phdtrack.types import F8, I8, Bool, Detections, DetectionTable, Tracks, Truth
 

@@ -1,9 +1,17 @@
-"""COCO JSON: a list of results, or a data set with its images and annotations. Boxes are left, top, width, height.
+"""Boxes in JSON and XML: COCO, and CVML.
 
+COCO JSON is a list of results, or a data set with its images and annotations. Boxes are left, top, width, height.
 A result tells its image by ``image_id`` only, which is then the number of the frame. In a data set the number is, in this
 order: ``frame_id`` (or ``frame_index``, ``frame_number``) of the image, the digits at the end of its file name
 (``img1/000042.jpg``), its ``id``; whichever all images have. ``track_id`` (or ``instance_id``, ``identity``) is the
 identity, also where it stands among an annotation's ``attributes``; ``iscrowd`` or ``ignore`` mark a distractor.
+
+CVML is the XML of CAVIAR's ground truth, in which the truth of PETS 2009 is written too:
+
+    <dataset> <frame number="0"> <objectlist> <object id="1"> <box xc=".." yc=".." w=".." h=".."/> ...
+
+Frames count from 0, boxes are given by their centre. Groups have boxes of their own, which are no objects: they are passed
+over.
 """
 
 from __future__ import annotations
@@ -15,9 +23,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.files import read_json
+from phdtrack.files import read_json, read_xml
 from phdtrack.formats.checks import Origin
-from phdtrack.formats.table import LTWH, Column, Kind, Source, Table
+from phdtrack.formats.table import CENTRE_SIZE, LTWH, Column, Kind, Source, Table
 
 # The keys of each column in an entry.
 _KEYS = {
@@ -80,6 +88,33 @@ def table_of_coco(source: Source) -> Table:
             values[column] = np.array(found, np.float64)
     origin = Origin(path, unit, np.arange(1, len(entries) + 1))
     return Table(origin, source.first, values, np.zeros((len(entries), 0)))
+
+
+def table_of_cvml(source: Source) -> Table:
+    """The boxes of the objects in a CVML document.
+
+    Raises
+    ------
+    InputError : the document is not well-formed CVML, or declares a document type.
+    """
+    elements = read_xml(source.path, source.content)
+    if elements[0].name != "dataset":
+        came = f"<{elements[0].name}>"
+        raise InputError(f"expected CVML, whose outermost element is <dataset>, came {came}", where=elements[0].where)
+    rows, lines = [], []
+    for box in elements:
+        around = {element.name: element for element in box.around}
+        if box.name != "box" or "group" in around:
+            continue
+        if "frame" not in around or "object" not in around:
+            raise InputError("expected <box> inside of <frame> and <object>, came one outside", where=box.where)
+        place = [box.number(key) for key in ("xc", "yc", "w", "h")]
+        rows.append([around["frame"].number("number"), around["object"].number("id"), *place])
+        lines.append(box.line)
+    values = np.array(rows, np.float64).reshape(-1, 6)
+    origin = Origin(source.path, "line", np.array(lines, np.int64))
+    columns = dict(zip((Column.FRAME, Column.IDENTITY, *CENTRE_SIZE), values.T, strict=True))
+    return Table(origin, source.first, columns, np.zeros((len(values), 0)))
 
 
 def _list(path: Path, document: dict[str, Any], key: str) -> list[Any]:
