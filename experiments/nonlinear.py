@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from experiments.bearing import BearingSensor, TurningMotion
 from experiments.common import Options, filled, pyplot
 from experiments.scans import FilterRun, Realisation, SetErrors, Stages, compared, curves, followed, measured, tables
 from experiments.standard_scenes import DEGREE, TURNING_LAST, TURNING_START, Turning, turning, turning_states
 from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, BestBernoullis, BestHypothesis, ParticleCPHD, ParticlePHD
 from phdtrack.filters.extract import Components, KMeans, Mixture
-from phdtrack.models import BearingSensor, FixedBirth, TurningMotion, UniformClutter
+from phdtrack.models import FixedBirth, UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.types import F8, GaussianMixture
 

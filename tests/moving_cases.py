@@ -36,7 +36,7 @@ def seen(path: np.ndarray, frame: np.ndarray, xyxy: np.ndarray) -> np.ndarray:
     out = xyxy.copy()
     for k in np.unique(frame):
         z = to_cxcywh(xyxy[frame == k])
-        moved = warp_of.warp_states(np.vstack([z[:2], 0 * z[:2], z[2:]]), path[k], (4, 5))
+        moved = warp_of.warp_states(np.vstack([z[:2], 0 * z[:2], z[2:]]), path[k])
         half = moved[4:6] / 2
         out[frame == k] = np.vstack([moved[:2] - half, moved[:2] + half]).T
     return out

@@ -28,7 +28,6 @@ NEEDED = {
     ("motion", "plane"): PLANE[1:],
     ("sensor", "plane"): PLANE,
     ("clutter", "ground"): PLANE,
-    ("spawn", "split"): PARTICLES,
     ("birth", "uniform"): PARTICLES,
     ("extract", "kmeans"): PARTICLES,
     ("extract", "mixture"): PARTICLES,

@@ -39,8 +39,6 @@ def test_a_filter_brings_an_extraction_that_fits_it(preset: str, tmp_path):
     (["filter.kind=particle-phd", "associate.kind=labelled"], "use graph; it goes with filter.kind=.*pmb"),
     (["extract.kind=kmeans"], "use bernoullis; it goes with filter.kind=particle-phd"),
     (["birth.kind=uniform"], "birth.kind=measurement"),
-    (["spawn.kind=split"], "or filter.kind=particle-phd"),
-    (["filter.kind=gm-phd", "spawn.kind=split"], "spawn.kind=none"),
     (["filter.kind=gm-cphd", "birth.kind=uniform"], "birth.kind=measurement"),
     (["filter.kind=particle-cphd", "extract.kind=components"], "use mixture or kmeans"),
 ])  # fmt: skip

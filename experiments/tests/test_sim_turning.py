@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.bearing import BearingSensor, TurningMotion
 from experiments.standard_scenes import TURNING_FIRST, TURNING_LAST, TURNING_START, Turning, turning, turning_states
 from phdtrack.errors import InputError
-from phdtrack.models import BearingSensor, TurningMotion
 
 
 def test_targets_follow_the_model_without_its_noise():

@@ -1,6 +1,6 @@
 """One protocol for each symbol of the papers and each stage of the pipeline. The pipeline knows these and nothing else.
 
-A model is a value of four parts: motion f, p_S (and spawning β); sensor g, p_D; birth γ; clutter κ. Filters, extractors,
+A model is a value of four parts: motion f, p_S; sensor g, p_D; birth γ; clutter κ. Filters, extractors,
 associators and smoothers are frozen settings with pure methods: state goes in, state comes out. A model answers with arrays
 for all targets at once.
 
@@ -38,7 +38,7 @@ from phdtrack.types import (
 
 
 class Motion(Protocol):
-    """f(x|ξ), p_S and β: how targets move, survive and spawn others."""
+    """f(x|ξ) and p_S: how targets move and survive."""
 
     @property
     def dim(self) -> int:
@@ -55,9 +55,6 @@ class Motion(Protocol):
 
     def transition(self, x: F8, dt: float) -> tuple[F8, F8, F8]:
         """Mean (d, n), Jacobian F (n, d, d) and noise covariance Q (n, d, d) of f(·|x) for the columns of ``x`` (d, n)."""
-
-    def spawn(self, parents: Particles | ParticleBlocks, dt: float, rng: np.random.Generator) -> Particles:
-        """Draws of ∫ β(x|ξ) D(ξ) dξ for the intensity ``parents``; an empty set where nothing is spawned."""
 
     def warp_states(self, x: F8, warp: F8) -> F8:
         """(d, L) the states ``x`` (d, L) in the pixels of the next frame; ``warp`` (3, 3) is the homography to it.
@@ -160,6 +157,24 @@ class Clutter(Protocol):
         """(N,) expected clutter points per frame and unit of measurement volume at ``z`` (m, N)."""
 
 
+class Spawn(Protocol):
+    """β(x|ξ): targets that come out of targets. The papers leave it out."""
+
+    def sample(self, parents: Particles | ParticleBlocks, dt: float, rng: np.random.Generator) -> Particles:
+        """Draws of ∫ β(x|ξ) D(ξ) dξ for an intensity.
+
+        Parameters
+        ----------
+        parents : the intensity D.
+        dt : interval in the model's time unit.
+        rng : random numbers.
+
+        Returns
+        -------
+        Particles; an empty set where nothing is spawned.
+        """
+
+
 @dataclass(frozen=True, slots=True)
 class Model:
     """The four parts of a model of the world, and ``rate``: its time units per second.
@@ -170,7 +185,7 @@ class Model:
 
     ``warp`` (3, 3) is how the camera has moved since the frame before: the homography that takes pixels of that frame to
     this one's; `types.STILL` where it stands still. States are warped before they are predicted (`warp_states`,
-    `warp_gaussians`).
+    `warp_gaussians`). ``spawn`` is β, None for none.
     """
 
     motion: Motion
@@ -180,6 +195,12 @@ class Model:
     rate: float = 25.0
     first: float = 1.0
     warp: F8 = field(default_factory=lambda: STILL, compare=False)
+    spawn: Spawn | None = None
+
+    def refuse_spawning(self, filter_name: str) -> None:
+        """Raise `InputError` where targets spawn others: only the particle PHD filter has that term."""
+        if self.spawn is not None:
+            raise InputError(f"the {filter_name} has no spawning", where="Model.spawn", cure="Use the particle PHD filter")
 
     def warp_states(self, x: F8) -> F8:
         """(d, L) states of the frame before, in the pixels of this one."""

@@ -51,9 +51,9 @@ def test_a_bridge_under_a_moving_camera_is_the_still_one_carried_along(rng):
     after, cov_before, cov_after = before + rng.normal(0, 9, 6), spread(rng, 6, 3.0), spread(rng, 6, 3.0)
     still = bridge(motion, (before, cov_before, after, cov_after), np.ones(5))
     whole = warp_of.after(warps)
-    slope = warp_of.warp_jacobian(after[:, None], whole, (4, 5))[0]
-    seen = warp_of.warp_states(after[:, None], whole, (4, 5))[:, 0]
+    slope = warp_of.warp_jacobian(after[:, None], whole)[0]
+    seen = warp_of.warp_states(after[:, None], whole)[:, 0]
     moving = bridge(motion, (before, cov_before, seen, slope @ cov_after @ slope.T), np.ones(5), warps)
     for k in range(4):
-        wanted = warp_of.warp_states(still[:, k : k + 1], warp_of.after(warps[: k + 1]), (4, 5))[:, 0]
+        wanted = warp_of.warp_states(still[:, k : k + 1], warp_of.after(warps[: k + 1]))[:, 0]
         np.testing.assert_allclose(moving[:, k], wanted, rtol=1e-8, atol=1e-8)

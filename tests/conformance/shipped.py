@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from experiments.bearing import BearingSensor, TurningMotion
 from phdtrack.arrays import to_cxcywh
 from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.associate.rejection import FalseTrackRejection
@@ -27,7 +28,6 @@ from phdtrack.filters.hypotheses import Cluster, Nodes
 from phdtrack.filters.intensities import JointSamples
 from phdtrack.kernels.pmb import Layer
 from phdtrack.models import (
-    BearingSensor,
     BoxMotion,
     BoxSensor,
     FixedBirth,
@@ -40,8 +40,6 @@ from phdtrack.models import (
     PointBirth,
     PointMotion,
     PointSensor,
-    SplitSpawn,
-    TurningMotion,
     UniformBirth,
     UniformClutter,
 )
@@ -57,7 +55,6 @@ MOTIONS = {
     "scaled": BoxMotion(frame_size=SIZE),
     "fixed": BoxMotion(acceleration=1.2, size_noise=2.0, scaled_noise=False, frame_size=SIZE),
     "remembering": BoxMotion(remember_size=True, frame_size=SIZE),
-    "splitting": BoxMotion(births=SplitSpawn(rate=0.1), frame_size=SIZE),
     "borderless": BoxMotion(),
     "still": BoxMotion(acceleration=0.0, size_noise=0.0),
     "plane": PlaneMotion(borders=(0.0, 0.0, 500.0, 400.0)),

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from shipped import MOTIONS, fixed, frozen, keeps, states
+from shipped import MOTIONS, fixed, keeps, states
 
 from phdtrack.errors import InputError
 from phdtrack.protocols import Motion
-from phdtrack.types import Particles
 
 pytestmark = pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
 INTERVALS = (0.3, 1.0, 25 / 7)
@@ -65,16 +64,6 @@ def test_survival_is_a_probability_that_falls_with_time(motion, rng):
         assert share.shape == (40,)
         assert ((share >= 0) & (share <= 1)).all()
     assert (np.diff(shares, axis=0) <= 0).all()
-
-
-def test_spawned_are_particles(motion, rng):
-    parents = frozen(Particles(states(rng, 100, motion.dim), np.full(100, 0.02)))
-    spawned = motion.spawn(parents, 1.0, rng)
-    assert spawned.state.shape == (motion.dim, len(spawned))
-    assert (spawned.weight >= 0).all()
-    assert spawned.mass <= parents.mass
-    nobody = motion.spawn(Particles(np.zeros((motion.dim, 0)), np.zeros(0)), 1.0, rng)
-    assert nobody.state.shape == (motion.dim, 0)
 
 
 def test_nobody_moves_to_nowhere(motion, rng):

@@ -12,8 +12,8 @@ from phdtrack.errors import InputError
 from phdtrack.filters import GMCPHD, GMPHD, ParticleCPHD, ParticlePHD
 from phdtrack.filters.cardinality import poisson, weigh
 from phdtrack.filters.intensities import Cardinalised
-from phdtrack.models import BoxMotion, SplitSpawn
 from phdtrack.types import GaussianMixture, Particles
+from spawning import Splitting
 
 NOTHING = np.zeros((4, 0))
 KINDS = ("gm", "particle")
@@ -127,7 +127,7 @@ def test_a_known_number_outlives_a_miss(kind: str, rng):
 
 @pytest.mark.parametrize("recursion", [GMCPHD(), ParticleCPHD()], ids=KINDS)
 def test_spawning_is_refused(recursion, rng):
-    model = replace(world(), motion=BoxMotion(births=SplitSpawn(rate=1.0)))
+    model = replace(world(), spawn=Splitting(1.0))
     intensity = crowd(rng, 4, 50) if isinstance(recursion, ParticleCPHD) else mixture_of(crowd(rng, 4, 50), rng)
     with pytest.raises(InputError, match="no spawning"):
         recursion.predict(Cardinalised(intensity, poisson(4.0)), model, 1.0, rng)

@@ -18,13 +18,13 @@ from phdtrack.models import (
     FixedBirth,
     LocalClutter,
     MeasurementBirth,
-    SplitSpawn,
     UniformBirth,
     UniformClutter,
 )
 from phdtrack.protocols import Model
 from phdtrack.types import GaussianMixture
 from reference import gm_twin
+from spawning import Splitting
 
 ROWS = [0, 1, 4, 5]
 H = np.eye(6)[ROWS]
@@ -247,8 +247,7 @@ def test_what_comes_without_tags_is_given_some(rng):
 
 def test_what_has_no_gaussian_form_is_an_error_with_its_cure(rng):
     state, z = nearby(rng, 2), MEAN[ROWS, None]
-    splitting = replace(LINEAR, motion=BoxMotion(births=SplitSpawn(rate=0.1)))
     with pytest.raises(InputError, match="spawn"):
-        GMPHD().step(state, z, splitting, 1.0, rng)
+        GMPHD().step(state, z, replace(LINEAR, spawn=Splitting(0.1)), 1.0, rng)
     with pytest.raises(InputError, match=r"birth\.kind=measurement"):
         GMPHD().step(state, z, replace(LINEAR, birth=UniformBirth(FRAME)), 1.0, rng)

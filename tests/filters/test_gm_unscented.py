@@ -9,17 +9,10 @@ import pytest
 from phd_cases import FRAME, NoBirth
 
 from composed import composed_step
+from experiments.bearing import BearingSensor, TurningMotion
 from phdtrack.errors import InputError
 from phdtrack.filters import GMPHD
-from phdtrack.models import (
-    BearingSensor,
-    BoxMotion,
-    BoxSensor,
-    LocalClutter,
-    MeasurementBirth,
-    TurningMotion,
-    UniformClutter,
-)
+from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth, UniformClutter
 from phdtrack.models.gaussian import sigma_points
 from phdtrack.protocols import Model
 from phdtrack.types import GaussianMixture

@@ -24,7 +24,6 @@ from phdtrack.models import (
     PointBirth,
     PointMotion,
     PointSensor,
-    SplitSpawn,
     UniformBirth,
     UniformClutter,
 )
@@ -32,6 +31,7 @@ from phdtrack.models.volumes import image_volume
 from phdtrack.protocols import Model
 from phdtrack.tracker import pack, unpack
 from phdtrack.types import Detections, GaussianMixture, ParticleBlocks, Particles
+from spawning import Splitting
 
 seeds = st.integers(0, 2**32 - 1)
 NOTHING = Particles(np.zeros((6, 0)), np.zeros(0))
@@ -181,8 +181,7 @@ def test_predicting_multiplies_the_mass_with_survival(seed: int, dt: float, surv
     model = replace(world(), motion=BoxMotion(survival_probability=survival**25))
     predicted = ParticlePHD().predict(state, model, dt, rng)
     assert predicted.mass == pytest.approx(state.mass * survival**dt, rel=1e-6)
-    spawning = replace(model, motion=BoxMotion(survival_probability=survival**25, births=SplitSpawn(rate=0.1, fraction=0.5)))
-    predicted = ParticlePHD().predict(state, spawning, dt, rng)
+    predicted = ParticlePHD().predict(state, replace(model, spawn=Splitting(0.1)), dt, rng)
     assert predicted.mass == pytest.approx(state.mass * (survival**dt + 0.1 * dt), rel=1e-5)
 
 

@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mht_cases import FRAME, RNG, boxes, run, scene, told, walk
+from mht_cases import RNG, boxes, run, scene, told, walk
 from pmb_cases import PLAIN, world
 
 from phdtrack import config
 from phdtrack.errors import InputError
 from phdtrack.filters import PMB
-from phdtrack.models import BoxMotion, SplitSpawn
 from phdtrack.types import SequenceInfo
+from spawning import Splitting
 
 
 def test_misses_in_a_row_are_believed_where_targets_get_hidden():
@@ -126,7 +126,7 @@ def test_the_past_that_is_kept_and_the_number_of_hypotheses_are_bounded():
 
 
 def test_spawning_has_no_form():
-    model = replace(world(), motion=BoxMotion(births=SplitSpawn(rate=0.1), frame_size=FRAME))
+    model = replace(world(), spawn=Splitting(0.1))
     state, _ = run(PMB(), [boxes((300, 200))], world())
     with pytest.raises(InputError, match="spawning"):
         PMB().step(state, boxes((301, 200)), model, 1.0, RNG)

@@ -9,9 +9,9 @@ import pytest
 from mht_cases import FRAME, RNG, told
 from pmb_cases import PLAIN, world
 
+from experiments.bearing import BearingSensor, TurningMotion
 from phdtrack.filters import MHT, PMB
 from phdtrack.models import (
-    BearingSensor,
     FixedBirth,
     PlaneBirth,
     PlaneMotion,
@@ -19,7 +19,6 @@ from phdtrack.models import (
     PointBirth,
     PointMotion,
     PointSensor,
-    TurningMotion,
     UniformClutter,
 )
 from phdtrack.protocols import Model

@@ -10,9 +10,9 @@ from scipy.stats import chi2, kstest
 
 from phdtrack.errors import InputError
 from phdtrack.kernels.newborn import standard_points
-from phdtrack.models import BoxSensor, FixedBirth, MeasurementBirth, NoSpawn, SplitSpawn, UniformBirth
+from phdtrack.models import BoxSensor, FixedBirth, MeasurementBirth, UniformBirth
 from phdtrack.models.births import _radii
-from phdtrack.types import GaussianMixture, Particles
+from phdtrack.types import GaussianMixture
 from reference import birth_twin as twin
 
 FRAME = (640.0, 480.0)
@@ -141,18 +141,3 @@ def test_fixed_births(rng):
     for part, want_mean, want_cov in zip((first, ~first), mean.T, cov, strict=True):
         np.testing.assert_allclose(born.state[:, part].mean(1), want_mean, atol=4 * 3 / math.sqrt(20_000))
         np.testing.assert_allclose(np.cov(born.state[:, part]), want_cov, atol=0.4)
-
-
-def test_spawned_mass_and_place(rng):
-    state = np.repeat(np.array([[0.0, 0, 1, 1, 20, 40], [500, 0, 1, 1, 20, 40]]).T, [300, 300], axis=1)
-    parents = Particles(state, np.repeat([0.001, 0.003], 300))
-    spawned = SplitSpawn(rate=0.05, distance=0.5, fraction=1.0).sample(parents, 2.0, rng)
-    assert spawned.mass == pytest.approx(0.05 * 2.0 * 1.2)
-    far = spawned.state[0] > 250
-    assert far.mean() == pytest.approx(0.75, abs=4 * math.sqrt(0.75 * 0.25 / 600))
-    assert spawned.state[0, ~far].std() == pytest.approx(10, rel=0.3)
-    assert spawned.state[1].std() == pytest.approx(20, rel=0.15)
-    np.testing.assert_array_equal(spawned.state[2:], state[2:, :600])
-    for nothing in (SplitSpawn(rate=0.0), SplitSpawn(fraction=0.0), NoSpawn()):
-        assert nothing.sample(parents, 1.0, rng).state.shape == (6, 0)
-    assert len(SplitSpawn().sample(Particles(np.zeros((6, 0)), np.zeros(0)), 1.0, rng)) == 0

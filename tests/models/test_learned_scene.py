@@ -84,14 +84,14 @@ def test_what_a_density_says_of_detections(d: int, rows: tuple[int, ...], rng):
     state[keep, 0] = p.mean[keep, 0]
     noise[:, [r for r in range(d) if r not in rows]] *= np.eye(d)[[r for r in range(d) if r not in rows]]
     noise[:, :, [r for r in range(d) if r not in rows]] *= np.eye(d)[:, [r for r in range(d) if r not in rows]]
-    found, shown = SceneBirth(2.0, p, rows).around((state, noise), 1.5), marginal(p, rows)
+    (found, found_states), shown = SceneBirth(2.0, p, rows).around((state, noise), 1.5), marginal(p, rows)
     density, mean, cov = twin.given_detections(
         state, noise, keep, shown.low, shown.high, p.uniform / shown.volume, p.gaussians.weight, p.mean, p.covariance
     )
     # What is left out is nothing to single precision.
-    np.testing.assert_allclose(found.density, 3.0 * density, rtol=1e-6)
-    np.testing.assert_allclose(found.mean, mean, atol=1e-3)
-    np.testing.assert_allclose(found.covariance, cov, rtol=1e-4, atol=0.1)
+    np.testing.assert_allclose(found, 3.0 * density, rtol=1e-6)
+    np.testing.assert_allclose(found_states[0], mean, atol=1e-3)
+    np.testing.assert_allclose(found_states[1], cov, rtol=1e-4, atol=0.1)
     assert len(np.unique(density.round(12))) > 12, "Gaussians count, and places beyond the volume have none"
     assert (density == 0).any()
 
@@ -158,21 +158,21 @@ def test_births_are_those_around_each_detection_by_place(among: SceneDensity | N
     places = marginal(entrance(), (0, 1, 4, 5)), square()
     z = np.hstack([boxes(rng, 40), *(np.clip(p.sample(20, rng), 1, None) for p in places)])
     seen, objects = SENSOR.states(z), among or ANY_BOX
-    plain = SceneBirth(1.0, entrance()).around(seen, 1.0)
-    born, there = np.maximum(plain.density, 0.2 / ANY_BOX.volume), np.maximum(objects(z), objects.flat)
-    found = SceneBirth(0.2, entrance(), around_detections=0.05, among=among).around(seen, 2.0)
-    np.testing.assert_allclose(found.density, 0.1 * near_each(z) * born / there, rtol=1e-9)
-    np.testing.assert_array_equal(found.mean, plain.mean)
-    np.testing.assert_array_equal(found.covariance, plain.covariance)
-    assert found.density.max() > 30 * found.density.min(), "places count"
+    plain, states = SceneBirth(1.0, entrance()).around(seen, 1.0)
+    born, there = np.maximum(plain, 0.2 / ANY_BOX.volume), np.maximum(objects(z), objects.flat)
+    found, same = SceneBirth(0.2, entrance(), around_detections=0.05, among=among).around(seen, 2.0)
+    np.testing.assert_allclose(found, 0.1 * near_each(z) * born / there, rtol=1e-9)
+    for one, other in zip(states, same, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert found.max() > 30 * found.min(), "places count"
 
 
 def test_births_around_detections_reach_beyond_the_volume():
     z = np.array([[-40.0, 320], [240, 600], [40, 40], [90, 90]])
     seen = SENSOR.states(z)
-    assert (SceneBirth(0.01, entrance()).around(seen, 1.0).density == 0).all()
+    assert (SceneBirth(0.01, entrance()).around(seen, 1.0)[0] == 0).all()
     birth = SceneBirth(0.01, entrance(), around_detections=0.05)
-    np.testing.assert_allclose(birth.around(seen, 1.0).density, 0.05 / local_volume(z) * 0.2, rtol=1e-12)
+    np.testing.assert_allclose(birth.around(seen, 1.0)[0], 0.05 / local_volume(z) * 0.2, rtol=1e-12)
     assert len(birth.sample(z, np.zeros(2), SENSOR, 1.0, np.random.default_rng(0))) > 1000
     assert (birth.gaussians(z, SENSOR, 1.0).around.density > 0).all()
 
@@ -180,7 +180,7 @@ def test_births_around_detections_reach_beyond_the_volume():
 def test_their_particles_have_the_evidence_of_gamma_and_the_velocities_of_the_place():
     z = np.array([[115.0], [205], [40], [85]])
     birth = SceneBirth(0.01, entrance(), particles=1000, around_detections=0.05, among=square())
-    wanted = birth.around(FIXED.states(z), 2.0).density[0]
+    wanted = birth.around(FIXED.states(z), 2.0)[0][0]
     drawn = [birth.sample(z, np.zeros(1), FIXED, 2.0, np.random.default_rng(k)) for k in range(20)]
     found = [float(born.weight @ np.exp(FIXED.log_likelihood(z, born.state))) for born in drawn]
     assert np.mean(found) == pytest.approx(0.99 * wanted, rel=0.02)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from experiments.bearing import TurningMotion
 from phdtrack.errors import InputError
-from phdtrack.models import BoxMotion, PlaneMotion, PointMotion, TurningMotion
+from phdtrack.models import BoxMotion, PlaneMotion, PointMotion
 
 BOX = np.array([[320.0], [240.0], [3.0], [-2.0], [60.0], [150.0]])
 POINT = np.array([[3.0], [20.0], [1.2], [-0.4]])

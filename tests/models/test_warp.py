@@ -8,7 +8,6 @@ import pytest
 from phdtrack.errors import InputError
 from phdtrack.models import warp as warp_of
 
-SIZES = (4, 5)
 STEEP = np.array([[1.02, 0.03, 5.0], [-0.02, 0.97, -3.0], [2e-4, -1e-4, 1.0]])
 
 
@@ -24,21 +23,21 @@ def similarity(scale: float, angle: float, x: float, y: float) -> np.ndarray:
 
 def test_there_and_back(rng):
     x = some(rng)
-    home = warp_of.warp_states(warp_of.warp_states(x, STEEP, SIZES), warp_of.back(STEEP), SIZES)
+    home = warp_of.warp_states(warp_of.warp_states(x, STEEP), warp_of.back(STEEP))
     np.testing.assert_allclose(home, x, rtol=1e-9, atol=1e-9)
 
 
 def test_two_motions_are_one_after_the_other(rng):
     x, second = some(rng), similarity(0.9, 0.1, 12.0, 4.0)
-    one = warp_of.warp_states(warp_of.warp_states(x, STEEP, SIZES), second, SIZES)
-    np.testing.assert_allclose(warp_of.warp_states(x, warp_of.after([STEEP, second]), SIZES), one, rtol=1e-9)
+    one = warp_of.warp_states(warp_of.warp_states(x, STEEP), second)
+    np.testing.assert_allclose(warp_of.warp_states(x, warp_of.after([STEEP, second])), one, rtol=1e-9)
     np.testing.assert_array_equal(warp_of.after([]), np.eye(3))
 
 
 def test_velocity_is_that_of_the_moving_point_and_size_that_of_areas(rng):
     """By moving the point on, and by the area of a small square about it."""
     x, h = some(rng), 1e-4
-    moved = warp_of.warp_states(x, STEEP, SIZES)
+    moved = warp_of.warp_states(x, STEEP)
     later = warp_of.points(STEEP, x[:2] + h * x[2:4])
     np.testing.assert_allclose(moved[2:4], (later - moved[:2]) / h, rtol=1e-3, atol=1e-5)
     aside, below = h * np.eye(2)[:, :, None].repeat(20, axis=2)
@@ -49,22 +48,22 @@ def test_velocity_is_that_of_the_moving_point_and_size_that_of_areas(rng):
 @pytest.mark.parametrize("warp", [STEEP, similarity(1.3, 0.4, 5.0, 9.0)], ids=["homography", "similarity"])
 def test_the_slope_is_the_derivative(warp, rng):
     x = some(rng)
-    slope = warp_of.warp_jacobian(x, warp, SIZES)
+    slope = warp_of.warp_jacobian(x, warp)
     for row in range(6):
         ahead, behind = x.copy(), x.copy()
         ahead[row] += 1e-4
         behind[row] -= 1e-4
-        differences = (warp_of.warp_states(ahead, warp, SIZES) - warp_of.warp_states(behind, warp, SIZES)) / 2e-4
+        differences = (warp_of.warp_states(ahead, warp) - warp_of.warp_states(behind, warp)) / 2e-4
         np.testing.assert_allclose(differences.T, slope[:, :, row], atol=1e-6)
 
 
 def test_beyond_the_horizon_of_the_map_is_far_away_and_finite():
     x = np.array([[2000.0, 20000.0], [0.0, 0.0], [1.0, 1.0], [0.0, 0.0], [10.0, 10.0], [10.0, 10.0]])
     tilted = np.array([[1.0, 0, 0], [0, 1.0, 0], [-4e-4, 0, 1.0]])
-    moved = warp_of.warp_states(x, tilted, SIZES)
+    moved = warp_of.warp_states(x, tilted)
     assert np.isfinite(moved).all()
     assert (moved[0] > x[0]).all()
-    assert np.isfinite(warp_of.warp_jacobian(x, tilted, SIZES)).all()
+    assert np.isfinite(warp_of.warp_jacobian(x, tilted)).all()
 
 
 def test_scale_and_form_of_a_given_matrix_do_not_matter():

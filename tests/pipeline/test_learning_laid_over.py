@@ -72,7 +72,7 @@ def test_births_go_from_where_objects_are_to_where_they_enter(followed):
     def more(z):
         z = np.vstack([z, np.ones((len(built.model.sensor.measure(scene.detections.at(1))) - 4, z.shape[1]))])
         seen = built.model.sensor.states(z)
-        return birth.around(seen, 1.0).density / built.model.birth.density(z)
+        return birth.around(seen, 1.0)[0] / built.model.birth.density(z)
 
     assert np.median(more(enter)) > 3
     # About as many births of objects' detections, all in all, as without learning, but of most far fewer.

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from experiments.bearing import BearingSensor, TurningMotion
 from experiments.standard_scenes import TURNING_FIRST, TURNING_LAST, turning
 from phdtrack import pipeline
 from phdtrack.arrays import to_cxcywh
 from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.filters import GMPHD, MHT, BestHypothesis, ParticlePHD
 from phdtrack.filters.extract import Components, KMeans
-from phdtrack.models import BearingSensor, FixedBirth, TurningMotion, UniformClutter
+from phdtrack.models import FixedBirth, UniformClutter
 from phdtrack.protocols import Model, Stages
 from phdtrack.types import Detections, GaussianMixture, Tracks
 

@@ -119,7 +119,6 @@ def _model(settings: Settings, info: SequenceInfo) -> Model:
     sensor = settings.build("sensor", camera=camera, borders=region, frame_size=size)
     motion = settings.build(
         "motion",
-        births=settings.build("spawn"),
         frame_size=size,
         # A target that has left what can be seen would else live on, as it is never missed there.
         borders=region if plane and sensor.view else EVERYWHERE,

@@ -173,7 +173,6 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         "plane": "phdtrack.models.plane:PlaneMotion",
         "point": "phdtrack.models.point:PointMotion",
     },
-    "spawn": {"none": "phdtrack.models.births:NoSpawn", "split": "phdtrack.models.births:SplitSpawn"},
     "sensor": {
         "box": "phdtrack.models.box:BoxSensor",
         "plane": "phdtrack.models.plane:PlaneSensor",
@@ -242,7 +241,6 @@ FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
         "sensor": ("plane",),
         "birth": ("ground", "places", "scene"),
         "clutter": ("ground",),
-        "spawn": ("none",),
         "learn": ("none",),
         "merged_measurements": ("none",),
         "camera_motion": ("none",),
@@ -251,7 +249,6 @@ FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
         "sensor": ("point",),
         "birth": ("point", "uniform", "fixed", "scene"),
         "clutter": ("point",),
-        "spawn": ("none",),
         "learn": ("none",),
         "merged_measurements": ("none",),
     },
@@ -270,10 +267,9 @@ DECIDING = ("motion", "filter")
 _GAUSSIAN = ("gm-phd", "gm-cphd", "mht", "pmb")
 MISFITS = {
     ("birth", "uniform"): (_GAUSSIAN, "birth.kind=measurement (of points: point), or fixed"),
-    ("spawn", "split"): ((*_GAUSSIAN, "particle-cphd", "mcmc"), "spawn.kind=none"),
 }
 # Fields that come from the sequence.
-FROM_SEQUENCE = {"frame_size", "births", "initial", "remember_size", "camera", "hiders", "borders"}
+FROM_SEQUENCE = {"frame_size", "initial", "remember_size", "camera", "hiders", "borders"}
 
 
 @cache

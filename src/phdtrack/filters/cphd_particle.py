@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phdtrack.errors import Count, InputError, PositiveCount, check
+from phdtrack.errors import Count, PositiveCount, check
 from phdtrack.filters.cardinality import no_targets, poisson, survived, weigh
 from phdtrack.filters.intensities import Cardinalised, UpdatedParticles
 from phdtrack.filters.phd_particle import ParticlePHD
@@ -60,14 +60,7 @@ class ParticleCPHD:
         """
         if len(state) == 0:
             return state
-        before = state.intensity
-        parents = before.particles() if isinstance(before, UpdatedParticles) else before
-        if len(model.motion.spawn(parents, dt, rng)):
-            raise InputError(
-                "the cardinalised PHD filter has no spawning",
-                where="motion.births",
-                cure="Use NoSpawn, or the particle PHD filter",
-            )
+        model.refuse_spawning("cardinalised PHD filter")
         particles = self._phd.predict(state.intensity, model, dt, rng)
         return Cardinalised(particles, survived(state.cardinality, particles.mass / state.mass))
 

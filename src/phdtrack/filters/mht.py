@@ -44,7 +44,7 @@ from phdtrack.filters.hypotheses import (
     ended,
     parted,
 )
-from phdtrack.filters.pmb import refuse_spawning, without_overlaps
+from phdtrack.filters.pmb import without_overlaps
 from phdtrack.kernels.gaussian import Expected, Measurements, NewTargets, gated_pairs, pair_posteriors
 from phdtrack.kernels.pmb import NEVER, TINY
 from phdtrack.models.gaussian import Transform, expected, measurements, new_targets, predicted
@@ -116,7 +116,7 @@ class MHT:
         if len(model.warp):
             columns, cov = model.warp_gaussians(np.ascontiguousarray(mean.T), cov)
             mean = np.ascontiguousarray(columns.T)
-        refuse_spawning(model, mean, dt, rng)
+        model.refuse_spawning("MHT")
         moved, missed = predicted(model, mean, cov, dt, self.transform), leaves.missed + 1
         survive = moved.p_survive
         if self.termination_frames > 0:

@@ -30,13 +30,13 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.arrays import GATE, chi2_quantile
-from phdtrack.errors import Count, InputError, NonNegative, Share, check
+from phdtrack.errors import Count, NonNegative, Share, check
 from phdtrack.kernels.gaussian import Expected, Measurements
 from phdtrack.kernels.gm_merge import Merging, Rows, reduced
 from phdtrack.kernels.gm_update import Newborn, Reach, phd_step, phd_update
 from phdtrack.models.gaussian import Transform, expected, measurements, predicted, row_numbers
 from phdtrack.protocols import Model
-from phdtrack.types import F8, GaussianMixture, Particles, UpdateInfo
+from phdtrack.types import F8, GaussianMixture, UpdateInfo
 
 # Mass within this region of a detection explains it, M(z), and births around it have the mass of γ there.
 REGION = 0.99
@@ -152,10 +152,7 @@ class GMPHD:
     def _predicted(self, state: GaussianMixture, model: Model, dt: float, rng: np.random.Generator) -> tuple[Rows, int]:
         """The predicted Gaussians, of weight 0 where none survives, and the next tag."""
         state = tagged(state)
-        if len(model.motion.spawn(Particles(state.mean, state.weight), dt, rng)):
-            raise InputError(
-                "the GM-PHD filter has no spawning", where="motion.births", cure="Use NoSpawn, or the particle filter"
-            )
+        model.refuse_spawning("GM-PHD filter")
         mean, covariance = model.warp_gaussians(state.mean, state.covariance)
         after = predicted(model, np.ascontiguousarray(mean.T), np.ascontiguousarray(covariance), dt, self.transform)
         weight = state.weight * after.p_survive

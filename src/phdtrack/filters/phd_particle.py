@@ -147,8 +147,9 @@ class ParticlePHD:
 
         in_ranges(work, len(blocks.start) - 1, self.threads)
         predicted = ParticleBlocks(moved, blocks.start, blocks.unit, share)
-        spawned = model.motion.spawn(blocks, dt, rng)
-        return predicted if len(spawned) == 0 else joined(predicted, in_blocks(spawned, moved.dtype))
+        if model.spawn is None:
+            return predicted
+        return joined(predicted, in_blocks(model.spawn.sample(blocks, dt, rng), moved.dtype))
 
     def update(
         self, state: Intensity, z: F8, model: Model, dt: float, rng: np.random.Generator

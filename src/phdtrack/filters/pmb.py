@@ -37,12 +37,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phdtrack.arrays import GATE, chi2_quantile
-from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, Probability, Share, check
+from phdtrack.errors import NonNegative, Positive, PositiveCount, Probability, Share, check
 from phdtrack.kernels.box import apart
 from phdtrack.kernels.pmb import HYPOTHESIS, TARGET, Layer, Settings, Trace, earlier, predicted_layer, updated_layer
 from phdtrack.models.gaussian import Transform, expected, measurements, new_targets, predicted
 from phdtrack.protocols import Model
-from phdtrack.types import F8, I8, Estimates, GaussianMixture, Particles, UpdateInfo
+from phdtrack.types import F8, I8, Estimates, GaussianMixture, UpdateInfo
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,7 +155,7 @@ class PMB:
         if len(model.warp):
             mean, cov = model.warp_gaussians(np.ascontiguousarray(now.mean.T), now.covariance)
             now = now._replace(mean=np.ascontiguousarray(mean.T), covariance=cov)
-        refuse_spawning(model, now.mean, dt, rng)
+        model.refuse_spawning("PMB filter")
         moved = predicted(model, now.mean, now.covariance, dt, self.transform)
         noise = model.sensor.noise(np.ascontiguousarray(now.mean.T))
         layer = predicted_layer(now, moved, noise, *self._changes(dt / model.rate))
@@ -216,12 +216,6 @@ class PMB:
     ) -> tuple[Bernoullis, UpdateInfo]:
         """Predict and update."""
         return self.update(self.predict(state, model, dt, rng), z, model, dt, rng)
-
-
-def refuse_spawning(model: Model, mean: F8, dt: float, rng: np.random.Generator) -> None:
-    """Raise `InputError` where the motion spawns targets."""
-    if len(mean) and len(model.motion.spawn(Particles(mean.T, np.ones(len(mean))), dt, rng)):
-        raise InputError("the PMB filter has no spawning", where="motion.births", cure="Use NoSpawn, or the particle filter")
 
 
 @dataclass(frozen=True, slots=True)

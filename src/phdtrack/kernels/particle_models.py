@@ -3,7 +3,7 @@
 A motion and a sensor hand over a record of their numbers (`BoxWalk`, `OwnSize`, …). The functions `move`, `survives`,
 `seen`, `distance` and `neighbourhood` have one implementation for each type of record. The sweeps (`kernels.particles`)
 call them, and Numba compiles the sweeps for the types that they are given. To add a model, write a record and register its
-functions here with `implements`.
+functions with `implements`.
 
 Particles lie in a scratch array: row r of particle i is ``s[r * BLOCK + i]``. Rows 0 to 7 are the state, rows 8 to 15 hold
 standard normal numbers while particles are moved.
@@ -30,7 +30,6 @@ F = np.float32
 BLOCK = 256
 X, Y, VX, VY, W, H, W0, H0 = (BLOCK * row for row in range(8))
 N0, N1, N2, N3, N4, N5 = (BLOCK * row for row in range(8, 14))
-TURN = W
 ZERO, FOUR, MINUS_HALF = F(0.0), F(4.0), F(-0.5)
 _COMPILE = {"error_model": "numpy", "no_cfunc_wrapper": True, "no_cpython_wrapper": True, "fastmath": FAST}
 
@@ -217,13 +216,6 @@ class Walk(NamedTuple):
     high: float
 
 
-class TurningWalk(NamedTuple):
-    """The same on circles: the turn rate in row 4 changes by ``turn``·n [V06 §IV-C]."""
-
-    walk: Walk
-    turn: float
-
-
 class OwnSize(NamedTuple):
     """`models.BoxSensor` whose deviations follow the particle's size."""
 
@@ -253,17 +245,6 @@ class PlanePoint(NamedTuple):
     reach: float
 
 
-class BearingRange(NamedTuple):
-    """`models.BearingSensor`: place of the sensor, one over the deviations, the density's factor, extent of a block."""
-
-    x: float
-    y: float
-    per_bearing: float
-    per_range: float
-    factor: float
-    reach: float
-
-
 def walk(dt: float, noise: tuple[float, float, float], survival: float, borders: tuple[float, float, float, float]) -> Walk:
     """Constant velocity with the ``noise`` of position, both, and velocity of an axis; borders all 0 are none."""
     place, both, speed = noise
@@ -286,11 +267,6 @@ def position_numbers(z: F8, covariance: F8) -> tuple[PlanePoint, F8]:
 @implements(normals, BoxWalk)
 def _normals_box(model: Number) -> int:
     return 8 if model.rest > ZERO else 4
-
-
-@implements(normals, TurningWalk)
-def _eight(model: Number) -> int:
-    return 8
 
 
 @implements(normals, Walk)
@@ -334,25 +310,6 @@ def _move_plane(model: Number, s: Real, i: int) -> None:
     s[X + i] += model.dt * vx + model.coupled * nx + model.rest * s[N2 + i]
     s[Y + i] += model.dt * vy + model.coupled * ny + model.rest * s[N3 + i]
     s[VX + i], s[VY + i] = vx + model.kick * nx, vy + model.kick * ny
-
-
-@implements(survives, TurningWalk)
-def _survives_turning(model: Number, s: Real, i: int) -> Number:
-    return survives(model.walk, s, i)
-
-
-@implements(move, TurningWalk)
-def _move_turning(model: Number, s: Real, i: int) -> None:
-    walk = model.walk
-    angle, vx, vy = s[TURN + i] * walk.dt, s[VX + i], s[VY + i]
-    half = 0.5 * angle
-    along = math.sin(angle) / angle if abs(angle) > 1e-8 else 1.0
-    across = math.sin(half) * math.sin(half) / half if abs(half) > 1e-8 else 0.0
-    cos, sin, nx, ny = math.cos(angle), math.sin(angle), s[N0 + i], s[N1 + i]
-    s[X + i] += walk.dt * (along * vx - across * vy) + walk.coupled * nx + walk.rest * s[N2 + i]
-    s[Y + i] += walk.dt * (across * vx + along * vy) + walk.coupled * ny + walk.rest * s[N3 + i]
-    s[VX + i], s[VY + i] = cos * vx - sin * vy + walk.kick * nx, sin * vx + cos * vy + walk.kick * ny
-    s[TURN + i] += model.turn * s[N4 + i]
 
 
 @implements(seen, OwnSize, SizeBefore)
@@ -409,20 +366,6 @@ def _distance_point(model: Number, z: Number, s: Real, i: int) -> Number:
     return z[2] * dx * dx + 2.0 * z[3] * dx * dy + z[4] * dy * dy, z[5]
 
 
-@implements(neighbourhood, PlanePoint, BearingRange)
+@implements(neighbourhood, PlanePoint)
 def _neighbourhood_plane(model: Number, s: Real, i: int) -> Number:
     return model.reach, model.reach
-
-
-@implements(seen, BearingRange)
-def _seen_bearing(model: Number, table: Real, j: int) -> Number:
-    return table[0, j], table[1, j]
-
-
-@implements(distance, BearingRange)
-def _distance_bearing(model: Number, z: Number, s: Real, i: int) -> Number:
-    east, north = s[X + i] - model.x, s[Y + i] - model.y
-    turn = z[0] - math.atan2(east, north)
-    turn = (turn - 2.0 * math.pi * np.rint(turn / (2.0 * math.pi))) * model.per_bearing
-    longer = (z[1] - math.sqrt(east * east + north * north)) * model.per_range
-    return turn * turn + longer * longer, model.factor

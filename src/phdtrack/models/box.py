@@ -32,8 +32,8 @@ Of two boxes the one whose lower edge is lower is nearer: true of whatever stand
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -55,10 +55,9 @@ from phdtrack.kernels.box import (
     states_of_boxes,
 )
 from phdtrack.kernels.particle_models import BoxWalk, GivenSize, OwnSize, SensorNumbers, SizeBefore
-from phdtrack.models import warp as warp_of
-from phdtrack.models.births import NoSpawn, Spawn
-from phdtrack.models.occlusion import NO_HIDERS, Hiders, seen_part
-from phdtrack.types import F8, Detections, ParticleBlocks, Particles
+from phdtrack.models.occlusion import Hiders
+from phdtrack.models.warp import warp_jacobian, warp_states
+from phdtrack.types import F8, Detections
 
 _SCALINGS = {"particle": PARTICLE, "detection": DETECTION, "fixed": FIXED, "given": GIVEN, "previous": PREVIOUS}
 Scaling = Literal["particle", "detection", "previous", "fixed", "given"]
@@ -82,11 +81,9 @@ class BoxSensor:
     scaling : what the deviations follow, see above.
     fixed_noise : deviations of position and of size in pixels, for ``scaling="fixed"``.
     birth_speed : standard deviation of an unknown velocity's amplitude, in box sizes √(wh) per time unit. No paper gives
-        it: the
-        default 0.06 is 1.5 box sizes per second at 25 Hz, a brisk walk for a standing person.
+        it: the default 0.06 is 1.5 box sizes per second at 25 Hz, a brisk walk for a standing person.
     birth_speed_pixels : the same in pixels per time unit, for ``scaling="fixed"``: M09's initial velocity variance of 200
-        is read
-        as the amplitude's, which is 100 along each axis.
+        is read as the amplitude's, which is 100 along each axis.
     gate_probability : part of the detections of a target that its gate holds; detections touch no particles beyond. 1: no
         gate.
     occlusion : let p_D fall where nearer targets cover the target.
@@ -104,7 +101,10 @@ class BoxSensor:
     gate_probability: Share = GATE
     occlusion: bool = False
     min_detection_probability: Probability = 0.1
-    hiders: Hiders = NO_HIDERS
+    hiders: Hiders | None = None
+    observed: ClassVar[tuple[int, ...]] = OBSERVED
+    linear: ClassVar[bool] = True
+    angles: ClassVar[tuple[bool, ...]] = (False, False, False, False)
 
     @property
     def _gate(self) -> float:
@@ -115,16 +115,6 @@ class BoxSensor:
         check(self)
         if not all(deviation > 0 for deviation in self.fixed_noise):
             raise InputError(f"expected deviations above 0 pixels, got {self.fixed_noise}", where="BoxSensor.fixed_noise")
-
-    @property
-    def observed(self) -> tuple[int, ...]:
-        """Rows of the state that a measurement shows."""
-        return OBSERVED
-
-    @property
-    def linear(self) -> bool:
-        """Rows of the state are all that is compared."""
-        return True
 
     def expected(self, x: F8) -> F8:
         """(4, L) centre and size of the boxes."""
@@ -185,42 +175,35 @@ class BoxSensor:
 
     def covariance(self, z: F8, x: F8) -> F8:
         """(P, 4, 4) diagonal noise covariance of (px, py, w, h) for pairs of columns; sizes are those of the mean state."""
-        n = x.shape[1]
-        out = np.zeros((n, 4, 4))
-        for row, sigma in enumerate(self._sigmas(z, x)):
-            # Without a floor the noise of a vanishing box would be none, and no density.
-            out[:, row, row] = np.maximum(np.square(sigma), TINY)
-        return out
-
-    @property
-    def angles(self) -> tuple[bool, ...]:
-        """None of the components is an angle."""
-        return (False, False, False, False)
+        noise = self.target_noise(np.ascontiguousarray(x))
+        return noise if len(noise) else self.measurement_noise(np.ascontiguousarray(z))
 
     def target_noise(self, x: F8) -> F8:
         """(L, 4, 4) R where it follows the target or is constant, else (0, 4, 4)."""
         if self.scaling in ("detection", "given"):
             return np.zeros((0, 4, 4))
         row = 6 if self.scaling == "previous" else 4
-        out: F8 = box_covariances(x[row : row + 2], self.numbers)
+        out: F8 = box_covariances(x[row : row + 2], self._numbers)
         return out
 
     def measurement_noise(self, z: F8) -> F8:
         """(N, 4, 4) R where it follows the detection, else (0, 4, 4)."""
-        return self.covariance(z, z) if self.scaling in ("detection", "given") else np.zeros((0, 4, 4))
+        if self.scaling == "given":
+            return np.maximum(z[4:8], TINY).T[:, :, None] * np.eye(4)
+        out: F8 = box_covariances(z[2:4] if self.scaling == "detection" else np.zeros((2, 0)), self._numbers)
+        return out
 
     def p_detect(self, x: F8) -> F8:
         """p_D, less where nearer targets cover x, see `models.occlusion`."""
-        if not len(self.hiders):
-            return np.full(x.shape[1], self.detection_probability)
+        p = np.full(x.shape[1], self.detection_probability)
+        if self.hiders is None:
+            return p
         boxes = self.boxes(x)
-        return self.detection_probability * seen_part(
-            self.hiders, x[list(OBSERVED)], boxes, -boxes[:, 3], OWN, self.min_detection_probability
-        )
+        return p * self.hiders.seen_part(x[list(OBSERVED)], boxes, -boxes[:, 3])
 
     def particle_model(self, z: F8) -> SensorNumbers:
         """The numbers of g and p_D for the particle filters, and a column for each measurement [M07 §2, M09 §III]."""
-        detection = np.full(0 if len(self.hiders) else 1, self.detection_probability, np.float32)
+        detection = np.full(1 if self.hiders is None else 0, self.detection_probability, np.float32)
         if self.scaling in ("particle", "previous"):
             own = OwnSize if self.scaling == "particle" else SizeBefore
             # A floor of zero would let the deviation of a vanishing box vanish.
@@ -235,7 +218,8 @@ class BoxSensor:
         if not self.occlusion or targets.shape[1] == 0:
             return self
         rows, boxes = list(OBSERVED), self.boxes(targets)
-        return replace(self, hiders=Hiders(boxes, -boxes[:, 3], targets[rows], self.noise(targets)[rows]))
+        own = Hiders(boxes, -boxes[:, 3], targets[rows], self.noise(targets)[rows], OWN, self.min_detection_probability)
+        return replace(self, hiders=own)
 
     def gate(self, z: F8) -> tuple[F8, F8]:
         """Rectangles in the image that hold all states of which z is within the gate.
@@ -263,16 +247,12 @@ class BoxSensor:
         The velocity of uniform direction and Gaussian amplitude a has variance a²/2 per axis.
         """
         dim = 8 if self.scaling == "previous" else 6
-        found: tuple[F8, F8] = states_of_boxes(np.ascontiguousarray(z), dim, self.numbers, self.speed)
+        speed = (self.birth_speed_pixels if self.scaling == "fixed" else self.birth_speed) / math.sqrt(2)
+        found: tuple[F8, F8] = states_of_boxes(np.ascontiguousarray(z), dim, self._numbers, speed)
         return found
 
     @property
-    def speed(self) -> float:
-        """Deviation of an unknown velocity along each axis, in √(wh) per time unit, or in pixels where noises are fixed."""
-        return (self.birth_speed_pixels if self.scaling == "fixed" else self.birth_speed) / math.sqrt(2)
-
-    @property
-    def numbers(self) -> BoxNoise:
+    def _numbers(self) -> BoxNoise:
         """The noise as the kernels of boxes take it."""
         position, size = self.fixed_noise
         return BoxNoise(_SCALINGS[self.scaling], self.box_noise, self.min_noise, position**2, size**2)
@@ -296,7 +276,7 @@ class BoxSensor:
 
 @dataclass(frozen=True, slots=True)
 class BoxMotion:
-    """f, p_S and β for boxes [M09 (11)].
+    """f and p_S for boxes [M09 (11)].
 
     Parameters
     ----------
@@ -309,7 +289,6 @@ class BoxMotion:
     min_size : widths and heights are reflected at this many pixels: no particle takes w ≤ 0.
     frame_size : width and height of the image in pixels; a target whose box has left it does not survive. (0, 0): no such
         border.
-    births : the spawning part β.
     roughening : what is added to the acceleration of draws (`sample`), and to them alone, as its deviation: few particles
         that move by little noise soon come from one ancestor, which need not have had the right velocity [G93].
     """
@@ -321,7 +300,6 @@ class BoxMotion:
     remember_size: bool = False
     min_size: Positive = 1.0
     frame_size: tuple[float, float] = (0.0, 0.0)
-    births: Spawn = field(default_factory=NoSpawn)
     roughening: NonNegative = 0.0
 
     def __post_init__(self) -> None:
@@ -333,20 +311,26 @@ class BoxMotion:
         return 8 if self.remember_size else 6
 
     @property
-    def drawn(self) -> float:
+    def _drawn(self) -> float:
         """Deviation of the acceleration that draws have: the motion's own, roughened."""
         return math.hypot(self.acceleration, self.roughening)
 
-    def _unit(self, x: F8) -> F8:
-        """(2, L) what the noises are multiples of."""
-        size: F8 = np.maximum(x[4:6], self.min_size) if self.scaled_noise else np.ones((2, x.shape[1]))
-        return size
-
     def sample(self, x: F8, dt: float, rng: np.random.Generator) -> F8:
-        """One draw of f(·|ξ) for each column ξ of ``x`` [M09 (11)], roughened."""
-        unit = self._unit(x)
+        """One draw of f(·|ξ) for each column ξ of ``x`` [M09 (11)], roughened.
+
+        Parameters
+        ----------
+        x : array (d, n), states.
+        dt : interval in the model's time unit.
+        rng : random numbers.
+
+        Returns
+        -------
+        Array (d, n), the states after the interval.
+        """
+        unit: F8 = np.maximum(x[4:6], self.min_size) if self.scaled_noise else np.ones((2, x.shape[1]))
         noise = rng.standard_normal((4, x.shape[1]))
-        kick = self.drawn * np.sqrt(dt) * unit * noise[:2]
+        kick = self._drawn * np.sqrt(dt) * unit * noise[:2]
         moved = np.empty_like(x)
         moved[0:2] = x[0:2] + dt * (x[2:4] + 0.5 * kick)
         moved[2:4] = x[2:4] + kick
@@ -354,7 +338,7 @@ class BoxMotion:
         moved[4:6] = self.min_size + np.abs(moved[4:6] - self.min_size)
         if dt > 1:
             # What is left of the position's variance beside the part that the velocity's noise explains.
-            rest = self.drawn * np.sqrt((dt**3 - dt) / 12)
+            rest = self._drawn * np.sqrt((dt**3 - dt) / 12)
             moved[0:2] += rest * unit * rng.standard_normal((2, x.shape[1]))
         if self.remember_size:
             moved[6:8] = x[4:6]
@@ -373,12 +357,12 @@ class BoxMotion:
     def particle_model(self, dt: float, seconds: float) -> BoxWalk:
         """The numbers of f over ``dt`` and p_S over ``seconds`` for the particle filters [M09 (11)]."""
         root, (width, height) = math.sqrt(dt), self.frame_size
-        rest = self.drawn * math.sqrt((dt**3 - dt) / 12) if dt > 1 else 0.0
+        rest = self._drawn * math.sqrt((dt**3 - dt) / 12) if dt > 1 else 0.0
         framed = width > 0 and height > 0
         return BoxWalk(*(
             np.float32(value)
             for value in (
-                dt, self.drawn * root, self.size_noise * root, rest, self.min_size, self.scaled_noise,
+                dt, self._drawn * root, self.size_noise * root, rest, self.min_size, self.scaled_noise,
                 self.survival_probability**seconds, width * framed, height * framed,
             )
         ))  # fmt: skip
@@ -406,19 +390,10 @@ class BoxMotion:
             self.survival_probability**seconds, *self.frame_size,
         )  # fmt: skip
 
-    def spawn(self, parents: Particles | ParticleBlocks, dt: float, rng: np.random.Generator) -> Particles:
-        """Draws of the spawning term."""
-        return self.births.sample(parents, dt, rng)
-
     def warp_states(self, x: F8, warp: F8) -> F8:
         """States in the pixels of the next frame: centre, velocity and sizes carried by the homography ``warp``."""
-        return warp_of.warp_states(x, warp, self._sizes)
+        return warp_states(x, warp)
 
     def warp_jacobian(self, x: F8, warp: F8) -> F8:
         """(L, d, d) Jacobians of `warp_states`."""
-        return warp_of.warp_jacobian(x, warp, self._sizes)
-
-    @property
-    def _sizes(self) -> tuple[int, ...]:
-        """The rows that are lengths."""
-        return tuple(range(4, self.dim))
+        return warp_jacobian(x, warp)

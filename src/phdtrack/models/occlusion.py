@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.kernels.grid import make_grid, overlapping_pairs
-from phdtrack.types import F8, I8
+from phdtrack.types import F8
 
 # From the covered part to the part of p_D that is lost.
 SHAPE = 1.5
@@ -39,42 +39,38 @@ class Hiders:
     depth : (K,) how far away each stands, in any unit that grows with distance.
     place : (r, K) what a measurement would show of each.
     noise : (r, K) deviations by which that is resolved there.
+    region : squared distance in deviations within which a state is the hider's own.
+    least : share of p_D that is left of a target that is covered altogether.
     """
 
     xyxy: F8
     depth: F8
     place: F8
     noise: F8
+    region: float
+    least: float
 
-    def __len__(self) -> int:
-        return len(self.xyxy)
+    def seen_part(self, place: F8, xyxy: F8, depth: F8) -> F8:
+        """Share of p_D that is left, max(1 − c^1.5, least).
 
-    def over(self, xyxy: F8, depth: F8) -> tuple[I8, I8, F8]:
-        """Pairs (i, j) and shares (P,): of the box i (L, 4) at ``depth`` (L,) the nearer box j covers this part; by i."""
+        Parameters
+        ----------
+        place : array (r, L), what a measurement would show of the targets.
+        xyxy : array (L, 4), their boxes.
+        depth : array (L,), how far away they stand.
+
+        Returns
+        -------
+        Array (L,).
+        """
         low, high = np.ascontiguousarray(xyxy[:, :2].T), np.ascontiguousarray(xyxy[:, 2:].T)
         lower, upper = np.ascontiguousarray(self.xyxy[:, :2].T), np.ascontiguousarray(self.xyxy[:, 2:].T)
         i, j = overlapping_pairs(low, high, make_grid(lower, upper))
-        nearer = self.depth[j] < depth[i]
-        i, j = i[nearer], j[nearer]
-        width, height = np.minimum(high[:, i], upper[:, j]) - np.maximum(low[:, i], lower[:, j])
-        share = width / (high[0, i] - low[0, i]) * (height / (high[1, i] - low[1, i]))
-        some = (width > 0) & (height > 0)
-        return i[some], j[some], share[some]
-
-
-NO_HIDERS = Hiders(np.zeros((0, 4)), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)))
-"""No target that could hide another."""
-
-
-def seen_part(hiders: Hiders, place: F8, xyxy: F8, depth: F8, region: float, least: float) -> F8:
-    """(L,) share of p_D that is left, max(1 − c^1.5, least), of targets with ``place`` (r, L), boxes (L, 4), ``depth`` (L,).
-
-    A hider hides no target within the squared distance ``region`` of it, in deviations: that is itself.
-    """
-    which, hider, part = hiders.over(xyxy, depth)
-    apart = (place[:, which] - hiders.place[:, hider]) / hiders.noise[:, hider]
-    others = (apart**2).sum(axis=0) > region
-    covered = np.zeros(len(depth))
-    np.maximum.at(covered, which[others], part[others])
-    out: F8 = np.maximum(1 - covered**SHAPE, least)
-    return out
+        apart = (((place[:, i] - self.place[:, j]) / self.noise[:, j]) ** 2).sum(axis=0)
+        others = (self.depth[j] < depth[i]) & (apart > self.region)
+        i, j = i[others], j[others]
+        width, height = np.maximum(np.minimum(high[:, i], upper[:, j]) - np.maximum(low[:, i], lower[:, j]), 0.0)
+        covered = np.zeros(len(depth))
+        np.maximum.at(covered, i, width / (high[0, i] - low[0, i]) * (height / (high[1, i] - low[1, i])))
+        out: F8 = np.maximum(1 - covered**SHAPE, self.least)
+        return out

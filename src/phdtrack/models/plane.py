@@ -1,12 +1,7 @@
 """People on the ground: how they move, and what a detector shows of them.
 
 **Motion.** State x = (px, py, vx, vy): metres and metres per second in the world's axes; the time unit is the second.
-Constant velocity, pushed by a white-noise acceleration of deviation a. Two forms of the covariance over T [E13 §4]:
-
-    piecewise     a² (T⁴/4, T³/2, T²): the noise is constant over the interval, as the papers print it
-    continuous    a² (T³/3, T²/2, T): it is white, and a gap of two frames is the same as two steps of one
-
-for position, position and velocity, velocity.
+Constant velocity, pushed by a white-noise acceleration (`models.positions`).
 
 **Sensor.** The foot of a person's box, led to the ground by the camera [E13 §3]: z = (X, Y, c_xx, c_xy, c_yy), the ground
 point that the middle of the box's lower edge shows, metres, and its own covariance, m². g(z|x) = N((X, Y); (px, py), R):
@@ -27,27 +22,24 @@ Without a camera the image is a plan in metres: a box's middle is the position, 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal
 
 import numpy as np
 
-from phdtrack.arrays import GATE, chi2_quantile, share_inside, to_cxcywh
+from phdtrack.arrays import GATE, share_inside, to_cxcywh
 from phdtrack.errors import InputError, NonNegative, Positive, Probability, Share, check
 from phdtrack.ground import ground_covariance
-from phdtrack.kernels.particle_models import SensorNumbers, Walk, position_numbers, walk
-from phdtrack.models.births import NoSpawn, Spawn
-from phdtrack.models.occlusion import NO_HIDERS, Hiders, seen_part
+from phdtrack.kernels.particle_models import SensorNumbers, position_numbers
+from phdtrack.models.occlusion import Hiders
+from phdtrack.models.positions import Form, PositionMotion, PositionSensor
 from phdtrack.models.volumes import EVERYWHERE, Region, check_region, inside
-from phdtrack.models.warp import no_image
 from phdtrack.protocols import Camera
-from phdtrack.types import F8, Detections, ParticleBlocks, Particles
-
-Form = Literal["piecewise", "continuous"]
+from phdtrack.types import F8, Detections
 
 
 @dataclass(frozen=True, slots=True)
-class PlaneMotion:
+class PlaneMotion(PositionMotion):
     """f and p_S on the ground plane [E13 §4].
 
     Parameters
@@ -55,91 +47,14 @@ class PlaneMotion:
     acceleration : a; ``continuous``: standard deviation of the velocity's change over one second, m/s; ``piecewise``: of the
         acceleration, m/s², E13's is 1.
     survival_probability : probability p_S that a target is still there after one second.
-    form : ``continuous`` or ``piecewise``, see above.
+    form : ``continuous`` or ``piecewise``, see `models.positions`.
     borders : left, low, right and high border in metres; a target that has left it does not survive. All 0: no border.
-    births : the spawning part β.
     """
 
     acceleration: NonNegative = 7**-0.5
     survival_probability: Probability = 0.99**7
     form: Form = "continuous"
     borders: Region = EVERYWHERE
-    births: Spawn = field(default_factory=NoSpawn)
-
-    def __post_init__(self) -> None:
-        check(self)
-        check_region(self.borders, "PlaneMotion.borders")
-
-    @property
-    def dim(self) -> int:
-        """Number of state components, 4."""
-        return 4
-
-    def sample(self, x: F8, dt: float, rng: np.random.Generator) -> F8:
-        """One draw of f(·|ξ) for each column ξ of ``x`` [E13 §4]."""
-        moved = x.copy()
-        moved[0:2] += dt * x[2:4]
-        push(moved, variances(self.acceleration, dt, self.form), rng)
-        return moved
-
-    def p_survive(self, x: F8, seconds: float) -> F8:
-        """p_S^seconds inside the region, 0 outside."""
-        return np.where(inside(x, self.borders), self.survival_probability**seconds, 0.0)
-
-    def particle_model(self, dt: float, seconds: float) -> Walk:
-        """The numbers of f over ``dt`` and p_S over ``seconds`` for the particle filters [E13 §4]."""
-        return walk(dt, variances(self.acceleration, dt, self.form), self.survival_probability**seconds, self.borders)
-
-    def transition(self, x: F8, dt: float) -> tuple[F8, F8, F8]:
-        """Mean, Jacobian and noise covariance of f(·|x) over ``dt`` seconds [E13 §4]."""
-        n = x.shape[1]
-        mean = x.copy()
-        mean[0:2] += dt * x[2:4]
-        f, q = np.eye(4), np.zeros((4, 4, n))
-        f[0, 2] = f[1, 3] = dt
-        fill(q, variances(self.acceleration, dt, self.form))
-        # Laid out in memory as `BoxMotion` does, for which the kernels are compiled.
-        return mean, np.ndarray((n, 4, 4), np.float64, f, 0, (0, *f.strides)), q.transpose(2, 0, 1)
-
-    def spawn(self, parents: Particles | ParticleBlocks, dt: float, rng: np.random.Generator) -> Particles:
-        """Draws of the spawning term."""
-        return self.births.sample(parents, dt, rng)
-
-    def warp_states(self, x: F8, warp: F8) -> F8:
-        """Raises `InputError`: the ground does not move with the image."""
-        raise no_image("a target on the ground")
-
-    def warp_jacobian(self, x: F8, warp: F8) -> F8:
-        """Raises `InputError`."""
-        raise no_image("a target on the ground")
-
-
-def variances(acceleration: float, dt: float, form: Form) -> tuple[float, float, float]:
-    """Of position, of position and velocity, of velocity of an axis, over ``dt`` seconds; see the head of this module."""
-    a2 = acceleration**2
-    if form == "piecewise":
-        return a2 * dt**4 / 4, a2 * dt**3 / 2, a2 * dt**2
-    return a2 * dt**3 / 3, a2 * dt**2 / 2, a2 * dt
-
-
-def push(x: F8, of: tuple[float, float, float], rng: np.random.Generator) -> None:
-    """Add a draw of the noise ``of`` positions and velocities to the first four rows of ``x``, which the caller owns."""
-    place, both, speed = of
-    kick = math.sqrt(speed) * rng.standard_normal((2, x.shape[1]))
-    x[2:4] += kick
-    if speed > 0:
-        x[0:2] += both / speed * kick
-        # What is left of the position's variance beside the part that the velocity's noise explains.
-        rest = place - both**2 / speed
-        if rest > 1e-12 * place:
-            x[0:2] += math.sqrt(rest) * rng.standard_normal((2, x.shape[1]))
-
-
-def fill(q: F8, of: tuple[float, float, float]) -> None:
-    """Put the noise ``of`` positions and velocities into covariances ``q`` (d, d, n), which the caller owns."""
-    place, both, speed = of
-    for axis in range(2):
-        q[axis, axis], q[axis, axis + 2], q[axis + 2, axis], q[axis + 2, axis + 2] = place, both, both, speed
 
 
 Scatter = Literal["given", "fixed"]
@@ -152,7 +67,7 @@ _FOOT = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0.5]])
 
 
 @dataclass(frozen=True, slots=True)
-class PlaneSensor:
+class PlaneSensor(PositionSensor):
     """g and p_D on the ground plane [E13 §4].
 
     Parameters
@@ -191,12 +106,8 @@ class PlaneSensor:
     borders: Region = EVERYWHERE
     frame_size: tuple[float, float] = (0.0, 0.0)
     camera: Camera | None = None
-    hiders: Hiders = NO_HIDERS
-
-    @property
-    def _gate(self) -> float:
-        """G, the gate's half-width in deviations."""
-        return math.sqrt(chi2_quantile(2, self.gate_probability))
+    hiders: Hiders | None = None
+    constant_noise: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         check(self)
@@ -205,24 +116,6 @@ class PlaneSensor:
             raise InputError(
                 f"expected lengths above 0, got {self.box_noise} and {self.size}", where="PlaneSensor.box_noise, size"
             )
-
-    @property
-    def observed(self) -> tuple[int, ...]:
-        """Rows of the state that a measurement shows: the position."""
-        return (0, 1)
-
-    @property
-    def linear(self) -> bool:
-        """Rows of the state are all that is compared."""
-        return True
-
-    def expected(self, x: F8) -> F8:
-        """(2, L) the positions."""
-        return x[:2]
-
-    def innovation(self, z: F8, seen: F8) -> F8:
-        """Their difference, row by row."""
-        return z[: len(seen)] - seen
 
     def measure(self, detections: Detections) -> F8:
         """(5, N) ground points and their covariances; columns of NaN for feet that do not stand on the ground."""
@@ -263,52 +156,24 @@ class PlaneSensor:
         out: F8 = variance.T[:, :, None] * np.eye(2)
         return out
 
-    def distance2(self, z: F8, x: F8) -> F8:
-        """Squared Mahalanobis distance of (X, Y) from (px, py) in the measurement's covariance."""
-        dx, dy = z[0] - x[0], z[1] - x[1]
-        determinant = z[2] * z[4] - z[3] * z[3]
-        out: F8 = (z[4] * dx * dx - 2 * z[3] * dx * dy + z[2] * dy * dy) / determinant
-        return out
-
-    def log_likelihood(self, z: F8, x: F8) -> F8:
-        """log g(z|x), density per m² [E13 §4]."""
-        determinant = z[2] * z[4] - z[3] * z[3]
-        out: F8 = -0.5 * (self.distance2(z, x) + np.log(determinant)) - math.log(2 * math.pi)
-        return out
-
-    def covariance(self, z: F8, x: F8) -> F8:
-        """(P, 2, 2) noise covariance of (px, py), that of the measurement."""
-        return np.ascontiguousarray(z[[2, 3, 3, 4]].T).reshape(-1, 2, 2)
-
-    @property
-    def angles(self) -> tuple[bool, ...]:
-        """None of the components is an angle."""
-        return (False, False)
-
-    def target_noise(self, x: F8) -> F8:
-        """(0, 2, 2): all of R belongs to the measurements."""
-        return np.zeros((0, 2, 2))
-
-    def measurement_noise(self, z: F8) -> F8:
-        """(N, 2, 2) R, which measurements bring along."""
-        return self.covariance(z, z)
+    def _noise(self, z: F8) -> tuple[F8, F8, F8]:
+        """The covariance that z brings."""
+        return z[2], z[3], z[4]
 
     def p_detect(self, x: F8) -> F8:
         """p_D · visible · max(1 − c^1.5, least)."""
         if self.camera is None:
             watched = inside(x, self.borders) if self.view else np.ones(x.shape[1], np.bool_)
             return np.where(watched, self.detection_probability, 0.0)
-        out = np.full(x.shape[1], self.detection_probability)
-        width, height = self.frame_size
+        out, (width, height) = np.full(x.shape[1], self.detection_probability), self.frame_size
         framed = self.view and width > 0 and height > 0
-        if not framed and not len(self.hiders):
+        if not framed and self.hiders is None:
             return out
         boxes = self.boxes(x)
         if framed:
             out *= share_inside(boxes, width, height)
-        if len(self.hiders):
-            depth = self.camera.depth(np.ascontiguousarray(x[:2]))
-            out *= seen_part(self.hiders, x[:2], boxes, depth, OWN, self.min_detection_probability)
+        if self.hiders is not None:
+            out *= self.hiders.seen_part(x[:2], boxes, self.camera.depth(np.ascontiguousarray(x[:2])))
         return out
 
     def particle_model(self, z: F8) -> SensorNumbers:
@@ -319,22 +184,9 @@ class PlaneSensor:
         """The sensor where people are expected at these states; itself without them, or where occlusion is not asked for."""
         if not self.occlusion or self.camera is None or targets.shape[1] == 0:
             return self
-        place = np.ascontiguousarray(targets[:2])
-        return replace(self, hiders=Hiders(self.boxes(targets), self.camera.depth(place), place, self.noise(targets)[:2]))
-
-    def gate(self, z: F8) -> tuple[F8, F8]:
-        """Rectangles that reach G deviations along each axis from the ground point; they hold the ellipse d ≤ G."""
-        half = self._gate * np.sqrt(z[[2, 4]])
-        return z[:2] - half, z[:2] + half
-
-    def states(self, z: F8) -> tuple[F8, F8]:
-        """People at rest that would give z, with the covariance of what z alone tells."""
-        n = z.shape[1]
-        x, cov = np.zeros((4, n)), np.zeros((n, 4, 4))
-        x[:2] = z[:2]
-        cov[:, :2, :2] = self.covariance(z, x)
-        cov[:, 2, 2] = cov[:, 3, 3] = self.birth_speed**2 / 2
-        return x, cov
+        place, noise = np.ascontiguousarray(targets[:2]), self.noise(targets)[:2]
+        depth = self.camera.depth(place)
+        return replace(self, hiders=Hiders(self.boxes(targets), depth, place, noise, OWN, self.min_detection_probability))
 
     def noise(self, x: F8) -> F8:
         """(4, n) deviations by which components at ``x`` are resolved: of a person's foot there, of an unknown velocity."""

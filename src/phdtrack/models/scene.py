@@ -27,14 +27,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
 from phdtrack.errors import InputError, NonNegative, PositiveCount, check
 from phdtrack.kernels.gaussian import Births
 from phdtrack.kernels.mixtures import Gaussians, states_given, whitened
-from phdtrack.models.births import FixedBirth, MeasurementBirth, births_around, particles_about, with_given
+from phdtrack.models.births import FixedBirth, MeasurementBirth, births_around, particles_about
 from phdtrack.models.clutter import LocalClutter
 from phdtrack.protocols import Model, Sensor
 from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, marginal
@@ -46,15 +45,6 @@ TINY = float(np.finfo(np.float64).tiny)
 NEGLIGIBLE = 16.0
 # l(z) of one false alarm, or birth, around each detection.
 LOCAL = LocalClutter(1.0)
-
-
-class Around(NamedTuple):
-    """γT around each of N detections: its ``density`` (N,) per unit of what measurements show, and the states ``mean``
-    (d, N) with ``covariance`` (N, d, d) about which newborn are drawn."""
-
-    density: F8
-    mean: F8
-    covariance: F8
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,27 +72,46 @@ class SceneBirth:
         check(self)
 
     def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
-        """Particles around the detections with the evidence and the velocities of γT there [M07 §2, M09 (12)]."""
-        density, mean, cov = self.around(sensor.states(z), seconds)
+        """Particles around the detections with the evidence and the velocities of γT there [M07 §2, M09 (12)].
+
+        Parameters
+        ----------
+        z, covered, sensor, seconds, rng : as of `protocols.Birth.sample`.
+
+        Returns
+        -------
+        Particles of total mass ∫γT.
+        """
+        density, seen = self.around(sensor.states(z), seconds)
 
         def gamma(x: F8, first: I8) -> F8:
             """γT at ``x`` (r, L), in runs about the detections; 0 where a size is not positive."""
             return np.where((x[2:] > 0).all(axis=0), np.repeat(density, np.diff(first)), 0.0)
 
-        return particles_about(covered, (mean, cov), self.observed, self.particles, gamma, rng)
+        return particles_about(covered, seen, self.observed, self.particles, gamma, rng)
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
         """γT around the detections, and the learned Gaussians where there are no births around detections.
 
         What of a learned Gaussian lies beyond the volume is not cut off; the part inside has the mass of γT.
+
+        Parameters
+        ----------
+        z, sensor, seconds : as of `protocols.Birth.gaussians`.
+
+        Returns
+        -------
+        The births.
         """
         seen = sensor.states(z)
         if self.around_detections > 0:
-            density, mean, cov = self.around(seen, seconds)
-            return births_around((mean, cov), density)
+            density, learned = self.around(seen, seconds)
+            return births_around(learned, density)
         contained = self._shown.contains(z[: len(self.observed)])
         flat = np.where(contained, self.births_per_second * self._shown.flat * seconds, 0.0)
-        return with_given(births_around(seen, flat), self._given, seconds)
+        # The parts of the Gaussians inside the volume have their masses.
+        weight, mean, covariance = self.density.gaussians
+        return births_around(seen, flat, GaussianMixture(self.births_per_second * weight, mean, covariance), seconds)
 
     def expected(self, z: F8, seconds: float) -> float:
         """s̄T, or with births around detections so many of each."""
@@ -110,38 +119,25 @@ class SceneBirth:
             return float(self.around_detections * seconds * z.shape[1])
         return self.births_per_second * seconds
 
-    def around(self, seen: tuple[F8, F8], seconds: float) -> Around:
-        """What γT is around detections.
+    def around(self, seen: tuple[F8, F8], seconds: float) -> tuple[F8, tuple[F8, F8]]:
+        """γT (N,) at detections, and the states (d, N) and covariances (N, d, d) about which newborn are drawn.
 
-        Parameters
-        ----------
-        seen : states (d, N) and covariances (N, d, d) that the detections show, as `Sensor.states` gives them.
-        seconds : T.
-
-        Returns
-        -------
-        The density, and the states with the velocities that were learned.
+        ``seen`` are the states that the detections show, as `Sensor.states` gives them; velocities are those learned.
         """
         state, shown = np.ascontiguousarray(seen[0]), self._shown
         mixture, order, limit2 = self._learned
         density, mean, covariance = states_given(state, seen[1], order, shown.low, shown.high, shown.flat, mixture, limit2)
         if not self.around_detections:
-            return Around(self.births_per_second * seconds * density, mean, covariance)
+            return self.births_per_second * seconds * density, (mean, covariance)
         z = state[order[: shown.dim]]
         objects = 1 / shown.volume if self.among is None else self.among(z, outside=self.among.flat)
         local = self.around_detections * seconds * LOCAL.intensity(z)
-        return Around(local * np.maximum(density, shown.flat) / objects, mean, covariance)
+        return local * np.maximum(density, shown.flat) / objects, (mean, covariance)
 
     @cached_property
     def _shown(self) -> SceneDensity:
         """p of what measurements show, velocities integrated out."""
         return marginal(self.density, self.observed)
-
-    @cached_property
-    def _given(self) -> GaussianMixture:
-        """The Gaussians of γ per second, whose parts inside the volume have its masses."""
-        weight, mean, covariance = self.density.gaussians
-        return GaussianMixture(self.births_per_second * weight, mean, covariance)
 
     @cached_property
     def _learned(self) -> tuple[Gaussians, I8, F8]:

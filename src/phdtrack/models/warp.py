@@ -39,7 +39,8 @@ def as_warp(matrix: ArrayLike, where: str) -> F8:
         given = np.vstack([given, [0.0, 0.0, 1.0]])
     if given.shape != (3, 3) or not np.isfinite(given).all() or given[2, 2] == 0:
         raise InputError(
-            f"expected 3 x 3 or 2 x 3 finite numbers, the last of 3 x 3 not 0, got {_told(given)}",
+            f"expected 3 x 3 or 2 x 3 finite numbers, the last of 3 x 3 not 0, got "
+            f"{given.tolist() if given.shape == (3, 3) else f'an array of shape {given.shape}'}",
             where=where,
             cure="The matrix takes pixels (x, y, 1) of the frame before to pixels of this frame",
         )
@@ -54,27 +55,22 @@ def as_warp(matrix: ArrayLike, where: str) -> F8:
     return warp
 
 
-def _told(given: F8) -> str:
-    return f"an array of shape {given.shape}" if given.shape != (3, 3) else f"{given.tolist()}"
-
-
 def points(warp: F8, p: F8) -> F8:
     """(2, n) where the pixels ``p`` (2, n) of the frame before are in this one."""
     return _local(warp, p)[0]
 
 
-def warp_states(x: F8, warp: F8, sizes: tuple[int, ...] = ()) -> F8:
-    """(d, n) states ``x`` (px, py, vx, vy, …) in the pixels that ``warp`` leads to; rows ``sizes`` are lengths."""
+def warp_states(x: F8, warp: F8) -> F8:
+    """(d, n) states ``x`` in the pixels that ``warp`` leads to; rows behind (px, py, vx, vy) are lengths."""
     place, slope, depth = _local(warp, x[:2])
     moved: F8 = np.array(x, dtype=np.float64)
     moved[:2] = place
     moved[2:4] = _times(slope, x[2:4])
-    for row in sizes:
-        moved[row] = _scale(warp, depth) * x[row]
+    moved[4:] = _scale(warp, depth) * x[4:]
     return moved
 
 
-def warp_jacobian(x: F8, warp: F8, sizes: tuple[int, ...] = ()) -> F8:
+def warp_jacobian(x: F8, warp: F8) -> F8:
     """(n, d, d) Jacobians of `warp_states`: J for places and velocities, and how J and the scale change with the place."""
     d, n = x.shape
     _, slope, depth = _local(warp, x[:2])
@@ -84,7 +80,7 @@ def warp_jacobian(x: F8, warp: F8, sizes: tuple[int, ...] = ()) -> F8:
     out[:2, :2] = out[2:4, 2:4] = slope
     # ∂(J v)/∂p = −(J gᵀv + (J v) gᵀ)/D
     out[2:4, :2] = -(slope * (g @ x[2:4]) + speed[:, None] * g[:, None]) / depth
-    for row in sizes:
+    for row in range(4, d):
         out[row, row] = scale
         out[row, :2] = -1.5 * scale * x[row] * g[:, None] / depth
     return np.ascontiguousarray(out.transpose(2, 0, 1))
@@ -109,15 +105,6 @@ def _scale(warp: F8, depth: F8) -> F8:
     """(n,) √det J."""
     out: F8 = np.sqrt(np.linalg.det(warp) / depth**3)
     return out
-
-
-def no_image(what: str) -> InputError:
-    """The error of a model whose states are no pixels."""
-    return InputError(
-        f"{what} does not lie in the image: how its pixels move says nothing of it",
-        where="camera motion",
-        cure="Compensate the camera's motion with motion.kind=box or point; on the ground give a camera that stands still",
-    )
 
 
 def back(warp: F8) -> F8:

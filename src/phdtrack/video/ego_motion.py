@@ -138,7 +138,7 @@ class CameraPath:
         """
         # A unit step to the right, as a state's velocity, in the middle of the picture.
         unit = np.array([[width / 2, height / 2, 1.0, 0.0, 1.0]]).T
-        known = [warp_of.warp_states(unit, warp, (4,))[:, 0] for warp in warps if len(warp)]
+        known = [warp_of.warp_states(unit, warp)[:, 0] for warp in warps if len(warp)]
         x, y, right, down, size = np.array(known).reshape(-1, 5).T
         step, turned = np.hypot(x - width / 2, y - height / 2), np.abs(np.degrees(np.arctan2(down, right)))
         sums = float(step.sum()), float(step.max(initial=0.0)), float(turned.sum()), float(size.prod())

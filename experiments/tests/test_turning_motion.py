@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phdtrack.models import PlaneMotion, TurningMotion
-from phdtrack.models.bearing import SMALL, slopes, turned
+from experiments.bearing import SMALL, TurningMotion, slopes, turned
+from phdtrack.models import PlaneMotion
 
 
 def states(rng: np.random.Generator, n: int) -> np.ndarray:

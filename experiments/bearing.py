@@ -6,7 +6,7 @@ second. Nearly constant speed and turn rate; with α = ωT, over an interval T
     p' = p + T [s(α) −c(α); c(α) s(α)] v,   s(α) = sin α / α,   c(α) = (1 − cos α) / α
     v' = [cos α −sin α; sin α cos α] v,   ω' = ω
 
-which for ω → 0 is constant velocity. White noise pushes the velocity along each axis, as in `models.plane`, and the turn
+which for ω → 0 is constant velocity. White noise pushes the velocity along each axis (`models.positions`), and the turn
 rate: variances of ω' are u² T² (``piecewise``, as printed) or u² T (``continuous``).
 
 **Sensor.** Measurement z = (θ, r): θ in radians, from the y axis towards the x axis, and r in metres, with independent
@@ -26,25 +26,48 @@ falls with the range where a ``fade`` ℓ is given.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from phdtrack.arrays import GATE, chi2_quantile, to_cxcywh
-from phdtrack.errors import NonNegative, Positive, Probability, Share, check
-from phdtrack.kernels.particle_models import BearingRange, SensorNumbers, TurningWalk, walk
-from phdtrack.models.births import NoSpawn, Spawn
-from phdtrack.models.plane import Form, fill, push, variances
-from phdtrack.models.volumes import EVERYWHERE, Region, check_region, inside
-from phdtrack.models.warp import no_image
-from phdtrack.types import F8, Bool, Detections, ParticleBlocks, Particles
+from phdtrack.arrays import GATE, to_cxcywh
+from phdtrack.errors import NonNegative, Positive, Probability, Share
+from phdtrack.kernels.particle_models import (
+    N0,
+    N1,
+    N2,
+    N3,
+    N4,
+    VX,
+    VY,
+    Number,
+    SensorNumbers,
+    W,
+    Walk,
+    X,
+    Y,
+    distance,
+    implements,
+    move,
+    neighbourhood,
+    normals,
+    seen,
+    survives,
+    walk,
+)
+from phdtrack.models.positions import Form, PositionMotion, PositionSensor
+from phdtrack.models.volumes import EVERYWHERE, Region
+from phdtrack.types import F8, Bool, Detections
 
+Real = NDArray[np.floating[Any]]
 # Below this angle the series of s' is exact to rounding, and its closed form is not.
 SMALL = 1e-2
 
 
 @dataclass(frozen=True, slots=True)
-class TurningMotion:
+class TurningMotion(PositionMotion):
     """f and p_S of turning targets [V06 §IV-C].
 
     Parameters
@@ -53,9 +76,8 @@ class TurningMotion:
         acceleration, m/s².
     turning : u, the same of the turn rate, rad/s; ``piecewise``: of the angular acceleration, rad/s².
     survival_probability : probability p_S that a target is still there after one second.
-    form : ``continuous`` or ``piecewise``, see above.
+    form : ``continuous`` or ``piecewise``, see `models.positions`.
     borders : left, low, right and high border in metres; a target that has left it does not survive. All 0: no border.
-    births : the spawning part β.
     """
 
     acceleration: NonNegative = 5.0
@@ -63,57 +85,41 @@ class TurningMotion:
     survival_probability: Probability = 0.99
     form: Form = "continuous"
     borders: Region = EVERYWHERE
-    births: Spawn = field(default_factory=NoSpawn)
-
-    def __post_init__(self) -> None:
-        check(self)
-        check_region(self.borders, "TurningMotion.borders")
-
-    @property
-    def dim(self) -> int:
-        """Number of state components, 5."""
-        return 5
+    dim: ClassVar[int] = 5
 
     def _turn_variance(self, dt: float) -> float:
         """Of the turn rate, over ``dt`` seconds."""
         return self.turning**2 * dt * (dt if self.form == "piecewise" else 1.0)
 
+    def _moved(self, x: F8, dt: float) -> F8:
+        """The states after ``dt`` seconds on their circles, without noise."""
+        return turned(x, dt)
+
     def sample(self, x: F8, dt: float, rng: np.random.Generator) -> F8:
-        """One draw of f(·|ξ) for each column ξ of ``x`` [V06 §IV-C]."""
-        moved = turned(x, dt)
-        push(moved, variances(self.acceleration, dt, self.form), rng)
+        """One draw of f(·|ξ) for each column ξ of ``x`` [V06 §IV-C].
+
+        Parameters
+        ----------
+        x, dt, rng : as of `PositionMotion.sample`.
+
+        Returns
+        -------
+        Array (5, n), the states after ``dt`` seconds.
+        """
+        moved = PositionMotion.sample(self, x, dt, rng)
         moved[4] += math.sqrt(self._turn_variance(dt)) * rng.standard_normal(x.shape[1])
         return moved
 
-    def p_survive(self, x: F8, seconds: float) -> F8:
-        """p_S^seconds inside the region, 0 outside."""
-        return np.where(inside(x, self.borders), self.survival_probability**seconds, 0.0)
-
     def particle_model(self, dt: float, seconds: float) -> TurningWalk:
         """The numbers of f over ``dt`` and p_S over ``seconds`` for the particle filters [V06 §IV-C]."""
-        noise = variances(self.acceleration, dt, self.form)
-        straight = walk(dt, noise, self.survival_probability**seconds, self.borders)
+        straight = walk(dt, self._variances(dt), self.survival_probability**seconds, self.borders)
         return TurningWalk(straight, math.sqrt(self._turn_variance(dt)))
 
     def transition(self, x: F8, dt: float) -> tuple[F8, F8, F8]:
         """Mean, Jacobian and noise covariance of f(·|x) over ``dt`` seconds [V06 §IV-C]."""
-        n = x.shape[1]
-        q = np.zeros((5, 5, n))
-        fill(q, variances(self.acceleration, dt, self.form))
+        q = self._noise_covariance(dt, x.shape[1])
         q[4, 4] = self._turn_variance(dt)
         return turned(x, dt), slopes(x, dt), np.ascontiguousarray(q.transpose(2, 0, 1))
-
-    def spawn(self, parents: Particles | ParticleBlocks, dt: float, rng: np.random.Generator) -> Particles:
-        """Draws of the spawning term."""
-        return self.births.sample(parents, dt, rng)
-
-    def warp_states(self, x: F8, warp: F8) -> F8:
-        """Raises `InputError`: the ground does not move with the image."""
-        raise no_image("a target on the ground")
-
-    def warp_jacobian(self, x: F8, warp: F8) -> F8:
-        """Raises `InputError`."""
-        raise no_image("a target on the ground")
 
 
 def turned(x: F8, dt: float) -> F8:
@@ -166,11 +172,11 @@ def _sinc_slope(angle: F8) -> F8:
     return out
 
 
-TURN = 2 * math.pi
+WHOLE_TURN = 2 * math.pi
 
 
 @dataclass(frozen=True, slots=True)
-class BearingSensor:
+class BearingSensor(PositionSensor):
     """g and p_D of bearings and ranges [V06 §IV-C].
 
     Parameters
@@ -196,24 +202,9 @@ class BearingSensor:
     turn: Positive = math.pi / 30
     size: Positive = 10.0
     gate_probability: Share = GATE
-
-    @property
-    def _gate(self) -> float:
-        """G, the gate's half-width in deviations."""
-        return math.sqrt(chi2_quantile(2, self.gate_probability))
-
-    def __post_init__(self) -> None:
-        check(self)
-
-    @property
-    def observed(self) -> tuple[int, ...]:
-        """Rows of the state that a measurement shows: the position."""
-        return (0, 1)
-
-    @property
-    def linear(self) -> bool:
-        """It is not."""
-        return False
+    linear: ClassVar[bool] = False
+    angles: ClassVar[tuple[bool, ...]] = (True, False)
+    occlusion: ClassVar[bool] = False
 
     def measure(self, detections: Detections) -> F8:
         """(2, N) bearings and ranges of the middles of boxes on the plane, metres."""
@@ -227,34 +218,12 @@ class BearingSensor:
     def innovation(self, z: F8, seen: F8) -> F8:
         """Differences of bearings, from −π to π, and of ranges."""
         turn = z[0] - seen[0]
-        return np.stack([turn - TURN * np.rint(turn / TURN), z[1] - seen[1]])
+        return np.stack([turn - WHOLE_TURN * np.rint(turn / WHOLE_TURN), z[1] - seen[1]])
 
-    def distance2(self, z: F8, x: F8) -> F8:
-        """Squared deviations of the bearing and of the range, in those of the noise."""
-        turn, longer = self.innovation(z, self.expected(x))
-        out: F8 = (turn / self.bearing) ** 2 + (longer / self.reach) ** 2
-        return out
-
-    def log_likelihood(self, z: F8, x: F8) -> F8:
-        """log g(z|x), density per radian and metre [V06 §IV-C]."""
-        return -0.5 * self.distance2(z, x) - math.log(TURN * self.bearing * self.reach)
-
-    def covariance(self, z: F8, x: F8) -> F8:
-        """(P, 2, 2) noise covariance of bearing and range, the same for all."""
-        return np.tile(np.diag([self.bearing**2, self.reach**2]), (z.shape[1], 1, 1))
-
-    @property
-    def angles(self) -> tuple[bool, ...]:
-        """The bearing is an angle."""
-        return (True, False)
-
-    def target_noise(self, x: F8) -> F8:
-        """(L, 2, 2) R."""
-        return self.covariance(x, x)
-
-    def measurement_noise(self, z: F8) -> F8:
-        """(0, 2, 2): R belongs to the targets."""
-        return np.zeros((0, 2, 2))
+    def _noise(self, z: F8) -> tuple[F8, F8, F8]:
+        """The variances of bearing and range."""
+        turn, longer = np.full(z.shape[1:], self.bearing**2), np.full(z.shape[1:], self.reach**2)
+        return turn, np.zeros_like(turn), longer
 
     def p_detect(self, x: F8) -> F8:
         """p_D, falling with the range where ``fade`` says so."""
@@ -263,14 +232,9 @@ class BearingSensor:
         out: F8 = self.detection_probability * np.exp(-0.5 * (self.expected(x)[1] / self.fade) ** 2)
         return out
 
-    @property
-    def occlusion(self) -> bool:
-        """Targets hide no others."""
-        return False
-
     def particle_model(self, z: F8) -> SensorNumbers:
         """The numbers of g and p_D for the particle filters, and a column for each measurement [V06 §IV-C]."""
-        factor = 1 / (TURN * self.bearing * self.reach)
+        factor = 1 / (WHOLE_TURN * self.bearing * self.reach)
         x, y = self.origin
         model = BearingRange(float(x), float(y), 1 / self.bearing, 1 / self.reach, factor, 10 * self.reach)
         return SensorNumbers(model, np.ascontiguousarray(z[:2], np.float64), np.zeros(0))
@@ -331,5 +295,69 @@ def _between(angle: F8, wide: float, near: F8, far: F8) -> tuple[F8, F8]:
 
 def _holds(first: F8, last: F8, angle: float) -> Bool:
     """Whether ``angle`` lies, whole turns aside, between ``first`` and ``last``."""
-    out: Bool = np.floor((last - angle) / TURN) >= np.ceil((first - angle) / TURN)
+    out: Bool = np.floor((last - angle) / WHOLE_TURN) >= np.ceil((first - angle) / WHOLE_TURN)
     return out
+
+
+# What the particle filters ask of the two models (`phdtrack.kernels.particle_models`).
+
+
+class TurningWalk(NamedTuple):
+    """The same on circles: the turn rate in row 4 changes by ``turn``·n [V06 §IV-C]."""
+
+    walk: Walk
+    turn: float
+
+
+class BearingRange(NamedTuple):
+    """`BearingSensor`: place of the sensor, one over the deviations, the density's factor, extent of a block."""
+
+    x: float
+    y: float
+    per_bearing: float
+    per_range: float
+    factor: float
+    reach: float
+
+
+@implements(normals, TurningWalk)
+def _eight(model: Number) -> int:
+    return 8
+
+
+@implements(survives, TurningWalk)
+def _survives_turning(model: Number, s: Real, i: int) -> Number:
+    return survives(model.walk, s, i)
+
+
+@implements(move, TurningWalk)
+def _move_turning(model: Number, s: Real, i: int) -> None:
+    straight = model.walk
+    angle, vx, vy = s[W + i] * straight.dt, s[VX + i], s[VY + i]
+    half = 0.5 * angle
+    along = math.sin(angle) / angle if abs(angle) > 1e-8 else 1.0
+    across = math.sin(half) * math.sin(half) / half if abs(half) > 1e-8 else 0.0
+    cos, sin, nx, ny = math.cos(angle), math.sin(angle), s[N0 + i], s[N1 + i]
+    s[X + i] += straight.dt * (along * vx - across * vy) + straight.coupled * nx + straight.rest * s[N2 + i]
+    s[Y + i] += straight.dt * (across * vx + along * vy) + straight.coupled * ny + straight.rest * s[N3 + i]
+    s[VX + i], s[VY + i] = cos * vx - sin * vy + straight.kick * nx, sin * vx + cos * vy + straight.kick * ny
+    s[W + i] += model.turn * s[N4 + i]
+
+
+@implements(seen, BearingRange)
+def _seen_bearing(model: Number, table: Real, j: int) -> Number:
+    return table[0, j], table[1, j]
+
+
+@implements(distance, BearingRange)
+def _distance_bearing(model: Number, z: Number, s: Real, i: int) -> Number:
+    east, north = s[X + i] - model.x, s[Y + i] - model.y
+    turn = z[0] - math.atan2(east, north)
+    turn = (turn - 2.0 * math.pi * np.rint(turn / (2.0 * math.pi))) * model.per_bearing
+    longer = (z[1] - math.sqrt(east * east + north * north)) * model.per_range
+    return turn * turn + longer * longer, model.factor
+
+
+@implements(neighbourhood, BearingRange)
+def _neighbourhood_bearing(model: Number, s: Real, i: int) -> Number:
+    return model.reach, model.reach

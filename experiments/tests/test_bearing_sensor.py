@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from experiments.bearing import BearingSensor, TurningMotion
 from phdtrack.filters import GMPHD
 from phdtrack.kernels.gaussian import Measurements, pair_posteriors
-from phdtrack.models import BearingSensor, FixedBirth, TurningMotion, UniformClutter
+from phdtrack.models import FixedBirth, UniformClutter
 from phdtrack.models.gaussian import expected
 from phdtrack.protocols import Model
 from phdtrack.types import GaussianMixture
