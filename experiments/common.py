@@ -18,12 +18,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from experiments.delays import first_output_delays
 from phdtrack import config, pipeline
 from phdtrack.compare.statistics import Interval
 from phdtrack.detect import make_detector
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections, read_seqinfo, read_truth
-from phdtrack.metrics import Scores, evaluate, first_output_delays
+from phdtrack.metrics import Scores, evaluate
 from phdtrack.protocols import AnyStages
 from phdtrack.types import Detections, DetectionTable, Frame, SequenceInfo, Tracks, Truth
 

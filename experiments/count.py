@@ -176,7 +176,7 @@ def run(
     scene = Counting(10, frames=frames)
     rng = np.random.default_rng([seed, round(100 * p_detect), round(clutter)])
     truth = scene.figures(rng)
-    alarms = DetectorModel(clutter_rate=clutter, clutter_sizes="log-uniform" if laws == "known" else "truth")
+    alarms = DetectorModel(clutter_rate=clutter, clutter_of_all_sizes=laws == "known")
     seen = replace(alarms, p_detect=p_detect, jitter=PAPER_DETECTOR.jitter, jitter_size=PAPER_DETECTOR.jitter_size)
     found = detect(truth, scene.info, rng, seen).table
     first, model = _model(scene, p_detect, clutter, laws)

@@ -14,7 +14,7 @@ import numpy as np
 
 from phdtrack.arrays import to_xyxy
 from phdtrack.errors import InputError
-from phdtrack.simulate.detector import DetectorModel, log_uniform
+from phdtrack.simulate.detector import DetectorModel
 from phdtrack.simulate.scenario import truth_rows
 from phdtrack.types import F8, SequenceInfo, Truth
 
@@ -105,6 +105,6 @@ class Counting:
     def newborn(self, n: int, rng: np.random.Generator) -> F8:
         """(6, n) states of new targets."""
         centre = rng.random((2, n)) * np.array([[self.width], [self.height]])
-        height = log_uniform(self.birth_height, n, rng)
+        height = np.exp(rng.uniform(*np.log(self.birth_height), n))
         direction, speed = rng.uniform(0, 2 * np.pi, n), rng.normal(size=n) * self.birth_speed * self.aspect * height
         return np.stack([*centre, speed * np.cos(direction), speed * np.sin(direction), self.aspect * height, height])

@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from experiments.common import Options, in_parallel, need_data, table, with_error, write
+from experiments.group_scores import GroupScores, LabelledFrame, nearest, score_groups
 from phdtrack import config, pipeline
 from phdtrack.config import build_groups
 from phdtrack.formats.positions import Positions, read_positions
 from phdtrack.groups import Grouping, GroupLifeCycle, LifeCycleState
 from phdtrack.groups.pipeline import carriers, known_people
-from phdtrack.metrics.groups import GroupScores, LabelledFrame, nearest, score_groups
 from phdtrack.protocols import AnyStages
 from phdtrack.types import F8, I8, Detections, GaussianMixture, SequenceInfo, Step, Tracks
 

@@ -14,6 +14,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from experiments.common import Case, followed
+from experiments.delays import first_output_delays
 from experiments.m09_scenes import Halves
 from phdtrack import config
 from phdtrack.arrays import iou, to_cxcywh
@@ -21,7 +22,6 @@ from phdtrack.associate.rejection import FalseTrackRejection, without_false_trac
 from phdtrack.errors import InputError
 from phdtrack.label import Label, LabelStore
 from phdtrack.label.samples import REACH, Marks, sampled
-from phdtrack.metrics import first_output_delays
 from phdtrack.models.scene import FalseAlarmRatio, with_scene
 from phdtrack.protocols import AnyStages
 from phdtrack.scene import LearnedDensity, TrackedObjects

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from experiments.common import Case, followed
+from experiments.delays import first_output_delays
 from experiments.m09_lessons import LearnedScene, with_learned
 from experiments.m09_scenes import Halves, detector_seconds, stretch
 from phdtrack import config, pipeline
-from phdtrack.metrics import Scores, evaluate, first_output_delays
+from phdtrack.metrics import Scores, evaluate
 from phdtrack.models import MeasurementBirth
 from phdtrack.models.clutter import LocalClutter, UniformClutter
 from phdtrack.models.volumes import image_volume

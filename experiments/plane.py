@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from experiments.common import Case, Options, built, in_parallel, mot15, need_data, table, with_error, write
+from experiments.group_scores import nearest
 from phdtrack import pipeline
 from phdtrack.ground import CountedFrom, read_camera
 from phdtrack.metrics import evaluate
 from phdtrack.metrics.counts import count
-from phdtrack.metrics.groups import nearest
 from phdtrack.metrics.matching import FramePair, Scene
 from phdtrack.metrics.scores import scores_of
 from phdtrack.types import F8, I8, DetectionTable, Tracks

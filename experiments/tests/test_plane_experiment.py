@@ -18,7 +18,7 @@ def test_half_an_overlap_is_the_distance_of_a_match() -> None:
     scene = ground_scene(truth, found, 3, 1.0)
     assert [pair.iou.tolist() for pair in scene.pairs] == [[[0.75], [0.0]], [[0.5]], []]
     assert tracking_mapping(scene, 0.5).iou.tolist() == [0.75, 0.5]
-    assert (scene.truth_boxes.sum(), scene.output_boxes.sum()) == (3, 3)
+    assert scene.boxes.sum(axis=1).tolist() == [3, 3]
 
 
 def test_a_match_is_no_farther_than_near() -> None:

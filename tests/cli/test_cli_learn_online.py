@@ -68,7 +68,7 @@ def test_what_does_not_go_is_told(yard, tmp_path, monkeypatch, more, words):
 @pytest.fixture(scope="module")
 def street(tmp_path_factory):
     folder = tmp_path_factory.mktemp("rates")
-    detector = DetectorModel(p_detect=0.7, clutter_rate=6.0, scores="informative")
+    detector = DetectorModel(p_detect=0.7, clutter_rate=6.0, informative_scores=True)
     write_detections(folder / "det.txt", make_scene("street", 1, detector, frames=200).detections)
     return folder / "det.txt"
 

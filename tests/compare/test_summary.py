@@ -57,9 +57,8 @@ def test_differences_are_paired_by_seed(comparison: Comparison) -> None:
 
 def test_a_failed_run_leaves_its_rows_empty(comparison: Comparison) -> None:
     run_of_none = next(one for one in comparison.plan.runs if one.method.name == "none" and one.rate == 3.0)
-    broken = Comparison(
-        comparison.plan, comparison.folder, {**comparison.results, run_of_none.place: Failed("no luck")}, comparison.detected
-    )
+    results = {**comparison.results, run_of_none.place: Failed("no luck")}
+    broken = Comparison(comparison.plan, comparison.folder, results)
     found = summary(broken)
     for sequence in ("a", "all"):
         one = row(found, sequence, 3.0, "none")

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from metric_cases import close, random_case, tracks_of, truth_of
+from metric_cases import close, random_case
 
-from phdtrack.metrics import evaluate, first_output_delays
-from phdtrack.types import Detections, DetectionTable
+from phdtrack.metrics import evaluate
 from reference import metrics_twins as twins
 
 seeds = st.integers(0, 2**32 - 1)
@@ -33,19 +32,3 @@ def test_tracking_scores(seed: int, threshold: float):
     close([ours.MOTA, ours.MOTA_log, ours.MOTP], [twin.mota, twin.mota_log, twin.motp], 1e-12)
     assert ours.objects_found == len(twin.delays)
     assert ours.delay_mean == pytest.approx(np.mean(list(twin.delays.values()) or [np.nan]), nan_ok=True)
-
-
-def test_delay_counts_from_the_first_detection():
-    truth = truth_of(
-        [1, 2, 3, 4, 5] * 2 + [2], [4] * 5 + [9] * 5 + [2], [[0, 0, 10, 10]] * 5 + [[50, 0, 60, 10]] * 5 + [[90, 0, 99, 9]]
-    )
-    table = DetectionTable(
-        np.array([1, 2, 4, 5]), Detections.of([[30, 30, 40, 40], [0, 0, 10, 9], [0, 0, 10, 10], [50, 0, 60, 10]])
-    )
-    tracks = tracks_of([4, 5, 2], [1, 1, 3], [[0, 0, 10, 10]] * 2 + [[50, 0, 60, 9]])
-    delays = first_output_delays(truth, tracks, table)
-    assert delays.identity.tolist() == [2, 4, 9]
-    assert delays.detected.tolist() == [0, 2, 5]
-    assert delays.mapped.tolist() == [0, 4, 2]
-    assert delays.delay == pytest.approx([np.nan, 2, -3], nan_ok=True)
-    assert evaluate(truth, tracks).delay_mean == (3 + 1) / 2

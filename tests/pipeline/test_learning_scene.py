@@ -77,7 +77,7 @@ def test_places_that_change_are_followed_within_the_memory():
 @slow
 def test_the_guard_drops_what_has_become_wrong_and_takes_it_up_again():
     places = DetectorModel(occlusion=2.0, clutter_rate=0.0, places=5)
-    flood = DetectorModel(occlusion=2.0, clutter_rate=10.0, clutter_sizes="log-uniform")
+    flood = DetectorModel(occlusion=2.0, clutter_rate=10.0, clutter_of_all_sizes=True)
     scene = street(1, 3500, places)
     table = joined([(scene.detections, 1, 2250), (seen_again(scene, 5, flood), 2251, 3500)])
     plain, learned, run = both(scene, table, 2251, "memory=2.0")

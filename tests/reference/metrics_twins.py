@@ -183,27 +183,13 @@ def ospa2(distance, there, given, c: float, p: float, q: float) -> float:
     return ospa(base, len(t), len(o), c, p)
 
 
-def sfda(truth, tracks) -> float:
-    """Mean FDA over the frames that hold a box on either side."""
-    gt, out = by_frame(truth), by_frame(tracks)
-    values = []
-    for k in sorted(set(gt) | set(out)):
-        t, o = [box for _, box in gt.get(k, [])], [box for _, box in out.get(k, [])]
-        best = max(math.fsum(overlap(t[i], o[j]) for i, j in pairs) for pairs in partial_mappings(len(t), len(o)))
-        values.append(best / ((len(t) + len(o)) / 2))
-    return _mean(values)
-
-
-def ata(truth, tracks, threshold: float | None = None) -> float:
-    """ATA; with a threshold the relaxed form, which counts a frame as 1 or 0."""
+def ata(truth, tracks) -> float:
     gt, out = _lives(truth), _lives(tracks)
     share = []
     for a in gt.values():
         row = []
         for b in out.values():
             together = [overlap(a[k], b[k]) for k in set(a) & set(b)]
-            if threshold is not None:
-                together = [float(v >= threshold) for v in together]
             row.append(math.fsum(together) / len(set(a) | set(b)))
         share.append(row)
     stda = max(math.fsum(share[i][j] for i, j in pairs) for pairs in partial_mappings(len(gt), len(out)))

@@ -188,7 +188,7 @@ def test_a_rate_that_is_far_off_is_mended_within_two_seconds(wrong):
 
 
 def test_scores_that_tell_objects_from_false_alarms_are_found_to():
-    _, _, learned = course("gm-phd", 1, p_detect=0.8, clutter_rate=10.0, scores="informative")
+    _, _, learned = course("gm-phd", 1, p_detect=0.8, clutter_rate=10.0, informative_scores=True)
     # Beta(6, 2) against Beta(2, 4): the ratio is 2.1 s⁴/(1 − s)².
     at = np.array([0.35, 0.5, 0.65])
     assert np.log(learned.scale.ratio(at)) == pytest.approx(np.log(2.1 * at**4 / (1 - at) ** 2), abs=1.0)

@@ -73,7 +73,7 @@ def test_poisson_clutter(truth: Truth, rate: float) -> None:
 
 
 def test_log_uniform_sizes(truth: Truth) -> None:
-    found = run(truth, clutter_rate=10.0, clutter_sizes="log-uniform")
+    found = run(truth, clutter_rate=10.0, clutter_of_all_sizes=True)
     _, _, w, h = to_cxcywh(found.table.detections.xyxy[found.source == 0])
     part = np.log(h / (0.08 * 480)) / np.log(0.5 / 0.08)
     assert abs(part.mean() - 0.5) < 4 / np.sqrt(12 * len(h))
@@ -97,7 +97,7 @@ def test_persistent_places_fire_with_their_probability_around_their_box(truth: T
 def test_parts_draw_from_streams_of_their_own(truth: Truth) -> None:
     """Targets are the same whatever the clutter, places whatever the Poisson clutter; a higher p_D only adds."""
     plain = targets(run(truth, CLUTTERED, clutter_rate=0.0, places=0))
-    for found in (run(truth, CLUTTERED), run(truth, CLUTTERED, clutter_sizes="log-uniform")):
+    for found in (run(truth, CLUTTERED), run(truth, CLUTTERED, clutter_of_all_sizes=True)):
         assert (targets(found) == plain).all()
     a, b = (run(truth, CLUTTERED, clutter_rate=rate) for rate in (0.0, 10.0))
     assert (a.places == b.places).all()
@@ -118,7 +118,7 @@ def test_occlusion_lowers_the_detection_probability() -> None:
 
 def test_informative_scores_rank_targets_higher(truth: Truth) -> None:
     """Beta(6, 2) has mean 3/4 and variance 1/48, Beta(2, 4) has 1/3 and 2/63."""
-    found = run(truth, CLUTTERED, scores="informative")
+    found = run(truth, CLUTTERED, informative_scores=True)
     score = found.table.detections.confidence
     assert ((score > 0) & (score < 1)).all()
     for chosen, mean, variance in ((found.source > 0, 3 / 4, 1 / 48), (found.source <= 0, 1 / 3, 2 / 63)):
@@ -138,7 +138,7 @@ def test_truth_outside_the_sequence_and_clutter_of_unknown_length_are_refused(tr
 
 @pytest.mark.parametrize(
     "bad",
-    [{"p_detect": 1.2}, {"clutter_rate": -1.0}, {"jitter": float("nan")}, {"scores": "random"}, {"clutter_sizes": "big"}],
+    [{"p_detect": 1.2}, {"clutter_rate": -1.0}, {"jitter": float("nan")}],
 )
 def test_impossible_detectors_are_refused(bad: dict[str, object]) -> None:
     with pytest.raises(InputError, match="DetectorModel"):

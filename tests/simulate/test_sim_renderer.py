@@ -7,7 +7,6 @@ import pytest
 from phdtrack.errors import InputError
 from phdtrack.simulate import NAMED, DetectorModel, Look, Scenario, Scene, Walk, build_scene, make_scene, render
 from phdtrack.simulate.paint import put_scaled, pyramid
-from phdtrack.simulate.render import plant_boxes
 
 STILL = Look(noise=0.0, flicker=0.0, plants=0, wave=0.0, lamps=0)
 NOTHING = DetectorModel(clutter_rate=0.0)
@@ -102,7 +101,7 @@ def test_waving_plants_are_seen_as_change_often_but_not_always() -> None:
     scene = make_scene("empty", 0, frames=150, detector=NOTHING)
     look = replace(STILL, plants=5, wave=0.09)
     moving = changing(scene, look, 150)
-    boxes = plant_boxes(scene, look.plants, video(scene, look).seed)
+    boxes = video(scene, look).plant_boxes
     assert boxes.shape == (5, 4)
     near, fires = np.zeros(moving.shape[1:], bool), []
     for left, top, right, bottom in np.round(boxes).astype(int):

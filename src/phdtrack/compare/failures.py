@@ -60,18 +60,15 @@ def worst_frames(comparison: Comparison, number: int) -> Iterator[WorstFrame]:
 
 def conditions(comparison: Comparison, sequence: str) -> Iterator[Condition]:
     """Every case of a sequence with truth at every rate, as far as there are results."""
-    plan, seed = comparison.plan, comparison.plan.seeds[0]
+    plan, folder = comparison.plan, comparison.folder
     for case in (case for case in plan.cases if case.sequence == sequence and case.truth is not None):
         for rate in plan.rates:
-            runs = [Run(case, rate, method, seed) for method in plan.methods]
-            runs = [run for run in runs if not isinstance(comparison.result(run), Failed)]
-            detected = comparison.detected.get(case.place)
-            if not runs or isinstance(detected, Failed):
-                continue
-            given = run_input(runs[0], detected)
-            tracks = [read_tracks(comparison.folder / run.place / TRACKS) for run in runs]
-            made = zip(runs, tracks, strict=True)
-            yield Condition(case, rate, given, [_mistakes(run.method.name, given, rows, plan.iou) for run, rows in made])
+            runs = [Run(case, rate, method, plan.seeds[0]) for method in plan.methods]
+            if runs := [run for run in runs if not isinstance(comparison.result(run), Failed)]:
+                given = run_input(runs[0], folder)
+                tracks = {run.method.name: read_tracks(folder / run.place / TRACKS) for run in runs}
+                mistakes = [_mistakes(name, given, rows, plan.iou) for name, rows in tracks.items()]
+                yield Condition(case, rate, given, mistakes)
 
 
 def _mistakes(method: str, given: RunInput, tracks: Tracks, iou: float) -> list[Mistakes]:

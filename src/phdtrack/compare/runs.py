@@ -4,8 +4,8 @@ First every detector looks at every video once. Then each case and method runs w
 they may give something else, because clutter was added or something was drawn at random. Work is shared out to processes:
 one that dies, of memory for example, takes no other result along.
 
-There is a folder for each run and for each set of detections, whole or not there at all. Its ``run.json`` has a digest of
-everything that decides the result: settings, seed, files by their contents, phdtrack by its version and its sources.
+There is a folder for each run and for each set of detections, whole or not there at all. Its ``run.json`` says what decided
+the result: settings, seed, files by their contents, phdtrack by its version and its sources.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ import tempfile
 import time
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
+from itertools import count as count_from
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -50,11 +50,9 @@ from phdtrack.video.sources import SUFFIXES
 Advance = Callable[[int], object]
 T = TypeVar("T")
 RUN, TRACKS, DETECTIONS = "run.json", "tracks.csv", "detections.csv"
-# Sources on which no track and no score depends, but for this file; and those on which detections depend.
-_THIS = "compare/runs.py"
-_NO_RESULT = ("cli", "label", "report", "compare", "detect", "video", "groups", "tracker.py", "__main__.py")
-_DETECTING = ("detect", "video", "formats")
-# Sections of the settings on which no track depends; the detector's are among what decides the detections.
+# Packages on which no result depends, and sections of the settings on which no track depends; the detector's are among what
+# decides the detections.
+_NO_RESULT = ("cli", "label", "report", "groups")
 _NO_TRACK = ("detector", "groups", "contours", "life_cycle", "encounters")
 
 
@@ -103,7 +101,6 @@ class Comparison:
     Attributes
     ----------
     results : by `Run.place`, of the runs that were needed: where nothing is random, the first seed stands for all.
-    detected : by `Case.place`, the folders of what detectors saw.
     reused : runs that were there already.
     outdated : what had changed for runs that were there and ran again, by the names that ``run.json`` has for it.
     """
@@ -111,7 +108,6 @@ class Comparison:
     plan: Plan
     folder: Path
     results: dict[Path, RunResult | Failed] = field(default_factory=dict)
-    detected: dict[Path, Path | Failed] = field(default_factory=dict)
     reused: int = 0
     outdated: list[str] = field(default_factory=list)
 
@@ -129,6 +125,26 @@ class Comparison:
     def failed(self) -> list[tuple[Run, str]]:
         """The runs without a result, and why."""
         return [(run, result.reason) for run, result in self.runs if isinstance(result, Failed)]
+
+
+@dataclass(frozen=True, slots=True)
+class _Piece:
+    """Work whose result is kept in the folder ``place``; ``work`` writes files into a folder and gives its ``run.json``."""
+
+    place: Path
+    decided_by: Mapping[str, Any]
+    work: Callable[[Path], dict[str, object]]
+
+    def __call__(self) -> dict[str, Any]:
+        """Do it, in a folder that takes its place when it is whole; what ``run.json`` says."""
+        part = self.place.with_name(f".{self.place.name}.part")
+        shutil.rmtree(part, ignore_errors=True)
+        part.mkdir(parents=True)
+        document = self.work(part) | {"decided_by": self.decided_by}
+        write_run(part / RUN, document)
+        shutil.rmtree(self.place, ignore_errors=True)
+        part.rename(self.place)
+        return read_about(self.place)
 
 
 def run(plan: Plan, folder: Path, jobs: int = 1, *, anew: bool = False, advance: Advance = lambda done: None) -> Comparison:
@@ -157,19 +173,51 @@ def run(plan: Plan, folder: Path, jobs: int = 1, *, anew: bool = False, advance:
     except OSError as error:
         problem = f"cannot be written into ({error.strerror or error})"
         raise InputError(problem, where=folder, cure="Choose another folder.") from error
-    work = _Work(Comparison(plan, folder), jobs, anew, advance)
+    _contents.cache_clear()
+    found, done = Comparison(plan, folder), count_from(1)
+    looks = {case.place: _look(case, folder) for case in plan.cases if case.file is None}
+    seen: dict[Path, dict[str, Any] | Failed] = {}
     try:
-        work.detect()
-        work.track([run for run in plan.runs if run.seed == plan.seeds[0]])
-        others = [run for run in plan.runs if run.seed != plan.seeds[0]]
-        firsts = [work.done.result(run) for run in others]
-        random = [one.rate > 0 or isinstance(r, Failed) or r.drawn for one, r in zip(others, firsts, strict=True)]
-        work.count(len(others) - sum(random))
-        work.track([run for run, needed in zip(others, random, strict=True) if needed])
+        for place, document in _documents(found, looks, jobs, anew):
+            seen[place] = document
+            advance(next(done))
+        for seeds in (plan.seeds[:1], plan.seeds[1:]):
+            pieces = {}
+            for one in (one for one in plan.runs if one.seed in seeds):
+                look = seen.get(one.case.place)
+                first = None if one.seed == plan.seeds[0] or one.rate else found.result(one)
+                if isinstance(look, Failed):
+                    found.results[one.place] = look
+                if isinstance(look, Failed) or (isinstance(first, RunResult) and not first.drawn):
+                    advance(next(done))
+                else:
+                    pieces[one.place] = _tracking(one, plan.iou, folder)
+            for place, document in _documents(found, pieces, jobs, anew):
+                found.results[place] = document if isinstance(document, Failed) else _result(document["outcome"])
+                advance(next(done))
     finally:
-        for part in folder.rglob(".*.part"):  # of processes that were stopped
+        for part in folder.rglob(".*.part"):  # of work that failed or was stopped
             shutil.rmtree(part, ignore_errors=True)
-    return work.done
+    return found
+
+
+def _documents(
+    found: Comparison, pieces: Mapping[Path, _Piece], jobs: int, anew: bool
+) -> Iterator[tuple[Path, dict[str, Any] | Failed]]:
+    """The ``run.json`` of each piece, as it is kept where the same decided it, else of work done now."""
+    todo = []
+    for place, piece in pieces.items():
+        kept = {} if anew else read_about(piece.place)
+        before = kept.get("decided_by", {})
+        if before == piece.decided_by:
+            found.reused += "outcome" in kept
+            yield place, kept
+            continue
+        todo.append(place)
+        changed = [name for name, value in piece.decided_by.items() if before and before.get(name) != value]
+        found.outdated += [name for name in changed if name not in found.outdated]
+    for number, result in outcomes([pieces[place] for place in todo], jobs):
+        yield todo[number], result
 
 
 def steps(plan: Plan) -> int:
@@ -177,80 +225,64 @@ def steps(plan: Plan) -> int:
     return sum(case.file is None for case in plan.cases) + len(plan.runs)
 
 
-@dataclass(slots=True)
-class _Work:
-    """What is done so far."""
-
-    done: Comparison
-    jobs: int
-    anew: bool
-    advance: Advance
-    steps: int = 0
-    digests: dict[Path, str] = field(default_factory=dict)
-
-    def count(self, number: int = 1) -> None:
-        """So many steps more are done, or not needed."""
-        self.steps += number
-        self.advance(self.steps)
-
-    def detect(self) -> None:
-        """Every detector on its videos, where that is not kept."""
-        todo: list[tuple[Case, Callable[[], None]]] = []
-        for case in self.done.plan.cases:
-            decided_by = _decides_detections(case)
-            self.digests[case.place] = _digest(decided_by)
-            if case.file is not None:
-                continue
-            place = self.done.detected[case.place] = self.done.folder / "detections" / case.place
-            if not self.anew and _read(place, decided_by, DETECTIONS):
-                self.count()
-            else:
-                todo.append((case, partial(_detect, case, place, decided_by)))
-        for number, result in outcomes([work for _, work in todo], self.jobs):
-            if isinstance(result, Failed):
-                self.done.detected[todo[number][0].place] = result
-            self.count()
-
-    def track(self, runs: Sequence[Run]) -> None:
-        """These runs, where they are not kept."""
-        done, todo = self.done, list[tuple[Run, Callable[[], RunResult]]]()
-        for run in runs:
-            place, detected = done.folder / run.place, done.detected.get(run.case.place)
-            decided_by = _decides_run(run, self.digests[run.case.place], done.plan.iou)
-            before = detected if isinstance(detected, Failed) else None if self.anew else _kept(place, decided_by)
-            if before is not None:
-                done.results[run.place] = before
-                done.reused += isinstance(before, RunResult)
-                self.count()
-                continue
-            assert not isinstance(detected, Failed)
-            todo.append((run, partial(_track, run, done.plan.iou, place, detected, decided_by)))
-            earlier = {} if self.anew else read_about(place).get("decided_by", {})
-            new = [name for name, value in json_value(decided_by).items() if earlier and earlier.get(name) != value]
-            done.outdated += [name for name in new if name not in done.outdated]
-        for number, result in outcomes([work for _, work in todo], self.jobs):
-            done.results[todo[number][0].place] = result
-            self.count()
+def read_about(folder: Path) -> dict[str, Any]:
+    """The ``run.json`` of a run or a set of detections; empty where it cannot be read."""
+    try:
+        return dict(json.loads((folder / RUN).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return {}
 
 
-def _detect(case: Case, place: Path, decided_by: Mapping[str, object]) -> None:
-    """A detector's look at a video, kept at ``place``: detections, numbers and times of the frames."""
+def _result(outcome: Mapping[str, Any]) -> RunResult:
+    """A result as ``run.json`` has it."""
+    values = dict(outcome)
+    if sums := values["counts"]:
+        lists = {name: np.array(value) for name, value in sums.items() if isinstance(value, list)}
+        values["counts"] = Counts(**(sums | lists))
+    return RunResult(**values)
+
+
+def _look(case: Case, folder: Path) -> _Piece:
+    """A detector's look at a video."""
+    return _Piece(folder / "detections" / case.place, json_value(_decides_detections(case)), partial(_detect, case))
+
+
+def _detect(case: Case, folder: Path) -> dict[str, object]:
+    """A detector's look at a video, written into the folder: detections, numbers and times of the frames."""
     numbers, times, began = list[int](), list[float](), time.perf_counter()
     detector = make_detector(case.detections, max_width=case.max_width, **case.parameters)
     source = open_source(case.source)
-    with _whole(place, decided_by) as (folder, about):
-        with DetectionsWriter(folder / DETECTIONS) as writer:
-            for frame in source:
-                writer.append(frame.number, detector(frame))
-                numbers.append(frame.number)
-                times.append(frame.time)
-        seconds = (time.perf_counter() - began) / max(len(times), 1)
-        about |= {"seconds_per_frame": seconds, "warning": source.problem, "numbers": numbers, "times": times}
+    with DetectionsWriter(folder / DETECTIONS) as writer:
+        for frame in source:
+            writer.append(frame.number, detector(frame))
+            numbers.append(frame.number)
+            times.append(frame.time)
+    seconds = (time.perf_counter() - began) / max(len(times), 1)
+    return {"seconds_per_frame": seconds, "warning": source.problem, "numbers": numbers, "times": times}
 
 
-def _track(run: Run, iou: float, place: Path, detected: Path | None, decided_by: Mapping[str, object]) -> RunResult:
-    """Track, score, and keep at ``place``; ``detected`` as in `run_input`."""
-    given = run_input(run, detected)
+def _tracking(run: Run, iou: float, folder: Path) -> _Piece:
+    """A run, scored."""
+    case = run.case
+    settings = {name: value for name, value in run.method.settings.as_dict().items() if name not in _NO_TRACK}
+    decided_by = {
+        "phdtrack": phdtrack.__version__,
+        "sources": _sources(),
+        "sequence": asdict(case.info) | {"name": case.sequence},
+        "detections": _decides_detections(case),
+        "truth": "" if case.truth is None else _contents(case.truth),
+        "clutter": run.rate,
+        "seed": run.seed,
+        "iou": iou,
+        "settings": settings,
+        "files": {name: _contents(Path(name)) for name in _files(settings)},
+    }
+    return _Piece(folder / run.place, json_value(decided_by), partial(_track, run, iou, folder))
+
+
+def _track(run: Run, iou: float, kept: Path, folder: Path) -> dict[str, object]:
+    """Track, score, and write the tracks into the folder; ``kept`` as in `run_input`."""
+    given = run_input(run, kept)
     tracks, drawn, seconds = tracked(run, given)
     counts, frames = None, given.info.frames
     if given.truth is not None:
@@ -260,10 +292,8 @@ def _track(run: Run, iou: float, place: Path, detected: Path | None, decided_by:
     numbers = (frames, len(given.table), len(np.unique(tracks.identity)), len(tracks))
     result = RunResult(*numbers, drawn, seconds, counts, iou, given.warning)
     scores = {} if result.scores is None else result.scores.as_dict()
-    with _whole(place, decided_by) as (folder, about):
-        write_tracks(folder / TRACKS, tracks)
-        about |= {"run": str(run), "scores": scores, "configuration": run.method.settings.as_dict(), "outcome": result}
-    return result
+    write_tracks(folder / TRACKS, tracks)
+    return {"run": str(run), "scores": scores, "configuration": run.method.settings.as_dict(), "outcome": result}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -278,15 +308,15 @@ class RunInput:
     warning: str
 
 
-def run_input(run: Run, detected: Path | None) -> RunInput:
-    """What the run works on; ``detected`` is the folder of what a detector saw, None where the case has a file.
+def run_input(run: Run, kept: Path) -> RunInput:
+    """What the run works on; ``kept`` is the comparison's folder, which has what detectors saw.
 
     The clutter depends on the sequence's name, on the rate and on the seed: it is the same for every method, and in the same
     places for every set of detections.
     """
     case, info, warnings = run.case, run.case.info, tuple[str, ...]()
     if case.file is None:
-        assert detected is not None
+        detected = kept / "detections" / case.place
         about = read_about(detected)
         table, warnings = read_detections(detected / DETECTIONS), (str(about["warning"]),)
         times, numbers = np.array(about["times"], np.float64), np.array(about["numbers"], np.int64)
@@ -322,42 +352,37 @@ def tracked(run: Run, given: RunInput) -> tuple[Tracks, bool, float]:
 def outcomes(work: Sequence[Callable[[], T]], jobs: int) -> Iterator[tuple[int, T | Failed]]:
     """The number (from 0) and the result of each piece of work, as they come, by ``jobs`` processes; with 1 by this one.
 
-    Work and results must be of classes and functions that a fresh interpreter can import. Where a process dies, the pieces
-    that may have been its own are done again, each in a process by itself; what then dies again has failed.
+    Work and results must be of classes and functions that a fresh interpreter can import. Each process has a pool of its
+    own: one that dies fails its own piece, and another takes its place.
     """
     if min(jobs, len(work)) <= 1:
         for number, piece in enumerate(work):
             yield number, _tried(piece)
         return
-    left, careful = dict(enumerate(work)), 0
-    while left:
-        size = 1 if careful else min(jobs, len(left))
-        batch = dict(list(left.items())[: 1 if careful else len(left)])
-        for number, result in _in_processes(batch, size):
-            del left[number]
-            yield number, result
-        if careful and (number := next(iter(batch))) in left:
-            del left[number]
-            yield number, Failed("its process died (out of memory?)")
-        # Pieces are begun in their order, one more than there are processes.
-        careful = careful - 1 if careful else min(jobs + 1, len(left))
-
-
-def _in_processes(work: Mapping[int, Callable[[], T]], size: int) -> Iterator[tuple[int, T | Failed]]:
-    """The results of the pieces by their numbers, until a process dies."""
     # Ctrl-C is for the parent, which ends its processes.
     ignore, context = (signal.SIGINT, signal.SIG_IGN), multiprocessing.get_context("spawn")
-    before, pool = set(multiprocessing.active_children()), ProcessPoolExecutor(size, context, signal.signal, ignore)
+    before, pools = set(multiprocessing.active_children()), list[ProcessPoolExecutor]()
+    left, running = list(enumerate(work))[::-1], dict[Future[Any], tuple[int, ProcessPoolExecutor]]()
+    idle: list[ProcessPoolExecutor | None] = [None] * min(jobs, len(work))
     try:
-        futures = {pool.submit(_tried, piece): number for number, piece in work.items()}
-        for future in as_completed(futures):
-            if not isinstance(future.exception(), BrokenProcessPool):
-                yield futures[future], future.result()
+        while left or running:
+            while left and idle:
+                number, piece = left.pop()
+                if (pool := idle.pop()) is None:
+                    pool = ProcessPoolExecutor(1, context, signal.signal, ignore)
+                    pools.append(pool)
+                running[pool.submit(_tried, piece)] = number, pool
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                number, pool = running.pop(future)
+                died = isinstance(future.exception(), BrokenProcessPool)
+                idle.append(None if died else pool)
+                yield number, Failed("its process died (out of memory?)") if died else future.result()
     finally:
         # None of them has anything to do any more, but after Ctrl-C.
         for process in set(multiprocessing.active_children()) - before:
             process.kill()
-        pool.shutdown(cancel_futures=True)
+        for pool in pools:
+            pool.shutdown(cancel_futures=True)
 
 
 def _tried(piece: Callable[[], T]) -> T | Failed:
@@ -373,77 +398,13 @@ def _tried(piece: Callable[[], T]) -> T | Failed:
         return Failed(f"{type(error).__name__}: {first}" if first else type(error).__name__)
 
 
-@contextmanager
-def _whole(place: Path, decided_by: Mapping[str, object]) -> Iterator[tuple[Path, dict[str, object]]]:
-    """A folder to write into, which takes the place of ``place`` when it is done and vanishes where that fails.
-
-    Its ``run.json`` has the digest of what decided it, what the block puts into the mapping, and what decided it.
-    """
-    part, about = place.with_name(f".{place.name}.part"), dict[str, object]()
-    shutil.rmtree(part, ignore_errors=True)
-    part.mkdir(parents=True)
-    try:
-        yield part, about
-        write_run(part / RUN, {"digest": _digest(decided_by), **about, "decided_by": decided_by})
-    except BaseException:
-        shutil.rmtree(part, ignore_errors=True)
-        raise
-    shutil.rmtree(place, ignore_errors=True)
-    part.rename(place)
-
-
-def read_about(folder: Path) -> dict[str, Any]:
-    """The ``run.json`` of a run or a set of detections; empty where it cannot be read."""
-    try:
-        return dict(json.loads((folder / RUN).read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError):
-        return {}
-
-
-def _read(folder: Path, decided_by: Mapping[str, object], file: str) -> dict[str, Any]:
-    """The same where it was decided by the same and has its file; empty otherwise."""
-    document = read_about(folder)
-    return document if document.get("digest") == _digest(decided_by) and (folder / file).is_file() else {}
-
-
-def _kept(folder: Path, decided_by: Mapping[str, object]) -> RunResult | None:
-    """The result that is kept there, if it was decided by the same."""
-    try:
-        outcome = dict(_read(folder, decided_by, TRACKS)["outcome"])
-        sums: dict[str, Any] | None = outcome.pop("counts")
-        if sums is None:
-            return RunResult(**outcome, counts=None)
-        made: dict[str, Any] = {name: np.array(each) if isinstance(each, list) else each for name, each in sums.items()}
-        return RunResult(**outcome, counts=Counts(**made))
-    except (KeyError, TypeError, ValueError):
-        return None
-
-
-def _decides_run(run: Run, detections: str, iou: float) -> dict[str, object]:
-    """What decides the result of a run, ``detections`` being the digest of what decides those, in plain values."""
-    case = run.case
-    settings = {name: value for name, value in run.method.settings.as_dict().items() if name not in _NO_TRACK}
-    return {
-        "phdtrack": phdtrack.__version__,
-        "sources": source_digests()[0],
-        "sequence": asdict(case.info) | {"name": case.sequence},
-        "detections": detections,
-        "truth": "" if case.truth is None else _contents(case.truth),
-        "clutter": run.rate,
-        "seed": run.seed,
-        "iou": iou,
-        "settings": settings,
-        "files": {name: _contents(Path(name)) for name in _files(settings)},
-    }
-
-
 def _decides_detections(case: Case) -> dict[str, object]:
     """What decides the detections of a case."""
     if case.file is not None:
         return {"file": _contents(case.file)}
     return {
         "phdtrack": phdtrack.__version__,
-        "sources": source_digests()[1],
+        "sources": _sources(),
         "video": _contents(Path(case.source)),
         "detector": case.detections,
         "parameters": dict(case.parameters),
@@ -452,41 +413,26 @@ def _decides_detections(case: Case) -> dict[str, object]:
 
 
 @lru_cache(maxsize=1)
-def source_digests() -> tuple[str, str]:
-    """The digests of phdtrack's sources on which tracks depend, and of those on which detections depend."""
+def _sources() -> str:
+    """The digest of phdtrack's sources on which results depend."""
     home = Path(phdtrack.__file__).parent
-    names = {file: file.relative_to(home).as_posix() for file in sorted(home.rglob("*.py"))}
-    tracking = (file for file, name in names.items() if name == _THIS or name.split("/")[0] not in _NO_RESULT)
-    detecting = (file for file, name in names.items() if name == _THIS or name.split("/")[0] in _DETECTING)
-    return _digest_of(tracking), _digest_of(detecting)
-
-
-def _digest(value: Mapping[str, object]) -> str:
-    """32 hexadecimal digits for plain values."""
-    text = json.dumps(json_value(value), sort_keys=True, ensure_ascii=False)
-    return hashlib.sha256(text.encode("utf-8", "backslashreplace")).hexdigest()[:32]
-
-
-def _digest_of(files: Iterable[Path]) -> str:
-    """The same for files by their names and contents."""
-    total = hashlib.sha256()
-    for file in files:
-        total.update(file.name.encode("utf-8", "surrogateescape") + b"\0" + _file_digest(file, file.stat().st_mtime_ns))
-    return total.hexdigest()[:32]
+    return _digest(file for file in sorted(home.rglob("*.py")) if file.relative_to(home).parts[0] not in _NO_RESULT)
 
 
 @lru_cache(maxsize=4096)
-def _file_digest(file: Path, changed: int) -> bytes:
-    """A file is read again when its time changes."""
-    with file.open("rb") as content:
-        return hashlib.file_digest(content, "sha256").digest()
-
-
 def _contents(path: Path) -> str:
     """The digest of a file's contents; a folder stands for the images in it."""
-    if path.is_file():
-        return _digest_of([path])
-    return _digest_of(sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES))
+    return _digest([path] if path.is_file() else sorted(f for f in path.iterdir() if f.suffix.lower() in SUFFIXES))
+
+
+def _digest(files: Iterable[Path]) -> str:
+    """32 hexadecimal digits for files by their names and contents."""
+    total = hashlib.sha256()
+    for file in files:
+        with file.open("rb") as content:
+            digest = hashlib.file_digest(content, "sha256").digest()
+        total.update(file.name.encode("utf-8", "surrogateescape") + b"\0" + digest)
+    return total.hexdigest()[:32]
 
 
 def _files(value: object) -> list[str]:

@@ -1,16 +1,14 @@
 """How good are tracks: VACE and CLEAR scores, IDF1, HOTA, OSPA, GOSPA, T-GOSPA, RMSE, lives of tracks."""
 
-from phdtrack.metrics.scores import Delays, Scores, evaluate, first_output_delays, pool
+from phdtrack.metrics.scores import Scores, evaluate, pool
 from phdtrack.metrics.sets import gospa, ospa
 from phdtrack.metrics.trajectories import TargetErrors, TGospaParts, rmse_per_target, tgospa_boxes, tgospa_of
 
 __all__ = [
-    "Delays",
     "Scores",
     "TGospaParts",
     "TargetErrors",
     "evaluate",
-    "first_output_delays",
     "gospa",
     "ospa",
     "pool",

@@ -9,11 +9,12 @@ boxes of frame k, and costs of 1:
     MOTP    = Σ IoU over all mapped pairs / their number
     MOTA    = 1 − Σ_k (m_k + f_k + s_k) / Σ_k N_k               MOTA_log: ln(1 + s_k) in place of s_k
 
-MODA(k) and MODP(k) use the detection mapping, everything else the tracking mapping (`matching.py`). N_MODA, MOTA, MOTP,
-switches and fragments are TrackEval's MODA, MOTA, MOTP, IDSW and Frag. A switch: an object is mapped to another output than
-when it was last mapped, however long ago. A fragment: the mapping of an object begins again after a break. The delay of an
-object: frames from its first in the truth to its first mapped one. A false track: an output identity that is never mapped.
-Mostly tracked: mapped in more than 80 % of its frames; mostly lost: in less than 20 % (as in TrackEval).
+MODA(k) and MODP(k) use the detection mapping, the largest total overlap of each frame for itself; everything else uses the
+tracking mapping (`matching.py`). N_MODA, MOTA, MOTP, switches and fragments are TrackEval's MODA, MOTA, MOTP, IDSW and Frag.
+A switch: an object is mapped to another output than when it was last mapped, however long ago. A fragment: the mapping of an
+object begins again after a break. The delay of an object: frames from its first in the truth to its first mapped one. A
+false track: an output identity that is never mapped. Mostly tracked: mapped in more than 80 % of its frames; mostly lost: in
+less than 20 % (as in TrackEval).
 
 VACE without a threshold (Kasturi et al. 2009): FDA maps boxes of one frame, STDA tracks of the whole sequence, one to one,
 each for the largest sum.
@@ -51,7 +52,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.metrics.matching import ROUNDING, Matches, Scene, assign, detection_mapping, match, tracking_mapping
+from phdtrack.metrics.matching import ROUNDING, Matches, Scene, above, assign, match, tracking_mapping
 from phdtrack.types import F8, I8
 
 ALPHA: F8 = np.arange(0.05, 0.99, 0.05)
@@ -64,13 +65,13 @@ class Counts:
     Attributes
     ----------
     frames, occupied, truth_frames : all frames, those with a box on either side, those with an annotated box.
-    truth_boxes, output_boxes, objects, identities : boxes and identities on either side.
+    truth_boxes, output_boxes, truth_objects, output_identities : boxes and identities on either side.
     detected, detected_frames : mapped pairs of the detection mapping, and the frames that have one.
     miss_ratio, false_ratio : Σ m_k/N_k and Σ f_k/N_k of that mapping over the frames with truth.
     precision : Σ MODP(k) over the frames with a mapped pair.
     matches, overlap : mapped pairs of the tracking mapping and the sum of their IoU.
-    switches, log_switches, fragments : of that mapping; Σ_k ln(1 + s_k).
-    found, delay, mostly_tracked, mostly_lost, false_tracks : objects ever mapped, Σ of their delays, numbers.
+    id_switches, log_switches, fragments : of that mapping; Σ_k ln(1 + s_k).
+    objects_found, delay, mostly_tracked, mostly_lost, false_tracks : objects ever mapped, Σ of their delays, numbers.
     identity_matches : IDTP.
     stda, stda_matched : STDA and its relaxed form.
     hota_matches, hota_association : (19,) mapped pairs at each α, and Σ A(c) over them.
@@ -82,8 +83,8 @@ class Counts:
     truth_frames: int
     truth_boxes: int
     output_boxes: int
-    objects: int
-    identities: int
+    truth_objects: int
+    output_identities: int
     detected: int
     detected_frames: int
     miss_ratio: float
@@ -91,10 +92,10 @@ class Counts:
     precision: float
     matches: int
     overlap: float
-    switches: int
+    id_switches: int
     log_switches: float
     fragments: int
-    found: int
+    objects_found: int
     delay: int
     mostly_tracked: int
     mostly_lost: int
@@ -112,7 +113,7 @@ class Counts:
 
 
 class _Pairs(NamedTuple):
-    """Sums for each pair of identities (G, O): of overlap, of frames at IoU ≥ threshold, of frames with both, of the a of J.
+    """Sums for each pair of identities (G, O): of IoU, of frames at IoU ≥ threshold, of frames with both, of the a of J.
 
     ``truth_boxes`` (G,), ``output_boxes`` (O,) are the boxes of each identity, ``appeared`` (G,) the first frame.
     """
@@ -128,14 +129,10 @@ class _Pairs(NamedTuple):
 
 def count(scene: Scene, threshold: float) -> Counts:
     """The sums of one sequence; pairs of boxes match at IoU ≥ ``threshold``."""
-    detection, tracking, pairs = (
-        detection_mapping(scene, threshold),
-        tracking_mapping(scene, threshold),
-        _pairs(scene, threshold),
-    )
-    truth, output = scene.truth_boxes, scene.output_boxes
-    detected, annotated = detection.per_frame(scene), truth > 0
-    mapped = detected > 0
+    detection, tracking = match(scene, lambda pair, _: above(pair.iou, threshold)), tracking_mapping(scene, threshold)
+    pairs, (truth, output) = _pairs(scene, threshold), scene.boxes
+    detected = np.bincount(detection.position, minlength=len(truth))
+    annotated, mapped = truth > 0, detected > 0
     iou = np.bincount(detection.position, detection.iou, minlength=len(truth))
     switched = np.bincount(tracking.position[tracking.switches()], minlength=1)
     first = tracking.first_frames(scene)
@@ -149,8 +146,8 @@ def count(scene: Scene, threshold: float) -> Counts:
         truth_frames=int(annotated.sum()),
         truth_boxes=int(truth.sum()),
         output_boxes=int(output.sum()),
-        objects=len(first),
-        identities=len(scene.output_identity),
+        truth_objects=len(first),
+        output_identities=len(scene.output_identity),
         detected=len(detection.iou),
         detected_frames=int(mapped.sum()),
         miss_ratio=float(((truth - detected)[annotated] / truth[annotated]).sum()),
@@ -158,10 +155,10 @@ def count(scene: Scene, threshold: float) -> Counts:
         precision=float((iou[mapped] / detected[mapped]).sum()),
         matches=len(tracking.iou),
         overlap=float(tracking.iou.sum()),
-        switches=int(switched.sum()),
+        id_switches=int(switched.sum()),
         log_switches=float(np.log1p(switched).sum()),
         fragments=_fragments(scene, tracking),
-        found=int((first > 0).sum()),
+        objects_found=int((first > 0).sum()),
         delay=int((first - pairs.appeared)[first > 0].sum()),
         mostly_tracked=int((share > 0.8).sum()),
         mostly_lost=int((share < 0.2).sum()),
@@ -179,17 +176,11 @@ def count(scene: Scene, threshold: float) -> Counts:
     )
 
 
-def _largest(score: F8) -> float:
-    """The largest total of a one-to-one mapping."""
-    return float(score[assign(score)].sum())
-
-
 def _pairs(scene: Scene, threshold: float) -> _Pairs:
     """The sums for pairs of identities."""
     shape = len(scene.truth_identity), len(scene.output_identity)
     overlap, matched, both, shared = (np.zeros(shape) for _ in range(4))
-    truth_boxes, appeared = np.zeros((2, shape[0]), np.int64)
-    output_boxes = np.zeros(shape[1], np.int64)
+    truth_boxes, output_boxes, appeared = (np.zeros(shape[side], np.int64) for side in (0, 1, 0))
     for pair in reversed(scene.pairs):
         where = np.ix_(pair.truth, pair.output)
         rivals = pair.iou.sum(axis=0) + pair.iou.sum(axis=1)[:, None] - pair.iou
@@ -204,10 +195,15 @@ def _pairs(scene: Scene, threshold: float) -> _Pairs:
     return _Pairs(overlap, matched, both, shared, truth_boxes, output_boxes, appeared)
 
 
+def _largest(score: F8) -> float:
+    """The largest total of a one-to-one mapping."""
+    return float(score[assign(score)].sum())
+
+
 def _fragments(scene: Scene, mapping: Matches) -> int:
     """How often the mapping of an object begins again."""
     # As in TrackEval, a frame with an empty side does not break a mapping: time is counted without such frames.
-    turn = np.cumsum((scene.truth_boxes > 0) & (scene.output_boxes > 0))
+    turn = np.cumsum(scene.boxes.all(axis=0))
     order, again = mapping.histories()
     return int((again & (np.diff(turn[mapping.position[order]]) > 1)).sum())
 

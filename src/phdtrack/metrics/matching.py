@@ -1,19 +1,11 @@
-"""Truth and output of one sequence side by side, frame by frame, and the mappings between their boxes.
+"""Truth and output of one sequence side by side, frame by frame, and the mapping between their boxes.
 
-Before anything is scored, three things happen here. Both sides are checked. Distractors are taken out the way MOTChallenge
-does it since MOT16: in each frame all annotated boxes, distractors included, are matched with the output for the largest
-total overlap among pairs at IoU ≥ 0.5; output boxes that fall to a distractor are removed, then the distractors. Rows are
-put into an order of frame, then box, so that no score depends on the order of rows, even where two assignments tie.
+First both sides are checked, and distractors are taken out as MOTChallenge does it since MOT16: in each frame all annotated
+boxes, distractors included, are matched with the output for the largest total overlap among pairs at IoU ≥ 0.5; output boxes
+that fall to a distractor are removed, then the distractors. Rows are ordered by frame, then box, so that no score depends on
+the order of rows, even where two assignments tie.
 
 Notation: n annotated and m output boxes in a frame; G annotated and O output identities in the sequence, known by index.
-
-Two mappings are made here:
-
-* `detection_mapping`: the largest total overlap among pairs at IoU ≥ threshold, each frame for itself.
-* `tracking_mapping`: first as many pairs as possible of those that were mapped before, then the largest total overlap.
-
-"Mapped before" means: in the last frame that held boxes on both sides. A frame with an empty side neither breaks nor makes a
-mapping, in agreement with TrackEval's CLEAR [M09 (22)–(25)].
 """
 
 from __future__ import annotations
@@ -94,19 +86,9 @@ class Scene:
     output_identity: I8
 
     @property
-    def numbers(self) -> I8:
-        """(F,) the frames' numbers."""
-        return np.array([pair.number for pair in self.pairs], np.int64)
-
-    @property
-    def truth_boxes(self) -> I8:
-        """(F,) annotated boxes in each frame."""
-        return np.array([pair.iou.shape[0] for pair in self.pairs], np.int64)
-
-    @property
-    def output_boxes(self) -> I8:
-        """(F,) output boxes in each frame."""
-        return np.array([pair.iou.shape[1] for pair in self.pairs], np.int64)
+    def boxes(self) -> I8:
+        """(2, F) annotated and output boxes in each frame."""
+        return np.array([pair.iou.shape for pair in self.pairs], np.int64).reshape(-1, 2).T
 
 
 def build(truth: Truth, tracks: Tracks, frames: int = 0) -> Scene:
@@ -114,9 +96,12 @@ def build(truth: Truth, tracks: Tracks, frames: int = 0) -> Scene:
 
     Parameters
     ----------
-    truth : annotated boxes.
-    tracks : output boxes.
+    truth, tracks : annotated boxes, output boxes.
     frames : number of frames of the sequence, later rows are left out; 0: up to the last row of either side.
+
+    Returns
+    -------
+    The frames, ready to be scored.
 
     Raises
     ------
@@ -160,12 +145,11 @@ def _check(rows: Truth | Tracks, counted: Bool, name: str) -> None:
         )
     order = np.lexsort((identity, frame))
     order = order[counted[order]]
-    same = np.flatnonzero((np.diff(frame[order]) == 0) & (np.diff(identity[order]) == 0))
+    same = order[:-1][(np.diff(frame[order]) == 0) & (np.diff(identity[order]) == 0)]
     if len(same):
-        row = order[same[0]]
         raise InputError(
-            f"expected one row per identity and frame, got identity {identity[row]} twice",
-            where=f"{name}, frame {frame[row]}",
+            f"expected one row per identity and frame, got identity {identity[same[0]]} twice",
+            where=f"{name}, frame {frame[same[0]]}",
             cure="Drop the repeated row, or give it an identity of its own.",
         )
 
@@ -176,7 +160,7 @@ def _ordered(rows: Truth | Tracks, last: int) -> I8:
 
 
 def _frame(truth: Truth, tracks: Tracks, t: I8, o: I8, number: int) -> FramePair:
-    """A frame without its distractors and the output that falls to them; it has identities in place of indices yet."""
+    """A frame without its distractors and the output that falls to them; with identities in place of their indices."""
     overlap = iou(truth.xyxy[t], tracks.xyxy[o])
     counts = ~truth.distractor[t]
     left = np.ones(len(o), np.bool_)
@@ -202,10 +186,6 @@ class Matches:
     output: I8
     iou: F8
 
-    def per_frame(self, scene: Scene) -> I8:
-        """(F,) number of mapped pairs in each of the scene's frames."""
-        return np.bincount(self.position, minlength=len(scene.pairs)).astype(np.int64)
-
     def histories(self) -> tuple[I8, Bool]:
         """The order (K,) by object, then frame; (K−1,) whether the next pair in it is of the same object."""
         order = np.argsort(self.truth, kind="stable")
@@ -222,7 +202,8 @@ class Matches:
         """(G,) the number of the first frame in which each object is mapped, 0 where it never is."""
         first = np.zeros(len(scene.truth_identity), np.int64)
         # Backwards, so that the earliest frame is written last.
-        first[self.truth[::-1]] = scene.numbers[self.position[::-1]]
+        for position, index in zip(self.position[::-1].tolist(), self.truth[::-1].tolist(), strict=True):
+            first[index] = scene.pairs[position].number
         return first
 
 
@@ -247,13 +228,12 @@ def match(scene: Scene, score: Callable[[FramePair, I8], F8]) -> Matches:
     return Matches(np.concatenate(position), np.concatenate(truth), np.concatenate(output), np.concatenate(overlap))
 
 
-def detection_mapping(scene: Scene, threshold: float) -> Matches:
-    """The largest total overlap among pairs at IoU ≥ ``threshold``, each frame for itself."""
-    return match(scene, lambda pair, _: above(pair.iou, threshold))
-
-
 def tracking_mapping(scene: Scene, threshold: float) -> Matches:
-    """As `detection_mapping`, but pairs mapped in the frame before stay mapped while their IoU is ≥ ``threshold``."""
+    """As many pairs as possible of those mapped before, then the largest total overlap at IoU ≥ ``threshold``.
+
+    "Before" is the last frame that held boxes on both sides: a frame with an empty side neither breaks nor makes a mapping,
+    in agreement with TrackEval's CLEAR [M09 (22)–(25)].
+    """
 
     def score(pair: FramePair, before: I8) -> F8:
         overlap = above(pair.iou, threshold)

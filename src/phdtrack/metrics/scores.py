@@ -6,9 +6,6 @@ TrackEval's combined row, OSPA and GOSPA are means over all frames, SFDA over th
 of the sequences one after the other, with new identities in each.
 
 A score whose denominator is empty is NaN, never 0 or 1 by convention: MOTA without truth, MOTP without a mapped pair.
-
-`first_output_delays`: per object the frames from its first detection to its first mapped output, the figure by which M09
-compares birth models.
 """
 
 from __future__ import annotations
@@ -19,11 +16,10 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from phdtrack.arrays import iou as overlaps
 from phdtrack.errors import InputError
 from phdtrack.metrics.counts import Counts, count
-from phdtrack.metrics.matching import above, build, check_threshold, ratio, tracking_mapping
-from phdtrack.types import F8, I8, DetectionTable, Tracks, Truth
+from phdtrack.metrics.matching import build, check_threshold, ratio
+from phdtrack.types import F8, Tracks, Truth
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,6 +84,10 @@ def evaluate(truth: Truth, tracks: Tracks, *, frames: int = 0, iou: float = 0.5)
     frames : number of frames of the sequence, rows after it are left out; 0: up to the last frame of either side.
     iou : the overlap from which a pair of boxes may match, in (0, 1]; HOTA has its own.
 
+    Returns
+    -------
+    All scores.
+
     Raises
     ------
     InputError : for settings out of range, wrong shapes, frame numbers below 1, boxes without finite extent, or an
@@ -125,85 +125,36 @@ def hota_per_alpha(counts: Counts) -> tuple[F8, F8, F8]:
 
 def scores_of(counts: Counts, iou: float) -> Scores:
     """The scores that follow from ``counts``, made with the threshold ``iou`` [M09 (22)–(25)]."""
-    c, boxes, tracks = counts, counts.truth_boxes, counts.objects + counts.identities
+    c, boxes, tracks = counts, counts.truth_boxes, counts.truth_objects + counts.output_identities
     wrong = boxes + c.output_boxes - 2 * c.matches
     hota, det_a, ass_a = (float(part.mean()) for part in hota_per_alpha(c))
+    same = {f.name for f in fields(Scores)} & {f.name for f in fields(Counts)}
     return Scores(
         MODA=1 - ratio(c.miss_ratio + c.false_ratio, c.truth_frames),
         N_MODA=1 - ratio(wrong, boxes),
         MODP=ratio(c.precision, c.detected_frames),
-        MOTA=1 - ratio(wrong + c.switches, boxes),
+        MOTA=1 - ratio(wrong + c.id_switches, boxes),
         MOTA_log=1 - ratio(wrong + c.log_switches, boxes),
         MOTP=ratio(c.overlap, c.matches),
         IDF1=ratio(2 * c.identity_matches, boxes + c.output_boxes),
         HOTA=hota,
         OSPA=ratio(c.ospa, c.frames),
         GOSPA=ratio(c.gospa, c.frames),
-        OSPA2=1 - ratio(c.stda, max(c.objects, c.identities)),
+        OSPA2=1 - ratio(c.stda, max(c.truth_objects, c.output_identities)),
         SFDA=ratio(c.fda, c.occupied),
         ATA=ratio(2 * c.stda, tracks),
-        id_switches=c.switches,
         misses=boxes - c.matches,
         false_positives=c.output_boxes - c.matches,
-        fragments=c.fragments,
-        frames=c.frames,
         DetA=det_a,
         AssA=ass_a,
         IDP=ratio(c.identity_matches, c.output_boxes),
         IDR=ratio(c.identity_matches, boxes),
         N_MODA_detection=1 - ratio(boxes + c.output_boxes - 2 * c.detected, boxes),
         ATA_matched=ratio(2 * c.stda_matched, tracks),
-        truth_boxes=boxes,
-        output_boxes=c.output_boxes,
-        matches=c.matches,
-        truth_objects=c.objects,
-        output_identities=c.identities,
-        false_tracks=c.false_tracks,
-        mostly_tracked=c.mostly_tracked,
-        mostly_lost=c.mostly_lost,
-        objects_found=c.found,
-        delay_mean=ratio(c.delay, c.found),
+        delay_mean=ratio(c.delay, c.objects_found),
         count_error_mean=ratio(c.count_error, c.frames),
         count_error_rms=math.sqrt(ratio(c.count_error_squared, c.frames)),
         counts=c,
         iou=iou,
+        **{name: getattr(c, name) for name in same},
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Delays:
-    """Per object: ``identity`` (G,) ascending, ``detected`` and ``mapped`` (G,) first frames, 0 where never, ``delay`` (G,).
-
-    ``delay`` is mapped − detected in frames, negative where the output came first, NaN where either never came.
-    """
-
-    identity: I8
-    detected: I8
-    mapped: I8
-    delay: F8
-
-
-def first_output_delays(truth: Truth, tracks: Tracks, detections: DetectionTable, iou: float = 0.5) -> Delays:
-    """How many frames after its first detection each annotated object is first mapped to an output row.
-
-    Parameters
-    ----------
-    truth, tracks : as for `evaluate`; distractors do not count.
-    detections : the detections that the tracks were made from.
-    iou : the overlap at which a detection or an output row is the object's.
-
-    Raises
-    ------
-    InputError : for rows that `evaluate` would refuse, or a threshold outside (0, 1].
-    """
-    check_threshold(iou)
-    scene = build(truth, tracks)
-    mapped = tracking_mapping(scene, iou).first_frames(scene)
-    detected = np.zeros_like(mapped)
-    for number in np.unique(truth.frame)[::-1].tolist():
-        rows = np.flatnonzero((truth.frame == number) & ~truth.distractor)
-        overlap = above(overlaps(truth.xyxy[rows], detections.at(number).xyxy), iou)
-        seen = truth.identity[rows[overlap.max(axis=1, initial=0.0) > 0]]
-        detected[np.searchsorted(scene.truth_identity, seen)] = number
-    delay = np.where((mapped > 0) & (detected > 0), (mapped - detected).astype(np.float64), np.nan)
-    return Delays(scene.truth_identity, detected, mapped, delay)

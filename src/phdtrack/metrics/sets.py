@@ -28,31 +28,37 @@ from phdtrack.types import F8
 
 
 def ospa(x: F8, y: F8, c: float, p: float = 1.0) -> float:
-    """OSPA between the points ``x`` and ``y`` under the Euclidean distance.
+    """OSPA between points under the Euclidean distance.
 
     Parameters
     ----------
     x, y : (d, n), (d, m) points, columns.
     c : cut-off distance, in the unit of the points.
     p : order, from 1.
+
+    Returns
+    -------
+    The distance, in the unit of the points.
 
     Raises
     ------
     InputError : for points that do not fit or are not finite, c ≤ 0, or p outside [1, ∞).
     """
-    least, n, m = _least(x, y, c, p)
-    return float(((least + c**p * abs(n - m)) / max(n, m, 1)) ** (1 / p))
+    most = max(x.shape[-1], y.shape[-1], 1)
+    return float((_total(x, y, c, p, 1.0) / most) ** (1 / p))
 
 
 def gospa(x: F8, y: F8, c: float, p: float = 1.0, alpha: float = 2.0) -> float:
-    """GOSPA between the points ``x`` and ``y`` under the Euclidean distance.
+    """GOSPA between points under the Euclidean distance.
 
     Parameters
     ----------
-    x, y : (d, n), (d, m) points, columns.
-    c : cut-off distance, in the unit of the points.
-    p : order, from 1.
+    x, y, c, p : as `ospa` has them.
     alpha : α; the price of a point too many is c^p/α.
+
+    Returns
+    -------
+    The distance, in the unit of the points.
 
     Raises
     ------
@@ -60,15 +66,14 @@ def gospa(x: F8, y: F8, c: float, p: float = 1.0, alpha: float = 2.0) -> float:
     """
     if not 0 < alpha <= 2:
         raise InputError(f"expected 0 < alpha ≤ 2, got {alpha}", where="alpha")
-    least, n, m = _least(x, y, c, p)
-    return float((least + c**p / alpha * abs(n - m)) ** (1 / p))
+    return float(_total(x, y, c, p, alpha) ** (1 / p))
 
 
-def _least(x: F8, y: F8, c: float, p: float) -> tuple[float, int, int]:
-    """Σ min(d, c)^p of the best mapping of one set into the other, and the numbers of points."""
+def _total(x: F8, y: F8, c: float, p: float, alpha: float) -> float:
+    """The least Σ min(d, c)^p over mappings of one set into the other, with the price of the points too many."""
     check_order(c, p)
     cost = np.minimum(euclidean(x, y), c) ** p
-    return float(cost[cheapest(cost)].sum()), len(cost), cost.shape[1]
+    return float(cost[cheapest(cost)].sum() + c**p / alpha * abs(cost.shape[0] - cost.shape[1]))
 
 
 def euclidean(x: F8, y: F8) -> F8:

@@ -9,8 +9,7 @@ trajectories that begins or ends between two frames; a switch costs γ^p, a mapp
 may stay mapped while one is absent, at c^p/2 like a miss. With γ = 0 it is the sum of GOSPA^p over the frames. The
 relaxation to weights keeps it a metric, and makes it a linear programme; at the optimum the weights are mostly 0 or 1.
 
-Pairs that never come nearer than c are left out. It takes seconds (800 frames, 19 people, 190 tracks: 8 s), so `evaluate`
-does not include it.
+It takes seconds (800 frames, 19 people, 190 tracks: 8 s), so `evaluate` does not include it.
 
 Notation: K frames, n true and m output trajectories, Q pairs of them that come nearer than c at some time.
 
@@ -53,10 +52,13 @@ def tgospa_boxes(truth: Truth, tracks: Tracks, *, frames: int = 0, gamma: float 
 
     Parameters
     ----------
-    truth : annotated boxes.
-    tracks : output boxes.
+    truth, tracks : annotated boxes, output boxes.
     frames : later rows are left out; 0: all.
     gamma : price of a switch of identity.
+
+    Returns
+    -------
+    The distance and its parts, summed over the frames.
 
     Raises
     ------
@@ -83,6 +85,10 @@ def tgospa_of(
     there, given : (K, n), (K, m) whether the true, the output trajectory is present.
     c, gamma : cut-off distance and switching penalty ≥ 0, in the unit of ``distance``.
     p : order in [1, ∞).
+
+    Returns
+    -------
+    The distance and its parts, summed over the frames.
 
     Raises
     ------
@@ -159,12 +165,17 @@ class TargetErrors:
 
 
 def rmse_per_target(truth_frame: I8, truth_identity: I8, truth_point: F8, frame: I8, point: F8, gate: float) -> TargetErrors:
-    """Errors of estimates ``point`` (d, N) of frames ``frame`` (N,) against ``truth_point`` (d, M) [D14 Tables I–III].
+    """Errors of estimated points against true ones [D14 Tables I–III].
 
     Parameters
     ----------
-    truth_frame, truth_identity : (M,) frame and identity of each true point.
+    truth_frame, truth_identity, truth_point : (M,), (M,), (d, M) frame, identity and place of each true point.
+    frame, point : (N,), (d, N) of the estimates.
     gate : distance from which a pair counts as a miss and a false estimate, in the unit of the points.
+
+    Returns
+    -------
+    The errors of each target.
 
     Raises
     ------

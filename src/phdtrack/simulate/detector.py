@@ -8,16 +8,12 @@ the detections of the targets are the same whatever the clutter, and a higher p_
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 
 from phdtrack.arrays import to_cxcywh, to_xyxy
 from phdtrack.errors import Count, InputError, NonNegative, Probability, check
 from phdtrack.types import F8, I8, Detections, DetectionTable, SequenceInfo, Truth
-
-Sizes = Literal["truth", "log-uniform"]
-Scores = Literal["constant", "informative"]
 
 HEIGHTS, ASPECTS = (0.08, 0.5), (1 / 3, 1.0)
 """Log-uniform clutter: heights in frame heights, and width over height."""
@@ -35,12 +31,12 @@ class DetectorModel:
     ----------
     p_detect : p_D of an object that nothing hides.
     occlusion : exponent s of the visible part: p_D (1 − c)^s. 0: hidden objects are detected as well as others.
-    jitter : standard deviation of the centre's error, in box widths and heights.
-    jitter_size : standard deviation of the relative error of width and height.
+    jitter, jitter_size : standard deviations of the centre's error, in box widths and heights, and of the relative error of
+        width and height.
     clutter_rate : λ, expected Poisson false alarms per frame.
-    clutter_sizes : ``truth`` draws their sizes from the truth's boxes, ``log-uniform`` from a range of sizes and shapes.
+    clutter_of_all_sizes : whether their sizes are log-uniform, and not drawn from the truth's boxes.
     places, place_fire, place_jitter : number of persistent places, their probability to fire in a frame, their jitter.
-    scores : ``constant`` 1; ``informative``: Beta(6, 2) for objects and Beta(2, 4) for false alarms.
+    informative_scores : whether scores are Beta(6, 2) for objects and Beta(2, 4) for false alarms, and not 1.
     """
 
     p_detect: Probability = 0.9
@@ -48,18 +44,14 @@ class DetectorModel:
     jitter: NonNegative = 0.05
     jitter_size: NonNegative = 0.05
     clutter_rate: NonNegative = 2.0
-    clutter_sizes: Sizes = "truth"
+    clutter_of_all_sizes: bool = False
     places: Count = 0
     place_fire: Probability = 0.5
     place_jitter: NonNegative = 0.1
-    scores: Scores = "constant"
+    informative_scores: bool = False
 
     def __post_init__(self) -> None:
         check(self)
-        for name, known in (("clutter_sizes", get_args(Sizes)), ("scores", get_args(Scores))):
-            if getattr(self, name) not in known:
-                problem = f"expected {name} to be {' or '.join(known)}, got {getattr(self, name)!r}"
-                raise InputError(problem, where="DetectorModel")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,6 +83,10 @@ def detect(
     model : settings of the detector.
     obstacles : (K, 4) xyxy of things that hide what is behind them, pixels; for ``model.occlusion``.
 
+    Returns
+    -------
+    The detections, and where each came from.
+
     Raises
     ------
     InputError : the number of frames is not known, or the truth has rows outside of it.
@@ -101,9 +97,9 @@ def detect(
     targets_rng, clutter_rng, places_rng, order_rng = rng.spawn(4)
 
     def scores(n: int, beta: tuple[float, float], own: np.random.Generator) -> F8:
-        return own.beta(*beta, size=n) if model.scores == "informative" else np.ones(n)
+        return own.beta(*beta, size=n) if model.informative_scores else np.ones(n)
 
-    sizes = to_cxcywh(truth.xyxy[~truth.distractor])[2:].T if model.clutter_sizes == "truth" else np.zeros((0, 2))
+    sizes = to_cxcywh(truth.xyxy[~truth.distractor])[2:].T[: 0 if model.clutter_of_all_sizes else None]
     places = place_boxes(info, model.places, sizes, places_rng)
 
     # Objects: a number drawn for each decides whether it is detected.
@@ -145,6 +141,10 @@ def add_clutter(
     rate : expected false alarms per frame.
     rng : draws them.
     truth_sizes : (S, 2) widths and heights to draw from, pixels; log-uniform where it has no rows.
+
+    Returns
+    -------
+    All detections, ascending in frame.
 
     Raises
     ------
@@ -192,7 +192,7 @@ def covered(truth: Truth, obstacles: F8) -> F8:
 
 
 def poisson_boxes(info: SequenceInfo, rate: float, sizes: F8, rng: np.random.Generator) -> tuple[I8, F8]:
-    """Frames (M,) ascending and boxes (M, 4) of false alarms.
+    """False alarms uniform over the frame.
 
     Parameters
     ----------
@@ -200,6 +200,10 @@ def poisson_boxes(info: SequenceInfo, rate: float, sizes: F8, rng: np.random.Gen
     rate : expected false alarms per frame.
     sizes : (S, 2) widths and heights to draw from, pixels; log-uniform where it has no rows.
     rng : draws them.
+
+    Returns
+    -------
+    Frames (M,) ascending, and boxes (M, 4).
     """
     frame = np.repeat(np.arange(1, info.frames + 1), rng.poisson(rate, info.frames))
     centre = rng.random((len(frame), 2)) * np.array([info.width, info.height])
@@ -207,26 +211,31 @@ def poisson_boxes(info: SequenceInfo, rate: float, sizes: F8, rng: np.random.Gen
     return frame, to_xyxy(np.concatenate([centre, size], axis=1).T)
 
 
-def log_uniform(between: tuple[float, float], n: int, rng: np.random.Generator) -> F8:
-    """(n,) numbers whose logarithm is uniform between those of the two."""
-    low, high = between
-    return low * (high / low) ** rng.random(n)
+def place_boxes(info: SequenceInfo, n: int, sizes: F8, rng: np.random.Generator) -> F8:
+    """Boxes of persistent places, each whole inside the frame.
+
+    Parameters
+    ----------
+    info : size of the frame.
+    n : number of places.
+    sizes, rng : as `poisson_boxes` has them.
+
+    Returns
+    -------
+    (n, 4) xyxy, pixels.
+    """
+    edge = np.array([info.width, info.height], dtype=np.float64)
+    size = np.minimum(_draw_sizes(info, n, sizes, rng), edge)
+    corner = rng.random((n, 2)) * (edge - size)
+    return np.concatenate([corner, corner + size], axis=1)
 
 
 def _draw_sizes(info: SequenceInfo, n: int, sizes: F8, rng: np.random.Generator) -> F8:
     """(n, 2) widths and heights, rows of ``sizes`` (S, 2) or, where it has none, log-uniform in height and in aspect."""
     if len(sizes):
         return sizes[rng.integers(len(sizes), size=n)]
-    height = log_uniform(HEIGHTS, n, rng) * info.height
-    return np.stack([height * log_uniform(ASPECTS, n, rng), height], axis=1)
-
-
-def place_boxes(info: SequenceInfo, n: int, sizes: F8, rng: np.random.Generator) -> F8:
-    """(n, 4) boxes of persistent places, each whole inside the frame."""
-    edge = np.array([info.width, info.height], dtype=np.float64)
-    size = np.minimum(_draw_sizes(info, n, sizes, rng), edge)
-    corner = rng.random((n, 2)) * (edge - size)
-    return np.concatenate([corner, corner + size], axis=1)
+    height, aspect = (low * (high / low) ** rng.random(n) for low, high in (HEIGHTS, ASPECTS))
+    return np.stack([info.height * height * aspect, info.height * height], axis=1)
 
 
 def _jittered(xyxy: F8, centre: float, size: float, rng: np.random.Generator) -> F8:

@@ -283,7 +283,7 @@ def obstacle(box: F8, rng: np.random.Generator) -> Placed:
 
 
 def backdrop(info: SequenceInfo, base: int, doors: F8, rng: np.random.Generator) -> Image:
-    """(H, W, 3) the empty scene.
+    """The empty scene.
 
     Parameters
     ----------
@@ -291,6 +291,10 @@ def backdrop(info: SequenceInfo, base: int, doors: F8, rng: np.random.Generator)
     base : the row where the wall meets the ground.
     doors : (D, 4) xyxy, pixels.
     rng : draws bricks, windows and stones.
+
+    Returns
+    -------
+    (H, W, 3) uint8.
     """
     wall_rng, ground_rng = rng.spawn(2)
     picture = np.concatenate([_wall(base, info.width, wall_rng), _ground(info.height - base, info.width, ground_rng)])

@@ -34,30 +34,39 @@ def render(scene: Scene, rng: np.random.Generator, look: Look | None = None) -> 
     scene : what to draw.
     rng : draws one number, which decides everything that is random in the video.
     look : noise, plants and lights; None for the usual ones.
+
+    Returns
+    -------
+    A source of frames.
     """
     return Rendered(scene, look or Look(), int(rng.integers(2**62)))
 
 
 class Rendered:
-    """The video of a scene: a `Source` whose frames are painted when they are asked for, the same ones every time."""
+    """The video of a scene: a `Source` whose frames are painted when they are asked for, the same ones every time.
+
+    ``plant_boxes`` (P, 4) are where plants grow: at the scene's persistent places, or at random ones of the figures' sizes.
+    """
 
     def __init__(self, scene: Scene, look: Look, seed: int) -> None:
-        _, backdrop_rng, things_rng, plants_rng, gusts_rng, light_rng, noise_rng, blown_rng = _streams(seed)
-        info, frames = scene.info, scene.info.frames
+        streams = np.random.default_rng(seed).spawn(8)
+        places_rng, backdrop_rng, things_rng, plants_rng, gusts_rng, light_rng, noise_rng, blown_rng = streams
+        info, frames, figures = scene.info, scene.info.frames, scene.figures.xyxy
         self.scene, self.info, self.seed = scene, info, seed
-        self._phase, self._leftward = gait(scene.figures)
+        self._phase, self._leftward = _gait(scene.figures)
         self._wardrobe: dict[int, tuple[tuple[Image, ...], ...]] = {}  # figures are drawn when they first appear
         # The wall meets the ground a little above the uppermost foot.
-        highest = float(scene.figures.xyxy[:, 3].min()) if len(scene.figures) else 0.5 * info.height
+        highest = figures[:, 3].min() if len(figures) else 0.5 * info.height
         base = int(np.clip(highest - 0.01 * info.height, 0.15 * info.height, 0.6 * info.height))
         self._backdrop = paint.backdrop(info, base, scene.doors, backdrop_rng)
-        boxes = plant_boxes(scene, look.plants, seed)
+        places = place_boxes(info, look.plants, figures[:, 2:] - figures[:, :2], places_rng)
+        self.plant_boxes = boxes = scene.places if len(scene.places) else places
         self._plants = [paint.grow(box, rng) for box, rng in zip(boxes, plants_rng.spawn(len(boxes)), strict=True)]
         # Displacements (frames, P) by the wind, pixels: often near 0, at times twice the usual.
         force = _wandering((frames, len(boxes)), _GUST_SECONDS * info.fps, gusts_rng)
         self._gusts = look.wave * (boxes[:, 3] - boxes[:, 1]) * np.clip(0.5 + 0.8 * force, 0.05, 2.0)
-        streams = things_rng.spawn(len(scene.obstacles))
-        self._things = [paint.obstacle(box, rng) for box, rng in zip(scene.obstacles, streams, strict=True)]
+        stones = zip(scene.obstacles, things_rng.spawn(len(scene.obstacles)), strict=True)
+        self._things = [paint.obstacle(box, rng) for box, rng in stones]
         self._lamps = [paint.lamp(info, light_rng) for _ in range(look.lamps)]
         self._levels = _blinking(frames, info.fps, look.lamps, light_rng)
         # Brightness (frames,): flickering lamps and slow clouds.
@@ -113,22 +122,7 @@ class Rendered:
         paint.put_scaled(canvas, sprite, box, mirrored=bool(self._leftward[row]))
 
 
-def plant_boxes(scene: Scene, number: int, seed: int) -> F8:
-    """(P, 4) where plants grow: at the scene's persistent places, or at random ones of the figures' sizes.
-
-    Parameters
-    ----------
-    scene : the scene.
-    number : of random places.
-    seed : of the video.
-    """
-    if len(scene.places):
-        return scene.places
-    box = scene.figures.xyxy
-    return place_boxes(scene.info, number, box[:, 2:] - box[:, :2], _streams(seed)[0])
-
-
-def gait(figures: Truth) -> tuple[I8, Bool]:
+def _gait(figures: Truth) -> tuple[I8, Bool]:
     """(M,) the phase of the step that each row shows, and whether it walks to the left.
 
     The phase follows the way walked, in body heights, so that feet do not slide; a standing figure keeps it.
@@ -174,8 +168,3 @@ def _wandering(shape: tuple[int, ...], memory: float, rng: np.random.Generator) 
         value = keep * value + kick
         out[k] = value
     return out
-
-
-def _streams(seed: int) -> list[np.random.Generator]:
-    """Random streams: plants' places, backdrop, things, plants, gusts, light, noise, blown leaves."""
-    return np.random.default_rng(seed).spawn(8)

@@ -18,10 +18,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from phdtrack.arrays import share_inside
-from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, Share, check
+from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, check
 from phdtrack.types import F8, I8, SequenceInfo, Truth
 
 Point = tuple[float, float]
+# Part of a figure that must be in the frame for it to be in the truth.
+_MIN_VISIBLE = 0.3
 
 
 class Camera(NamedTuple):
@@ -42,18 +44,12 @@ class Camera(NamedTuple):
         x = self.centre + self.focal * ground[:, 0] / ground[:, 1]
         return np.stack([x, self.horizon + self.focal * self.height / ground[:, 1]], axis=1)
 
-    def boxes(self, foot: F8, stature: float, aspect: float) -> F8:
-        """(n, 4) xyxy of standing figures.
 
-        Parameters
-        ----------
-        foot : (n, 2) pixels where they stand.
-        stature : height relative to the usual.
-        aspect : width over height.
-        """
-        tall = stature * ((foot[:, 1] - self.horizon) / self.height)
-        half = aspect * tall / 2
-        return np.stack([foot[:, 0] - half, foot[:, 1] - tall, foot[:, 0] + half, foot[:, 1]], axis=1)
+def _standing(camera: Camera, foot: F8, stature: float, aspect: float) -> F8:
+    """(n, 4) xyxy of figures that stand at the pixels ``foot`` (n, 2); their relative height, width over height."""
+    tall = stature * ((foot[:, 1] - camera.horizon) / camera.height)
+    half = aspect * tall / 2
+    return np.stack([foot[:, 0] - half, foot[:, 1] - tall, foot[:, 0] + half, foot[:, 1]], axis=1)
 
 
 class Walk(NamedTuple):
@@ -74,30 +70,24 @@ class Walk(NamedTuple):
     stature: float = 1.0
     pauses: tuple[Point, ...] = ()
 
-    def follow(self, camera: Camera, size: Point, times: F8) -> tuple[F8, I8]:
-        """Foot points (n, 2) in pixels at those times at which the walk is under way, and which (n,) these are.
 
-        Parameters
-        ----------
-        camera : that sees it.
-        size : of the frame, pixels.
-        times : (T,) seconds.
-        """
-        line = camera.to_ground(np.array(self.points) * np.array(size))
-        for _ in range(4 if len(line) > 2 else 0):  # the corners are cut (Chaikin), the ends stay
-            a, b = line[:-1], line[1:]
-            cut = np.stack([0.75 * a + 0.25 * b, 0.25 * a + 0.75 * b], axis=1).reshape(-1, 2)
-            line = np.concatenate([line[:1], cut, line[-1:]])
-        length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
-        since, paused = times - self.at, 0.0
-        spent = np.zeros_like(since)
-        for walked, pause in self.pauses:
-            spent += np.clip(since - (walked + paused), 0, pause)
-            paused += pause
-        gone = self.speed * (since - spent)
-        index = np.flatnonzero((times >= self.at) & (gone <= length[-1]))
-        ground = np.stack([np.interp(gone[index], length, line[:, axis]) for axis in (0, 1)], axis=1)
-        return camera.to_picture(ground), index
+def _followed(walk: Walk, camera: Camera, size: Point, times: F8) -> tuple[F8, I8]:
+    """Foot points (n, 2) in pixels at those ``times`` (T,) at which the walk is under way, and which (n,) these are."""
+    line = camera.to_ground(np.array(walk.points) * np.array(size))
+    for _ in range(4 if len(line) > 2 else 0):  # the corners are cut (Chaikin), the ends stay
+        a, b = line[:-1], line[1:]
+        cut = np.stack([0.75 * a + 0.25 * b, 0.25 * a + 0.75 * b], axis=1).reshape(-1, 2)
+        line = np.concatenate([line[:1], cut, line[-1:]])
+    length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    since, paused = times - walk.at, 0.0
+    spent = np.zeros_like(since)
+    for walked, pause in walk.pauses:
+        spent += np.clip(since - (walked + paused), 0, pause)
+        paused += pause
+    gone = walk.speed * (since - spent)
+    index = np.flatnonzero((times >= walk.at) & (gone <= length[-1]))
+    ground = np.stack([np.interp(gone[index], length, line[:, axis]) for axis in (0, 1)], axis=1)
+    return camera.to_picture(ground), index
 
 
 class Entrance(NamedTuple):
@@ -124,7 +114,6 @@ class Scenario:
     pause_rate, pause_seconds : pauses per second of walking and their mean length.
     walks : walks in addition to the arrivals.
     obstacles : standing things (left, top, right, bottom) that hide what is behind them.
-    min_visible : part of a figure that must be in the frame for it to be in the truth.
     """
 
     name: str = "street"
@@ -147,7 +136,6 @@ class Scenario:
     pause_seconds: NonNegative = 2.0
     walks: tuple[Walk, ...] = ()
     obstacles: tuple[tuple[float, float, float, float], ...] = ()
-    min_visible: Share = 0.3
 
     def __post_init__(self) -> None:
         check(self)
@@ -183,7 +171,7 @@ class Scenario:
     def doors_px(self) -> F8:
         """(D, 4) xyxy of the doors, pixels: a quarter taller than the people, and half as wide as high."""
         feet = np.array([e.foot for e in self.entrances if e.side == "door"], dtype=np.float64).reshape(-1, 2)
-        return self.camera.boxes(feet * np.array([self.width, self.height]), stature=1.25, aspect=0.5)
+        return _standing(self.camera, feet * np.array([self.width, self.height]), stature=1.25, aspect=0.5)
 
     def figures(self, rng: np.random.Generator) -> Truth:
         """All figures with any part in the frame, numbered in the order of their arrival; boxes not clipped."""
@@ -191,8 +179,8 @@ class Scenario:
         times = np.arange(self.frames) / self.fps
         parts = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)))]
         for walk in walks:
-            foot, index = walk.follow(self.camera, (self.width, self.height), times)
-            box = self.camera.boxes(foot, walk.stature, self.aspect)
+            foot, index = _followed(walk, self.camera, (self.width, self.height), times)
+            box = _standing(self.camera, foot, walk.stature, self.aspect)
             seen = share_inside(box, self.width, self.height) > 0
             if seen.any():
                 parts.append((index[seen] + 1, np.full(int(seen.sum()), len(parts), np.int64), box[seen]))
@@ -200,8 +188,8 @@ class Scenario:
         return truth_rows(frame, identity, boxes)
 
     def truth(self, figures: Truth) -> Truth:
-        """The figures of which ``min_visible`` is in the frame, boxes clipped to it."""
-        kept = np.flatnonzero(share_inside(figures.xyxy, self.width, self.height) >= self.min_visible)
+        """The figures of which enough is in the frame, boxes clipped to it."""
+        kept = np.flatnonzero(share_inside(figures.xyxy, self.width, self.height) >= _MIN_VISIBLE)
         inside = np.clip(figures.xyxy[kept], 0.0, np.tile([self.width, self.height], 2))
         return truth_rows(figures.frame[kept], figures.identity[kept], inside)
 
@@ -231,7 +219,7 @@ class Scenario:
     def _foot(self, entrance: Entrance, stature: float, rng: np.random.Generator) -> Point:
         """A foot point at an entrance at which the figure is just outside the frame, or in the door."""
         row, column = float(rng.uniform(*self.rows)), float(rng.uniform(0.2, 0.8))
-        box = self.camera.boxes(np.array([[0.0, row * self.height]]), stature, self.aspect)
+        box = _standing(self.camera, np.array([[0.0, row * self.height]]), stature, self.aspect)
         half = float(box[0, 2]) / self.width
         match entrance.side:
             case "left":
@@ -246,12 +234,16 @@ class Scenario:
 
 
 def truth_rows(frame: I8, identity: I8, xyxy: F8) -> Truth:
-    """A `Truth` of rows of which all count, sorted by frame, then identity.
+    """A `Truth` of rows of which all count.
 
     Parameters
     ----------
     frame, identity : (M,).
     xyxy : (M, 4) pixels.
+
+    Returns
+    -------
+    The rows, sorted by frame, then identity.
     """
     order = np.lexsort((identity, frame))
     return Truth(frame[order], identity[order], xyxy[order], np.zeros(len(frame), np.bool_))

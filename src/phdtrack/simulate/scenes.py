@@ -140,9 +140,7 @@ _LOOKS = {"yard": Look(wave=0.12), "garden": Look(wave=0.30, lamps=10), "arcade"
 
 
 def make_scene(name: str, seed: int, detector: DetectorModel | None = None, **settings: Any) -> Scene:
-    """The scene of that name.
-
-    World and detector draw from streams of their own: the truth does not depend on ``detector``.
+    """The scene of that name; its truth does not depend on ``detector``.
 
     Parameters
     ----------
@@ -174,6 +172,10 @@ def build_scene(world: Scenario, seed: int, detector: DetectorModel) -> Scene:
     world : its settings.
     seed : decides all that is drawn by chance.
     detector : that sees it.
+
+    Returns
+    -------
+    Truth, figures and detections.
     """
     world_rng, detector_rng = np.random.default_rng(seed).spawn(2)
     figures = world.figures(world_rng)

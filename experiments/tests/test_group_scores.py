@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from phdtrack.metrics.groups import LabelledFrame, nearest, score_groups
+from experiments.group_scores import LabelledFrame, nearest, score_groups
 
 
 def frame(truth, output, off=0.0, found=None):

@@ -1,0 +1,41 @@
+"""Per object the frames from its first detection to its first mapped output, by which M09 compares birth models."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from phdtrack.arrays import iou as overlaps
+from phdtrack.metrics.matching import above, build, tracking_mapping
+from phdtrack.types import F8, I8, DetectionTable, Tracks, Truth
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Delays:
+    """Per object: ``identity`` (G,) ascending, ``detected`` and ``mapped`` (G,) first frames, 0 where never, ``delay`` (G,).
+
+    ``delay`` is mapped − detected in frames, negative where the output came first, NaN where either never came.
+    """
+
+    identity: I8
+    detected: I8
+    mapped: I8
+    delay: F8
+
+
+def first_output_delays(truth: Truth, tracks: Tracks, detections: DetectionTable, iou: float = 0.5) -> Delays:
+    """How many frames after its first detection each annotated object is first mapped to an output row.
+
+    Distractors do not count. A detection or an output row is an object's where they overlap by ``iou``.
+    """
+    scene = build(truth, tracks)
+    mapped = tracking_mapping(scene, iou).first_frames(scene)
+    detected = np.zeros_like(mapped)
+    for number in np.unique(truth.frame)[::-1].tolist():
+        rows = np.flatnonzero((truth.frame == number) & ~truth.distractor)
+        overlap = above(overlaps(truth.xyxy[rows], detections.at(number).xyxy), iou)
+        seen = truth.identity[rows[overlap.max(axis=1, initial=0.0) > 0]]
+        detected[np.searchsorted(scene.truth_identity, seen)] = number
+    delay = np.where((mapped > 0) & (detected > 0), (mapped - detected).astype(np.float64), np.nan)
+    return Delays(scene.truth_identity, detected, mapped, delay)
