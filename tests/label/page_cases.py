@@ -44,7 +44,7 @@ def session(labels: Path, boxes: int, waiting_for: Path | None = None):
 
     from phdtrack.label import LabelStore
     from phdtrack.label.page import Session
-    from phdtrack.label.suggestions import Background, Suggestions
+    from phdtrack.label.suggestions import Background, Suggestion
     from phdtrack.types import Detections, DetectionTable, SequenceInfo
 
     across = int(np.ceil(np.sqrt(boxes * 4 / 3)))
@@ -59,10 +59,9 @@ def session(labels: Path, boxes: int, waiting_for: Path | None = None):
         cv2.putText(image, str(number), (250, 260), cv2.FONT_HERSHEY_SIMPLEX, 3, (200, 200, 200), 4)
         stills[number] = cv2.imencode(".jpg", image)[1].tobytes()
     store = LabelStore.open(labels, "drawn", "digest", list(range(1, FRAMES + 1)))
-    places, rejected = np.arange(1, FRAMES + 1), np.arange(1, FRAMES + 1, 2)
-    kind = np.repeat([0, 1], [len(places), len(rejected)])
-    score = np.concatenate([np.full(len(places), 0.99), np.where(rejected <= 20, 0.95, 0.5)])
-    found = Suggestions(np.concatenate([places, rejected]), 3 + kind, kind, score, -kind)
+    numbers = range(1, FRAMES + 1)
+    found = [Suggestion(number, 3, "place", 0.99, 0) for number in numbers]
+    found += [Suggestion(number, 4, "rejected", 0.95 if number <= 20 else 0.5, -1) for number in numbers[::2]]
 
     def waits(report):
         report(0.25)

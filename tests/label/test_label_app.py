@@ -74,15 +74,14 @@ def test_the_map_shows_where_false_boxes_were_marked(page):
 @pytest.mark.parametrize(
     ("path", "sent", "words"),
     [
-        ("marks", marks(0, mark="perhaps"), "expected one of false, birth, none"),
+        ("marks", marks(0, mark="perhaps"), "'false', 'birth' or 'none'"),
         ("marks", marks(13), "13 detections, and no number 13"),
         ("marks", marks(-1), "no number -1"),
         ("marks", marks(0, frame=77), "frame 77 is not one"),
-        ("marks", {"marks": ["x"]}, "objects with frame, box and mark"),
+        ("marks", {"marks": ["x"]}, "marks.0: "),
         ("marks", {"marks": []}, "a mark or more"),
-        ("marks", marks(0) | {"key": "x" * 200}, "a short text as key"),
-        ("undo", [1], "a JSON object"),
-        ("undo", ["x" * 5_000_000], "at most"),
+        ("marks", marks(0) | {"key": "x" * 200}, "key: String should have at most 100"),
+        ("undo", [1], "an object"),
     ],
 )
 def test_what_cannot_be_used_is_told_and_changes_nothing(page, path, sent, words):

@@ -9,7 +9,7 @@ import pytest
 from phdtrack import config
 from phdtrack.arrays import iou
 from phdtrack.cli.label import tracked
-from phdtrack.label.suggestions import REASONS, SHOWN, TICKED, Background, Evidence, Suggestions, kept, suggest
+from phdtrack.label.suggestions import REASONS, SHOWN, TICKED, Background, Evidence, Suggestion, kept, suggest
 from phdtrack.simulate import NAMED, default_detector, make_scene
 from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks, Truth
 
@@ -34,11 +34,11 @@ def measured(table: DetectionTable, truth: Truth, info: SequenceInfo):
     frames = (np.random.default_rng(0).permutation(info.frames)[:200] + 1).tolist()
     found = suggest(looked_over(table, info), frames, info.fps)
     false = false_rows(table, truth)
-    rows = np.searchsorted(table.frame, found.frame) + found.box
     every = false[np.isin(table.frame, frames)].sum()
     out = {}
-    for name, mine in {**{r: found.reason == k for k, r in enumerate(REASONS)}, "all": found.score >= TICKED}.items():
-        hit = false[rows[mine & (found.score >= TICKED)]]
+    for name in (*REASONS, "all"):
+        ticked = [one for one in found if one.score >= TICKED and name in (one.reason, "all")]
+        hit = np.array([false[np.searchsorted(table.frame, one.frame) + one.box] for one in ticked])
         out[name] = (len(hit), hit.mean() if len(hit) else np.nan, hit.sum() / every)
     return out
 
@@ -92,7 +92,7 @@ def at_one_place(frames, jitter=2.0, seed=0):
 
 def place_score(evidence):
     found = suggest(evidence, np.unique(evidence.table.frame)[:50].tolist(), FPS)
-    return found.score[found.reason == 0].max(initial=0)
+    return max((one.score for one in found if one.reason == "place"), default=0)
 
 
 def test_what_fires_all_along_is_told_from_what_stays_for_a_while():
@@ -120,14 +120,7 @@ def test_what_a_track_holds_that_goes_somewhere_is_never_suggested():
     evidence = Evidence(table, 1, 100, 0.99 * ones, tracks)
     assert len(suggest(evidence, range(1, 101), FPS)) == 0
     without = suggest(replace(evidence, tracks=Tracks.empty()), [3, 50, 200], FPS)
-    assert without.frame.tolist() == [3, 50]
-    assert {REASONS[k] for k in without.reason} == {"rejected"}
-    np.testing.assert_allclose(without.score, 0.99)
-
-
-def some(count=3):
-    number = np.arange(count)
-    return Suggestions(number + 1, number, number % 3, number / count, -number)
+    assert without == [Suggestion(number, 0, "rejected", 0.99, -1) for number in (3, 50)]
 
 
 def test_what_goes_wrong_is_known():
@@ -142,18 +135,15 @@ def test_what_goes_wrong_is_known():
 
 
 def test_suggestions_are_made_once(tmp_path):
-    made = []
+    made, path = [], tmp_path / "suggestions.json"
+    some = [Suggestion(1, 0, "place", 0.97, 3), Suggestion(4, 2, "short", 0.25, -1)]
 
     def make():
         made.append(1)
-        return some(4)
+        return some
 
-    path = tmp_path / "suggestions.json"
-    first, again = kept(path, "key", make), kept(path, "key", make)
+    assert kept(path, "key", make) == kept(path, "key", make) == some
     assert len(made) == 1
-    for name in ("frame", "box", "reason", "score", "place"):
-        np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
-        assert getattr(first, name).dtype == getattr(again, name).dtype
     kept(path, "another key", make)
     path.write_text("not mine")
     kept(path, "another key", make)

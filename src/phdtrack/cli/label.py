@@ -29,7 +29,7 @@ from phdtrack.errors import InputError
 from phdtrack.formats import read_detections
 from phdtrack.label import LabelStore
 from phdtrack.label.samples import clip, sampled
-from phdtrack.label.suggestions import Background, Evidence, Suggestions, kept, suggest
+from phdtrack.label.suggestions import Background, Evidence, Suggestion, kept, suggest
 from phdtrack.protocols import AnyStages
 from phdtrack.types import DetectionTable, SequenceInfo
 from phdtrack.video import open_source
@@ -155,10 +155,10 @@ def stills(source: SourceOptions, numbers: Collection[int], around: Collection[i
 
 def suggestions(
     found: Labelled, settings: Settings, frames: list[int], file: Path, advance: Callable[[float], None]
-) -> Suggestions:
+) -> list[Suggestion]:
     """What may be false on these frames, by a tracker's run over everything; kept in ``file`` for the next time."""
 
-    def made() -> Suggestions:
+    def made() -> list[Suggestion]:
         stages, whole = build(settings, found.info), range(1, found.info.frames + 1)
         evidence = tracked(found.table, found.info.fps, stages, whole, 0, lambda count: advance(count / found.info.frames))
         return suggest(evidence, frames, found.info.fps)

@@ -30,7 +30,7 @@ from phdtrack.config import build, load
 from phdtrack.errors import InputError
 from phdtrack.label import LabelStore
 from phdtrack.label.samples import Marks, sampled
-from phdtrack.label.suggestions import REASONS, TICKED, Evidence, suggest
+from phdtrack.label.suggestions import TICKED, Evidence, suggest
 from phdtrack.models import PlaneSensor
 from phdtrack.models.scene import FalseAlarmRatio, with_scene
 from phdtrack.models.volumes import EVERYWHERE
@@ -253,19 +253,18 @@ def clutter_unattended(data: TrainingData) -> tuple[Training, str]:
     if not data.of_boxes:
         raise InputError(_ONLY_BOXES)
     frames = [data.stretch.start + k - 1 for k in sampled(len(data.stretch), UNATTENDED, data.seed)]
-    found, table = suggest(data.tracked(), frames, data.found.info.fps), data.found.table
-    taken = np.flatnonzero(found.score >= TICKED)
-    rows = np.searchsorted(table.frame, found.frame[taken]) + found.box[taken]
+    taken = [one for one in suggest(data.tracked(), frames, data.found.info.fps) if one.score >= TICKED]
+    table = data.found.table
+    rows = np.searchsorted(table.frame, [one.frame for one in taken]) + np.array([one.box for one in taken], np.int64)
     try:
         training = learn_clutter(to_cxcywh(table.detections.xyxy[rows]), len(frames), data.size)
     except InputError as error:
         raise InputError(error.problem, where=error.where, cure="Look yourself: phdtrack label") from None
     many = f"{counted(training.learned.samples, 'box')} of {counted(len(frames), 'frame')}"
-    reasons, places = Counter(REASONS[k] for k in found.reason[taken]), found.place[taken]
+    reasons, places = Counter(one.reason for one in taken), {one.place for one in taken if one.place >= 0}
     why = []
     if reasons["place"]:
-        firing = counted(len(np.unique(places[places >= 0])), "place")
-        why.append(f"{reasons['place']} at {firing} that fire too often")
+        why.append(f"{reasons['place']} at {counted(len(places), 'place')} that fire too often")
     if reasons["rejected"]:
         why.append(f"{reasons['rejected']} that the filter rejected")
     return training, f"{many} taken for false ({', '.join(why)})"

@@ -14,17 +14,17 @@ from __future__ import annotations
 import contextlib
 import hmac
 import ipaddress
-import json
 import secrets
 import socket
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
 import uvicorn
+from pydantic import BaseModel, Field, ValidationError
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware.base import BaseHTTPMiddleware, RequestResponseEndpoint
@@ -38,7 +38,7 @@ from phdtrack.arrays import iou
 from phdtrack.errors import InputError
 from phdtrack.label.samples import boxes_of, clip, last_frame
 from phdtrack.label.store import Label, LabelStore
-from phdtrack.label.suggestions import ALIKE, REASONS, TICKED, Background
+from phdtrack.label.suggestions import ALIKE, TICKED, Background
 from phdtrack.scene.mixture import place_map
 from phdtrack.scene.training import box_density
 from phdtrack.types import F8, Detections, DetectionTable, Image, SequenceInfo
@@ -62,14 +62,24 @@ _OF_TYPE = {
 JSON = "application/json"
 ASKED, COOKIE = "x-phdtrack", "phdtrack_token"
 STATIC = Path(__file__).parent / "static"
-# Bytes of a person's clicks: a lasso around every box of a full frame is far below.
-_MAX_BYTES = 4_000_000
 # A map is drawn from so many marks on, in red or green (BGR), of this width.
 _MIN_MARKS, _MAP_WIDTH = 10, 320
 _COLOURS = {"false": (40, 40, 220), "birth": (90, 170, 30)}
 _OUTLINE, _GREY = (62, 210, 255), 96
 # Crops that are shown at once; the next ones follow when these are dealt with. Their size in pixels.
 _CROPS, _SIDE = 600, 96
+
+
+class Sent(BaseModel):
+    """What the page sends to change a frame: marks and who made them, or whether it has been looked at.
+
+    ``key`` tells that the same is sent again.
+    """
+
+    marks: list[Label] = []
+    who: Annotated[str, Field(max_length=100)] = ""
+    key: Annotated[str, Field(max_length=100)] = ""
+    done: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,15 +163,14 @@ class Session:
         suggestions that are left out for now.
         """
         work, marked = self.background, self._marked
-        found = None if work is None else work.found
-        rows = [] if found is None else [row for row in found.rows if row[:2] not in marked]
+        found = [one for one in (work.found if work else None) or () if (one.frame, one.box) not in marked]
         return {
-            "ready": work is None or found is not None or bool(work.problem),
+            "ready": work is None or work.found is not None or bool(work.problem),
             "share": 1.0 if work is None else work.share,
             "problem": "" if work is None else work.problem,
             "ticked": TICKED,
-            "items": [(*row[:2], REASONS[row[2]], round(row[3], 3), row[4]) for row in rows[:_CROPS]],
-            "more": max(0, len(rows) - _CROPS),
+            "items": [one._replace(score=round(one.score, 3)) for one in found[:_CROPS]],
+            "more": max(0, len(found) - _CROPS),
         }
 
     def place_map(self, mark: str) -> bytes:
@@ -177,14 +186,14 @@ class Session:
             picture[..., 3] = (200 * np.sqrt(place_map(density, shape, 1 / scale))).astype(np.uint8)
         return _encoded(picture, ".png")
 
-    def change(self, number: int, what: str, sent: Mapping[str, Any]) -> dict[str, object]:
+    def change(self, number: int, what: str, sent: Sent) -> dict[str, object]:
         """Change the marks of a frame as the page asks.
 
         Parameters
         ----------
         number : of the frame.
         what : marks, undo, redo or done.
-        sent : the page's JSON: ``marks``, ``who``, ``done``, and the ``key`` of the request.
+        sent : the marks, and what is known of the request.
 
         Returns
         -------
@@ -194,19 +203,18 @@ class Session:
         ------
         InputError : what was sent cannot be used; nothing has changed.
         """
-        store, key = self.store, _text(sent, "key")
+        store = self.store
         match what:
             case "marks":
-                marks = [_label(item) for item in sent.get("marks", [])]
-                for label in marks:
+                for label in sent.marks:
                     self._box(label.frame, label.box)
-                store.mark(number, marks, _text(sent, "who"), key)
+                store.mark(number, sent.marks, sent.who, sent.key)
             case "undo":
-                store.undo(number, key)
+                store.undo(number, sent.key)
             case "redo":
-                store.redo(number, key)
+                store.redo(number, sent.key)
             case "done":
-                store.finish(number, bool(sent.get("done", True)), key)
+                store.finish(number, sent.done, sent.key)
             case _:
                 raise InputError(f"nothing is called {what}")
         return self.frame(number) | {"progress": asdict(store.progress())}
@@ -256,42 +264,16 @@ def _endpoint(work: Callable[..., Any], media: str) -> Callable[[Request], Any]:
         given = dict(request.path_params)
         try:
             if request.method == "POST":
-                given["sent"] = await _sent(request)
+                given["sent"] = Sent.model_validate_json(await request.body())
             answer = await run_in_threadpool(work, **given)
+        except ValidationError as error:
+            first = error.errors()[0]
+            return JSONResponse({"error": f"{'.'.join(map(str, first['loc']))}: {first['msg']}"}, 400)
         except InputError as error:
             return JSONResponse({"error": str(error)}, 400)
         return JSONResponse(answer) if media == JSON else Response(answer, 200, _OF_TYPE.get(media), media)
 
     return endpoint
-
-
-async def _sent(request: Request) -> dict[str, Any]:
-    """The JSON object of a request that changes something."""
-    body = bytearray()
-    async for part in request.stream():
-        body += part
-        if len(body) > _MAX_BYTES:
-            raise InputError(f"expected at most {_MAX_BYTES} bytes")
-    try:
-        sent = json.loads(body or b"{}")
-    except ValueError:
-        raise InputError("expected JSON") from None
-    if not isinstance(sent, dict):
-        raise InputError("expected a JSON object")
-    return sent
-
-
-def _text(sent: Mapping[str, Any], name: str) -> str:
-    value = sent.get(name, "")
-    if not isinstance(value, str) or len(value) > 100:
-        raise InputError(f"expected a short text as {name}")
-    return value
-
-
-def _label(item: Any) -> Label:
-    if not isinstance(item, dict) or type(item.get("frame")) is not int or type(item.get("box")) is not int:
-        raise InputError("expected marks as objects with frame, box and mark", cure="Reload the page")
-    return Label(item["frame"], item["box"], item.get("mark", ""))
 
 
 def _encoded(image: Image, suffix: str = ".jpg") -> bytes:

@@ -8,8 +8,8 @@ know whether its click arrived sends it again: what carries a ``key`` that the f
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -193,12 +193,8 @@ class LabelStore:
             for statement, rows in steps:
                 db.executemany(statement, rows)
 
-    @contextmanager
-    def _connection(self) -> Iterator[sqlite3.Connection]:
+    def _connection(self) -> closing[sqlite3.Connection]:
         """An open connection; a click is on the disk when the page learns that it was kept."""
         db = sqlite3.connect(self.path, timeout=_TIMEOUT)
-        try:
-            db.execute("PRAGMA synchronous = FULL")
-            yield db
-        finally:
-            db.close()
+        db.execute("PRAGMA synchronous = FULL")
+        return closing(db)

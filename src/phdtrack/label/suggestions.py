@@ -11,9 +11,8 @@ Three reasons, each with a score from 0 to 1:
 ``short``     Its track was short and hardly moved, or there were too few detections for a track. At most 0.4, halved with
               each second of its life: of such detections more are true than false, so that they are only shown.
 
-None of them is proof. A person who sits there for the whole stretch looks like a place that fires; one who is hidden half of
-the time, in a crowd, is rejected. Suggestions may be made in a thread while a person labels already (`Background`), and are
-kept in a file for the next time.
+None of them is proof: a person who sits there for the whole stretch looks like a place that fires; one who is hidden half of
+the time, in a crowd, is rejected.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -67,42 +66,24 @@ class Evidence:
     tracks: Tracks
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Suggestions:
-    """Detections that may be false, worst first.
+class Suggestion(NamedTuple):
+    """A detection that may be false.
 
     Attributes
     ----------
-    frame, box : (n,) the frame, and the number of the detection in it, from 0.
-    reason : (n,) place in `REASONS`.
-    score : (n,) how likely it is false, from 0 to 1.
-    place : (n,) number of the place that fires, −1 for other reasons.
+    frame, box : the frame, and the number of the detection in it, from 0.
+    reason, score : why, and how likely, from 0 to 1, it is false.
+    place : number of the place that fires, −1 for other reasons.
     """
 
-    frame: I8
-    box: I8
-    reason: I8
-    score: F8
-    place: I8
-
-    def __len__(self) -> int:
-        return len(self.frame)
-
-    @classmethod
-    def of(cls, rows: Sequence[tuple[float, ...]] = ()) -> Suggestions:
-        """Suggestions from rows (frame, box, reason, score, place)."""
-        columns = np.array(rows, np.float64).reshape(-1, 5).T
-        frame, box, reason, place = columns[[0, 1, 2, 4]].astype(np.int64)
-        return cls(frame, box, reason, columns[3], place)
-
-    @property
-    def rows(self) -> list[tuple[int, int, int, float, int]]:
-        """(frame, box, reason, score, place) of each."""
-        columns = (self.frame, self.box, self.reason, self.score, self.place)
-        return list(zip(*(column.tolist() for column in columns), strict=True))
+    frame: int
+    box: int
+    reason: Reason
+    score: float
+    place: int
 
 
-def suggest(evidence: Evidence, frames: Sequence[int], fps: float) -> Suggestions:
+def suggest(evidence: Evidence, frames: Sequence[int], fps: float) -> list[Suggestion]:
     """What may be false among the detections of some frames.
 
     Parameters
@@ -126,8 +107,9 @@ def suggest(evidence: Evidence, frames: Sequence[int], fps: float) -> Suggestion
     reason, score = scores.argmax(axis=0), scores.max(axis=0)
     rows = np.flatnonzero(asked & (score >= SHOWN))
     rows = rows[np.argsort(-score[rows], kind="stable")]
-    within = rows - np.searchsorted(table.frame, table.frame[rows])
-    return Suggestions(table.frame[rows], within, reason[rows], score[rows], np.where(reason[rows] == 0, place[rows], -1))
+    within, place = rows - np.searchsorted(table.frame, table.frame[rows]), np.where(reason == 0, place, -1)
+    columns = (each.tolist() for each in (table.frame[rows], within, reason[rows], score[rows], place[rows]))
+    return [Suggestion(n, box, REASONS[why], sure, at) for n, box, why, sure, at in zip(*columns, strict=True)]
 
 
 def _tracks_of(table: DetectionTable, tracks: Tracks) -> I8:
@@ -211,24 +193,22 @@ class Background:
     ``work`` gets a function that reports the share that is done, and raises where it fails.
     """
 
-    def __init__(self, work: Callable[[Callable[[float], None]], Suggestions]) -> None:
+    def __init__(self, work: Callable[[Callable[[float], None]], list[Suggestion]]) -> None:
         self.share, self.problem = 0.0, ""
-        self.found: Suggestions | None = None
+        self.found: list[Suggestion] | None = None
+
+        def run() -> None:
+            try:
+                self.found = work(lambda share: setattr(self, "share", share))
+            except Exception as error:
+                self.problem = str(error) or type(error).__name__
+            self.share = 1.0
+
         # A daemon: the page can be closed before there are suggestions.
-        threading.Thread(target=self._run, args=(work,), name="suggestions", daemon=True).start()
-
-    def _run(self, work: Callable[[Callable[[float], None]], Suggestions]) -> None:
-        try:
-            self.found = work(self._advance)
-        except Exception as error:
-            self.problem = str(error) or type(error).__name__
-        self.share = 1.0
-
-    def _advance(self, share: float) -> None:
-        self.share = share
+        threading.Thread(target=run, name="suggestions", daemon=True).start()
 
 
-def kept(path: Path, key: str, make: Callable[[], Suggestions]) -> Suggestions:
+def kept(path: Path, key: str, make: Callable[[], list[Suggestion]]) -> list[Suggestion]:
     """Suggestions from a file, or made and kept there.
 
     Parameters
@@ -244,11 +224,11 @@ def kept(path: Path, key: str, make: Callable[[], Suggestions]) -> Suggestions:
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
         if document["key"] == key:
-            return Suggestions.of(document["rows"])
+            return [Suggestion(*row) for row in document["rows"]]
     except (OSError, ValueError, KeyError, TypeError):
         pass  # There is none yet, or another program's: made anew.
     found = make()
     part = path.with_name(path.name + ".part")
-    part.write_text(json.dumps({"key": key, "rows": found.rows}) + "\n", encoding="utf-8")
+    part.write_text(json.dumps({"key": key, "rows": found}) + "\n", encoding="utf-8")
     part.replace(path)
     return found
