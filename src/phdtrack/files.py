@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
@@ -131,14 +132,14 @@ class Element:
 
     def number(self, *names: str) -> float:
         """The value of the first of these attributes that there is; `InputError` where there is none, or it is no number."""
-        for name in names:
-            if name in self.attributes:
-                try:
-                    return float(self.attributes[name])
-                except ValueError:
-                    problem = f"expected a number for {name} of <{self.name}>, came '{self.attributes[name]}'"
-                    raise InputError(problem, where=self.where) from None
+        name = next((name for name in names if name in self.attributes), "")
         problem = f"expected <{self.name}> with a value for {' or '.join(names)}, came one without"
+        if name:
+            problem = f"expected a finite number for {name} of <{self.name}>, came '{self.attributes[name]}'"
+            with suppress(ValueError):
+                value = float(self.attributes[name])
+                if math.isfinite(value):
+                    return value
         raise InputError(problem, where=self.where)
 
 

@@ -45,7 +45,7 @@ def test_another_first_frame(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "line", "words"),
     [
-        (('xc="20"', 'xc="twenty"'), 6, "a number for xc of <box>, came 'twenty'"),
+        (('xc="20"', 'xc="twenty"'), 6, "a finite number for xc of <box>, came 'twenty'"),
         (('xc="20" ', ""), 6, "<box> with a value for xc"),
         (('w="4" xc="20"', 'w="0" xc="20"'), 6, "width and a height above 0, came width 0"),
         (('id="7"><box h="10" w="4" xc="20"', 'id="0"><box h="10" w="4" xc="20"'), 6, "identity 0 is in frame 1"),

@@ -15,9 +15,8 @@ from phdtrack.errors import InputError
 from phdtrack.files import load
 from phdtrack.formats.checks import Origin
 from phdtrack.formats.text import numbers, scan
-from phdtrack.ground import Calibration, fit_homography
+from phdtrack.ground import Calibration, fit_homography, footprint
 from phdtrack.ground.read import calibration_text
-from phdtrack.ground.uncertainty import footprint
 from phdtrack.groups import polygon_area
 from phdtrack.types import F8
 

@@ -25,7 +25,7 @@ from phdtrack.config import Settings, build_groups
 from phdtrack.errors import InputError
 from phdtrack.files import load
 from phdtrack.formats.positions import Positions, read_positions
-from phdtrack.ground.uncertainty import footprint
+from phdtrack.ground import footprint
 from phdtrack.groups import LifeCycleState
 from phdtrack.groups.pipeline import known_people
 from phdtrack.models import PlaneSensor

@@ -1,10 +1,18 @@
 """Between pixels and the ground: Tsai, OpenCV and homography cameras, terrain, covariances, calibration from points."""
 
 from phdtrack.ground.calibrate import Calibration, fit_homography
-from phdtrack.ground.cameras import CountedFrom, HomographyCamera, Lens, OpenCVLens, PosedCamera, TsaiLens
+from phdtrack.ground.cameras import (
+    CountedFrom,
+    HomographyCamera,
+    Lens,
+    OpenCVLens,
+    PosedCamera,
+    TsaiLens,
+    footprint,
+    ground_covariance,
+)
 from phdtrack.ground.read import MatrixForm, read_camera
 from phdtrack.ground.terrain import Flat, Surface, Terrain, read_terrain
-from phdtrack.ground.uncertainty import footprint, ground_covariance
 
 __all__ = [
     "Calibration",

@@ -37,16 +37,9 @@ class Calibration:
 
 
 def fit_homography(pixel: F8, world: F8) -> Calibration:
-    """The homography with the least sum of squared distances in the image from four or more pairs.
+    """The homography with the least sum of squared distances in the image from four or more pairs, and how well it fits.
 
-    Parameters
-    ----------
-    pixel : (2, N) clicked pixels.
-    world : (2, N) their places on the ground, metres.
-
-    Returns
-    -------
-    The camera and how well it fits.
+    ``pixel`` (2, N) are clicked pixels, ``world`` (2, N) their places on the ground, metres.
 
     Raises
     ------
@@ -56,8 +49,7 @@ def fit_homography(pixel: F8, world: F8) -> Calibration:
     pixel, world = np.asarray(pixel, dtype=np.float64), np.asarray(world, dtype=np.float64)
     _check(pixel, world)
     to_image, to_ground = _normaliser(pixel), _normaliser(world)
-    image, ground = _through(to_image, pixel), _through(to_ground, world)
-    forward = _refined(_transform(ground, image), ground, image)
+    forward = _homography(_through(to_ground, world), _through(to_image, pixel))
     matrix = np.linalg.inv(to_ground) @ np.linalg.inv(forward) @ to_image
     matrix /= np.abs(matrix).max()
     inside = (float(pixel[0].mean()), float(pixel[1].mean()))
@@ -78,11 +70,8 @@ def _check(pixel: F8, world: F8) -> None:
     for name, points in (("in the image", pixel), ("on the ground", world)):
         spread = np.linalg.svd(points - points.mean(axis=1, keepdims=True), compute_uv=False)
         if spread[1] <= _LINE * spread[0]:
-            raise InputError(
-                f"expected points that spread over an area, came points on one line {name}",
-                where="points",
-                cure="Add points to both sides of the line, far from it.",
-            )
+            problem = f"expected points that spread over an area, came points on one line {name}"
+            raise InputError(problem, where="points", cure="Add points to both sides of the line, far from it.")
 
 
 def _normaliser(points: F8) -> F8:
@@ -98,8 +87,10 @@ def _through(h: F8, point: F8) -> F8:
     return np.asarray(x[:2] / x[2])
 
 
-def _transform(source: F8, target: F8) -> F8:
-    """(3, 3) the direct linear transform of the points (2, N)."""
+def _homography(source: F8, target: F8) -> F8:
+    """(3, 3) the homography of the points (2, N), about 0, with the least squared distances to the target points."""
+    from scipy.optimize import least_squares  # takes long to import
+
     x = np.vstack([source, np.ones(source.shape[1])]).T
     none = np.zeros_like(x)
     rows = np.vstack([np.hstack([x, none, -target[0][:, None] * x]), np.hstack([none, x, -target[1][:, None] * x])])
@@ -118,21 +109,11 @@ def _transform(source: F8, target: F8) -> F8:
             where="points",
             cure="Are two pairs mixed up, or x and y, or the signs of X and Y?",
         )
-    return np.asarray(h)
-
-
-def _refined(h: F8, source: F8, target: F8) -> F8:
-    """(3, 3) the homography nearest to ``h`` with the least squared distances to the target points (2, N)."""
-    from scipy.optimize import least_squares  # takes long to import
-
-    fixed = int(np.argmax(np.abs(h)))
-    start = h.ravel() / h.ravel()[fixed]
-
-    def full(free: F8) -> F8:
-        return np.insert(free, fixed, 1.0).reshape(3, 3)
 
     def distance(free: F8) -> F8:
-        return np.asarray((_through(full(free), source) - target).ravel())
+        return np.asarray((_through(np.append(free, 1.0).reshape(3, 3), source) - target).ravel())
 
-    found = least_squares(distance, np.delete(start, fixed), method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    return full(found.x)
+    # The last entry is w at the middle of the points, which the camera sees: not 0.
+    start = h.ravel()[:8] / h[2, 2]
+    found = least_squares(distance, start, method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    return np.append(found.x, 1.0).reshape(3, 3)

@@ -33,7 +33,7 @@ import numpy as np
 from phdtrack.errors import InputError, Positive, check
 from phdtrack.ground.terrain import Flat, Surface
 from phdtrack.protocols import Camera
-from phdtrack.types import F8
+from phdtrack.types import F8, Bool
 
 # A point whose w is this small beside the terms of its sum lies on the horizon, as far as float64 can tell.
 _HORIZON = 1e-12
@@ -42,6 +42,8 @@ _FAR = 1e6
 # Newton's steps in OpenCV's lens, the error in pixels that counts as solved, and its starts: shares of the fold at most.
 _STEPS, _SOLVED, _STARTS = 12, 1e-9, (0.5, 0.8, 0.95)
 _TINY = float(np.finfo(np.float64).tiny)
+# Points along an edge of the frame, points of the grid that a visible centre is looked for on, halvings of a pixel's way.
+_EDGE, _GRID, _HALVINGS = 64, 33, 50
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,9 +120,8 @@ def _side(h: F8, inside: tuple[float, float] | None) -> float:
         return float(np.sign(h[2, 2] if level else h[2, 1]))
     terms = h[2] * np.array([*inside, 1.0])
     if not abs(terms.sum()) > _HORIZON * np.abs(terms).sum():
-        raise InputError(
-            f"expected a pixel that shows ground, came {inside}, on the horizon", where="inside of the homography"
-        )
+        problem = f"expected a pixel that shows ground, came {inside}, on the horizon"
+        raise InputError(problem, where="inside of the homography")
     return float(np.sign(terms.sum()))
 
 
@@ -229,10 +230,8 @@ class OpenCVLens:
         if k.shape != (3, 3) or not np.isfinite(k).all() or min(k[0, 0], k[1, 1]) <= 0:
             raise InputError("expected a camera matrix (3, 3) with focal lengths above 0", where="lens of the camera")
         if np.any(k[[0, 1, 2, 2], [1, 0, 0, 1]] != 0) or k[2, 2] != 1:
-            raise InputError(
-                "expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], came other entries than 0 and 1",
-                where="lens of the camera",
-            )
+            problem = "expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], came other entries than 0 and 1"
+            raise InputError(problem, where="lens of the camera")
         if d.ndim != 1 or len(d) not in (0, 4, 5, 8, 12) or not np.isfinite(d).all():
             raise InputError(
                 f"expected 0, 4, 5, 8 or 12 finite distortion coefficients, came {d.size}",
@@ -397,3 +396,64 @@ class CountedFrom:
     def depth(self, world: F8) -> F8:
         """(N,) distance along the viewing direction, metres."""
         return self.camera.depth(world)
+
+
+def ground_covariance(camera: Camera, pixel: F8, cov: F8) -> F8:
+    """Covariances of the ground points that pixels show, P_W = J P Jᵀ along the tangent of the ground [E13 §3.3].
+
+    Parameters
+    ----------
+    camera : between pixels and ground.
+    pixel : (2, N) pixels.
+    cov : (N, 2, 2) covariances of the pixels, square pixels.
+
+    Returns
+    -------
+    (N, 2, 2) square metres; NaN where there is no ground.
+    """
+    slope = camera.jacobian(pixel)
+    return slope @ cov @ slope.transpose(0, 2, 1)
+
+
+def footprint(camera: Camera, frame_size: tuple[float, float], limit: float = 100.0) -> F8:
+    """Corners of the ground that the frame shows, from its upper left corner on around the frame.
+
+    Where the edge of the frame shows no ground, or ground deeper than ``limit``, the way to it from a visible pixel is cut
+    where the ground ends. On terrain, which may hide ground in between, that is the outline as far as it can be seen from
+    the middle.
+
+    Parameters
+    ----------
+    camera : between pixels and ground.
+    frame_size : width and height, pixels.
+    limit : greatest depth (`Camera.depth`), metres.
+
+    Returns
+    -------
+    (2, K) metres; K = 0 where the frame shows no ground.
+
+    Raises
+    ------
+    InputError : the size or the limit is not above 0.
+    """
+    width, height = frame_size
+    if not (width > 0 and height > 0 and limit > 0):
+        raise InputError(f"expected a frame size and a limit above 0, came {width:g} x {height:g} and {limit:g} m")
+
+    def visible(pixel: F8) -> Bool:
+        return np.asarray(camera.depth(camera.ground(pixel)) <= limit)
+
+    t, none = np.arange(_EDGE) / _EDGE, np.zeros(_EDGE)
+    edge = np.array([[width], [height]]) * np.array([[*t, *none + 1, *1 - t, *none], [*none, *t, *none + 1, *1 - t]])
+    grid = np.stack(np.meshgrid(np.linspace(0, width, _GRID), np.linspace(0, height, _GRID))).reshape(2, -1)
+    shown = grid[:, visible(grid)]
+    if not shown.shape[1]:
+        return np.zeros((2, 0))
+    # Of the visible pixels the one nearest to their middle: the middle itself need not be visible.
+    middle = shown[:, np.argmin(((shown - shown.mean(axis=1, keepdims=True)) ** 2).sum(axis=0))][:, None]
+    seen, unseen = np.zeros(edge.shape[1]), np.ones(edge.shape[1])
+    for _ in range(_HALVINGS):
+        share = (seen + unseen) / 2
+        good = visible(middle + share * (edge - middle))
+        seen, unseen = np.where(good, share, seen), np.where(good, unseen, share)
+    return camera.ground(middle + seen * (edge - middle))

@@ -12,6 +12,7 @@ NODATA_value), followed by the heights, the northernmost row first. All lengths 
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -27,6 +28,7 @@ _HALVINGS = 60
 _BLOCK = 1 << 20
 # A ray this flat, relative to its length, is the horizon for all that float64 can say.
 _LEVEL = 1e-12
+_HEAD = ("ncols", "nrows", "xllcorner", "xllcenter", "yllcorner", "yllcenter", "cellsize", "nodata_value")
 
 
 class Surface(Protocol):
@@ -149,7 +151,15 @@ class Terrain:
 
         NaN for those that never do, and for those that come onto the map below its ground.
         """
-        enter, leave = self._over_map(origin, direction)
+        # Rays are followed from where they enter the box around the map to where they leave it. The box has a margin, or
+        # flat terrain would have no room between its lowest and highest point.
+        lowest, _, highest = self._levels
+        margin = 1e-3 * (1 + highest - lowest)
+        corners = np.array([[*self.origin, lowest - margin], [*self.end, highest + margin]])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            a, b = (corners - origin)[:, :, None] / direction
+        enter, leave = np.maximum(np.fmin(a, b).max(axis=0), 0), np.fmax(a, b).min(axis=0)
+        enter, leave = (np.where(enter < leave, s, np.nan) for s in (enter, leave))
         across = np.hypot(direction[0], direction[1]) * (leave - enter)
         count = int(np.ceil(2 * np.max(np.nan_to_num(across), initial=0.0) / self.step.min())) + 2
         low, high, share = np.full(len(enter), np.nan), np.full(len(enter), np.nan), np.linspace(0, 1, count)
@@ -163,20 +173,6 @@ class Terrain:
             seen = falls[each, at] & ~(above[:, 0] < 0)
             low[rows], high[rows] = np.where(seen, s[each, at], np.nan), np.where(seen, s[each, at + 1], np.nan)
         return low, high
-
-    def _over_map(self, origin: F8, direction: F8) -> tuple[F8, F8]:
-        """(N,), (N,) the interval of s ≥ 0 in which a ray is over the map and not yet below its lowest point; NaN: none."""
-        lowest, _, highest = self._levels
-        # A margin, or flat terrain would have no room between its lowest and highest point.
-        margin = 1e-3 * (1 + highest - lowest)
-        corners = np.array([[*self.origin, lowest - margin], [*self.end, highest + margin]])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            a, b = (corners - origin)[:, :, None] / direction
-        enter, leave = np.maximum(np.fmin(a, b).max(axis=0), 0), np.fmax(a, b).min(axis=0)
-        return np.where(enter < leave, enter, np.nan), np.where(enter < leave, leave, np.nan)
-
-
-_HEAD = ("ncols", "nrows", "xllcorner", "xllcenter", "yllcorner", "yllcenter", "cellsize", "nodata_value")
 
 
 def read_terrain(path: AnyPath) -> Terrain:
@@ -210,25 +206,20 @@ def _arrays(path: Path, content: bytes) -> Terrain:
 
 def _grid(path: Path, content: bytes) -> Terrain:
     """The map of an ASCII grid."""
-    lines = content.decode("utf-8", errors="replace").splitlines()
+    lines = [(f"{path}, line {i}", line.split()) for i, line in enumerate(content.decode(errors="replace").splitlines(), 1)]
+    lines = [(where, words) for where, words in lines if words]
     head: dict[str, float] = {}
-    first = 0
-    for first, line in enumerate(lines):
-        name, *words = line.split() or [""]
-        if name and name.lower() not in _HEAD:
-            break
-        if name:
-            head[name.lower()] = _numbers(path, first, words, 1)[0]
+    while lines and lines[0][1][0].lower() in _HEAD:
+        where, (name, *words) = lines.pop(0)
+        head[name.lower()] = numbers(words, 1, where)[0]
     for names in (("ncols",), ("nrows",), ("cellsize",), ("xllcorner", "xllcenter"), ("yllcorner", "yllcenter")):
         if not any(name in head for name in names):
-            raise InputError(
-                f"expected an elevation map, an .npz file or an ASCII grid that states {' or '.join(names)}, came neither",
-                where=path,
-            )
+            expected = f"an elevation map, an .npz file or an ASCII grid that states {' or '.join(names)}"
+            raise InputError(f"expected {expected}, came neither", where=path)
         if names[0] in ("ncols", "nrows") and not (head[names[0]] >= 0 and head[names[0]].is_integer()):
             raise InputError(f"expected a whole number for {names[0]}, came {head[names[0]]:g}", where=path)
     columns, rows, cell = int(head["ncols"]), int(head["nrows"]), head["cellsize"]
-    table = [_numbers(path, first + i, line.split(), columns) for i, line in enumerate(lines[first:]) if line.strip()]
+    table = [numbers(words, columns, where) for where, words in lines]
     if len(table) != rows:
         raise InputError(f"expected {rows} rows of heights, came {len(table)}", where=path, cure="Is the file complete?")
     heights = np.array(table).reshape(rows, columns)[::-1]
@@ -240,9 +231,19 @@ def _grid(path: Path, content: bytes) -> Terrain:
         raise InputError(error.problem, where=path) from None
 
 
-def _numbers(path: Path, line: int, words: list[str], count: int) -> list[float]:
-    """The ``count`` numbers of a line (0-based), which the message gives its 1-based number."""
-    where = f"{path}, line {line + 1}"
+def numbers(words: Sequence[str], count: int, where: str) -> list[float]:
+    """The ``count`` numbers of a line.
+
+    Parameters
+    ----------
+    words : of the line.
+    count : how many there must be.
+    where : the line, for messages.
+
+    Returns
+    -------
+    The numbers.
+    """
     if len(words) != count:
         raise InputError(f"expected {count} numbers, came {len(words)}", where=where)
     try:
