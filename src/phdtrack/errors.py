@@ -1,6 +1,6 @@
 """Errors that a user can mend, and bounds on settings that raise them.
 
-Every message says what was expected, what came, where (file, line, frame or option) and the likely cure, in one or two
+Every message says what was expected, what was found, where (file, line, frame or option) and the likely cure, in one or two
 sentences. The command line prints it without a traceback and exits with status 2.
 
 Bounds are stated once, in the annotation of a field, and checked wherever a record of settings is made:
@@ -39,7 +39,7 @@ class InputError(ValueError):
 
     Parameters
     ----------
-    problem : what was expected and what came.
+    problem : what was expected and what was found.
     where : file, option or frame that the problem is in ("det.txt, line 12").
     cure : what to do about it; may be empty.
     """
@@ -77,7 +77,7 @@ def check(settings: Any) -> None:
     kind: Any = type(settings)
     for name, limits in bounds(kind):
         value = getattr(settings, name)
-        where = f"{type(settings).__name__}.{name}"
+        where = f"{kind.__name__}.{name}"
         if isinstance(value, bool) or not isinstance(value, Real):
             raise InputError(f"expected a number, got {value!r}", where=where)
         if not math.isfinite(value):

@@ -43,9 +43,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     import tomllib
 
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", where=path) from None
+        return tomllib.loads(load(path).decode("utf-8"))
     except UnicodeDecodeError:
         raise InputError("expected a TOML file, got bytes that are no text", where=path) from None
     except tomllib.TOMLDecodeError as error:

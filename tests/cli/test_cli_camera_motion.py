@@ -75,6 +75,5 @@ def test_what_does_not_go_together_is_refused(walk, tmp_path):
     (tmp_path / "still.csv").write_text("2,1,0,0,0,1,0\n", encoding="utf-8")
     given = (*alone, "--camera-motion", tmp_path / "still.csv")
     assert "stands still" in refused(*given, "--learn-online")
-    assert "stands still" in refused(*given, "--set", "birth.kind=fixed", "--set", "birth.boxes=[[10,20,30,60]]")
     assert "camera_motion.kind=file does not fit motion.kind=plane" in refused(*given, "--preset", "e13")
     assert not (tmp_path / "out").exists()

@@ -79,10 +79,8 @@ def test_again_and_with_another_setting(folder: Path, tmp_path: Path) -> None:
 def test_a_run_is_what_track_does(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     settings = ("--set", "filter.particles_per_target=80", "--preset", "m09")
-    assert (
-        phdtrack("compare", folder, "--filters", "particle-phd", "--seeds", 2, *settings, "--out", out, "--jobs", 1).status
-        == 0
-    )
+    words = ("--filters", "particle-phd", "--seeds", 2, *settings, "--out", out, "--jobs", 1)
+    assert phdtrack("compare", folder, *words).status == 0
     given = ("--detections", folder / "det" / "det.txt", "--truth", folder / "gt" / "gt.txt")
     tracked = phdtrack("track", *given, *settings, "--seed", 2, "--out", tmp_path / "track", "--json")
     kept = out / "runs" / "yard" / "det" / "clutter-0" / "particle-phd" / "seed-2"
@@ -145,14 +143,12 @@ def stopped(out: Path, runs: int, *words: object) -> tuple[int, str, str]:
 
 def test_ctrl_c_keeps_what_is_done(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    words = (folder, "--filters", "gm-phd,none", "--clutter", 2, "--seeds", 500, "--jobs", 2)
-    assert stopped(out, 3, *words) == (130, "phdtrack: stopped\n", "")
+    words = (folder, "--filters", "gm-phd,none", "--clutter", 2)
+    assert stopped(out, 3, *words, "--seeds", 500, "--jobs", 2) == (130, "phdtrack: stopped\n", "")
     kept = len(list(out.rglob("tracks.csv")))
     assert kept >= 3
     assert list(out.rglob(".*")) == []
-    again = phdtrack(
-        "compare", folder, "--filters", "gm-phd,none", "--clutter", 2, "--seeds", 1, "--jobs", 1, "--out", out, "--json"
-    )
+    again = phdtrack("compare", *words, "--seeds", 1, "--jobs", 1, "--out", out, "--json")
     assert again.object["reused"] >= 1
 
 

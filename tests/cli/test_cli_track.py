@@ -55,15 +55,12 @@ def test_detections_alone(kind: str, sequence: Path, tmp_path: Path) -> None:
 
 def test_threads_reach_the_filter_and_change_nothing(sequence: Path, tmp_path: Path) -> None:
     texts = []
-    for threads in (1, 3, 0):
-        out = tmp_path / str(threads)
-        found = sequence / "det" / "det.txt"
-        given = ("--detections", found, "--filter", "particle-phd", "--threads", threads)
-        said = phdtrack("track", *given, "--out", out, "--json")
-        assert said.status == 0, said.err
+    for threads in (1, 3):
+        out, given = tmp_path / str(threads), ("--filter", "particle-phd", "--threads", threads)
+        said = phdtrack("track", "--detections", sequence / "det" / "det.txt", *given, "--out", out, "--json")
         assert said.object["configuration"]["filter"]["threads"] == threads
         texts.append([(out / file).read_bytes() for file in (rundir.TRACKS, rundir.STATES, rundir.ONLINE)])
-    assert texts[0] == texts[1] == texts[2]
+    assert texts[0] == texts[1]
 
 
 def test_a_video(clip: Path, tmp_path: Path) -> None:

@@ -20,14 +20,9 @@ from phdtrack.ground.read import calibration_text
 from phdtrack.groups import polygon_area
 from phdtrack.types import F8
 
-# The names by which a header may call a column; a point is a line of these, in this order where there is no header.
-COLUMNS = (
-    ("u", "pixel_x", "image_x", "column", "col"),
-    ("v", "pixel_y", "image_y", "row"),
-    ("x", "world_x", "ground_x"),
-    ("y", "world_y", "ground_y"),
-    ("z", "world_z", "ground_z"),
-)
+# A point is a line of these, in this order where there is no header.
+COLUMNS = ("u", "v", "x", "y", "z")
+# Metres from the camera up to which the ground in the image is measured.
 LIMIT = 100.0
 
 
@@ -53,7 +48,7 @@ def calibrate(
     pixel, world, origin = read_points(points)
     for row, (u, v) in enumerate(pixel.T):
         if size and not (0 <= u <= size[0] and 0 <= v <= size[1]):
-            problem = f"expected a pixel inside of {size[0]}x{size[1]}, came ({u:g}, {v:g})"
+            problem = f"expected a pixel inside of {size[0]}x{size[1]}, got ({u:g}, {v:g})"
             cure = "The first two numbers are the pixel, the others its place in metres; or is --image-size another?"
             raise InputError(problem, where=origin.at(row), cure=cure)
     try:
@@ -71,31 +66,25 @@ def read_points(path: Path) -> tuple[F8, F8, Origin]:
     Raises `InputError` where a column is missing, a number is none, or a point is not at height 0.
     """
     text = scan(path, load(path))
-    columns = _columns(path, text.header) if text.header else list(range(text.width))
+    columns = list(range(text.width))
+    if text.header:
+        columns = [i for name in COLUMNS for i, found in enumerate(text.header) if found == name]
+        for name in COLUMNS[:4]:
+            if (count := text.header.count(name)) != 1:
+                cure = "The header names u and v, pixels, and X and Y, metres."
+                raise InputError(f"expected one column {name}, got {count or 'none'}", where=path, cure=cure)
     if len(columns) not in (4, 5) and len(text):
-        problem = f"expected 4 or 5 numbers a line, u v X Y and maybe Z, came {len(columns)}"
+        problem = f"expected 4 or 5 numbers a line, u v X Y and maybe Z, got {len(columns)}"
         raise InputError(problem, where=text.origin.at(0))
     table = numbers(text, columns, ["u", "v", "X", "Y", "Z"][: len(columns)]) if len(text) else np.zeros((0, 4))
     for row, values in enumerate(table):
         if not np.isfinite(values).all():
             raise InputError("expected finite numbers", where=text.origin.at(row))
         if values[4:].any():
-            problem = f"expected points of the ground, Z = 0, came Z = {values[4]:g}"
+            problem = f"expected points of the ground, Z = 0, got Z = {values[4]:g}"
             cure = "A homography knows flat ground only: leave out points above it, or calibrate with OpenCV."
             raise InputError(problem, where=text.origin.at(row), cure=cure)
     return np.ascontiguousarray(table[:, :2].T), np.ascontiguousarray(table[:, 2:4].T), text.origin
-
-
-def _columns(path: Path, header: tuple[str, ...]) -> list[int]:
-    """The columns of u, v, X, Y, and Z where there is one."""
-    found = []
-    for names in COLUMNS:
-        places = [i for i, name in enumerate(header) if name in names]
-        if len(places) > 1 or (not places and names[0] != "z"):
-            problem = f"expected one column {names[0]}, came {len(places) or 'none'}"
-            raise InputError(problem, where=path, cure="The header names u and v, pixels, and X and Y, metres.")
-        found += places
-    return found
 
 
 def report(out: Output, fitted: Calibration, pixel: F8, world: F8, file: Path, size: tuple[int, int] | None) -> None:

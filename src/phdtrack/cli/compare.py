@@ -20,7 +20,7 @@ from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.evaluate import check_iou
 from phdtrack.cli.job import about, announced, detections_needed
 from phdtrack.cli.options import option
-from phdtrack.cli.output import Output, counted, progress
+from phdtrack.cli.output import Output, progress
 from phdtrack.cli.settings import scene_settings
 from phdtrack.compare import Comparison, Plan, results
 from phdtrack.compare.failures import worst_frames, write_frames
@@ -28,7 +28,8 @@ from phdtrack.compare.runs import RunResult
 from phdtrack.config import build
 from phdtrack.errors import InputError
 from phdtrack.report import About, write_run
-from phdtrack.report.words import duration, write_text
+from phdtrack.report.pages import lines
+from phdtrack.report.words import write_text
 
 DOCUMENT, CELLS, EACH, FRAMES = "compare.json", "compare.csv", "runs.csv", "worst"
 FILES = {
@@ -40,12 +41,9 @@ FILES = {
 # A comparison takes hours: the pace of the last half minute would tell nothing of its end.
 PACE = 24 * 3600.0
 MOST_WARNINGS = 12
-# What decides a run, in words.
-MEANINGS = {
-    "phdtrack": "versions of phdtrack",
-    "sources": "sources of phdtrack",
-    "sequence": "size, rate or length of a sequence",
-}
+
+
+_VARIANT = "Another method, as few=filter.history=5,preset=m09: the first filter with these settings. May be given again."
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,23 +58,13 @@ class PlanOptions:
         option(
             "--detections",
             "NAME|FILE,...",
-            "public for det_public/det.txt of each sequence, or [NAME=]FILE; {} in it stands for the sequence's name. "
-            "Default: all that a folder has.",
+            "Sets of the folders, as public, or files, {} for the sequence's name; default: all.",
         ),
     ] = ""
     detectors: Annotated[str, option("--detectors", "NAME,...", "Detectors to run on the videos, each of them once.")] = ""
     clutter: Annotated[str, option("--clutter", "F,...", "Rates of false alarms to add, Poisson, boxes per frame.")] = "0"
     seeds: Annotated[int, option("--seeds", "N", "How many seeds, from 1.", min=1)] = 5
-    variants: Annotated[
-        list[str] | None,
-        option(
-            "--variant",
-            "NAME=SETTINGS",
-            "Another method: the first filter with these settings, as "
-            "few=filter.particles_per_target=100,sensor.detection_probability=0.8; "
-            "filter.kind and preset may be among them. May be given again.",
-        ),
-    ] = None
+    variants: Annotated[list[str] | None, option("--variant", "NAME=SETTINGS", _VARIANT)] = None
     preset: given.Preset = ""
     config: given.Config = None
     sets: given.Sets = None
@@ -196,7 +184,8 @@ def finish(
     if apart := [row for row in found.widest if row.ahead]:
         out.say("", f"Difference to {plan.methods[0].name}, seed by seed:")
         out.table(*results.table(apart, names, ahead=True), words=(0, 1, 3))
-    out.say("", described(comparison, begun.seconds), *results.sentences(plan, found), *notes, "", *directory.listing())
+    done = lines("comparison_done.txt", comparison=comparison, seconds=begun.seconds, plan=results.described(plan))
+    out.say("", *done, *results.sentences(plan, found), *notes, "", *directory.listing())
     if frames:
         out.say(f"  {directory.path / FRAMES}  the worst frames as pictures")
     out.document(document)
@@ -209,13 +198,3 @@ def doubts(comparison: Comparison) -> tuple[str, ...]:
     each = tuple(dict.fromkeys(said))
     more = len(each) - MOST_WARNINGS
     return each if more < 1 else (*each[:MOST_WARNINGS], f"and {more} more, see {EACH}")
-
-
-def described(comparison: Comparison, seconds: float) -> str:
-    """What was run, and how much of it was there already."""
-    reused = f", {comparison.reused} of them kept from before" if comparison.reused else ""
-    if comparison.outdated:
-        said = " and ".join(MEANINGS.get(name, name) for name in comparison.outdated)
-        reused += f", others run again because of other {said}"
-    plan = results.described(comparison.plan)
-    return f"{counted(len(comparison.results), 'run')}{reused}, in {duration(seconds)}: {plan}."

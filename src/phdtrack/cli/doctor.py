@@ -1,6 +1,6 @@
 """``phdtrack doctor``: versions, and what works on this machine: detectors, codecs, the cache of compiled kernels.
 
-Every check does the thing itself where that is cheap (it makes a cascade, opens an encoder) instead of trusting a version
+Every check does the thing itself where that is cheap (it makes a detector, opens an encoder) instead of trusting a version
 number, and says how to mend what does not work. A check that is not essential may fail and phdtrack still does its main job.
 """
 
@@ -39,16 +39,16 @@ def doctor(output: Output) -> None:
 
     Exit status 1 where something essential does not work.
     """
-    checks = examine()
+    checks, numbers = examine(), dict(versions())
     ok = all(check.ok for check in checks if check.essential)
-    output.say(*(f"{name:24} {version or 'not installed'}" for name, version in versions()), "")
+    output.say(*(f"{name:24} {version or 'not installed'}" for name, version in numbers.items()), "")
     for check in checks:
         mark = "ok     " if check.ok else "MISSING" if check.essential else "absent "
         output.say(f"{mark}  {check.name}: {check.detail}", *([f"         {check.cure}"] if check.cure else []))
     verdict = "Everything essential works here." if ok else "Something essential does not work here: see MISSING above."
     output.say("", verdict)
-    numbers = {name: version or None for name, version in versions()}
-    output.document({"ok": ok, "versions": numbers, "checks": [asdict(check) for check in checks]})
+    known = {name: version or None for name, version in numbers.items()}
+    output.document({"ok": ok, "versions": known, "checks": [asdict(check) for check in checks]})
     if not ok:
         raise typer.Exit(1)
 
@@ -88,16 +88,11 @@ def _opencv() -> str:
     return f"version {import_module('cv2').__version__}{beside}"
 
 
-def _cascades() -> str:
-    cv2 = import_module("cv2")
-    folder = Path(cv2.data.haarcascades)
-    if cv2.CascadeClassifier(str(folder / "haarcascade_frontalface_default.xml")).empty():
-        raise RuntimeError(f"no face cascade in {folder}")
-    return f"{len(list(folder.glob('*.xml')))} cascades"
+def _detector(name: str) -> str:
+    from phdtrack.detect import make_detector
 
-
-def _hog() -> str:
-    return f"pedestrian model with {len(import_module('cv2').HOGDescriptor_getDefaultPeopleDetector())} weights"
+    make_detector(name)
+    return "can be made"
 
 
 def _decoders() -> str:
@@ -148,8 +143,8 @@ def _parquet() -> str:
 # Name for people, what is tried, whether it is essential, and what to do where it fails.
 CHECKS: list[tuple[str, Callable[[], str], bool, str]] = [
     ("OpenCV", _opencv, True, HEADLESS),
-    ("detector face (cascades)", _cascades, False, HEADLESS),
-    ("detector person (HOG)", _hog, False, HEADLESS),
+    ("detector face (cascades)", lambda: _detector("face"), False, HEADLESS),
+    ("detector person (HOG)", lambda: _detector("person"), False, HEADLESS),
     ("video in", _decoders, True, "pip install --force-reinstall av"),
     ("video out (H.264)", _encoders, False, "pip install --force-reinstall av; or track with --no-video"),
     ("compiled kernels", _kernels, True, "pip install --force-reinstall numba"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -16,39 +16,15 @@ from phdtrack.errors import InputError
 from phdtrack.formats import find_seqinfo, read_tracks, read_truth
 from phdtrack.metrics import Scores, rmse_per_target, tgospa_boxes
 from phdtrack.metrics import evaluate as score
-from phdtrack.report.words import score_direction
+from phdtrack.report.pages import score_meanings
 from phdtrack.types import Tracks, Truth
 
-# In the order of the table: the key of `Scores.as_dict`, and what it says.
-EXPLAINED = {
-    "MODA": "detection accuracy, mean over frames",
-    "N_MODA": "detection accuracy, pooled",
-    "MODP": "overlap of matched boxes, mean over frames",
-    "MOTA": "tracking accuracy",
-    "MOTA_log": "the same, switches counted as ln(1 + n)",
-    "MOTP": "overlap of matched boxes, pooled",
-    "IDF1": "identities kept",
-    "HOTA": "detection and association in one",
-    "OSPA": "distance on boxes 1 − IoU, c = 1, p = 1",
-    "GOSPA": "the same base, c = 1, p = 1, α = 2",
-    "OSPA2": "the same base between whole tracks",
-    "SFDA": "overlap of boxes, misses and false ones as 0, mean over frames",
-    "ATA": "overlap of whole tracks, misses and false ones as 0",
-    "id_switches": "an object's identity changed",
-    "misses": "annotated boxes without a track",
-    "false_positives": "track boxes without an annotation",
-    "fragments": "a track of an object broke off and went on",
-    "false_tracks": "tracks that follow no object",
-    "delay_mean": "frames from an object's appearance to its first track box",
-    "frames": "frames scored",
-}
-BY_TRAJECTORY = {
-    "TGOSPA": "GOSPA of whole tracks per frame, a switch costs γ = 1",
-    "TGOSPA_localisation": "its part for how boxes lie",
-    "TGOSPA_missed": "its part for misses",
-    "TGOSPA_false": "its part for false boxes",
-    "TGOSPA_switching": "its part for switches, and for tracks that break off while their object goes on",
-}
+# The scores that a table shows, in its order: keys of `Scores.as_dict`.
+SHOWN = """
+MODA N_MODA MODP MOTA MOTA_log MOTP IDF1 HOTA OSPA GOSPA OSPA2 SFDA ATA id_switches misses false_positives fragments
+false_tracks delay_mean frames
+"""
+BY_TRAJECTORY = ("TGOSPA", "TGOSPA_localisation", "TGOSPA_missed", "TGOSPA_false", "TGOSPA_switching")
 
 
 def evaluate(
@@ -56,23 +32,12 @@ def evaluate(
     tracks: Annotated[Path, option("--tracks", "FILE", "Tracks to score: MOTChallenge or CSV.")],
     output: Output,
     iou: given.Iou = 0.5,
-    frames: Annotated[
-        int, option("--frames", "N", "Number of frames; 0: as seqinfo.ini by the truth says, or up to the last box.", min=0)
-    ] = 0,
+    frames: Annotated[int, option("--frames", "N", "Number of frames; 0: as seqinfo.ini or the last box says.", min=0)] = 0,
     t_gospa: Annotated[
-        bool,
-        typer.Option(
-            "--t-gospa", help="T-GOSPA too: switches and breaks in one distance; takes seconds to minutes on long sequences."
-        ),
+        bool, typer.Option("--t-gospa", help="T-GOSPA too, which takes seconds to minutes on long sequences.")
     ] = False,
     rmse: Annotated[
-        float,
-        option(
-            "--rmse",
-            "PX",
-            "RMSE of box centres per object, too; pairs from PX pixels on are misses and false ones. 0: without.",
-            min=0.0,
-        ),
+        float, option("--rmse", "PX", "RMSE of box centres of each object, too, over pairs nearer than PX pixels.", min=0.0)
     ] = 0.0,
 ) -> None:
     """Score tracks against annotated objects.
@@ -109,14 +74,12 @@ def check_iou(iou: float) -> None:
 
 def score_table(out: Output, runs: Mapping[str, Scores]) -> None:
     """The scores of each run, by its title, in a column of its own, and what each of them says."""
-    _table(out, {title: scores.as_dict() for title, scores in runs.items()}, EXPLAINED)
+    _table(out, {title: scores.as_dict() for title, scores in runs.items()}, SHOWN.split())
 
 
-def _table(out: Output, columns: Mapping[str, Mapping[str, float | None]], meanings: Mapping[str, str]) -> None:
-    rows = [
-        [key, *(number(column[key]) for column in columns.values()), meaning + score_direction(key)]
-        for key, meaning in meanings.items()
-    ]
+def _table(out: Output, columns: Mapping[str, Mapping[str, float | None]], names: Sequence[str]) -> None:
+    meanings = score_meanings()
+    rows = [[key, *(number(column[key]) for column in columns.values()), meanings[key]] for key in names]
     out.table(["", *columns, ""], rows, words=(0, len(columns) + 1))
 
 

@@ -1,37 +1,52 @@
-"""``phdtrack groups``: groups of people on the ground, from a video or detections, or among known positions."""
+"""``phdtrack groups``: groups of people on the ground, from a video or detections, or among known positions.
+
+`GroupObserver` finds groups during a run; `GroupStory` writes, draws and reports them. Contours are polygons in WKT
+(``MULTIPOLYGON``), on the ground in metres and, where there is a camera, in pixels of the image. Rings that run clockwise
+on the ground are holes.
+"""
 
 from __future__ import annotations
 
 import time
+from collections import Counter, deque
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
+import cv2
 import numpy as np
 import typer
 
 from phdtrack import config
 from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.group_observer import NOWHERE, GroupObserver, GroupStory, Surroundings
 from phdtrack.cli.inputs import NO_PICTURE, refuse
-from phdtrack.cli.job import Job, about, finish_document
+from phdtrack.cli.job import Job, about, finish_document, places
+from phdtrack.cli.observers import Draw, Report, RunObserver
 from phdtrack.cli.options import SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, progress
+from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.cli.settings import chosen
 from phdtrack.cli.track import finish, prepare
 from phdtrack.config import Settings, build_groups
 from phdtrack.errors import InputError
 from phdtrack.files import load
 from phdtrack.formats.positions import Positions, read_positions
+from phdtrack.formats.write import Lines
 from phdtrack.ground import footprint
-from phdtrack.groups import LifeCycleState
-from phdtrack.groups.pipeline import known_people
+from phdtrack.groups import LifeCycleState, polygon_area
+from phdtrack.groups.pipeline import GroupFrame, GroupStages, carriers, known_people, mixture_of
 from phdtrack.models import PlaneSensor
-from phdtrack.report.pages import render
+from phdtrack.pipeline import TrackingState
+from phdtrack.protocols import AnyStages, Camera
+from phdtrack.report.charts import GroupSeries
+from phdtrack.report.pages import lines, render
+from phdtrack.report.plan import Plan, PlanGroup, PlanScene, draw_contours, extent_of, plan_size
 from phdtrack.report.words import flattened, write_text
-from phdtrack.types import F8
+from phdtrack.types import F8, GaussianMixture, Image, Step, Tracks
+from phdtrack.video import VideoWriter
 
 USUAL_FILTER = "gm-phd"
 GROUP_SECTIONS = ("groups", "contours", "life_cycle", "encounters")
@@ -39,10 +54,16 @@ _NOTE = (
     "The people, their velocities and identities were given; only the groups are estimated. Frame numbers are those of the "
     "file."
 )
-# People who move less, metres and metres per second, do not show the rate of the frames.
-_MIN_DISTANCE, _MIN_SPEED = 0.05, 0.1
-# Half-width of the middle half of the estimated rates, as a share of the median, above which no rate is given.
-_MAX_SPREAD = 0.3
+# Pictures of the report; smallest and usual height of a plan in pixels.
+_STILLS, _MIN_HEIGHT, _HEIGHT = 4, 480, 720
+_NOWHERE: F8 = np.zeros((2, 0))
+_EMPTY = "MULTIPOLYGON EMPTY"
+_HEADS = {
+    rundir.GROUPS: "frame,time,group,count,deviation,x,y,vx,vy,contours,contours_image",
+    rundir.MEMBERS: "frame,group,member",
+    rundir.EVENTS: "frame,time,event,group,other",
+    rundir.WARNINGS: "frame,time,first,second,seconds,distance,deviation,x,y,probability",
+}
 
 
 def groups(
@@ -53,12 +74,7 @@ def groups(
         Path | None, option("--camera", "FILE", "Between pixels and the ground: Tsai XML, OpenCV, homography, TOML.")
     ] = None,
     positions: Annotated[
-        Path | None,
-        option(
-            "--positions",
-            "FILE",
-            "People on the ground with identities and velocities (obsmat.txt): only their groups are estimated.",
-        ),
+        Path | None, option("--positions", "FILE", "Known people and velocities (obsmat.txt): only groups are estimated.")
     ] = None,
     edges: Annotated[
         Path | None, option("--edges", "FILE", "Lines to draw on the plan, as road edges: x y in metres a line.")
@@ -73,21 +89,22 @@ def groups(
     events.csv, warnings.csv and plan.mp4: the ground from above beside the annotated video.
     """
     if out is not None:
-        rundir.check(out, overwrite, rundir.GROUP_FILES)
+        rundir.check(out, overwrite)
     if positions is None:
         settings = ground_settings(options, camera)
-        job = prepare(source, options, settings, video=video)
-        job = with_groups(job, settings, read_edges(edges))
-        finish(output, job, rundir.claim(out or Path("runs") / job.inputs.info.name, overwrite, rundir.GROUP_FILES))
+        job = with_groups(prepare(source, options, settings, video=video), settings, read_edges(edges))
+        finish(output, job, rundir.claim(out or Path("runs") / job.inputs.info.name, overwrite))
         return
-    _check_unused(source, options, camera)
+    _refuse_unused(source, options, camera)
     lines, known = read_edges(edges), read_positions(positions)
     if not len(known):
-        raise InputError("expected people, came a file without any", where=positions)
-    fps, settings = source.fps or rate_of(known, positions), chosen(options)
-    name = positions.resolve().parent.name
-    directory = rundir.claim(out or Path("runs") / (name or positions.stem), overwrite, rundir.GROUP_FILES)
-    group_known(output, known, fps, settings, lines, directory, positions, video=video)
+        raise InputError("expected people, got a file without any", where=positions)
+    if not source.fps:
+        cure = "Say --fps F, the rate of the video that the frames are numbered in."
+        raise InputError("the rate of the frames is not known", where=positions, cure=cure)
+    place = out or Path("runs") / (positions.resolve().parent.name or positions.stem)
+    directory = rundir.claim(place, overwrite)
+    group_known(output, known, source.fps, chosen(options), lines, directory, positions, video=video)
 
 
 def ground_settings(options: TrackingOptions, camera: Path | None) -> Settings:
@@ -125,20 +142,12 @@ def with_groups(job: Job, settings: Settings, edges: tuple[F8, ...]) -> Job:
     return replace(job, observers=(*job.observers, observer, story))
 
 
-def _check_unused(source: SourceOptions, options: TrackingOptions, camera: Path | None) -> None:
+def _refuse_unused(source: SourceOptions, options: TrackingOptions, camera: Path | None) -> None:
     """Raise `InputError` where an option has nothing to do, because positions are known."""
-    useless: dict[str, object] = {
-        "SOURCE": source.source,
-        "--detections": source.detections,
-        "--detector": source.detector,
-        "--camera": camera,
-        "--filter": options.filter_name,
-        "--frame-size": source.frame_size,
-        "--max-width": source.max_width,
-        "--mask": source.mask,
-        "--truth": options.truth,
-        "--threads": options.threads is not None,
-    }
+    read = asdict(replace(source, source="", fps=0.0))
+    useless = {f"--{name.replace('_', '-')}": value for name, value in read.items()}
+    useless |= {"SOURCE": source.source, "--camera": camera, "--filter": options.filter_name, "--truth": options.truth}
+    useless["--threads"] = options.threads is not None
     refuse(useless, "the positions are known, so there is nothing that this could change", "--positions")
 
 
@@ -164,7 +173,7 @@ def group_known(
         for done, number in enumerate(frames, start=1):
             here, at = known.at(number), (number - frames[0]) / fps
             state, frame = stages.advance(state, known_people(here.state), here.identity, np.arange(len(here)), number, at)
-            story.add(frame, here.state[:2], NOWHERE)
+            story.add(frame, here.state[:2], _NOWHERE)
             advance(done)
     if video:
         with ExitStack() as files, progress("drawing", len(frames)) as advance:
@@ -214,29 +223,219 @@ def read_edges(path: Path | None) -> tuple[F8, ...]:
         elif len(point) == 2 and np.isfinite(point).all():
             edges[-1].append(point)
         else:
-            problem = f"expected a point of an edge, x and y in metres, came '{line.strip()[:40]}'"
+            problem = f"expected a point of an edge, x and y in metres, got '{line.strip()[:40]}'"
             raise InputError(problem, where=f"{path}, line {number}")
     return tuple(np.array(edge).T for edge in edges if len(edge) > 1)
 
 
-def rate_of(positions: Positions, path: Path) -> float:
-    """Frames per second, from the displacements of people between two frames and their velocities.
+class Surroundings(NamedTuple):
+    """What stays the same in all frames: the camera, if any, what it sees (2, K), and lines to be drawn (2, K)."""
 
-    Raises `InputError` where no person moves, or displacements and velocities do not fit each other.
+    camera: Camera | None = None
+    field: F8 = _NOWHERE
+    edges: tuple[F8, ...] = ()
+
+
+class GroupStory(RunObserver):
+    """Writes every frame's groups, keeps its plan (some hundred bytes a person), and draws and reports it at the end.
+
+    ``picture`` is the width and height of the frames, None where positions are known and nothing was detected.
     """
-    order = np.lexsort((positions.frame, positions.identity))
-    identity, frame, state = positions.identity[order], positions.frame[order], positions.state[:, order]
-    same = identity[1:] == identity[:-1]
-    frames = np.diff(frame)[same].astype(np.float64)
-    way = np.hypot(*np.diff(state[:2])[:, same])
-    speed = np.hypot(*((state[2:, 1:] + state[2:, :-1]) / 2)[:, same])
-    moving = (way > _MIN_DISTANCE) & (speed > _MIN_SPEED)
-    cure = "Say --fps F, the rate of the video that the frames are numbered in."
-    unknown = "the rate of the frames is not known"
-    if not moving.any():
-        raise InputError(f"{unknown}, and no person moves, so that it cannot be estimated", where=path, cure=cure)
-    low, rate, high = np.quantile(frames[moving] * speed[moving] / way[moving], [0.25, 0.5, 0.75]).tolist()
-    if high - low > _MAX_SPREAD * rate:
-        found = f"from displacements and velocities it is anything from {low:.3g} to {high:.3g} per second"
-        raise InputError(f"{unknown}; {found}", where=path, cure=cure)
-    return float(rate)
+
+    draws = True
+
+    def __init__(self, around: Surroundings, fps: float, picture: tuple[int, int] | None = None) -> None:
+        self._around, self._fps, self._picture = around, fps, picture
+        self._frames: list[GroupFrame] = []
+        self._scenes: list[PlanScene] = []
+
+    def open(self, directory: RunDirectory, files: ExitStack) -> None:
+        """Open the four tables."""
+        self._tables = {name: files.enter_context(Lines(directory.file(name))) for name in _HEADS}
+        for name, head in _HEADS.items():
+            self._tables[name].write(head)
+
+    def add(self, frame: GroupFrame, people: F8, detections: F8) -> None:
+        """Take in a frame, the places (2, n) of its people with identities, those of its detections (2, N)."""
+        for name, rows in self._rows(frame).items():
+            if rows:
+                self._tables[name].write("\n".join(rows))
+        each = zip(frame.identity.tolist(), frame.groups.count, frame.groups.deviation, frame.groups.mean.T, strict=True)
+        groups = tuple(
+            PlanGroup(identity, float(count), float(deviation), mean[:2], mean[2:4], contours)
+            for (identity, count, deviation, mean), contours in zip(each, frame.contours, strict=True)
+        )
+        encounters = tuple((w.first, w.second, w.seconds) for w in frame.warnings)
+        self._scenes.append(PlanScene(frame.number, frame.time, detections, people, frame.member, groups, encounters))
+        self._frames.append(frame)
+
+    def _rows(self, frame: GroupFrame) -> dict[str, list[str]]:
+        """A frame's rows in each table."""
+        n, at, groups, camera = frame.number, f"{frame.time:.6f}", frame.groups, self._around.camera
+        rows: dict[str, list[str]] = {rundir.GROUPS: []}
+        for g, rings in enumerate(frame.contours):
+            numbers = [groups.count[g], groups.deviation[g], *groups.mean[:, g]]
+            values = ",".join(f"{value:.7g}" for value in numbers)
+            image = _EMPTY if camera is None else _polygons(rings, [_in_image(camera, ring) for ring in rings])
+            rows[rundir.GROUPS].append(f'{n},{at},{frame.identity[g]},{values},"{_polygons(rings, rings)}","{image}"')
+        order = np.lexsort((frame.member, frame.membership))
+        rows[rundir.MEMBERS] = [f"{n},{frame.membership[i]},{frame.member[i]}" for i in order]
+        rows[rundir.EVENTS] = [f"{e.frame},{e.time:.6f},{e.kind},{e.group},{e.other}" for e in frame.events]
+        rows[rundir.WARNINGS] = [
+            f"{n},{at},{w.first},{w.second},{w.seconds:.4g},{w.distance:.4g},{w.deviation:.4g},"
+            f"{w.place[0]:.7g},{w.place[1]:.7g},{w.probability:.4g}"
+            for w in frame.warnings
+        ]
+        return rows
+
+    def show(self, tracks: Tracks, place: F8) -> None:
+        """Draw the corrected tracks and their places (2, M), as the annotated video does, instead of the online rows."""
+        numbers = [scene.number for scene in self._scenes]
+        first, last = (np.searchsorted(tracks.frame, numbers, side=side) for side in ("left", "right"))
+        self._scenes = [
+            replace(scene, people=place[:, i:j], identity=tracks.identity[i:j])
+            for scene, i, j in zip(self._scenes, first, last, strict=True)
+        ]
+
+    def drawing(self, directory: RunDirectory, files: ExitStack, *, pictures: bool) -> Draw:
+        """plan.mp4, with the annotated pictures on its left where there are any."""
+        left, height = 0, _HEIGHT
+        if pictures and self._picture is not None:
+            height = max(self._picture[1], _MIN_HEIGHT)
+            left = 2 * round(self._picture[0] * height / self._picture[1] / 2)
+        plan, scenes = self._plan(height + height % 2), {scene.number: scene for scene in self._scenes}
+        file = directory.file(rundir.PLAN)
+        video = files.enter_context(VideoWriter(file, left + plan.width, plan.height, self._fps))
+
+        def draw(number: int, picture: Image) -> None:
+            scene = scenes.get(number, PlanScene(number, 0.0, _NOWHERE, _NOWHERE, np.zeros(0, np.int64), ()))
+            drawn = plan.draw(scene)
+            if left:
+                shown = cv2.resize(self._with_contours(picture, scene.groups), (left, plan.height))
+                drawn = np.hstack([shown, drawn])
+            video.write(drawn)
+
+        return draw
+
+    def report(self) -> Report:
+        """Counts, plan, events and warnings."""
+        scenes, events = self._scenes, [event for frame in self._frames for event in frame.events]
+        warned = [(frame.time, warning) for frame in self._frames for warning in frame.warnings]
+        series = GroupSeries(
+            times=np.array([scene.time for scene in scenes]),
+            people=np.array([scene.people_in_groups for scene in scenes]),
+            deviation=np.array([frame.deviation for frame in self._frames]),
+            groups=np.array([sum(group.identity > 0 for group in scene.groups) for scene in scenes], np.int64),
+            detections=np.array([s.detections.shape[1] for s in scenes if self._picture is not None], np.int64),
+            events=[(e.time, e.kind, e.group, e.other) for e in sorted(events, key=lambda e: e.time)],
+            warnings=[(time, w.first, w.second, w.seconds, w.probability) for time, w in warned],
+            stills=self._stills(),
+        )
+        kinds = Counter(event.kind for event in events)
+        people, groups, detections = (
+            float(each.mean()) if len(each) else None for each in (series.people, series.groups, series.detections)
+        )
+        document: dict[str, object] = {
+            "people_mean": people,
+            "groups_mean": groups,
+            "detections_mean": detections,
+            "identities": len({group.identity for scene in scenes for group in scene.groups} - {0}),
+            "events": {kind: kinds[kind] for kind in ("appear", "vanish", "merge", "split")},
+            "warnings": len(warned),
+        }
+        said = lines("groups.txt", found=document, series=series)
+        return Report({"groups": document}, said, render("groups.html", series=series))
+
+    def _stills(self) -> list[tuple[int, Image]]:
+        """The plan at some frames, spread over those with people."""
+        shown = [scene for scene in self._scenes if scene.groups]
+        if not shown:
+            return []
+        plan, share = self._plan(_HEIGHT), (np.arange(_STILLS) + 0.5) / _STILLS
+        chosen = dict.fromkeys((share * len(shown)).astype(int).tolist())
+        return [(shown[k].number, plan.draw(shown[k])) for k in chosen]
+
+    def _plan(self, height: int) -> Plan:
+        """A plan of the ground on which people were."""
+        people = [scene.people for scene in self._scenes]
+        centres = [group.centre[:, None] for scene in self._scenes for group in scene.groups if group.identity]
+        extent = extent_of(np.hstack([_NOWHERE, *people, *centres]))
+        return Plan(extent, *plan_size(extent, height), self._around.field, self._around.edges)
+
+    def _with_contours(self, picture: Image, groups: Iterable[PlanGroup]) -> Image:
+        """The picture with the contours that the camera shows."""
+        if (camera := self._around.camera) is None:
+            return picture
+        rings = [(group, [_in_image(camera, ring) for ring in group.contours]) for group in groups]
+        shown = [replace(group, contours=tuple(ring for ring in seen if ring.shape[1])) for group, seen in rings]
+        return draw_contours(picture, tuple(shown))
+
+
+class GroupObserver(RunObserver):
+    """Finds groups during a run on the ground plane; ``story`` takes them in.
+
+    Members are the identities of the confirmed online rows. A frame's rows come ``delay`` frames later; until then its
+    number, time, mixture and the places of its detections wait.
+    """
+
+    def __init__(self, settings: GroupStages, stages: AnyStages, delay: int, story: GroupStory) -> None:
+        self._settings, self._stages, self._delay, self._story = settings, stages, delay, story
+        self._state, self._waiting = LifeCycleState(), deque[tuple[int, float, GaussianMixture, F8]]()
+
+    def take(self, step: Step, state: TrackingState) -> None:
+        """Take in a step; the frame whose rows it brings is grouped."""
+        sensor, min_weight = self._stages.model.sensor, self._settings.grouping.min_weight
+        z = sensor.measure(step.detections)
+        usable = np.ascontiguousarray(z[:, np.isfinite(z).all(axis=0)])
+        mixture = mixture_of(state.intensity, step, usable, self._stages, min_weight)
+        self._waiting.append((step.number, step.time, mixture, z[:2]))
+        if len(self._waiting) > self._delay:
+            self._group(step.tracks)
+
+    def flush(self, rows: Tracks) -> None:
+        """Group the frames that are left."""
+        while self._waiting:
+            self._group(rows)
+
+    def finish(self, directory: RunDirectory, tracks: Tracks) -> None:
+        """Show the corrected tracks."""
+        self._story.show(tracks, places(self._stages.model.sensor, tracks.xyxy))
+
+    def _group(self, tracks: Tracks) -> None:
+        """Group the first frame that waits."""
+        number, time, mixture, detections = self._waiting.popleft()
+        rows = tracks.take((tracks.frame == number) & tracks.confirmed)
+        place = places(self._stages.model.sensor, rows.xyxy)
+        carrier = carriers(mixture, place, self._settings.grouping.min_weight)
+        self._state, frame = self._settings.advance(self._state, mixture, rows.identity, carrier, number, time)
+        self._story.add(frame, place[:, np.searchsorted(rows.identity, frame.member)], detections)
+
+
+def _in_image(camera: Camera, ring: F8) -> F8:
+    """(2, K) the ring (2, K) of ground points in pixels, closed, without the points that no pixel shows; (2, 0) where fewer
+    than three are left."""
+    pixel = camera.pixels(ring)
+    seen = pixel[:, np.isfinite(pixel).all(axis=0)]
+    if seen.shape[1] < 3:
+        return _NOWHERE
+    return seen if np.array_equal(seen[:, 0], seen[:, -1]) else np.hstack([seen, seen[:, :1]])
+
+
+def _polygons(rings: Sequence[F8], drawn: Sequence[F8]) -> str:
+    """WKT of closed rings (2, K) on the ground, the first point last; clockwise ones are holes of the ring around them.
+
+    ``drawn`` are the rings as they are to be written, maybe in another plane, where they may run the other way round.
+    """
+    text = ["(" + ", ".join(f"{x:.6g} {y:.6g}" for x, y in ring.T) + ")" for ring in drawn]
+    shown = [k for k, ring in enumerate(drawn) if ring.shape[1]]
+    outer = {k: [text[k]] for k in shown if polygon_area(rings[k]) > 0}
+    for k in shown:
+        around = [o for o in outer if k not in outer and _inside(rings[k][:, 0], rings[o])]
+        for o in around[:1]:
+            outer[o].append(text[k])
+    return "MULTIPOLYGON (" + ", ".join("(" + ", ".join(part) + ")" for part in outer.values()) + ")" if outer else _EMPTY
+
+
+def _inside(point: F8, ring: F8) -> bool:
+    outline = np.ascontiguousarray(ring.T.astype(np.float32))[:, None]
+    return bool(cv2.pointPolygonTest(outline, (float(point[0]), float(point[1])), False) >= 0)

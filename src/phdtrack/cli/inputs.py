@@ -1,9 +1,8 @@
 """What a run reads: a video, a video with detections, or detections alone.
 
-Every source becomes the same thing, frames and a detector, so that the loop behind it knows one case only. Without a
-video the frames have empty pictures, and the detector looks its boxes up by frame number.
-
-`ahead` lets stages of the work overlap in threads, `rereadable` gives frames a second time that come only once.
+Every source becomes frames and a detector. Without a video the frames have empty pictures, and the detector looks its
+boxes up by frame number. `ahead` lets stages of the work overlap in threads, `rereadable` gives frames a second time that
+come only once.
 """
 
 from __future__ import annotations
@@ -29,25 +28,24 @@ from phdtrack.detect.convert import within_frame
 from phdtrack.errors import InputError
 from phdtrack.formats import DetectionsWriter, find_seqinfo, read_detections
 from phdtrack.protocols import Detector
-from phdtrack.types import Detections, DetectionTable, Frame, Image, SequenceInfo
+from phdtrack.types import F8, STILL, Detections, DetectionTable, Frame, Image, SequenceInfo
 from phdtrack.video import VideoSource, VideoWriter, open_source
 
 NO_PICTURE: Image = np.zeros((0, 0, 3), np.uint8)
 TABLES = (".txt", ".csv", ".tsv", ".json", ".xml", ".parquet")
-# Items under way: one being made, one ready, and one to even out stages whose pace varies.
+# Items under way: one being made, one ready, one to even out stages whose pace varies.
 DEPTH = 3
 # Quality of the copy of a camera's frames: hardly distinguishable, because it is encoded once more when it is drawn on.
 _FINE = 16
 T = TypeVar("T")
+Mover = Callable[[Frame, Detections], F8]
+"""(3, 3) from the pixels of the last frame to those of this one, or `types.STILL`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """What a run reads.
-
-    ``pictures``: the frames have any. ``again``: they can be read a second time (a camera's cannot). ``name`` is for
-    people and for the name of the run's directory; ``described`` says where the detections come from.
-    """
+    """What a run reads. ``pictures``: the frames have any. ``again``: they can be read a second time (a camera's cannot).
+    ``name`` is for people; ``described`` says where the detections come from."""
 
     info: SequenceInfo
     source: VideoSource
@@ -65,12 +63,20 @@ def blank(info: SequenceInfo) -> VideoSource:
     return VideoSource(info, lambda _: ((number, (number - 1) / info.fps, NO_PICTURE, "") for number in numbers))
 
 
-def detected(detector: Detector, frames: Iterable[Frame]) -> Iterator[tuple[Frame, Detections, float]]:
-    """Each frame with what ``detector`` sees in it and how many seconds it looked."""
+def standing(frame: Frame, found: Detections) -> F8:
+    """`types.STILL`: the camera does not move."""
+    return STILL
+
+
+def detected(
+    detector: Detector, frames: Iterable[Frame], mover: Mover = standing
+) -> Iterator[tuple[Frame, Detections, F8, float]]:
+    """Each frame with what ``detector`` sees in it, how the camera moved, and how many seconds the detector looked."""
     for frame in frames:
         clock = time.perf_counter()
         found = detector(frame)
-        yield frame, found, time.perf_counter() - clock
+        seconds = time.perf_counter() - clock
+        yield frame, found, mover(frame, found), seconds
 
 
 def write_detected(inputs: Inputs, path: Path) -> Iterator[int]:
@@ -81,7 +87,7 @@ def write_detected(inputs: Inputs, path: Path) -> Iterator[int]:
         ahead(inputs.source) as pictures,
         ahead(detected(inputs.detector, pictures)) as looked,
     ):
-        for count, (frame, found, _) in enumerate(looked, start=1):
+        for count, (frame, found, *_) in enumerate(looked, start=1):
             writer.append(frame.number, found)
             advance(count)
             yield len(found)
@@ -95,23 +101,18 @@ def open_inputs(given: SourceOptions, parameters: dict[str, Any], last: int = 0)
     """
     if not 0 <= given.fps < math.inf:
         raise InputError(f"expected frames per second above 0, got {given.fps:g}", where="--fps")
-    if given.detections is not None:
-        return _with_file(given, given.detections, last)
-    detector, source = _detector(given, parameters), _video(given)
-    name = given.detector or DEFAULT_DETECTOR
-    return Inputs(source.info, source, detector, given.source, name, True, comes_again(given.source))
-
-
-def _with_file(given: SourceOptions, path: Path, last: int) -> Inputs:
-    """Detections from a file, with a video or without."""
+    pictures, path = bool(given.source), given.detections
+    again = not pictures or comes_again(given.source)
+    if path is None:
+        detector, source = _detector(given, parameters), _video(given)
+        return Inputs(source.info, source, detector, given.source, given.detector or DEFAULT_DETECTOR, True, again)
     useless = {"--detector": given.detector not in ("", "file"), "--max-width": given.max_width, "--mask": given.mask}
     problem = f"the detections come from {path}, so there is no detector that this could change"
     refuse(useless, problem, "--detections")
-    table, pictures = read_detections(path), bool(given.source)
+    table = read_detections(path)
     frames = _video(given) if pictures else blank(_sequence(given, path, table, last))
     seen, left_out = within_frame(table, frames.info, path)
-    name, again = given.source or str(path), not pictures or comes_again(given.source)
-    return Inputs(frames.info, frames, TableDetector(seen), name, str(path), pictures, again, left_out)
+    return Inputs(frames.info, frames, TableDetector(seen), given.source or str(path), str(path), pictures, again, left_out)
 
 
 def refuse(useless: Mapping[str, object], problem: str, instead: str) -> None:
@@ -213,10 +214,9 @@ def ahead(items: Iterable[T], depth: int = DEPTH) -> Iterator[Iterator[T]]:
             for frame, detections, seconds in found:
                 ...
 
-    Decoding, detecting, drawing and encoding let other threads run, so that the slowest stage decides how fast the whole
-    is. An error of a stage is raised in the loop after the items before it. When the block is left, by an error or Ctrl-C
-    too, the stage is stopped and waited for: nothing still runs or holds a file afterwards. At most ``depth`` items are
-    being made or wait to be taken.
+    An error of a stage is raised in the loop after the items before it. When the block is left, by an error or Ctrl-C too,
+    the stage is stopped and waited for: nothing still runs or holds a file afterwards. At most ``depth`` items are being
+    made or wait to be taken.
     """
     iterator, under_way = iter(items), deque[Future[tuple[T] | None]]()
 

@@ -19,7 +19,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import repeat
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba.core import event
@@ -27,8 +27,8 @@ from numba.core import event
 from phdtrack import pipeline
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.doctor import installed_versions
-from phdtrack.cli.inputs import NO_PICTURE, Inputs, ahead, detected, rereadable
-from phdtrack.cli.observers import Draw, Mover, RunObserver, moved, standing
+from phdtrack.cli.inputs import NO_PICTURE, Inputs, Mover, ahead, detected, rereadable, standing
+from phdtrack.cli.observers import Draw, RunObserver
 from phdtrack.cli.output import Output, command_line, progress
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.errors import interrupted
@@ -55,12 +55,12 @@ _WHICH = (
     f"{rundir.TRACKS} holds the corrected tracks of the whole run, {rundir.ONLINE} the rows as they were given "
     "frame by frame, which did not change afterwards."
 )
-FIRST = "compiling kernels (first use on this machine, some ten seconds; they are kept for the next runs) ..."
-ALWAYS = (
+_COMPILING = "compiling kernels (first use on this machine, some ten seconds; they are kept for the next runs) ..."
+_ALWAYS_COMPILING = (
     "kernels are compiled anew in every run (some ten seconds): neither the installation nor the home folder can be "
     "written into; set NUMBA_CACHE_DIR to a folder that can"
 )
-# Detections after which an object must be reported at the latest; after more than SLOW the user is warned.
+# An object detected so often in a row must have been reported; after more than _SLOW detections the user is warned.
 _TRIED, _SLOW = 25, 5
 
 
@@ -79,8 +79,7 @@ class Job:
     mover: Mover = standing
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
+class Outcome(NamedTuple):
     """What came of a run: the content of run.json, a summary in sentences, frames done, scores where there is truth.
 
     ``stop`` is what ended it before its time, None where it ran to the end.
@@ -94,8 +93,7 @@ class Outcome:
     stop: Stop | None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
+class _Seen(NamedTuple):
     """What the second pass needs of a frame."""
 
     number: int
@@ -134,7 +132,7 @@ def about(title: str, seed: int = 0) -> About:
 
 def run(job: Job, directory: RunDirectory) -> Outcome:
     """Run the job. Raises only where nothing was computed; the directory is then left without files of this run."""
-    clock = time.perf_counter()
+    clock, scores = time.perf_counter(), None
     with rereadable(job.inputs, job.video) as (frames, again):
         done = _track(job, frames, directory)
         if not done.seen and done.stop is not None:
@@ -144,31 +142,29 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
         write_tracks(directory.file(rundir.TRACKS), tracks, places(job.stages.model.sensor, tracks.xyxy))
         for observer in job.observers:
             observer.finish(directory, tracks)
-        scores = None
         if job.truth is not None:
             from phdtrack.metrics import evaluate
 
             scores = evaluate(job.truth, tracks, frames=done.last)
         if job.video and (job.inputs.pictures or any(observer.draws for observer in job.observers)):
             done.cut = _draw(job, again(), directory, done, tracks)
-    notes, doubts = _confirmation(job, done)
     record = done.recorder.record(tracks, job.about, job.truth)
+    # Of each the note comes first, then the warning if there is one.
+    said_of = [_confirmation(job, done)]
     if record.chain is not None:
-        moves, *too_few = lines("chain.txt", chain=record.chain, least=LOW_EFFECTIVE)
-        notes, doubts = [*notes, moves], [*doubts, *too_few]
+        said_of.append(list(lines("chain.txt", chain=record.chain, least=LOW_EFFECTIVE)))
     said = replace(
         job.about,
         seconds=time.perf_counter() - clock,
         tracking_seconds=done.seconds,
         left_out=done.left_out,
         scores=() if scores is None else tuple((k, math.nan if v is None else v) for k, v in scores.as_dict().items()),
-        warnings=(*_problems(job, done), *doubts),
-        notes=(*notes, _WHICH),
+        warnings=(*_problems(job, done), *(warning for said in said_of for warning in said[1:])),
+        notes=(*(note for said in said_of for note in said[:1]), _WHICH),
     )
     record, reports = replace(record, about=said), [observer.report() for observer in job.observers]
     sections = "\n".join(report.section for report in reports)
-    page = report_html(record, job.configuration | {"input": job.read}, sections)
-    write_text(directory.file(rundir.REPORT), page)
+    write_text(directory.file(rundir.REPORT), report_html(record, job.configuration | {"input": job.read}, sections))
     stop = done.stop or done.cut
     document = run_document(record, job.configuration) | {"complete": stop is None, "input": job.read}
     document = finish_document(document, directory, *(report.document for report in reports))
@@ -199,9 +195,10 @@ def _track(job: Job, source: Iterable[Frame], directory: RunDirectory) -> _Progr
         advance = files.enter_context(progress("tracking", inputs.info.frames))
         for observer in job.observers:
             observer.open(directory, files)
-        pace = files.enter_context(paced())
+        # To load or to compile a kernel for arguments of new types Numba takes a lock, which is recorded.
+        locks, clock = files.enter_context(event.install_recorder("numba:compiler_lock")), time.perf_counter()
         try:
-            with ahead(source) as frames, ahead(moved(job.mover, detected(inputs.detector, frames))) as looked:
+            with ahead(source) as frames, ahead(detected(inputs.detector, frames, job.mover)) as looked:
                 for frame, found, warp, seconds in looked:
                     rows = tracker.update(found, frame.number, frame.time, warp if len(warp) else None)
                     step = tracker.step
@@ -217,14 +214,19 @@ def _track(job: Job, source: Iterable[Frame], directory: RunDirectory) -> _Progr
                         seen = _Seen(step.number, step.detections, step.info.mass, step.info.clutter_probability)
                         done.seen.append(seen)
                     advance(len(done.seen))
-                    pace.frame()
+                    before, clock = clock, time.perf_counter()
+                    if locks.buffer:
+                        done.left_out += 1
+                        locks.buffer.clear()
+                    else:
+                        done.seconds += clock - before
             held = tracker.flush()
             online.append(held, places(sensor, held.xyxy))
             for observer in job.observers:
                 observer.flush(held)
         except (Exception, KeyboardInterrupt) as stop:
             done.stop = _as_meant(stop)
-        done.seconds, done.left_out, done.lost = pace.seconds, pace.left_out, inputs.source.problem
+        done.lost = inputs.source.problem
     return done
 
 
@@ -270,10 +272,9 @@ def _draw(job: Job, again: Iterable[Frame], directory: RunDirectory, done: _Prog
 
 def _annotated(annotate: Annotator, seen: list[_Seen], frames: Iterable[Frame], tracks: Tracks) -> Iterator[Image]:
     """The frames that were seen, drawn on."""
-    numbers = [one.number for one in seen]
-    first, last = (np.searchsorted(tracks.frame, numbers, side=side) for side in ("left", "right"))
-    for one, frame, i, j in zip(seen, frames, first, last, strict=False):
-        rows, chances = tracks.take(np.arange(i, j)), one.clutter_probability
+    for one, frame in zip(seen, frames, strict=False):
+        rows = tracks.take(np.arange(*np.searchsorted(tracks.frame, [one.number, one.number + 1])))
+        chances = one.clutter_probability
         yield annotate(frame.image, one.number, rows, one.detections, mass=one.mass, clutter_probability=chances)
 
 
@@ -284,49 +285,31 @@ def _as_meant(stop: Stop) -> Stop:
 
 def _problems(job: Job, done: _Progress) -> list[str]:
     """What did not go as it should, in sentences: what the source lost, and what stopped the run."""
-    said = [sentence for sentence in (*job.inputs.warnings, job.inputs.source.note, done.lost) if sentence]
     annotated = 0 if job.truth is None else int(job.truth.frame.max(initial=0))
-    if done.stop is None and annotated > done.last:
-        said.append(
-            f"the truth goes on to frame {annotated}, the frames end at {done.last}: scored up to there; "
-            "is it the truth of this sequence?"
-        )
-    if done.stop is not None:
-        said.append(f"{_reason(done.stop)} after frame {done.last}; the results hold the frames up to there")
-    if done.cut is not None:
-        said.append(f"{_reason(done.cut)} while the video was drawn; {rundir.VIDEO} is not whole, everything else is")
-    return said
+    why = ["stopped by Ctrl-C" if isinstance(stop, KeyboardInterrupt) else stop for stop in (done.stop, done.cut)]
+    said = lines("problems.txt", stop=why[0], cut=why[1], last=done.last, annotated=annotated, video=rundir.VIDEO)
+    return [*filter(None, (*job.inputs.warnings, job.inputs.source.note, done.lost)), *said]
 
 
-def _reason(stop: Stop) -> str:
-    return "stopped by Ctrl-C" if isinstance(stop, KeyboardInterrupt) else f"ended ({stop or type(stop).__name__})"
-
-
-def _confirmation(job: Job, done: _Progress) -> tuple[list[str], list[str]]:
-    """After how many detections of the usual size an object is reported: notes, and warnings where it takes long."""
+def _confirmation(job: Job, done: _Progress) -> list[str]:
+    """After how many detections of the usual size an object is reported: a note, and a warning where it takes long."""
     boxes = [seen.detections.xyxy for seen in done.seen if len(seen.detections)]
     if isinstance(job.stages.filter, NoFilter) or not boxes:
-        return [], []
+        return []
     xyxy = np.concatenate(boxes)
     width, height = np.median(xyxy[:, 2:] - xyxy[:, :2], axis=0)
     needed = detections_needed(job.stages, job.inputs.info, (float(width), float(height)))
-    after = f"after {needed} coherent detection{'' if needed == 1 else 's'}"
-    after = after if needed else f"within {_TRIED} coherent detections"
-    note = f"With these settings an object is {'' if needed else 'not '}reported {after}."
-    if 1 <= needed <= _SLOW:
-        return [note], []
-    cure = "raise birth.births_per_second, lower clutter.clutter_per_frame, or widen both volumes (birth.volume=image)"
-    return [note], [f"an object is {'reported only' if needed else 'not reported'} {after}: {cure}"]
+    return list(lines("confirmation.txt", needed=needed, tried=_TRIED, slow=_SLOW))
 
 
 def detections_needed(stages: AnyStages, info: SequenceInfo, size: tuple[float, float]) -> int:
-    """Coherent detections of an object up to its first state; 0 for more than 25.
+    """Detections in a row of an object up to its first state; 0 for more than 25.
 
     The ratio of the densities of births and of clutter decides it, which settings do not show. So it is tried: an object
     of ``size`` (width, height in pixels) stands still in the middle of the frame and is detected in every frame.
     """
     centre, half = np.array([info.width, info.height]) / 2, np.array(size) / 2
-    box = Detections.of(np.concatenate([centre - half, centre + half])[None, :])
+    box = Detections.of(np.concatenate([centre - half, centre + half]))
     frames = ((number, number / info.fps, box) for number in range(1, _TRIED + 1))
     steps = pipeline.run(stages, frames, np.random.default_rng(0))
     return next((step.number for _, step in steps if len(step.estimates)), 0)
@@ -335,12 +318,8 @@ def detections_needed(stages: AnyStages, info: SequenceInfo, size: tuple[float, 
 def places(sensor: Sensor, xyxy: F8) -> F8:
     """(2, M) metres: the ground under the middle of each box's (M, 4) lower edge; NaN where there is none, or where the
     world of the sensor is the image. Without a camera the image is a plan, and the middles of the boxes are the places."""
-    if not isinstance(sensor, PlaneSensor) or len(xyxy) == 0:
-        return np.full((2, len(xyxy)), np.nan)
-    middle = (xyxy[:, 0] + xyxy[:, 2]) / 2
-    if sensor.camera is None:
-        return np.stack([middle, (xyxy[:, 1] + xyxy[:, 3]) / 2])
-    return sensor.camera.ground(np.stack([middle, xyxy[:, 3]]))
+    plane = isinstance(sensor, PlaneSensor)
+    return sensor.measure(Detections.of(xyxy))[:2] if plane else np.full((2, len(xyxy)), np.nan)
 
 
 def shown_particles(stages: AnyStages, intensity: object) -> Particles | None:
@@ -359,36 +338,6 @@ def shown_particles(stages: AnyStages, intensity: object) -> Particles | None:
     return Particles(np.vstack([(boxes[:, :2] + boxes[:, 2:]).T / 2, particles.state[2:]]), particles.weight)
 
 
-@dataclass(slots=True)
-class Pace:
-    """``seconds`` of wall time that frames took in which nothing was compiled or loaded; ``left_out``: the other frames.
-
-    To load or to compile a kernel for arguments of new types Numba takes a lock, which ``locks`` records.
-    """
-
-    locks: event.RecordingListener
-    seconds: float = 0.0
-    left_out: int = 0
-    _clock: float = field(default_factory=time.perf_counter)
-
-    def frame(self) -> None:
-        """A frame is done; the next one begins."""
-        now = time.perf_counter()
-        if self.locks.buffer:
-            self.left_out += 1
-            self.locks.buffer.clear()
-        else:
-            self.seconds += now - self._clock
-        self._clock = now
-
-
-@contextmanager
-def paced() -> Iterator[Pace]:
-    """The pace of the frames from now on, without those in which kernels were compiled or loaded."""
-    with event.install_recorder("numba:compiler_lock") as locks:
-        yield Pace(locks)
-
-
 # Numba has no types.
 class _Announcement(event.Listener):  # type: ignore[misc]
     """Says once that a kernel of ours is compiled."""
@@ -398,12 +347,13 @@ class _Announcement(event.Listener):  # type: ignore[misc]
 
     def on_start(self, event: event.Event) -> None:
         """A function begins to be compiled."""
-        if not self._said and event.data["dispatcher"].py_func.__module__.startswith("phdtrack."):
-            self._said = True
-            if not CACHE.lasting:
-                self._out.warn([ALWAYS])
-            elif sys.stderr.isatty():
-                self._out.note(FIRST)
+        if self._said or not event.data["dispatcher"].py_func.__module__.startswith("phdtrack."):
+            return
+        self._said = True
+        if not CACHE.lasting:
+            self._out.warn([_ALWAYS_COMPILING])
+        elif sys.stderr.isatty():
+            self._out.note(_COMPILING)
 
     def on_end(self, event: event.Event) -> None:
         """Nothing."""

@@ -40,11 +40,11 @@ _CLIP_WIDTH = 640
 def label(
     source: SourceOptions,
     labels: given.Labels = None,
-    frames: Annotated[int, option("--frames", "N", "Frames to look at.", min=1)] = 40,
-    seed: Annotated[int, option("--seed", "N", "Seed of the draw of frames.", min=0)] = 0,
-    port: Annotated[int, option("--port", "N", "0: any that is free.", min=0, max=65535)] = 0,
+    frames: Annotated[int, option("--frames", "N", "How many frames to draw.", min=1)] = 40,
+    seed: Annotated[int, option("--seed", "N", "Seed of the draw.", min=0)] = 0,
+    port: Annotated[int, option("--port", "N", "Port of the page; 0: any that is free.", min=0, max=65535)] = 0,
     host: Annotated[
-        str, option("--host", "NAME", "Address to listen on; others than this machine need a token then.")
+        str, option("--host", "NAME", "Address to listen on; other machines need the token in the printed address.")
     ] = "127.0.0.1",
     suggest: Annotated[bool, typer.Option("--suggest/--no-suggest", help="Look for detections that may be false.")] = True,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
@@ -53,7 +53,7 @@ def label(
 ) -> None:
     """Mark false detections and births on frames drawn at random: the page says how. Every click is kept at once.
 
-    Meanwhile a tracker looks for detections that may be false, for a sweep (--no-suggest: it does not). Ctrl-C ends.
+    Meanwhile a tracker looks for detections that may be false and suggests them. Ctrl-C ends.
     """
     try:
         from phdtrack.label.page import Session, label_app, listen, serve

@@ -57,14 +57,15 @@ def learn(
     output: Output,
     labels: given.Labels = None,
     births: Annotated[
-        str, option("--births", "FROM", "tracks: the tracker's own; hand: marked with `phdtrack label`.")
+        str, option("--births", "FROM", "tracks: where the tracker's tracks begin; hand: marked with `phdtrack label`.")
     ] = "tracks",
     clutter: Annotated[
-        str, option("--clutter", "FROM", "labels: marked with `phdtrack label`; unattended: suggested, unchecked.")
+        str,
+        option("--clutter", "FROM", "labels: marked with `phdtrack label`; unattended: suggested, not checked by anybody."),
     ] = "labels",
     first: Annotated[int, option("--first", "N", "Learn from this frame on.", min=1)] = 1,
     last: Annotated[int, option("--last", "N", "Learn up to this frame; 0: all.", min=0)] = 0,
-    out: Annotated[Path | None, option("--out", "FILE", "Default: SOURCE.scene.json.")] = None,
+    out: Annotated[Path | None, option("--out", "FILE", "Where to write the scene; default: SOURCE.scene.json.")] = None,
     overwrite: given.Overwrite = False,
     config: given.Config = None,
     sets: given.Sets = None,
@@ -93,7 +94,7 @@ def learn(
     data = TrainingData(found, stretch, build(settings, found.info), seed, file, marks)
     frames = open_source(source.source, fps=source.fps) if source.source else ()
     picture = next((frame.image for frame in frames), NO_PICTURE)
-    scene, born, alarms = train(data, births, clutter, output)
+    scene, born, alarms = data.train(births, clutter, output)
     write_scene(target, scene)
     page = target.with_name(target.name.removesuffix(".json") + ".html")
     use = f"phdtrack track {source.source or f'--detections {source.detections}'} --scene {target}"
@@ -145,25 +146,141 @@ class TrainingData:
     labels: Path
     marks: Marks | None
 
+    def train(self, births: str, clutter: str, output: Output) -> tuple[Scene, Lesson, Lesson]:
+        """What was learned of a scene, and of births and of false alarms apart.
+
+        ``births`` and ``clutter`` are as the options have them. Raises `InputError` where nothing could be learned.
+        """
+        unattended, followed = clutter == "unattended", None
+        alarms = self._lesson("false alarms", self._unattended_clutter if unattended else self._marked_clutter)
+        if unattended and alarms.training is not None:
+            alarms = Lesson(alarms.training, f"{alarms.sentence}. {LIMITS}", f"{alarms.source} {LIMITS}")
+        output.say(alarms.sentence)
+        marked = None if unattended else alarms.training
+        tracks = self._tracked(alarms.training).tracks if marked is not None or births == "tracks" else None
+        if marked is not None and tracks is not None and self.marks is not None:
+            tracks, followed, sentence = self._without_followed(self.marks, marked, tracks)
+            output.say(sentence)
+        if tracks is None or births == "hand":
+            born = self._lesson("births", self._marked_births)
+        else:
+            born = self._lesson("births", partial(self._births_of_tracks, tracks))
+        output.say(born.sentence)
+        info, source = self.found.info, self.found.name
+        if born.training is None and alarms.training is None:
+            raise InputError("nothing could be learned", where=source, cure="Mark false detections, or learn longer")
+        gains = {"births gain": born.gain, "clutter gain": alarms.gain}
+        notes: dict[str, float | int | str] = {name: value for name, value in gains.items() if math.isfinite(value)}
+        notes |= {"births from": births, "clutter from": clutter, "first": self.stretch.start, "last": self.stretch.stop - 1}
+        rate = self.stages.model.rate
+        scene = Scene(info.width, info.height, rate, source, born.learned, alarms.learned, notes, followed)
+        return scene, born, alarms
+
+    def _lesson(self, part: str, learn: Callable[[], tuple[Training, str]]) -> Lesson:
+        """What ``learn`` gives, with what it says of it and its gain on unseen samples; why nothing, where it fails."""
+        try:
+            training, text = learn()
+            training = self._with_prior(training)
+        except InputError as error:
+            return Lesson(None, f"{part} stay as shipped: {error}")
+        gain = "too few samples to measure the gain"
+        if math.isfinite(training.gain):
+            gain = f"samples not learned from are {training.gain:+.2f} nats likelier than under a uniform density"
+        return Lesson(training, f"{part}: {text}; {gain}", f"{text}.")
+
+    def _marked_clutter(self) -> tuple[Training, str]:
+        """False alarms from marks [M09 §IV]."""
+        marks = self._marks(_ONLY_BOXES)
+        frames = len(marks.looked_at)
+        training = learn_clutter(marks.false_boxes, frames, self._size)
+        marked = f"{counted(training.learned.samples, 'box')} marked by a person on {counted(frames, 'frame')}"
+        return training, marked
+
+    def _unattended_clutter(self) -> tuple[Training, str]:
+        """False alarms from what would be suggested to a person."""
+        if not self._of_boxes:
+            raise InputError(_ONLY_BOXES)
+        frames = [self.stretch.start + k - 1 for k in sampled(len(self.stretch), UNATTENDED, self.seed)]
+        taken = [one for one in suggest(self._tracked(), frames, self.found.info.fps) if one.score >= TICKED]
+        table = self.found.table
+        rows = np.searchsorted(table.frame, [one.frame for one in taken]) + np.array([one.box for one in taken], np.int64)
+        try:
+            training = learn_clutter(to_cxcywh(table.detections.xyxy[rows]), len(frames), self._size)
+        except InputError as error:
+            raise InputError(error.problem, where=error.where, cure="Look yourself: phdtrack label") from None
+        many = f"{counted(training.learned.samples, 'box')} of {counted(len(frames), 'frame')}"
+        reasons, places = Counter(one.reason for one in taken), {one.place for one in taken if one.place >= 0}
+        why = []
+        if reasons["place"]:
+            why.append(f"{reasons['place']} at {counted(len(places), 'place')} that fire too often")
+        if reasons["rejected"]:
+            why.append(f"{reasons['rejected']} that the filter rejected")
+        return training, f"{many} taken for false ({', '.join(why)})"
+
+    def _without_followed(self, marks: Marks, alarms: Training, tracks: Tracks) -> tuple[Tracks, TrackedObjects | None, str]:
+        """The tracks of a run that knew the marked false alarms, but for those that stay among them; which of the false
+        alarms it followed all the same, None where that is not known; and a sentence about it."""
+        try:
+            objects = self._with_prior(learn_objects(marks.object_boxes, len(marks.looked_at), self._size))
+        except InputError as error:
+            return tracks, None, f"no track is held back: {error}"
+        followed = TrackedObjects(marks.share_followed(tracks), objects.learned)
+        text = f"the tracker follows {100 * followed.share:.2g} % of the false alarms although it knows them"
+        kept = without_false_tracks(tracks, FalseAlarmRatio(alarms.learned, followed))
+        return kept, followed, f"{text}; tracks that stay among them are held back"
+
+    def _births_of_tracks(self, tracks: Tracks) -> tuple[Training, str]:
+        """Births from the tracks that the tracker itself makes and that go somewhere [M09 §IV]."""
+        fps, model, shown = self.found.info.fps, self.stages.model, None
+        if not self._of_boxes:
+            shown = model.sensor.measure(Detections.of(tracks.xyxy))[: len(model.sensor.observed)]
+        states = births_in(tracks, fps, model.rate, shown)
+        # Feet that no ground is under.
+        states = states[:, np.isfinite(states).all(axis=0)]
+        text = f"{counted(states.shape[1], 'track')} began in {counted(len(self.stretch), 'frame')}"
+        return self._births(states, len(self.stretch) / fps * model.rate), text
+
+    def _marked_births(self) -> tuple[Training, str]:
+        """Births from marks on the clips about the frames that a person has looked at."""
+        marks, rate = self._marks("those marked by hand are boxes in the image (--births tracks)"), self.stages.model.rate
+        states, frames = marks.birth_states(rate), len(marks.watched)
+        text = f"{counted(states.shape[1], 'birth')} marked by a person on {counted(frames, 'frame')}"
+        unknown = int(np.isnan(states[2]).sum())
+        text += f" ({unknown} of unknown velocity)" if unknown else ""
+        return self._births(states, marks.time_watched(rate)), text
+
+    def _births(self, states: F8, time: float) -> Training:
+        """Births from their states, seen in ``time``: over the frame in pixels, or a region of the ground in metres.
+
+        Raises `InputError` where there are too few, or the ground has no region.
+        """
+        sensor = self.stages.model.sensor
+        if not isinstance(sensor, PlaneSensor):
+            return learn_births(states, time, self._size)
+        if sensor.borders == EVERYWHERE:
+            raise InputError("the ground has no region", where="births", cure="Give camera.file, or camera.region")
+        left, low, right, high = sensor.borders
+        return learn_births(states, time, (right - left, high - low), (left, low))
+
     @property
-    def size(self) -> tuple[float, float]:
+    def _size(self) -> tuple[float, float]:
         """Width and height of a frame in pixels."""
         return float(self.found.info.width), float(self.found.info.height)
 
     @property
-    def of_boxes(self) -> bool:
+    def _of_boxes(self) -> bool:
         """Whether targets are boxes in the image, and not points in it or people on the ground."""
         return len(self.stages.model.sensor.observed) == 4
 
-    def marks_on_boxes(self, otherwise: str) -> Marks:
+    def _marks(self, otherwise: str) -> Marks:
         """The marks. Raises `InputError` where there are none, or with ``otherwise`` where targets are no boxes."""
-        if not self.of_boxes:
+        if not self._of_boxes:
             raise InputError(otherwise)
         if self.marks is None:
             raise InputError(f"no marks were found (phdtrack label, kept in {self.labels})")
         return self.marks
 
-    def tracked(self, alarms: Training | None = None) -> Evidence:
+    def _tracked(self, alarms: Training | None = None) -> Evidence:
         """What a tracker makes of the stretch that knows these false alarms."""
         stages = self.stages
         if alarms is not None:
@@ -172,139 +289,11 @@ class TrainingData:
         with progress("tracking", len(self.stretch)) as advance:
             return tracked(self.found.table, self.found.info.fps, stages, self.stretch, self.seed, advance)
 
-    def births(self, states: F8, time: float) -> Training:
-        """Births from their states, seen in ``time``: over the frame in pixels, or a region of the ground in metres.
-
-        Raises `InputError` where there are too few, or the ground has no region.
-        """
-        sensor = self.stages.model.sensor
-        if not isinstance(sensor, PlaneSensor):
-            return learn_births(states, time, self.size)
-        if sensor.borders == EVERYWHERE:
-            raise InputError("the ground has no region", where="births", cure="Give camera.file, or camera.region")
-        left, low, right, high = sensor.borders
-        return learn_births(states, time, (right - left, high - low), (left, low))
-
-    def with_prior(self, training: Training) -> Training:
+    def _with_prior(self, training: Training) -> Training:
         """What was learned, and a little of any size detected in the stretch; on the ground, without sizes, as it is."""
-        if not self.of_boxes:
+        if not self._of_boxes:
             return training
         table = self.found.table
         rows = slice(*np.searchsorted(table.frame, [self.stretch.start, self.stretch.stop]))
         sizes = to_cxcywh(table.detections.xyxy[rows])[2:]
         return replace(training, learned=with_prior(training.learned, sizes))
-
-    def lesson(self, part: str, learn: Callable[[TrainingData], tuple[Training, str]], by: str = "") -> Lesson:
-        """What ``learn`` gives, with what it says of it and its gain on unseen samples; why nothing, where it fails."""
-        try:
-            training, text = learn(self)
-            training = self.with_prior(training)
-        except InputError as error:
-            return Lesson(None, f"{part} stay as shipped: {error}")
-        gain = "too few samples to measure the gain"
-        if math.isfinite(training.gain):
-            gain = f"samples not learned from are {training.gain:+.2f} nats likelier than under a uniform density"
-        return Lesson(training, f"{part}: {text}; {gain}", f"{text}{by}.")
-
-
-def train(data: TrainingData, births: str, clutter: str, output: Output) -> tuple[Scene, Lesson, Lesson]:
-    """What was learned of a scene, and of births and of false alarms apart.
-
-    ``births`` and ``clutter`` are as the options have them. Raises `InputError` where nothing could be learned.
-    """
-    followed = None
-    if clutter == "labels":
-        alarms = data.lesson("false alarms", clutter_of_labels, " by a person")
-    else:
-        alarms = data.lesson("false alarms", clutter_unattended)
-        if alarms.training is not None:
-            alarms = Lesson(alarms.training, f"{alarms.sentence}. {LIMITS}", f"{alarms.source} {LIMITS}")
-    output.say(alarms.sentence)
-    marked = alarms.training if clutter == "labels" else None
-    tracks = data.tracked(alarms.training).tracks if marked is not None or births == "tracks" else None
-    if marked is not None and tracks is not None and data.marks is not None:
-        tracks, followed, sentence = _without_followed(data, data.marks, marked, tracks)
-        output.say(sentence)
-    if tracks is None or births == "hand":
-        born = data.lesson("births", births_by_hand)
-    else:
-        born = data.lesson("births", partial(births_of_tracks, tracks=tracks))
-    output.say(born.sentence)
-    if born.training is None and alarms.training is None:
-        raise InputError("nothing could be learned", where=data.found.name, cure="Mark false detections, or learn longer")
-    gains = {"births gain": born.gain, "clutter gain": alarms.gain}
-    notes: dict[str, float | int | str] = {name: value for name, value in gains.items() if math.isfinite(value)}
-    notes |= {"births from": births, "clutter from": clutter, "first": data.stretch.start, "last": data.stretch.stop - 1}
-    info, name, rate = data.found.info, data.found.name, data.stages.model.rate
-    scene = Scene(info.width, info.height, rate, name, born.learned, alarms.learned, notes, followed)
-    return scene, born, alarms
-
-
-def clutter_of_labels(data: TrainingData) -> tuple[Training, str]:
-    """False alarms from marks [M09 §IV]."""
-    marks = data.marks_on_boxes(_ONLY_BOXES)
-    frames = len(marks.looked_at)
-    training = learn_clutter(marks.false_boxes, frames, data.size)
-    return training, f"{counted(training.learned.samples, 'box')} marked on {counted(frames, 'frame')}"
-
-
-def clutter_unattended(data: TrainingData) -> tuple[Training, str]:
-    """False alarms from what would be suggested to a person."""
-    if not data.of_boxes:
-        raise InputError(_ONLY_BOXES)
-    frames = [data.stretch.start + k - 1 for k in sampled(len(data.stretch), UNATTENDED, data.seed)]
-    taken = [one for one in suggest(data.tracked(), frames, data.found.info.fps) if one.score >= TICKED]
-    table = data.found.table
-    rows = np.searchsorted(table.frame, [one.frame for one in taken]) + np.array([one.box for one in taken], np.int64)
-    try:
-        training = learn_clutter(to_cxcywh(table.detections.xyxy[rows]), len(frames), data.size)
-    except InputError as error:
-        raise InputError(error.problem, where=error.where, cure="Look yourself: phdtrack label") from None
-    many = f"{counted(training.learned.samples, 'box')} of {counted(len(frames), 'frame')}"
-    reasons, places = Counter(one.reason for one in taken), {one.place for one in taken if one.place >= 0}
-    why = []
-    if reasons["place"]:
-        why.append(f"{reasons['place']} at {counted(len(places), 'place')} that fire too often")
-    if reasons["rejected"]:
-        why.append(f"{reasons['rejected']} that the filter rejected")
-    return training, f"{many} taken for false ({', '.join(why)})"
-
-
-def _without_followed(
-    data: TrainingData, marks: Marks, alarms: Training, tracks: Tracks
-) -> tuple[Tracks, TrackedObjects | None, str]:
-    """The tracks of a run that knew the marked false alarms, but for those that stay among them; which of the false alarms
-    it followed all the same, None where that is not known; and a sentence about it."""
-    try:
-        objects = data.with_prior(learn_objects(marks.object_boxes, len(marks.looked_at), data.size))
-    except InputError as error:
-        return tracks, None, f"no track is held back: {error}"
-    followed = TrackedObjects(marks.share_followed(tracks), objects.learned)
-    text = f"the tracker follows {100 * followed.share:.2g} % of the false alarms although it knows them"
-    kept = without_false_tracks(tracks, FalseAlarmRatio(alarms.learned, followed))
-    return kept, followed, f"{text}; tracks that stay among them are held back"
-
-
-def births_of_tracks(data: TrainingData, tracks: Tracks) -> tuple[Training, str]:
-    """Births from the tracks that the tracker itself makes and that go somewhere [M09 §IV]."""
-    info, model, shown = data.found.info, data.stages.model, None
-    if not data.of_boxes:
-        shown = model.sensor.measure(Detections.of(tracks.xyxy))[: len(model.sensor.observed)]
-    states = births_in(tracks, info.fps, model.rate, shown)
-    # Feet that no ground is under.
-    states = states[:, np.isfinite(states).all(axis=0)]
-    text = f"{counted(states.shape[1], 'track')} began in {counted(len(data.stretch), 'frame')}"
-    return data.births(states, len(data.stretch) / info.fps * model.rate), text
-
-
-def births_by_hand(data: TrainingData) -> tuple[Training, str]:
-    """Births from marks on the clips about the frames that a person has looked at."""
-    marks, rate = (
-        data.marks_on_boxes("those marked by hand are boxes in the image (--births tracks)"),
-        data.stages.model.rate,
-    )
-    states, frames = marks.birth_states(rate), len(marks.watched)
-    text = f"{counted(states.shape[1], 'birth')} marked by a person on {counted(frames, 'frame')}"
-    unknown = int(np.isnan(states[2]).sum())
-    text += f" ({unknown} of unknown velocity)" if unknown else ""
-    return data.births(states, marks.time_watched(rate)), text

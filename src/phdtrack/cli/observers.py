@@ -1,17 +1,17 @@
 """What goes along with a run: observers that take in every step and report it at the end, and how the camera moves.
 
-`RunObserver` has the moments of a run at which an observer is asked. The groups on the ground are in `group_observer`.
+`RunObserver` has the moments of a run at which an observer is asked. Groups on the ground are observed in `groups`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.inputs import Inputs
+from phdtrack.cli.inputs import Inputs, Mover, standing
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.config import Settings
 from phdtrack.errors import InputError
@@ -29,9 +29,7 @@ from phdtrack.video.ego_motion import CameraMotion, CameraPath
 
 Draw = Callable[[int, Image], None]
 """Draws a frame, by its number and its annotated picture, which is empty where the run has none."""
-Mover = Callable[[Frame, Detections], F8]
-"""(3, 3) from the pixels of the last frame to those of this one, or `types.STILL`."""
-# Entries of a course in run.json.
+# Values over time in run.json.
 _MAX_ENTRIES = 500
 
 
@@ -44,10 +42,9 @@ class Report(NamedTuple):
 
 
 class RunObserver:
-    """An observer without files and videos; others override what they need."""
+    """An observer without files and videos; others override what they need. ``draws``: it has a video of its own."""
 
     draws = False
-    """Whether it has a video of its own."""
 
     def open(self, directory: RunDirectory, files: ExitStack) -> None:
         """Open its files until ``files`` are closed."""
@@ -102,9 +99,8 @@ class CameraObserver(RunObserver):
     def report(self) -> Report:
         """How far the camera went, and how often that is not known."""
         path = CameraPath.of(self._warps[1:], self._info.width, self._info.height)
-        said = lines("camera_motion.txt", path=path)
-        document: dict[str, object] = {"camera_motion": {"kind": self._kind} | asdict(path)}
-        return Report(document, said, render("camera_motion.html", sentences=said))
+        said, document = lines("camera_motion.txt", path=path), {"kind": self._kind} | asdict(path)
+        return Report({"camera_motion": document}, said, render("camera_motion.html", sentences=said))
 
 
 class RatesObserver(RunObserver):
@@ -122,12 +118,11 @@ class RatesObserver(RunObserver):
 
     def report(self) -> Report:
         """The rates over time, at most 500 of them, and those at the end."""
-        given = self._rule.settings
+        given, known = self._rule.settings, {"course": self._course, "rule": self._rule}
         used = {"detection": given.detection, "clutter": given.clutter, "births": given.birth, "scores": given.scores}
         course = [asdict(self._course[k]) for k in _thinned(len(self._course))]
-        document: dict[str, object] = {"rates": {"set": asdict(self._rule.priors), "used": used, "course": course}}
-        known = {"course": self._course, "rule": self._rule}
-        return Report(document, lines("rates.txt", **known), render("rates.html", **known))
+        document = {"set": asdict(self._rule.priors), "used": used, "course": course}
+        return Report({"rates": document}, lines("rates.txt", **known), render("rates.html", **known))
 
 
 class SceneObserver(RunObserver):
@@ -175,26 +170,15 @@ class SceneObserver(RunObserver):
             for one in (self._course[k] for k in kept)
         ]
         minutes = rule.memory / 60
-        document: dict[str, object] = {"learning": {"memory_minutes": minutes, "course": course}}
         dropped = sum("out of use" in sentence for one in self._course for sentence in one.changes)
         known = {"course": self._course, "rate": rule.rate, "memory": minutes, "modes": self._modes, "dropped": dropped}
-        return Report(document, lines("learning.txt", **known), render("learning.html", **known))
+        document = {"memory_minutes": minutes, "course": course}
+        return Report({"learning": document}, lines("learning.txt", **known), render("learning.html", **known))
 
 
 def _thinned(count: int, more: Iterable[int] = ()) -> list[int]:
     """Indices of at most 500 of ``count`` entries, evenly, with the last one and ``more``."""
     return sorted({*range(0, count, count // _MAX_ENTRIES + 1), *range(count)[-1:], *more})
-
-
-def standing(frame: Frame, found: Detections) -> F8:
-    """`types.STILL`: the camera does not move."""
-    return STILL
-
-
-def moved(mover: Mover, looked: Iterable[tuple[Frame, Detections, float]]) -> Iterator[tuple[Frame, Detections, F8, float]]:
-    """Each frame with its detections, how the camera moved, and the seconds that detecting took."""
-    for frame, found, seconds in looked:
-        yield frame, found, mover(frame, found), seconds
 
 
 def mover_of(settings: Settings, inputs: Inputs, model: Model) -> Mover:

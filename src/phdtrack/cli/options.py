@@ -18,61 +18,38 @@ def option(name: str, metavar: str, help: str, **more: Any) -> Any:
 
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; everything else goes to stderr.")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the files of an earlier run; others stay.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the files of an earlier run; other files stay.")]
 Seed = Annotated[int, option("--seed", "N", "Seed of everything random: the same seed gives the same result.", min=0)]
 Iou = Annotated[float, option("--iou", "F", "Overlap (intersection over union) from which two boxes match.")]
 MaxWidth = Annotated[
-    int,
-    option("--max-width", "N", "Detect on frames scaled down to this width, boxes stay in original pixels; 0: off.", min=0),
+    int, option("--max-width", "N", "Width to scale frames down to for the detector; boxes are not scaled. 0: off.", min=0)
 ]
 Mask = Annotated[
     Path | None, option("--mask", "FILE", "Image of the frame's size; only what lies where it is not black is reported.")
 ]
 FrameSize = Annotated[str, option("--frame-size", "WxH", "Size of the frames in pixels, as 1920x1080.")]
-Fps = Annotated[float, option("--fps", "F", "Frames per second; 0: as the video or seqinfo.ini says.", min=0.0)]
+Fps = Annotated[float, option("--fps", "F", "Frames per second; 0: what the video or seqinfo.ini says.", min=0.0)]
 Detector = Annotated[str, option("--detector", "NAME", "change (default), mean-background, mog2, knn, face or person.")]
-Source = Annotated[
-    str,
-    typer.Argument(
-        metavar="SOURCE",
-        help="Video, folder or pattern of images, camera number; left out where detections or positions are all there is.",
-    ),
-]
-Filter = Annotated[
-    str,
-    option(
-        "--filter",
-        "NAME",
-        "pmb (default), gm-phd (default of groups), particle-phd, gm-cphd, particle-cphd, mht, mcmc, or none: "
-        "association of raw detections.",
-    ),
-]
+Source = Annotated[str, typer.Argument(metavar="SOURCE", help="Video, folder or pattern of images, or camera number.")]
+_FILTERS = "pmb (default), gm-phd (default of groups), particle-phd, gm-cphd, particle-cphd, mht, mcmc, or none."
+Filter = Annotated[str, option("--filter", "NAME", _FILTERS)]
 SceneFile = Annotated[Path | None, option("--scene", "FILE", "What `phdtrack learn` has learned of this scene.")]
 TruthFile = Annotated[Path | None, option("--truth", "FILE", "Annotated objects to score against.")]
-Labels = Annotated[Path | None, option("--labels", "FILE", "Marks of `phdtrack label`; default: beside the video.")]
+Labels = Annotated[
+    Path | None, option("--labels", "FILE", "What was marked with `phdtrack label`; default: next to the video.")
+]
 Config = Annotated[Path | None, option("--config", "FILE", "Settings in a TOML file; an unknown name is an error.")]
 Sets = Annotated[
-    list[str] | None,
-    option(
-        "--set",
-        "NAME=VALUE",
-        "One setting, as sensor.detection_probability=0.9 or detector.min_area=0.001; may be given again.",
-    ),
+    list[str] | None, option("--set", "NAME=VALUE", "One setting, as sensor.detection_probability=0.9; may be given again.")
 ]
 Preset = Annotated[
     str, option("--preset", "NAME", "Settings to start from: default, or a paper's: m07, m09, fv, m09-mht, e13, d14.")
 ]
-DetectionsFile = Annotated[Path | None, option("--detections", "FILE", "Detections instead of a detector.")]
-Out = Annotated[Path | None, option("--out", "DIR", "The directory to write; default: runs/ and the source's name.")]
+DetectionsFile = Annotated[Path | None, option("--detections", "FILE", "File of detections, used instead of a detector.")]
+Out = Annotated[Path | None, option("--out", "DIR", "Directory to write into; default: runs/ and the source's name.")]
 Threads = Annotated[
     int | None,
-    option(
-        "--threads",
-        "N",
-        "Threads of filter and extraction where these can use more than one (particle filters), 0: one per core "
-        "(default: 1); same result.",
-        min=0,
-    ),
+    option("--threads", "N", "Threads of particle filters, with the same result (default: 1; 0: all cores).", min=0),
 ]
 
 DEFAULT_DETECTOR = "change"

@@ -18,31 +18,23 @@ GROUPS, MEMBERS, EVENTS, WARNINGS = "groups.csv", "members.csv", "events.csv", "
 VIDEO, PLAN, REPORT, RUN, CAMERA_MOTION = "annotated.mp4", "plan.mp4", "report.html", "run.json", "camera_motion.csv"
 # What a run that learns leaves of its scene, a file for each mode.
 SCENES = ("scene.json", *(f"scene-{k}.json" for k in range(2, 9)))
-_TABLES = {
+# Every file that a run may write, and what it is; without words it is not listed for people.
+RUN_FILES = {
     TRACKS: "tracks, corrected, MOTChallenge",
     ONLINE: "the same as they came, frame by frame",
     STATES: "the filter's states before they had identities",
     DETECTIONS: "what the detector saw",
-}
-_PAGES = {REPORT: "the run in pictures and numbers", RUN: "everything that decided it, for programs"}
-# What each file is; without words it is not listed for people.
-RUN_FILES = {
-    **_TABLES,
-    VIDEO: "to look at",
-    CAMERA_MOTION: "how the camera moved, for --camera-motion",
-    **dict.fromkeys(SCENES, ""),
-    SCENES[0]: "what was learned of the scene, for --scene",
-    **_PAGES,
-}
-GROUP_FILES = {
-    **_TABLES,
     GROUPS: "every group in every frame: count, place, contour",
     MEMBERS: "members of each group",
     EVENTS: "groups that appear, vanish, merge, split",
     WARNINGS: "groups about to meet",
     VIDEO: "to look at",
     PLAN: "the ground from above",
-    **_PAGES,
+    CAMERA_MOTION: "how the camera moved, for --camera-motion",
+    **dict.fromkeys(SCENES, ""),
+    SCENES[0]: "what was learned of the scene, for --scene",
+    REPORT: "the run in pictures and numbers",
+    RUN: "everything that decided it, for programs",
 }
 
 

@@ -39,9 +39,9 @@ def simulate(
     out: given.Out = None,
     overwrite: given.Overwrite = False,
     seed: given.Seed = 0,
-    frames: Annotated[int, option("--frames", "N", "Number of frames; 0: as the scene has.", min=0)] = 0,
+    frames: Annotated[int, option("--frames", "N", "Number of frames; 0: the scene's own.", min=0)] = 0,
     p_detect: Annotated[float | None, option("--p-detect", "P", "Detection probability.")] = None,
-    clutter: Annotated[float | None, option("--clutter", "F", "Poisson false alarms per frame.")] = None,
+    clutter: Annotated[float | None, option("--clutter", "F", "Expected false alarms per frame, Poisson.")] = None,
     places: Annotated[int | None, option("--places", "N", "Places with persistent false alarms.")] = None,
     jitter: Annotated[float | None, option("--jitter", "F", "Error of boxes, as a fraction of their size.")] = None,
     sets: Annotated[

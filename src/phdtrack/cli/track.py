@@ -32,17 +32,11 @@ def track(
     scene: given.SceneFile = None,
     learn_online: Annotated[
         bool,
-        typer.Option(
-            "--learn-online", help="Learn where false alarms and entrances are while tracking, from nothing or from --scene."
-        ),
+        typer.Option("--learn-online", help="Learn false alarms and entrances while tracking, from nothing or --scene."),
     ] = False,
     camera_motion: Annotated[
         str,
-        option(
-            "--camera-motion",
-            "flow|FILE|none",
-            "Compensate a camera that moves: measured in the pictures, or a matrix for each frame (default: none).",
-        ),
+        option("--camera-motion", "flow|FILE|none", "A camera that moves: measured in the pictures, or read from a file."),
     ] = "",
 ) -> None:
     """Track the objects in a video, or in a file of detections.

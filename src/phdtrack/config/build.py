@@ -13,20 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from phdtrack.arrays import to_cxcywh
-from phdtrack.config.kinds import (
-    Boxes,
-    CameraSettings,
-    LearnSettings,
-    Places,
-    SceneBirthSettings,
-    SceneClutterSettings,
-)
+from phdtrack.config.kinds import CameraSettings, LearnSettings, Places, SceneClutterSettings
 from phdtrack.config.settings import Settings, overlay
 from phdtrack.errors import InputError
-from phdtrack.models.volumes import EVERYWHERE, Region
+from phdtrack.models.births import FixedBirth
+from phdtrack.models.clutter import LocalClutter, LocalPlaneClutter, UniformClutter
+from phdtrack.models.volumes import EVERYWHERE, Region, area, image_area, image_volume
 from phdtrack.protocols import AnyStages, Associator, Birth, Clutter, Learning, Model, NoLearning, Stages
-from phdtrack.types import F8, GaussianMixture, SequenceInfo
+from phdtrack.types import GaussianMixture, SequenceInfo
 
 if TYPE_CHECKING:
     from phdtrack.groups.pipeline import GroupStages
@@ -61,18 +55,13 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
     if filter_name:
         settings = overlay(settings, {"filter": {"kind": filter_name}}, "--filter")
     size = (float(info.width), float(info.height))
-    model, associator, smoother = _model(settings, info), _associator(settings, size), settings.build("smooth")
+    model, associator, smoother = _model(settings, size, info.fps), _associator(settings, size), settings.build("smooth")
     if settings.kind("filter") == "none":
         from phdtrack.filters.extract.components import Raw
 
         return Stages(model, settings.build("filter"), Raw(), associator, smoother=smoother)
-    initial = settings.values("filter").get("initial", [])
-    mixture = None
-    if initial and settings.kind("motion") == "plane":
-        mixture = _places([place for place in initial if len(place) == 5])
-    elif initial:
-        mixture = _boxes(model.sensor, [box for box in initial if len(box) == 4], 1.0)
-    filter_ = settings.build("filter", initial=mixture, frame_size=size)
+    initial = settings.values("filter").get("initial")
+    filter_ = settings.build("filter", initial=_places(initial) if initial else None, frame_size=size)
     rates, explainer = _rates(settings, model, NoLearning(), info), settings.build("merged_measurements")
     stages = Stages(model, filter_, settings.build("extract"), associator, rates, explainer, smoother=smoother)
     if settings.kind("learn") == "none":
@@ -111,10 +100,9 @@ def build_groups(settings: Settings, stages: AnyStages | None = None) -> GroupSt
     return GroupStages(*(settings.build(section) for section in ("groups", "contours", "life_cycle", "encounters")))
 
 
-def _model(settings: Settings, info: SequenceInfo) -> Model:
+def _model(settings: Settings, size: Size, fps: float) -> Model:
     """The model of the world, in an image or on the ground. Raises `InputError` where its parts do not go together."""
-    size, rate = (float(info.width), float(info.height)), settings.build("time").units_per_second
-    plane = settings.kind("motion") == "plane"
+    rate, plane = settings.build("time").units_per_second, settings.kind("motion") == "plane"
     camera, region = _ground(settings.build("camera"), size) if plane else (None, EVERYWHERE)
     sensor = settings.build("sensor", camera=camera, borders=region, frame_size=size)
     motion = settings.build(
@@ -125,7 +113,7 @@ def _model(settings: Settings, info: SequenceInfo) -> Model:
         remember_size=settings.kind("motion") == "box" and sensor.scaling == "previous",
     )
     birth, clutter = _birth(settings, sensor, size, region), _clutter(settings, size, region)
-    return Model(motion, sensor, birth, clutter, rate, first=rate / info.fps if plane else 1.0)
+    return Model(motion, sensor, birth, clutter, rate, first=rate / fps if plane else 1.0)
 
 
 def _ground(ground: CameraSettings, size: Size) -> tuple[Camera | None, Region]:
@@ -149,44 +137,31 @@ def _ground(ground: CameraSettings, size: Size) -> tuple[Camera | None, Region]:
 
 
 def _birth(settings: Settings, sensor: Any, size: Size, region: Region) -> Birth:
-    """Where targets appear."""
-    from phdtrack.models.births import FixedBirth
-
+    """Where targets appear. Raises `InputError` where births were not learned, or for another rate or sensor."""
     kind, birth = settings.kind("birth"), settings.build("birth", frame_size=size, borders=region)
-    if kind == "scene":
-        return _scene_birth(birth, size, settings.build("time").units_per_second, sensor.observed)
-    if kind == "fixed":
-        return FixedBirth(_boxes(sensor, birth.boxes, birth.births_per_second), birth.particles)
-    made: Birth = FixedBirth(_places(birth.places), birth.particles) if kind == "places" else birth
-    return made
-
-
-def _scene_birth(given: SceneBirthSettings, size: Size, rate: float, observed: tuple[int, ...]) -> Birth:
-    """Births as learned. Raises `InputError` where they were not learned, or for another ``rate`` or sensor."""
+    if kind == "places":
+        return FixedBirth(_places(birth.places), birth.particles)
+    if kind != "scene":
+        made: Birth = birth
+        return made
     from phdtrack.models.scene import SceneBirth, objects_of
 
-    scene = _scene(given.file, size)
+    scene, rate, observed = _scene(birth.file, size), settings.build("time").units_per_second, sensor.observed
     if scene.births is None:
-        raise InputError("births were not learned in this scene", where=given.file, cure="Leave birth.kind out")
-    if scene.rate != rate:
-        problem = f"births were learned with {scene.rate:g} time units a second, and there are {rate:g}"
-        cure = f"Say --set time.units_per_second={scene.rate:g}, or learn again"
-        raise InputError(problem, where=given.file, cure=cure)
+        raise InputError("births were not learned in this scene", where=birth.file, cure="Leave birth.kind out")
+    _check_rate(scene, birth.file, rate)
     # What is not shown are the two velocities.
     if scene.births.density.dim != len(observed) + 2:
         problem = f"expected births of {len(observed) + 2} components, got {scene.births.density.dim}"
-        raise InputError(problem, where=given.file, cure="Learn them with the motion.kind that they are used with")
-    if given.around_detections > 0 and len(observed) != 4:
+        raise InputError(problem, where=birth.file, cure="Learn them with the motion.kind that they are used with")
+    if birth.around_detections > 0 and len(observed) != 4:
         raise InputError("births around detections are of boxes only", where="birth.around_detections", cure="Leave it out")
     among, per_second = objects_of(scene.followed), scene.births.rate * rate
-    return SceneBirth(per_second, scene.births.density, observed, given.particles, given.around_detections, among)
+    return SceneBirth(per_second, scene.births.density, observed, birth.particles, birth.around_detections, among)
 
 
 def _clutter(settings: Settings, size: Size, region: Region) -> Clutter:
     """Where false alarms are: in an image of this size, or on the ground in ``region``."""
-    from phdtrack.models.clutter import LocalClutter, LocalPlaneClutter, UniformClutter
-    from phdtrack.models.volumes import area, image_area, image_volume
-
     kind, given = settings.kind("clutter"), settings.build("clutter")
     if kind == "scene":
         from phdtrack.models.scene import SceneClutter
@@ -238,8 +213,9 @@ def _learning(settings: Settings, stages: AnyStages, info: SequenceInfo) -> Lear
         if not files:
             raise InputError("there is no scene*.json in this folder", where=given.file, cure="Name a run that has learned")
     scenes = tuple(_scene(file, size) for file in files)
-    if any(scene.births is not None and scene.rate != rate for scene in scenes):
-        raise InputError(f"births were not learned with {rate:g} time units a second", where=given.file)
+    for file, scene in zip(files, scenes, strict=True):
+        if scene.births is not None:
+            _check_rate(scene, file, rate)
     return SceneLearning(rule, stages.model, ShadowTracker(stages), given.particles, scenes)
 
 
@@ -248,9 +224,9 @@ def _rates(settings: Settings, model: Model, other: Learning[Any], info: Sequenc
     if settings.kind("rates") == "none":
         return other
     from phdtrack.models.learning import RateLearning, priors_of
-    from phdtrack.scene.rates import RatesLearning, RatesSettings
+    from phdtrack.scene.rates import RatesLearning
 
-    given: RatesSettings = settings.build("rates")
+    given = settings.build("rates")
     delay = given.verdict_delay + settings.build("associate").output_delay / info.fps
     return RateLearning(RatesLearning(given, priors_of(model), model.rate, delay), other)
 
@@ -266,13 +242,12 @@ def _scene(file: str, size: Size) -> Scene:
     return scene
 
 
-def _boxes(sensor: Any, boxes: Boxes, weight: float) -> GaussianMixture:
-    """Gaussians about given boxes, as uncertain as one detection of each."""
-    xyxy: F8 = np.array(boxes, dtype=np.float64).reshape(-1, 4)
-    if not np.isfinite(xyxy).all() or (xyxy[:, 2:] <= xyxy[:, :2]).any():
-        raise InputError("expected boxes as left, top, right, bottom with left < right and top < bottom", where="boxes")
-    mean, cov = sensor.states(to_cxcywh(xyxy))
-    return GaussianMixture(np.full(len(xyxy), weight), mean, cov)
+def _check_rate(scene: Scene, file: str, rate: float) -> None:
+    """Raise `InputError` where births were learned in other units of time."""
+    if scene.rate != rate:
+        problem = f"births were learned with {scene.rate:g} time units a second, and there are {rate:g}"
+        cure = f"Say --set time.units_per_second={scene.rate:g}, or learn again"
+        raise InputError(problem, where=file, cure=cure)
 
 
 def _places(places: Places) -> GaussianMixture:

@@ -1,4 +1,5 @@
-"""Every name that a configuration may have: sections, their kinds, the settings of each, and which go together.
+"""Every name that a configuration may have: sections, their kinds, the settings of each, and which go together, from
+``kinds.toml``.
 
 The settings of a kind are the fields of a frozen dataclass, mostly the object itself (``[filter]`` of kind ``pmb`` has the
 fields of `filters.pmb.PMB`). The dataclasses here are of parts that are only built once the sequence, a camera or a learned
@@ -11,12 +12,13 @@ from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
 from functools import cache
 from importlib import import_module
+from pathlib import Path
 from typing import Any, get_type_hints
 
 from phdtrack.errors import NonNegative, Positive, PositiveCount, check
+from phdtrack.files import read_toml
 from phdtrack.models.volumes import EVERYWHERE, PlaneVolume, Region, Volume, check_region
 
-Boxes = list[tuple[float, float, float, float]]
 Places = list[tuple[float, float, float, float, float]]
 """Of each: x, y in metres, weight, standard deviations of position (m) and of velocity (m/s)."""
 
@@ -93,16 +95,6 @@ class GroundClutterSettings(_Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class FixedBirthSettings(_Checked):
-    """``boxes``: where objects appear, as left, top, right, bottom in pixels. ``births_per_second``: expected births per
-    second at each. ``particles``: newborn particles per frame."""
-
-    boxes: Boxes
-    births_per_second: NonNegative = 0.25
-    particles: PositiveCount = 300
-
-
-@dataclass(frozen=True, slots=True)
 class PlacesBirthSettings(_Checked):
     """``places``: where people appear on the ground, as x, y (m), births per second, deviations of position (m) and of
     velocity (m/s). ``particles``: newborn particles per frame."""
@@ -164,110 +156,22 @@ class LearnSettings(_Checked):
     file: str = ""
 
 
+_KINDS = {
+    section: {"": kinds} if "class" in kinds else kinds
+    for section, kinds in read_toml(Path(__file__).with_name("kinds.toml")).items()
+}
 # section → kind → "module:class" of its settings; the first kind is the default. A class is imported when it is chosen.
 SECTIONS: Mapping[str, Mapping[str, str]] = {
-    "time": {"": f"{__name__}:TimeSettings"},
-    "camera": {"": f"{__name__}:CameraSettings"},
-    "motion": {
-        "box": "phdtrack.models.box:BoxMotion",
-        "plane": "phdtrack.models.plane:PlaneMotion",
-        "point": "phdtrack.models.point:PointMotion",
-    },
-    "sensor": {
-        "box": "phdtrack.models.box:BoxSensor",
-        "plane": "phdtrack.models.plane:PlaneSensor",
-        "point": "phdtrack.models.point:PointSensor",
-    },
-    "birth": {
-        "measurement": "phdtrack.models.births:MeasurementBirth",
-        "uniform": "phdtrack.models.births:UniformBirth",
-        "fixed": f"{__name__}:FixedBirthSettings",
-        "scene": f"{__name__}:SceneBirthSettings",
-        "ground": "phdtrack.models.births:PlaneBirth",
-        "places": f"{__name__}:PlacesBirthSettings",
-        "point": "phdtrack.models.births:PointBirth",
-    },
-    "clutter": {
-        "image": f"{__name__}:ClutterSettings",
-        "scene": f"{__name__}:SceneClutterSettings",
-        "ground": f"{__name__}:GroundClutterSettings",
-        "point": f"{__name__}:PointClutterSettings",
-    },
-    "filter": {
-        "pmb": "phdtrack.filters.pmb:PMB",
-        "particle-phd": "phdtrack.filters.phd_particle:ParticlePHD",
-        "gm-phd": "phdtrack.filters.phd_gaussian:GMPHD",
-        "particle-cphd": "phdtrack.filters.cphd_particle:ParticleCPHD",
-        "gm-cphd": "phdtrack.filters.cphd:GMCPHD",
-        "mcmc": "phdtrack.filters.mcmc:MCMC",
-        "mht": "phdtrack.filters.mht:MHT",
-        "none": "phdtrack.filters.none:NoFilter",
-    },
-    "extract": {
-        "bernoullis": "phdtrack.filters.pmb:BestBernoullis",
-        "kmeans": "phdtrack.filters.extract.clusters:KMeans",
-        "mixture": "phdtrack.filters.extract.clusters:Mixture",
-        "components": "phdtrack.filters.extract.components:Components",
-        "joint": "phdtrack.filters.extract.components:Joint",
-        "hypotheses": "phdtrack.filters.mht:BestHypothesis",
-    },
-    "associate": {"labelled": "phdtrack.associate.labels:Labelled", "graph": "phdtrack.associate.graph:GraphMatching"},
-    "learn": {"none": "phdtrack.protocols:NoLearning", "online": f"{__name__}:LearnSettings"},
-    "rates": {"none": "phdtrack.protocols:NoLearning", "learned": "phdtrack.scene.rates:RatesSettings"},
-    "merged_measurements": {
-        "none": "phdtrack.protocols:AsDetected",
-        "explained": "phdtrack.detect.merged:MergedMeasurements",
-    },
-    "camera_motion": {
-        "none": "phdtrack.video.ego_motion:Standing",
-        "flow": "phdtrack.video.ego_motion:SparseFlow",
-        "file": "phdtrack.video.ego_motion:GivenWarps",
-    },
-    "smooth": {"": "phdtrack.smooth:Smoothing"},
-    "groups": {"": "phdtrack.groups:Grouping"},
-    "contours": {"": "phdtrack.groups:Contours"},
-    "life_cycle": {"": "phdtrack.groups:GroupLifeCycle"},
-    "encounters": {"": "phdtrack.groups:EncounterWarning"},
-    "detector": {"": f"{__name__}:DetectorSettings"},
+    section: {kind: one["class"] for kind, one in kinds.items()} for section, kinds in _KINDS.items()
 }
-# Kinds of other sections that a kind goes together with, the default first. Without a filter nothing is extracted.
+# Kinds of other sections that a kind goes together with, the default first.
 FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
-    ("motion", "box"): {
-        "sensor": ("box",),
-        "birth": ("measurement", "uniform", "fixed", "scene"),
-        "clutter": ("image", "scene"),
-    },
-    ("motion", "plane"): {
-        "sensor": ("plane",),
-        "birth": ("ground", "places", "scene"),
-        "clutter": ("ground",),
-        "learn": ("none",),
-        "merged_measurements": ("none",),
-        "camera_motion": ("none",),
-    },
-    ("motion", "point"): {
-        "sensor": ("point",),
-        "birth": ("point", "uniform", "fixed", "scene"),
-        "clutter": ("point",),
-        "learn": ("none",),
-        "merged_measurements": ("none",),
-    },
-    ("filter", "particle-phd"): {"extract": ("kmeans", "mixture"), "associate": ("graph",)},
-    ("filter", "gm-phd"): {"extract": ("components",), "associate": ("graph",)},
-    ("filter", "particle-cphd"): {"extract": ("mixture", "kmeans"), "associate": ("graph",)},
-    ("filter", "gm-cphd"): {"extract": ("components",), "associate": ("graph",)},
-    ("filter", "mht"): {"extract": ("hypotheses",), "associate": ("labelled", "graph")},
-    ("filter", "pmb"): {"extract": ("bernoullis",), "associate": ("labelled", "graph")},
-    ("filter", "mcmc"): {"extract": ("joint",), "associate": ("graph", "labelled")},
-    ("filter", "none"): {"associate": ("graph",), "learn": ("none",), "rates": ("none",), "merged_measurements": ("none",)},
+    (section, kind): {other: tuple(fitting) for other, fitting in one.items() if other in _KINDS}
+    for section, kinds in _KINDS.items()
+    for kind, one in kinds.items()
 }
 # The sections whose kinds decide others', in the order to lay them over.
 DECIDING = ("motion", "filter")
-# Kinds that most filters cannot do: those filters, and what to use instead.
-_GAUSSIAN = ("gm-phd", "gm-cphd", "mht", "pmb")
-MISFITS = {
-    ("birth", "uniform"): (_GAUSSIAN, "birth.kind=measurement (of points: point), or fixed"),
-}
 # Fields that come from the sequence.
 FROM_SEQUENCE = {"frame_size", "initial", "remember_size", "camera", "hiders", "borders"}
 
@@ -287,12 +191,12 @@ def first_kind(section: str) -> str:
 
 @cache
 def settable(section: str, kind: str, motion: str) -> Mapping[str, Any]:
-    """The settings of a kind and the type of each, bounds included; ``motion`` decides what ``filter.initial`` lists."""
+    """The settings of a kind and the type of each, bounds included; ``filter.initial`` is for ``motion`` on the plane."""
     chosen = record(section, kind)
     hints = get_type_hints(chosen, include_extras=True)
     known = {field.name: hints[field.name] for field in fields(chosen) if field.name not in FROM_SEQUENCE}
-    if section == "filter" and kind != "none":
-        known["initial"] = Places if motion == "plane" else Boxes
+    if section == "filter" and kind != "none" and motion == "plane":
+        known["initial"] = Places
     return known
 
 

@@ -1,14 +1,14 @@
 """Settings from a preset, a TOML file and options, checked.
 
 A configuration has sections, one for each part of the model and of the tracker. A section has the settings of the class
-that it makes (its docstring explains them) and, where there is a choice, ``kind``:
+that it makes, which explains them, and, where there is a choice, ``kind``:
 
     preset = "m09"                 # default, m07, m09, fv, m09-mht, e13, d14
     scene = "street.scene.json"    # what `phdtrack learn` has learned; optional
     [sensor]
     detection_probability = 0.9
     [birth]
-    kind = "measurement"           # measurement, uniform, fixed, scene
+    kind = "measurement"           # measurement, uniform, scene
 
 On the command line the same is ``--set sensor.detection_probability=0.9``. A preset is a complete set of values
 (`presets.values_of`); what the user says replaces values of it. An unknown name is an error that says the nearest one.
@@ -25,7 +25,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from phdtrack.config.kinds import DECIDING, FITTING, MISFITS, SECTIONS, constructor_defaults, first_kind, record, settable
+from phdtrack.config.kinds import DECIDING, FITTING, SECTIONS, constructor_defaults, first_kind, record, settable
 from phdtrack.config.presets import PRESETS, values_of
 from phdtrack.errors import InputError
 from phdtrack.files import read_toml
@@ -42,24 +42,27 @@ class Settings:
 
     def kind(self, section: str) -> str:
         """The kind of a section."""
-        said = [table[section]["kind"] for table in (self.given, self._preset()) if "kind" in table.get(section, {})]
-        return str(said[0]) if said else first_kind(section)
+        said = {**self._preset().get(section, {}), **self.given.get(section, {})}
+        return str(said.get("kind", first_kind(section)))
 
     def values(self, section: str) -> Values:
-        """What the preset and the user say of a section, without its kind: the constructor's defaults complete it."""
+        """What the preset and the user say of a section, without its kind: the constructor's defaults complete it.
+
+        What was said for another filter or kind of motion, and has no meaning with this one, is left out.
+        """
+        if section == "detector":
+            return self.detector
         kind, preset = self.kind(section), self._preset()
-        first = preset.get(section, {}) if preset.get(section, {}).get("kind", first_kind(section)) == kind else {}
-        usual = {**preset.get(f"{section}.{kind}", {}), **first}
+        usual = preset.get(section, {})
+        fits = usual.get("kind", first_kind(section)) == kind
+        said = {**preset.get(f"{section}.{kind}", {}), **(usual if fits else {}), **self.given.get(section, {})}
         known = settable(section, kind, self.kind("motion"))
-        said = {key: value for key, value in self.given.get(section, {}).items() if key != "kind"}
-        return {key: value for key, value in usual.items() if key in known} | said
+        return {key: value for key, value in said.items() if key in known}
 
     def build(self, section: str, **more: Any) -> Any:
         """The object that a section makes; of ``more``, which depends on the sequence, it takes what its class knows."""
-        values, chosen = self.values(section), record(section, self.kind(section))
-        values.pop("initial", None)
-        known = {field.name for field in fields(chosen)}
-        return chosen(**values, **{key: value for key, value in more.items() if key in known})
+        chosen, values = record(section, self.kind(section)), self.values(section) | {"initial": None} | more
+        return chosen(**{field.name: values[field.name] for field in fields(chosen) if field.name in values})
 
     def as_dict(self) -> dict[str, Any]:
         """Every setting with its value: what run.json records and `load` reads back."""
@@ -168,12 +171,9 @@ def _replaced(settings: Settings, entries: Iterable[_Entry]) -> Settings:
     named, merged = {entry.section for entry in kinds}, Settings(settings.preset, given)
     for deciding in named & set(DECIDING):
         for section, fitting in FITTING.get((deciding, merged.kind(deciding)), {}).items():
-            if section in given and section not in named:
-                # Said before, of another filter or kind of motion: what does not fit goes.
-                if given[section].get("kind", fitting[0]) not in fitting:
-                    del given[section]["kind"]
-                allowed = {"kind", *settable(section, merged.kind(section), merged.kind("motion"))}
-                given[section] = {key: value for key, value in given[section].items() if key in allowed}
+            # Said before, for another filter or kind of motion.
+            if section not in named and given.get(section, {}).get("kind", fitting[0]) not in fitting:
+                del given[section]["kind"]
     for entry in entries:
         if entry not in kinds:
             value = entry.value if entry.section == "detector" else _checked(merged, entry)
@@ -205,24 +205,21 @@ def _check(settings: Settings, where: str) -> None:
     for section in settings.given:
         if section == "detector":
             continue
-        values = {**constructor_defaults(section, kinds[section]), **settings.values(section), "initial": ()}
+        said = {*constructor_defaults(section, kinds[section]), *settings.values(section), "initial"}
         for key in settable(section, kinds[section], ""):
-            if key not in values:
+            if key not in said:
                 raise InputError(f"[{section}] of kind {kinds[section]} needs a value for {key}", where=where)
         settings.build(section, frame_size=(1.0, 1.0))
-    for deciding in DECIDING:
-        for section, fitting in FITTING.get((deciding, kinds[deciding]), {}).items():
+    for deciding in kinds:
+        for section, fitting in FITTING[deciding, kinds[deciding]].items():
             kind = kinds[section]
             if kind not in fitting:
-                others = [k for (d, k), f in FITTING.items() if d == deciding and kind in f.get(section, ())]
+                # A filter that names no extraction has none; births that name no filter go with all.
+                unnamed, cure = ((), f"Leave {section}.kind out, or use") if deciding in DECIDING else ((kind,), "Use")
+                others = [k for k in SECTIONS[deciding] if kind in FITTING[deciding, k].get(section, unnamed)]
                 elsewhere = f"; it goes with {deciding}.kind={' or '.join(others)}" if others else ""
                 problem = f"{section}.kind={kind} does not fit {deciding}.kind={kinds[deciding]}"
-                cure = f"Leave {section}.kind out, or use {' or '.join(fitting)}{elsewhere}"
-                raise InputError(problem, where=where, cure=cure)
-    for (section, kind), (filters, instead) in MISFITS.items():
-        if kinds[section] == kind and kinds["filter"] in filters:
-            problem = f"{section}.kind={kind} has no form that filter.kind={kinds['filter']} can carry"
-            raise InputError(problem, where=where, cure=f"Use {instead}, or filter.kind=particle-phd")
+                raise InputError(problem, where=where, cure=f"{cure} {' or '.join(fitting)}{elsewhere}")
 
 
 def _with_scene(settings: Settings, file: str, options: list[_Entry]) -> list[_Entry]:

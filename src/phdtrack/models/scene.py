@@ -269,6 +269,6 @@ def not_standing(what: str) -> InputError:
 def refuse_standing(model: Model) -> None:
     """Raise `InputError` where births or false alarms of the model lie at pixels, which a moving camera leaves behind."""
     if isinstance(model.birth, FixedBirth | SceneBirth):
-        raise not_standing("where targets appear (birth.kind=fixed or scene)")
+        raise not_standing("where targets appear (birth.kind=places or scene)")
     if isinstance(model.clutter, SceneClutter):
         raise not_standing("where false alarms are (clutter.kind=scene)")

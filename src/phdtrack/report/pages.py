@@ -54,6 +54,12 @@ def lines(template: str, **context: object) -> tuple[str, ...]:
     return tuple(str(line).strip() for line in render(template, **context).split("\n") if line.strip())
 
 
+def score_meanings() -> dict[str, str]:
+    """What each score says, and which way it is better, by its name."""
+    found: dict[str, str] = vars(environment().get_template("scores.html").module)["meanings"]
+    return {name: meaning + words.score_direction(name) for name, meaning in found.items()}
+
+
 def sentences(record: RunRecord) -> tuple[str, ...]:
     """What happened in a run, in a few sentences for the report, the terminal and ``run.json``."""
     return lines("summary.txt", record=record)
