@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,13 +13,9 @@ from phdtrack.errors import InputError
 from phdtrack.types import Detections
 
 
-@dataclass
-class Boxes:
+def boxes(xyxy: Any, confidence: Any = None, class_id: Any = None) -> SimpleNamespace:
     """Like the objects of other libraries."""
-
-    xyxy: Any
-    confidence: Any = None
-    class_id: Any = None
+    return SimpleNamespace(xyxy=xyxy, confidence=confidence, class_id=class_id)
 
 
 def test_columns() -> None:
@@ -35,8 +30,8 @@ def test_columns() -> None:
 
 def test_objects() -> None:
     box = np.array([[0, 1, 10, 20]], np.float32)
-    assert as_detections(Boxes(box)).confidence[0] == 1
-    found = as_detections(Boxes(box, np.array([0.5]), np.array([2])))
+    assert as_detections(boxes(box)).confidence[0] == 1
+    found = as_detections(boxes(box, np.array([0.5]), np.array([2])))
     assert (found.confidence[0], found.class_id[0]) == (0.5, 2)
     found = as_detections(SimpleNamespace(xyxy=box, conf=[0.5], cls=[2.0]))
     assert (found.confidence[0], found.class_id[0]) == (0.5, 2)
@@ -44,7 +39,7 @@ def test_objects() -> None:
     assert as_detections(ours) is ours
 
 
-@pytest.mark.parametrize("nothing", [[], (), np.zeros((0, 4)), np.zeros((0, 6)), np.zeros(0), Boxes(np.zeros((0, 4)))])
+@pytest.mark.parametrize("nothing", [[], (), np.zeros((0, 4)), np.zeros((0, 6)), np.zeros(0), boxes(np.zeros((0, 4)))])
 def test_no_boxes(nothing: object) -> None:
     assert len(as_detections(nothing)) == 0
 
@@ -64,8 +59,8 @@ def test_no_boxes(nothing: object) -> None:
         ([[0, 0, 9, 9], [5, 5, 5, 9]], "row 1 .* no width"),
         ([[5, 5, 3, 9]], "row 0 .* no width"),
         ([[0, 0, 9, 9, 1, 0.5]], "whole number"),
-        (Boxes(np.zeros((2, 5))), "xyxy of shape"),
-        (Boxes([[0, 0, 9, 9]], [1, 1]), r"\.confidence with one value for each of 1"),
+        (boxes(np.zeros((2, 5))), "xyxy of shape"),
+        (boxes([[0, 0, 9, 9]], [1, 1]), r"\.confidence with one value for each of 1"),
     ],
 )
 def test_what_is_refused(bad: object, message: str) -> None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from detect_scenes import HEIGHT, WIDTH, Scene
+from detect_scenes import Scene
 
 from phdtrack.arrays import iou
 from phdtrack.detect import make_detector
-from phdtrack.detect.change import ChangeDetector, MeanBackgroundDetector, median_image, relit
+from phdtrack.detect.change import ChangeDetector, MeanBackgroundDetector
 from phdtrack.errors import InputError
 from phdtrack.protocols import Detector
 from phdtrack.types import Detections, Frame, Image
@@ -124,21 +124,6 @@ def test_the_signed_form_sees_only_the_dark() -> None:
     dark = signed(Frame(2, 0.04, both))
     assert len(dark) == 1
     np.testing.assert_allclose(dark.xyxy, [[20, 20, 50, 60]], atol=3)
-
-
-@pytest.mark.parametrize("count", [1, 5, 9])
-def test_the_median_is_numpys(count: int, rng: np.random.Generator) -> None:
-    images = list(rng.integers(0, 256, (count, 7, 5, 3), np.uint8))
-    np.testing.assert_array_equal(median_image(images), np.median(images, axis=0))
-
-
-def test_light_is_fitted_though_a_third_of_the_picture_has_changed(rng: np.random.Generator) -> None:
-    reference = rng.integers(30, 180, (120, 160, 3), np.uint8)
-    frame = np.clip(np.rint(reference * 1.2 + 6), 0, 255).astype(np.uint8)
-    expected = frame.copy()
-    frame[:, :50] = 0
-    adapted = relit(reference, frame, np.zeros((HEIGHT, WIDTH), np.uint8))
-    assert np.abs(adapted.astype(int) - expected).max() <= 2
 
 
 @pytest.mark.data

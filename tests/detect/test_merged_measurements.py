@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,9 +11,6 @@ from experiments.common import Case
 from experiments.meetings import PARTINGS, leaving, met
 from phdtrack import config
 from phdtrack.arrays import intersection, to_cxcywh
-from phdtrack.cli.options import SourceOptions, TrackingOptions
-from phdtrack.cli.settings import chosen
-from phdtrack.cli.track import prepare
 from phdtrack.detect.merged import ExpectedTargets, MergedMeasurements
 from phdtrack.errors import InputError
 from phdtrack.protocols import Model
@@ -109,18 +103,6 @@ def test_every_blob_is_used_and_order_does_not_matter(targets: F8, blobs: F8) ->
     assert sorted(mine) == sorted(theirs)
 
 
-def test_given_noise_grows_where_no_edge_shows_the_target() -> None:
-    inside = np.array([[100.0, 100, 180, 200], [120, 100, 150, 200]])
-    noise = np.diag([4.0, 4, 9, 9])
-    blob = Detections(inside[:1], np.ones(1), np.zeros(1, np.int64), noise[None])
-    _, found = ALWAYS.explain(expected(inside), blob, MODEL, 1.0)
-    assert found.changed
-    assert found.detections.covariance is not None
-    seen, unseen = found.detections.covariance[np.argsort(found.target)]
-    assert seen[0, 0] == 4.0
-    assert unseen[0, 0] > 100.0
-
-
 def test_blobs_of_raw_detections_are_not_explained() -> None:
     with pytest.raises(InputError, match="does not fit"):
         config.load(None, ("filter.kind=none", "merged_measurements.kind=explained"))
@@ -183,27 +165,16 @@ def test_rows_rest_on_the_blob_that_they_share() -> None:
 
 
 @pytest.mark.parametrize(
-    ("detector", "detections", "sets", "kind"),
+    ("detector", "sets", "kind"),
     [
-        ("", False, (), "explained"),
-        ("mog2", False, (), "explained"),
-        ("person", False, (), "none"),
-        ("", True, (), "none"),
-        ("", False, ("merged_measurements.kind=none",), "none"),
-        ("", False, ("filter.kind=none",), "none"),
+        ("change", (), "explained"),
+        ("mog2", (), "explained"),
+        ("person", (), "none"),
+        ("file", (), "none"),
+        ("change", ("merged_measurements.kind=none",), "none"),
+        ("change", ("filter.kind=none",), "none"),
+        ("change", ("motion.kind=plane",), "none"),
     ],
 )
-def test_blobs_are_explained_where_a_background_model_finds_them(
-    tmp_path: Path, detector: str, detections: bool, sets: tuple[str, ...], kind: str
-) -> None:
-    folder = tmp_path / "frames"
-    folder.mkdir()
-    for number in range(3):
-        cv2.imwrite(str(folder / f"{number:03d}.png"), np.full((48, 64, 3), 90, np.uint8))
-    file = tmp_path / "det.txt"
-    file.write_text("1,-1,10,10,20,30,0.9\n", encoding="utf-8")
-    source = SourceOptions(str(folder), file if detections else None, detector, fps=25.0)
-    options = TrackingOptions(sets=list(sets))
-    job = prepare(source, options, chosen(options), video=False)
-    assert job.configuration["merged_measurements"]["kind"] == kind
-    assert isinstance(job.stages.explainer, MergedMeasurements) == (kind == "explained")
+def test_blobs_are_explained_where_a_background_model_finds_them(detector: str, sets: tuple[str, ...], kind: str) -> None:
+    assert config.for_detector(config.load(None, sets), detector).kind("merged_measurements") == kind

@@ -25,6 +25,8 @@ def test_from_the_file_or_its_folder(tmp_path: Path) -> None:
 def test_it_is_looked_for_beside_and_one_folder_up(tmp_path: Path) -> None:
     deep = tmp_path / "det" / "more"
     deep.mkdir(parents=True)
+    with pytest.raises(InputError, match="no such file"):
+        read_seqinfo(tmp_path)
     assert find_seqinfo(deep / "det.txt") is None
     put(tmp_path, GOOD, NAME)
     assert find_seqinfo(tmp_path / "det.txt") == INFO
@@ -51,8 +53,3 @@ def test_malformed(tmp_path: Path, content: str | bytes, where: str, words: str)
     refused(read_seqinfo, put(tmp_path, content, NAME), where, words)
     with pytest.raises(InputError):
         find_seqinfo(tmp_path / "det.txt")
-
-
-def test_missing(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such file"):
-        read_seqinfo(tmp_path)

@@ -30,10 +30,10 @@ def test_noisy_points_give_the_least_squares_in_the_image(rng: np.random.Generat
     fitted = fit_homography(pixel, WORLD)
     theirs, _ = cv2.findHomography(WORLD.T, pixel.T)
     ours = (fitted.pixel_error**2).sum()
-    back = HomographyCamera(np.linalg.inv(theirs), fitted.inside).pixels(WORLD)
+    back = HomographyCamera(np.linalg.inv(theirs), fitted.camera.inside).pixels(WORLD)
     assert ours <= ((back - pixel) ** 2).sum() * (1 + 1e-6)
     for _ in range(50):
-        other = HomographyCamera(fitted.matrix * (1 + 1e-5 * rng.standard_normal((3, 3))), fitted.inside)
+        other = HomographyCamera(fitted.camera.matrix * (1 + 1e-5 * rng.standard_normal((3, 3))), fitted.camera.inside)
         assert ((other.pixels(WORLD) - pixel) ** 2).sum() > ours
     np.testing.assert_allclose(np.hypot(*(fitted.camera.pixels(WORLD) - pixel)), fitted.pixel_error)
     np.testing.assert_allclose(np.hypot(*(fitted.camera.ground(pixel) - WORLD)), fitted.ground_error)

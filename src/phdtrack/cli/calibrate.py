@@ -108,7 +108,7 @@ def report(out: Output, fitted: Calibration, pixel: F8, world: F8, file: Path, s
     out.document(
         {
             "camera": str(file),
-            "homography": fitted.matrix.tolist(),
+            "homography": fitted.camera.matrix.tolist(),
             "points": [dict(zip(keys, row, strict=True)) for row in table],
             "rms_pixels": rms_px,
             "rms_metres": rms_m,

@@ -117,7 +117,7 @@ class ChangeDetector:
         planes = _planes(frame.image)
         self._learn_camera_noise(planes)
         self._sample(frame)
-        expected = relit(cv2.convertScaleAbs(self._reference), frame.image, self._foreground)
+        expected = _relit(cv2.convertScaleAbs(self._reference), frame.image, self._foreground)
         energy = self._energy(planes, _planes(expected))
         mask = self.blobs.clean(self._changed(energy))
         found = self.blobs.components(mask)
@@ -148,7 +148,7 @@ class ChangeDetector:
         self._learning = len(self._samples) < self.samples
         if len(self._samples) % 2 == 0:
             return
-        self._reference = median_image(self._samples).astype(np.float32)
+        self._reference = _median(self._samples).astype(np.float32)
         if len(self._samples) >= 5:
             expected = _planes(cv2.convertScaleAbs(self._reference))
             energies = np.stack([self._energy(_planes(sample), expected) for sample in self._samples])
@@ -213,19 +213,8 @@ class ChangeDetector:
             cv2.accumulateWeighted(frame.image, self._reference, 1.0, cv2.dilate(lasting, _MARGIN))
 
 
-def relit(reference: Image, frame: Image, foreground: Image) -> Image:
-    """``reference`` in the light of ``frame``.
-
-    Parameters
-    ----------
-    reference : (H, W, 3) the picture of the empty scene.
-    frame : (H, W, 3) the present picture.
-    foreground : (H, W) mask; pixels where it is not 0 are left out.
-
-    Returns
-    -------
-    (H, W, 3) the picture.
-    """
+def _relit(reference: Image, frame: Image, foreground: Image) -> Image:
+    """(H, W, 3) the picture ``reference`` of the scene in the light of ``frame``; pixels of the foreground are left out."""
     table, level = np.empty((1, 256, 3), np.uint8), np.arange(256, dtype=np.float64)
     step = max(1, round((foreground.size / _GRID_POINTS) ** 0.5))
     grid = slice(step // 2, None, step)
@@ -256,7 +245,7 @@ def _line(x: F8, y: F8, background: Bool) -> tuple[float, float]:
     return gain, offset
 
 
-def median_image(images: Sequence[Image]) -> Image:
+def _median(images: Sequence[Image]) -> Image:
     """Per-pixel median of an odd number of uint8 images, by exchanges: several times faster than sorting each pixel."""
     ranked = list(images)
     middle = len(ranked) // 2

@@ -277,14 +277,13 @@ def _outline(boxes: F8, covariance: F8) -> tuple[F8, F8]:
     return boxes[owner, side], np.where(same, covariance[owner[:, None], side[:, None], side[None, :]], 0.0)
 
 
-def _placed(blob: F8, boxes: F8) -> tuple[F8, F8]:
-    """Boxes (k, 4) that a merged blob (4,) gives its targets' boxes (k, 4), their size unchanged, and deviations (k, 2).
+def _placed(blob: F8, boxes: F8) -> F8:
+    """(k, 4) where a merged blob (4,) puts its targets' boxes (k, 4), their size unchanged.
 
     A target lies where the edges that it has put it, midway if it has both; one that has none along an axis stays where it
-    is expected, inside the blob, and its standard deviation there is that of a uniform place in the blob; else it is 0.
+    is expected, inside the blob.
     """
-    owner, k = _owners(boxes), np.arange(len(boxes))
-    out, slack = boxes.copy(), np.zeros((len(boxes), 2))
+    owner, k, out = _owners(boxes), np.arange(len(boxes)), boxes.copy()
     for axis in (0, 1):
         low, high = blob[axis], blob[axis + 2]
         size = boxes[:, axis + 2] - boxes[:, axis]
@@ -294,8 +293,7 @@ def _placed(blob: F8, boxes: F8) -> tuple[F8, F8]:
         room = high - low - size
         start = np.where(room > 0, np.clip(start, low, np.maximum(low, high - size)), low + room / 2)
         out[:, axis], out[:, axis + 2] = start, start + size
-        slack[:, axis] = np.where(at_low | at_high, 0.0, np.maximum(room, 0.0) / np.sqrt(12))
-    return out, slack
+    return out
 
 
 def _predicted(targets: ExpectedTargets, model: Model, dt: float) -> ExpectedTargets:
@@ -328,15 +326,11 @@ def _divided(detections: Detections, members: Members, boxes: F8) -> Explanation
     target = np.array([t for several in members for t in several or (-1,)], np.int64)
     if len(source) == n:
         return Explanation(detections, source, part, target)
-    out = detections.take(source)
-    xyxy, variance = out.xyxy.copy(), np.zeros((len(source), 4))
+    xyxy = detections.xyxy[source]
     for b, several in enumerate(members):
         if len(several) > 1:
-            rows = slice(part[b], part[b] + len(several))
-            xyxy[rows], slack = _placed(detections.xyxy[b], boxes[list(several)])
-            variance[rows, :2] = np.square(slack)
-    covariance = None if out.covariance is None else out.covariance + variance[:, :, None] * np.eye(4)
-    return Explanation(replace(out, xyxy=xyxy, covariance=covariance), source, part, target, changed=True)
+            xyxy[part[b] : part[b] + len(several)] = _placed(detections.xyxy[b], boxes[list(several)])
+    return Explanation(replace(detections.take(source), xyxy=xyxy), source, part, target, changed=True)
 
 
 def _continued(targets: ExpectedTargets, target: I8, estimates: Estimates, model: Model) -> I8:

@@ -16,10 +16,9 @@ import cv2
 import numpy as np
 from annotated_types import Gt
 
-from phdtrack.arrays import iou
 from phdtrack.detect.components import BlobSettings, check_same_size
 from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, Probability, check
-from phdtrack.types import F8, I8, Detections, Frame, Image
+from phdtrack.types import Detections, Frame, Image
 
 MEND = "python -m pip uninstall -y opencv-python opencv-contrib-python; python -m pip install --force-reinstall "
 MEND += '"opencv-python-headless>=4.8,<5"'
@@ -186,22 +185,10 @@ class PersonDetector:
         )
         corner, size = np.hsplit(np.array(windows, np.float64).reshape(-1, 4) / self.scale, 2)
         score, middle, reach = np.array(margins, np.float64).reshape(-1), corner + size / 2, size * _BODY / 2
-        boxes = np.hstack([middle - reach, middle + reach])
-        kept = _strongest(boxes, score, self.overlap)
-        return Detections.of(boxes[kept], score[kept])
-
-
-def _strongest(boxes: F8, score: F8, overlap: float) -> I8:
-    """Indices of the boxes (N, 4), by falling ``score`` (N,), whose IoU with every stronger kept one is ≤ ``overlap``.
-
-    `cv2.dnn.NMSBoxes` leaves out scores below 0, and margins may be.
-    """
-    order = np.argsort(-score, kind="stable")
-    shared, kept = iou(boxes[order], boxes[order]), np.ones(len(order), np.bool_)
-    for i in range(len(order)):
-        if kept[i]:
-            kept[i + 1 :] &= shared[i, i + 1 :] <= overlap
-    return order[kept]
+        # OpenCV leaves out scores that are not above the least one, 0, which margins may well be.
+        above = score - score.min(initial=0.0) + 1.0
+        kept = cv2.dnn.NMSBoxes(np.hstack([middle - reach, 2 * reach]).tolist(), above.tolist(), 0.0, self.overlap)
+        return Detections.of(np.hstack([middle - reach, middle + reach]), score).take(np.array(kept, np.int64))
 
 
 def _enlarged(image: Image, scale: float) -> Image:

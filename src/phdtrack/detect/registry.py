@@ -17,7 +17,7 @@ from phdtrack.detect.opencv import FaceDetector, PersonDetector, SubtractorDetec
 from phdtrack.errors import InputError
 from phdtrack.files import load
 from phdtrack.protocols import Detector
-from phdtrack.types import F8, Bool, Detections, DetectionTable, Frame, Image
+from phdtrack.types import Bool, Detections, DetectionTable, Frame, Image
 
 _WORDS = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
 _INSIDE = 0.5
@@ -102,8 +102,7 @@ class Masked:
         if not region.any():
             cure = "White is where to look, black is left out."
             raise InputError("the mask is black all over: nothing could be reported", where=self._where, cure=cure)
-        self._shape = region.shape
-        self._sum: F8 = cv2.integral((region != 0).astype(np.uint8)).astype(np.float64)
+        self._region = region != 0
 
     def reset(self) -> None:
         """Reset the detector inside."""
@@ -111,19 +110,15 @@ class Masked:
 
     def __call__(self, frame: Frame) -> Detections:
         """The boxes found in the region."""
-        if frame.image.shape[:2] != self._shape:
+        rows, columns = self._region.shape
+        if frame.image.shape[:2] != (rows, columns):
             height, width = frame.image.shape[:2]
-            raise InputError(
-                f"the mask is {self._shape[1]}x{self._shape[0]} pixels, frame {frame.number} is {width}x{height}",
-                where=self._where,
-                cure="Draw the mask on a frame of this video, at its full size.",
-            )
+            problem = f"the mask is {columns}x{rows} pixels, frame {frame.number} is {width}x{height}"
+            raise InputError(problem, where=self._where, cure="Draw the mask on a frame of this video, at its full size.")
         found = self._detector(frame)
-        corners = np.rint(found.xyxy).astype(np.int64)
-        left, right = np.clip(corners[:, [0, 2]], 0, self._shape[1]).T
-        top, bottom = np.clip(corners[:, [1, 3]], 0, self._shape[0]).T
-        total = self._sum[bottom, right] - self._sum[top, right] - self._sum[bottom, left] + self._sum[top, left]
-        return found.take(total >= _INSIDE * np.maximum((right - left) * (bottom - top), 1))
+        corners = np.clip(np.rint(found.xyxy), 0, [columns, rows, columns, rows]).astype(np.int64).tolist()
+        parts = [self._region[top:bottom, left:right] for left, top, right, bottom in corners]
+        return found.take(np.array([part.sum() >= _INSIDE * max(part.size, 1) for part in parts], np.bool_))
 
 
 def _read_mask(path: Path) -> Image:

@@ -62,12 +62,7 @@ class _Entry(NamedTuple):
 
 
 def table_of_coco(source: Source) -> Table:
-    """The boxes in COCO JSON.
-
-    Raises
-    ------
-    InputError : the content is not JSON, or not of COCO's form, or (truth and tracks) has no identities.
-    """
+    """The boxes in COCO JSON; `InputError` where it is not of COCO's form, or truth and tracks have no identities."""
     path, document = source.path, read_json(source.path, source.content)
     if isinstance(document, dict):
         unit = "annotation"
@@ -91,12 +86,7 @@ def table_of_coco(source: Source) -> Table:
 
 
 def table_of_cvml(source: Source) -> Table:
-    """The boxes of the objects in a CVML document.
-
-    Raises
-    ------
-    InputError : the document is not well-formed CVML, or declares a document type.
-    """
+    """The boxes of the objects in a CVML document; `InputError` where it is none."""
     elements = read_xml(source.path, source.content)
     if elements[0].name != "dataset":
         came = f"<{elements[0].name}>"

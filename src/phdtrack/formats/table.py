@@ -116,12 +116,7 @@ class Table:
 
 
 def table_of_text(source: Source) -> Table:
-    """The boxes in a text table.
-
-    Raises
-    ------
-    InputError : the content is no text, or a column or a number is missing or wrong.
-    """
+    """The boxes in a text table; `InputError` where a column or a number is missing or wrong."""
     text = scan(source.path, source.content)
     if len(text) and not text.header and text.width < 6:
         problem = f"expected at least 6 columns (frame, id, left, top, width, height), came {text.width}"
@@ -133,12 +128,7 @@ def table_of_text(source: Source) -> Table:
 
 
 def table_of_parquet(source: Source) -> Table:
-    """The boxes in a Parquet file.
-
-    Raises
-    ------
-    InputError : pyarrow is not installed, the file is no Parquet, or a column is missing or holds no numbers.
-    """
+    """The boxes in a Parquet file; `InputError` where a column is missing or holds no numbers, or pyarrow is missing."""
     try:
         import pyarrow as arrow
         import pyarrow.parquet as parquet

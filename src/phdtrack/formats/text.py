@@ -56,12 +56,7 @@ class Text:
 
 
 def scan(path: Path, content: bytes) -> Text:
-    """Find delimiter, header and the lines with values.
-
-    Raises
-    ------
-    InputError : the content is not UTF-8 text.
-    """
+    """Find delimiter, header and the lines with values; `InputError` where the content is not UTF-8 text."""
     everything = _decode(path, content).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     kept = [i for i, line in enumerate(everything) if line and not line.isspace() and line.lstrip()[0] != "#"]
     lines = [everything[i] for i in kept]

@@ -25,13 +25,10 @@ _OPEN = 1e-4
 class Calibration:
     """A fitted camera and how well it fits.
 
-    ``camera``; ``matrix`` (3, 3) from columns [u, v, 1]ᵀ to metres; ``inside`` the middle of the points, pixels;
     ``pixel_error`` (N,) distances in the image, pixels; ``ground_error`` (N,) distances on the ground, metres.
     """
 
     camera: HomographyCamera
-    matrix: F8
-    inside: tuple[float, float]
     pixel_error: F8
     ground_error: F8
 
@@ -52,10 +49,9 @@ def fit_homography(pixel: F8, world: F8) -> Calibration:
     forward = _homography(_through(to_ground, world), _through(to_image, pixel))
     matrix = np.linalg.inv(to_ground) @ np.linalg.inv(forward) @ to_image
     matrix /= np.abs(matrix).max()
-    inside = (float(pixel[0].mean()), float(pixel[1].mean()))
-    camera = HomographyCamera(matrix, inside)
+    camera = HomographyCamera(matrix, inside=(float(pixel[0].mean()), float(pixel[1].mean())))
     missed, off = camera.pixels(world) - pixel, camera.ground(pixel) - world
-    return Calibration(camera, matrix, inside, np.hypot(*missed), np.hypot(*off))
+    return Calibration(camera, np.hypot(*missed), np.hypot(*off))
 
 
 def _check(pixel: F8, world: F8) -> None:

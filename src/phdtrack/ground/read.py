@@ -33,7 +33,7 @@ from phdtrack.errors import InputError
 from phdtrack.files import AnyPath, Element, load, read_json, read_xml
 from phdtrack.ground.calibrate import Calibration
 from phdtrack.ground.cameras import HomographyCamera, OpenCVLens, PosedCamera, TsaiLens
-from phdtrack.ground.terrain import Flat, Surface, numbers, read_terrain
+from phdtrack.ground.terrain import Flat, Line, Surface, read_terrain
 from phdtrack.protocols import Camera
 from phdtrack.types import F8
 
@@ -112,14 +112,14 @@ def read_camera(path: AnyPath, form: MatrixForm | None = None, surface: Surface 
 
 def calibration_text(fitted: Calibration, frame_size: tuple[int, int] | None = None) -> str:
     """A description, in TOML, of a calibrated camera; `read_camera` gives it back to the last bit."""
-    rows = ",\n".join(f"  [{', '.join(repr(float(value)) for value in row)}]" for row in fitted.matrix)
+    rows = ",\n".join(f"  [{', '.join(repr(float(value)) for value in row)}]" for row in fitted.camera.matrix)
     off, missed = np.max(fitted.ground_error), np.max(fitted.pixel_error)
     of = f" of a frame of {frame_size[0]}x{frame_size[1]}" if frame_size else ""
     return (
         f"# Fitted to {len(fitted.pixel_error)} points{of}; the worst is {missed:.2f} pixels and {off:.3f} m off.\n"
         f"homography = [\n{rows},\n]\n"
         'maps = "pixel-to-ground"\nvectors = "column"\npixel = "xy"\nunit = "m"\n'
-        f"inside = [{fitted.inside[0]!r}, {fitted.inside[1]!r}]  # a pixel that shows ground\n"
+        f"inside = [{', '.join(map(repr, fitted.camera.inside or ()))}]  # a pixel that shows ground\n"
     )
 
 
@@ -273,8 +273,8 @@ def _storage(text: str) -> Description:
 
 def _text_matrix(text: str) -> F8:
     """(3, 3) the numbers of a text: three lines of three, separated by blanks, commas, semicolons or tabs."""
-    lines = [(n, re.split(r"[\s,;]+", line.partition("#")[0].strip(" \t,;"))) for n, line in enumerate(text.splitlines(), 1)]
-    rows = [numbers(words, 3, f"line {number}") for number, words in lines if words != [""]]
+    lines = [re.sub("[,;]|#.*", " ", line).split() for line in text.splitlines()]
+    rows = [Line(f"line {number}", words).numbers(3) for number, words in enumerate(lines, 1) if words]
     if len(rows) != 3:
         problem = f"expected the three lines of three numbers of a homography, came {len(rows)} lines"
         raise InputError(problem, cure="Is the file complete?")

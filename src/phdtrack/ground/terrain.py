@@ -12,10 +12,9 @@ NODATA_value), followed by the heights, the northernmost row first. All lengths 
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -175,6 +174,23 @@ class Terrain:
         return low, high
 
 
+class Line(NamedTuple):
+    """The words of a line of text, and where it stands."""
+
+    where: str
+    words: list[str]
+
+    def numbers(self, count: int) -> list[float]:
+        """The ``count`` numbers of the line; `InputError` where they are not."""
+        if len(self.words) != count:
+            raise InputError(f"expected {count} numbers, came {len(self.words)}", where=self.where)
+        try:
+            return [float(word) for word in self.words]
+        except ValueError:
+            came = " ".join(self.words)[:60]
+            raise InputError(f"expected {count} numbers, came '{came}'", where=self.where) from None
+
+
 def read_terrain(path: AnyPath) -> Terrain:
     """The elevation map of a file; see the module for the two forms.
 
@@ -206,12 +222,12 @@ def _arrays(path: Path, content: bytes) -> Terrain:
 
 def _grid(path: Path, content: bytes) -> Terrain:
     """The map of an ASCII grid."""
-    lines = [(f"{path}, line {i}", line.split()) for i, line in enumerate(content.decode(errors="replace").splitlines(), 1)]
-    lines = [(where, words) for where, words in lines if words]
+    text = content.decode(errors="replace").splitlines()
+    lines = [Line(f"{path}, line {i}", line.split()) for i, line in enumerate(text, 1) if line.strip()]
     head: dict[str, float] = {}
-    while lines and lines[0][1][0].lower() in _HEAD:
-        where, (name, *words) = lines.pop(0)
-        head[name.lower()] = numbers(words, 1, where)[0]
+    while lines and (name := lines[0].words[0].lower()) in _HEAD:
+        line = lines.pop(0)
+        head[name] = Line(line.where, line.words[1:]).numbers(1)[0]
     for names in (("ncols",), ("nrows",), ("cellsize",), ("xllcorner", "xllcenter"), ("yllcorner", "yllcenter")):
         if not any(name in head for name in names):
             expected = f"an elevation map, an .npz file or an ASCII grid that states {' or '.join(names)}"
@@ -219,7 +235,7 @@ def _grid(path: Path, content: bytes) -> Terrain:
         if names[0] in ("ncols", "nrows") and not (head[names[0]] >= 0 and head[names[0]].is_integer()):
             raise InputError(f"expected a whole number for {names[0]}, came {head[names[0]]:g}", where=path)
     columns, rows, cell = int(head["ncols"]), int(head["nrows"]), head["cellsize"]
-    table = [numbers(words, columns, where) for where, words in lines]
+    table = [line.numbers(columns) for line in lines]
     if len(table) != rows:
         raise InputError(f"expected {rows} rows of heights, came {len(table)}", where=path, cure="Is the file complete?")
     heights = np.array(table).reshape(rows, columns)[::-1]
@@ -229,24 +245,3 @@ def _grid(path: Path, content: bytes) -> Terrain:
         return Terrain(np.array(origin), np.array([cell, cell]), known)
     except InputError as error:
         raise InputError(error.problem, where=path) from None
-
-
-def numbers(words: Sequence[str], count: int, where: str) -> list[float]:
-    """The ``count`` numbers of a line.
-
-    Parameters
-    ----------
-    words : of the line.
-    count : how many there must be.
-    where : the line, for messages.
-
-    Returns
-    -------
-    The numbers.
-    """
-    if len(words) != count:
-        raise InputError(f"expected {count} numbers, came {len(words)}", where=where)
-    try:
-        return [float(word) for word in words]
-    except ValueError:
-        raise InputError(f"expected {count} numbers, came '{' '.join(words)[:60]}'", where=where) from None
