@@ -116,7 +116,7 @@ def test_a_region_of_interest(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", DETECTORS)
 def test_every_name_makes_a_detector_and_every_parameter_is_taken(name: str) -> None:
-    defaults = {f.name: f.default for f in detector_parameters(name)}
+    defaults = detector_parameters(name)
     assert make_detector(name, **defaults) is not None
     assert ("min_area" in defaults) == (name not in ("face", "person"))
     assert "method" not in defaults

@@ -357,7 +357,7 @@ def _detector_parameters(
         if name == "file":
             cure = "For detections in a file say --detections."
             raise InputError(f"{name} does not look at a video", where="--detectors", cure=cure)
-        known = {entry.name for entry in detector_parameters(name)}
+        known = detector_parameters(name)
         out[name] = {key: value for key, value in parameters.items() if key in known}
         make_detector(name, max_width=max_width, **out[name])
     for key in parameters:

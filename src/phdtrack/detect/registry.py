@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Sequence
-from dataclasses import MISSING, Field, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -130,13 +130,12 @@ def _read_mask(path: Path) -> Image:
     return np.asarray(image, np.uint8)
 
 
-def detector_parameters(name: str) -> tuple[Field[Any], ...]:
-    """The parameters of detector ``name`` with their defaults, those of the clean-up included."""
+def detector_parameters(name: str) -> dict[str, Any]:
+    """The parameters of detector ``name`` and their defaults, those of the clean-up included."""
     if name not in DETECTORS:
         raise InputError(f"there is no detector {name!r}", cure=_suggest(name, DETECTORS))
-    own = fields(_BUILD[name])
-    plain = tuple(field for field in own if field.default is not MISSING and field.name != "method")
-    return plain if len(plain) == len(own) else (*plain, *fields(BlobSettings))
+    known = {field.name: field.default for field in fields(_BUILD[name]) if field.name != "method"}
+    return known | ({field.name: field.default for field in fields(BlobSettings)} if known.pop("blobs", None) else {})
 
 
 def make_detector(
@@ -159,12 +158,12 @@ def make_detector(
     ------
     InputError : an unknown name or parameter (the nearest one is suggested), or a value of another type or out of range.
     """
-    known = {field.name: type(field.default) for field in detector_parameters(name)}
+    known = detector_parameters(name)
     own, blobs = dict[str, Any](), dict[str, Any]()
     for key, value in parameters.items():
         if key not in known:
             raise InputError(f"detector {name!r} has no parameter {key!r}", cure=_suggest(key, tuple(known)))
-        kind = known[key]
+        kind = type(known[key])
         value = float(value) if kind is float and type(value) is int else value
         if not isinstance(value, kind) or isinstance(value, bool) > (kind is bool):
             raise InputError(f"expected {_WORDS[kind]}, got {value!r}", where=f"detector.{key}")

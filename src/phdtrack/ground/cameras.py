@@ -25,7 +25,6 @@ what lies beyond is outside of the lens. OpenCV's lens has radial, tangential an
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -123,19 +122,6 @@ def _side(h: F8, inside: tuple[float, float] | None) -> float:
         problem = f"expected a pixel that shows ground, came {inside}, on the horizon"
         raise InputError(problem, where="inside of the homography")
     return float(np.sign(terms.sum()))
-
-
-class Lens(Protocol):
-    """From pixels to rays and back. Where the lens's formula has no meaning, there are columns of NaN."""
-
-    def rays(self, pixel: F8) -> F8:
-        """(2, N) slopes (xu/f, yu/f) of the rays of the pixels (2, N)."""
-
-    def project(self, ray: F8) -> F8:
-        """(2, N) pixels of the rays with the slopes (2, N)."""
-
-    def slope(self, pixel: F8) -> F8:
-        """(N, 2, 2) derivatives of `rays` at the pixels (2, N)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,6 +286,9 @@ def _inverse(matrix: F8) -> F8:
     (a, b), (c, d) = matrix.transpose(1, 2, 0)
     determinant = a * d - b * c
     return np.asarray((np.array([[d, -b], [-c, a]]) / np.where(determinant != 0, determinant, np.nan)).transpose(2, 0, 1))
+
+
+Lens = TsaiLens | OpenCVLens
 
 
 @dataclass(frozen=True, slots=True, eq=False)

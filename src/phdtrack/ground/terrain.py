@@ -14,7 +14,7 @@ from __future__ import annotations
 import io
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,19 +28,6 @@ _BLOCK = 1 << 20
 # A ray this flat, relative to its length, is the horizon for all that float64 can say.
 _LEVEL = 1e-12
 _HEAD = ("ncols", "nrows", "xllcorner", "xllcenter", "yllcorner", "yllcenter", "cellsize", "nodata_value")
-
-
-class Surface(Protocol):
-    """The ground as a height over the plane."""
-
-    def height(self, xy: F8) -> F8:
-        """(N,) elevation at the points (2, N), metres; NaN where it is not known."""
-
-    def normal(self, xy: F8) -> F8:
-        """(3, N) normals (−∂z/∂x, −∂z/∂y, 1) at the points (2, N)."""
-
-    def meet(self, origin: F8, direction: F8) -> F8:
-        """(N,) the least s > 0 at which origin (3,) + s·direction (3, N) comes to the ground; NaN where it never does."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,6 +161,9 @@ class Terrain:
         return low, high
 
 
+Surface = Flat | Terrain
+
+
 class Line(NamedTuple):
     """The words of a line of text, and where it stands."""
 
@@ -200,11 +190,15 @@ def read_terrain(path: AnyPath) -> Terrain:
     """
     path = Path(path)
     content = load(path)
-    return _arrays(path, content) if content.startswith(b"PK") else _grid(path, content)
+    origin, step, heights = _arrays(path, content) if content.startswith(b"PK") else _grid(path, content)
+    try:
+        return Terrain(origin, step, heights)
+    except InputError as error:
+        raise InputError(error.problem, where=path) from None
 
 
-def _arrays(path: Path, content: bytes) -> Terrain:
-    """The map of an .npz file."""
+def _arrays(path: Path, content: bytes) -> tuple[F8, F8, F8]:
+    """Origin, step and heights of an .npz file."""
     expected = "expected an .npz file with the arrays heights (ny, nx), origin (2,) and step (2,)"
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as held:
@@ -214,14 +208,12 @@ def _arrays(path: Path, content: bytes) -> Terrain:
     for name in ("heights", "origin", "step"):
         if name not in found:
             raise InputError(f"{expected}, came one without {name}", where=path)
-    try:
-        return Terrain(found["origin"], np.broadcast_to(found["step"], (2,)), found["heights"])
-    except ValueError as error:
-        raise InputError(f"{expected}: {error}", where=path) from None
+    step = found["step"]
+    return found["origin"], step if step.ndim else np.full(2, step), found["heights"]
 
 
-def _grid(path: Path, content: bytes) -> Terrain:
-    """The map of an ASCII grid."""
+def _grid(path: Path, content: bytes) -> tuple[F8, F8, F8]:
+    """Origin, step and heights of an ASCII grid."""
     text = content.decode(errors="replace").splitlines()
     lines = [Line(f"{path}, line {i}", line.split()) for i, line in enumerate(text, 1) if line.strip()]
     head: dict[str, float] = {}
@@ -241,7 +233,4 @@ def _grid(path: Path, content: bytes) -> Terrain:
     heights = np.array(table).reshape(rows, columns)[::-1]
     known = np.where(heights == head.get("nodata_value", np.nan), np.nan, heights)
     origin = [head.get(f"{a}llcenter", head.get(f"{a}llcorner", 0.0) + cell / 2) for a in "xy"]
-    try:
-        return Terrain(np.array(origin), np.array([cell, cell]), known)
-    except InputError as error:
-        raise InputError(error.problem, where=path) from None
+    return np.array(origin), np.array([cell, cell]), known
