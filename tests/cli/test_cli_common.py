@@ -35,9 +35,8 @@ def test_help_names_every_command_and_starts_quickly() -> None:
 def test_settings_are_printed_as_a_file_that_config_reads(tmp_path: Path) -> None:
     said = phdtrack("settings", "--preset", "m09", "--filter", "gm-phd", "--set", "sensor.detection_probability=0.7")
     assert "detection_probability = 0.7  # probability p_D that a target is detected" in said.out
-    file = tmp_path / "mine.toml"
-    file.write_text(said.out, encoding="utf-8")
-    again = phdtrack("settings", "--config", file, "--all", "--json").object
+    (tmp_path / "mine.toml").write_text(said.out, encoding="utf-8")
+    again = phdtrack("settings", "--config", tmp_path / "mine.toml", "--all", "--json").object
     assert (again["preset"], again["filter"]["kind"], again["sensor"]["detection_probability"]) == ("m09", "gm-phd", 0.7)
     assert len(said.out.splitlines()) < 40
 

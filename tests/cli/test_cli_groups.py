@@ -184,7 +184,7 @@ def test_what_cannot_be_done(street: Path, tmp_path: Path, more: list[str], says
     [
         ("", "without any"),
         ("1 1 0 0 0 1 0 0\n", "--fps"),
-        ("1 2 3\n", "8"),
+        ("1 2 3\n", "vx, vz, vy"),
     ],
 )
 def test_positions_that_do_not_do(tmp_path: Path, text: str, says: str) -> None:

@@ -70,11 +70,6 @@ def versions() -> tuple[tuple[str, str], ...]:
     return (*own, *((name, _version(name)) for name in PACKAGES))
 
 
-def installed_versions() -> tuple[tuple[str, str], ...]:
-    """The versions of what is installed."""
-    return tuple((name, version) for name, version in versions() if version)
-
-
 def _version(package: str) -> str:
     try:
         return metadata.version(package)

@@ -218,18 +218,14 @@ def ahead(items: Iterable[T], depth: int = DEPTH) -> Iterator[Iterator[T]]:
     the stage is stopped and waited for: nothing still runs or holds a file afterwards. At most ``depth`` items are being
     made or wait to be taken.
     """
-    iterator, under_way = iter(items), deque[Future[tuple[T] | None]]()
-
-    def made() -> tuple[T] | None:
-        for item in iterator:
-            return (item,)
-        return None
+    iterator, under_way = iter(items), deque[Future[T | None]]()
 
     def taken(stage: ThreadPoolExecutor) -> Iterator[T]:
-        under_way.extend(stage.submit(made) for _ in range(depth))
+        # No item is None.
+        under_way.extend(stage.submit(next, iterator, None) for _ in range(depth))
         while (one := under_way.popleft().result()) is not None:
-            under_way.append(stage.submit(made))
-            yield one[0]
+            under_way.append(stage.submit(next, iterator, None))
+            yield one
 
     with ThreadPoolExecutor(1, "phdtrack stage") as stage:
         try:

@@ -26,7 +26,7 @@ from numba.core import event
 
 from phdtrack import pipeline
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.doctor import installed_versions
+from phdtrack.cli.doctor import versions
 from phdtrack.cli.inputs import NO_PICTURE, Inputs, Mover, ahead, detected, rereadable, standing
 from phdtrack.cli.observers import Draw, RunObserver
 from phdtrack.cli.output import Output, command_line, progress
@@ -126,8 +126,8 @@ class _Progress:
 
 def about(title: str, seed: int = 0) -> About:
     """What is known of a run that starts now."""
-    now = datetime.now(UTC).isoformat(timespec="seconds")
-    return About(title, command_line(), seed, now, versions=installed_versions())
+    now, installed = datetime.now(UTC).isoformat(timespec="seconds"), tuple(one for one in versions() if one[1])
+    return About(title, command_line(), seed, now, versions=installed)
 
 
 def run(job: Job, directory: RunDirectory) -> Outcome:
