@@ -15,14 +15,16 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
 from experiments.common import need_data
 from experiments.corridor import PATHS, centroids, measured, paths, wandering
+from experiments.given_mcmc import GivenMCMC
 from phdtrack import config
+from phdtrack.filters.mcmc import Joint
 from phdtrack.formats import read_truth
 from phdtrack.metrics.trajectories import TargetErrors, rmse_per_target
 from phdtrack.protocols import AnyStages, Model
@@ -34,14 +36,13 @@ GATE = 10.0
 BURN = 50
 INFOS = {"model": PATHS.info, "corridor": PATHS.info, "caviar": SequenceInfo(384, 288, 25.0, 295, "OneLeaveShop1cor")}
 KALMAN = "Kalman"
-_GIVEN = ("filter.kind=mcmc", f"filter.burn_in={BURN}", "filter.associations=given", "filter.interaction_strength=0")
-FILTERS: dict[str, tuple[str, ...]] = {
-    "SMC PHD": (),
-    "MCMC joint": (*_GIVEN, "filter.ancestors=joint"),
-    "MCMC": (*_GIVEN, "filter.ancestors=each"),
-    "MCMC greedy": (*_GIVEN, "filter.greedy=true"),
+FILTERS = {
+    "SMC PHD": None,
+    "MCMC joint": GivenMCMC(burn_in=BURN, ancestors="joint"),
+    "MCMC": GivenMCMC(burn_in=BURN, ancestors="each"),
+    "MCMC greedy": GivenMCMC(burn_in=BURN, greedy=True),
 }
-"""What each filter changes of the preset, besides N. With ``joint`` all targets of a sample have one ancestor."""
+"""The filter in place of the preset's, but for N. With ``joint`` all targets of a sample have one ancestor."""
 MODEL_SEEDS = 3
 """At most so many seeds of the points drawn from the model, each of which draws paths too."""
 SETTLED = 25
@@ -112,16 +113,13 @@ def scans_of(job: CorridorRun) -> tuple[F8, ...]:
 
 def stages_of(job: CorridorRun) -> AnyStages:
     """The stages of a run; those of the Kalman filter are the PHD filter's, whose model it takes."""
-    variance = f"sensor.noise_variance={job.variance}"
+    stages = config.build(config.load(None, (f"sensor.noise_variance={job.variance}",), "d14"), INFOS[job.world])
     if job.filter == KALMAN:
-        return config.build(config.load(None, (variance,), "d14"), INFOS[job.world])
-    sets = FILTERS[job.filter]
-    particles = (
-        [f"filter.samples={job.number}"]
-        if sets
-        else [f"filter.{n}={job.number}" for n in ("particles_per_target", "max_particles")]
-    )
-    return config.build(config.load(None, (variance, *sets, *particles), "d14"), INFOS[job.world])
+        return stages
+    chain = FILTERS[job.filter]
+    if chain is None:
+        return replace(stages, filter=replace(stages.filter, particles_per_target=job.number, max_particles=job.number))
+    return replace(stages, filter=replace(chain, samples=job.number), extractor=Joint(merge_iou=1.0))
 
 
 def track(job: CorridorRun) -> tuple[Points, float]:
@@ -131,7 +129,7 @@ def track(job: CorridorRun) -> tuple[Points, float]:
     if job.filter == KALMAN:
         found = kalman(stages.model, scans)
         return found, time.thread_time() - began
-    named, rng = bool(FILTERS[job.filter]), np.random.default_rng([job.seed, job.number, 1])
+    named, rng = FILTERS[job.filter] is not None, np.random.default_rng([job.seed, job.number, 1])
     state = stages.filter.start(stages.model, rng)
     points, tags = [], []
     for whole in scans:

@@ -27,7 +27,7 @@ import numpy as np
 from experiments.common import Options, in_parallel, need_data, pyplot, table, with_error, write
 from phdtrack import config, pipeline
 from phdtrack.arrays import area, intersection
-from phdtrack.filters.intensities import Cardinalised
+from phdtrack.filters.cardinality import Cardinalised
 from phdtrack.formats import read_truth
 from phdtrack.ground import read_camera
 from phdtrack.groups import Contours, Grouping, Groups

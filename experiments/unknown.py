@@ -21,7 +21,7 @@ from phdtrack import pipeline
 from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.models import UniformClutter
 from phdtrack.models.learning import RateLearning, priors_of, with_clutter, with_detection
-from phdtrack.protocols import AnyStages, Learning, Model, NoLearning
+from phdtrack.protocols import AnyStages, Learning, Model
 from phdtrack.protocols import Stages as Whole
 from phdtrack.scene.rates import RatesLearning, RatesSettings
 from phdtrack.types import F8, Detections
@@ -75,7 +75,7 @@ def begun(model: Model, start: Start) -> Model:
 
 def whole(model: Model, stages: Stages, learns: bool, labelled: bool) -> AnyStages:
     """Filter and extraction with tracks and, where it ``learns``, rates."""
-    learning: Learning[Any] = NoLearning()
+    learning: Learning[Any] | None = None
     if learns:
         learning = RateLearning(RatesLearning(RATES, priors_of(model), model.rate, WAIT))
     associator = Labelled() if labelled else GraphMatching(window=SPAN, gap_cost=-model.rate * math.log(MISS))

@@ -35,8 +35,6 @@ NEEDED = {
     ("extract", "components"): ["filter.kind='gm-phd'"],
     ("extract", "hypotheses"): ["filter.kind='mht'"],
     ("extract", "joint"): ["filter.kind='mcmc'"],
-    # Greedy acceptance is that of given associations.
-    ("filter", "mcmc"): ["filter.associations='given'"],
 }
 
 # Section, kind and name of every setting there is.

@@ -43,9 +43,7 @@ def test_public_names_are_there_and_told():
         phdtrack.Tracer  # noqa: B018
 
 
-@pytest.mark.parametrize(
-    "package", ["phdtrack", "phdtrack.filters", "phdtrack.filters.extract", "phdtrack.models", "phdtrack.detect"]
-)
+@pytest.mark.parametrize("package", ["phdtrack", "phdtrack.filters", "phdtrack.models", "phdtrack.detect"])
 def test_every_public_name_can_be_loaded(package: str):
     module = importlib.import_module(package)
     for name in module.__all__:

@@ -15,7 +15,7 @@ from phdtrack import Tracker, config
 from phdtrack.config.presets import PRESETS
 from phdtrack.errors import InputError
 from phdtrack.filters import NoFilter
-from phdtrack.filters.extract import Raw
+from phdtrack.filters.none import Raw
 from phdtrack.types import Detections, SequenceInfo
 from tracker_cases import PARTICLES, SIZE, boxes, equal, feed, street, tracker_of
 
@@ -297,6 +297,7 @@ def test_without_filter_detections_are_the_states():
 
 FEW = {"filter": {"particles_per_target": 500}, "birth": {"particles": 500}}
 GIVEN = {"m07": FEW, "m09": FEW, "fv": FEW, "particle-phd": {"filter": PARTICLES}, "mht": {"filter": {"kind": "mht"}}}
+GIVEN |= {"gm-phd": {"filter": {"kind": "gm-phd"}}, "mcmc": {"filter": {"kind": "mcmc", "samples": 400}}}
 GIVEN["d14"] = {"filter": {"particles_per_target": 500, "max_particles": 500}, "sensor": {"size": (40.0, 100.0)}}
 
 

@@ -34,7 +34,17 @@ def chi2_quantile(dof: int, probability: float) -> float:
 
 
 def sum_by(index: I8, value: F8, count: int) -> F8:
-    """(count,) sums of ``value`` over equal ``index``, in float64."""
+    """Sums over equal indices.
+
+    Parameters
+    ----------
+    index, value : (n,) each.
+    count : of sums.
+
+    Returns
+    -------
+    (count,) float64.
+    """
     return np.asarray(np.bincount(index, value, count), dtype=np.float64)
 
 
@@ -72,13 +82,35 @@ def iou(a: F8, b: F8) -> F8:
 
 
 def share_inside(xyxy: F8, width: float, height: float) -> F8:
-    """(n,) the share of each box (n, 4) that lies in an image of this size, pixels; 0 of a box without area."""
+    """The share of each box that lies in an image.
+
+    Parameters
+    ----------
+    xyxy : (n, 4) boxes, pixels.
+    width, height : of the image, pixels.
+
+    Returns
+    -------
+    (n,) shares; 0 of a box without area.
+    """
     shared = intersection(xyxy, np.array([[0.0, 0.0, width, height]]))[:, 0]
     return np.divide(shared, area(xyxy), out=np.zeros_like(shared), where=shared > 0)
 
 
 def draw(mixture: GaussianMixture, count: int, scale: float, rng: np.random.Generator) -> Particles:
-    """``count`` particles from each component, of total mass ``scale`` times its weight."""
+    """Particles of a mixture.
+
+    Parameters
+    ----------
+    mixture : whose components are drawn from.
+    count : particles of each component.
+    scale : of the weights.
+    rng : of the draws.
+
+    Returns
+    -------
+    particles : of total mass ``scale`` times each component's weight.
+    """
     d, k = mixture.mean.shape
     root = np.linalg.cholesky(mixture.covariance)
     noise = rng.standard_normal((k, d, count))

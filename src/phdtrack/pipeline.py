@@ -50,9 +50,10 @@ class TrackingState:
 
 def start(stages: AnyStages, rng: np.random.Generator) -> TrackingState:
     """The state before the first frame."""
-    learned = stages.learning.start()
-    intensity = stages.filter.start(stages.learning.model(learned, stages.model), rng)
-    return TrackingState(intensity, stages.associator.start(), learned=learned, expected=stages.explainer.start())
+    learning, explainer, model = stages.learning, stages.explainer, stages.model
+    learned, expected = learning and learning.start(), explainer and explainer.start()
+    intensity = stages.filter.start(learning.model(learned, model) if learning else model, rng)
+    return TrackingState(intensity, stages.associator.start(), learned=learned, expected=expected)
 
 
 def advance(
@@ -75,30 +76,36 @@ def advance(
     rng : the filter's randomness.
     warp : (3, 3) homography from pixels of the frame before to this one's; `types.STILL` where the camera stands still.
 
+    Returns
+    -------
+    state, step : after the frame, and what it brought.
+
     Raises
     ------
     InputError : number or time does not grow or is no number, or the warp is no homography.
     """
     _check_order(state, number, time)
+    learning, explainer, learned, expected = stages.learning, stages.explainer, state.learned, state.expected
     seen = replace(stages.model, warp=as_warp(warp, f"frame {number}")) if len(warp) and state.number else stages.model
-    model = stages.learning.model(state.learned, seen)
+    model = learning.model(learned, seen) if learning else seen
     dt = (time - state.time) * model.rate if state.number else model.first
     began = clock.perf_counter()
     # Measure
-    expected, explanation = stages.explainer.explain(state.expected, detections, model, dt)
+    explanation = Explanation.unchanged(detections)
+    if explainer:
+        expected, explanation = explainer.explain(expected, detections, model, dt)
     given = _Given.of(explanation, detections.observed, model)
     # Predict and update
     if detections.observed:
-        weighted = stages.learning.with_scores(state.learned, model, given.detections)
-        watching = _watching(weighted, state.targets, dt)
-        intensity, info = stages.filter.step(state.intensity, given.z, watching, dt, rng)
+        weighted = learning.with_scores(learned, model, given.detections) if learning else model
+        intensity, info = stages.filter.step(state.intensity, given.z, _watching(weighted, state.targets, dt), dt, rng)
     else:
         intensity = stages.filter.predict(state.intensity, model, dt, rng)
         info = UpdateInfo(intensity.mass, 0.0, intensity.mass, np.zeros(0), np.zeros(0))
     filtered = clock.perf_counter()
     # Extract
     estimates = given.numbered(stages.extractor.extract(intensity, given.z, model))
-    expected = stages.explainer.advance(expected, explanation, estimates, model, dt)
+    expected = explainer and explainer.advance(expected, explanation, estimates, model, dt)
     numbers = (*state.given, given.numbers)[-1 - len(estimates.past) :]
     z, info, estimates = given.in_terms_of_detections(info, estimates, numbers[:-1])
     extracted = clock.perf_counter()
@@ -106,8 +113,7 @@ def advance(
     association, tracks = stages.associator.extend(state.association, estimates, z, number, dt, model)
     seconds = (filtered - began, extracted - filtered, clock.perf_counter() - extracted)
     step = Step(number, time, detections, info, estimates, tracks, seconds, given.unusable, seen.warp)
-    # Learn
-    learned = stages.learning.advance(state.learned, step)
+    learned = learning and learning.advance(learned, step)
     targets = estimates.state if model.sensor.occlusion else NO_STATES
     return TrackingState(intensity, association, number, time, targets, numbers, learned, expected), step
 
@@ -115,7 +121,18 @@ def advance(
 def run(
     stages: AnyStages, frames: Iterable[tuple[int, float, Detections]], rng: np.random.Generator
 ) -> Iterator[tuple[TrackingState, Step]]:
-    """The state and the step of each frame of a sequence of (number, seconds, detections)."""
+    """The state and the step of each frame of a sequence.
+
+    Parameters
+    ----------
+    stages : the tracker's parts.
+    frames : number, seconds and detections of each.
+    rng : the filter's randomness.
+
+    Yields
+    ------
+    state, step : as of `advance`.
+    """
     state = start(stages, rng)
     for number, time, detections in frames:
         state, step = advance(stages, state, detections, number, time, rng)
@@ -123,16 +140,11 @@ def run(
 
 
 def finish(stages: AnyStages, state: TrackingState) -> Tracks:
-    """The corrected tracks of everything seen so far, joined and smoothed.
-
-    Parameters
-    ----------
-    stages : the tracker's parts.
-    state : after the last frame.
-    """
+    """The corrected tracks of everything seen until ``state``, joined and smoothed."""
     tracks = stages.associator.finish(state.association, stages.model)
-    measurements = stages.associator.measurements(state.association)
-    return stages.smoother.smooth(tracks, measurements, stages.model)
+    if stages.smoother is None:
+        return tracks
+    return stages.smoother.smooth(tracks, stages.associator.measurements(state.association), stages.model)
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,20 +215,16 @@ class _Given:
         measurement of one of them and the largest evidence; of pieces of one target the first has its measurement.
         """
         z, e = self.measured, self.explanation
-        if self.unusable:
-            z = np.where(np.isfinite(z).all(axis=0), z, NOWHERE)
+        if self.unusable or e.changed:
+            z = np.full((len(self.measured), len(e.part)), NOWHERE)
+            z[:, e.source[self.usable]] = self.z
             if len(info.evidence) == len(self.usable):
-                evidence, clutter = np.zeros((2, z.shape[1]))
+                evidence, clutter = np.zeros((2, len(e.source)))
                 evidence[self.usable], clutter[self.usable] = info.evidence, info.clutter
-                info = replace(info, evidence=evidence, clutter=clutter)
-        if e.changed:
-            found = np.full((len(z), len(e.part)), NOWHERE)
-            found[:, e.source] = z
-            if len(info.evidence) == len(e.source):
-                evidence = info.evidence[e.part]
-                np.maximum.at(evidence, e.source, info.evidence)
-                info = replace(info, evidence=evidence, clutter=info.clutter[e.part])
-            z, estimates = found, _renumbered(estimates, e.source)
+                largest = evidence[e.part]
+                np.maximum.at(largest, e.source, evidence)
+                info = replace(info, evidence=largest, clutter=clutter[e.part])
+            estimates = _renumbered(estimates, e.source)
         if any(len(numbers) for numbers in past):
             revised = zip(estimates.past[len(estimates.past) - len(past) :], past, strict=True)
             again = tuple(_renumbered(x, numbers) if x is not None and len(numbers) else x for x, numbers in revised)

@@ -11,7 +11,6 @@ value per pair, ``z[:, :, None], x[:, None, :]`` the dense table. ``dt`` is in t
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -30,7 +29,6 @@ from phdtrack.types import (
     MeasurementHistory,
     ParticleBlocks,
     Particles,
-    SequenceInfo,
     Step,
     Tracks,
     UpdateInfo,
@@ -45,7 +43,16 @@ class Motion(Protocol):
         """Number d of state components."""
 
     def sample(self, x: F8, dt: float, rng: np.random.Generator) -> F8:
-        """(d, L) one draw of f(·|ξ) for each column of ``x`` (d, L)."""
+        """One draw of f(·|ξ) for each state.
+
+        Parameters
+        ----------
+        x : (d, L) states ξ.      dt : interval.      rng : of the draws.
+
+        Returns
+        -------
+        (d, L) states.
+        """
 
     def particle_model(self, dt: float, seconds: float) -> Any:
         """The numbers of f over ``dt`` and p_S over ``seconds``: a record of `kernels.particle_models`."""
@@ -141,10 +148,34 @@ class Birth(Protocol):
     """γ(x): where and how often new targets appear, and how newborn particles are drawn."""
 
     def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
-        """Newborn particles of total mass ∫γT; ``covered`` (N,) is the mass predicted at each column of ``z`` (m, N)."""
+        """Newborn particles of total mass ∫γT.
+
+        Parameters
+        ----------
+        z, covered : (m, N) measurements, and (N,) the mass predicted at each.
+        sensor : that gave them.
+        seconds, rng : the interval T, and of the draws.
+
+        Returns
+        -------
+        particles : the newborn.
+        """
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
-        """γT around each measurement of ``z`` (m, N) and as Gaussians; `InputError` where γ has no such form."""
+        """γT around each measurement, and as Gaussians.
+
+        Parameters
+        ----------
+        z, sensor, seconds : as in `sample`.
+
+        Returns
+        -------
+        births : of the kernels.
+
+        Raises
+        ------
+        InputError : γ has no such form.
+        """
 
     def expected(self, z: F8, seconds: float) -> float:
         """∫γT over everything: the expected number of births, those that no measurement of ``z`` (m, N) shows included."""
@@ -226,17 +257,50 @@ class Filter(Protocol[S]):
     def predict(self, state: S, model: Model, dt: float, rng: np.random.Generator) -> S:
         """The predicted state, ``dt`` later, without births: these are made in the update, from its measurements.
 
-        Where the camera has moved (`Model.warp`), states are carried into the pixels of the present frame first.
+        Parameters
+        ----------
+        state : after the frame before.
+        model : of the present frame; where the camera has moved (`Model.warp`), states are carried into its pixels first.
+        dt : interval since the frame before, in the model's time unit.
+        rng : the filter's randomness.
+
+        Returns
+        -------
+        state : the predicted one.
         """
 
     def update(self, state: S, z: F8, model: Model, dt: float, rng: np.random.Generator) -> tuple[S, UpdateInfo]:
-        """The state after the births of the interval ``dt`` and the measurements ``z`` (m, N)."""
+        """The state after the births of an interval and the measurements.
+
+        Parameters
+        ----------
+        state : the predicted one.
+        z : (m, N) measurements.
+        model, dt, rng : as in `predict`; targets may have been born in the interval.
+
+        Returns
+        -------
+        state, info : the updated state, and what was learned.
+        """
 
     def reduce(self, state: S, rng: np.random.Generator) -> S:
-        """The same density with fewer particles or components."""
+        """The same density with fewer particles or components: unless the filter has another form, as it is."""
+        return state
 
     def step(self, state: S, z: F8, model: Model, dt: float, rng: np.random.Generator) -> tuple[S, UpdateInfo]:
-        """Predict, update and reduce, for a frame that was observed: their composition, or a faster form of it."""
+        """Predict, update and reduce, for a frame that was observed: their composition, or a faster form of it.
+
+        Parameters
+        ----------
+        state : after the frame before.
+        z, model, dt, rng : as in `update`.
+
+        Returns
+        -------
+        state, info : after the frame, and what was learned.
+        """
+        updated, info = self.update(self.predict(state, model, dt, rng), z, model, dt, rng)
+        return self.reduce(updated, rng), info
 
 
 S_contra = TypeVar("S_contra", contravariant=True)
@@ -246,7 +310,18 @@ class Extractor(Protocol[S_contra]):
     """From a filter's state to the states of targets."""
 
     def extract(self, state: S_contra, z: F8, model: Model) -> Estimates:
-        """The estimated states, given the measurements (m, N) of the frame."""
+        """The estimated states.
+
+        Parameters
+        ----------
+        state : the filter's.
+        z : (m, N) measurements of the frame.
+        model : of the frame.
+
+        Returns
+        -------
+        states : the detection that each rests on is a column of ``z``.
+        """
 
 
 A = TypeVar("A")
@@ -268,8 +343,12 @@ class Associator(Protocol[A]):
         estimates : the extracted states.
         z : (m, N) the measurements.
         number : frame number.
-        dt : time since the frame before.
+        dt : model time since the frame before.
         model : of this frame; states of earlier frames are warped where the camera has moved (`Model.warp`).
+
+        Returns
+        -------
+        state, rows : the new state, and the online rows.
         """
 
     def flush(self, state: A, model: Model) -> Tracks:
@@ -286,16 +365,18 @@ class Smoother(Protocol):
     """From corrected tracks to smoothed ones, when everything is known."""
 
     def smooth(self, tracks: Tracks, measurements: MeasurementHistory, model: Model) -> Tracks:
-        """The tracks, of which each row rests on a measurement of ``measurements``, or on none."""
+        """The tracks joined and smoothed.
 
+        Parameters
+        ----------
+        tracks : corrected ones.
+        measurements : that their rows rest on.
+        model : of the last frame.
 
-@dataclass(frozen=True, slots=True)
-class NoSmoothing:
-    """Corrected tracks stay as they are."""
-
-    def smooth(self, tracks: Tracks, measurements: MeasurementHistory, model: Model) -> Tracks:
-        """The same."""
-        return tracks
+        Returns
+        -------
+        tracks : identities from 1 in order of appearance.
+        """
 
 
 class Explainer(Protocol[C]):
@@ -305,25 +386,31 @@ class Explainer(Protocol[C]):
         """The state before the first frame."""
 
     def explain(self, state: C, detections: Detections, model: Model, dt: float) -> tuple[C, Explanation]:
-        """The detections that the filter is to be given of a frame, ``dt`` after the last."""
+        """The detections that the filter is to be given of a frame.
+
+        Parameters
+        ----------
+        state : after the frame before, and ``dt`` since then in the model's time unit.
+        detections, model, dt : of the frame.
+
+        Returns
+        -------
+        state, explanation : for `advance`, and the detections.
+        """
 
     def advance(self, state: C, explanation: Explanation, estimates: Estimates, model: Model, dt: float) -> C:
-        """Take in what the filter made of them: ``estimates``, whose numbers of detections are the explanation's."""
+        """The state with what the filter made of a frame.
 
+        Parameters
+        ----------
+        state, explanation : as `explain` gave them.
+        estimates : the states, whose numbers of detections are the explanation's.
+        model, dt : as in `explain`.
 
-@dataclass(frozen=True, slots=True)
-class AsDetected:
-    """Every detection goes to the filter as it is."""
-
-    def start(self) -> None:
-        """There is no state."""
-
-    def explain(self, state: None, detections: Detections, model: Model, dt: float) -> tuple[None, Explanation]:
-        """The same detections."""
-        return None, Explanation.unchanged(detections)
-
-    def advance(self, state: None, explanation: Explanation, estimates: Estimates, model: Model, dt: float) -> None:
-        """There is no state."""
+        Returns
+        -------
+        state : after the frame.
+        """
 
 
 class Learning(Protocol[C]):
@@ -336,36 +423,24 @@ class Learning(Protocol[C]):
         """``model`` with what was learned so far."""
 
     def with_scores(self, state: C, model: Model, detections: Detections) -> Model:
-        """``model`` for a frame with these detections, with the likelihood ratios of their scores."""
+        """A model with what the scores of a frame's detections say.
+
+        Parameters
+        ----------
+        state : what was learned.
+        model : as `model` gave it.
+        detections : of the frame.
+
+        Returns
+        -------
+        model : with the likelihood ratios of the scores.
+        """
 
     def advance(self, state: C, step: Step) -> C:
         """Take in what one frame brought."""
 
-    def mode(self, state: C, name: str) -> C:
-        """The state with the regime of the scene that has this name, as day or night, from now on."""
-
-
-@dataclass(frozen=True, slots=True)
-class NoLearning:
-    """Nothing is learned: the model stays."""
-
-    def start(self) -> None:
-        """There is no state."""
-
-    def model(self, state: None, model: Model) -> Model:
-        """The same."""
-        return model
-
-    def with_scores(self, state: None, model: Model, detections: Detections) -> Model:
-        """The same."""
-        return model
-
-    def advance(self, state: None, step: Step) -> None:
-        """Learns nothing."""
-
-    def mode(self, state: None, name: str) -> None:
-        """There are none: raises `InputError`."""
-        raise InputError("a scene has modes where it is learned while tracking", cure="Say learn={'kind': 'online'}")
+    def mode(self, state: C, name: str) -> C | None:
+        """The state with the regime of the scene that has this name, as day or night; None where none is learned."""
 
 
 class Camera(Protocol):
@@ -398,28 +473,23 @@ class Detector(Protocol):
         """Forget everything learned from earlier frames."""
 
 
-class Source(Protocol):
-    """Frames in order."""
-
-    @property
-    def info(self) -> SequenceInfo:
-        """Size, rate and name."""
-
-    def __iter__(self) -> Iterator[Frame]:
-        """The frames."""
-
-
 @dataclass(frozen=True, slots=True)
 class Stages(Generic[S, A]):
-    """The settings of one tracker: model, filter, extractor and associator; what is learned of the scene on the way."""
+    """The parts of one tracker; None for what is not done.
+
+    Attributes
+    ----------
+    learning : what is learned of the scene.      explainer : the merged-measurement model.
+    smoother : of corrected tracks.
+    """
 
     model: Model
     filter: Filter[S]
     extractor: Extractor[S]
     associator: Associator[A]
-    learning: Learning[Any] = field(default_factory=NoLearning)
-    explainer: Explainer[Any] = field(default_factory=AsDetected)
-    smoother: Smoother = field(default_factory=NoSmoothing)
+    learning: Learning[Any] | None = None
+    explainer: Explainer[Any] | None = None
+    smoother: Smoother | None = None
 
 
 AnyStages = Stages[Any, Any]

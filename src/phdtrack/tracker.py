@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from phdtrack.scene.rates import Rates
 
 # Of a saved state: it changes when a record of the state does.
-FORMAT = 8
+FORMAT = 9
 
 
 class Tracker:
@@ -109,6 +109,10 @@ class Tracker:
         warp : how the camera moved since the last update: the (3, 3) homography, or (2, 3) affine map, that takes pixels of
             that frame to this one's, as `CameraMotion` measures it; default: it stands still.
 
+        Returns
+        -------
+        rows : of this frame, or with an output delay of an earlier one.
+
         Raises
         ------
         InputError : boxes that are none, a frame that does not come after the last, a warp that is none, or one for a model
@@ -150,7 +154,9 @@ class Tracker:
         ------
         InputError : nothing is learned while tracking.
         """
-        learned = self.stages.learning.mode(self._state.learned, name)
+        learned = self.stages.learning and self.stages.learning.mode(self._state.learned, name)
+        if learned is None:
+            raise InputError("a scene has modes where it is learned while tracking", cure="Say learn={'kind': 'online'}")
         self._state = replace(self._state, learned=learned)
 
     @property

@@ -84,7 +84,17 @@ class Detections:
 
     @classmethod
     def of(cls, xyxy: ArrayLike, confidence: ArrayLike | None = None, class_id: ArrayLike | None = None) -> Detections:
-        """From an (N, 4) array-like of boxes, with confidence 1 and class 0 where not given. Does not validate values."""
+        """Detections of boxes; values are not checked.
+
+        Parameters
+        ----------
+        xyxy : (N, 4) boxes.
+        confidence, class_id : (N,) of each; None: 1 and 0.
+
+        Returns
+        -------
+        detections : copies, in the types of this record.
+        """
         boxes = np.array(xyxy, dtype=np.float64).reshape(-1, 4)
         n = len(boxes)
         score = np.ones(n) if confidence is None else np.array(confidence, dtype=np.float64).reshape(n)
@@ -215,8 +225,7 @@ class GaussianMixture:
     ----------
     weight : (J,) float64 ≥ 0.      mean : (d, J) float64.      covariance : (J, d, d) float64.
     tag : (J,) int64 from 0, by which a Gaussian's history can be read, see `filters.phd_gaussian`; (0,) in a mixture that
-        is no
-        filter's state.
+        is no filter's state.
     fresh : the tag that the next new Gaussian is given: none that was ever given is as large.
     """
 
@@ -225,6 +234,11 @@ class GaussianMixture:
     covariance: F8
     tag: I8 = field(default_factory=_none)
     fresh: int = 0
+
+    @classmethod
+    def empty(cls, dim: int) -> GaussianMixture:
+        """No Gaussians of dimension ``dim``."""
+        return cls(np.zeros(0), np.zeros((dim, 0)), np.zeros((0, dim, dim)))
 
     def __len__(self) -> int:
         return len(self.weight)
@@ -404,35 +418,37 @@ class Tracks:
         return cls(none, none, np.zeros((0, 4)), np.zeros(0), none, np.zeros(0, np.bool_))
 
     @classmethod
+    def certain(cls, frame: I8 | int, identity: I8 | int, xyxy: F8, confidence: F8 | float, detection: I8 | int) -> Tracks:
+        """Confirmed rows; a number stands for all.
+
+        Parameters
+        ----------
+        frame, identity, xyxy, detection : as above.
+        confidence : more than 1 counts as 1.
+
+        Returns
+        -------
+        rows : in the order of ``xyxy``.
+        """
+        n = len(xyxy)
+        number, name, found = (np.full(n, column, np.int64) for column in (frame, identity, detection))
+        return cls(number, name, xyxy, np.minimum(1.0, np.full(n, confidence)), found, np.ones(n, np.bool_))
+
+    @classmethod
     def concatenate(cls, parts: list[Tracks]) -> Tracks:
         """All rows, sorted by frame, then identity."""
         if not parts:
             return cls.empty()
-        frame = np.concatenate([p.frame for p in parts])
-        identity = np.concatenate([p.identity for p in parts])
-        order = np.lexsort((identity, frame))
-        return cls(
-            frame[order],
-            identity[order],
-            np.concatenate([p.xyxy for p in parts])[order],
-            np.concatenate([p.confidence for p in parts])[order],
-            np.concatenate([p.detection for p in parts])[order],
-            np.concatenate([p.confirmed for p in parts])[order],
-        )
+        columns = [np.concatenate([getattr(part, name) for part in parts]) for name in cls.__slots__]
+        order = np.lexsort((columns[1], columns[0]))
+        return cls(*(column[order] for column in columns))
 
     def __len__(self) -> int:
         return len(self.frame)
 
     def take(self, index: I8 | Bool) -> Tracks:
         """The rows at ``index`` (integers or a mask), in that order."""
-        return Tracks(
-            self.frame[index],
-            self.identity[index],
-            self.xyxy[index],
-            self.confidence[index],
-            self.detection[index],
-            self.confirmed[index],
-        )
+        return Tracks(*(getattr(self, name)[index] for name in self.__slots__))
 
     @property
     def predicted(self) -> Bool:

@@ -19,7 +19,7 @@ from phdtrack.cli.inputs import DEPTH, Inputs
 from phdtrack.cli.job import Job, Outcome, run
 from phdtrack.errors import InputError
 from phdtrack.filters import NoFilter
-from phdtrack.filters.extract import Raw
+from phdtrack.filters.none import Raw
 from phdtrack.formats import DetectionsWriter, read_detections, read_tracks
 from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth
 from phdtrack.protocols import Model, Stages

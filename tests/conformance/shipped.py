@@ -19,13 +19,17 @@ from phdtrack.filters import (
     PMB,
     BestBernoullis,
     BestHypothesis,
+    Components,
+    Joint,
+    KMeans,
+    Mixture,
     NoFilter,
     ParticleCPHD,
     ParticlePHD,
+    Raw,
 )
-from phdtrack.filters.extract import Components, Joint, KMeans, Mixture, Raw
 from phdtrack.filters.hypotheses import Cluster, Nodes
-from phdtrack.filters.intensities import JointSamples
+from phdtrack.filters.mcmc import JointSamples
 from phdtrack.kernels.pmb import Layer
 from phdtrack.models import (
     BoxMotion,
@@ -204,7 +208,7 @@ def intensity_for(extractor: object, x: np.ndarray, each: int, rng: np.random.Ge
         return labelled(initial=gaussians(x, mass)).start(model_of(), rng)
     if isinstance(extractor, Joint):
         n = x.shape[1]
-        return JointSamples(about(x, each, rng).state, np.full((n, each), mass), np.arange(n), n, x[:, :0])
+        return JointSamples(about(x, each, rng).state, np.full((n, each), mass), np.arange(n), n)
     return gaussians(x, mass) if isinstance(extractor, Components) else about(x, each, rng, mass)
 
 

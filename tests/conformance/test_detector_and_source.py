@@ -8,7 +8,7 @@ import pytest
 from shipped import keeps
 
 from phdtrack.detect import DETECTORS, TableDetector, make_detector
-from phdtrack.protocols import Detector, Source
+from phdtrack.protocols import Detector
 from phdtrack.types import Detections, DetectionTable, Frame
 from phdtrack.video import VideoWriter, open_source
 
@@ -70,7 +70,6 @@ def files(tmp_path_factory):
 @pytest.mark.parametrize("kind", ["video", "images"])
 def test_sources_give_frames_in_order_and_again(kind: str, files):
     source = open_source(files[kind])
-    keeps(Source, source)
     assert (source.info.width, source.info.height) == (WIDTH, HEIGHT)
     assert source.info.fps == pytest.approx(25)
     for _ in range(2):

@@ -20,7 +20,7 @@ from shipped import (
     states,
 )
 
-from phdtrack.filters.extract import Raw
+from phdtrack.filters import Raw
 from phdtrack.protocols import Associator, Extractor
 from phdtrack.types import Particles, Tracks
 

@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from phd_cases import crowd, seen_by, with_births, world
 
-from phdtrack.errors import InputError
 from phdtrack.filters import GMCPHD, GMPHD, ParticleCPHD, ParticlePHD
-from phdtrack.filters.cardinality import poisson, weigh
-from phdtrack.filters.intensities import Cardinalised
+from phdtrack.filters.cardinality import Cardinalised, poisson, weigh
+from phdtrack.filters.terms import UpdateTerms
 from phdtrack.types import GaussianMixture, Particles
-from spawning import Splitting
 
 NOTHING = np.zeros((4, 0))
 KINDS = ("gm", "particle")
@@ -82,8 +80,8 @@ def test_the_mean_of_the_number_is_the_mass_with_what_was_born_unseen(kind: str,
         state = recursion.reduce(updated, rng)
         births, known = model.birth.expected(z, 1 / model.rate), info.mass_predicted
         unseen = max(births - info.mass_born, 0.0)
-        scan = known, (1 - detection) * known, births, unseen, info.evidence, info.clutter
-        left = unseen * (1 - detection) * weigh(before.cardinality, *scan).missed
+        terms = UpdateTerms(known, info.mass_born, (1 - detection) * known, info.evidence, info.clutter, replace)
+        left = unseen * (1 - detection) * weigh(before.cardinality, terms, births).missed
         for held in (updated, state):
             assert mean(held.cardinality) == pytest.approx(held.mass + left, rel=NEAR[kind])
         assert info.cardinality.sum() == pytest.approx(1, rel=1e-12)
@@ -123,19 +121,3 @@ def test_a_known_number_outlives_a_miss(kind: str, rng):
     assert (info.mass, found.mass) == (pytest.approx(7), pytest.approx(7))
     np.testing.assert_allclose(info.cardinality, number, atol=1e-15)
     assert plain.update(scaled, NOTHING, model, 1.0, rng)[1].mass == pytest.approx(0.7)
-
-
-@pytest.mark.parametrize("recursion", [GMCPHD(), ParticleCPHD()], ids=KINDS)
-def test_spawning_is_refused(recursion, rng):
-    model = replace(world(), spawn=Splitting(1.0))
-    intensity = crowd(rng, 4, 50) if isinstance(recursion, ParticleCPHD) else mixture_of(crowd(rng, 4, 50), rng)
-    with pytest.raises(InputError, match="no spawning"):
-        recursion.predict(Cardinalised(intensity, poisson(4.0)), model, 1.0, rng)
-
-
-def test_the_first_intensity_may_be_given(rng):
-    given = mixture_of(crowd(rng, 4, 50), rng)
-    for recursion in (GMCPHD(initial=given), ParticleCPHD(particles_per_target=100, initial=given)):
-        state = recursion.start(world(), rng)
-        assert state.mass == pytest.approx(given.mass)
-        assert mean(state.cardinality) == pytest.approx(given.mass)

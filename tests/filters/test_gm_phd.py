@@ -24,7 +24,6 @@ from phdtrack.models import (
 from phdtrack.protocols import Model
 from phdtrack.types import GaussianMixture
 from reference import gm_twin
-from spawning import Splitting
 
 ROWS = [0, 1, 4, 5]
 H = np.eye(6)[ROWS]
@@ -247,7 +246,5 @@ def test_what_comes_without_tags_is_given_some(rng):
 
 def test_what_has_no_gaussian_form_is_an_error_with_its_cure(rng):
     state, z = nearby(rng, 2), MEAN[ROWS, None]
-    with pytest.raises(InputError, match="spawn"):
-        GMPHD().step(state, z, replace(LINEAR, spawn=Splitting(0.1)), 1.0, rng)
     with pytest.raises(InputError, match=r"birth\.kind=measurement"):
         GMPHD().step(state, z, replace(LINEAR, birth=UniformBirth(FRAME)), 1.0, rng)

@@ -10,7 +10,7 @@ import pytest
 from mcmc_cases import apart, joint_law, ring, variation
 
 from phdtrack.filters import MCMC
-from phdtrack.filters.intensities import JointSamples
+from phdtrack.filters.mcmc import JointSamples
 from phdtrack.kernels.mcmc import Chain, Options, jump_chain, option_tables
 
 # Two targets that were there, and a newborn one, at two measurements; each has two states of his own.
@@ -61,7 +61,7 @@ def predicted() -> JointSamples:
     """Two targets, three states each."""
     x = np.array([[0.0, 1, 1, 2, 3, 3], np.zeros(6)])
     chance = np.array([[0.9, 0.7, 0.8], [0.2, 0.5, 0.4]])
-    return JointSamples(x, chance, np.array([4, 7]), 9, x[:, :0])
+    return JointSamples(x, chance, np.array([4, 7]), 9)
 
 
 def exact(z: np.ndarray, strength: float):

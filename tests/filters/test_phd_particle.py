@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -11,26 +10,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from phd_cases import FRAME, crowd, seen_by, with_births, world
 
-from phdtrack import Tracker
-from phdtrack.errors import InputError
 from phdtrack.filters import NoFilter, ParticleCPHD, ParticlePHD
 from phdtrack.filters.blocks import in_blocks, in_ranges
 from phdtrack.models import (
     BoxMotion,
-    FixedBirth,
     PlaneBirth,
     PlaneMotion,
     PlaneSensor,
     PointBirth,
     PointMotion,
     PointSensor,
-    UniformBirth,
     UniformClutter,
 )
 from phdtrack.models.volumes import image_volume
 from phdtrack.protocols import Model
-from phdtrack.tracker import pack, unpack
-from phdtrack.types import Detections, GaussianMixture, ParticleBlocks, Particles
+from phdtrack.types import GaussianMixture, ParticleBlocks, Particles
 from spawning import Splitting
 
 seeds = st.integers(0, 2**32 - 1)
@@ -220,26 +214,8 @@ def test_an_empty_scan_leaves_what_is_missed(p_detect: float, rng):
     assert info.mass_predicted == pytest.approx(state.mass, rel=1e-6)
     assert info.mass_born == 0
     skipped, info = ParticlePHD(skip_empty_frames=True).update(state, NO_BOXES, world(), 1.0, rng)
-    assert info.mass == info.mass_predicted == pytest.approx(3, rel=1e-6)
+    assert (info.mass, info.mass_predicted) == (pytest.approx(3, rel=1e-6),) * 2
     assert skipped.mass == pytest.approx(3, rel=1e-6)
-
-
-def test_births_come_in_an_empty_scan_too(rng):
-    model = world(birth=UniformBirth(FRAME, births_per_second=25 * 0.2), detection_probability=0.9)
-    updated, info = ParticlePHD().update(NOTHING, NO_BOXES, model, 2.0, rng)
-    assert info.mass_born == pytest.approx(0.4)
-    assert updated.mass == info.mass == pytest.approx(0.04, rel=1e-6)
-
-
-@pytest.mark.parametrize("scaling", ["particle", "detection", "fixed"])
-def test_the_order_of_detections_does_not_matter(scaling: str, rng):
-    state = crowd(rng, 5, 80)
-    z = seen_by(rng, state, 9)
-    model, order = world(scaling=scaling), rng.permutation(9)
-    a, about_a = ParticlePHD().update(state, z, model, 1.0, rng)
-    b, about_b = ParticlePHD().update(state, np.ascontiguousarray(z[:, order]), model, 1.0, rng)
-    np.testing.assert_allclose(a.weight, b.weight, rtol=1e-5, atol=1e-9)
-    np.testing.assert_allclose(about_a.evidence[order], about_b.evidence, rtol=1e-6)
 
 
 @given(seeds, st.integers(0, 4), st.integers(0, 6), st.sampled_from(["particle", "detection", "fixed"]))
@@ -317,15 +293,6 @@ def test_boxes_of_any_size_and_far_outside_of_the_frame(rng):
         assert np.isfinite(info.evidence).all()
 
 
-def test_a_frame_that_was_not_looked_at_comes_in_between(rng):
-    model, state = world(), crowd(rng, 3, 250)
-    predicted = ParticlePHD().predict(state, model, 1.0, rng)
-    after, info = ParticlePHD(300).step(predicted, seen_by(rng, state, 3), model, 1.0, rng)
-    check(after)
-    assert info.mass_predicted == pytest.approx(state.mass * 0.99**2, rel=1e-5)
-    assert len(after.start) - 1 < 30, "in blocks"
-
-
 def test_the_initial_intensity(rng):
     given_particles = crowd(rng, 2, 20)
     assert ParticlePHD(initial=given_particles).start(world(), rng) is given_particles
@@ -335,14 +302,6 @@ def test_the_initial_intensity(rng):
     first = drawn.state[0] < 200
     assert (drawn.weight[first].sum(), drawn.weight[~first].sum()) == (pytest.approx(1.0), pytest.approx(0.5))
     np.testing.assert_allclose(drawn.state[0, first].mean(), 100, atol=4 * 5 / np.sqrt(5000))
-
-
-def test_fixed_births_pass_through(rng):
-    mean, cov = np.array([[100.0, 50, 1, 0, 20, 40]]).T, np.eye(6)[None]
-    model = world(birth=FixedBirth(GaussianMixture(np.array([25 * 0.02]), mean, cov), 50))
-    updated, info = ParticlePHD().update(crowd(rng, 2, 100), NO_BOXES, model, 1.5, rng)
-    assert info.mass_born == pytest.approx(0.03)
-    assert len(updated) == 250
 
 
 @pytest.mark.parametrize("recursion", [ParticlePHD(300), ParticleCPHD(300)])
@@ -373,29 +332,6 @@ def test_ranges_cover_the_work_in_order(count: int):
     for threads in (0, 1, 3, 8):
         parts = in_ranges(lambda lo, hi: list(range(lo, hi)), count, threads)
         assert [i for part in parts for i in part] == list(range(count))
-
-
-def test_a_resumed_tracker_goes_on_bit_for_bit(rng):
-    """Saved after a frame with clutter, an empty one, one that was not looked at, and later."""
-    setting = {"filter": {"kind": "particle-phd", "particles_per_target": 200}, "birth": {"particles": 200}}
-    boxes = np.array([[100.0, 100, 140, 200], [500.0, 250, 540, 350]])
-    scans = [boxes + 2 * k + rng.normal(0, 1, (2, 4)) for k in range(12)]
-    scans[5], scans[7] = np.zeros((0, 4)), Detections.empty(observed=False)
-    for after in (6, 8):
-        whole, first, second = (Tracker((640, 480), **setting) for _ in range(3))
-        for k, found in enumerate(scans):
-            whole.update(found)
-            (first if k < after else second).update(found)
-            if k == after - 1:
-                second.load_state_dict(pickle.loads(pickle.dumps(first.state_dict())))
-        identical(whole.state.intensity, second.state.intensity)
-    identical(unpack(pickle.loads(pickle.dumps(pack(whole.state.intensity)))), whole.state.intensity)
-
-
-def test_settings_out_of_bounds():
-    for wrong in ({"particles_per_target": 0}, {"max_particles": -1}):
-        with pytest.raises(InputError, match=next(iter(wrong))):
-            ParticlePHD(**wrong)
 
 
 def test_no_filter_takes_each_detection_for_a_target(rng):

@@ -10,10 +10,8 @@ from mht_cases import RNG, boxes, run, scene, told, walk
 from pmb_cases import PLAIN, world
 
 from phdtrack import config
-from phdtrack.errors import InputError
 from phdtrack.filters import PMB
 from phdtrack.types import SequenceInfo
-from spawning import Splitting
 
 
 def test_misses_in_a_row_are_believed_where_targets_get_hidden():
@@ -123,13 +121,6 @@ def test_the_past_that_is_kept_and_the_number_of_hypotheses_are_bounded():
         np.testing.assert_allclose(sums, 1)
         sizes.append(len(state))
     assert max(sizes[40:]) < 1.5 * max(sizes[20:40])
-
-
-def test_spawning_has_no_form():
-    model = replace(world(), spawn=Splitting(0.1))
-    state, _ = run(PMB(), [boxes((300, 200))], world())
-    with pytest.raises(InputError, match="spawning"):
-        PMB().step(state, boxes((301, 200)), model, 1.0, RNG)
 
 
 def test_rare_births_among_much_clutter_are_seen_a_second_time():

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phdtrack.filters.blocks import cut
-from phdtrack.filters.extract.clusters import heavy_enough
+from phdtrack.filters.extract import heavy_enough
 from phdtrack.kernels.blocks import block_moments, claim, reaching, summarise, unreached
 from phdtrack.kernels.box import box_corners, box_gate, box_noise
 from phdtrack.kernels.grid import make_grid

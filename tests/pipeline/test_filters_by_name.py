@@ -1,37 +1,11 @@
-"""The GM-PHD and the MCMC filter by name in a loop of one's own: presets, identities, real detections."""
+"""The MCMC filter on real detections."""
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from phdtrack import Tracker, evaluate
-from phdtrack.filters.intensities import JointSamples
 from phdtrack.formats import read_detections, read_truth
-from phdtrack.types import GaussianMixture
-from tracker_cases import two_people
-
-GAUSSIANS, CHAIN = {"kind": "gm-phd"}, {"kind": "mcmc", "samples": 400}
-
-
-@pytest.mark.parametrize("preset", ["default", "m07", "m09", "fv"])
-@pytest.mark.parametrize(
-    ("filter_", "associate"), [(GAUSSIANS, {}), (CHAIN, {"kind": "graph"}), (CHAIN, {"kind": "labelled"})],
-    ids=["gm-phd", "mcmc, graph", "mcmc, labelled"],
-)  # fmt: skip
-def test_two_people_are_two_tracks(preset: str, filter_, associate):
-    tracker = Tracker((640, 480), filter=filter_, preset=preset, associate=associate)
-    for boxes in two_people(50):
-        tracker.update(boxes)
-    assert isinstance(tracker.state.intensity, JointSamples if filter_ is CHAIN else GaussianMixture)
-    longest = np.unique(tracker.tracks().identity, return_counts=True)[1]
-    assert np.count_nonzero(longest >= 40) == 2
-    info = tracker.step.info
-    assert info.mass == pytest.approx(2, abs=0.6)
-    if filter_ is CHAIN:
-        assert info.cardinality.argmax() == 2
-        assert info.chain.effective > 20
-        assert dict(zip(info.chain.moves, info.chain.proposed, strict=True))["update"] > 300
 
 
 @pytest.mark.data

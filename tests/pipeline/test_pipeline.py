@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from phdtrack import config, pipeline
@@ -128,39 +127,6 @@ def test_the_first_frame_is_1_at_some_time(stages, rng, number: int, time: float
         pipeline.advance(stages, pipeline.start(stages, rng), BOX, number, time, rng)
 
 
-def test_states_are_values(stages):
-    """Going on twice from one state gives the same twice, and leaves the state as it was."""
-    rng = np.random.default_rng(0)
-    state = pipeline.start(stages, rng)
-    for k in range(1, 8):
-        state, _ = pipeline.advance(stages, state, BOX, k, k / 25, rng)
-    ends = []
-    for _ in range(2):
-        here, again = state, np.random.default_rng(1)
-        for k in range(8, 14):
-            here, step = pipeline.advance(stages, here, BOX, k, k / 25, again)
-        ends.append((here, step))
-    (a, step_a), (b, step_b) = ends
-    assert a.intensity.mass == b.intensity.mass
-    np.testing.assert_array_equal(step_a.estimates.state, step_b.estimates.state)
-    np.testing.assert_array_equal(step_a.estimates.covariance, step_b.estimates.covariance)
-    np.testing.assert_array_equal(step_a.tracks.xyxy, step_b.tracks.xyxy)
-    assert (state.number, len(pipeline.finish(stages, state))) == (7, 7)
-
-
 def test_a_sequence_may_end_before_it_begins(stages, rng):
     assert list(pipeline.run(stages, [], rng)) == []
     assert len(pipeline.finish(stages, pipeline.start(stages, rng))) == 0
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("scaling", ["particle", "detection", "previous", "fixed", "given"])
-def test_every_scaling_takes_frames_without_detections(scaling: str, kind: str, rng):
-    stages = config.build(config.load(sets=[f"sensor.scaling={scaling}", f"filter.kind={kind}"]), INFO)
-    cov = np.diag([4.0, 9.0, 16.0, 36.0])[None]
-    # Somebody who walks.
-    seen = [Detections(BOX.xyxy + 2 * k * np.array([1, 0, 1, 0]), BOX.confidence, BOX.class_id, cov) for k in range(20)]
-    missed = {0: Detections.empty(), 11: Detections.empty(), 13: Detections.empty(observed=False)}
-    frames = [(k + 1, k / 25, missed.get(k, found)) for k, found in enumerate(seen)]
-    *_, (state, _) = pipeline.run(stages, frames, rng)
-    assert set(pipeline.finish(stages, state).identity) == {1}

@@ -9,8 +9,7 @@ import pytest
 
 from phdtrack import pipeline
 from phdtrack.associate import GraphMatching, Labelled
-from phdtrack.filters import GMPHD, MHT, PMB, BestBernoullis, BestHypothesis, NoFilter, ParticlePHD
-from phdtrack.filters.extract import Components, KMeans, Raw
+from phdtrack.filters import GMPHD, MHT, PMB, BestBernoullis, BestHypothesis, Components, KMeans, NoFilter, ParticlePHD, Raw
 from phdtrack.models import PlaneBirth, PlaneMotion, PlaneSensor, UniformClutter
 from phdtrack.protocols import Model, Stages
 from phdtrack.types import Detections

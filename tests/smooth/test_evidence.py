@@ -5,7 +5,7 @@ import pytest
 from smoothing_cases import model_of, piece, sequence, walk
 
 from phdtrack.smooth.paths import paths_of
-from phdtrack.smooth.stitching import Pairs, Sequence, Terms, _candidates, _matched
+from phdtrack.smooth.smoothing import Sequence, Terms, _candidates, _matched
 from reference import smoothing_twin as twin
 
 
@@ -18,8 +18,8 @@ def test_it_is_the_ratio_of_one_trajectorys_density_to_two(seed: int):
     seen = Sequence.of(measured, model.sensor, model.motion)
     paths = paths_of(tracks, measured)
     terms = Terms(occluded=10.0, gap=50.0, overlap=0.0, reentry=0.25, rate=25.0)
-    pairs = _candidates(paths, seen.smooth(paths), seen, terms)
-    assert (pairs.before.tolist(), pairs.after.tolist()) == ([0], [1])
+    before, after, odds = _candidates(paths, seen.smooth(paths), seen, terms)
+    assert (before.tolist(), after.tolist()) == ([0], [1])
     one = np.concatenate([np.arange(9), np.full(5, -1), np.arange(9, 19)])
     ratio = twin.log_density(model.motion, measured.time, seen, one)
     ratio -= twin.log_density(model.motion, measured.time[:9], seen, one[:9])
@@ -28,7 +28,7 @@ def test_it_is_the_ratio_of_one_trajectorys_density_to_two(seed: int):
     noise = np.sqrt(seen.covariance[0].diagonal()[seen.observed])
     volume = np.prod(np.ptp(measured.z, axis=1) + 4 * noise)
     prior = np.log(0.25 / 0.75) + np.log(np.exp(-6 / 10) / 10) - np.log(2 / (23 * volume))
-    assert pairs.odds[0] == pytest.approx(ratio + prior, rel=1e-6)
+    assert odds[0] == pytest.approx(ratio + prior, rel=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -37,7 +37,7 @@ def test_the_matching_is_the_best_of_all(seed: int):
     k = 5
     odds = np.where(rng.random((k, k)) < 0.6, rng.normal(1, 3, (k, k)), -1.0)
     before, after = np.nonzero(odds > -0.5)
-    found = _matched(Pairs(before, after, odds[before, after]), k)
+    found = _matched(before, after, odds[before, after], k)
 
     def best(row: int, free: frozenset[int]) -> float:
         if row == k:

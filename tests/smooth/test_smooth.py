@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from smoothing_cases import model_of, piece, sequence, walk
 
 from phdtrack.smooth.paths import paths_of
-from phdtrack.smooth.stitching import Sequence
+from phdtrack.smooth.smoothing import Sequence
 from phdtrack.types import MeasurementHistory
 from reference import smoothing_twin as twin
 

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.associate.history import History, Moment, Path, measurements, open_links, predicted_rows, rows_of
+from phdtrack.associate.history import History, Moment, Path, measurements, open_links, rows_of
 from phdtrack.errors import Count, InputError, NonNegative, Positive, PositiveCount, Probability, check
 from phdtrack.kernels.gaussian import gaussian_parts
 from phdtrack.kernels.linking import Fresh, Links, Terms, Window, link_states
@@ -153,16 +153,11 @@ class GraphMatching:
 
         Parameters
         ----------
-        state : after the frame before.
-        estimates : the n extracted states.
-        z : (m, N) measurements.
-        number : frame number.
-        dt : model time since the frame before.
-        model : of this frame.
+        state, estimates, z, number, dt, model : as in `protocols.Associator`.
 
         Returns
         -------
-        The new state, and the rows.
+        state, rows : the new state, and the online rows.
 
         Raises
         ------
@@ -203,16 +198,10 @@ class GraphMatching:
                 continue
             taken.update(before)
             parts += rows_of(moments, path, identity, self.bridge_gaps, model)
-            numbers, detections = [moments[k].number for k, _ in before], [j for _, j in before]
-            earlier = Tracks(
-                np.array(numbers, np.int64),
-                np.full(n, identity),
-                boxes,
-                np.full(n, min(1.0, float(moments[path[0][0]].estimates.weight[path[0][1]]))),
-                np.array(detections, np.int64),
-                np.ones(n, np.bool_),
-            )
-            parts.append(earlier)
+            if n:
+                numbers, detections = np.array([(moments[k].number, j) for k, j in before]).T
+                first = moments[path[0][0]].estimates.weight[path[0][1]]
+                parts.append(Tracks.certain(numbers, identity, boxes, first, detections))
             identity += 1
         return Tracks.concatenate(parts)
 
@@ -295,7 +284,8 @@ class GraphMatching:
             probability = _return_probability(survive[there], model.sensor.p_detect(moved)[there], returned)
             most = self._max_frames(state, place, probability, model)
             shown = there & (known.missed[going] <= most) & (after[going] < 0)
-            parts.append(predicted_rows(moment.number, known.identity[going[shown]], moved[:, shown], sure[shown], model))
+            boxes = model.sensor.boxes(moved[:, shown])
+            parts.append(Tracks.certain(moment.number, known.identity[going[shown]], boxes, sure[shown], -1))
         known = known._replace(state=state_of, confidence=confidence, missed=missed)
         # The first vertex whose identity a row still to be given may ask for.
         oldest = min([state.window.column, moment.first, *(int(m.final.earlier.min(initial=moment.first)) for m in held)])
@@ -422,7 +412,7 @@ def _bridged(known: Identities, after: I8, history: History, place: int, model: 
         ]
         ends = x.state[:, j], x.covariance[j], y.state[:, k], y.covariance[k]
         state = bridge(model.motion, ends, np.array([now.time - a.time, b.time - now.time]), warps)
-        parts.append(predicted_rows(now.number, known.identity[i : i + 1], state, x.weight[j : j + 1], model))
+        parts.append(Tracks.certain(now.number, int(known.identity[i]), model.sensor.boxes(state), x.weight[j], -1))
     return parts
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from phdtrack.kernels.linking import Links, Window
 from phdtrack.models.rts import bridge
 from phdtrack.protocols import Model
-from phdtrack.types import F8, I8, STILL, Estimates, MeasurementHistory, Tracks
+from phdtrack.types import F8, STILL, Estimates, MeasurementHistory, Tracks
 
 NO_LINKS = Links(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
 # Moments in a chunk: adding a moment copies references to less than two chunks and to the chunks before.
@@ -101,25 +101,6 @@ def measurements(moments: Iterable[Moment]) -> MeasurementHistory:
     )
 
 
-def predicted_rows(number: int | I8, identity: int | I8, state: F8, confidence: float | F8, model: Model) -> Tracks:
-    """Rows of states that rest on no detection.
-
-    Parameters
-    ----------
-    number, identity : frame number and identity, of all or each.
-    state : (d, n) predicted states.
-    confidence : of all or each; more than 1 counts as 1.
-    model : its sensor gives the boxes.
-
-    Returns
-    -------
-    n confirmed rows.
-    """
-    n = state.shape[1]
-    boxes, sure = model.sensor.boxes(state), np.minimum(1.0, np.full(n, confidence))
-    return Tracks(np.full(n, number), np.full(n, identity), boxes, sure, np.full(n, -1), np.ones(n, np.bool_))
-
-
 def rows_of(moments: list[Moment], path: Path, identity: int, bridge_gaps: bool, model: Model) -> list[Tracks]:
     """The rows of a track.
 
@@ -136,15 +117,9 @@ def rows_of(moments: list[Moment], path: Path, identity: int, bridge_gaps: bool,
     One row for each state, and the rows of each gap.
     """
     held = [(moments[k], i) for k, i in path]
-    states = Tracks(
-        np.array([m.number for m, _ in held], np.int64),
-        np.full(len(path), identity),
-        np.array([m.estimates.xyxy[i] for m, i in held]),
-        np.minimum(1.0, np.array([m.estimates.weight[i] for m, i in held])),
-        np.array([m.estimates.detection[i] for m, i in held], np.int64),
-        np.ones(len(path), np.bool_),
-    )
-    parts = [states]
+    numbers, boxes = np.array([m.number for m, _ in held]), np.array([m.estimates.xyxy[i] for m, i in held])
+    weights, detections = (np.array([getattr(m.estimates, name)[i] for m, i in held]) for name in ("weight", "detection"))
+    parts = [Tracks.certain(numbers, identity, boxes, weights, detections)]
     for (k, i), (m, j) in itertools.pairwise(path) if bridge_gaps else ():
         if m == k + 1:
             continue
@@ -152,6 +127,6 @@ def rows_of(moments: list[Moment], path: Path, identity: int, bridge_gaps: bool,
         steps = np.diff(np.array([x.time for x in moments[k : m + 1]]))
         ends = a.state[:, i], a.covariance[i], b.state[:, j], b.covariance[j]
         between = bridge(model.motion, ends, steps, [x.warp for x in moments[k + 1 : m + 1]])
-        numbers = np.array([x.number for x in moments[k + 1 : m]], np.int64)
-        parts.append(predicted_rows(numbers, identity, between, min(float(a.weight[i]), float(b.weight[j])), model))
+        numbers, sure = np.array([x.number for x in moments[k + 1 : m]]), min(float(a.weight[i]), float(b.weight[j]))
+        parts.append(Tracks.certain(numbers, identity, model.sensor.boxes(between), sure, -1))
     return parts

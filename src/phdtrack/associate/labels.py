@@ -17,8 +17,6 @@ from phdtrack.errors import Count, InputError, NonNegative, PositiveCount, check
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, Bool, Estimates, MeasurementHistory, Tracks
 
-_NO_LABEL = np.iinfo(np.int64).min
-
 
 class LabelTable(NamedTuple):
     """What is known of each label (a,), ascending.
@@ -45,26 +43,25 @@ class LabelTable(NamedTuple):
     def including(self, moments: Sequence[Moment]) -> LabelTable:
         """The table with a row for every label of the moments."""
         tag = np.concatenate([m.estimates.tag for m in moments])
-        fresh = np.unique(tag[np.append(self.label, _NO_LABEL)[self.places(tag)] != tag])
-        if len(fresh) == 0:
+        if len(self.label) and (self.label.take(self.places(tag), mode="clip") == tag).all():
             return self
-        both = LabelTable._make(np.concatenate(pair) for pair in zip(self, LabelTable.of(fresh), strict=True))
+        fresh = LabelTable.of(np.setdiff1d(tag, self.label))
+        both = LabelTable._make(np.concatenate(pair) for pair in zip(self, fresh, strict=True))
         return both.take(np.argsort(both.label, kind="stable"))
 
     def counting(self, moments: Sequence[Moment]) -> LabelTable:
         """The table with the states of the moments counted, whose labels all have a row."""
         if not moments:
             return self
-        resting = np.concatenate([m.estimates.detection for m in moments]) >= 0
-        place = self.places(np.concatenate([m.estimates.tag for m in moments])[resting])
-        time = np.repeat([m.time for m in moments], [len(m.estimates) for m in moments])[resting]
-        last = self.last.copy()
-        np.maximum.at(last, place, time)
+        seen = [m.estimates.tag[m.estimates.detection >= 0] for m in moments]
+        place, last = self.places(np.concatenate(seen)), self.last.copy()
+        # Moments are in order of time: of several states with a label the last one's stays.
+        last[place] = np.repeat([m.time for m in moments], [len(tag) for tag in seen])
         return self._replace(states=self.states + np.bincount(place, minlength=len(self.label)), last=last)
 
     def places(self, labels: I8) -> I8:
         """(n,) the rows of the labels."""
-        return np.searchsorted(self.label, labels).astype(np.int64)
+        return self.label.searchsorted(labels)
 
     def take(self, index: I8 | Bool) -> LabelTable:
         """The rows at ``index``."""
@@ -132,16 +129,11 @@ class Labelled:
 
         Parameters
         ----------
-        state : after the frame before.
-        estimates : the labelled states, with the past as this frame sees it.
-        z : (m, N) measurements.
-        number : frame number.
-        dt : model time since the frame before.
-        model : of this frame.
+        state, estimates, z, number, dt, model : as in `protocols.Associator`; of the states their past counts, too.
 
         Returns
         -------
-        The new state, and the rows.
+        state, rows : the new state, and the online rows.
 
         Raises
         ------
@@ -149,15 +141,16 @@ class Labelled:
         """
         time, settled = state.time + dt, max(0, len(state.recent) - len(estimates.past))
         now = Moment(number, time, 0, _one_each(estimates), NO_LINKS, z, model.warp)
-        recent, changed = [], [now]
-        for moment, seen in zip(reversed(state.recent), reversed(estimates.past), strict=False):
-            recent.append(moment if seen is None else replace(moment, estimates=_one_each(seen)))
-            changed += recent[-1:] if seen is not None else []
+        recent, changed = list(state.recent[settled:]), [now]
+        for k, seen in enumerate(estimates.past[len(estimates.past) - len(recent) :]):
+            if seen is not None:
+                recent[k] = replace(recent[k], estimates=_one_each(seen))
+                changed.append(recent[k])
         history = state.history
         for moment in state.recent[:settled]:
             history = history.append(moment)
         table = state.table.including(changed).counting(state.recent[:settled])
-        extended = LabelledState(history, (*recent[::-1], now), table, time, state.used)
+        extended = LabelledState(history, (*recent, now), table, time, state.used)
         due = len(extended) - 1 - self.output_delay
         if due < 0:
             return extended, Tracks.empty()
@@ -212,7 +205,7 @@ class Labelled:
             confirmed[order],
         )
         table = state.table._replace(identity=identity, confirmed=sure)
-        return replace(state, table=table, used=state.used + len(fresh)), rows
+        return LabelledState(state.history, state.recent, table, state.time, state.used + len(fresh)), rows
 
     def _recent(self, state: LabelledState, due: int, model: Model) -> LabelledState:
         """The state without what is forgotten; rows still due stay."""
@@ -235,7 +228,7 @@ def _one_each(estimates: Estimates) -> Estimates:
             where="associate.kind=labelled",
             cure="Use associate.kind=graph, or a filter that labels targets",
         )
-    single = replace(e, past=()) if e.past else e
+    single = Estimates(e.state, e.covariance, e.weight, e.xyxy, e.detection, e.tag) if e.past else e
     if (e.tag[1:] > e.tag[:-1]).all():
         return single
     heaviest = np.argsort(-e.weight, kind="stable")

@@ -12,25 +12,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from phdtrack.arrays import to_cxcywh
 from phdtrack.errors import NonNegative, PositiveCount, check
+from phdtrack.models.scene import FalseAlarmRatio
 from phdtrack.protocols import Associator, Model
 from phdtrack.types import F8, I8, Bool, Estimates, MeasurementHistory, Tracks
 
 A = TypeVar("A")
 # Identities that are remembered online, besides those in view: cameras run for days.
 KEPT = 10_000
-
-
-class LikelihoodRatio(Protocol):
-    """How much likelier a detection at some place is a false alarm than a target."""
-
-    def log(self, z: F8) -> F8:
-        """(2, N) log-ratios at boxes ``z`` (4, N), centres and sizes: of false alarms that are tracked, and of all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +49,7 @@ class FalseTrackRejection(Generic[A]):
     """
 
     associator: Associator[A]
-    ratio: LikelihoodRatio
+    ratio: FalseAlarmRatio
     immediate_confirmation: NonNegative = 0.0
     min_track_length: PositiveCount = 1
 
@@ -73,15 +67,11 @@ class FalseTrackRejection(Generic[A]):
 
         Parameters
         ----------
-        state : after the frame before.
-        estimates, z : the extracted states, and the measurements (m, N).
-        number : frame number.
-        dt : model time since the frame before.
-        model : of this frame.
+        state, estimates, z, number, dt, model : as in `protocols.Associator`.
 
         Returns
         -------
-        The new state, and the rows.
+        state, rows : the new state, and the online rows.
         """
         inner, rows = self.associator.extend(state.inner, estimates, z, number, dt, model)
         return self._judged(replace(state, inner=inner), rows)
@@ -133,7 +123,7 @@ class FalseTrackRejection(Generic[A]):
         return out
 
 
-def without_false_tracks(tracks: Tracks, ratio: LikelihoodRatio, min_track_length: int = 1) -> Tracks:
+def without_false_tracks(tracks: Tracks, ratio: FalseAlarmRatio, min_track_length: int = 1) -> Tracks:
     """Tracks, each from its confirmation on; identities from 1, in order.
 
     Parameters

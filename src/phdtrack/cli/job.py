@@ -33,7 +33,7 @@ from phdtrack.cli.output import Output, command_line, progress
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.errors import interrupted
 from phdtrack.filters import NoFilter
-from phdtrack.filters.intensities import Cardinalised
+from phdtrack.filters.cardinality import Cardinalised
 from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter, write_tracks
 from phdtrack.kernels import CACHE
 from phdtrack.models import PlaneSensor

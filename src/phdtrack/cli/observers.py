@@ -67,7 +67,7 @@ class RunObserver:
         return Report({})
 
 
-def observers_of(settings: Settings, inputs: Inputs, learning: Learning[Any]) -> tuple[RunObserver, ...]:
+def observers_of(settings: Settings, inputs: Inputs, learning: Learning[Any] | None) -> tuple[RunObserver, ...]:
     """The observers of a moving camera and of what is learned while tracking, where there are any."""
     found = list[RunObserver]()
     if settings.kind("camera_motion") != "none":

@@ -19,7 +19,7 @@ from phdtrack.errors import InputError
 from phdtrack.models.births import FixedBirth
 from phdtrack.models.clutter import LocalClutter, LocalPlaneClutter, UniformClutter
 from phdtrack.models.volumes import EVERYWHERE, Region, area, image_area, image_volume
-from phdtrack.protocols import AnyStages, Associator, Birth, Clutter, Learning, Model, NoLearning, Stages
+from phdtrack.protocols import AnyStages, Associator, Birth, Clutter, Learning, Model, Stages
 from phdtrack.types import GaussianMixture, SequenceInfo
 
 if TYPE_CHECKING:
@@ -57,12 +57,12 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
     size = (float(info.width), float(info.height))
     model, associator, smoother = _model(settings, size, info.fps), _associator(settings, size), settings.build("smooth")
     if settings.kind("filter") == "none":
-        from phdtrack.filters.extract.components import Raw
+        from phdtrack.filters.none import Raw
 
         return Stages(model, settings.build("filter"), Raw(), associator, smoother=smoother)
     initial = settings.values("filter").get("initial")
     filter_ = settings.build("filter", initial=_places(initial) if initial else None, frame_size=size)
-    rates, explainer = _rates(settings, model, NoLearning(), info), settings.build("merged_measurements")
+    rates, explainer = _rates(settings, model, None, info), settings.build("merged_measurements")
     stages = Stages(model, filter_, settings.build("extract"), associator, rates, explainer, smoother=smoother)
     if settings.kind("learn") == "none":
         return stages
@@ -219,7 +219,7 @@ def _learning(settings: Settings, stages: AnyStages, info: SequenceInfo) -> Lear
     return SceneLearning(rule, stages.model, ShadowTracker(stages), given.particles, scenes)
 
 
-def _rates(settings: Settings, model: Model, other: Learning[Any], info: SequenceInfo) -> Learning[Any]:
+def _rates(settings: Settings, model: Model, other: Learning[Any] | None, info: SequenceInfo) -> Learning[Any] | None:
     """What learns the rates of ``model`` while tracking, with what ``other`` learns."""
     if settings.kind("rates") == "none":
         return other

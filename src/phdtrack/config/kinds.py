@@ -45,6 +45,11 @@ class DetectorSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class Nothing:
+    """A part that is left out."""
+
+
+@dataclass(frozen=True, slots=True)
 class CameraSettings:
     """Between pixels and ground, for ``motion.kind=plane``.
 

@@ -25,7 +25,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from phdtrack.config.kinds import DECIDING, FITTING, SECTIONS, constructor_defaults, first_kind, record, settable
+from phdtrack.config.kinds import DECIDING, FITTING, SECTIONS, Nothing, constructor_defaults, first_kind, record, settable
 from phdtrack.config.presets import PRESETS, values_of
 from phdtrack.errors import InputError
 from phdtrack.files import read_toml
@@ -62,6 +62,8 @@ class Settings:
     def build(self, section: str, **more: Any) -> Any:
         """The object that a section makes; of ``more``, which depends on the sequence, it takes what its class knows."""
         chosen, values = record(section, self.kind(section)), self.values(section) | {"initial": None} | more
+        if chosen is Nothing:
+            return None
         return chosen(**{field.name: values[field.name] for field in fields(chosen) if field.name in values})
 
     def as_dict(self) -> dict[str, Any]:

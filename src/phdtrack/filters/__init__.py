@@ -1,4 +1,4 @@
-"""The filters: one recursion a file, its equations in the docstrings."""
+"""The filters: one recursion a file, its equations in the docstrings, with its state and what reads it."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 from phdtrack.files import lazy
 
 if TYPE_CHECKING:
-    from phdtrack.filters.cphd import GMCPHD
-    from phdtrack.filters.cphd_particle import ParticleCPHD
-    from phdtrack.filters.mcmc import MCMC
+    from phdtrack.filters.cphd import GMCPHD, ParticleCPHD
+    from phdtrack.filters.extract import Components, KMeans, Mixture
+    from phdtrack.filters.mcmc import MCMC, Joint
     from phdtrack.filters.mht import MHT, BestHypothesis
-    from phdtrack.filters.none import NoFilter
+    from phdtrack.filters.none import NoFilter, Raw
     from phdtrack.filters.phd_gaussian import GMPHD
     from phdtrack.filters.phd_particle import ParticlePHD
     from phdtrack.filters.pmb import PMB, BestBernoullis
@@ -19,16 +19,14 @@ if TYPE_CHECKING:
 __getattr__, __dir__ = lazy(
     __name__,
     {
-        "BestBernoullis": "phdtrack.filters.pmb",
-        "BestHypothesis": "phdtrack.filters.mht",
-        "GMCPHD": "phdtrack.filters.cphd",
+        **dict.fromkeys(("GMCPHD", "ParticleCPHD"), "phdtrack.filters.cphd"),
+        **dict.fromkeys(("Components", "KMeans", "Mixture"), "phdtrack.filters.extract"),
+        **dict.fromkeys(("MCMC", "Joint"), "phdtrack.filters.mcmc"),
+        **dict.fromkeys(("MHT", "BestHypothesis"), "phdtrack.filters.mht"),
+        **dict.fromkeys(("NoFilter", "Raw"), "phdtrack.filters.none"),
         "GMPHD": "phdtrack.filters.phd_gaussian",
-        "MCMC": "phdtrack.filters.mcmc",
-        "MHT": "phdtrack.filters.mht",
-        "NoFilter": "phdtrack.filters.none",
-        "PMB": "phdtrack.filters.pmb",
-        "ParticleCPHD": "phdtrack.filters.cphd_particle",
         "ParticlePHD": "phdtrack.filters.phd_particle",
+        **dict.fromkeys(("PMB", "BestBernoullis"), "phdtrack.filters.pmb"),
     },
 )
 
@@ -40,7 +38,12 @@ __all__ = [
     "PMB",
     "BestBernoullis",
     "BestHypothesis",
+    "Components",
+    "Joint",
+    "KMeans",
+    "Mixture",
     "NoFilter",
     "ParticleCPHD",
     "ParticlePHD",
+    "Raw",
 ]

@@ -5,17 +5,49 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
 
-from phdtrack.filters.intensities import UpdatedParticles
 from phdtrack.kernels.particle_models import BLOCK
 from phdtrack.protocols import Model
-from phdtrack.types import F8, I8, ParticleBlocks, Particles
+from phdtrack.types import F8, I8, ParticleBlocks, Particles, Real
 
 T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UpdatedParticles:
+    """The updated intensity before it is resampled: the particles that were there, and the newborn."""
+
+    old: ParticleBlocks
+    born: ParticleBlocks
+
+    def __len__(self) -> int:
+        return len(self.old) + len(self.born)
+
+    @property
+    def mass(self) -> float:
+        """The integral of the intensity: the expected number of targets."""
+        return self.old.mass + self.born.mass
+
+    @property
+    def state(self) -> Real:
+        """(d, L) states."""
+        return np.concatenate([self.old.state, self.born.state], axis=1)
+
+    @property
+    def weight(self) -> F8:
+        """(L,) weights."""
+        return np.concatenate([self.old.weight, self.born.weight])
+
+    def particles(self) -> Particles:
+        """The same intensity as plain particles; a copy in float64."""
+        return Particles(self.state.astype(np.float64), self.weight)
+
+
 Intensity = Particles | ParticleBlocks | UpdatedParticles
 
 

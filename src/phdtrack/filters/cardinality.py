@@ -25,15 +25,40 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from phdtrack.filters.blocks import UpdatedParticles
+from phdtrack.filters.terms import TINY, UpdateTerms
 from phdtrack.kernels.esf import log_products, log_sums_without, thinned
-from phdtrack.types import F8
+from phdtrack.types import F8, GaussianMixture, ParticleBlocks, Particles
 
 # Of the distribution's upper end, as much is cut as it adds to the mean.
 CUT = 1e-14
-_TINY = float(np.finfo(np.float64).tiny)
+
+
+Points = TypeVar("Points", Particles, ParticleBlocks, UpdatedParticles, GaussianMixture)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cardinalised(Generic[Points]):
+    """An intensity with the distribution of the number of targets: what the cardinalised PHD filters carry.
+
+    ``cardinality`` (n,) holds the probabilities of 0, 1, 2, … targets; its mean is the mass of ``intensity`` and of what may
+    have been born where nothing was detected.
+    """
+
+    intensity: Points
+    cardinality: F8
+
+    def __len__(self) -> int:
+        return len(self.intensity)
+
+    @property
+    def mass(self) -> float:
+        """The integral of the intensity: the expected number of targets."""
+        return self.intensity.mass
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,27 +102,39 @@ def survived(cardinality: F8, share: float) -> F8:
 
 
 def with_births(cardinality: F8, mass: float, detections: int) -> F8:
-    """The number with Poisson births of mean ``mass`` [V07].
+    """The number with Poisson births [V07].
 
-    The births reach ``detections`` beyond what is likely: what a scan shows may be very unlikely before it is seen.
+    Parameters
+    ----------
+    cardinality : (n,) probabilities of 0, 1, 2, … targets.
+    mass : mean of the births.
+    detections : how far births reach beyond what is likely: what a scan shows may be very unlikely before it is seen.
+
+    Returns
+    -------
+    cardinality : with the births.
     """
     if mass <= 0:
         return cardinality
     return np.convolve(cardinality, np.exp(log_poisson(mass, _enough(mass) + detections)))
 
 
-def weigh(cardinality: F8, known: float, missed: float, births: float, unseen: float, evidence: F8, clutter: F8) -> Weighing:
-    """The number with births and after the scan, from that before both.
+def weigh(cardinality: F8, terms: UpdateTerms[Any], births: float) -> Weighing:
+    """The number with births and after the scan.
 
     Parameters
     ----------
     cardinality : (n,) probabilities of 0, 1, 2, … targets before births and scan.
-    known, missed : M = ∫D⁺ and ∫(1 − p_D) D⁺ of what the intensity holds, its births included.
-    births, unseen : expected number of births, and of those that the intensity does not hold.
-    evidence, clutter : (N,) C(z) and κ(z), per unit of measurement volume.
+    terms : of the intensity, births that it holds included.
+    births : expected number of births; those that the intensity does not hold are missed like the others.
+
+    Returns
+    -------
+    weighing : of the number and the intensity.
     """
-    grown, whole = with_births(cardinality, births, len(evidence)), known + unseen
-    return factors(grown, whole, missed * whole / known if known > 0 else whole, evidence, clutter)
+    known, evidence = terms.mass, terms.evidence
+    grown, whole = with_births(cardinality, births, len(evidence)), known + max(births - terms.born, 0.0)
+    return factors(grown, whole, terms.missed * whole / known if known > 0 else whole, evidence, terms.clutter)
 
 
 def factors(cardinality: F8, mass: float, missed: float, evidence: F8, clutter: F8) -> Weighing:
@@ -109,16 +146,20 @@ def factors(cardinality: F8, mass: float, missed: float, evidence: F8, clutter: 
     mass, missed : M = ∫D⁺ and ∫(1 − p_D) D⁺.
     evidence, clutter : (N,) C(z) and κ(z), per unit of measurement volume.
 
+    Returns
+    -------
+    weighing : of the number and the intensity.
+
     Where p⁺ makes the scan impossible (more detections than targets can be, no births and no clutter), it is taken for
     Poisson: the factors are those of the PHD filter then.
     """
-    if mass < _TINY:
+    if mass < TINY:
         return Weighing(1.0, np.zeros(len(evidence)), no_targets())
     with np.errstate(divide="ignore"):
         prior = np.log(cardinality)
         phi = float(np.log(min(max(missed / mass, 0.0), 1.0)))
     # The reciprocal of a denormal number overflows.
-    live = evidence >= _TINY
+    live = evidence >= TINY
     log_clutter, log_evidence = _shares(evidence[live] / mass, clutter[live])
     products = log_products(log_clutter, log_evidence, len(prior) - 1)
     scan = products[-1]

@@ -1,33 +1,70 @@
-"""The Gaussian-mixture cardinalised PHD filter [V07].
+"""The cardinalised PHD filters [V07], of Gaussians and of particles.
 
-The mixture goes the way of `phd_gaussian`, and with it the distribution of the number of targets (`cardinality`). What a
-scan
-says of the number bears on all weights at once: the count hardly jumps when a target is missed or a false alarm appears. The
-price is that the weight of a missed target goes to the others for that scan, wherever they are.
+The intensity goes the way of `phd_gaussian` or `phd_particle`, and with it the distribution of the number of targets
+(`cardinality`). What a scan says of the number bears on all weights at once: the count hardly jumps when a target is missed
+or a false alarm appears. The price is that a missed target's weight goes to the others for that scan, wherever they are.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 from phdtrack.arrays import GATE
-from phdtrack.errors import Count, NonNegative, Share, check
-from phdtrack.filters.cardinality import no_targets, poisson, survived, weigh
-from phdtrack.filters.intensities import Cardinalised
-from phdtrack.filters.phd_gaussian import GMPHD, rows_of, tagged
-from phdtrack.kernels.gm_update import phd_mixture, phd_terms
+from phdtrack.errors import Count, NonNegative, PositiveCount, Share, check
+from phdtrack.filters.cardinality import Cardinalised, no_targets, poisson, survived, weigh
+from phdtrack.filters.phd_gaussian import GMPHD
+from phdtrack.filters.phd_particle import ParticlePHD
 from phdtrack.models.gaussian import Transform
-from phdtrack.protocols import Model
-from phdtrack.types import F8, GaussianMixture, UpdateInfo
+from phdtrack.protocols import Filter, Model
+from phdtrack.types import F8, GaussianMixture, Particles, UpdateInfo
 
-State = Cardinalised[GaussianMixture]
+
+class _CPHD(Filter[Cardinalised[Any]]):
+    """The recursion, whose settings are those of a PHD filter."""
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def start(self, model: Model, rng: np.random.Generator) -> Cardinalised[Any]:
+        """The initial intensity and a Poisson distributed number; nothing where none was given."""
+        intensity = _intensity(self).start(model, rng)
+        return Cardinalised(intensity, poisson(intensity.mass))
+
+    def predict(self, state: Cardinalised[Any], model: Model, dt: float, rng: np.random.Generator) -> Cardinalised[Any]:
+        """The intensity moved and weighed with p_S; the number thinned by the mean of p_S [V07].
+
+        Raises `InputError` where the motion spawns: the recursion of the number has no spawning.
+        """
+        if len(state) == 0:
+            return state
+        model.refuse_spawning("cardinalised PHD filter")
+        intensity = _intensity(self).predict(state.intensity, model, dt, rng)
+        return Cardinalised(intensity, survived(state.cardinality, intensity.mass / state.mass))
+
+    def update(
+        self, state: Cardinalised[Any], z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> tuple[Cardinalised[Any], UpdateInfo]:
+        """Add the births, then update the number and the intensity [V07]."""
+        terms = _intensity(self).terms(state.intensity, z, model, dt, rng)
+        weighing = weigh(state.cardinality, terms, model.birth.expected(z, dt / model.rate))
+        intensity = terms.weighed(weighing.missed, weighing.detected)
+        info = replace(terms.info(intensity.mass), cardinality=weighing.cardinality)
+        return Cardinalised(intensity, weighing.cardinality), info
+
+    def reduce(self, state: Cardinalised[Any], rng: np.random.Generator) -> Cardinalised[Any]:
+        """The intensity reduced; the number stays, unless nothing is left."""
+        intensity = _intensity(self).reduce(state.intensity, rng)
+        return Cardinalised(intensity, state.cardinality if len(intensity) else no_targets())
 
 
 @dataclass(frozen=True, slots=True)
-class GMCPHD:
+class GMCPHD(_CPHD):
     """Settings of the GM-CPHD filter; those of `GMPHD` and with its defaults.
 
     What pruning and capping drop is always given to the rest, because the number of targets does not change by it.
@@ -52,58 +89,28 @@ class GMCPHD:
     transform: Transform = "linear"
     initial: GaussianMixture | None = None
 
-    def __post_init__(self) -> None:
-        check(self)
 
-    def start(self, model: Model, rng: np.random.Generator) -> State:
-        """The initial intensity and a Poisson distributed number; nothing where none was given."""
-        mixture = _intensity(self).start(model, rng)
-        return Cardinalised(mixture, poisson(mixture.mass))
+@dataclass(frozen=True, slots=True)
+class ParticleCPHD(_CPHD):
+    """Settings of the particle CPHD filter; those of `ParticlePHD`.
 
-    def predict(self, state: State, model: Model, dt: float, rng: np.random.Generator) -> State:
-        """Every Gaussian through f, weighed with p_S; the number thinned by the mean of p_S [V07].
+    Parameters
+    ----------
+    particles_per_target : ρ, particles per expected target after resampling.
+    min_particles, max_particles : bounds on the number of particles, 0 for none.
+    threads : threads that share a frame's work, 0 for one per core; the result is the same to the bit.
+    initial : the intensity before the first frame; its number is Poisson distributed.
+    """
 
-        Raises `InputError` where the motion spawns.
-        """
-        if len(state) == 0:
-            return state
-        mixture = _intensity(self).predict(state.intensity, model, dt, rng)
-        return Cardinalised(mixture, survived(state.cardinality, mixture.mass / state.mass))
-
-    def update(self, state: State, z: F8, model: Model, dt: float, rng: np.random.Generator) -> tuple[State, UpdateInfo]:
-        """Add the births, then update the number and every Gaussian [V07]."""
-        mixture = tagged(state.intensity)
-        frame = _intensity(self).frame(rows_of(mixture), mixture.fresh, z, model, dt)
-        t, kappa = phd_terms(*frame), frame.measurements.clutter
-        births = model.birth.expected(z, dt / model.rate)
-        unseen = max(births - t.born, 0.0)
-        w = weigh(state.cardinality, t.predicted, t.missed, births, unseen, t.evidence, kappa)
-        rows, mass, fresh = phd_mixture(*frame[:-1], t, (w.missed, w.detected), frame.reach.fresh)
-        after = GaussianMixture(rows.weight, np.ascontiguousarray(rows.mean.T), rows.covariance, rows.tag, fresh)
-        info = UpdateInfo(t.predicted, t.born, mass, t.evidence, kappa, cardinality=w.cardinality)
-        return Cardinalised(after, w.cardinality), info
-
-    def reduce(self, state: State, rng: np.random.Generator) -> State:
-        """Prune, merge, cap; the number stays, unless nothing is left."""
-        mixture = _intensity(self).reduce(state.intensity, rng)
-        return Cardinalised(mixture, state.cardinality if len(mixture) else no_targets())
-
-    def step(self, state: State, z: F8, model: Model, dt: float, rng: np.random.Generator) -> tuple[State, UpdateInfo]:
-        """Predict, update and reduce."""
-        updated, info = self.update(self.predict(state, model, dt, rng), z, model, dt, rng)
-        return self.reduce(updated, rng), info
+    particles_per_target: PositiveCount = 1500
+    min_particles: Count = 0
+    max_particles: Count = 0
+    threads: Count = 1
+    initial: Particles | GaussianMixture | None = None
 
 
 @lru_cache(maxsize=8)
-def _intensity(settings: GMCPHD) -> GMPHD:
-    """The recursion of the mixture."""
-    s = settings
-    return GMPHD(
-        weight_threshold=s.weight_threshold,
-        merge_distance=s.merge_distance,
-        max_components=s.max_components,
-        split_weight=s.split_weight,
-        gate_probability=s.gate_probability,
-        transform=s.transform,
-        initial=s.initial,
-    )
+def _intensity(settings: Any) -> Any:
+    """The recursion of the intensity: the PHD filter with these settings."""
+    recursion = GMPHD if isinstance(settings, GMCPHD) else ParticlePHD
+    return recursion(**{field.name: getattr(settings, field.name) for field in fields(settings)})

@@ -169,7 +169,17 @@ def before(nodes: Nodes, index: I8) -> I8:
 
 
 def branched(state: Hypotheses, scores: Scores, limits: Limits) -> Branches:
-    """The hypotheses that follow from ``state``, predicted, and the measurements: clusters that share one become one."""
+    """The hypotheses that follow from the measurements; clusters that share one become one.
+
+    Parameters
+    ----------
+    state : predicted.
+    scores, limits : of the frame, and how much is kept.
+
+    Returns
+    -------
+    branches : of the leaves.
+    """
     lone, count = len(state.lone), len(scores.unassigned)
     many = lone + len(state.clusters)
     cluster_of = np.zeros(len(state), np.int64)

@@ -47,13 +47,13 @@ from phdtrack.filters.hypotheses import (
 from phdtrack.filters.pmb import without_overlaps
 from phdtrack.kernels.gaussian import Expected, Measurements, NewTargets, gated_pairs, pair_posteriors
 from phdtrack.kernels.pmb import NEVER, TINY
-from phdtrack.models.gaussian import Transform, expected, measurements, new_targets, predicted
-from phdtrack.protocols import Model
+from phdtrack.models.gaussian import Transform, expected, measurements, moved, new_targets
+from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, I8, Estimates, GaussianMixture, UpdateInfo
 
 
 @dataclass(frozen=True, slots=True)
-class MHT:
+class MHT(Filter[Hypotheses]):
     """Settings of the multiple hypothesis tracker; history, threshold and number of hypotheses are M09's.
 
     Parameters
@@ -90,8 +90,7 @@ class MHT:
 
     def start(self, model: Model, rng: np.random.Generator) -> Hypotheses:
         """The initial targets, each a track of its own; none where none were given."""
-        d = model.motion.dim
-        given = self.initial or GaussianMixture(np.zeros(0), np.zeros((d, 0)), np.zeros((0, d, d)))
+        given = self.initial or GaussianMixture.empty(model.motion.dim)
         n = len(given)
         none, mean, cov = np.full(n, -1), np.ascontiguousarray(given.mean.T), np.ascontiguousarray(given.covariance)
         nodes = Nodes(mean, cov, np.minimum(given.weight, 1.0), none, none, np.arange(n), np.zeros(n, np.int64))
@@ -102,27 +101,24 @@ class MHT:
 
         Parameters
         ----------
-        state : the tracks of the frame before.
-        model : the model of the present frame.
-        dt : interval since the frame before, in the model's time unit.
-        rng : not used.
+        state, model, dt, rng : as in `protocols.Filter`.
+
+        Returns
+        -------
+        state : predicted.
 
         Raises
         ------
         InputError : the motion spawns targets, which have no Gaussian form.
         """
-        leaves, n = state.leaves, len(state)
-        mean, cov = leaves.mean, leaves.covariance
-        if len(model.warp):
-            columns, cov = model.warp_gaussians(np.ascontiguousarray(mean.T), cov)
-            mean = np.ascontiguousarray(columns.T)
         model.refuse_spawning("MHT")
-        moved, missed = predicted(model, mean, cov, dt, self.transform), leaves.missed + 1
-        survive = moved.p_survive
+        leaves, n = state.leaves, len(state)
+        _, _, after = moved(model, leaves.mean, leaves.covariance, dt, self.transform)
+        survive, missed = after.p_survive, leaves.missed + 1
         if self.termination_frames > 0:
             survive = np.where(survive > 0, np.exp(-missed / self.termination_frames), 0.0)
         r, none = leaves.r * survive, np.full(n, -1)
-        nodes = Nodes(moved.mean, moved.covariance, r, none, np.arange(n), leaves.label, missed)
+        nodes = Nodes(after.mean, after.covariance, r, none, np.arange(n), leaves.label, missed)
         return replace(state, layers=(*state.layers[-self.history :], nodes))
 
     def update(
@@ -132,17 +128,11 @@ class MHT:
 
         Parameters
         ----------
-        state : the predicted tracks.
-        z : (m, N) measurements.
-        model : the model of the present frame.
-        dt : interval since the frame before, in the model's time unit, in which targets may have been born.
-        rng : not used.
+        state, z, model, dt, rng : as in `protocols.Filter`.
 
         Returns
         -------
-        The state, and what was learned. The newborn are the new targets among the measurements; ``evidence`` and
-        ``clutter`` are scaled so that `UpdateInfo.clutter_probability` is the probability of a false alarm over all
-        hypotheses.
+        state, info : `UpdateInfo.clutter_probability` is that of a false alarm over all hypotheses.
         """
         leaves, sensor = state.leaves, model.sensor
         seen = measurements(model, z)
@@ -180,13 +170,6 @@ class MHT:
     def reduce(self, state: Hypotheses, rng: np.random.Generator) -> Hypotheses:
         """Ended tracks are forgotten, clusters that have become independent part, nodes that nothing rests on go."""
         return compact(parted(ended(state, self.existence_threshold)))
-
-    def step(
-        self, state: Hypotheses, z: F8, model: Model, dt: float, rng: np.random.Generator
-    ) -> tuple[Hypotheses, UpdateInfo]:
-        """Predict, update and reduce in turn."""
-        updated, info = self.update(self.predict(state, model, dt, rng), z, model, dt, rng)
-        return self.reduce(updated, rng), info
 
 
 def _scores(e: Expected, m: Measurements, new: NewTargets, p_detect: F8, gate: float) -> Scores:
@@ -258,6 +241,14 @@ class BestHypothesis:
         """The targets of each cluster's best hypothesis, by label; their weight is the probability that they exist.
 
         `Estimates.past` are the same targets, and those that have ended since, in the frames before.
+
+        Parameters
+        ----------
+        state, z, model : as in `protocols.Extractor`.
+
+        Returns
+        -------
+        states : those of the frame, with their past.
         """
         at: I8 = state.best()
         weight, frames = np.zeros(len(at)), []

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.protocols import Model
-from phdtrack.types import F8, Particles, UpdateInfo
+from phdtrack.protocols import Filter, Model
+from phdtrack.types import F8, Estimates, Particles, UpdateInfo
 
 
 @dataclass(frozen=True, slots=True)
-class NoFilter:
+class NoFilter(Filter[Particles]):
     """Each detection is a target of weight 1, at rest; nothing is remembered and nothing doubted."""
 
     def start(self, model: Model, rng: np.random.Generator) -> Particles:
@@ -19,23 +19,50 @@ class NoFilter:
         return Particles(np.zeros((model.motion.dim, 0)), np.zeros(0))
 
     def predict(self, state: Particles, model: Model, dt: float, rng: np.random.Generator) -> Particles:
-        """Nothing outlives its frame."""
+        """Nothing outlives its frame.
+
+        Parameters
+        ----------
+        state, model, dt, rng : as in `protocols.Filter`.
+
+        Returns
+        -------
+        state : empty.
+        """
         return self.start(model, rng)
 
     def update(
         self, state: Particles, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[Particles, UpdateInfo]:
-        """The states that would give the detections, weight 1 each."""
+        """The states that would give the detections, weight 1 each.
+
+        Parameters
+        ----------
+        state, z, model, dt, rng : as in `protocols.Filter`.
+
+        Returns
+        -------
+        state, info : as many targets as detections.
+        """
         n = z.shape[1]
         seen, _ = model.sensor.states(z)
         return Particles(seen, np.ones(n)), UpdateInfo(float(n), float(n), float(n), np.ones(n), np.zeros(n))
 
-    def reduce(self, state: Particles, rng: np.random.Generator) -> Particles:
-        """There is nothing to reduce."""
-        return state
 
-    def step(
-        self, state: Particles, z: F8, model: Model, dt: float, rng: np.random.Generator
-    ) -> tuple[Particles, UpdateInfo]:
-        """Predict, update and reduce in turn."""
-        return self.update(self.start(model, rng), z, model, dt, rng)
+@dataclass(frozen=True, slots=True)
+class Raw:
+    """One state per detection, with the covariance of what one detection shows."""
+
+    def extract(self, state: Particles, z: F8, model: Model) -> Estimates:
+        """The detections as states at rest.
+
+        Parameters
+        ----------
+        state, z, model : as in `protocols.Extractor`.
+
+        Returns
+        -------
+        states : in the order of the detections.
+        """
+        x, cov = model.sensor.states(z)
+        return Estimates(x, cov, np.ones(len(cov)), model.sensor.boxes(x), np.arange(len(cov)))

@@ -15,9 +15,8 @@ gate it is, so that the cost grows linearly with the number of targets. A mixtur
 Every Gaussian carries a tag, by which its history can be read [P09 §III]: a newborn's is new; prediction and update keep it,
 so that the Gaussians that a measurement and a missed one make of one have the same; a union has that of its strongest. Of
 those that share a tag and weigh ``split_weight`` or more after reduction the heaviest keeps it, and the others, which are
-targets now, are given new ones. Lighter ones may share theirs with a target and take it over when it fades. Tags count from
-0
-and none is given twice; `GaussianMixture.fresh` is the next.
+targets now, are given new ones. Lighter ones may share theirs with a target and take it over when it fades. Tags count
+from 0 and none is given twice; `GaussianMixture.fresh` is the next.
 """
 
 from __future__ import annotations
@@ -31,11 +30,12 @@ import numpy as np
 
 from phdtrack.arrays import GATE, chi2_quantile
 from phdtrack.errors import Count, NonNegative, Share, check
+from phdtrack.filters.terms import UpdateTerms
 from phdtrack.kernels.gaussian import Expected, Measurements
 from phdtrack.kernels.gm_merge import Merging, Rows, reduced
-from phdtrack.kernels.gm_update import Newborn, Reach, phd_step, phd_update
-from phdtrack.models.gaussian import Transform, expected, measurements, predicted, row_numbers
-from phdtrack.protocols import Model
+from phdtrack.kernels.gm_update import Newborn, Reach, phd_mixture, phd_step, phd_terms
+from phdtrack.models.gaussian import Transform, expected, measurements, moved, row_numbers
+from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, GaussianMixture, UpdateInfo
 
 # Mass within this region of a detection explains it, M(z), and births around it have the mass of γ there.
@@ -63,7 +63,7 @@ class Frame(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class GMPHD:
+class GMPHD(Filter[GaussianMixture]):
     """Settings of the GM-PHD filter; the defaults are E13's, without its cap.
 
     Parameters
@@ -73,8 +73,7 @@ class GMPHD:
         covariance.
     max_components : J_max, Gaussians kept, the heaviest; 0 for all, of which there are at most the mass divided by
         ``weight_threshold``. In practice there are some for each target, and for each false alarm as long as one that was
-        not
-        seen again takes to fade, log(weight / weight_threshold) / −log(1 − p_D) frames. E13's is 100.
+        not seen again takes to fade, log(weight / weight_threshold) / −log(1 − p_D) frames. E13's is 100.
     keep_mass : what pruning and capping drop is given to the rest, so that the expected number stays; False is as Vo and Ma
         print it.
     gate_probability : part of the measurements of a Gaussian inside its gate; those beyond do not touch it; 1: no gate.
@@ -99,22 +98,28 @@ class GMPHD:
 
     def start(self, model: Model, rng: np.random.Generator) -> GaussianMixture:
         """The initial intensity, each Gaussian with a tag; empty where none was given."""
-        given, d = self.initial, model.motion.dim
-        if given is None:
-            return GaussianMixture(np.zeros(0), np.zeros((d, 0)), np.zeros((0, d, d)))
-        return tagged(given)
+        return tagged(self.initial or GaussianMixture.empty(model.motion.dim))
 
     def predict(self, state: GaussianMixture, model: Model, dt: float, rng: np.random.Generator) -> GaussianMixture:
         """Every Gaussian through f, weighed with p_S [V06 (24)–(29)].
 
-        Raises `InputError` where the motion spawns: spawned targets are drawn as particles and have no Gaussian form.
+        Parameters
+        ----------
+        state, model, dt, rng : as in `protocols.Filter`.
+
+        Returns
+        -------
+        state : predicted.
+
+        Raises
+        ------
+        InputError : the motion spawns: spawned targets are drawn as particles and have no Gaussian form.
         """
         if len(state) == 0:
             return state
-        rows, fresh = self._predicted(state, model, dt, rng)
+        rows = self._predicted(tagged(state), model, dt)
         alive = rows.weight > 0
-        mean = np.ascontiguousarray(rows.mean[alive].T)
-        return GaussianMixture(rows.weight[alive], mean, rows.covariance[alive], rows.tag[alive], fresh)
+        return _mixture(Rows._make(column[alive] for column in rows), state.fresh)
 
     def update(
         self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator
@@ -123,12 +128,42 @@ class GMPHD:
 
         The mass that explains a detection, which decides where targets are born, is that of the Gaussians within the 99 %
         region of it. Where κ(z) + C(z) = 0 the detection's term is 0 and counted in ``info.vanished``.
+
+        Parameters
+        ----------
+        state, z, model, dt, rng : as in `protocols.Filter`.
+
+        Returns
+        -------
+        state, info : the updated mixture, not reduced.
+        """
+        terms = self.terms(state, z, model, dt, rng)
+        factor, vanished = terms.factors()
+        after = terms.weighed(1.0, factor)
+        return after, terms.info(after.mass, vanished)
+
+    def terms(
+        self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> UpdateTerms[GaussianMixture]:
+        """The terms of the update with the births.
+
+        Parameters
+        ----------
+        state, z, model, dt, rng : as in `update`.
+
+        Returns
+        -------
+        terms : to be weighed.
         """
         state = tagged(state)
-        frame = self.frame(rows_of(state), state.fresh, z, model, dt)
-        weight, mean, covariance, tag, *learned, fresh = phd_update(*frame)
-        after = GaussianMixture(weight, np.ascontiguousarray(mean.T), covariance, tag, fresh)
-        return after, _info(frame, *learned)
+        frame = self._frame(_rows_of(state), state.fresh, z, model, dt)
+        t = phd_terms(*frame)
+
+        def weighed(missed: float, detected: F8) -> GaussianMixture:
+            rows, _, fresh = phd_mixture(*frame[:-1], t, (missed, detected), frame.reach.fresh)
+            return _mixture(rows, fresh)
+
+        return UpdateTerms(t.predicted, t.born, t.missed, t.evidence, frame.measurements.clutter, weighed)
 
     def reduce(self, state: GaussianMixture, rng: np.random.Generator) -> GaussianMixture:
         """Prune, merge, cap: the strongest first, with all that are near it, moment-matched [V06 Table II, E13 §4].
@@ -137,38 +172,38 @@ class GMPHD:
         """
         state = tagged(state)
         axes, mass = tuple(range(len(state.mean))), state.mass if self.keep_mass else -1.0
-        return GaussianMixture(*reduced(rows_of(state), axes, self._merging, mass, state.fresh))
+        return GaussianMixture(*reduced(_rows_of(state), axes, self._merging, mass, state.fresh))
 
     def step(
         self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[GaussianMixture, UpdateInfo]:
-        """Predict, update and reduce; Gaussians that pruning would drop are not made."""
-        rows, fresh = self._predicted(state, model, dt, rng)
-        frame = self.frame(rows, fresh, z, model, dt)
-        axes = tuple(range(rows.mean.shape[1]))
-        weight, mean, covariance, tag, *learned, fresh = phd_step(*frame, self._merging, axes)
-        return GaussianMixture(weight, mean, covariance, tag, fresh), _info(frame, *learned)
-
-    def _predicted(self, state: GaussianMixture, model: Model, dt: float, rng: np.random.Generator) -> tuple[Rows, int]:
-        """The predicted Gaussians, of weight 0 where none survives, and the next tag."""
-        state = tagged(state)
-        model.refuse_spawning("GM-PHD filter")
-        mean, covariance = model.warp_gaussians(state.mean, state.covariance)
-        after = predicted(model, np.ascontiguousarray(mean.T), np.ascontiguousarray(covariance), dt, self.transform)
-        weight = state.weight * after.p_survive
-        return Rows(weight, after.mean, after.covariance, state.tag), state.fresh
-
-    def frame(self, rows: Rows, fresh: int, z: F8, model: Model, dt: float) -> Frame:
-        """What the model says of a frame.
+        """Predict, update and reduce; Gaussians that pruning would drop are not made.
 
         Parameters
         ----------
-        rows : the predicted Gaussians.
-        fresh : the next tag.
-        z : (m, N) measurements.
-        model : of the frame.
-        dt : interval since the frame before, in which targets were born.
+        state, z, model, dt, rng : as in `protocols.Filter`.
+
+        Returns
+        -------
+        state, info : after the frame.
         """
+        state = tagged(state)
+        frame = self._frame(self._predicted(state, model, dt), state.fresh, z, model, dt)
+        axes = tuple(range(frame.rows.mean.shape[1]))
+        weight, mean, covariance, tag, *learned, fresh = phd_step(*frame, self._merging, axes)
+        evidence, (predicted, born, mass), vanished = learned
+        after = GaussianMixture(weight, mean, covariance, tag, fresh)
+        return after, UpdateInfo(predicted, born, mass, evidence, frame.measurements.clutter, vanished)
+
+    def _predicted(self, state: GaussianMixture, model: Model, dt: float) -> Rows:
+        """The predicted Gaussians, of weight 0 where none survives."""
+        model.refuse_spawning("GM-PHD filter")
+        rows = _rows_of(state)
+        _, _, after = moved(model, rows.mean, rows.covariance, dt, self.transform)
+        return Rows(rows.weight * after.p_survive, after.mean, after.covariance, rows.tag)
+
+    def _frame(self, rows: Rows, fresh: int, z: F8, model: Model, dt: float) -> Frame:
+        """What the model says of a frame of these measurements, with the predicted Gaussians and the next tag."""
         born, predicted, sensor = model.birth.gaussians(z, model.sensor, dt / model.rate), len(rows.weight), model.sensor
         if len(born.weight):
             tags = fresh + np.arange(len(born.weight))
@@ -202,11 +237,6 @@ class GMPHD:
         )  # fmt: skip
 
 
-def _info(frame: Frame, evidence: F8, masses: tuple[float, float, float], vanished: int) -> UpdateInfo:
-    """What was learned; ``masses`` are those predicted, born and after the update."""
-    return UpdateInfo(*masses, evidence, frame.measurements.clutter, vanished)
-
-
 @lru_cache(maxsize=8)
 def _newborn_shape(n: int) -> tuple[float, float]:
     """V_n r₀ⁿ and 1 + a of `kernels.gm_update` in n dimensions."""
@@ -214,10 +244,15 @@ def _newborn_shape(n: int) -> tuple[float, float]:
     return volume, volume ** (2 / n) / (2 * math.pi)
 
 
-def rows_of(state: GaussianMixture) -> Rows:
+def _rows_of(state: GaussianMixture) -> Rows:
     """A Gaussian a row, in the layout that the kernels are compiled for."""
     ordered = np.ascontiguousarray
     return Rows(ordered(state.weight), ordered(state.mean.T), ordered(state.covariance), ordered(state.tag))
+
+
+def _mixture(rows: Rows, fresh: int) -> GaussianMixture:
+    """The mixture of Gaussians that are rows."""
+    return GaussianMixture(rows.weight, np.ascontiguousarray(rows.mean.T), rows.covariance, rows.tag, fresh)
 
 
 def tagged(mixture: GaussianMixture) -> GaussianMixture:

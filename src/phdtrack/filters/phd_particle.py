@@ -12,18 +12,18 @@ linearly with the number of targets; what the gate drops is bounded by the senso
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from phdtrack.arrays import chi2_quantile, draw, sum_by
 from phdtrack.errors import Count, PositiveCount, check
-from phdtrack.filters.blocks import Intensity, carried, in_blocks, in_ranges, joined
-from phdtrack.filters.intensities import UpdatedParticles
+from phdtrack.filters.blocks import Intensity, UpdatedParticles, carried, in_blocks, in_ranges, joined
+from phdtrack.filters.terms import TINY, UpdateTerms
 from phdtrack.kernels import particles as sweeps
 from phdtrack.kernels.grid import Grid, make_grid
 from phdtrack.kernels.particle_models import SensorNumbers, precision
-from phdtrack.protocols import Model
+from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, GaussianMixture, ParticleBlocks, Particles, Real, UpdateInfo
 
 # κ + C below this counts as 0 where likelihoods are in single precision: they have no tail below 1e-38.
@@ -31,7 +31,7 @@ FAINT = 1e-30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Part:
+class _Part:
     """Blocks of particles and their likelihoods: the particles that were there, or the newborn."""
 
     blocks: ParticleBlocks
@@ -40,58 +40,8 @@ class Part:
     sums: sweeps.Sums
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class UpdateTerms:
-    """The terms of an update before they are weighed: D = a (1 − p_D) D⁺ + Σ_z b_z p_D g(z|·) D⁺.
-
-    For the PHD filter a = 1 and b_z = 1/(κ(z) + C(z)); for the cardinalised one see `cardinality`.
-
-    Attributes
-    ----------
-    parts : the particles that were there, and the newborn.
-    mass, born : of D⁺, newborn included; of the newborn.
-    missed : (2,) ∫ (1 − p_D) D⁺ of the parts.
-    evidence, clutter : (N,) C(z) and κ(z), per unit of measurement volume.
-    """
-
-    parts: tuple[Part, Part]
-    mass: float
-    born: float
-    missed: F8
-    evidence: F8
-    clutter: F8
-
-    def info(self, mass: float, vanished: int = 0) -> UpdateInfo:
-        """What the update learned, ``mass`` being that after it."""
-        return UpdateInfo(self.mass, self.born, mass, self.evidence, self.clutter, vanished)
-
-    def factors(self) -> tuple[F8, int]:
-        """(N,) 1/(κ + C) [V06 (32); M07 (5)], and how many are 0 because κ + C is, to the smallest normal number."""
-        total = self.clutter + self.evidence
-        single = self.parts[0].blocks.state.dtype == np.float32
-        known = total >= (FAINT if single else np.finfo(np.float64).tiny)
-        return np.divide(1.0, total, out=np.zeros_like(total), where=known), int(np.count_nonzero(~known))
-
-    def weighed(self, missed: float, detected: F8, threads: int) -> UpdatedParticles:
-        """The updated particles: missed terms times ``missed``, those of each detection times ``detected`` (N,)."""
-        old, new = self.parts
-        return UpdatedParticles(
-            _with_share(old.blocks, self._shares(old, missed, detected, threads)),
-            _with_share(new.blocks, self._shares(new, missed, detected, threads)),
-        )
-
-    def _shares(self, part: Part, missed: float, detected: F8, threads: int) -> Real:
-        result = np.empty(len(part.blocks), part.blocks.state.dtype)
-
-        def work(lo: int, hi: int) -> None:
-            sweeps.weigh(lo, hi, missed, detected, part.weights, part.blocks.start, part.pairs, part.sums.g, result)
-
-        in_ranges(work, len(part.blocks.start) - 1, threads)
-        return result
-
-
 @dataclass(frozen=True, slots=True)
-class ParticlePHD:
+class ParticlePHD(Filter[Intensity]):
     """Settings of the particle PHD filter.
 
     Parameters
@@ -129,10 +79,12 @@ class ParticlePHD:
 
         Parameters
         ----------
-        state : the intensity after the frame before.
-        model : of the world; where the camera has moved, states are carried into the present frame's pixels first.
-        dt : the interval since that frame, in the model's time unit.
+        state, model, dt : as in `protocols.Filter`.
         rng : a frame takes two words of it for the key of all draws.
+
+        Returns
+        -------
+        state : predicted.
         """
         motion = model.motion.particle_model(dt, dt / model.rate)
         blocks = carried(in_blocks(state, precision(motion)), model)
@@ -161,19 +113,30 @@ class ParticlePHD:
 
         Parameters
         ----------
-        state : the predicted intensity.
-        z : (m, N) measurements.
-        model, dt, rng : as in `predict`; births are those of the interval.
+        state, z, model, dt, rng : as in `protocols.Filter`.
+
+        Returns
+        -------
+        state, info : the updated intensity, not resampled.
         """
         terms = self.terms(state, z, model, dt, rng)
         factor, vanished = terms.factors()
-        if z.shape[1] == 0 and self.skip_empty_frames:
-            return UpdatedParticles(terms.parts[0].blocks, terms.parts[1].blocks), terms.info(terms.mass)
-        result = terms.weighed(1.0, factor, self.threads)
+        result = terms.weighed(1.0, factor)
         return result, terms.info(result.mass, vanished)
 
-    def terms(self, state: Intensity, z: F8, model: Model, dt: float, rng: np.random.Generator) -> UpdateTerms:
-        """The terms of the update: newborn particles are drawn, and all likelihoods computed."""
+    def terms(
+        self, state: Intensity, z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> UpdateTerms[UpdatedParticles]:
+        """The terms of the update: newborn particles are drawn, and all likelihoods computed.
+
+        Parameters
+        ----------
+        state, z, model, dt, rng : as in `update`.
+
+        Returns
+        -------
+        terms : to be weighed.
+        """
         numbers, region = model.sensor.particle_model(z), chi2_quantile(len(model.sensor.observed), 0.99)
         dtype = precision(numbers.model)
         gates = make_grid(*model.sensor.gate(z), 0.0, 0.0)
@@ -189,10 +152,28 @@ class ParticlePHD:
         )
         mass = units * [part.sums.mass.sum() for part in parts]
         missed = units * [part.sums.missed.sum() for part in parts]
-        clutter = model.clutter.intensity(z)
-        return UpdateTerms(parts, float(mass.sum()), float(mass[1]), missed, np.asarray(evidence), clutter)
 
-    def _part(self, blocks: ParticleBlocks, numbers: SensorNumbers, gates: Grid, region: float, model: Model) -> Part:
+        def weighed(missed: float, detected: F8) -> UpdatedParticles:
+            if z.shape[1] == 0 and self.skip_empty_frames:
+                return UpdatedParticles(old.blocks, new.blocks)
+            return UpdatedParticles(self._weighed(old, missed, detected), self._weighed(new, missed, detected))
+
+        return UpdateTerms(
+            float(mass.sum()), float(mass[1]), float(missed.sum()), np.asarray(evidence), model.clutter.intensity(z),
+            weighed, FAINT if dtype == np.float32 else TINY,
+        )  # fmt: skip
+
+    def _weighed(self, part: _Part, missed: float, detected: F8) -> ParticleBlocks:
+        """Updated blocks: missed terms times ``missed``, those of each detection times ``detected`` (N,)."""
+        share = np.empty(len(part.blocks), part.blocks.state.dtype)
+
+        def work(lo: int, hi: int) -> None:
+            sweeps.weigh(lo, hi, missed, detected, part.weights, part.blocks.start, part.pairs, part.sums.g, share)
+
+        in_ranges(work, len(part.blocks.start) - 1, self.threads)
+        return replace(part.blocks, share=share)
+
+    def _part(self, blocks: ParticleBlocks, numbers: SensorNumbers, gates: Grid, region: float, model: Model) -> _Part:
         """Likelihoods of the particles and the detections near them."""
         dtype, count = blocks.state.dtype, len(blocks.start) - 1
         detect = numbers.detection
@@ -210,7 +191,7 @@ class ParticlePHD:
             )  # fmt: skip
 
         in_ranges(work, count, self.threads)
-        return Part(ParticleBlocks(blocks.state, blocks.start, blocks.unit, blocks.share, extents), weights, pairs, sums)
+        return _Part(replace(blocks, extents=extents), weights, pairs, sums)
 
     def reduce(self, state: Intensity, rng: np.random.Generator) -> ParticleBlocks:
         """Systematic resampling to ρ particles per expected target, which keeps the mass exactly [M07 §2]."""
@@ -239,17 +220,6 @@ class ParticlePHD:
             return 0
         count = max(count, self.min_particles)
         return min(count, self.max_particles) if self.max_particles else count
-
-    def step(
-        self, state: Intensity, z: F8, model: Model, dt: float, rng: np.random.Generator
-    ) -> tuple[ParticleBlocks, UpdateInfo]:
-        """Predict, update and reduce."""
-        updated, info = self.update(self.predict(state, model, dt, rng), z, model, dt, rng)
-        return self.reduce(updated, rng), info
-
-
-def _with_share(blocks: ParticleBlocks, share: Real) -> ParticleBlocks:
-    return ParticleBlocks(blocks.state, blocks.start, blocks.unit, share, blocks.extents)
 
 
 def _extents(blocks: ParticleBlocks) -> Real:

@@ -32,7 +32,7 @@ The filter knows a model by the arrays that it answers (`models.gaussian`); `ker
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -40,8 +40,8 @@ from phdtrack.arrays import GATE, chi2_quantile
 from phdtrack.errors import NonNegative, Positive, PositiveCount, Probability, Share, check
 from phdtrack.kernels.box import apart
 from phdtrack.kernels.pmb import HYPOTHESIS, TARGET, Layer, Settings, Trace, earlier, predicted_layer, updated_layer
-from phdtrack.models.gaussian import Transform, expected, measurements, new_targets, predicted
-from phdtrack.protocols import Model
+from phdtrack.models.gaussian import Transform, expected, measurements, moved, new_targets
+from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, I8, Estimates, GaussianMixture, UpdateInfo
 
 
@@ -87,7 +87,7 @@ class Bernoullis:
 
 
 @dataclass(frozen=True, slots=True)
-class PMB:
+class PMB(Filter[Bernoullis]):
     """Settings of the Poisson multi-Bernoulli filter.
 
     Parameters
@@ -125,9 +125,7 @@ class PMB:
 
     def start(self, model: Model, rng: np.random.Generator) -> Bernoullis:
         """The initial targets, each with one hypothesis; none where none were given."""
-        given = self.initial or GaussianMixture(
-            np.zeros(0), np.zeros((model.motion.dim, 0)), np.zeros((0, model.motion.dim, model.motion.dim))
-        )
+        given = self.initial or GaussianMixture.empty(model.motion.dim)
         n, number = len(given), np.arange(len(given))
         targets, hypotheses = np.zeros(n, TARGET), np.zeros(n, HYPOTHESIS)
         targets["r"] = targets["presence"] = targets["max_presence"] = np.minimum(given.weight, 1.0)
@@ -142,24 +140,22 @@ class PMB:
 
         Parameters
         ----------
-        state : the targets of the frame before.
-        model : the model of the present frame.
-        dt : interval since the frame before, in the model's time unit.
-        rng : not used.
+        state, model, dt, rng : as in `protocols.Filter`.
+
+        Returns
+        -------
+        state : predicted.
 
         Raises
         ------
         InputError : the motion spawns targets, which have no Gaussian form.
         """
-        now = state.present
-        if len(model.warp):
-            mean, cov = model.warp_gaussians(np.ascontiguousarray(now.mean.T), now.covariance)
-            now = now._replace(mean=np.ascontiguousarray(mean.T), covariance=cov)
         model.refuse_spawning("PMB filter")
-        moved = predicted(model, now.mean, now.covariance, dt, self.transform)
-        noise = model.sensor.noise(np.ascontiguousarray(now.mean.T))
-        layer = predicted_layer(now, moved, noise, *self._changes(dt / model.rate))
-        return replace(state, layers=(*state.layers[-self.history :], layer), frame=state.frame + 1)
+        now = state.present
+        mean, covariance, after = moved(model, now.mean, now.covariance, dt, self.transform)
+        noise, now = model.sensor.noise(np.ascontiguousarray(mean.T)), now._replace(mean=mean, covariance=covariance)
+        layer = predicted_layer(now, after, noise, *self._changes(dt / model.rate))
+        return Bernoullis((*state.layers[-self.history :], layer), state.ended, state.next_label, state.frame + 1)
 
     def _changes(self, seconds: float) -> tuple[float, float]:
         """Probabilities to be occluded ``seconds`` after being visible, and visible after being occluded."""
@@ -176,19 +172,13 @@ class PMB:
 
         Parameters
         ----------
-        state : the predicted targets.
-        z : (m, N) measurements.
-        model : the model of the present frame.
-        dt : interval since the frame before, in the model's time unit, in which targets may have been born.
-        rng : not used.
+        state, z, model, dt, rng : as in `protocols.Filter`.
 
         Returns
         -------
-        The state, and what was learned: ``evidence`` and ``clutter`` are scaled so that `UpdateInfo.clutter_probability` is
-        the probability that a detection is a false alarm, static clutter included.
+        state, info : `UpdateInfo.clutter_probability` is that of a false alarm, static clutter included.
         """
-        now = state.present
-        seen = measurements(model, z)
+        now, label, seen = state.present, state.next_label, measurements(model, z)
         gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
         settings = Settings(
             self.existence_threshold, self.hypothesis_threshold, float(self.max_hypotheses), self.merge_distance, gate,
@@ -197,25 +187,11 @@ class PMB:
         past = state.ended, state.frame, self.history
         layer, learned, ended = updated_layer(
             now, expected(model.sensor, now.mean, now.covariance, self.transform), seen,
-            new_targets(model, z, seen, dt, gate, self.transform), settings, state.next_label, past,
+            new_targets(model, z, seen, dt, gate, self.transform), settings, label, past,
         )  # fmt: skip
-        info = UpdateInfo(
-            learned.mass_predicted, learned.mass_born, learned.mass, learned.evidence, learned.clutter, learned.vanished
-        )
-        label = state.next_label
         if len(layer.targets):
             label = max(label, int(layer.targets[-1]["label"]) + 1)
-        return Bernoullis((*state.layers[:-1], layer), ended, label, state.frame), info
-
-    def reduce(self, state: Bernoullis, rng: np.random.Generator) -> Bernoullis:
-        """The same: hypotheses of one target that have become the same are one since the update."""
-        return state
-
-    def step(
-        self, state: Bernoullis, z: F8, model: Model, dt: float, rng: np.random.Generator
-    ) -> tuple[Bernoullis, UpdateInfo]:
-        """Predict and update."""
-        return self.update(self.predict(state, model, dt, rng), z, model, dt, rng)
+        return Bernoullis((*state.layers[:-1], layer), ended, label, state.frame), UpdateInfo(**learned._asdict())
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,28 +215,35 @@ class BestBernoullis:
 
         `Estimates.past` are the same targets, and those that have ended since, in the frames before; None for frames of
         which the same is reported as a frame ago.
+
+        Parameters
+        ----------
+        state, z, model : as in `protocols.Extractor`.
+
+        Returns
+        -------
+        states : those of the frame, with their past.
         """
-        layers = state.layers
-        now = _best(layers[-1])
+        layers, frames = state.layers, list[Estimates | None]()
+        present = now = _best(layers[-1])
         before = _best(layers[-2]) if len(layers) > 1 else now
-        found = self._estimates(layers[-1], now, model)
-        frames: list[Estimates | None] = [None] * (len(layers) - 1)
         for back in range(1, len(layers)):
             after, then, past = layers[-back], layers[-back - 1], (state.ended, state.frame - back)
             now, before, same = earlier(now, before, after, then, past, back == 1, self.min_weight)
             if same:
                 break
-            frames[-back] = self._estimates(then, now, model)
-        return replace(found, past=tuple(frames))
+            frames.append(self._estimates(then, now, model))
+        unchanged = (None,) * (len(layers) - 1 - len(frames))
+        return self._estimates(layers[-1], present, model, (*unchanged, *reversed(frames)))
 
-    def _estimates(self, layer: Layer, trace: Trace, model: Model) -> Estimates:
+    def _estimates(self, layer: Layer, trace: Trace, model: Model, past: tuple[Estimates | None, ...] = ()) -> Estimates:
         """The targets of enough presence, without those that overlap one followed for longer."""
         target = np.flatnonzero((trace.place >= 0) & (trace.presence >= self.min_weight))
         at = trace.place[target]
         mean = np.ascontiguousarray(layer.mean[at].T)
         boxes, detection = model.sensor.boxes(mean), layer.hypotheses["detection"][at]
         weight, label = trace.presence[target], layer.targets["label"][target]
-        found = Estimates(mean, layer.covariance[at], weight, boxes, detection, label)
+        found = Estimates(mean, layer.covariance[at], weight, boxes, detection, label, past)
         # Labels rise with the frame in which a target began.
         return without_overlaps(found, self.merge_iou)
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from phdtrack.filters.cardinality import Cardinalised
 from phdtrack.filters.extract import KMeans, Mixture
-from phdtrack.filters.intensities import Cardinalised
 from phdtrack.groups import Contours, Encounter, EncounterWarning, Event, Grouping, GroupLifeCycle, Groups, LifeCycleState
 from phdtrack.groups.clusters import group_moments
 from phdtrack.protocols import AnyStages

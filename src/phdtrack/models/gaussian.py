@@ -77,6 +77,23 @@ def predicted(model: Model, mean: F8, covariance: F8, dt: float, transform: Tran
     return Predicted(np.ascontiguousarray(_mean(through[:, 0], step).T), _product(step, step) + q, p_survive)
 
 
+def moved(model: Model, mean: F8, covariance: F8, dt: float, transform: Transform) -> tuple[F8, F8, Predicted]:
+    """Gaussians of the frame before in the pixels of this one, and predicted for it.
+
+    Parameters
+    ----------
+    model, mean, covariance, dt, transform : as in `predicted`.
+
+    Returns
+    -------
+    mean, covariance, predicted : before and after the interval.
+    """
+    if len(model.warp):
+        columns, covariance = model.warp_gaussians(np.ascontiguousarray(mean.T), covariance)
+        mean = np.ascontiguousarray(columns.T)
+    return mean, covariance, predicted(model, mean, covariance, dt, transform)
+
+
 def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> Expected:
     """What Gaussians say about measurements [V06 (36), §IV-B].
 

@@ -11,7 +11,7 @@ and what is computed of them is computed once.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -21,7 +21,7 @@ from phdtrack.models.clutter import LocalClutter, LocalPlaneClutter, ScoredClutt
 from phdtrack.models.plane import PlaneSensor
 from phdtrack.models.point import PointSensor
 from phdtrack.models.scene import not_standing, with_scene
-from phdtrack.protocols import Birth, Clutter, Learning, Model, NoLearning
+from phdtrack.protocols import Birth, Clutter, Learning, Model
 from phdtrack.scene import Scene, online, rates
 from phdtrack.scene.online import OnlineLearning, OnlineScene, Regime
 from phdtrack.scene.rates import LearnedRates, Priors, RatesLearning
@@ -122,11 +122,11 @@ class RateLearning:
     """
 
     rule: RatesLearning
-    other: Learning[Any] = field(default_factory=NoLearning)
+    other: Learning[Any] | None = None
 
     def start(self) -> RatesState:
         """Before the first frame."""
-        return RatesState(rates.begin(self.rule), self.other.start())
+        return RatesState(rates.begin(self.rule), self.other and self.other.start())
 
     def model(self, state: RatesState, model: Model) -> Model:
         """The model with the rates that are used; cautious ones only where nothing else explains them."""
@@ -142,11 +142,11 @@ class RateLearning:
         if used.birth:
             rate = model.rate * _rounded(births, priors.births)
             model = replace(model, birth=_with(model.birth, "births_per_second", rate))
-        return self.other.model(state.other, model)
+        return self.other.model(state.other, model) if self.other else model
 
     def with_scores(self, state: RatesState, model: Model, detections: Detections) -> Model:
         """The model with the false alarms of a frame by the number and the scores of its detections."""
-        model = self.other.with_scores(state.other, model, detections)
+        model = self.other.with_scores(state.other, model, detections) if self.other else model
         if len(detections) == 0:
             return model
         used, priors, learned = self.rule.settings, self.rule.priors, state.learned
@@ -160,11 +160,13 @@ class RateLearning:
 
     def advance(self, state: RatesState, step: Step) -> RatesState:
         """Take in one frame."""
-        return RatesState(rates.advance(self.rule, state.learned, step), self.other.advance(state.other, step))
+        other = self.other and self.other.advance(state.other, step)
+        return RatesState(rates.advance(self.rule, state.learned, step), other)
 
-    def mode(self, state: RatesState, name: str) -> RatesState:
+    def mode(self, state: RatesState, name: str) -> RatesState | None:
         """With the regime of this name, of what else is learned."""
-        return RatesState(state.learned, self.other.mode(state.other, name))
+        other = self.other and self.other.mode(state.other, name)
+        return RatesState(state.learned, other) if other else None
 
 
 def priors_of(model: Model) -> Priors:

@@ -1,20 +1,41 @@
-"""Settings of what is done with corrected tracks when all is known, and the tracks that come of it.
+"""Corrected tracks when all is known: pieces of one target are joined, and every row becomes the state given all
+measurements of its track, before and after.
 
-`Smoothing` begins again with the measurements: pieces of one target are joined (`stitching`), and every row becomes the
-state given all measurements of its track, before and after.
+The evidence of one target that was lost and found again is compared with that of two. A target that is lost re-enters with
+probability ``reentry``, after a time of exponential distribution, mean ``occluded``. A trajectory that begins may be a new
+target: new ones come at the rate at which trajectories begin in this very stream, anywhere among its measurements. The
+log-odds of a pair of trajectories, T apart, are
+
+    log p(B|A)/p(B) + log p_S(T) + log reentry/(1 − reentry) + log (1/occluded) e^(−T/occluded) − log births
+
+with births per time unit and unit of measurement volume. With A, B the measurements of two trajectories, a and b the states
+at B's beginning, and π the prior of a state (flat over what measurements show, a Gaussian over the rest, as velocities),
+
+    p(B|A)/p(B) = ∫ p(x|A) p(x|B)/π(x) dx
+
+with both densities Gaussian: A's prediction from its end, and B's own smoothed beginning.
+
+A detector that fires twice on one target may begin its second track before the first has ended: T is then the time for which
+both overlap, and p_S = 1. Trajectories are joined so that the sum over all pairs is the largest, each with one successor at
+most. Then they are smoothed anew, because a short piece between two others says more once it is joined, and so on until
+nothing changes. All trajectories go through the frames together, so that the motion is asked once a frame (`models.rts`).
 """
 
 from __future__ import annotations
 
+import itertools
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from phdtrack.errors import InputError, NonNegative, Positive, Share, check
-from phdtrack.protocols import Model
-from phdtrack.smooth.paths import Paths, paths_of
-from phdtrack.smooth.stitching import Sequence, Smoothed, Terms, stitched
-from phdtrack.types import I8, Bool, MeasurementHistory, Tracks
+from phdtrack.models.rts import Ahead, predict, smooth_back, update
+from phdtrack.protocols import Model, Motion, Sensor
+from phdtrack.smooth.paths import Paths, joined, paths_of
+from phdtrack.types import F8, I8, STILL, Bool, MeasurementHistory, Tracks
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,17 +73,15 @@ class Smoothing:
             raise InputError("expected a probability below 1, as some tracks end for good", where=where)
 
     def smooth(self, tracks: Tracks, measurements: MeasurementHistory, model: Model) -> Tracks:
-        """The tracks joined and smoothed; identities from 1 in order of appearance.
+        """The tracks joined and smoothed.
 
         Parameters
         ----------
-        tracks : corrected tracks.
-        measurements : that they rest on.
-        model : of the last frame.
+        tracks, measurements, model : as in `protocols.Smoother`.
 
         Returns
         -------
-        The tracks.
+        tracks : identities from 1 in order of appearance.
         """
         paths = paths_of(tracks, measurements) if self.stitching or self.smoothing else None
         if paths is None or len(paths) == 0:
@@ -70,7 +89,7 @@ class Smoothing:
         sequence, rate = Sequence.of(measurements, model.sensor, model.motion), model.rate
         if self.stitching:
             times = self.mean_occluded_time * rate, self.max_gap * rate, self.max_overlap_time * rate
-            paths, states = stitched(paths, sequence, Terms(*times, self.reentry_probability, rate))
+            paths, states = _stitched(paths, sequence, Terms(*times, self.reentry_probability, rate))
         else:
             states = sequence.smooth(paths)
         return _rows(tracks, paths, states, measurements, model, self)
@@ -96,15 +115,8 @@ def _rows(
     count = np.concatenate(([0], np.cumsum(uncertain > wanted.max_gap_uncertainty)))
     gap = np.flatnonzero((count[after] == count[before + 1]) & between)
     ends = paths.row[np.stack([before, after])[:, gap]]
-    filled = Tracks(
-        measurements.number[paths.frame[gap]],
-        name[ends[0]],
-        boxes[gap],
-        tracks.confidence[ends].min(axis=0),
-        np.full(len(gap), -1),
-        np.ones(len(gap), np.bool_),
-    )
-    same = Tracks(tracks.frame, name, xyxy, tracks.confidence, tracks.detection, tracks.confirmed)
+    sure, numbers = tracks.confidence[ends].min(axis=0), measurements.number[paths.frame[gap]]
+    filled, same = Tracks.certain(numbers, name[ends[0]], boxes[gap], sure, -1), replace(tracks, identity=name, xyxy=xyxy)
     return _numbered(Tracks.concatenate([same.take(~_doubled(tracks, paths, measurements, name)), filled]))
 
 
@@ -142,4 +154,261 @@ def _doubled(tracks: Tracks, paths: Paths, measurements: MeasurementHistory, nam
     again = np.ones(len(tracks), np.bool_)
     again[first] = False
     out: Bool = outside & (within | again)
+    return out
+
+
+class Smoothed(NamedTuple):
+    """Of each row the state given all of its path's measurements: ``mean`` (M, d) and ``covariance`` (M, d, d)."""
+
+    mean: F8
+    covariance: F8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sequence:
+    """What is known of a whole sequence: its Z measurements, the same as states, and the motion.
+
+    ``state`` (d, Z), ``covariance`` (Z, d, d), of which a measurement shows the rows ``observed``. Rows that no measurement
+    shows, as a velocity, have their prior mean and covariance.
+    """
+
+    measurements: MeasurementHistory
+    state: F8
+    covariance: F8
+    observed: I8
+    motion: Motion
+
+    @classmethod
+    def of(cls, measurements: MeasurementHistory, sensor: Sensor, motion: Motion) -> Sequence:
+        """The sequence of these measurements.
+
+        Parameters
+        ----------
+        measurements, sensor, motion : of the sequence, and of the model.
+
+        Returns
+        -------
+        sequence : with the measurements as states.
+        """
+        return cls(measurements, *sensor.states(measurements.z), np.array(sensor.observed, np.int64), motion)
+
+    def components(self) -> I8:
+        """The rows of the state that later states depend on; not a size that a transition forgets."""
+        _, jacobian, _ = self.motion.transition(np.ascontiguousarray(self.state[:, :1]), 1.0)
+        return np.flatnonzero(jacobian[0].any(axis=0)).astype(np.int64)
+
+    def _ahead(self, mean: F8, covariance: F8, place: int) -> Ahead:
+        """States (n, d), (n, d, d) of the frame before ``place``, predicted for that frame."""
+        time, warp = self.measurements.time, self.measurements.warp
+        step = float(time[place] - time[place - 1])
+        return predict(self.motion, mean, covariance, step, warp[place] if len(warp) else STILL)
+
+    def smooth(self, paths: Paths) -> Smoothed:
+        """The states of all rows of the paths, given their measurements [R65]."""
+        order, number, shown = np.argsort(paths.frame, kind="stable"), len(self.measurements.time), self.observed
+        bounds = np.searchsorted(paths.frame[order], np.arange(number + 1))
+        size, d = len(order), len(self.state)
+        mean, predicted = np.empty((2, size, d))
+        cov, expected, jacobian = np.empty((3, size, d, d))
+        column = paths.measurement[paths.first]
+        mean[paths.first], cov[paths.first] = self.state[:, column].T, self.covariance[column]
+        going = np.ones(size, np.bool_)
+        going[paths.first] = False
+        frames = [rows[going[rows]] for rows in np.split(order, bounds[1:-1])]
+        for p, rows in enumerate(frames):
+            if len(rows) == 0:
+                continue
+            predicted[rows], expected[rows], jacobian[rows] = self._ahead(mean[rows - 1], cov[rows - 1], p)
+            mean[rows], cov[rows] = predicted[rows], expected[rows]
+            rows = rows[paths.measurement[rows] >= 0]
+            if len(rows):
+                column = paths.measurement[rows]
+                noise = self.covariance[column][:, shown[:, None], shown]
+                mean[rows], cov[rows] = update(mean[rows], cov[rows], self.state[shown[:, None], column].T, noise, shown)
+        for rows in reversed(frames):
+            if len(rows):
+                step = Ahead(predicted[rows], expected[rows], jacobian[rows])
+                mean[rows - 1], cov[rows - 1] = smooth_back(mean[rows - 1], cov[rows - 1], step, mean[rows], cov[rows])
+        return Smoothed(mean, cov)
+
+
+class Terms(NamedTuple):
+    """Mean time ``occluded``, longest ``gap`` and ``overlap`` in model time; P(``reentry``); time units a second."""
+
+    occluded: float
+    gap: float
+    overlap: float
+    reentry: float
+    rate: float
+
+
+class _Meeting(NamedTuple):
+    """Paths of which ``after`` may continue ``before``, (P,) each, and where they are compared.
+
+    ``mean`` (P, d), ``covariance`` (P, d, d): the state by the first; ``row`` (P,): that of the second. ``odds`` (P,): the
+    terms of the log-odds that do not depend on it.
+    """
+
+    before: I8
+    after: I8
+    mean: F8
+    covariance: F8
+    row: I8
+    odds: F8
+
+
+def _stitched(paths: Paths, sequence: Sequence, terms: Terms) -> tuple[Paths, Smoothed]:
+    """The paths, those of one target joined, and the states of their rows."""
+    states = sequence.smooth(paths)
+    while len(paths) > 1:
+        after = _matched(*_candidates(paths, states, sequence, terms), len(paths))
+        if (after < 0).all():
+            break
+        chain = _chains(after)
+        longer = joined(paths, chain)
+        # Only the paths that have changed are smoothed anew.
+        fresh = np.bincount(chain) > 1
+        changed, kept, new = fresh[longer.path], ~fresh[chain[paths.path]], sequence.smooth(longer.take(fresh))
+        mean, cov = (np.empty((len(changed), *part.shape[1:])) for part in new)
+        mean[changed], cov[changed] = new
+        mean[~changed], cov[~changed] = states.mean[kept], states.covariance[kept]
+        paths, states = longer, Smoothed(mean, cov)
+    return paths, states
+
+
+def _candidates(paths: Paths, states: Smoothed, sequence: Sequence, terms: Terms) -> tuple[I8, I8, F8]:
+    """All pairs that could be of one target: path ``after`` (P,) continues ``before`` (P,) with these log-odds (P,).
+
+    One begins within ``gap`` after the other's end, while the lost target may still be there; or they overlap (`_overlaps`).
+    """
+    loose = math.log(_births(paths, sequence) * terms.occluded * (1 - terms.reentry) / terms.reentry)
+    found = list[tuple[I8, I8, F8]]()
+    for some in itertools.chain([_overlaps(paths, states, sequence, terms)], _returns(paths, states, sequence, terms)):
+        odds = _log_evidence(paths, states, sequence, some) + (some.odds - loose)
+        found.append((some.before, some.after, odds))
+    before, after, log_odds = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return before, after, log_odds
+
+
+def _returns(paths: Paths, states: Smoothed, sequence: Sequence, terms: Terms) -> Iterator[_Meeting]:
+    """Pairs of which one begins after the other's end; those that have ended are carried on through the frames together."""
+    time, last, end, begin = sequence.measurements.time, paths.last, paths.frame[paths.last], paths.frame[paths.first]
+    # The last frame in which a path begins that each may go on in.
+    beginning = np.unique(begin)
+    until = beginning[np.searchsorted(time[beginning], time[end] + terms.gap + 1e-9, side="right") - 1]
+    lost, alive = np.zeros(0, np.int64), np.zeros(0)
+    mean, cov = states.mean[:0], states.covariance[:0]
+    for p in range(1, len(time)):
+        fresh = np.flatnonzero((end == p - 1) & (until >= p))
+        lost, alive = np.concatenate((lost, fresh)), np.concatenate((alive, np.zeros(len(fresh))))
+        mean, cov = (np.concatenate((a, b[last[fresh]])) for a, b in ((mean, states.mean), (cov, states.covariance)))
+        if len(lost) == 0:
+            continue
+        now = sequence._ahead(mean, cov, p)
+        survive = sequence.motion.p_survive(np.ascontiguousarray(now.mean.T), float(time[p] - time[p - 1]) / terms.rate)
+        stay = (survive > 0) & (until[lost] >= p)
+        lost, alive = lost[stay], alive[stay] + np.log(survive[stay])
+        mean, cov = now.mean[stay], now.covariance[stay]
+        come = np.flatnonzero(begin == p)
+        if len(come) and len(lost):
+            a, b = np.repeat(np.arange(len(lost)), len(come)), np.tile(come, len(lost))
+            odds = alive[a] - (time[p] - time[end[lost[a]]]) / terms.occluded
+            yield _Meeting(lost[a], b, mean[a], cov[a], paths.first[b], odds)
+
+
+def _overlaps(paths: Paths, states: Smoothed, sequence: Sequence, terms: Terms) -> _Meeting:
+    """Pairs of which one begins before the other ends, by ``overlap`` at most, and ends later.
+
+    They are compared in the middle of the time that they share, where both are known best.
+    """
+    begin, end, time = paths.frame[paths.first], paths.frame[paths.last], sequence.measurements.time
+    order = np.argsort(end, kind="stable")
+    latest = np.searchsorted(time, time[begin] + terms.overlap + 1e-9, side="right")
+    low, high = np.searchsorted(end[order], begin), np.searchsorted(end[order], np.minimum(latest, end))
+    count = np.maximum(high - low, 0)
+    b = np.repeat(np.arange(len(paths)), count)
+    a = order[np.repeat(low, count) + np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)]
+    earlier = begin[a] < begin[b]
+    a, b = a[earlier], b[earlier]
+    middle = (begin[b] + end[a] + 1) // 2
+    here, row = paths.first[a] + middle - begin[a], paths.first[b] + middle - begin[b]
+    odds = -(time[end[a]] - time[begin[b]]) / terms.occluded
+    return _Meeting(a, b, states.mean[here], states.covariance[here], row, odds)
+
+
+def _log_evidence(paths: Paths, states: Smoothed, sequence: Sequence, pairs: _Meeting) -> F8:
+    """(P,) log p(B|A)/p(B), with all Gaussians in information form; the prior is flat in observed rows."""
+    kept = sequence.components()
+    unseen = np.setdiff1d(kept, sequence.observed)
+    at, column = np.searchsorted(kept, unseen), paths.measurement[paths.first[pairs.after]]
+    inverse, later = (_inverse(c[:, kept[:, None], kept]) for c in (pairs.covariance, states.covariance[pairs.row]))
+    block = _inverse(sequence.covariance[column][:, unseen[:, None], unseen])
+    mean, prior, centre = pairs.mean[:, kept], np.zeros_like(inverse), np.zeros((len(column), len(kept)))
+    prior[:, at[:, None], at], centre[:, at] = block, sequence.state[unseen[:, None], column].T
+    total = inverse + later - prior
+    # From the prediction, so that no large numbers are taken from each other.
+    step, rest = (states.mean[pairs.row][:, kept] - mean)[:, :, None], (centre - mean)[:, :, None]
+    pull = later @ step - prior @ rest
+    square = step.transpose(0, 2, 1) @ later @ step - rest.transpose(0, 2, 1) @ prior @ rest
+    square -= pull.transpose(0, 2, 1) @ np.linalg.solve(total, pull)
+    logs = _log_det(inverse) + _log_det(later) - _log_det(block) - _log_det(total)
+    out: F8 = 0.5 * (logs - square[:, 0, 0] - (len(kept) - len(unseen)) * math.log(2 * math.pi))
+    return out
+
+
+def _births(paths: Paths, sequence: Sequence) -> float:
+    """How many trajectories begin per time unit and unit of measurement volume, in the volume that all measurements span."""
+    time, shown = sequence.measurements.time, sequence.observed
+    column = paths.measurement[paths.measurement >= 0]
+    z = sequence.state[shown[:, None], column]
+    noise = np.sqrt(np.median(sequence.covariance[column][:, shown, shown], axis=0))
+    # Where all is one place, it is as large as measurements are fine.
+    volume = np.prod(z.max(axis=1) - z.min(axis=1) + 4 * noise)
+    return float(len(paths) / (volume * (time[-1] - time[0])))
+
+
+def _matched(before: I8, after: I8, odds: F8, count: int) -> I8:
+    """(K,) the successor of each of ``count`` paths, −1 for none, so that the sum of the log-odds is the largest."""
+    successor = np.full(count, -1, np.int64)
+    good = np.flatnonzero(odds > 0)
+    if len(good) == 0:
+        return successor
+    # Importing it takes most of a second, which a run in which nothing can be joined need not wait for.
+    from scipy.optimize import linear_sum_assignment
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    a, b, odds = before[good], after[good], odds[good]
+    graph = coo_array((np.ones(len(a)), (a, b + count)), shape=(2 * count, 2 * count))
+    _, part = connected_components(graph, directed=False)
+    order = np.argsort(part[a], kind="stable")
+    for these in np.split(order, np.flatnonzero(np.diff(part[a][order])) + 1):
+        rows, row = np.unique(a[these], return_inverse=True)
+        columns, column = np.unique(b[these], return_inverse=True)
+        gain = np.zeros((len(rows), len(columns)))
+        gain[row, column] = odds[these]
+        i, j = linear_sum_assignment(gain, maximize=True)
+        real = gain[i, j] > 0
+        successor[rows[i[real]]] = columns[j[real]]
+    return successor
+
+
+def _chains(after: I8) -> I8:
+    """(K,) the number of the chain of each path, from its successor ``after`` (K,), −1 for none, by their first paths."""
+    follows = np.isin(np.arange(len(after)), after)
+    chain = np.full(len(after), -1, np.int64)
+    for number, head in enumerate(np.flatnonzero(~follows).tolist()):
+        here = head
+        while here >= 0:
+            chain[here] = number
+            here = int(after[here])
+    return chain
+
+
+def _inverse(a: F8) -> F8:
+    return np.linalg.inv(a).astype(np.float64, copy=False)
+
+
+def _log_det(a: F8) -> F8:
+    out: F8 = np.linalg.slogdet(a)[1]
     return out

@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phdtrack.filters.blocks import cut
-from phdtrack.filters.extract import KMeans
-from phdtrack.filters.extract.clusters import REACH, known_blocks, seeds
+from phdtrack.filters.extract import REACH, KMeans, known_blocks, seeds
 from phdtrack.kernels.blocks import block_moments, reaching
 from phdtrack.kernels.em import em_step, nothing_known
 from phdtrack.kernels.kmeans import PATIENCE, Rule, kmeans

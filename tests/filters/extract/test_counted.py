@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from extract_cases import HERE, MODEL, THERE, cloud, moved, seen, together
 
-from phdtrack.filters.extract import Components, KMeans, Mixture
-from phdtrack.filters.extract.peaks import heaviest, united
-from phdtrack.filters.intensities import Cardinalised
+from phdtrack.filters.cardinality import Cardinalised
+from phdtrack.filters.extract import Components, KMeans, Mixture, heaviest, united
 from phdtrack.types import Estimates, GaussianMixture, Particles
 
 # The most probable number is 2.

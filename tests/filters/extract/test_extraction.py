@@ -11,9 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phdtrack.errors import InputError
-from phdtrack.filters import ParticlePHD
-from phdtrack.filters.extract import KMeans, Mixture, Raw
-from phdtrack.filters.extract.peaks import finish
+from phdtrack.filters import KMeans, Mixture, ParticlePHD, Raw
+from phdtrack.filters.extract import finish
 from phdtrack.kernels.mixtures import Gaussians
 from phdtrack.types import Estimates, Particles
 from reference import extract_twin as twin

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phdtrack.arrays import iou
-from phdtrack.filters.extract.peaks import join_unresolved
+from phdtrack.filters.extract import join_unresolved
 from phdtrack.kernels.mixtures import Gaussians
 from reference import clustering_twin as twin
 

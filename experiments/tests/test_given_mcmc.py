@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from mcmc_cases import ring
 
+from experiments.given_mcmc import GivenMCMC
 from phdtrack.errors import InputError
-from phdtrack.filters import MCMC
-from phdtrack.filters.intensities import JointSamples
+from phdtrack.filters.mcmc import JointSamples
 from phdtrack.kernels.mcmc import Ancestors, Chain, given_chain
 from phdtrack.kernels.particle_models import BLOCK, move
-from phdtrack.models import PlaneMotion, PlaneSensor, PointMotion, PointSensor
+from phdtrack.models import PlaneMotion, PlaneSensor, PointBirth, PointMotion, PointSensor, UniformClutter
 from phdtrack.protocols import Model
 
 
@@ -57,10 +54,11 @@ def test_the_greedy_chain_is_the_papers(seed: int):
 
 
 def gaussian_worlds() -> dict[str, Model]:
+    rest = PointBirth(), UniformClutter(0.0, 1.0)
     return {
-        "point": replace(ring(), motion=PointMotion(), sensor=PointSensor(noise_variance=1.0)),
+        "point": Model(PointMotion(), PointSensor(noise_variance=1.0), *rest),
         # One noise drives position and velocity, and the measurement's noise is no multiple of the identity.
-        "plane": replace(ring(), motion=PlaneMotion(form="piecewise"), sensor=PlaneSensor(scaling="given")),
+        "plane": Model(PlaneMotion(form="piecewise"), PlaneSensor(scaling="given"), *rest),
     }
 
 
@@ -102,9 +100,9 @@ def exact_moments(origin: np.ndarray, z: np.ndarray, model: Model) -> list[tuple
     return found
 
 
-def sampled(filter_: MCMC, origin: np.ndarray, z: np.ndarray, model: Model, rng: np.random.Generator):
+def sampled(filter_: GivenMCMC, origin: np.ndarray, z: np.ndarray, model: Model, rng: np.random.Generator):
     """(8, N) samples of both targets after one scan, and how the chain moved."""
-    state = JointSamples(origin, np.ones((2, 5)), np.array([0, 1]), 2, origin[:, :0])
+    state = JointSamples(origin, np.ones((2, 5)), np.array([0, 1]), 2)
     after, info = filter_.step(state, z, model, 1.0, rng)
     return after.state.reshape(4, 2, -1).transpose(1, 0, 2).reshape(8, -1), info.chain
 
@@ -119,7 +117,7 @@ def test_the_chain_samples_the_exact_mixture(world: str, ancestors: str, rng):
     assert np.abs(joint[1][:4, 4:]).max() > 0.02, "with a joint ancestor the targets are correlated"
     np.testing.assert_allclose(each[1][:4, 4:], 0, atol=1e-12)
     mean, cov = joint if ancestors == "joint" else each
-    x, chain = sampled(MCMC(samples=400_000, associations="given", ancestors=ancestors), origin, z, model, rng)
+    x, chain = sampled(GivenMCMC(samples=400_000, ancestors=ancestors), origin, z, model, rng)
     scale = np.sqrt(np.diag(cov)) + 1e-9
     np.testing.assert_array_less(np.abs(x.mean(1) - mean) / scale, 0.04)
     np.testing.assert_array_less(np.abs(np.cov(x) - cov) / np.outer(scale, scale), 0.06)
@@ -132,12 +130,12 @@ def test_greedy_acceptance_does_not_sample(rng):
     model = gaussian_worlds()["point"]
     origin, z = gaussian_scan(rng)
     _, cov = exact_moments(origin, z, model)[1]
-    x, _ = sampled(MCMC(samples=200_000, associations="given", greedy=True), origin, z, model, rng)
+    x, _ = sampled(GivenMCMC(samples=200_000, greedy=True), origin, z, model, rng)
     assert np.abs(np.diag(np.cov(x)) / np.diag(cov) - 1).max() > 0.2
 
 
 def test_targets_come_and_go_with_their_labels(rng):
-    model, filter_ = gaussian_worlds()["point"], MCMC(samples=300, associations="given")
+    model, filter_ = gaussian_worlds()["point"], GivenMCMC(samples=300)
     state = filter_.start(model, rng)
 
     def scan(**seen: float) -> np.ndarray:
@@ -154,20 +152,11 @@ def test_targets_come_and_go_with_their_labels(rng):
         np.testing.assert_allclose(means, expected, atol=1.5)
         assert info.mass == state.mass == len(labels)
         np.testing.assert_array_equal(np.flatnonzero(info.cardinality), [len(labels)])
-    # A frame that nobody observed: predicted, and two steps from the scan that comes then.
-    waited = filter_.predict(filter_.predict(state, model, 1.0, rng), model, 1.0, rng)
-    after, _ = filter_.update(waited, scan(t1=20), model, 1.0, rng)
-    assert after.label.tolist() == [1]
 
 
 @pytest.mark.parametrize("labels", [[0, 0], [0.5, 1], [-1, 2]])
 def test_what_is_no_label(labels, rng):
-    model, filter_ = gaussian_worlds()["point"], MCMC(associations="given")
+    model, filter_ = gaussian_worlds()["point"], GivenMCMC()
     z = np.array([[0.0, 1], [0, 1], labels])
     with pytest.raises(InputError, match="one target's label each"):
         filter_.step(filter_.start(model, rng), z, model, 1.0, rng)
-
-
-def test_what_does_not_go_together(rng):
-    with pytest.raises(InputError, match="given associations"):
-        MCMC(greedy=True)

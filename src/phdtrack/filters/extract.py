@@ -1,0 +1,460 @@
+"""Peaks of an intensity: modified K-means [M07 §3], a Gaussian mixture by EM [M09 §III-B], or a mixture's components.
+
+**Clusters of particles** start on the frame's detections at rest, and on particles that no detection is near. A cluster
+heavier than the split mass is divided; clusters lighter than a threshold are dropped. Distances are scaled by the noise of
+the measurement and of the velocity, component by component; without that, position would drown in size. A particle is
+compared only with the centres near it, within `REACH` deviations in position. The paper splits above mass 1. But one
+well-seen target settles at up to 1/(1 − p_M p_S): 1.05 at p_D = 0.95 and 1.42 at p_D = 0.7, so its halves would both fall
+below the threshold of 0.6 and it would vanish. The split mass here is 1.5: above what one target can weigh down to p_D =
+0.67, below what two weigh once they are established, and half of it is still above the threshold.
+
+**Joining.** A detector that suppresses overlapping boxes never reports two objects whose boxes overlap by much. Where two
+states do, it has fired twice on one object, at two scales or on two parts of it, and the filter, for which every detection
+is another target, follows both. Joining them gives up the second of two objects in line while they cover each other; the
+association bridges that gap.
+
+**Counting.** A cardinalised filter knows the number of targets better than the weight of any single peak shows it: the peak
+of a target that was just missed is light. So peaks are found with a low threshold and without division of heavy ones, and
+as many are reported as the most probable number of targets [V07].
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from phdtrack.arrays import chi2_quantile, iou
+from phdtrack.errors import Positive, PositiveCount, Share, check
+from phdtrack.filters.blocks import cut
+from phdtrack.filters.cardinality import Cardinalised
+from phdtrack.kernels.blocks import Blocks, block_moments, claim, reaching, summarise, unreached
+from phdtrack.kernels.em import em_step
+from phdtrack.kernels.grid import Grid, make_grid, overlapping_pairs
+from phdtrack.kernels.kmeans import Rule, kmeans
+from phdtrack.kernels.mixtures import Gaussians
+from phdtrack.protocols import Model, Sensor
+from phdtrack.types import F8, I8, Bool, Estimates, GaussianMixture, ParticleBlocks, Particles
+
+Intensity = Particles | ParticleBlocks
+# A cluster reaches this many deviations of the measurement noise. Wide, because a target that was missed spreads.
+REACH = 8.0
+# A component of less mass has no shape; its particles fall to its neighbours.
+SHAPELESS = 1e-3
+# Lightest peak that is a candidate where peaks are counted: a component of a mixture, and a K-means cluster.
+LIGHTEST_COMPONENT, LIGHTEST_CLUSTER = 0.05, 0.1
+# Heavier than any cluster: none is divided for its mass.
+NEVER_SPLIT = 1e9
+# Mahalanobis distance up to which a fitted component is part of a heavier one, as in the Gaussian-mixture filters.
+MERGE_DISTANCE = 2.0
+
+
+class _Extraction:
+    """What the extractions share: peaks are counted where the state is of a cardinalised filter and the settings say so."""
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def extract(self, state: Any, z: F8, model: Model) -> Estimates:
+        """The peaks heavy enough to be targets, or as many as there are targets; see `protocols.Extractor`."""
+        settings: Any = self
+        if not isinstance(state, Cardinalised):
+            found: Estimates = settings._peaks(state, z, model, counting=False)
+        elif settings.counted:
+            found = heaviest(settings._peaks(state.intensity, z, model, counting=True), state.cardinality)
+        else:
+            found = settings._peaks(state.intensity, z, model, counting=False)
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class KMeans(_Extraction):
+    """Settings of the modified K-means: states are the centres of clusters, weighted means of full states [M07 §3].
+
+    Parameters
+    ----------
+    min_weight : T, clusters of less mass are not targets; M07's 0.6.
+    split_weight : clusters of more mass are several targets.
+    iterations : how often a cluster's centre may move, and again after each split of it.
+    merge_iou : states whose boxes overlap by more (IoU) are one object that the detector saw twice; 1 for never.
+    counted : of a cardinalised filter, report as many states as its number of targets says; of others it changes nothing.
+    """
+
+    min_weight: Positive = 0.6
+    split_weight: Positive = 1.5
+    iterations: PositiveCount = 5
+    merge_iou: Share = 0.4
+    counted: bool = True
+
+    def _peaks(self, state: Intensity, z: F8, model: Model, *, counting: bool) -> Estimates:
+        """The clusters heavy enough, the heaviest divided unless peaks are counted."""
+        lightest, split = (LIGHTEST_CLUSTER, NEVER_SPLIT) if counting else (self.min_weight, self.split_weight)
+        if state.mass < lightest:
+            return Estimates.empty(model.motion.dim)
+        sensor, (blocks, grid) = model.sensor, known_blocks(state)
+        centres, _ = seeds(blocks, grid, z, sensor, lightest)
+        scales = np.ascontiguousarray(sensor.noise(centres).T)
+        found = kmeans(blocks, grid, np.ascontiguousarray(centres.T), scales, Rule(REACH, split, self.iterations))
+        heavy = heavy_enough(found, sensor, lightest, split)
+        return finish(join_unresolved(heavy, sensor, self.merge_iou)[0], z, model)
+
+
+@dataclass(frozen=True, slots=True)
+class Mixture(_Extraction):
+    """Settings of the Gaussian mixture extraction: states are the means of components fitted by EM [M09 §III-B].
+
+    Parameters
+    ----------
+    min_weight : components of less mass are not targets; M09's 0.5.
+    iterations : EM iterations after the start and after each split.
+    split_weight, merge_iou, counted : as of `KMeans`.
+    """
+
+    min_weight: Positive = 0.5
+    split_weight: Positive = 1.5
+    iterations: PositiveCount = 6
+    merge_iou: Share = 0.4
+    counted: bool = True
+
+    def _peaks(self, state: Intensity, z: F8, model: Model, *, counting: bool) -> Estimates:
+        """The components heavy enough, the heaviest divided; where they are counted, one for each place."""
+        lightest, split = (LIGHTEST_COMPONENT, NEVER_SPLIT) if counting else (self.min_weight, self.split_weight)
+        if state.mass < lightest:
+            return Estimates.empty(model.motion.dim)
+        sensor, (blocks, grid) = model.sensor, known_blocks(state)
+        centres, free = seeds(blocks, grid, z, sensor, lightest)
+        if free.any():
+            # A block with one component in reach is all that component's, but for the remnants that nothing reaches.
+            blocks, grid = _without(blocks, free)
+        scales = np.ascontiguousarray(sensor.noise(centres).T)
+        start = kmeans(blocks, grid, np.ascontiguousarray(centres.T), scales, Rule(REACH, math.inf, 0))
+        known = block_moments(blocks)
+        mixture = self._fit(blocks, grid, known, start, sensor)
+        for _ in range(math.ceil(2 * state.mass / split)):
+            if not (mixture.weight > split).any():
+                break
+            mixture = self._fit(blocks, grid, known, _divided(mixture, sensor, split), sensor)
+        heavy = kept(mixture, mixture.weight >= lightest)
+        found = finish(join_unresolved(heavy, sensor, self.merge_iou)[0], z, model)
+        return united(found, sensor) if counting else found
+
+    def _fit(self, blocks: Blocks, grid: Grid, known: Gaussians, mixture: Gaussians, sensor: Sensor) -> Gaussians:
+        """EM iterations from a mixture, with a floor under the covariances [M09 §III-B]."""
+        nothing = np.zeros(0)
+        for _ in range(self.iterations):
+            mixture, scale = _floored(mixture, sensor)
+            if len(mixture.weight) == 0:
+                break
+            at, reach = mixture.mean[:2], REACH * scale[:2]
+            near = reaching(blocks, grid, at - reach, at + reach)
+            mass, mean, cov, *_ = em_step(blocks.state, blocks.weight, nothing, mixture, near, known)
+            mixture = Gaussians(mass, mean, cov)
+        return _floored(mixture, sensor)[0]
+
+
+@dataclass(frozen=True, slots=True)
+class Components(_Extraction):
+    """Settings of the extraction from a mixture: the means of its components [V06 Table III], with their tags [P09 §III].
+
+    Where the filter has merged what lies together, a component is a target, or several that no measurement has parted yet:
+    one of weight 2.3 stands for two [V06 Table III, E13 §4]. Vo and Ma report it twice; two states in one place are of no
+    use to a tracker, which is why it is reported once unless ``repeat`` says otherwise.
+
+    Parameters
+    ----------
+    min_weight : components of less weight are not targets; Vo and Ma's 0.5.
+    repeat : report a component as often as its weight says, rounded, as Vo and Ma do. Joining is off then.
+    merge_iou, counted : as of `KMeans`.
+    """
+
+    min_weight: Positive = 0.5
+    repeat: bool = False
+    merge_iou: Share = 0.4
+    counted: bool = True
+
+    def _peaks(self, state: GaussianMixture, z: F8, model: Model, *, counting: bool) -> Estimates:
+        """The components of enough weight, in their order."""
+        heavy = np.flatnonzero(state.weight >= (LIGHTEST_COMPONENT if counting else self.min_weight))
+        if self.repeat:
+            heavy = np.repeat(heavy, np.maximum(np.rint(state.weight[heavy]).astype(np.int64), 1))
+        peaks = kept(Gaussians(state.weight, state.mean, state.covariance), heavy)
+        if self.repeat:
+            peaks = peaks._replace(weight=peaks.weight / np.bincount(heavy)[heavy])
+        else:
+            peaks, part = join_unresolved(peaks, model.sensor, self.merge_iou)
+            heavy = heavy[part]
+        found = finish(peaks, z, model)
+        # A mixture that no filter has touched has no tags.
+        return replace(found, tag=state.tag[heavy]) if len(state.tag) else found
+
+
+def known_blocks(intensity: Intensity) -> tuple[Blocks, Grid]:
+    """The particles of an intensity that is not empty in blocks, and a grid over the blocks' boxes of positions.
+
+    `ValueError` where a state is NaN or infinite.
+    """
+    if isinstance(intensity, ParticleBlocks):
+        weight = np.array([intensity.unit], intensity.state.dtype)
+        if len(intensity.share):
+            weight = weight * intensity.share
+        blocks = summarise(intensity.state, weight, intensity.start)
+    else:
+        if not np.isfinite(intensity.state).all():
+            raise ValueError("states must be finite")
+        order, start = cut(intensity.state)
+        blocks = summarise(np.ascontiguousarray(intensity.state[:, order]), intensity.weight[order], start)
+    if not np.isfinite(blocks.middle).all():
+        raise ValueError("states must be finite")
+    return blocks, make_grid(np.ascontiguousarray(blocks.low[:, :2].T), np.ascontiguousarray(blocks.high[:, :2].T))
+
+
+def _without(blocks: Blocks, which: Bool) -> tuple[Blocks, Grid]:
+    """The blocks without some particles (L,), and the grid over them."""
+    left = ~which
+    weight = blocks.weight[left] if len(blocks.weight) > 1 else blocks.weight
+    start = np.concatenate([[0], np.cumsum(left)])[blocks.start]
+    fewer = summarise(np.ascontiguousarray(blocks.state[:, left]), weight, start)
+    return fewer, make_grid(np.ascontiguousarray(fewer.low[:, :2].T), np.ascontiguousarray(fewer.high[:, :2].T))
+
+
+def seeds(blocks: Blocks, grid: Grid, z: F8, sensor: Sensor, lightest: float) -> tuple[F8, Bool]:
+    """First centres (d, k): the detections, at rest [M07 §3], and the middle of what no detection is near.
+
+    A target that was missed has no detection to start from, and its particles would be drawn into a far cluster or lost.
+    While more than ``lightest`` mass is out of every centre's reach, some of these particles become centres: every half of
+    ``lightest`` along their cumulative weight one claims what is in its reach and not claimed yet.
+
+    Parameters
+    ----------
+    blocks, grid : the particles, and the grid over their blocks.
+    z : (m, N) measurements.
+    sensor : that measured them.
+    lightest : mass of the lightest target.
+
+    Returns
+    -------
+    centres, free : of the detections, then the others; (L,) which particles are out of their reach.
+    """
+    centres = sensor.states(z)[0]
+    low, high = _windows(centres, sensor)
+    free = unreached(blocks, reaching(blocks, grid, low, high), low, high)
+    # Once finds every target whose particles lie together, as blocks do; again, to be sure.
+    for _ in range(2):
+        left = np.flatnonzero(free)
+        mass = np.cumsum(blocks.weight[left] if len(blocks.weight) > 1 else np.full(len(left), float(blocks.weight[0])))
+        if len(left) == 0 or mass[-1] < lightest:
+            break
+        marks = np.searchsorted(mass, np.arange(0.25 * lightest, mass[-1], 0.5 * lightest))
+        asked = left[np.unique(np.minimum(marks, len(left) - 1))]
+        low, high = _windows(blocks.state[:, asked].astype(np.float64), sensor)
+        found, free = claim(blocks, grid, free, asked, low, high)
+        centres = np.concatenate((centres, found), axis=1)
+    return centres, free
+
+
+def _windows(centres: F8, sensor: Sensor) -> tuple[F8, F8]:
+    """Corners (2, k) of the positions that centres reach."""
+    reach = REACH * sensor.noise(centres)[:2]
+    return centres[:2] - reach, centres[:2] + reach
+
+
+def heavy_enough(found: Gaussians, sensor: Sensor, lightest: float, split: float) -> Gaussians:
+    """The clusters of at least the mass ``lightest``, after light ones that are near each other have been joined.
+
+    Clusters start on every detection, so one target beside a false alarm, or detected twice, may lie in two halves that are
+    each too light. The nearest are joined first, while one of the two is too light and both are not too heavy for one.
+
+    Parameters
+    ----------
+    found : k clusters.
+    sensor : whose noise is the unit of distances.
+    lightest, split : mass of the lightest target, and that above which a cluster is several.
+
+    Returns
+    -------
+    clusters : of at least that mass.
+    """
+    light = np.flatnonzero((found.weight > 0) & (found.weight < lightest))
+    at, scale = found.mean[:, light], sensor.noise(found.mean[:, light])
+    low, high, place = at[:2] - REACH * scale[:2], at[:2] + REACH * scale[:2], np.ascontiguousarray(at[:2])
+    first, second = overlapping_pairs(low, high, make_grid(place, place))
+    first, second = first[first < second], second[first < second]
+    distance2 = np.square((at[:, first] - at[:, second]) / scale[:, first]).sum(axis=0)
+    mass, group = found.weight.copy(), np.arange(len(found.weight))
+    for pair in distance2.argsort(kind="stable"):
+        i, j = group[light[first[pair]]], group[light[second[pair]]]
+        if distance2[pair] <= REACH**2 and i != j and min(mass[i], mass[j]) < lightest and mass[i] + mass[j] <= split:
+            mass[i] += mass[j]
+            mass[j] = 0.0
+            group[group == j] = i
+    heavy = mass[group] >= lightest
+    if (group == np.arange(len(group))).all():
+        return kept(found, heavy)
+    return union(kept(found, heavy), np.unique(group[heavy], return_inverse=True)[1])
+
+
+def _floored(mixture: Gaussians, sensor: Sensor) -> tuple[Gaussians, F8]:
+    """The components that have a shape, with a floor under their covariances, and the noise (d, k) at their means."""
+    alive = mixture.weight > SHAPELESS
+    mixture = mixture if alive.all() else kept(mixture, alive)
+    scale = sensor.noise(mixture.mean)
+    return mixture._replace(covariance=with_floor(mixture.covariance, scale)), scale
+
+
+def _divided(mixture: Gaussians, sensor: Sensor, split: float) -> Gaussians:
+    """Components heavier than ``split`` divided: a deviation to either side on the longest axis in units of the noise."""
+    heavy = mixture.weight > split
+    scale = sensor.noise(mixture.mean[:, heavy]).T
+    length2, axes = np.linalg.eigh(mixture.covariance[heavy] / (scale[:, :, None] * scale[:, None, :]))
+    step = (scale * axes[:, :, -1] * np.sqrt(length2[:, -1:])).T
+    weight, mean = np.where(heavy, mixture.weight / 2, mixture.weight), mixture.mean.copy()
+    mean[:, heavy] -= step
+    return Gaussians(
+        np.concatenate([weight, weight[heavy]]),
+        np.hstack([mean, mixture.mean[:, heavy] + step]),
+        np.concatenate([mixture.covariance, mixture.covariance[heavy]]),
+    )
+
+
+def finish(peaks: Gaussians, z: F8, model: Model) -> Estimates:
+    """States from clusters: a floor under their covariances, their boxes, and the detection that each rests on.
+
+    A state rests on the nearest detection in whose 99 % region it lies; a detection serves one state, the closest first.
+
+    Parameters
+    ----------
+    peaks : k masses, means and covariances.
+    z : (m, N) measurements.
+    model : whose sensor says what is near.
+
+    Returns
+    -------
+    states : k of them, in the same order.
+    """
+    sensor, mean = model.sensor, peaks.mean
+    at = np.ascontiguousarray(mean[:2])
+    z_of, state_of = overlapping_pairs(*sensor.gate(z), make_grid(at, at))
+    distance2 = sensor.distance2(z.take(z_of, axis=1), mean.take(state_of, axis=1))
+    region, free = chi2_quantile(len(sensor.observed), 0.99), np.ones(z.shape[1], np.bool_)
+    detection = np.full(mean.shape[1], -1)
+    for pair in distance2.argsort(kind="stable"):
+        if distance2[pair] > region:
+            break
+        i, j = z_of[pair], state_of[pair]
+        if free[i] and detection[j] < 0:
+            detection[j], free[i] = i, False
+    # Resampled particles can pile up on few points; a covariance of zero would claim certainty.
+    return Estimates(mean, with_floor(peaks.covariance, sensor.noise(mean)), peaks.weight, sensor.boxes(mean), detection)
+
+
+def with_floor(cov: F8, noise: F8) -> F8:
+    """Covariances (k, d, d) with a tenth of the deviations ``noise`` (d, k), squared, added to the diagonals."""
+    out = cov.copy()
+    np.einsum("jrr->jr", out)[...] += np.square(0.1 * noise).T
+    return out
+
+
+def kept(peaks: Gaussians, which: I8 | Bool) -> Gaussians:
+    """The peaks at an index or a mask (k,)."""
+    return Gaussians(peaks.weight[which], np.ascontiguousarray(peaks.mean[:, which]), peaks.covariance[which])
+
+
+def union(peaks: Gaussians, group: I8) -> Gaussians:
+    """One peak for each group of peaks, with their mass, mean and covariance; ``group`` (k,) numbers them from 0."""
+    mass = np.bincount(group, peaks.weight).astype(np.float64)
+    mean = np.array([np.bincount(group, peaks.weight * row) for row in peaks.mean]) / mass
+    apart, cov = peaks.mean - mean[:, group], np.zeros((len(mass), len(mean), len(mean)))
+    np.add.at(cov, group, peaks.weight[:, None, None] * (peaks.covariance + np.einsum("ik,jk->kij", apart, apart)))
+    return Gaussians(mass, mean, cov / mass[:, None, None])
+
+
+def join_unresolved(peaks: Gaussians, sensor: Sensor, overlap: float) -> tuple[Gaussians, I8]:
+    """The peaks with those joined whose boxes overlap by too much, most first; and the heaviest part of each (m,).
+
+    Parameters
+    ----------
+    peaks : k of them.
+    sensor : knows their boxes; the box of a union is the mean of its parts' by mass.
+    overlap : the largest IoU of two boxes that stay apart; 1: all do.
+
+    Returns
+    -------
+    peaks, part : m ≤ k peaks, and of which of the k each has most.
+    """
+    k = len(peaks.weight)
+    group = np.arange(k)
+    if k < 2 or overlap >= 1:
+        return peaks, group
+    boxes = sensor.boxes(peaks.mean)
+    lower, upper = np.ascontiguousarray(boxes[:, :2].T), np.ascontiguousarray(boxes[:, 2:].T)
+    first, second = overlapping_pairs(lower, upper, make_grid(lower, upper))
+    first, second = first[first < second], second[first < second]
+    pairs = {
+        (int(i), int(j)): share for i, j, share in zip(first, second, _iou(boxes[first], boxes[second]), strict=True)
+        if share > overlap
+    }  # fmt: skip
+    if not pairs:
+        return peaks, group
+    boxes, mass = boxes.copy(), peaks.weight.copy()
+    while pairs:
+        i, j = min(pairs, key=lambda pair: (-pairs[pair], pair))
+        mass[i] += mass[j]
+        boxes[i] += mass[j] / mass[i] * (boxes[j] - boxes[i])
+        group[group == j] = i
+        boxes[j] = np.nan
+        pairs = {pair: share for pair, share in pairs.items() if i not in pair and j not in pair}
+        shared = iou(boxes[i : i + 1], boxes)[0]
+        shared[i] = 0.0
+        pairs |= {(min(i, int(a)), max(i, int(a))): shared[a] for a in np.flatnonzero(shared > overlap)}
+    heads, group = np.unique(group, return_inverse=True)
+    order = np.lexsort((-np.arange(k), peaks.weight))
+    part = np.empty(len(heads), np.int64)
+    part[group[order]] = order
+    return union(peaks, group), part
+
+
+def _iou(a: F8, b: F8) -> F8:
+    """(P,) intersection over union of the boxes (P, 4), pair by pair."""
+    sides = np.minimum(a[:, 2:], b[:, 2:]) - np.maximum(a[:, :2], b[:, :2])
+    both = sides.clip(0).prod(axis=1)
+    total = (a[:, 2:] - a[:, :2]).prod(axis=1) + (b[:, 2:] - b[:, :2]).prod(axis=1) - both
+    out: F8 = np.divide(both, total, out=np.zeros_like(both), where=total > 0)
+    return out
+
+
+def heaviest(peaks: Estimates, cardinality: F8) -> Estimates:
+    """The heaviest states, as many as the most probable number of targets, in the order that they had.
+
+    ``cardinality`` (n,) : probabilities of 0, 1, 2, … targets.
+    """
+    count = int(cardinality.argmax())
+    if len(peaks) <= count:
+        return peaks
+    return peaks.take(np.sort(np.argsort(-peaks.weight, kind="stable")[:count]))
+
+
+def united(peaks: Estimates, sensor: Sensor) -> Estimates:
+    """The states, each with the lighter ones within `MERGE_DISTANCE` of it by its covariance; heaviest first.
+
+    Weights add up, states are averaged, the covariance stays that of the heaviest, and so does its detection, unless it had
+    none.
+    """
+    left, heads = np.argsort(-peaks.weight, kind="stable"), []
+    weight, state, detection = peaks.weight.copy(), peaks.state.copy(), peaks.detection.copy()
+    while len(left):
+        head = left[0]
+        step = peaks.state[:, left] - peaks.state[:, [head]]
+        near = (step * np.linalg.solve(peaks.covariance[head], step)).sum(axis=0) <= MERGE_DISTANCE**2
+        members = left[near]
+        weight[head] = peaks.weight[members].sum()
+        state[:, head] = peaks.state[:, members] @ peaks.weight[members] / weight[head]
+        served = peaks.detection[members]
+        detection[head] = next((int(one) for one in served if one >= 0), -1)
+        heads.append(head)
+        left = left[~near]
+    xyxy = sensor.boxes(state)
+    return replace(peaks, weight=weight, state=state, xyxy=xyxy, detection=detection).take(np.array(heads, np.int64))
