@@ -186,22 +186,10 @@ class Session:
             picture[..., 3] = (200 * np.sqrt(place_map(density, shape, 1 / scale))).astype(np.uint8)
         return _encoded(picture, ".png")
 
-    def change(self, number: int, what: str, sent: Sent) -> dict[str, object]:
-        """Change the marks of a frame as the page asks.
+    def _change(self, number: int, what: str, sent: Sent) -> dict[str, object]:
+        """The frame and the progress after its marks were changed; ``what`` is marks, undo, redo or done.
 
-        Parameters
-        ----------
-        number : of the frame.
-        what : marks, undo, redo or done.
-        sent : the marks, and what is known of the request.
-
-        Returns
-        -------
-        The frame as it is then, and the progress.
-
-        Raises
-        ------
-        InputError : what was sent cannot be used; nothing has changed.
+        Raises `InputError` where what was sent cannot be used; nothing has changed then.
         """
         store = self.store
         match what:
@@ -253,7 +241,7 @@ def label_app(session: Session) -> Starlette:
         "/crop/{number:int}/{box:int}.jpg": (session.crop, "image/jpeg"),
     }
     routes = [Route(path, _endpoint(work, media)) for path, (work, media) in answers.items()]
-    change = Route("/api/frame/{number:int}/{what:str}", _endpoint(session.change, JSON), methods=["POST"])
+    change = Route("/api/frame/{number:int}/{what:str}", _endpoint(session._change, JSON), methods=["POST"])
     return Starlette(routes=[*routes, change, Mount("/static", StaticFiles(directory=STATIC))])
 
 

@@ -1,7 +1,7 @@
 """The charts and pictures of reports. Each function gives a `Picture`: charts are SVG, what lies over a photograph JPEG.
 
 `Figure` objects are made directly: neither pyplot nor a display is needed and no rcParams change. matplotlib takes half a
-second to import: it is imported where a figure is made. Long runs are thinned to block means, as the time axis says.
+second to import: it is imported where a figure is made. What has thousands of points is drawn as pixels, not as outlines.
 
 Photographs are turned grey and darkened, so that colour belongs to the data; axes are pixels of the original video.
 """
@@ -35,8 +35,7 @@ _BLUE, _ORANGE, _GREEN, _RED, _GREY = "#3b6fd4", "#e08a1e", "#2a9d74", "#c0504d"
 _METHODS = ((_BLUE, "o"), (_ORANGE, "s"), (_GREEN, "D"), ("#a45cc0", "^"), (_RED, "v"), ("#7a8599", "P"))
 # Inches.
 _WIDE, _NARROW = 8.2, 5.4
-_POINTS, _BARS = 1200, 200
-# Identities with a label each, and bars that are outlines rather than pixels.
+# Identities with a label each; points of a line, or bars, up to which they are outlines and not pixels.
 _LABELS, _LABELLED_ROWS, _OUTLINES = 80, 60, 3000
 # Characters of all labels together that fit beside each other.
 _LABEL_ROOM = 45
@@ -130,7 +129,7 @@ def lifetime_chart(record: RunRecord) -> Picture:
     """One bar for each identity from its first to its last frame; lighter where predicted, white where missing."""
     names, row = np.unique(record.tracks.identity, return_inverse=True)
     height = float(np.clip(0.8 + 0.17 * len(names), 1.6, 9.0))
-    axes = _time_axes(record.times, "identity", height, limit=0)
+    axes = _time_axes(record.times, "identity", height)
     axes.grid(False, axis="y")
     # A bar is a stretch of consecutive frames, all seen or all predicted. All bars are one collection, which is fast with
     # thousands, and become pixels where outlines would swell the file.
@@ -156,12 +155,13 @@ def lifetime_chart(record: RunRecord) -> Picture:
 
 def timing_chart(record: RunRecord) -> Picture:
     """Milliseconds of each stage over the run, stacked. The scale leaves out single spikes, such as a first compilation."""
-    axes = _time_axes(record.times, "milliseconds per frame", 2.7, limit=_BARS)
-    time, table = thinned(record.times, _BARS), thinned(1000 * record.seconds, _BARS)
-    if len(table):
+    axes = _time_axes(record.times, "milliseconds per frame", 2.7)
+    if len(record):
         # The last step is as wide as a frame.
-        time, steps = np.append(time, time[-1] + _interval(record)), np.vstack([table, table[-1:]]).T
-        axes.stackplot(time, steps, labels=STAGES, colors=(_GREY, _BLUE, _ORANGE, _GREEN), step="post", linewidth=0)
+        time, table = np.append(record.times, record.times[-1] + _interval(record)), 1000 * record.seconds
+        look: dict[str, Any] = {"step": "post", "linewidth": 0, "rasterized": len(record) > _OUTLINES}
+        colours = (_GREY, _BLUE, _ORANGE, _GREEN)
+        axes.stackplot(time, np.vstack([table, table[-1:]]).T, labels=STAGES, colors=colours, **look)
         total = table.sum(axis=1)
         axes.set_ylim(0, max(min(1.25 * float(np.quantile(total, 0.97)), 1.05 * float(total.max())), 1e-3))
     return _chart(axes)
@@ -315,20 +315,6 @@ def jpeg(image: Image, max_width: int = 1400) -> Picture:
     return Picture("image/jpeg", data.tobytes(), image.shape[1], image.shape[0])
 
 
-def thinned(values: F8 | I8, limit: int) -> F8:
-    """(n, …) means over consecutive blocks of ``values`` (N, …), so that n ≤ ``limit``; unchanged where N ≤ ``limit``."""
-    values = values.astype(np.float64)
-    starts = np.arange(0, len(values), _block(len(values), limit))
-    counts = np.diff([*starts, len(values)]).reshape(-1, *[1] * (values.ndim - 1))
-    means: F8 = np.add.reduceat(values, starts, axis=0) / counts if len(starts) else values
-    return means
-
-
-def _block(length: int, limit: int) -> int:
-    """Frames that `thinned` puts into one point."""
-    return max(1, -(-length // max(limit, 1)))
-
-
 def _interval(record: RunRecord) -> float:
     """The time between frames in seconds, by the stated rate."""
     return 1 / record.info.fps if record.info.fps > 1e-3 else 1.0
@@ -341,12 +327,12 @@ def _rgb(identity: int) -> tuple[float, float, float]:
 
 
 def _plot(axes: Axes, times: F8, values: F8 | I8, *style: str, **look: Any) -> None:
-    axes.plot(thinned(times, _POINTS), thinned(values, _POINTS), *style, **look)
+    axes.plot(times, values, *style, rasterized=len(times) > _OUTLINES, **look)
 
 
 def _band(axes: Axes, times: F8, low: F8, high: F8, **look: Any) -> None:
-    time, low, high = (thinned(each, _POINTS) for each in (times, low, high))
-    axes.fill_between(time, low, high, color=_BLUE, alpha=0.18, linewidth=0, **look)
+    look |= {"color": _BLUE, "alpha": 0.18, "linewidth": 0, "rasterized": len(times) > _OUTLINES}
+    axes.fill_between(times, low, high, **look)
 
 
 def _figure(width: float, height: float) -> Figure:
@@ -369,11 +355,9 @@ def _chart_axes(figure: Figure, x_label: str, y_label: str, position: int = 111)
     return axes
 
 
-def _time_axes(times: F8, y_label: str, height: float, limit: int = _POINTS) -> Axes:
-    """Axes over the whole run, whose label says how many of the ``times`` (F,) are in one of at most ``limit`` points."""
-    block = _block(len(times), limit or len(times))
-    label = "time in seconds" if block == 1 else f"time in seconds (each point the mean of {block} frames)"
-    axes = _chart_axes(_figure(_WIDE, height), label, y_label)
+def _time_axes(times: F8, y_label: str, height: float) -> Axes:
+    """Axes over the whole run of frames at ``times`` (F,)."""
+    axes = _chart_axes(_figure(_WIDE, height), "time in seconds", y_label)
     if len(times) and times[-1] > times[0]:
         axes.set_xlim(float(times[0]), float(times[-1]))
     return axes
@@ -410,7 +394,7 @@ def _chart(axes: Axes, bottom: float | None = None) -> Picture:
             look = {"ncols": len(handles), "frameon": False, "fontsize": 9.0, "labelcolor": _INK}
             each.legend(loc="lower left", bbox_to_anchor=(0, 1), **look)
     nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
-    data, width, height = _saved(axes, format="svg", transparent=True, metadata=nothing)
+    data, width, height = _saved(axes, format="svg", dpi=144, transparent=True, metadata=nothing)
     return Picture("image/svg+xml", data[data.index(b"<svg") :], width, height)
 
 

@@ -34,7 +34,8 @@ _FALSE_ALARM: Rgb = (200, 45, 45)
 MISSED, FALSE, SWITCHED, RIGHT = (255, 77, 77), (255, 159, 28), (255, 64, 255), (46, 194, 126)
 _LEGEND = {"right": RIGHT, "missed (truth)": MISSED, "false": FALSE, "identity switched": SWITCHED, "detection": WHITE}
 # Widths of a panel of mistakes, height of the bars above and below, and what lies between panels, pixels.
-_WIDTHS, _BAR, _GAP = (480, 720), 28, 6
+_WIDTHS, _BAR, _GAP, _DARK = (480, 720), 28, 6, (20, 20, 20)
+_EDGES = (0, _GAP, 0, _GAP, cv2.BORDER_CONSTANT)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _UNKNOWN: F8 = np.zeros(0)
 
@@ -307,13 +308,13 @@ def side_by_side(
     if image is not None and image.size:
         ground = cv2.resize(image, (wide, high), interpolation=cv2.INTER_AREA).astype(np.uint8)
     # The shape of the whole is the one nearest to a page's (2 : 1). Up to four panels fill their rows.
-    count = len(methods)
-    shapes = [(columns, -(-count // columns)) for columns in range(1, count + 1) if count > 4 or count % columns == 0]
-    columns, rows = min(shapes, key=lambda shape: abs(math.log(wide / high * shape[0] / shape[1] / 2)))
-    out = np.full((2 * _BAR + rows * (high + _GAP) + _GAP, columns * (wide + _GAP) + _GAP, 3), 20, np.uint8)
-    for i, one in enumerate(methods):
-        top, left = _BAR + _GAP + (i // columns) * (high + _GAP), _GAP + (i % columns) * (wide + _GAP)
-        out[top : top + high, left : left + wide] = one._drawn(ground, wide / size[0], detections)
+    panels = [cv2.copyMakeBorder(one._drawn(ground, wide / size[0], detections), *_EDGES, value=_DARK) for one in methods]
+    count = len(panels)
+    shapes = [columns for columns in range(1, count + 1) if count > 4 or count % columns == 0]
+    columns = min(shapes, key=lambda n: abs(math.log(wide / high * n / -(-count // n) / 2)))
+    panels += [np.full_like(panels[0], _DARK[0])] * (-count % columns)
+    rows = [np.hstack(panels[k : k + columns]) for k in range(0, len(panels), columns)]
+    out: Image = cv2.copyMakeBorder(np.vstack(rows), _BAR + _GAP, _BAR, _GAP, 0, cv2.BORDER_CONSTANT, value=_DARK)
     pen, x = Pen.of(np.zeros((480, 640, 3), np.uint8)), _GAP
     plate(out, heading, (_GAP, _BAR - 4), BLACK, pen)
     for label, colour in _LEGEND.items():
