@@ -2,26 +2,34 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from phdtrack.report.charts import GroupSeries
+from phdtrack.groups import Encounter, Event, Groups
+from phdtrack.groups.pipeline import GroupFrame
 from phdtrack.report.drawing import identity_colour
 from phdtrack.report.pages import render
-from phdtrack.report.plan import Plan, PlanGroup, PlanScene, extent_of, plan_size
+from phdtrack.report.plan import Plan, PlanScene, extent_of, plan_size
 
 PLAN = Plan((-10.0, 0.0, 10.0, 10.0), 400, 200)
 NOWHERE = np.zeros((2, 0))
 SQUARE = np.array([[0.0, 4, 4, 0, 0], [2, 2, 6, 6, 2]])
 
 
-def scene(*, groups: tuple[PlanGroup, ...] = (), detections: np.ndarray = NOWHERE, **more: object) -> PlanScene:
-    people, identity = NOWHERE, np.zeros(0, np.int64)
-    return PlanScene(3, 0.5, detections, people, identity, groups, **more)  # type: ignore[arg-type]
+def groups(*places: tuple[float, float], contours: tuple[np.ndarray, ...] = (), **more: Any) -> GroupFrame:
+    """Groups 1, 2, … of two people at these places, who stand; the first one has the contours."""
+    n, nobody = len(places), np.zeros(0, np.int64)
+    mean = np.vstack([np.array(places).reshape(-1, 2).T, np.zeros((2, n))])
+    found = Groups(nobody, np.full(n, 2.0), np.full(n, 0.4), mean, np.zeros((n, 4, 4)))
+    rings = (contours, *[()] * (n - 1))[:n]
+    filled = {"events": (), "warnings": ()} | more
+    return GroupFrame(3, 0.5, np.arange(1, n + 1), found, rings, nobody, nobody, **filled)
 
 
-def group(identity: int = 1, contours: tuple[np.ndarray, ...] = (SQUARE,)) -> PlanGroup:
-    return PlanGroup(identity, 2.0, 0.4, np.array([-6.0, 8.0]), np.zeros(2), contours)
+def scene(frame: GroupFrame, detections: np.ndarray = NOWHERE) -> PlanScene:
+    return PlanScene(frame, detections, NOWHERE, np.zeros(0, np.int64))
 
 
 def colour_at(image: np.ndarray, x: float, y: float) -> np.ndarray:
@@ -40,8 +48,8 @@ def test_metres_are_square_and_y_goes_up() -> None:
 
 def test_a_group_is_filled_with_its_colour_but_for_its_holes() -> None:
     hole = np.array([[1.0, 1, 3, 3, 1], [3, 5, 5, 3, 3]])
-    empty = PLAN.draw(scene())
-    drawn = PLAN.draw(scene(groups=(group(contours=(SQUARE, hole)),)))
+    empty = PLAN.draw(scene(groups()))
+    drawn = PLAN.draw(scene(groups((-6.0, 8.0), contours=(SQUARE, hole))))
     wanted = 0.3 * np.array(identity_colour(1)[::-1]) + 0.7 * 255
     assert colour_at(drawn, 0.5, 2.5) == pytest.approx(wanted, abs=2)
     assert (colour_at(drawn, 2.2, 4.2) == colour_at(empty, 2.2, 4.2)).all()
@@ -51,16 +59,16 @@ def test_a_group_is_filled_with_its_colour_but_for_its_holes() -> None:
 def test_the_field_of_view_and_edges_lie_behind() -> None:
     field = np.array([[-10.0, 10, 0], [0, 0, 9.5]])
     plan = Plan(PLAN.extent, 400, 200, field, (np.array([[-9.0, np.nan, 9.0, 9.0], [9, 9, 9, 4]]),))
-    image = plan.draw(scene())
+    image = plan.draw(scene(groups()))
     assert colour_at(image, 0.3, 2.3) == pytest.approx([246, 228, 216], abs=1)
     assert (colour_at(image, -8.3, 8.3) == 255).all()
     assert colour_at(image, 9.0, 6.3) == pytest.approx([80, 120, 150], abs=30)
 
 
 def test_detections_and_warnings_are_drawn_where_they_have_a_place() -> None:
-    two = (group(1, ()), PlanGroup(2, 1.0, 0.0, np.array([6.0, 1.0]), np.zeros(2), ()))
+    warnings = tuple(Encounter(first, second, 1.5, 0.5, 0.1, (0.0, 0.0), 0.9) for first, second in ((1, 2), (1, 7)))
     crosses = np.array([[5.3, np.nan, 1e6], [7.3, 2.0, 0.0]])
-    image = PLAN.draw(scene(groups=two, encounters=((1, 2, 1.5), (1, 7, 2.0)), detections=crosses))
+    image = PLAN.draw(scene(groups((-6.0, 8.0), (6.0, 1.0), warnings=warnings), crosses))
     assert colour_at(image, 5.3, 7.3).max() < 120
     quarter = np.array([-6.0, 8.0]) + 0.25 * np.array([12.0, -7.0])
     assert colour_at(image, *quarter) == pytest.approx([60, 60, 208], abs=40)
@@ -79,19 +87,13 @@ def test_the_extent_leaves_out_what_is_far_from_everything() -> None:
     assert plan_size((0, 0, 10, 10), 401) == (400, 400)
 
 
-def series(frames: int, *, raw: bool = True) -> GroupSeries:
-    k = np.arange(frames)
-    events = [(float(i), "split", i, 1) for i in range(50)]
-    return GroupSeries(
-        k / 7, 3.0 + k % 2, np.full(frames, 0.5), k % 3, (k % 4)[: frames * raw], events, [(1.0, 1, 2, 0.5, 0.9)]
-    )
-
-
-def test_the_report_tells_counts_events_and_warnings() -> None:
-    told = render("groups.html", series=series(100))
-    assert "People and groups" in told
-    assert "10 more rows in events.csv" in told
-    assert "1 and 2" in told
-    assert "raw detections" in told
-    assert "raw detections" not in render("groups.html", series=series(100, raw=False))
-    assert "No frame" in render("groups.html", series=series(0))
+def test_the_report_shows_counts_events_and_warnings() -> None:
+    events = [Event(4, i, "split", i, 1) for i in range(50)]
+    warned = Encounter(1, 2, 0.5, 0.5, 0.1, (0.0, 0.0), 0.9)
+    frames = [groups((0.0, 0.0), events=(event,), warnings=(warned,)) for event in events]
+    known = {"found": {"people_mean": 2.0, "groups_mean": 1.0}, "stills": ()}
+    text = render("groups.html", frames=frames, detections=[3] * 50, **known)
+    for words in ("People and groups", "10 more rows in events.csv", "1 and 2", "raw detections"):
+        assert words in text
+    assert "raw detections" not in render("groups.html", frames=frames, detections=[], **known)
+    assert "No frame" in render("groups.html", frames=[], detections=[], **known)

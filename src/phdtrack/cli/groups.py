@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -41,9 +41,8 @@ from phdtrack.groups.pipeline import GroupFrame, GroupStages, carriers, known_pe
 from phdtrack.models import PlaneSensor
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages, Camera
-from phdtrack.report.charts import GroupSeries
 from phdtrack.report.pages import lines, render
-from phdtrack.report.plan import Plan, PlanGroup, PlanScene, draw_contours, extent_of, plan_size
+from phdtrack.report.plan import Plan, PlanScene, draw_contours, extent_of, plan_size
 from phdtrack.report.words import flattened, write_text
 from phdtrack.types import F8, GaussianMixture, Image, Step, Tracks
 from phdtrack.video import VideoWriter
@@ -246,7 +245,6 @@ class GroupStory(RunObserver):
 
     def __init__(self, around: Surroundings, fps: float, picture: tuple[int, int] | None = None) -> None:
         self._around, self._fps, self._picture = around, fps, picture
-        self._frames: list[GroupFrame] = []
         self._scenes: list[PlanScene] = []
 
     def open(self, directory: RunDirectory, files: ExitStack) -> None:
@@ -260,14 +258,7 @@ class GroupStory(RunObserver):
         for name, rows in self._rows(frame).items():
             if rows:
                 self._tables[name].write("\n".join(rows))
-        each = zip(frame.identity.tolist(), frame.groups.count, frame.groups.deviation, frame.groups.mean.T, strict=True)
-        groups = tuple(
-            PlanGroup(identity, float(count), float(deviation), mean[:2], mean[2:4], contours)
-            for (identity, count, deviation, mean), contours in zip(each, frame.contours, strict=True)
-        )
-        encounters = tuple((w.first, w.second, w.seconds) for w in frame.warnings)
-        self._scenes.append(PlanScene(frame.number, frame.time, detections, people, frame.member, groups, encounters))
-        self._frames.append(frame)
+        self._scenes.append(PlanScene(frame, detections, people, frame.member))
 
     def _rows(self, frame: GroupFrame) -> dict[str, list[str]]:
         """A frame's rows in each table."""
@@ -290,7 +281,7 @@ class GroupStory(RunObserver):
 
     def show(self, tracks: Tracks, place: F8) -> None:
         """Draw the corrected tracks and their places (2, M), as the annotated video does, instead of the online rows."""
-        numbers = [scene.number for scene in self._scenes]
+        numbers = [scene.frame.number for scene in self._scenes]
         first, last = (np.searchsorted(tracks.frame, numbers, side=side) for side in ("left", "right"))
         self._scenes = [
             replace(scene, people=place[:, i:j], identity=tracks.identity[i:j])
@@ -303,72 +294,64 @@ class GroupStory(RunObserver):
         if pictures and self._picture is not None:
             height = max(self._picture[1], _MIN_HEIGHT)
             left = 2 * round(self._picture[0] * height / self._picture[1] / 2)
-        plan, scenes = self._plan(height + height % 2), {scene.number: scene for scene in self._scenes}
+        plan, scenes = self._plan(height + height % 2), {scene.frame.number: scene for scene in self._scenes}
         file = directory.file(rundir.PLAN)
         video = files.enter_context(VideoWriter(file, left + plan.width, plan.height, self._fps))
 
         def draw(number: int, picture: Image) -> None:
-            scene = scenes.get(number, PlanScene(number, 0.0, _NOWHERE, _NOWHERE, np.zeros(0, np.int64), ()))
-            drawn = plan.draw(scene)
+            scene = scenes.get(number)
+            drawn = plan.ground if scene is None else plan.draw(scene)
             if left:
-                shown = cv2.resize(self._with_contours(picture, scene.groups), (left, plan.height))
-                drawn = np.hstack([shown, drawn])
+                shown = picture if scene is None else self._with_contours(picture, scene.frame)
+                drawn = np.hstack([cv2.resize(shown, (left, plan.height)), drawn])
             video.write(drawn)
 
         return draw
 
     def report(self) -> Report:
         """Counts, plan, events and warnings."""
-        scenes, events = self._scenes, [event for frame in self._frames for event in frame.events]
-        warned = [(frame.time, warning) for frame in self._frames for warning in frame.warnings]
-        series = GroupSeries(
-            times=np.array([scene.time for scene in scenes]),
-            people=np.array([scene.people_in_groups for scene in scenes]),
-            deviation=np.array([frame.deviation for frame in self._frames]),
-            groups=np.array([sum(group.identity > 0 for group in scene.groups) for scene in scenes], np.int64),
-            detections=np.array([s.detections.shape[1] for s in scenes if self._picture is not None], np.int64),
-            events=[(e.time, e.kind, e.group, e.other) for e in sorted(events, key=lambda e: e.time)],
-            warnings=[(time, w.first, w.second, w.seconds, w.probability) for time, w in warned],
-            stills=self._stills(),
-        )
-        kinds = Counter(event.kind for event in events)
+        frames, counts = [scene.frame for scene in self._scenes], list[int]()
+        if self._picture is not None:
+            counts = [scene.detections.shape[1] for scene in self._scenes]
+        kinds = Counter(event.kind for frame in frames for event in frame.events)
         people, groups, detections = (
-            float(each.mean()) if len(each) else None for each in (series.people, series.groups, series.detections)
+            float(np.mean(each)) if each else None
+            for each in ([frame.people for frame in frames], [frame.named for frame in frames], counts)
         )
         document: dict[str, object] = {
             "people_mean": people,
             "groups_mean": groups,
             "detections_mean": detections,
-            "identities": len({group.identity for scene in scenes for group in scene.groups} - {0}),
+            "identities": len({identity for frame in frames for identity in frame.identity.tolist()} - {0}),
             "events": {kind: kinds[kind] for kind in ("appear", "vanish", "merge", "split")},
-            "warnings": len(warned),
+            "warnings": sum(len(frame.warnings) for frame in frames),
         }
-        said = lines("groups.txt", found=document, series=series)
-        return Report({"groups": document}, said, render("groups.html", series=series))
+        said = lines("groups.txt", found=document, frames=frames)
+        known = {"found": document, "frames": frames, "detections": counts, "stills": self._stills()}
+        return Report({"groups": document}, said, render("groups.html", **known))
 
     def _stills(self) -> list[tuple[int, Image]]:
         """The plan at some frames, spread over those with people."""
-        shown = [scene for scene in self._scenes if scene.groups]
+        shown = [scene for scene in self._scenes if len(scene.frame)]
         if not shown:
             return []
         plan, share = self._plan(_HEIGHT), (np.arange(_STILLS) + 0.5) / _STILLS
         chosen = dict.fromkeys((share * len(shown)).astype(int).tolist())
-        return [(shown[k].number, plan.draw(shown[k])) for k in chosen]
+        return [(shown[k].frame.number, plan.draw(shown[k])) for k in chosen]
 
     def _plan(self, height: int) -> Plan:
         """A plan of the ground on which people were."""
         people = [scene.people for scene in self._scenes]
-        centres = [group.centre[:, None] for scene in self._scenes for group in scene.groups if group.identity]
+        centres = [scene.frame.groups.mean[:2, scene.frame.identity > 0] for scene in self._scenes]
         extent = extent_of(np.hstack([_NOWHERE, *people, *centres]))
         return Plan(extent, *plan_size(extent, height), self._around.field, self._around.edges)
 
-    def _with_contours(self, picture: Image, groups: Iterable[PlanGroup]) -> Image:
+    def _with_contours(self, picture: Image, frame: GroupFrame) -> Image:
         """The picture with the contours that the camera shows."""
         if (camera := self._around.camera) is None:
             return picture
-        rings = [(group, [_in_image(camera, ring) for ring in group.contours]) for group in groups]
-        shown = [replace(group, contours=tuple(ring for ring in seen if ring.shape[1])) for group, seen in rings]
-        return draw_contours(picture, tuple(shown))
+        shown = [[_in_image(camera, ring) for ring in rings] for rings in frame.contours]
+        return draw_contours(picture, frame.identity, [[ring for ring in rings if ring.shape[1]] for rings in shown])
 
 
 class GroupObserver(RunObserver):

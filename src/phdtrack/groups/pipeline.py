@@ -60,6 +60,11 @@ class GroupFrame:
         return float(self.groups.count.sum())
 
     @property
+    def named(self) -> int:
+        """Number of groups with an identity."""
+        return int(np.count_nonzero(self.identity))
+
+    @property
     def deviation(self) -> float:
         """Standard deviation of that number."""
         return float(np.sqrt((self.groups.deviation**2).sum()))

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from phdtrack.groups.pipeline import GroupFrame
+
 _INK, _GRID, _DARK, _CYAN = "#3a4250", "#dfe3ea", "#1b1f27", "#4cc9f0"
 _BLUE, _ORANGE, _GREEN, _RED, _GREY = "#3b6fd4", "#e08a1e", "#2a9d74", "#c0504d", "#9aa5b8"
 _METHODS = ((_BLUE, "o"), (_ORANGE, "s"), (_GREEN, "D"), ("#a45cc0", "^"), (_RED, "v"), ("#7a8599", "P"))
@@ -59,34 +61,6 @@ class Picture:
         return f"data:{self.mime};base64,{base64.b64encode(self.data).decode('ascii')}"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class GroupSeries:
-    """Groups over F frames, and what happened.
-
-    Attributes
-    ----------
-    times : (F,) seconds.
-    people, deviation : (F,) expected number of people, and its standard deviation.
-    groups : (F,) groups with an identity.
-    detections : (F,) raw detections; (0,) where there are none.
-    events : time, kind, group and other group (0: none) of each.
-    warnings : time, first and second group, seconds until they meet, probability of each.
-    stills : pictures of the plan, each with its frame number.
-    """
-
-    times: F8
-    people: F8
-    deviation: F8
-    groups: I8
-    detections: I8
-    events: Sequence[tuple[float, str, int, int]]
-    warnings: Sequence[tuple[float, int, int, float, float]]
-    stills: Sequence[tuple[int, Image]] = ()
-
-    def __len__(self) -> int:
-        return len(self.times)
-
-
 class MethodScores(NamedTuple):
     """A method's score at n places: ``mean`` and ``half`` of the width of its interval, both (n,); NaN where unknown."""
 
@@ -113,15 +87,16 @@ def count_chart(record: RunRecord) -> Picture:
     return _chart(axes, bottom=0)
 
 
-def group_chart(series: GroupSeries) -> Picture:
-    """People, groups and raw detections over time [E13 Fig. 2]."""
-    times, axes = series.times, _time_axes(series.times, "number", 3.1)
-    if len(series.detections):
-        _plot(axes, times, series.detections, ".", color=_GREY, markersize=3, alpha=0.7, label="detections")
-    low, high = np.maximum(series.people - series.deviation, 0), series.people + series.deviation
-    _band(axes, times, low, high, label="one deviation")
-    _plot(axes, times, series.people, color=_BLUE, label="people estimated")
-    _plot(axes, times, series.groups, drawstyle="steps-mid", color=_ORANGE, label="groups")
+def group_chart(frames: Sequence[GroupFrame], detections: Sequence[int]) -> Picture:
+    """People, groups and raw detections, where there are any, over time [E13 Fig. 2]."""
+    times, people, deviation = np.array([(frame.time, frame.people, frame.deviation) for frame in frames]).T
+    axes = _time_axes(times, "number", 3.1)
+    if len(detections):
+        _plot(axes, times, np.array(detections), ".", color=_GREY, markersize=3, alpha=0.7, label="detections")
+    _band(axes, times, np.maximum(people - deviation, 0), people + deviation, label="one deviation")
+    _plot(axes, times, people, color=_BLUE, label="people estimated")
+    named = np.array([frame.named for frame in frames])
+    _plot(axes, times, named, drawstyle="steps-mid", color=_ORANGE, label="groups")
     return _chart(axes, bottom=0)
 
 

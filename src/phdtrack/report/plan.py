@@ -6,15 +6,19 @@ Drawn with OpenCV on white, x to the right and y upwards, with a grid in metres.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from phdtrack.report.drawing import Pen, Rgb, identity_colour, plate
 from phdtrack.types import F8, I8, Bool, Image
+
+if TYPE_CHECKING:
+    from phdtrack.groups.pipeline import GroupFrame
 
 _GRID, _INK, _WITHOUT_IDENTITY = (228, 231, 236), (58, 66, 80), (140, 140, 140)
 _FIELD, _EDGE, _WARNING = (216, 228, 246), (150, 120, 80), (208, 60, 60)
@@ -25,71 +29,28 @@ _FRACTION_BITS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlanGroup:
-    """A group on the plan.
-
-    Attributes
-    ----------
-    identity : 0 where it has none yet.
-    count, deviation : expected number of people and its standard deviation.
-    centre, velocity : (2,) metres, metres per second.
-    contours : (2, K) each, metres.
-    """
-
-    identity: int
-    count: float
-    deviation: float
-    centre: F8
-    velocity: F8
-    contours: tuple[F8, ...]
-
-    @property
-    def colour(self) -> Rgb:
-        """That of its identity."""
-        return identity_colour(self.identity) if self.identity else _WITHOUT_IDENTITY
-
-    @property
-    def label(self) -> str:
-        """Identity and number of people; nothing where it probably does not exist."""
-        if not self.identity and self.count < 0.5:
-            return ""
-        name = f"{self.identity}: " if self.identity else ""
-        return f"{name}{self.count:.1f}" + (f" +-{self.deviation:.1f}" if self.deviation >= 0.05 else "")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class PlanScene:
     """What there is on the ground in one frame.
 
     Attributes
     ----------
-    number, time : frame from 1, seconds.
+    frame : its groups, with their contours and the warnings.
     detections, people : (2, N), (2, n) metres, NaN where they have no place on the ground.
     identity : (n,) of the people, 0 for none.
-    groups : with their contours.
-    encounters : pairs of groups about to meet, by identity, and seconds until then.
     """
 
-    number: int
-    time: float
+    frame: GroupFrame
     detections: F8
     people: F8
     identity: I8
-    groups: tuple[PlanGroup, ...]
-    encounters: tuple[tuple[int, int, float], ...] = ()
-
-    @property
-    def people_in_groups(self) -> float:
-        """Expected number of people in all groups."""
-        return sum(group.count for group in self.groups)
 
     @property
     def header(self) -> str:
         """Frame, time and numbers in words."""
-        named = sum(group.identity > 0 for group in self.groups)
-        detected = int(np.isfinite(self.detections).all(axis=0).sum())
+        frame, detected = self.frame, int(np.isfinite(self.detections).all(axis=0).sum())
         crosses = f"   {detected} detections" if detected else ""
-        return f"frame {self.number}   {self.time:.1f} s   {self.people_in_groups:.1f} people in {named} groups{crosses}"
+        counts = f"{frame.people:.1f} people in {frame.named} groups{crosses}"
+        return f"frame {frame.number}   {frame.time:.1f} s   {counts}"
 
 
 @dataclass(frozen=True, slots=False, eq=False)
@@ -124,9 +85,9 @@ class Plan:
 
     def draw(self, scene: PlanScene) -> Image:
         """A picture (height, width, 3) BGR of one frame."""
-        out, pen = self._ground.copy(), Pen.of(self._ground)
-        for group in scene.groups:
-            _contours(out, self.pixels, group, pen.line + 1, filled=True)
+        out, pen, frame = self.ground.copy(), Pen.of(self.ground), scene.frame
+        for identity, rings in zip(frame.identity.tolist(), frame.contours, strict=True):
+            _contours(out, [self.pixels(ring) for ring in rings], identity, pen.line + 1, filled=True)
         for _, spot in self._shown(scene.detections):
             size = 2 * max(3, 2 * pen.line + 1)
             cv2.drawMarker(out, spot, _INK[::-1], cv2.MARKER_TILTED_CROSS, size, pen.thin, cv2.LINE_AA)
@@ -134,22 +95,28 @@ class Plan:
             cv2.circle(out, (x, y), max(2, pen.line + 1), _INK[::-1], -1, cv2.LINE_AA)
             if scene.identity[k]:
                 _text(out, str(scene.identity[k]), (x + 4, y - 4), _INK, pen)
-        for group in scene.groups:
-            # The way of the next second.
-            ends = self.pixels(np.stack([group.centre, group.centre + group.velocity], axis=1))
-            if np.isfinite(ends).all() and np.hypot(*(ends[:, 1] - ends[:, 0])) > 3:
-                start, end = np.clip(ends.T, -1e4, 1e4).round().astype(int).tolist()
-                cv2.arrowedLine(out, start, end, _INK[::-1], pen.thin, cv2.LINE_AA, tipLength=0.25)
-        self._warn(out, scene, pen)
+        centre, velocity = frame.groups.mean[:2], frame.groups.mean[2:]
+        # The way of the next second.
+        for start, end in zip(self.pixels(centre).T, self.pixels(centre + velocity).T, strict=True):
+            if np.isfinite(start + end).all() and np.hypot(*(end - start)) > 3:
+                tail, tip = np.clip([start, end], -1e4, 1e4).round().astype(int).tolist()
+                cv2.arrowedLine(out, tail, tip, _INK[::-1], pen.thin, cv2.LINE_AA, tipLength=0.25)
+        place = dict(zip(frame.identity.tolist(), centre.T, strict=True))
+        for warning in frame.warnings:
+            if warning.first in place and warning.second in place:
+                between = np.stack([place[warning.first], place[warning.second]], axis=1)
+                self._line(out, between, _WARNING, pen.line)
+                x, y = np.clip(self.pixels(between).mean(axis=1), 0, 1e4).astype(int).tolist()
+                plate(out, f"meet in {warning.seconds:.1f} s", (x, y), _WARNING, pen, opacity=0.9)
         gap = round(min(1.2 * self.scale, 40)) // 2
-        for group in scene.groups:
-            for _, (x, y) in self._shown(group.centre[:, None]) if group.label else ():
-                plate(out, group.label, (x + gap, y - gap), group.colour, pen)
+        for g, (x, y) in self._shown(centre):
+            if label := _label(frame, g):
+                plate(out, label, (x + gap, y - gap), _colour(int(frame.identity[g])), pen)
         plate(out, scene.header, (0, 0), _INK, pen, opacity=0.85)
         return out
 
     @cached_property
-    def _ground(self) -> Image:
+    def ground(self) -> Image:
         """What is the same in all frames: field of view, grid and edges."""
         out: Image = np.full((self.height, self.width, 3), 255, np.uint8)
         pen, size = Pen.of(out), np.array([self.width, self.height]) / self.scale
@@ -173,16 +140,6 @@ class Plan:
         for edge in self.edges:
             self._line(out, edge, _EDGE, pen.line + 1)
         return out
-
-    def _warn(self, out: Image, scene: PlanScene, pen: Pen) -> None:
-        """A line between groups that are about to meet, with the time until then."""
-        centre = {group.identity: group.centre for group in scene.groups}
-        for first, second, seconds in scene.encounters:
-            if first in centre and second in centre:
-                ends = np.stack([centre[first], centre[second]], axis=1)
-                self._line(out, ends, _WARNING, pen.line)
-                spot = np.clip(self.pixels(ends).mean(axis=1), 0, 1e4).astype(int).tolist()
-                plate(out, f"meet in {seconds:.1f} s", spot, _WARNING, pen, opacity=0.9)
 
     def _line(self, out: Image, points: F8, colour: Rgb, width: int) -> None:
         """A line through points (2, K); it is broken at those without a place."""
@@ -217,17 +174,40 @@ def plan_size(extent: tuple[float, float, float, float], height: int) -> tuple[i
     return 2 * round(width / 2), 2 * round(height / 2)
 
 
-def draw_contours(image: Image, groups: tuple[PlanGroup, ...]) -> Image:
-    """A copy of an annotated frame with the groups' contours, given in its pixels."""
+def draw_contours(image: Image, identity: I8, contours: Sequence[Sequence[F8]]) -> Image:
+    """A copy of an annotated frame with the groups' contours.
+
+    Parameters
+    ----------
+    image : (H, W, 3) BGR.
+    identity : (G,) of each group, 0 for none.
+    contours : for each group its rings (2, K), pixels.
+
+    Returns
+    -------
+    (H, W, 3) BGR.
+    """
     out = image.copy()
-    for group in groups:
-        _contours(out, lambda ring: ring, group, Pen.of(image).line)
+    for own, rings in zip(identity.tolist(), contours, strict=True):
+        _contours(out, rings, own, Pen.of(image).line)
     return out
 
 
-def _contours(out: Image, pixels: Callable[[F8], F8], group: PlanGroup, width: int, *, filled: bool = False) -> None:
+def _colour(identity: int) -> Rgb:
+    return identity_colour(identity) if identity else _WITHOUT_IDENTITY
+
+
+def _label(frame: GroupFrame, g: int) -> str:
+    """Identity and number of people; nothing where the group probably does not exist."""
+    identity, count, deviation = frame.identity[g], frame.groups.count[g], frame.groups.deviation[g]
+    if not identity and count < 0.5:
+        return ""
+    return (f"{identity}: " if identity else "") + f"{count:.1f}" + (f" +-{deviation:.1f}" if deviation >= 0.05 else "")
+
+
+def _contours(out: Image, contours: Sequence[F8], identity: int, width: int, *, filled: bool = False) -> None:
     """The outline in the group's colour, and its area. Rings within others are holes: the even-odd rule."""
-    rings, colour = [_fixed(pixels(ring)) for ring in group.contours], group.colour[::-1]
+    rings, colour = [_fixed(ring) for ring in contours], _colour(identity)[::-1]
     if rings and filled:
         over = out.copy()
         cv2.fillPoly(over, rings, colour, cv2.LINE_AA, _FRACTION_BITS)
