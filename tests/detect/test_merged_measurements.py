@@ -129,16 +129,13 @@ def merging(parting: str, seed: int) -> Case:
     return Case(parting, scene.info, scene.truth, table)
 
 
-def tracker_of(case: Case, filter_name: str, kind: str, **more: float) -> Tracker:
+def tracked(case: Case, filter_name: str, kind: str) -> Tracks:
+    """Corrected tracks."""
     size = (case.info.width, case.info.height)
-    return Tracker(size, fps=case.info.fps, filter=filter_name, merged_measurements={"kind": kind, **more})
-
-
-def tracked(case: Case, filter_name: str, kind: str, **more: float) -> tuple[Tracks, list[Tracks]]:
-    """Corrected tracks, and the rows of each frame."""
-    tracker = tracker_of(case, filter_name, kind, **more)
-    rows = [tracker.update(case.table.at(number)) for number in range(1, case.info.frames + 1)]
-    return tracker.tracks(), rows
+    tracker = Tracker(size, fps=case.info.fps, filter=filter_name, merged_measurements={"kind": kind})
+    for number in range(1, case.info.frames + 1):
+        tracker.update(case.table.at(number))
+    return tracker.tracks()
 
 
 @pytest.mark.parametrize(("filter_name", "partings"), [("pmb", PARTINGS), ("gm-phd", PARTINGS[1:])])
@@ -148,7 +145,7 @@ def test_two_leave_a_shared_blob_with_their_identities(filter_name: str, parting
         for seed in SEEDS:
             case = merging(parting, seed)
             for kind in right:
-                right[kind] += leaving(case, tracked(case, filter_name, kind)[0]) == "right"
+                right[kind] += leaving(case, tracked(case, filter_name, kind)) == "right"
     pairs = len(partings) * len(SEEDS)
     assert right["none"] <= pairs // 3
     assert right["explained"] >= pairs // 2
@@ -156,7 +153,7 @@ def test_two_leave_a_shared_blob_with_their_identities(filter_name: str, parting
 
 def test_rows_rest_on_the_blob_that_they_share() -> None:
     case = merging("turning back", 0)
-    corrected, _ = tracked(case, "gm-phd", "explained")
+    corrected = tracked(case, "gm-phd", "explained")
     count = np.array([len(case.table.at(int(number))) for number in corrected.frame])
     assert (corrected.detection < count).all()
     alone = [n for n in range(90, case.info.frames) if len(case.table.at(n)) == 1]

@@ -22,7 +22,7 @@ def test_positions_are_sorted_and_lose_their_height(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("1 2 3\n", r"line 1: expected the columns frame, identity.*came 3 numbers"),
+        ("1 2 3\n", r"line 1: expected 8 columns, frame, identity.*came 3 numbers"),
         (LINE.format(1, 1) + LINE.format(1, 1), r"line 2: .*one twice"),
         (LINE.format(1, 1) + LINE.format(2.5, 1), r"line 2: .*whole number for the frame"),
         (LINE.format(1, 1) + "2 1 nan 0 0 0 0 0\n", r"line 2: .*finite"),

@@ -48,7 +48,7 @@ def test_an_empty_file_is_a_camera_that_stands(tmp_path):
 
 
 @pytest.mark.parametrize(("lines", "words"), [
-    (("2,1,0,0,0,1",), "line 1: expected the columns frame, g11.* those from g31 on optional; came 6 numbers"),
+    (("2,1,0,0,0,1",), "line 1: expected 7 or 10 columns, frame, g11.*; came 6 numbers"),
     (("2,1,0,0,0,1,0", "3,1,0,0,0,1"), "line 2: expected 7 values"),
     (("2,1,0,0,0,one,0",), "line 1: expected a number for the g22"),
     (("0,1,0,0,0,1,0",), "line 1: expected a whole number of 1 or more for the frame number, came 0"),
@@ -56,7 +56,7 @@ def test_an_empty_file_is_a_camera_that_stands(tmp_path):
     (("2,1,0,0,0,1,0", "3,1,0,0,0,1,0", "2,1,0,0,0,1,0"), "line 3: frame 2 comes twice"),
     ((HEADER, "2,1,0,0,0,1,0,0,0,0"), "line 2: expected 3 x 3 or 2 x 3 finite numbers, the last"),
     ((HEADER, "2,-1,0,0,0,1,0,0,0,1"), "line 2: expected how a camera moves"),
-    (("frame,a,b", "2,1,0"), "expected the columns frame, g11"),
+    (("frame,a,b", "2,1,0"), "expected 7 or 10 columns, frame, g11.*; came frame, a, b"),
 ])  # fmt: skip
 def test_errors_name_the_line(lines, words: str, tmp_path):
     with pytest.raises(InputError, match=words):

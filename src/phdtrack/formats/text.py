@@ -124,10 +124,10 @@ def read_columns(path: AnyPath, names: Sequence[str], widths: Sequence[int]) -> 
     found = [name for name in names if name in text.header] if text.header else list(names[: text.width or min(widths)])
     width = len(found) if text.header or not len(text) else text.width
     if width not in widths or found != list(names[:width]):
+        wanted = " or ".join(map(str, widths))
         came = ", ".join(text.header) or f"{width} numbers a line"
-        optional = f", those from {names[min(widths)]} on optional" if len(widths) > 1 else ""
         where = text.origin.at(0) if len(text) else str(path)
-        raise InputError(f"expected the columns {', '.join(names)}{optional}; came {came}", where=where)
+        raise InputError(f"expected {wanted} columns, {', '.join(names)}; came {came}", where=where)
     at = [text.header.index(name) for name in found] if text.header else range(width)
     return text.origin, numbers(text, at, found)
 
