@@ -241,8 +241,6 @@ class GroupStory(RunObserver):
     ``picture`` is the width and height of the frames, None where positions are known and nothing was detected.
     """
 
-    draws = True
-
     def __init__(self, around: Surroundings, fps: float, picture: tuple[int, int] | None = None) -> None:
         self._around, self._fps, self._picture = around, fps, picture
         self._scenes: list[PlanScene] = []

@@ -146,7 +146,7 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
             from phdtrack.metrics import evaluate
 
             scores = evaluate(job.truth, tracks, frames=done.last)
-        if job.video and (job.inputs.pictures or any(observer.draws for observer in job.observers)):
+        if job.video:
             done.cut = _draw(job, again(), directory, done, tracks)
     record = done.recorder.record(tracks, job.about, job.truth)
     # Of each the note comes first, then the warning if there is one.
@@ -260,6 +260,8 @@ def _draw(job: Job, again: Iterable[Frame], directory: RunDirectory, done: _Prog
             for observer in job.observers:
                 one = observer.drawing(directory, files, pictures=job.inputs.pictures)
                 draw += [one] if one is not None else []
+            if not draw:
+                return None
             advance = files.enter_context(progress("drawing", len(done.seen)))
             for count, (seen, picture) in enumerate(zip(done.seen, pictures, strict=False), start=1):
                 for one in draw:

@@ -42,9 +42,7 @@ class Report(NamedTuple):
 
 
 class RunObserver:
-    """An observer without files and videos; others override what they need. ``draws``: it has a video of its own."""
-
-    draws = False
+    """An observer without files and videos; others override what they need."""
 
     def open(self, directory: RunDirectory, files: ExitStack) -> None:
         """Open its files until ``files`` are closed."""

@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
 from functools import cache
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any, get_type_hints
 
 from phdtrack.errors import NonNegative, Positive, PositiveCount, check
@@ -184,8 +184,7 @@ FROM_SEQUENCE = {"frame_size", "initial", "remember_size", "camera", "hiders", "
 @cache
 def record(section: str, kind: str) -> type[Any]:
     """The class that has the settings of this kind, imported now."""
-    module, _, name = SECTIONS[section][kind].partition(":")
-    found: type[Any] = getattr(import_module(module), name)
+    found: type[Any] = resolve_name(SECTIONS[section][kind])
     return found
 
 
@@ -209,5 +208,4 @@ def settable(section: str, kind: str, motion: str) -> Mapping[str, Any]:
 def constructor_defaults(section: str, kind: str) -> Mapping[str, Any]:
     """The defaults of the settings that have one."""
     known = [field for field in fields(record(section, kind)) if field.name not in FROM_SEQUENCE]
-    made = {field.name: field.default_factory() for field in known if field.default_factory is not MISSING}
-    return made | {field.name: field.default for field in known if field.default is not MISSING}
+    return {field.name: field.default for field in known if field.default is not MISSING}
