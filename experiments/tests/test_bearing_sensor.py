@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from experiments.bearing import BearingSensor, TurningMotion
 from phdtrack.filters import GMPHD
-from phdtrack.kernels.gaussian import Measurements, pair_posteriors
+from phdtrack.kernels.gaussian import PAIR, Measurements, write_posteriors
 from phdtrack.models import FixedBirth, UniformClutter
 from phdtrack.models.gaussian import expected
 from phdtrack.protocols import Model
@@ -103,10 +103,10 @@ def test_the_detection_probability_falls_with_the_range():
 
 def corrected(state: GaussianMixture, z: np.ndarray, sensor: BearingSensor) -> tuple[np.ndarray, np.ndarray]:
     """Mean (d, 1) and covariance (1, d, d) of one Gaussian after one measurement (2, 1)."""
-    none, mean = np.zeros(1, np.int64), state.mean.T.copy()
+    mean, after, cov = state.mean.T.copy(), np.empty(state.mean.T.shape), np.empty(state.covariance.shape)
     seen = expected(sensor, mean, state.covariance, "unscented")
     measured = Measurements(z.T.copy(), np.zeros((0, 2, 2)), np.zeros(1), (2 * math.pi, 0.0))
-    after, cov = pair_posteriors(mean, state.covariance, seen, measured, none, none)
+    write_posteriors(mean, state.covariance, seen, measured, np.zeros(1, PAIR), after, cov)
     return after.T, cov
 
 

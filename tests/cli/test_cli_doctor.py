@@ -57,7 +57,7 @@ def test_it_says_where_kernels_are_kept_and_whether_any_are(tmp_path: Path, monk
 
     assert said().ok
     assert f"{tmp_path} (cold" in said().detail
-    (tmp_path / "gated_pairs-17.py311.nbi").touch()
+    (tmp_path / "gated-17.py311.nbi").touch()
     assert f"{tmp_path} (warm, 1 kernel" in said().detail
     nowhere = said(lasting=False)
     assert not nowhere.ok

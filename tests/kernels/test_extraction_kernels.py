@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from phdtrack.filters.blocks import cut
 from phdtrack.filters.extract import heavy_enough
 from phdtrack.kernels.blocks import block_moments, claim, reaching, summarise, unreached
-from phdtrack.kernels.box import box_corners, box_gate, box_noise
+from phdtrack.kernels.box import box_corners, box_noise
 from phdtrack.kernels.grid import make_grid
 from phdtrack.kernels.mixtures import Gaussians
 from phdtrack.models import BoxSensor
@@ -123,6 +123,3 @@ def test_box_states(d: int, rng):
     sigma = np.maximum(0.15 * z[2:], 6.0)
     np.testing.assert_allclose(noise[[0, 1, 4, 5]], np.vstack([sigma / 2, sigma]))
     np.testing.assert_allclose(noise[2], 0.06 * np.sqrt(z[2] * z[3]) / math.sqrt(2))
-    lower, upper = box_gate(z, 0.5, 20.0)
-    np.testing.assert_allclose(upper - z[:2], np.maximum(0.5 * z[2:], 20.0))
-    np.testing.assert_allclose(upper + lower, 2 * z[:2])

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from inner_kernels import from_python
-from phdtrack.kernels.gm_merge import Merging, Rows, descending, parted, reduced
+from phdtrack.kernels.gm_merge import Merging, Rows, descending, merged_rows, parted
 from reference import gm_twin as twin
 
 descending, parted = from_python(descending, parted)
@@ -45,7 +45,7 @@ def tagging(weight, mean, cov, tag, prune, distance, most, redistribute, fresh, 
     mass = weight.sum() if redistribute else -1.0
     axes = tuple(range(len(mean)))
     rows = Rows(weight, np.ascontiguousarray(mean.T), cov, tag)
-    return reduced(rows, axes, Merging(prune, distance, most, split, redistribute), mass, fresh)
+    return merged_rows(rows, axes, Merging(prune, distance, most, split, redistribute), mass, fresh)
 
 
 @pytest.mark.parametrize("d", [2, 4, 6])

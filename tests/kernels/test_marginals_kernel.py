@@ -5,8 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phdtrack.kernels.marginals import ROUNDS, SETTLED, marginals
+from inner_kernels import from_python
+from phdtrack.kernels.marginals import EDGE, ROUNDS, SETTLED, beliefs
 from reference import pmb_twin as twin
+
+[beliefs_of] = from_python(beliefs)
+
+
+def marginals(odds, target, which, targets: int, n: int):
+    """The kernel's marginals of pairs."""
+    edges = np.zeros(len(odds), EDGE)
+    edges["odds"], edges["target"], edges["measurement"] = odds, target, which
+    missed, own = beliefs_of(edges, targets, n)
+    return edges["mu"], missed, own
 
 
 def of_table(psi: np.ndarray, order: np.ndarray | None = None):

@@ -45,7 +45,7 @@ from phdtrack.filters.hypotheses import (
     parted,
 )
 from phdtrack.filters.pmb import without_overlaps
-from phdtrack.kernels.gaussian import Expected, Measurements, NewTargets, gated_pairs, pair_posteriors
+from phdtrack.kernels.gaussian import PAIR, Expected, Measurements, NewTargets, gated, write_posteriors
 from phdtrack.kernels.pmb import NEVER, TINY
 from phdtrack.models.gaussian import Transform, expected, measurements, moved, new_targets
 from phdtrack.protocols import Filter, Model
@@ -174,11 +174,12 @@ class MHT(Filter[Hypotheses]):
 
 def _scores(e: Expected, m: Measurements, new: NewTargets, p_detect: F8, gate: float) -> Scores:
     """What measurements, leaves, and pairs contribute to log-weights; ``p_detect`` (L,) is r p_D."""
-    pairs = gated_pairs(e, m, gate, p_detect)
-    leaf, missed = pairs.gaussian, np.log1p(-p_detect)
-    gain = np.log(p_detect[leaf]) + pairs.log_density - missed[leaf]
+    pairs = gated(e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, gate, p_detect)
+    leaf, measurement = np.ascontiguousarray(pairs["gaussian"]), np.ascontiguousarray(pairs["measurement"])
+    missed = np.log1p(-p_detect)
+    gain = np.log(p_detect[leaf]) + pairs["log_density"] - missed[leaf]
     total = np.maximum(m.clutter + new.density, TINY)
-    return Scores(leaf, pairs.measurement, gain, missed, np.log(total), new.density / total)
+    return Scores(leaf, measurement, gain, missed, np.log(total), new.density / total)
 
 
 def _grown(state: Hypotheses, branches: Branches, p_detect: F8, e: Expected, m: Measurements, new: NewTargets) -> Hypotheses:
@@ -187,7 +188,7 @@ def _grown(state: Hypotheses, branches: Branches, p_detect: F8, e: Expected, m: 
     number = np.unique(np.concatenate([branches.lone, *(c.leaf[c.leaf >= 0] for c in branches.clusters)]))
     source, which = number // (count + 1) - 1, number % (count + 1) - 1
     begins, missed, n = source < 0, which < 0, len(number)
-    seen, d = ~begins & ~missed, leaves.mean.shape[1]
+    d = leaves.mean.shape[1]
     mean, cov, r, since = np.empty((n, d)), np.empty((n, d, d)), np.ones(n), np.zeros(n, np.int64)
     mean[begins], cov[begins] = new.mean[which[begins]], new.covariance[which[begins]]
     density = new.density[which[begins]]
@@ -195,8 +196,10 @@ def _grown(state: Hypotheses, branches: Branches, p_detect: F8, e: Expected, m: 
     at = source[missed]
     mean[missed], cov[missed], since[missed] = leaves.mean[at], leaves.covariance[at], leaves.missed[at]
     r[missed] = np.clip((leaves.r[at] - p_detect[at]) / (1 - p_detect[at]), 0.0, 1.0)
-    if seen.any():
-        mean[seen], cov[seen] = pair_posteriors(leaves.mean, leaves.covariance, e, m, source[seen], which[seen])
+    # Of branches without a measurement of an earlier track nothing is written.
+    pairs = np.empty(n, PAIR)
+    pairs["gaussian"], pairs["measurement"] = source, np.where(begins, -1, which)
+    write_posteriors(leaves.mean, leaves.covariance, e, m, pairs, mean, cov)
     # The last place stands for new tracks.
     label = np.where(begins, state.next_label + np.cumsum(begins) - 1, np.append(leaves.label, -1)[source])
     nodes = Nodes(mean, cov, r, which, np.append(leaves.parent, -1)[source], label, since)

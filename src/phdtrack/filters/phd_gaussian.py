@@ -32,8 +32,8 @@ from phdtrack.arrays import GATE, chi2_quantile
 from phdtrack.errors import Count, NonNegative, Share, check
 from phdtrack.filters.terms import UpdateTerms
 from phdtrack.kernels.gaussian import Expected, Measurements
-from phdtrack.kernels.gm_merge import Merging, Rows, reduced
-from phdtrack.kernels.gm_update import Newborn, Reach, phd_mixture, phd_step, phd_terms
+from phdtrack.kernels.gm_merge import Merging, Rows, merged_rows
+from phdtrack.kernels.gm_update import Newborn, Reach, mixture_of, phd_step, terms_of
 from phdtrack.models.gaussian import Transform, expected, measurements, moved, row_numbers
 from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, GaussianMixture, UpdateInfo
@@ -157,10 +157,10 @@ class GMPHD(Filter[GaussianMixture]):
         """
         state = tagged(state)
         frame = self._frame(_rows_of(state), state.fresh, z, model, dt)
-        t = phd_terms(*frame)
+        t = terms_of(*frame)
 
         def weighed(missed: float, detected: F8) -> GaussianMixture:
-            rows, _, fresh = phd_mixture(*frame[:-1], t, (missed, detected), frame.reach.fresh)
+            rows, _, fresh = mixture_of(*frame[:-1], t, (missed, detected), frame.reach.fresh, 0.0)
             return _mixture(rows, fresh)
 
         return UpdateTerms(t.predicted, t.born, t.missed, t.evidence, frame.measurements.clutter, weighed)
@@ -172,7 +172,7 @@ class GMPHD(Filter[GaussianMixture]):
         """
         state = tagged(state)
         axes, mass = tuple(range(len(state.mean))), state.mass if self.keep_mass else -1.0
-        return GaussianMixture(*reduced(_rows_of(state), axes, self._merging, mass, state.fresh))
+        return GaussianMixture(*merged_rows(_rows_of(state), axes, self._merging, mass, state.fresh))
 
     def step(
         self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator

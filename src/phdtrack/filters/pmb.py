@@ -39,7 +39,7 @@ import numpy as np
 from phdtrack.arrays import GATE, chi2_quantile
 from phdtrack.errors import NonNegative, Positive, PositiveCount, Probability, Share, check
 from phdtrack.kernels.box import apart
-from phdtrack.kernels.pmb import HYPOTHESIS, TARGET, Layer, Settings, Trace, earlier, predicted_layer, updated_layer
+from phdtrack.kernels.pmb import HYPOTHESIS, TARGET, TRACE, Layer, Records, Settings, earlier, predicted_layer, updated_layer
 from phdtrack.models.gaussian import Transform, expected, measurements, moved, new_targets
 from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, I8, Estimates, GaussianMixture, UpdateInfo
@@ -229,28 +229,32 @@ class BestBernoullis:
         before = _best(layers[-2]) if len(layers) > 1 else now
         for back in range(1, len(layers)):
             after, then, past = layers[-back], layers[-back - 1], (state.ended, state.frame - back)
-            now, before, same = earlier(now, before, after, then, past, back == 1, self.min_weight)
+            now, before, same = earlier(
+                now, before, after.hypotheses, then.targets, then.hypotheses, past, back == 1, self.min_weight
+            )
             if same:
                 break
             frames.append(self._estimates(then, now, model))
         unchanged = (None,) * (len(layers) - 1 - len(frames))
         return self._estimates(layers[-1], present, model, (*unchanged, *reversed(frames)))
 
-    def _estimates(self, layer: Layer, trace: Trace, model: Model, past: tuple[Estimates | None, ...] = ()) -> Estimates:
+    def _estimates(self, layer: Layer, trace: Records, model: Model, past: tuple[Estimates | None, ...] = ()) -> Estimates:
         """The targets of enough presence, without those that overlap one followed for longer."""
-        target = np.flatnonzero((trace.place >= 0) & (trace.presence >= self.min_weight))
-        at = trace.place[target]
+        target = np.flatnonzero((trace["place"] >= 0) & (trace["presence"] >= self.min_weight))
+        at = trace["place"][target]
         mean = np.ascontiguousarray(layer.mean[at].T)
         boxes, detection = model.sensor.boxes(mean), layer.hypotheses["detection"][at]
-        weight, label = trace.presence[target], layer.targets["label"][target]
+        weight, label = trace["presence"][target], layer.targets["label"][target]
         found = Estimates(mean, layer.covariance[at], weight, boxes, detection, label, past)
         # Labels rise with the frame in which a target began.
         return without_overlaps(found, self.merge_iou)
 
 
-def _best(layer: Layer) -> Trace:
+def _best(layer: Layer) -> Records:
     """The best hypothesis and the presence of each target."""
-    return Trace(np.ascontiguousarray(layer.targets["best"]), np.ascontiguousarray(layer.targets["presence"]))
+    trace = np.empty(len(layer.targets), TRACE)
+    trace["place"], trace["presence"] = layer.targets["best"], layer.targets["presence"]
+    return trace
 
 
 def without_overlaps(found: Estimates, merge_iou: float) -> Estimates:

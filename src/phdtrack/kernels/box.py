@@ -1,4 +1,4 @@
-"""What boxes in the image are for motion and sensor: predictions, noises, corners, overlaps.
+"""What boxes in the image are for motion, sensor and clutter: predictions, noises, corners, overlaps, neighbours.
 
 The formulas stand in `models.box`. States are (px, py, vx, vy, w, h).
 """
@@ -15,6 +15,8 @@ from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.gaussian import Predicted
 
+F8 = NDArray[np.float64]
+I8 = NDArray[np.int64]
 # Rows of the state that a measurement shows.
 ROWS = (0, 1, 4, 5)
 PARTICLE, DETECTION, FIXED, GIVEN, PREVIOUS = range(5)
@@ -39,19 +41,6 @@ def box_noise(x: F8, size_row: int, spread: float, floor: float, speed: float) -
         for r in range(4, d, 2):
             out[r, i], out[r + 1, i] = sw, sh
     return out
-
-
-@njit(**ENTRY)
-def box_gate(z: F8, factor: float, least: float) -> tuple[F8, F8]:
-    """Corners (2, n) of the rectangles that reach ``factor`` sizes, but at least ``least``, from the centre of z."""
-    n = z.shape[1]
-    lower, upper = np.empty((2, n)), np.empty((2, n))
-    for r in range(lower.shape[0]):
-        for i in range(n):
-            half = factor * z[2 + r, i]
-            half = least if half < least else half
-            lower[r, i], upper[r, i] = z[r, i] - half, z[r, i] + half
-    return lower, upper
 
 
 @njit(**ENTRY)
@@ -138,10 +127,6 @@ def box_motion_noise(
             out[axis + 2, axis, i] = mixed
             out[axis + 2, axis + 2, i] = speed
             out[axis + 4, axis + 4, i] = extent
-
-
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
 
 
 class BoxDynamics(NamedTuple):
@@ -255,3 +240,28 @@ def states_of_boxes(z: F8, dim: int, noise: BoxNoise, speed: float) -> tuple[F8,
             a = 2 + c % 2
             x[c, j], cov[j, c, c] = z[a, j], here[a]
     return x, cov
+
+
+@njit(**ENTRY)
+def summed_densities(z: F8, order: I8, density: F8, reach: float, smallest: float, largest: float) -> F8:
+    """(N,) Σ_j density_j over the detections z_j = (px, py, w, h) in whose neighbourhood each detection lies.
+
+    ``z`` (4, N), ``order`` (N,) their numbers by px, rising, ``density`` (N,). A neighbourhood reaches ``reach`` boxes from
+    its centre and holds sizes between ``smallest`` and ``largest`` times its own.
+    """
+    n, out = order.size, np.empty(order.size)
+    for i in range(n):
+        out[i] = 0.0
+    for p in range(n):
+        j, k = order[p], p
+        x, y, w, h = z[0, j], z[1, j], z[2, j], z[3, j]
+        left, right, top, bottom = x - reach * w, x + reach * w, y - reach * h, y + reach * h
+        while k > 0 and z[0, order[k - 1]] >= left:
+            k -= 1
+        while k < n and z[0, order[k]] <= right:
+            i = order[k]
+            near, wide, high = top <= z[1, i] <= bottom, z[2, i], z[3, i]
+            if near and smallest * w <= wide <= largest * w and smallest * h <= high <= largest * h:
+                out[i] += density[j]
+            k += 1
+    return out

@@ -8,8 +8,8 @@ same here.
 For Gaussian i with expected measurement ẑ_i, spread H P Hᵀ (or that of its sigma points) and cross-covariance C = P Hᵀ, and
 measurement j, with R = R_i + R_j
 
-    S = H P Hᵀ + R = L Lᵀ,   y = L⁻¹ (z_j − ẑ_i),   W = L⁻¹ Cᵀ
-    d² = yᵀ y,   log N(z_j; ẑ_i, S) = −(d² + log |2πS|)/2,   m' = m + Wᵀ y,   P' = P − Wᵀ W
+    S = H P Hᵀ + R = L D Lᵀ,   y = L⁻¹ (z_j − ẑ_i),   W = L⁻¹ Cᵀ
+    d² = yᵀ D⁻¹ y,   log N(z_j; ẑ_i, S) = −(d² + log |2πS|)/2,   m' = m + Wᵀ D⁻¹ y,   P' = P − Wᵀ D⁻¹ W
 
 which is symmetric by construction and needs no inverse. Where no noise belongs to a measurement, S is the same for all
 measurements and factored once for each Gaussian.
@@ -22,9 +22,10 @@ filter calls them in a kernel that is compiled for it.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numba import config
 from numpy.typing import NDArray
 
 from phdtrack.kernels.cache import njit
@@ -32,7 +33,9 @@ from phdtrack.kernels.fast32 import ENTRY, INNER
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
+Records = NDArray[np.void]
 Period = tuple[float, ...]
+Axes = tuple[float, ...] | tuple[int, ...]
 LOG_2PI = math.log(2 * math.pi)
 
 
@@ -123,19 +126,16 @@ class Births(NamedTuple):
     covariance: F8
 
 
-class Pairs(NamedTuple):
-    """Gaussians and measurements within the gate of each other, ordered by Gaussian.
+def records(floats: str, integers: str) -> np.dtype[np.void]:
+    """The type of arrays of records with these fields; where nothing is compiled, Python must read them as attributes."""
+    fields = [(name, "f8") for name in floats.split()] + [(name, "i8") for name in integers.split()]
+    return np.dtype((np.record, fields)) if config.DISABLE_JIT else np.dtype(fields)
 
-    Attributes
-    ----------
-    gaussian, measurement : (P,) indices.
-    distance2 : (P,) d².     log_density : (P,) log N(z; ẑ, S).
-    """
 
-    gaussian: I8
-    measurement: I8
-    distance2: F8
-    log_density: F8
+# A Gaussian and a measurement within the gate of each other: d², log N(z; ẑ, S), and what a filter weighs the pair with.
+PAIR = records("distance2 log_density weight", "gaussian measurement")
+# A measurement in `Places`: its components along and across, and which one it is.
+SPOT = records("along across", "measurement")
 
 
 @njit(cache=True)
@@ -185,83 +185,61 @@ def gaussian_parts(step: F8, cov: F8) -> tuple[F8, F8]:
 
 
 @njit(**INNER)
-def difference(a: float, b: float, period: float) -> float:
-    """a − b, the short way round where ``period`` is above 0."""
-    step = a - b
-    if period > 0.0:
-        step -= period * float(np.rint(step / period))
-    return step
+def factored(s: F8, axes: Axes) -> float:
+    """The determinant of S, whose lower part is in ``s`` (r, r), which becomes the factors of S = L D Lᵀ.
+
+    L below the diagonal, D⁻¹ in it, (L D)ᵀ above it. NaN where S is not positive definite. ``axes`` has r elements.
+    """
+    product = 1.0
+    for a in range(len(axes)):
+        pivot = s[a, a]
+        for b in range(a):
+            value = s[a, b]
+            for t in range(b):
+                value -= s[t, a] * s[b, t]
+            s[b, a] = value
+            s[a, b] = value * s[b, b]
+            pivot -= value * s[a, b]
+        product *= pivot
+        # Not positive: NaN, with which nothing is within a gate.
+        s[a, a] = 1.0 / pivot if pivot > 0.0 else np.nan
+    return product
 
 
 # The functions of one pair take arrays and no records: a record in a loop would have all of its arrays counted again.
 @njit(**INNER)
-def innovation_root(spread: F8, rows: I8, noise: F8, extra: F8, i: int, j: int, period: Period, root: F8) -> float:
-    """log |2πS| of Gaussian i and measurement j; the lower factor of S into ``root`` (r, r), with inverses in its diagonal.
+def innovation(spread: F8, rows: I8, noise: F8, extra: F8, i: int, j: int, period: Axes, s: F8) -> float:
+    """|S| of Gaussian i and measurement j, whose factors are written into ``s`` (r, r), see `factored`.
 
-    ``spread``, ``rows`` and ``noise`` are of `Expected`, ``extra`` is the noise and ``period`` that of `Measurements`. NaN
-    where S is not positive definite. Without noise of measurements j does not count.
+    ``spread``, ``rows`` and ``noise`` are of `Expected`, ``extra`` is the noise and ``period`` that of `Measurements`.
+    Without noise of measurements j does not count.
     """
-    product, of_target, of_measurement = 1.0, len(noise) > 0, len(extra) > 0
     for a in range(len(period)):
         for b in range(a + 1):
-            value = spread[i, rows[a], rows[b]]
-            if of_target:
-                value += noise[i, a, b]
-            if of_measurement:
-                value += extra[j, a, b]
-            for t in range(b):
-                value -= root[a, t] * root[b, t]
-            if a == b:
-                product *= value
-                # Not positive: NaN, with which nothing is within a gate.
-                root[a, a] = 1.0 / np.sqrt(value) if value > 0.0 else np.nan
-            else:
-                root[a, b] = value * root[b, b]
-    log_det: float = np.log(product) + len(period) * LOG_2PI
-    return log_det
+            s[a, b] = spread[i, rows[a], rows[b]]
+            if len(noise) > 0:
+                s[a, b] += noise[i, a, b]
+            if len(extra) > 0:
+                s[a, b] += extra[j, a, b]
+    return factored(s, period)
 
 
 @njit(**INNER)
-def whitened(seen: F8, rows: I8, z: F8, i: int, j: int, period: Period, root: F8, y: F8) -> float:
+def whitened(seen: F8, rows: I8, z: F8, i: int, j: int, period: Axes, s: F8, y: F8) -> float:
     """d² of Gaussian i and measurement j, and L⁻¹ (z − ẑ) into ``y`` (r,).
 
-    ``seen`` and ``rows`` are of `Expected`, ``z`` and ``period`` of `Measurements`, ``root`` of `innovation_root`.
+    ``seen`` and ``rows`` are of `Expected`, ``z`` and ``period`` of `Measurements`, ``s`` of `innovation`.
     """
     total = 0.0
     for a in range(len(period)):
-        value = difference(z[j, a], seen[i, rows[a]], period[a])
+        value = z[j, a] - seen[i, rows[a]]
+        if period[a] > 0.0:
+            value -= period[a] * np.rint(value / period[a])
         for t in range(a):
-            value -= root[a, t] * y[t]
-        y[a] = value * root[a, a]
-        total += y[a] * y[a]
+            value -= s[a, t] * y[t]
+        y[a] = value
+        total += value * value * s[a, a]
     return total
-
-
-@njit(**INNER)
-def posterior(mean: F8, cross: F8, rows: I8, i: int, period: Period, root: F8, y: F8, w: F8, out: F8, k: int) -> None:
-    """m_i + Wᵀ y into ``out[k]``, and W = L⁻¹ Cᵀ into ``w`` (r, d)."""
-    d = mean.shape[1]
-    for c in range(d):
-        total = mean[i, c]
-        for a in range(len(period)):
-            value = cross[i, c, rows[a]]
-            for t in range(a):
-                value -= root[a, t] * w[t, c]
-            w[a, c] = value * root[a, a]
-            total += w[a, c] * y[a]
-        out[k, c] = total
-
-
-@njit(**INNER)
-def posterior_covariance(covariance: F8, i: int, period: Period, w: F8, out: F8, k: int) -> None:
-    """P_i − Wᵀ W into ``out[k]``; ``covariance`` (J, d, d), ``w`` as `posterior` leaves it."""
-    for c in range(covariance.shape[1]):
-        for b in range(c + 1):
-            value = covariance[i, c, b]
-            for a in range(len(period)):
-                value -= w[a, c] * w[a, b]
-            out[k, c, b] = value
-            out[k, b, c] = value
 
 
 class Places(NamedTuple):
@@ -269,19 +247,16 @@ class Places(NamedTuple):
 
     Attributes
     ----------
+    spots : (N,) of `SPOT`, by cells.     begin : (cells + 1,) where each cell begins.
     along, across : that component, and the other one.
-    first, second : (N,) both of each measurement, by cells.     order : (N,) which one it is.
-    begin : (cells + 1,) where each cell begins.
     low, scale : a value lies in cell (value − low)·scale.
     near : whether what is far along an axis is far altogether: not of angles, which are all in one cell.
     """
 
+    spots: Records
+    begin: I8
     along: int
     across: int
-    first: F8
-    second: F8
-    order: I8
-    begin: I8
     low: float
     scale: float
     near: bool
@@ -297,68 +272,57 @@ def cell(value: float, low: float, scale: float, count: int) -> int:
 
 
 @njit(**INNER)
-def places_of(m: Measurements) -> Places:
+def places_of(z: F8, period: Axes) -> Places:
     """The measurements in cells, about one in each. Raises ValueError where a measurement is NaN or infinite."""
-    z, period = m.z, m.period
     n, along, low, widest, near = len(z), 0 * len(z), 0.0, 0.0, False
     for a in range(len(period)):
         least, most, total = np.inf, -np.inf, 0.0
         for j in range(n):
-            least, most, total = min(least, z[j, a]), max(most, z[j, a]), total + z[j, a]
+            value = z[j, a]
+            least, most, total = value if value < least else least, value if value > most else most, total + value
         if not np.isfinite(total):
             raise ValueError("measurements must be finite")
         if period[a] == 0.0 and a < 2 and most - least > widest:
             along, low, widest, near = a, least, most - least, True
     across = 1 - along if len(period) > 1 and period[1 - along] == 0.0 else along
     count = n if near else 1
-    scale, begin, number = count / widest if near else 0.0, np.empty(count + 1, np.int64), np.empty(n, np.int64)
+    scale, begin, spots = count / widest if near else 0.0, np.empty(count + 1, np.int64), np.empty(n, SPOT)
     for c in range(count + 1):
         begin[c] = 0
     for j in range(n):
-        number[j] = cell(z[j, along], low, scale, count)
-        begin[number[j]] += 1
+        begin[cell(z[j, along], low, scale, count)] += 1
     # From the last one back: a cell's end becomes its beginning.
     for c in range(count):
         begin[c + 1] += begin[c]
-    first, second, order = np.empty(n), np.empty(n), np.empty(n, np.int64)
     for back in range(n):
         j = n - 1 - back
-        begin[number[j]] -= 1
-        k = begin[number[j]]
-        order[k], first[k], second[k] = j, z[j, along], z[j, across]
-    return Places(along, across, first, second, order, begin, low, scale, near)
+        c = cell(z[j, along], low, scale, count)
+        begin[c] -= 1
+        spot = spots[begin[c]]
+        spot.along, spot.across, spot.measurement = z[j, along], z[j, across], j
+    return Places(spots, begin, along, across, low, scale, near)
 
 
-@njit(**INNER)
-def longer(values: NDArray[Any]) -> NDArray[Any]:
-    """The same at the beginning of an array twice as long, of integers or of floats (P,)."""
-    out = np.empty(2 * values.size, values.dtype)
-    # In a loop: an assignment of a slice would compile Numba's code for its error messages.
-    for k in range(values.size):
-        out[k] = values[k]
-    return out
+@njit(**ENTRY)
+def gated(rows: I8, seen: F8, spread: F8, noise: F8, z: F8, extra: F8, period: Axes, gate: float, active: F8) -> Records:
+    """(P,) of `PAIR`, the pairs (Gaussian, measurement) with d ≤ ``gate``, in time linear in Gaussians and pairs.
 
-
-@njit(**INNER)
-def gated(e: Expected, m: Measurements, places: Places, gate: float, active: F8) -> Pairs:
-    """The pairs (Gaussian, measurement) with d ≤ ``gate``, in time linear in Gaussians and pairs.
+    They are ordered by Gaussian. Their weight is not written.
 
     Parameters
     ----------
-    e : what the Gaussians say of measurements.
-    m, places : the measurements.
+    rows, seen, spread, noise : what the Gaussians say of measurements, as `Expected` has it.
+    z, extra, period : the measurements, as `Measurements` has them.
     gate : in deviations of the innovation.
     active : (J,) Gaussians at which this is 0 are left out.
     """
-    rows, seen, spread, noise, z, extra, period = e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period
-    along, across, first, second, order, begin, low, scale, near = places
-    root, y, wide, high = np.empty((rows.size, rows.size)), np.empty(rows.size), 0.0, 0.0
+    spots, begin, along, across, low, scale, near = places_of(z, period)
+    s, y, wide, high = np.empty((rows.size, rows.size)), np.empty(rows.size), 0.0, 0.0
     for j in range(len(extra)):
-        wide, high = max(wide, extra[j, along, along]), max(high, extra[j, across, across])
-    row, other, room, found = rows[along], rows[across], 2 * len(seen) + 2 * len(z) + 16, 0 * len(z)
-    gaussian, measurement = np.empty(room, np.int64), np.empty(room, np.int64)
-    distance2, log_density = np.empty(room), np.empty(room)
-    cells, limit = begin.size - 1, gate * gate
+        wide = extra[j, along, along] if extra[j, along, along] > wide else wide
+        high = extra[j, across, across] if extra[j, across, across] > high else high
+    row, other, found, cells, limit = rows[along], rows[across], 0 * len(z), begin.size - 1, gate * gate
+    pairs = np.empty(2 * len(seen) + 2 * len(z) + 16, PAIR)
     for i in range(len(seen)):
         if not active[i] > 0.0:
             continue
@@ -369,65 +333,67 @@ def gated(e: Expected, m: Measurements, places: Places, gate: float, active: F8)
         x, middle = seen[i, row], seen[i, other]
         log_det, known = 0.0, False
         for k in range(begin[cell(x - reach, low, scale, cells)], begin[cell(x + reach, low, scale, cells) + 1]):
-            if abs(first[k] - x) > reach or abs(second[k] - middle) > width:
+            spot = spots[k]
+            if abs(spot.along - x) > reach or abs(spot.across - middle) > width:
                 continue
-            j = order[k]
+            j = spot.measurement
             if len(extra) > 0 or not known:
-                log_det, known = innovation_root(spread, rows, noise, extra, i, j, period, root), True
-            d2 = whitened(seen, rows, z, i, j, period, root, y)
+                log_det = np.log(innovation(spread, rows, noise, extra, i, j, period, s)) + len(period) * LOG_2PI
+                known = True
+            d2 = whitened(seen, rows, z, i, j, period, s, y)
             if d2 <= limit:
-                if found == gaussian.size:
-                    gaussian, measurement = longer(gaussian), longer(measurement)
-                    distance2, log_density = longer(distance2), longer(log_density)
-                gaussian[found], measurement[found] = i, j
-                distance2[found], log_density[found] = d2, -0.5 * (d2 + log_det)
+                if found == pairs.size:
+                    more = np.empty(2 * found, PAIR)
+                    # In a loop: an assignment of a slice would compile Numba's code for its error messages.
+                    for q in range(found):
+                        more[q] = pairs[q]
+                    pairs = more
+                pair = pairs[found]
+                pair.gaussian, pair.measurement, pair.distance2, pair.log_density = i, j, d2, -0.5 * (d2 + log_det)
                 found += 1
-    return Pairs(gaussian[:found], measurement[:found], distance2[:found], log_density[:found])
+    return pairs[:found]
 
 
-@njit(**INNER)
+@njit(**ENTRY)
 def write_posteriors(
-    mean: F8, covariance: F8, e: Expected, m: Measurements, gaussian: I8, measurement: I8, out_mean: F8, out_covariance: F8,
-    first: int,
-) -> None:  # fmt: skip
-    """Means and covariances of pairs after the update [V06 (37), (38)], from row ``first`` of the outputs on.
+    mean: F8, covariance: F8, e: Expected, m: Measurements, pairs: Records, out_mean: F8, out_covariance: F8
+) -> None:
+    """Means and covariances of pairs after the update [V06 (37), (38)], into the first rows of the outputs.
 
     Parameters
     ----------
     mean, covariance : (J, d), (J, d, d) before it.
     e, m : what these Gaussians say of measurements, and the measurements.
-    gaussian, measurement : (P,) the pairs; faster where pairs of one Gaussian follow each other. Those of −1 are left out.
-    out_mean, out_covariance : (K, d), (K, d, d) output.
+    pairs : (P,) of `PAIR`; faster where those of one Gaussian follow each other. Those of measurement −1 are left out.
+    out_mean, out_covariance : (≥ P, d), (≥ P, d, d) output.
     """
-    rows, seen, spread, cross, noise = e.rows, e.z, e.covariance, e.cross, e.noise
-    z, extra, period, last = m.z, m.noise, m.period, -1
-    root, y, w = np.empty((rows.size, rows.size)), np.empty(rows.size), np.empty((rows.size, mean.shape[1]))
-    for p in range(gaussian.size):
-        i, j = gaussian[p], measurement[p]
+    rows, seen, spread = e.rows, e.z, e.covariance
+    cross, noise, z = e.cross, e.noise, m.z
+    extra, period, last, d = m.noise, m.period, -1, mean.shape[1]
+    s, y, w = np.empty((rows.size, rows.size)), np.empty(rows.size), np.empty((d, rows.size))
+    for p in range(pairs.size):
+        i, j, k = pairs[p].gaussian, pairs[p].measurement, p
         if j < 0:
             continue
         if len(extra) > 0 or i != last:
-            innovation_root(spread, rows, noise, extra, i, j, period, root)
+            innovation(spread, rows, noise, extra, i, j, period, s)
             last = i
-        whitened(seen, rows, z, i, j, period, root, y)
-        posterior(mean, cross, rows, i, period, root, y, w, out_mean, first + p)
-        posterior_covariance(covariance, i, period, w, out_covariance, first + p)
-
-
-@njit(**ENTRY)
-def gated_pairs(e: Expected, m: Measurements, gate: float, active: F8) -> Pairs:
-    """`gated`, to be called from Python."""
-    out: Pairs = gated(e, m, places_of(m), gate, active)
-    return out
-
-
-@njit(**ENTRY)
-def pair_posteriors(mean: F8, covariance: F8, e: Expected, m: Measurements, gaussian: I8, measurement: I8) -> tuple[F8, F8]:
-    """Means (P, d) and covariances (P, d, d) of pairs, see `write_posteriors`."""
-    d, count = mean.shape[1], gaussian.size
-    out_mean, out_covariance = np.empty((count, d)), np.empty((count, d, d))
-    write_posteriors(mean, covariance, e, m, gaussian, measurement, out_mean, out_covariance, 0)
-    return out_mean, out_covariance
+        whitened(seen, rows, z, i, j, period, s, y)
+        for c in range(d):
+            total = mean[i, c]
+            for a in range(len(period)):
+                value = cross[i, c, rows[a]]
+                for t in range(a):
+                    value -= s[a, t] * w[c, t]
+                w[c, a] = value
+                total += value * s[a, a] * y[a]
+            out_mean[k, c] = total
+            for b in range(c + 1):
+                value = covariance[i, c, b]
+                for a in range(len(period)):
+                    value -= w[c, a] * s[a, a] * w[b, a]
+                out_covariance[k, c, b] = value
+                out_covariance[k, b, c] = value
 
 
 @njit(cache=True)
@@ -466,24 +432,24 @@ def first_states(births: Births, p_detect: F8, e: Expected, m: Measurements, gat
     gate : in deviations.
     """
     around, n, d = births.around, len(m.z), births.mean.shape[1]
-    pairs = gated(e, m, places_of(m), gate, births.weight)
-    states, covs = np.empty((pairs.gaussian.size, d)), np.empty((pairs.gaussian.size, d, d))
-    write_posteriors(births.mean, births.covariance, e, m, pairs.gaussian, pairs.measurement, states, covs, 0)
-    density, part = np.empty(n), np.empty(pairs.gaussian.size)
+    pairs = gated(e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, gate, births.weight)
+    states, covs = np.empty((pairs.size, d)), np.empty((pairs.size, d, d))
+    write_posteriors(births.mean, births.covariance, e, m, pairs, states, covs)
+    density = np.empty(n)
     for j in range(n):
         density[j] = p_detect[j] * around.density[j]
-    for q in range(part.size):
-        i = pairs.gaussian[q]
-        part[q] = births.weight[i] * e.p_detect[i] * np.exp(pairs.log_density[q])
-        density[pairs.measurement[q]] += part[q]
+    for q in range(pairs.size):
+        pair = pairs[q]
+        pair.weight = births.weight[pair.gaussian] * e.p_detect[pair.gaussian] * np.exp(pair.log_density)
+        density[pair.measurement] += pair.weight
     mean, cov = np.zeros((n, d)), np.zeros((n, d, d))
     # First the means, then the covariances about them.
     for turn in range(2):
-        for q in range(part.size + n):
-            from_given = q < part.size
-            k = q if from_given else q - part.size
-            j = pairs.measurement[k] if from_given else k
-            weight = part[k] if from_given else p_detect[j] * around.density[j]
+        for q in range(pairs.size + n):
+            from_given = q < pairs.size
+            k = q if from_given else q - pairs.size
+            j = pairs[k].measurement if from_given else k
+            weight = pairs[k].weight if from_given else p_detect[j] * around.density[j]
             if not weight > 0.0:
                 continue
             share = weight / density[j]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.gaussian import cell
+from phdtrack.kernels.gaussian import cell, factored
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -106,31 +106,13 @@ def _apart(step: F8, cov: F8, i: int, limit: float, axes: Axes) -> bool:
 
 
 @njit(**INNER)
-def _factor(cov: F8, i: int, work: F8, inverse: F8, axes: Axes) -> None:
-    """cov_i = L D Lᵀ without roots: L below the diagonal of ``work`` (d, d), (L D)ᵀ above it, and 1/D in ``inverse`` (d,).
-
-    NaN where it is not positive definite.
-    """
-    for r in range(len(axes)):
-        pivot = cov[i, r, r]
-        for c in range(r):
-            value = cov[i, r, c]
-            for t in range(c):
-                value -= work[t, r] * work[c, t]
-            work[c, r] = value
-            work[r, c] = value * inverse[c]
-            pivot -= value * work[r, c]
-        inverse[r] = 1.0 / pivot if pivot > 0.0 else np.nan
-
-
-@njit(**INNER)
-def _distance2(step: F8, work: F8, inverse: F8, axes: Axes) -> float:
-    """stepᵀ cov⁻¹ step from the factors of `_factor`; overwrites ``step`` with L⁻¹ step."""
+def _distance2(step: F8, factors: F8, axes: Axes) -> float:
+    """stepᵀ cov⁻¹ step from the factors as of `gaussian.factored`; overwrites ``step`` with L⁻¹ step."""
     total = 0.0
     for r in range(len(axes)):
         for t in range(r):
-            step[r] -= work[r, t] * step[t]
-        total += step[r] * step[r] * inverse[r]
+            step[r] -= factors[r, t] * step[t]
+        total += step[r] * step[r] * factors[r, r]
     return total
 
 
@@ -174,7 +156,7 @@ def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes) 
     first, after = np.empty(nx * ny, np.int64), np.empty(n, np.int64)
     for c in range(nx * ny):
         first[c] = -1
-    work, inverse, step = np.empty((d, d)), np.empty(d), np.empty(d)
+    factors, step = np.empty((d, d)), np.empty(d)
     count = 0
     for k in range(n):
         i = order[k]
@@ -192,9 +174,12 @@ def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes) 
                             step[r] = x[head[g], r] - x[i, r]
                         if not _apart(step, cov, i, limit, axes):
                             if not known:
-                                _factor(cov, i, work, inverse, axes)
+                                for r in range(d):
+                                    for t in range(r + 1):
+                                        factors[r, t] = cov[i, r, t]
+                                factored(factors, axes)
                                 known = True
-                            if _distance2(step, work, inverse, axes) <= limit:
+                            if _distance2(step, factors, axes) <= limit:
                                 best = g
                     g = after[g]
         if best == n:
@@ -211,7 +196,7 @@ def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes) 
 def _united(
     weight: F8, x: F8, cov: F8, tag: I8, order: I8, group: I8, head: I8, axes: Axes, most: int, wanted: float
 ) -> tuple[F8, F8, F8, I8]:
-    """Mass (k,), mean (d, k), covariance (k, d, d) and tag (k,) of the groups, the ``most`` heaviest; see `reduced`."""
+    """Mass (k,), mean (d, k), covariance (k, d, d) and tag (k,) of the groups, the ``most`` heaviest; see `merged_rows`."""
     d, count = len(axes), head.size
     mass, step, members = np.empty(count), np.empty(d), np.empty(count, np.int64)
     about, spread = np.empty((count, d)), np.empty((count, d, d))
@@ -242,12 +227,8 @@ def _united(
     for k in range(size):
         total += mass[kept[k] if capped else k]
     scale = wanted / total if wanted >= 0.0 and total > 0.0 else 1.0
-    out_mass, out_mean, out_cov, out_tag = (
-        np.empty(size),
-        np.empty((d, size)),
-        np.empty((size, d, d)),
-        np.empty(size, np.int64),
-    )
+    out_mass, out_tag = np.empty(size), np.empty(size, np.int64)
+    out_mean, out_cov = np.empty((d, size)), np.empty((size, d, d))
     for k in range(size):
         g = kept[k] if capped else k
         i = head[g]
@@ -295,18 +276,7 @@ def parted(weight: F8, tag: I8, split: float, fresh: int) -> int:
     return fresh
 
 
-@njit(**INNER)
-def _alive(weight: F8, prune: float) -> I8:
-    """Indices of what is no lighter than ``prune``."""
-    out, count = np.empty(weight.size, np.int64), 0
-    for i in range(weight.size):
-        if weight[i] >= prune:
-            out[count] = i
-            count += 1
-    return out[:count]
-
-
-@njit(**INNER)
+@njit(**ENTRY)
 def merged_rows(rows: Rows, axes: Axes, s: Merging, mass: float, fresh: int) -> tuple[F8, F8, F8, I8, int]:
     """Prune, merge and cap: weight (k,), mean (d, k), covariance (k, d, d), tag (k,); the next tag.
 
@@ -325,16 +295,14 @@ def merged_rows(rows: Rows, axes: Axes, s: Merging, mass: float, fresh: int) -> 
     ValueError : a mean or a variance is NaN or infinite, or a variance negative.
     """
     weight, x, cov, tag = rows
-    alive = _alive(weight, s.weight_threshold)
-    if alive.size == 0:
+    alive, count = np.empty(weight.size, np.int64), 0 * weight.size
+    for i in range(weight.size):
+        if weight[i] >= s.weight_threshold:
+            alive[count] = i
+            count += 1
+    alive = alive[:count]
+    if count == 0:
         return np.empty(0), np.empty((len(axes), 0)), np.empty((0, len(axes), len(axes))), alive, fresh
     order, group, head = _groups(weight, x, cov, alive, s.merge_distance, axes)
     w, mean, covs, tags = _united(weight, x, cov, tag, order, group, head, axes, s.max_components, mass)
     return w, mean, covs, tags, parted(w, tags, s.split_weight, fresh)
-
-
-@njit(**ENTRY)
-def reduced(rows: Rows, axes: Axes, s: Merging, mass: float, fresh: int) -> tuple[F8, F8, F8, I8, int]:
-    """`merged_rows`, to be called from Python."""
-    out: tuple[F8, F8, F8, I8, int] = merged_rows(rows, axes, s, mass, fresh)
-    return out

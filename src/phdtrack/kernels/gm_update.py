@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.gaussian import Expected, Measurements, NewTargets, Pairs, factor, gated, places_of, write_posteriors
+from phdtrack.kernels.gaussian import PAIR, Expected, Measurements, NewTargets, Records, factor, gated, write_posteriors
 from phdtrack.kernels.gm_merge import Axes, Merging, Rows, merged_rows
 
 F8 = NDArray[np.float64]
@@ -75,8 +75,7 @@ class Terms(NamedTuple):
     weight : (N,) of the births around measurements, 0 where there is none.
     covariance : (N, d, d) of these.
     expected : what they say of measurements.
-    pairs, born_pairs : pairs within the gate of the Gaussians, and of the births around measurements.
-    share, born_share : p_D w q of each.
+    pairs, born_pairs : of `PAIR` weighed with p_D w q: those of the Gaussians, and of the births around measurements.
     evidence : (N,) C(z).
     explained : (N,) 1/(κ + C), 0 where κ + C is.
     vanished : how many of them are.
@@ -86,10 +85,8 @@ class Terms(NamedTuple):
     weight: F8
     covariance: F8
     expected: Expected
-    pairs: Pairs
-    born_pairs: Pairs
-    share: F8
-    born_share: F8
+    pairs: Records
+    born_pairs: Records
     evidence: F8
     explained: F8
     vanished: int
@@ -99,24 +96,19 @@ class Terms(NamedTuple):
 
 
 @njit(**INNER)
-def _newborn(before: F8, extra: F8, new: Newborn, pairs: Pairs, reach: Reach) -> tuple[F8, F8, F8]:
+def _newborn(before: F8, extra: F8, new: Newborn, pairs: Records, reach: Reach) -> tuple[F8, F8, F8]:
     """Weights (N,), covariances (N, d, d) and the targets' part of R (N, r, r) of births around measurements.
 
     The weight is 0, and the others are arbitrary, where a predicted mass of 1 or more within the region about the
     measurement explains it. ``before`` (J,) are the weights of the Gaussians, ``extra`` is the measurements' part of R.
     """
-    density, first, rows, gaussian, measurement = (
-        new.around.density,
-        new.around.covariance,
-        new.rows,
-        pairs.gaussian,
-        pairs.measurement,
-    )
-    n, d, r, distance2 = len(first), first.shape[1], rows.size, pairs.distance2
+    density, first, rows = new.around.density, new.around.covariance, new.rows
+    n, d, r = len(first), first.shape[1], rows.size
     covered, weight, covariance, noise = np.zeros(n), np.zeros(n), np.empty((n, d, d)), np.empty((n, r, r))
-    for p in range(gaussian.size):
-        if gaussian[p] < reach.predicted and distance2[p] <= reach.region:
-            covered[measurement[p]] += before[gaussian[p]]
+    for p in range(pairs.size):
+        pair = pairs[p]
+        if pair.gaussian < reach.predicted and pair.distance2 <= reach.region:
+            covered[pair.measurement] += before[pair.gaussian]
     root = np.empty((r, r))
     for j in range(n):
         if covered[j] < 1.0 and density[j] > 0.0:
@@ -136,17 +128,15 @@ def _newborn(before: F8, extra: F8, new: Newborn, pairs: Pairs, reach: Reach) ->
 
 
 @njit(**INNER)
-def _shares(weight: F8, p_detect: F8, pairs: Pairs, evidence: F8) -> F8:
-    """(P,) p_D w q of each pair, which is added to the ``evidence`` (N,) of its measurement."""
-    share = np.empty(pairs.gaussian.size)
-    for p in range(share.size):
-        i = pairs.gaussian[p]
-        share[p] = p_detect[i] * weight[i] * np.exp(pairs.log_density[p])
-        evidence[pairs.measurement[p]] += share[p]
-    return share
+def _weigh(weight: F8, p_detect: F8, pairs: Records, evidence: F8) -> None:
+    """Weigh each pair with p_D w q, which is added to the ``evidence`` (N,) of its measurement."""
+    for p in range(pairs.size):
+        pair = pairs[p]
+        pair.weight = p_detect[pair.gaussian] * weight[pair.gaussian] * np.exp(pair.log_density)
+        evidence[pair.measurement] += pair.weight
 
 
-@njit(**INNER)
+@njit(**ENTRY)
 def terms_of(before: Rows, e: Expected, m: Measurements, new: Newborn, reach: Reach) -> Terms:
     """The terms of the update.
 
@@ -159,16 +149,17 @@ def terms_of(before: Rows, e: Expected, m: Measurements, new: Newborn, reach: Re
     reach : how far Gaussians reach.
     """
     n, density = len(m.z), new.around.density
-    places, said = places_of(m), new.expected
-    pairs = gated(e, m, places, reach.gate, before.weight)
-    weight, covariance, noise = _newborn(before.weight, m.noise, new, pairs, reach)
+    z, extra, period, said = m.z, m.noise, m.period, new.expected
+    pairs = gated(e.rows, e.z, e.covariance, e.noise, z, extra, period, reach.gate, before.weight)
+    weight, covariance, noise = _newborn(before.weight, extra, new, pairs, reach)
     if len(said.covariance) == 0:
         said = Expected(said.rows, new.around.mean, covariance, covariance, noise, said.p_detect)
-    born_pairs = gated(said, m, places, reach.gate, weight)
+    born_pairs = gated(said.rows, said.z, said.covariance, said.noise, z, extra, period, reach.gate, weight)
     shared = np.zeros(n)
-    for p in range(born_pairs.gaussian.size):
-        if born_pairs.distance2[p] <= reach.region:
-            shared[born_pairs.measurement[p]] += weight[born_pairs.gaussian[p]] * np.exp(born_pairs.log_density[p])
+    for p in range(born_pairs.size):
+        pair = born_pairs[p]
+        if pair.distance2 <= reach.region:
+            shared[pair.measurement] += weight[pair.gaussian] * np.exp(pair.log_density)
     predicted, missed, born, vanished = 0.0, 0.0, 0.0, 0 * n
     for i in range(before.weight.size):
         predicted += before.weight[i]
@@ -181,29 +172,15 @@ def terms_of(before: Rows, e: Expected, m: Measurements, new: Newborn, reach: Re
             missed += weight[j] * (1.0 - said.p_detect[j])
             born += weight[j]
     evidence, explained = np.zeros(n), np.zeros(n)
-    share = _shares(before.weight, e.p_detect, pairs, evidence)
-    born_share = _shares(weight, said.p_detect, born_pairs, evidence)
+    _weigh(before.weight, e.p_detect, pairs, evidence)
+    _weigh(weight, said.p_detect, born_pairs, evidence)
     for j in range(n):
         total = m.clutter[j] + evidence[j]
         if total >= SMALLEST:
             explained[j] = 1.0 / total
         else:
             vanished += 1
-    return Terms(
-        weight,
-        covariance,
-        said,
-        pairs,
-        born_pairs,
-        share,
-        born_share,
-        evidence,
-        explained,
-        vanished,
-        predicted,
-        born,
-        missed,
-    )
+    return Terms(weight, covariance, said, pairs, born_pairs, evidence, explained, vanished, predicted, born, missed)
 
 
 @njit(**INNER)
@@ -225,21 +202,20 @@ def _missed(before: Rows, p_detect: F8, factor: float, threshold: float, out: Ro
 
 
 @njit(**INNER)
-def _heavy(pairs: Pairs, share: F8, detected: F8, threshold: float) -> tuple[I8, I8, F8, float]:
-    """Gaussian, measurement and weight (P,) of the pairs that weigh no less than the threshold, and the mass of all."""
-    of_gaussian, of_measurement = pairs.gaussian, pairs.measurement
-    gaussian, measurement = np.empty(share.size, np.int64), np.empty(share.size, np.int64)
-    weight, mass, found = np.empty(share.size), 0.0, 0 * share.size
-    for p in range(share.size):
-        value = share[p] * detected[of_measurement[p]]
-        mass += value
-        if value >= threshold:
-            gaussian[found], measurement[found], weight[found] = of_gaussian[p], of_measurement[p], value
+def _heavy(pairs: Records, detected: F8, threshold: float) -> tuple[Records, float]:
+    """The pairs, of their weight times ``detected``, that weigh no less than the threshold, and the mass of all."""
+    heavy, mass, found = np.empty(pairs.size, PAIR), 0.0, 0 * pairs.size
+    for p in range(pairs.size):
+        weight = pairs[p].weight * detected[pairs[p].measurement]
+        mass += weight
+        if weight >= threshold:
+            heavy[found] = pairs[p]
+            heavy[found].weight = weight
             found += 1
-    return gaussian[:found], measurement[:found], weight[:found], mass
+    return heavy[:found], mass
 
 
-@njit(**INNER)
+@njit(**ENTRY)
 def mixture_of(
     before: Rows, e: Expected, m: Measurements, new: Newborn, terms: Terms, weighing: tuple[float, F8], fresh: int,
     threshold: float,
@@ -260,63 +236,34 @@ def mixture_of(
     for j in range(n):
         born_tag[j] = fresh
         fresh += weight[j] > 0.0
-    i, j, heavy, mass = _heavy(terms.pairs, terms.share, detected, threshold)
-    born_i, born_j, born_heavy, born_mass = _heavy(terms.born_pairs, terms.born_share, detected, threshold)
-    room = old_tag.size + n + heavy.size + born_heavy.size
+    pairs, mass = _heavy(terms.pairs, detected, threshold)
+    born_pairs, born_mass = _heavy(terms.born_pairs, detected, threshold)
+    room = old_tag.size + n + pairs.size + born_pairs.size
     out = Rows(np.empty(room), np.empty((room, d)), np.empty((room, d, d)), np.empty(room, np.int64))
     k = _missed(before, e.p_detect, missed, threshold, out, 0 * n)
     k = _missed(born, terms.expected.p_detect, missed, threshold, out, k)
-    out_weight, out_tag, behind = out.weight, out.tag, k + heavy.size
-    write_posteriors(before.mean, before.covariance, e, m, i, j, out.mean, out.covariance, k)
-    write_posteriors(born.mean, born.covariance, terms.expected, m, born_i, born_j, out.mean, out.covariance, behind)
-    for p in range(heavy.size):
-        out_weight[k + p], out_tag[k + p] = heavy[p], old_tag[i[p]]
-    for p in range(born_heavy.size):
-        out_weight[behind + p], out_tag[behind + p] = born_heavy[p], born_tag[born_i[p]]
-    k = behind + born_heavy.size
-    return (
-        Rows(out_weight[:k], out.mean[:k], out.covariance[:k], out_tag[:k]),
-        missed * terms.missed + mass + born_mass,
-        fresh,
-    )
-
-
-@njit(**ENTRY)
-def phd_terms(before: Rows, e: Expected, m: Measurements, new: Newborn, reach: Reach) -> Terms:
-    """`terms_of`, to be called from Python."""
-    out: Terms = terms_of(before, e, m, new, reach)
-    return out
-
-
-@njit(**ENTRY)
-def phd_mixture(
-    before: Rows, e: Expected, m: Measurements, new: Newborn, terms: Terms, weighing: tuple[float, F8], fresh: int
-) -> tuple[Rows, float, int]:
-    """`mixture_of`, to be called from Python."""
-    out: tuple[Rows, float, int] = mixture_of(before, e, m, new, terms, weighing, fresh, 0.0)
-    return out
-
-
-@njit(**ENTRY)
-def phd_update(
-    before: Rows, e: Expected, m: Measurements, new: Newborn, reach: Reach
-) -> tuple[F8, F8, F8, I8, F8, tuple[float, float, float], int, int]:
-    """Both steps, weighed as in the PHD filter [V06 (32)]: by 1 and 1/(κ + C).
-
-    Arguments as of `terms_of`. Returns the updated Gaussians as of `Rows`, C(z) (N,), the masses predicted, born and after
-    the update, the number of measurements with κ + C = 0, and the next tag.
-    """
-    terms = terms_of(before, e, m, new, reach)
-    rows, mass, fresh = mixture_of(before, e, m, new, terms, (1.0, terms.explained), reach.fresh, 0.0)
-    masses = (terms.predicted, terms.born, mass)
-    return rows.weight, rows.mean, rows.covariance, rows.tag, terms.evidence, masses, terms.vanished, fresh
+    out_weight, out_tag, behind = out.weight, out.tag, k + pairs.size
+    write_posteriors(before.mean, before.covariance, e, m, pairs, out.mean[k:], out.covariance[k:])
+    write_posteriors(born.mean, born.covariance, terms.expected, m, born_pairs, out.mean[behind:], out.covariance[behind:])
+    for p in range(pairs.size):
+        out_weight[k + p], out_tag[k + p] = pairs[p].weight, old_tag[pairs[p].gaussian]
+    for p in range(born_pairs.size):
+        out_weight[behind + p], out_tag[behind + p] = born_pairs[p].weight, born_tag[born_pairs[p].gaussian]
+    k = behind + born_pairs.size
+    rows = Rows(out_weight[:k], out.mean[:k], out.covariance[:k], out_tag[:k])
+    return rows, missed * terms.missed + mass + born_mass, fresh
 
 
 @njit(**ENTRY)
 def phd_step(
     before: Rows, e: Expected, m: Measurements, new: Newborn, reach: Reach, merging: Merging, axes: Axes
 ) -> tuple[F8, F8, F8, I8, F8, tuple[float, float, float], int, int]:
-    """`phd_update` and `gm_merge.reduced` in one; Gaussians that pruning would drop are not made."""
+    """An update, weighed as in the PHD filter [V06 (32)] by 1 and 1/(κ + C), and `gm_merge.merged_rows`.
+
+    Gaussians that pruning would drop are not made. The first arguments are as of `terms_of`, the others as of `merged_rows`.
+    Returns the Gaussians, means as (d, J), C(z) (N,), the masses predicted, born and after the update, the number of
+    measurements with κ + C = 0, and the next tag.
+    """
     terms = terms_of(before, e, m, new, reach)
     rows, mass, fresh = mixture_of(before, e, m, new, terms, (1.0, terms.explained), reach.fresh, merging.weight_threshold)
     weight, mean, covariance, tag, fresh = merged_rows(rows, axes, merging, mass if merging.keep_mass else -1.0, fresh)

@@ -15,95 +15,92 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phdtrack.kernels.cache import njit
-from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.fast32 import INNER
+from phdtrack.kernels.gaussian import records
 from phdtrack.kernels.linkage import root, unite
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
+Records = NDArray[np.void]
 
 # Rounds at most, and the change of every message below which they are enough.
 ROUNDS, SETTLED = 50, 1e-6
 
 
+# A pair: its odds ψ and its messages, of which the first is at the end the probability that the target has the
+# measurement; its two ends; and a number that all pairs share which are joined by targets and measurements.
+EDGE = records("odds mu nu", "target measurement island")
+
+
 @njit(**INNER)
-def _islands(target: I8, which: I8, pairs: int, targets: int, measurements: int) -> I8:
-    """(E,) of each pair a number that all share which are joined by targets and measurements."""
-    parent, island = np.empty(targets + measurements, np.int64), np.empty(pairs, np.int64)
+def _start(edges: Records, live: I8, parent: I8, targets: int) -> None:
+    """Write the first messages, the islands, and the numbers of the edges into ``live``."""
     for i in range(parent.size):
         parent[i] = i
-    for e in range(pairs):
-        unite(parent, target[e], targets + which[e])
-    for e in range(pairs):
-        island[e] = root(parent, target[e])
-    return island
+    for e in range(edges.size):
+        edge = edges[e]
+        edge.nu, live[e] = 1.0, e
+        unite(parent, edge.target, targets + edge.measurement)
+    for e in range(edges.size):
+        edges[e].island = root(parent, edges[e].target)
 
 
 @njit(**INNER)
-def beliefs(odds: F8, target: I8, which: I8, pairs: int, targets: int, measurements: int) -> tuple[F8, F8, F8]:
-    """As `marginals`, of the first ``pairs`` rows."""
-    mu, nu = np.empty(pairs), np.empty(pairs)
+def beliefs(edges: Records, targets: int, measurements: int) -> tuple[F8, F8]:
+    """Marginal association probabilities.
+
+    Parameters
+    ----------
+    edges : (E,) of `EDGE`: odds ψ ≥ 0, target and measurement; no pair twice. The rest is written.
+    targets, measurements : how many there are.
+
+    Returns
+    -------
+    missed (T,) : probability that the target has no measurement; p_new (N,) : that the measurement is no earlier target's.
+    """
     seen, claimed, moved = np.empty(targets), np.empty(measurements), np.empty(targets)
-    island, live = _islands(target, which, pairs, targets, measurements), np.empty(pairs, np.int64)
-    for e in range(pairs):
-        nu[e], live[e] = 1.0, e
+    live, count, turn = np.empty(edges.size, np.int64), edges.size, 0 * targets
+    _start(edges, live, np.empty(targets + measurements, np.int64), targets)
     for j in range(measurements):
         claimed[j] = 0.0
-    # A literal zero is a type of its own.
-    turn, count = 0 * pairs, pairs
     while True:
         for k in range(count):
-            e = live[k]
-            seen[target[e]], claimed[which[e]], moved[island[e]] = 0.0, 0.0, 0.0
+            edge = edges[live[k]]
+            seen[edge.target], claimed[edge.measurement], moved[edge.island] = 0.0, 0.0, 0.0
         for k in range(count):
-            e = live[k]
-            seen[target[e]] += odds[e] * nu[e]
+            edge = edges[live[k]]
+            seen[edge.target] += edge.odds * edge.nu
         for k in range(count):
-            e = live[k]
-            mu[e] = odds[e] / (1.0 + max(seen[target[e]] - odds[e] * nu[e], 0.0))
-            claimed[which[e]] += mu[e]
+            edge = edges[live[k]]
+            others = seen[edge.target] - edge.odds * edge.nu
+            edge.mu = edge.odds / (1.0 + others) if others > 0.0 else edge.odds
+            claimed[edge.measurement] += edge.mu
         turn += 1
         change = 0.0
         for k in range(count):
-            e = live[k]
-            value = 1.0 / (1.0 + max(claimed[which[e]] - mu[e], 0.0))
-            moved[island[e]] = max(moved[island[e]], abs(value - nu[e]))
-            change = max(change, abs(value - nu[e]))
-            nu[e] = value
+            edge = edges[live[k]]
+            others = claimed[edge.measurement] - edge.mu
+            value = 1.0 / (1.0 + others) if others > 0.0 else 1.0
+            step, edge.nu = abs(value - edge.nu), value
+            moved[edge.island] = step if step > moved[edge.island] else moved[edge.island]
+            change = step if step > change else change
         if change <= SETTLED or turn == ROUNDS:
             break
         # Where nothing has changed, nothing will: most islands are small, and one that is not would keep all others waiting.
-        left = 0 * pairs
+        left = 0 * count
         for k in range(count):
-            if moved[island[live[k]]] > 0.0:
+            if moved[edges[live[k]].island] > 0.0:
                 live[left] = live[k]
                 left += 1
         count = left
     for t in range(targets):
         seen[t] = 0.0
-    for e in range(pairs):
-        seen[target[e]] += odds[e] * nu[e]
-    for e in range(pairs):
-        mu[e] = odds[e] * nu[e] / (1.0 + seen[target[e]])
+    for e in range(edges.size):
+        seen[edges[e].target] += edges[e].odds * edges[e].nu
+    for e in range(edges.size):
+        edges[e].mu = edges[e].odds * edges[e].nu / (1.0 + seen[edges[e].target])
     for t in range(targets):
         seen[t] = 1.0 / (1.0 + seen[t])
     for j in range(measurements):
         claimed[j] = 1.0 / (1.0 + claimed[j])
-    return mu, seen, claimed
-
-
-@njit(**ENTRY)
-def marginals(odds: F8, target: I8, which: I8, targets: int, measurements: int) -> tuple[F8, F8, F8]:
-    """Marginal association probabilities.
-
-    Parameters
-    ----------
-    odds, target, which : (E,) ψ ≥ 0, target and measurement of each pair; no pair twice.
-    targets, measurements : how many there are.
-
-    Returns
-    -------
-    pair (E,) : probability that the target has the measurement; missed (T,) : that it has none; p_new (N,) : that the
-    measurement is no earlier target's.
-    """
-    out: tuple[F8, F8, F8] = beliefs(odds, target, which, len(odds), targets, measurements)
-    return out
+    return seen, claimed

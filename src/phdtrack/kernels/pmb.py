@@ -25,16 +25,16 @@ from numpy.typing import NDArray
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.gaussian import (
+    PAIR,
     Expected,
     Measurements,
     NewTargets,
-    Pairs,
     Predicted,
     gated,
-    places_of,
+    records,
     write_posteriors,
 )
-from phdtrack.kernels.marginals import beliefs
+from phdtrack.kernels.marginals import EDGE, beliefs
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -52,15 +52,14 @@ STATIC_SHARE = 0.5
 # A target: the probabilities that it exists, and that it does and is not static clutter (its presence), and the greatest
 # presence that it ever had; its label, rising, from 0, none given twice; its hypotheses begin … end − 1, and the heaviest of
 # them that is not static, −1 where there is none.
-TARGET = np.dtype([(name, "f8") for name in ("r", "presence", "max_presence")] + [
-    (name, "i8") for name in ("label", "begin", "end", "best")
-])  # fmt: skip
+TARGET = records("r presence max_presence", "label begin end best")
 # A hypothesis: its weight, which sum to one for each target; the probability that the target cannot be detected at present;
 # its target; the measurement of the frame that it took, −1 for none; its hypothesis in the frame before, −1 where the target
 # begins; whether it is a source of static clutter: it stays where it is, and is no target.
-HYPOTHESIS = np.dtype([(name, "f8") for name in ("weight", "occluded")] + [
-    (name, "i8") for name in ("target", "detection", "parent", "static")
-])  # fmt: skip
+HYPOTHESIS = records("weight occluded", "target detection parent static")
+# Of each target of a frame: the hypothesis that leads to the one that is best today, −1 for none; the greatest presence from
+# that frame on.
+TRACE = records("presence", "place")
 
 
 class Layer(NamedTuple):
@@ -102,32 +101,6 @@ class Summary(NamedTuple):
     clutter: F8
 
 
-class Options(NamedTuple):
-    """What targets may be after an update, those of a target together, the heaviest first.
-
-    Attributes
-    ----------
-    exists : (T,) probability that the target exists.     kept : (T,) how many of its options are kept.
-    source : (K,) the hypothesis before.     taken : (K,) the measurement, −1 for none.     weight : (K,) not normalised.
-    """
-
-    exists: F8
-    kept: I8
-    source: I8
-    taken: I8
-    weight: F8
-
-
-@njit(**INNER)
-def copy_gaussian(mean: F8, covariance: F8, i: int, out_mean: F8, out_covariance: F8, k: int) -> None:
-    """Copy Gaussian i to place k. In loops: an assignment of rows would compile Numba's code for its error messages."""
-    for a in range(mean.shape[1]):
-        out_mean[k, a] = mean[i, a]
-        for b in range(mean.shape[1]):
-            out_covariance[k, a, b] = covariance[i, a, b]
-
-
-@njit(**ENTRY)
 def predicted_layer(layer: Layer, p: Predicted, noise: F8, occlude: float, reappear: float) -> Layer:
     """The targets after an interval; static clutter stays where it is.
 
@@ -138,8 +111,17 @@ def predicted_layer(layer: Layer, p: Predicted, noise: F8, occlude: float, reapp
     noise : (d, C) deviations by which the sensor resolves them, `Sensor.noise`.
     occlude, reappear : probabilities that a visible target is occluded after the interval, and an occluded one visible.
     """
-    targets, hypotheses = layer.targets.copy(), layer.hypotheses.copy()
-    mean, cov, p_survive, old_mean, old_cov = p.mean.copy(), p.covariance.copy(), p.p_survive, layer.mean, layer.covariance
+    after = Layer(layer.targets.copy(), layer.hypotheses.copy(), p.mean.copy(), p.covariance.copy())
+    _predict(*after, layer.mean, layer.covariance, p.p_survive, noise, occlude, reappear)
+    return after
+
+
+@njit(**ENTRY)
+def _predict(
+    targets: Records, hypotheses: Records, mean: F8, cov: F8, old_mean: F8, old_cov: F8, p_survive: F8, noise: F8,
+    occlude: float, reappear: float,
+) -> None:  # fmt: skip
+    """Write the targets after an interval over those before it; ``mean`` and ``cov`` are those after the motion."""
     for t in range(targets.size):
         target = targets[t]
         stay = presence = 0.0
@@ -160,200 +142,8 @@ def predicted_layer(layer: Layer, p: Predicted, noise: F8, occlude: float, reapp
                 h.occluded = h.occluded * (1.0 - reappear) + (1.0 - h.occluded) * occlude
                 presence += target.r * h.weight
         target.presence = presence
-    return Layer(targets, hypotheses, mean, cov)
 
 
-@njit(**INNER)
-def associated(layer: Layer, p_detect: F8, pairs: Pairs, alone: F8, evidence: F8) -> tuple[F8, F8, F8]:
-    """(P,) probability of each pair; (T,) that a target exists and was missed; (N,) that a measurement is no target's.
-
-    ``p_detect`` (C,) of hypotheses, ``alone`` (N,) κ + γ̂. Adds Σ r w p q to ``evidence`` (N,).
-    """
-    targets, hypotheses, gaussian, measurement = layer.targets, layer.hypotheses, pairs.gaussian, pairs.measurement
-    count, log_density = gaussian.size, pairs.log_density
-    part, odds, missed = np.empty(count), np.empty(count), np.empty(targets.size)
-    edge, first, second = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64)
-    place = np.empty(alone.size, np.int64)
-    for j in range(place.size):
-        place[j] = -1
-    # A literal zero is a type of its own.
-    edges, q = 0 * count, 0 * count
-    for t in range(targets.size):
-        target, detected, begun = targets[t], 0.0, edges
-        for c in range(target.begin, target.end):
-            detected += hypotheses[c].weight * p_detect[c]
-        miss = max(1.0 - target.r * detected, NEVER)
-        missed[t] = min(max(target.r * (1.0 - detected), 0.0) / miss, 1.0)
-        while q < count and gaussian[q] < target.end:
-            c, j = gaussian[q], measurement[q]
-            joint = target.r * hypotheses[c].weight * p_detect[c] * np.exp(log_density[q])
-            evidence[j] += joint
-            if place[j] < begun:
-                place[j], first[edges], second[edges], odds[edges] = edges, t, j, 0.0
-                edges += 1
-            part[q], edge[q] = joint / (miss * alone[j]), place[j]
-            odds[place[j]] += part[q]
-            q += 1
-    belief, nothing, p_new = beliefs(odds, first, second, edges, targets.size, alone.size)
-    for t in range(targets.size):
-        missed[t] *= nothing[t]
-    for q in range(count):
-        if odds[edge[q]] > 0.0:
-            part[q] = belief[edge[q]] * part[q] / odds[edge[q]]
-    return part, missed, p_new
-
-
-@njit(**INNER)
-def options_kept(layer: Layer, p_detect: F8, pairs: Pairs, probability: F8, missed: F8, s: Settings) -> Options:
-    """The options of each target that are above the thresholds; none of targets that are deleted.
-
-    ``p_detect`` (C,) of hypotheses, ``probability`` (P,) and ``missed`` (T,) as of `associated`.
-    """
-    targets, hypotheses, gaussian, measurement = layer.targets, layer.hypotheses, pairs.gaussian, pairs.measurement
-    exists, count, room = np.empty(targets.size), np.empty(targets.size, np.int64), hypotheses.size + gaussian.size
-    source, taken, weight = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room)
-    q, k = 0 * room, 0 * room
-    for t in range(targets.size):
-        target, first, end, total, unseen = targets[t], k, k, missed[t], 0.0
-        begun = q
-        for c in range(target.begin, target.end):
-            unseen += hypotheses[c].weight * (1.0 - p_detect[c])
-        while q < gaussian.size and gaussian[q] < target.end:
-            total, q = total + probability[q], q + 1
-        # First those with a measurement, then those without, each sorted in, the heaviest first.
-        for o in range(q - begun + target.end - target.begin):
-            i, j, value, place = begun + o, -1, 0.0, end
-            if i < q:
-                i, j, value = gaussian[i], measurement[i], probability[i]
-            else:
-                i += target.begin - q
-                if unseen > 0.0:
-                    value = missed[t] * hypotheses[i].weight * (1.0 - p_detect[i]) / unseen
-            while place > k and weight[place - 1] < value:
-                source[place], taken[place], weight[place] = source[place - 1], taken[place - 1], weight[place - 1]
-                place -= 1
-            source[place], taken[place], weight[place] = i, j, value
-            end += 1
-        exists[t], least = min(total, 1.0), s.hypothesis_threshold * total
-        # A target whose probability has just risen may have begun, however rare births are beside false alarms.
-        if total >= s.existence_threshold or total > target.r:
-            while k < end and k - first < s.max_hypotheses and weight[k] > 0.0 and weight[k] >= least:
-                k += 1
-        count[t] = k - first
-    return Options(exists, count, source[:k], taken[:k], weight[:k])
-
-
-@njit(**INNER)
-def heavier_like(hypotheses: Records, mean: F8, cov: F8, begin: int, k: int, limit: float) -> int:
-    """The first of the hypotheses begin … k − 1 of the kind of k and within √``limit`` of its own deviations; k for none."""
-    for i in range(begin, k):
-        distance2 = 0.0
-        for a in range(mean.shape[1]):
-            step = mean[i, a] - mean[k, a]
-            distance2 += step * step / max(cov[i, a, a], 1e-12)
-        if hypotheses[i].static == hypotheses[k].static and distance2 < limit:
-            return i
-    return k
-
-
-@njit(**INNER)
-def write_kept(layer: Layer, p_detect: F8, options: Options, limit: float, out: Layer) -> tuple[int, int]:
-    """Write the targets that are kept into the first places of ``out``; how many targets and hypotheses there are.
-
-    ``out`` has the Gaussians of the options with a measurement. Hypotheses within √``limit`` deviations of a heavier one are
-    counted as that one. ``p_detect`` (C,) of hypotheses.
-    """
-    targets, hypotheses, mean, cov = out
-    old_targets, old, old_mean, old_cov = layer
-    exists, count, source, taken, weight = options
-    number, k, end = 0 * count.size, 0 * count.size, 0 * count.size
-    for t in range(count.size):
-        total, begin, option, end = 0.0, k, end, end + count[t]
-        for i in range(option, end):
-            total += weight[i]
-        for i in range(option, end):
-            c, j, h = source[i], taken[i], hypotheses[k]
-            h.static, h.parent, h.detection, h.target, h.occluded = old[c].static, old[c].parent, j, number, 0.0
-            if j < 0:
-                copy_gaussian(old_mean, old_cov, c, mean, cov, k)
-                if not h.static:
-                    h.occluded = min(old[c].occluded / max(1.0 - p_detect[c], TINY), 1.0)
-            elif k < i:
-                copy_gaussian(mean, cov, i, mean, cov, k)
-            heavier = heavier_like(hypotheses, mean, cov, begin, k, limit)
-            if heavier < k:
-                hypotheses[heavier].weight += weight[i] / total
-            else:
-                h.weight = weight[i] / total
-                k += 1
-        if k > begin:
-            before = old_targets[t]
-            write_target(targets, hypotheses, number, before.label, exists[t], before.max_presence, begin, k)
-            number += 1
-    return number, k
-
-
-@njit(**INNER)
-def write_target(
-    targets: Records, hypotheses: Records, t: int, label: int, r: float, max_presence: float, begin: int, end: int
-) -> None:
-    """Write target t, whose hypotheses are written; ``max_presence`` is the greatest before."""
-    target, total, best = targets[t], 0.0, -1
-    for c in range(begin, end):
-        h = hypotheses[c]
-        if not h.static:
-            total += h.weight
-            if best < 0 or h.weight > hypotheses[best].weight:
-                best = c
-    target.label, target.r, target.begin, target.end, target.best = label, r, begin, end, best
-    target.presence, target.max_presence = r * total, r * total if r * total > max_presence else max_presence
-
-
-@njit(**INNER)
-def write_new(r_new: F8, new: NewTargets, prior: float, fresh: int, t: int, k: int, out: Layer) -> int:
-    """Write the new targets, of r above 0, from places t and k of ``out`` on; how many hypotheses there are then.
-
-    They come in the order of the measurements and are labelled from ``fresh`` on; ``prior`` is that of static clutter.
-    """
-    targets, hypotheses, mean, cov = out
-    new_mean, new_cov = new.mean, new.covariance
-    for j in range(r_new.size):
-        if r_new[j] > 0.0:
-            begin = k
-            for kind in range(2 if prior > 0.0 else 1):
-                h = hypotheses[k]
-                h.weight, h.static, h.occluded = prior if kind == 1 else 1.0 - prior, kind == 1, 0.0
-                h.target, h.detection, h.parent = t, j, -1
-                copy_gaussian(new_mean, new_cov, j, mean, cov, k)
-                k += 1
-            write_target(targets, hypotheses, t, fresh, r_new[j], 0.0, begin, k)
-            t, fresh = t + 1, fresh + 1
-    return k
-
-
-@njit(**INNER)
-def still_ended(layer: Layer, count: I8, past: tuple[I8, int, int]) -> I8:
-    """(E, 2) frame and hypothesis of targets that were once confirmed and have been deleted within the history.
-
-    ``count`` (T,) is how many hypotheses are kept of each target.
-    """
-    ended, frame, history = past
-    out, k = np.empty((len(ended) + count.size, 2), np.int64), 0 * frame
-    for e in range(len(ended)):
-        if frame - ended[e, 0] <= history:
-            out[k, 0], out[k, 1] = ended[e, 0], ended[e, 1]
-            k += 1
-    for t in range(count.size):
-        target = layer.targets[t]
-        if count[t] == 0 and target.max_presence >= CONFIRMED and target.best >= 0:
-            parent = layer.hypotheses[target.best].parent
-            if parent >= 0:
-                out[k, 0], out[k, 1] = frame - 1, parent
-                k += 1
-    return out[:k]
-
-
-@njit(**ENTRY)
 def updated_layer(
     layer: Layer, e: Expected, m: Measurements, new: NewTargets, s: Settings, fresh: int, past: tuple[I8, int, int]
 ) -> tuple[Layer, Summary, I8]:
@@ -369,98 +159,308 @@ def updated_layer(
     fresh : the label that the next new target is given.
     past : (E, 2) frame and hypothesis of targets that have ended, the number of this frame, and how many frames are kept.
     """
-    hypotheses, clutter, density, prior = layer.hypotheses, m.clutter, new.density, s.static_clutter_prior
-    n = density.size
-    p_detect, alone, evidence, false, r_new = np.empty(hypotheses.size), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    for c in range(p_detect.size):
-        h = hypotheses[c]
-        p_detect[c] = s.static_detection_probability if h.static else (1.0 - h.occluded) * e.p_detect[c]
-    for j in range(n):
+    targets, hypotheses, mean, covariance = layer
+    ended, frame, history = past
+    count, n, prior = len(targets), len(m.z), s.static_clutter_prior
+    p_detect = (1.0 - hypotheses["occluded"]) * e.p_detect
+    p_detect[hypotheses["static"] > 0] = s.static_detection_probability
+    pairs = gated(e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, s.gate, p_detect)
+    exists, found = np.empty(count), np.empty((3, n))
+    born, vanished, started, predicted = _associate(
+        targets, hypotheses, p_detect, pairs, exists, m.clutter, new.density, found, s.existence_threshold, prior
+    )
+    evidence, false, r_new = found
+    options, kept = np.empty(len(hypotheses) + len(pairs), PAIR), np.empty(count, np.int64)
+    k = _choose(
+        targets, hypotheses, p_detect, pairs, exists, s.existence_threshold, s.hypothesis_threshold, s.max_hypotheses,
+        options, kept,
+    )  # fmt: skip
+    options, room, d = options[:k], k + 2 * started, mean.shape[1]
+    out = Layer(np.empty(count + started, TARGET), np.empty(room, HYPOTHESIS), np.empty((room, d)), np.empty((room, d, d)))
+    write_posteriors(mean, covariance, e, m, options, out.mean, out.covariance)
+    gone = np.empty(count, np.int64)
+    t, k, lost, mass = _write_kept(layer, p_detect, exists, kept, options, s.merge_distance * s.merge_distance, out, gone)
+    k, mass = _write_new(r_new, new.mean, new.covariance, prior, fresh, t, k, mass, out)
+    ended = ended[frame - ended[:, 0] <= history]
+    if lost:
+        ended = np.vstack([ended, np.stack([np.full(lost, frame - 1), gone[:lost]], axis=1)])
+    out = Layer(out.targets[: t + started], out.hypotheses[:k], out.mean[:k], out.covariance[:k])
+    return out, Summary(born + predicted, born, mass, vanished, evidence, false), ended
+
+
+@njit(**ENTRY)
+def _associate(
+    targets: Records, hypotheses: Records, p_detect: F8, pairs: Records, exists: F8, clutter: F8, density: F8, found: F8,
+    least: float, prior: float,
+) -> tuple[float, int, int, float]:  # fmt: skip
+    """Write the probability of each pair as its weight, and those that a target exists and was missed into ``exists`` (T,).
+
+    ``p_detect`` (C,) is of hypotheses, ``density`` (N,) is γ̂, ``least`` the probability from which a target is kept, and
+    ``prior`` that of static clutter. Writes into ``found`` (3, N) C(z) and κ(z) as of `Summary`, and the probability that a
+    new target exists. Returns the mass of new targets, how many measurements have κ + C = 0, how many begin one, and the
+    mass predicted.
+    """
+    evidence, false, r_new = found[0], found[1], found[2]
+    for j in range(clutter.size):
         evidence[j] = clutter[j] + density[j]
-        alone[j] = max(evidence[j], TINY)
-    pairs = gated(e, m, places_of(m), s.gate, p_detect)
-    probability, missed, p_new = associated(layer, p_detect, pairs, alone, evidence)
-    options = options_kept(layer, p_detect, pairs, probability, missed, s)
-    born, started, vanished, predicted, mass = 0.0, 0 * fresh, 0 * fresh, 0.0, 0.0
-    for j in range(n):
-        p_target = density[j] / alone[j]
+    p_new = _weigh(targets, hypotheses, p_detect, pairs, exists, evidence)
+    born, vanished, started, predicted = 0.0, 0, 0, 0.0
+    for j in range(clutter.size):
+        alone = clutter[j] + density[j]
+        alone = alone if alone > TINY else TINY
+        p_target = density[j] / alone
         r_new[j] = p_new[j] * p_target
-        born += p_new[j] * density[j] / alone[j] * (1.0 - prior)
-        false[j] = p_new[j] * clutter[j] / alone[j] + p_new[j] * density[j] / alone[j] * prior
-        if r_new[j] < min(s.existence_threshold, 0.5 * p_target):
+        born += p_new[j] * density[j] / alone * (1.0 - prior)
+        false[j] = p_new[j] * clutter[j] / alone + p_new[j] * density[j] / alone * prior
+        if r_new[j] < least and r_new[j] < 0.5 * p_target:
             r_new[j] = 0.0
         started += r_new[j] > 0.0
-    room, d = options.source.size + 2 * started, layer.mean.shape[1]
-    mean, cov = np.empty((room, d)), np.empty((room, d, d))
-    write_posteriors(layer.mean, layer.covariance, e, m, options.source, options.taken, mean, cov, 0)
-    out = Layer(np.empty(layer.targets.size + started, TARGET), np.empty(room, HYPOTHESIS), mean, cov)
-    t, k = write_kept(layer, p_detect, options, s.merge_distance * s.merge_distance, out)
-    k = write_new(r_new, new, prior, fresh, t, k, out)
-    out = Layer(out.targets[: t + started], out.hypotheses[:k], out.mean[:k], out.covariance[:k])
-    for q in range(probability.size):
-        if hypotheses[pairs.gaussian[q]].static:
-            false[pairs.measurement[q]] += probability[q]
-    for j in range(n):
         vanished += evidence[j] == 0.0
+    for q in range(pairs.size):
+        if hypotheses[pairs[q].gaussian].static:
+            false[pairs[q].measurement] += pairs[q].weight
+    for j in range(clutter.size):
         false[j] *= evidence[j]
         evidence[j] -= false[j]
-    for i in range(layer.targets.size):
-        predicted += layer.targets[i].presence
-    for i in range(out.targets.size):
-        mass += out.targets[i].presence
-    info = Summary(born + predicted, born, mass, vanished, evidence, false)
-    return out, info, still_ended(layer, options.kept, past)
-
-
-class Trace(NamedTuple):
-    """Which hypothesis of a frame leads to the one that is best today, for each of its targets: ``place`` (T,), −1 for none,
-    and ``presence`` (T,), the greatest from that frame on."""
-
-    place: I8
-    presence: F8
+    for t in range(targets.size):
+        predicted += targets[t].presence
+    return born, vanished, started, predicted
 
 
 @njit(**INNER)
-def followed_back(trace: Trace, after: Records, then: Layer, ended: I8, frame: int) -> Trace:
+def _weigh(targets: Records, hypotheses: Records, p_detect: F8, pairs: Records, missed: F8, evidence: F8) -> F8:
+    """(N,) probability that a measurement is no target's; the others are written as by `_associate`.
+
+    ``evidence`` is κ + γ̂, to which Σ r w p q is added.
+    """
+    edges, place, edge_of = np.empty(pairs.size, EDGE), np.empty(evidence.size, np.int64), np.empty(pairs.size, np.int64)
+    alone = np.empty(evidence.size)
+    for j in range(place.size):
+        place[j], alone[j] = -1, evidence[j] if evidence[j] > TINY else TINY
+    # A literal zero is a type of its own.
+    count, q = 0 * pairs.size, 0 * pairs.size
+    for t in range(targets.size):
+        target, detected, begun = targets[t], 0.0, count
+        for c in range(target.begin, target.end):
+            detected += hypotheses[c].weight * p_detect[c]
+        miss = 1.0 - target.r * detected if 1.0 - target.r * detected > NEVER else NEVER
+        unseen = target.r * (1.0 - detected) / miss if detected < 1.0 else 0.0
+        missed[t] = unseen if unseen < 1.0 else 1.0
+        while q < pairs.size and pairs[q].gaussian < target.end:
+            pair = pairs[q]
+            c, j = pair.gaussian, pair.measurement
+            joint = target.r * hypotheses[c].weight * p_detect[c] * np.exp(pair.log_density)
+            evidence[j] += joint
+            if place[j] < begun:
+                place[j], edge = count, edges[count]
+                edge.target, edge.measurement, edge.odds = t, j, 0.0
+                count += 1
+            pair.weight, edge_of[q] = joint / (miss * alone[j]), place[j]
+            edges[place[j]].odds += pair.weight
+            q += 1
+    nothing, p_new = beliefs(edges[:count], targets.size, alone.size)
+    for t in range(targets.size):
+        missed[t] *= nothing[t]
+    for q in range(pairs.size):
+        edge = edges[edge_of[q]]
+        if edge.odds > 0.0:
+            pairs[q].weight = edge.mu * pairs[q].weight / edge.odds
+    return p_new
+
+
+@njit(**ENTRY)
+def _choose(
+    targets: Records, hypotheses: Records, p_detect: F8, pairs: Records, exists: F8, least: float, share: float, most: float,
+    options: Records, kept: I8,
+) -> int:  # fmt: skip
+    """Write the options of each target that are above the thresholds, the heaviest first; how many there are.
+
+    An option is a `PAIR` of the hypothesis before and its measurement, −1 for none; its weight is not normalised. ``kept``
+    and ``exists`` (T,) as by `_associate`. The second becomes the probability that the target exists: it is kept from
+    and ``exists`` (T,) as by `_associate`. The second becomes the probability that the target exists: it is kept from
+    ``least`` on, with ``most`` options of no less than the ``share`` of it.
+    """
+    q, k = 0 * pairs.size, 0 * pairs.size
+    for t in range(targets.size):
+        target, total, unseen, begun, end = targets[t], exists[t], 0.0, q, k
+        for c in range(target.begin, target.end):
+            unseen += hypotheses[c].weight * (1.0 - p_detect[c])
+        while q < pairs.size and pairs[q].gaussian < target.end:
+            total, q = total + pairs[q].weight, q + 1
+        unseen = exists[t] / unseen if unseen > 0.0 else 0.0
+        exists[t], kept[t] = total if total < 1.0 else 1.0, 0
+        # A target whose probability has just risen may have begun, however rare births are.
+        if not (total >= least or total > target.r):
+            continue
+        # First those with a measurement, then those without, each sorted in, the heaviest first.
+        for o in range(q - begun + target.end - target.begin):
+            i, j, value, place = begun + o, -1, 0.0, end
+            if i < q:
+                i, j, value = pairs[i].gaussian, pairs[i].measurement, pairs[i].weight
+            else:
+                i += target.begin - q
+                value = unseen * hypotheses[i].weight * (1.0 - p_detect[i])
+            if value >= share * total and value > 0.0:
+                while place > k and options[place - 1].weight < value:
+                    options[place] = options[place - 1]
+                    place -= 1
+                option = options[place]
+                option.gaussian, option.measurement, option.weight = i, j, value
+                end += 1
+        kept[t] = end - k if end - k < most else int(most)
+        k += kept[t]
+    return k
+
+
+@njit(**INNER)
+def copy_gaussian(mean: F8, covariance: F8, i: int, out_mean: F8, out_covariance: F8, k: int) -> None:
+    """Copy Gaussian i to place k. In loops: an assignment of rows would compile Numba's code for its error messages."""
+    for a in range(mean.shape[1]):
+        out_mean[k, a] = mean[i, a]
+        for b in range(mean.shape[1]):
+            out_covariance[k, a, b] = covariance[i, a, b]
+
+
+@njit(**INNER)
+def heavier_like(hypotheses: Records, mean: F8, cov: F8, begin: int, k: int, limit: float) -> int:
+    """The first of the hypotheses begin … k − 1 of the kind of k and within √``limit`` of its own deviations; k for none."""
+    for i in range(begin, k):
+        distance2 = 0.0
+        for a in range(mean.shape[1]):
+            step, variance = mean[i, a] - mean[k, a], cov[i, a, a]
+            distance2 += step * step / (variance if variance > 1e-12 else 1e-12)
+        if hypotheses[i].static == hypotheses[k].static and distance2 < limit:
+            return i
+    return k
+
+
+@njit(**ENTRY)
+def _write_kept(
+    layer: Layer, p_detect: F8, exists: F8, kept: I8, options: Records, limit: float, out: Layer, gone: I8
+) -> tuple[int, int, int, float]:
+    """Write the targets that are kept into the first places of ``out``; how many targets and hypotheses there are.
+
+    ``out`` has the Gaussians of the options with a measurement. Hypotheses within √``limit`` deviations of a heavier one are
+    counted as that one. The others are as of `_choose`. Of deleted targets that were once confirmed the best hypothesis of
+    the frame before is written into ``gone`` (T,). Returns also how many these are, and the mass of the targets.
+    """
+    targets, hypotheses, mean, cov = out
+    old_targets, old, old_mean, old_cov = layer
+    number, k, end, lost, mass = 0, 0 * kept.size, 0 * kept.size, 0, 0.0
+    for t in range(kept.size):
+        total, begin, option, end, before = 0.0, k, end, end + kept[t], old_targets[t]
+        for i in range(option, end):
+            total += options[i].weight
+        for i in range(option, end):
+            c, h, weight = options[i].gaussian, hypotheses[k], options[i].weight / total
+            h.static, h.parent, h.target, h.occluded = old[c].static, old[c].parent, number, 0.0
+            h.detection = options[i].measurement
+            if h.detection < 0:
+                copy_gaussian(old_mean, old_cov, c, mean, cov, k)
+                if not h.static:
+                    seen = 1.0 - p_detect[c] if 1.0 - p_detect[c] > TINY else TINY
+                    h.occluded = old[c].occluded / seen if old[c].occluded < seen else 1.0
+            elif k < i:
+                copy_gaussian(mean, cov, i, mean, cov, k)
+            heavier = heavier_like(hypotheses, mean, cov, begin, k, limit)
+            if heavier < k:
+                hypotheses[heavier].weight += weight
+            else:
+                h.weight = weight
+                k += 1
+        if k > begin:
+            mass += write_target(targets, hypotheses, number, before.label, exists[t], before.max_presence, begin, k)
+            number += 1
+        elif before.max_presence >= CONFIRMED and before.best >= 0 and old[before.best].parent >= 0:
+            gone[lost] = old[before.best].parent
+            lost += 1
+    return number, k, lost, mass
+
+
+@njit(**INNER)
+def write_target(
+    targets: Records, hypotheses: Records, t: int, label: int, r: float, max_presence: float, begin: int, end: int
+) -> float:
+    """Write target t, whose hypotheses are written; its presence. ``max_presence`` is the greatest before."""
+    target, total, best = targets[t], 0.0, -1
+    for c in range(begin, end):
+        h = hypotheses[c]
+        if not h.static:
+            total += h.weight
+            if best < 0 or h.weight > hypotheses[best].weight:
+                best = c
+    target.label, target.r, target.begin, target.end, target.best = label, r, begin, end, best
+    target.presence, target.max_presence = r * total, r * total if r * total > max_presence else max_presence
+    return r * total
+
+
+@njit(**ENTRY)
+def _write_new(
+    r_new: F8, new_mean: F8, new_cov: F8, prior: float, fresh: int, t: int, k: int, mass: float, out: Layer
+) -> tuple[int, float]:
+    """Write the new targets, of r above 0, from places t and k of ``out`` on; how many hypotheses there are, and the mass.
+
+    They come in the order of the measurements and are labelled from ``fresh`` on; ``prior`` is that of static clutter.
+    """
+    targets, hypotheses, mean, cov = out
+    for j in range(r_new.size):
+        if r_new[j] > 0.0:
+            begin = k
+            for kind in range(2 if prior > 0.0 else 1):
+                h = hypotheses[k]
+                h.weight, h.static, h.occluded = prior if kind == 1 else 1.0 - prior, kind == 1, 0.0
+                h.target, h.detection, h.parent = t, j, -1
+                copy_gaussian(new_mean, new_cov, j, mean, cov, k)
+                k += 1
+            mass += write_target(targets, hypotheses, t, fresh, r_new[j], 0.0, begin, k)
+            t, fresh = t + 1, fresh + 1
+    return k, mass
+
+
+@njit(**INNER)
+def followed_back(trace: Records, after: Records, targets: Records, hypotheses: Records, ended: I8, frame: int) -> Records:
     """The trace a frame earlier, with the targets that ended after it."""
-    targets, hypotheses = then.targets, then.hypotheses
-    place, presence = np.empty(targets.size, np.int64), np.empty(targets.size)
-    for t in range(place.size):
-        place[t], presence[t] = -1, targets[t].presence
-    for i in range(trace.place.size):
-        p = after[trace.place[i]].parent if trace.place[i] >= 0 else -1
+    out = np.empty(targets.size, TRACE)
+    for t in range(targets.size):
+        out[t].place, out[t].presence = -1, targets[t].presence
+    for i in range(trace.size):
+        p = after[trace[i].place].parent if trace[i].place >= 0 else -1
         if p >= 0:
-            t = hypotheses[p].target
-            place[t], presence[t] = p, max(trace.presence[i], presence[t])
+            found = out[hypotheses[p].target]
+            found.place = p
+            if trace[i].presence > found.presence:
+                found.presence = trace[i].presence
     for e in range(len(ended)):
         if ended[e, 0] == frame:
-            place[hypotheses[ended[e, 1]].target] = ended[e, 1]
-    return Trace(place, presence)
+            out[hypotheses[ended[e, 1]].target].place = ended[e, 1]
+    return out
 
 
 @njit(**ENTRY)
 def earlier(
-    now: Trace, before: Trace, after: Layer, then: Layer, past: tuple[I8, int], present: bool, min_weight: float
-) -> tuple[Trace, Trace, bool]:
+    now: Records, before: Records, after: Records, targets: Records, hypotheses: Records, past: tuple[I8, int],
+    present: bool, min_weight: float,
+) -> tuple[Records, Records, bool]:  # fmt: skip
     """The traces a frame earlier, as seen now and as seen a frame ago, and whether both report the same up to there.
 
     Parameters
     ----------
-    now, before : traces of the frame after it.
-    after, then : the targets of the frame after it, and of the frame.
+    now, before : of `TRACE`, of the frame after it.
+    after : hypotheses of the frame after it.
+    targets, hypotheses : of the frame.
     past : (E, 2) frame and hypothesis of targets that have ended, and the number of the frame.
     present : the frame after it is the present one: ``before`` is given of the frame itself.
     min_weight : presence from which a target is reported. Both report the same where all targets that are reported, or
         may be in an earlier frame, have the same hypotheses and are reported in both or in none: their pasts are the same.
     """
     ended, frame = past
-    now = followed_back(now, after.hypotheses, then, ended, frame)
+    now = followed_back(now, after, targets, hypotheses, ended, frame)
     if not present:
-        before = followed_back(before, after.hypotheses, then, ended, frame)
-    for t in range(now.place.size):
-        seen, was_seen, ever = now.presence[t] >= min_weight, before.presence[t] >= min_weight, then.targets[t].max_presence
-        one = now.place[t] >= 0 and (seen or ever >= min_weight)
-        other = before.place[t] >= 0 and (was_seen or ever >= min_weight)
-        if one != other or (one and (now.place[t] != before.place[t] or seen != was_seen)):
+        before = followed_back(before, after, targets, hypotheses, ended, frame)
+    for t in range(targets.size):
+        one, other, ever = now[t], before[t], targets[t].max_presence >= min_weight
+        seen, was_seen = one.presence >= min_weight, other.presence >= min_weight
+        is_there, was_there = one.place >= 0 and (seen or ever), other.place >= 0 and (was_seen or ever)
+        if is_there != was_there or (is_there and (one.place != other.place or seen != was_seen)):
             return now, before, False
     return now, before, True

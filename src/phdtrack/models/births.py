@@ -16,8 +16,8 @@ import numpy as np
 
 from phdtrack.arrays import chi2_quantile, draw
 from phdtrack.errors import InputError, NonNegative, PositiveCount, Probability, Share, check
+from phdtrack.kernels.box import summed_densities
 from phdtrack.kernels.gaussian import Births, NewTargets
-from phdtrack.kernels.neighbourhoods import summed_densities
 from phdtrack.kernels.newborn import density_within, place_newborn, proposal_density, proposals, standard_points
 from phdtrack.models.volumes import (
     EVERYWHERE,

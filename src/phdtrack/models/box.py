@@ -49,7 +49,6 @@ from phdtrack.kernels.box import (
     BoxNoise,
     box_corners,
     box_covariances,
-    box_gate,
     box_motion_noise,
     box_noise,
     states_of_boxes,
@@ -238,8 +237,8 @@ class BoxSensor:
             reach /= math.sqrt(max(1 - (g * self.box_noise) ** 2, 0.05))
         elif self.scaling == "previous":
             reach *= 2.0  # the size before the last prediction is not known from z
-        corners: tuple[F8, F8] = box_gate(z, reach, g * self.min_noise / 2)
-        return corners
+        half = np.maximum(reach * z[2:4], g * self.min_noise / 2)
+        return z[:2] - half, z[:2] + half
 
     def states(self, z: F8) -> tuple[F8, F8]:
         """States at rest that would give z, with the covariance of what z alone tells.

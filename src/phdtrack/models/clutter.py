@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.errors import InputError, NonNegative, Positive, check
-from phdtrack.kernels.neighbourhoods import summed_densities
+from phdtrack.kernels.box import summed_densities
 from phdtrack.models.volumes import REACH, SIZES, local_density, local_volume
 from phdtrack.protocols import Clutter
 from phdtrack.types import F8
