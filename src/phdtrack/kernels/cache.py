@@ -14,6 +14,7 @@ cache, the first of them that can be written into. Two things it leaves to us:
 from __future__ import annotations
 
 import atexit
+import gc
 import hashlib
 import os
 import shutil
@@ -48,7 +49,10 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def compiled(function: Callable[..., Any]) -> Any:
         dispatcher: Any = numba.njit(**options)(function)
-        if not options.get("cache") or numba.config.DISABLE_JIT:
+        if numba.config.DISABLE_JIT:
+            return dispatcher
+        dispatcher.compile = _uncollected(dispatcher.compile)
+        if not options.get("cache"):
             return dispatcher
         keep = dispatcher._cache.save_overload
 
@@ -58,6 +62,21 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
         dispatcher._cache.save_overload = keep_own
         return dispatcher
+
+    return compiled
+
+
+def _uncollected(compile_for: Callable[..., Any]) -> Callable[..., Any]:
+    """The same without searches for garbage: Numba makes many objects and hardly any garbage while it compiles."""
+
+    def compiled(*signature: Any) -> Any:
+        searched = gc.isenabled()
+        gc.disable()
+        try:
+            return compile_for(*signature)
+        finally:
+            if searched:
+                gc.enable()
 
     return compiled
 
