@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from phdtrack.filters.blocks import cut
 from phdtrack.filters.extract import heavy_enough
 from phdtrack.kernels.blocks import block_moments, claim, reaching, summarise, unreached
-from phdtrack.kernels.box import box_corners, box_noise
 from phdtrack.kernels.grid import make_grid
 from phdtrack.kernels.mixtures import Gaussians
 from phdtrack.models import BoxSensor
@@ -113,13 +112,14 @@ def test_light_clusters_are_joined_and_the_heavy_enough_kept(seed: int, k: int):
 @pytest.mark.parametrize("d", [6, 8])
 def test_box_states(d: int, rng):
     z = rng.uniform(5, 90, (4, 7))
-    x, _ = BoxSensor(scaling="previous" if d == 8 else "particle").states(z)
+    sensor = BoxSensor(scaling="previous" if d == 8 else "particle", min_noise=6.0)
+    x, _ = sensor.states(z)
     np.testing.assert_array_equal(x[[0, 1, 4, 5]], z)
     np.testing.assert_array_equal(x[2:4], 0)
     np.testing.assert_array_equal(x[6:], z[2:] if d == 8 else np.zeros((0, 7)))
-    np.testing.assert_allclose(box_corners(x)[:, 2:] - box_corners(x)[:, :2], z[2:].T)
-    np.testing.assert_allclose(box_corners(x)[:, 2:] + box_corners(x)[:, :2], 2 * z[:2].T)
-    noise = box_noise(x, d - 2, 0.15, 6.0, 0.06)
+    np.testing.assert_allclose(sensor.boxes(x)[:, 2:] - sensor.boxes(x)[:, :2], z[2:].T)
+    np.testing.assert_allclose(sensor.boxes(x)[:, 2:] + sensor.boxes(x)[:, :2], 2 * z[:2].T)
+    noise = sensor.noise(x)
     sigma = np.maximum(0.15 * z[2:], 6.0)
     np.testing.assert_allclose(noise[[0, 1, 4, 5]], np.vstack([sigma / 2, sigma]))
     np.testing.assert_allclose(noise[2], 0.06 * np.sqrt(z[2] * z[3]) / math.sqrt(2))

@@ -1,11 +1,10 @@
-"""What boxes in the image are for motion, sensor and clutter: predictions, noises, corners, overlaps, neighbours.
+"""What boxes in the image are for motion, sensor and clutter: predictions, noises, overlaps, neighbours.
 
 The formulas stand in `models.box`. States are (px, py, vx, vy, w, h).
 """
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -21,36 +20,7 @@ I8 = NDArray[np.int64]
 ROWS = (0, 1, 4, 5)
 PARTICLE, DETECTION, FIXED, GIVEN, PREVIOUS = range(5)
 TINY_VARIANCE = 1e-12
-ROOT_2, LEAST_SPEED = math.sqrt(2.0), 1e-6
-
-
-@njit(**ENTRY)
-def box_noise(x: F8, size_row: int, spread: float, floor: float, speed: float) -> F8:
-    """(d, n) deviations of box states whose noise follows the size in rows ``size_row`` and the next.
-
-    σ_w = max(s·w, floor), σ_h likewise, half of them in position; a velocity's amplitude deviates by ``speed``·√(wh).
-    """
-    d, n = x.shape
-    out = np.empty((d, n))
-    for i in range(n):
-        sw, sh = spread * x[size_row, i], spread * x[size_row + 1, i]
-        sw, sh = floor if sw < floor else sw, floor if sh < floor else sh
-        velocity = speed * np.sqrt(x[4, i] * x[5, i]) / ROOT_2
-        velocity = LEAST_SPEED if velocity < LEAST_SPEED else velocity
-        out[0, i], out[1, i], out[2, i], out[3, i] = 0.5 * sw, 0.5 * sh, velocity, velocity
-        for r in range(4, d, 2):
-            out[r, i], out[r + 1, i] = sw, sh
-    return out
-
-
-@njit(**ENTRY)
-def box_corners(x: F8) -> F8:
-    """(n, 4) left, top, right, bottom of box states (d, n)."""
-    out = np.empty((x.shape[1], 4))
-    for i in range(x.shape[1]):
-        for r in range(2):
-            out[i, r], out[i, 2 + r] = x[r, i] - 0.5 * x[4 + r, i], x[r, i] + 0.5 * x[4 + r, i]
-    return out
+LEAST_SPEED = 1e-6
 
 
 @njit(**ENTRY)

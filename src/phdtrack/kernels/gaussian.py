@@ -221,7 +221,8 @@ def innovation(spread: F8, rows: I8, noise: F8, extra: F8, i: int, j: int, perio
                 s[a, b] += noise[i, a, b]
             if len(extra) > 0:
                 s[a, b] += extra[j, a, b]
-    return factored(s, period)
+    determinant: float = factored(s, period)
+    return determinant
 
 
 @njit(**INNER)

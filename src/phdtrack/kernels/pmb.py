@@ -259,6 +259,7 @@ def _weigh(targets: Records, hypotheses: Records, p_detect: F8, pairs: Records, 
             pair.weight, edge_of[q] = joint / (miss * alone[j]), place[j]
             edges[place[j]].odds += pair.weight
             q += 1
+    p_new: F8
     nothing, p_new = beliefs(edges[:count], targets.size, alone.size)
     for t in range(targets.size):
         missed[t] *= nothing[t]

@@ -43,14 +43,13 @@ from phdtrack.kernels.box import (
     DETECTION,
     FIXED,
     GIVEN,
+    LEAST_SPEED,
     PARTICLE,
     PREVIOUS,
     BoxDynamics,
     BoxNoise,
-    box_corners,
     box_covariances,
     box_motion_noise,
-    box_noise,
     states_of_boxes,
 )
 from phdtrack.kernels.particle_models import BoxWalk, GivenSize, OwnSize, SensorNumbers, SizeBefore
@@ -260,17 +259,20 @@ class BoxSensor:
         """Deviations of the state's components: the measurement's of a box of this size, and an unknown velocity's."""
         if self.scaling == "fixed":
             position, size = self.fixed_noise
-            speed = max(self.birth_speed_pixels / math.sqrt(2), 1e-6)
+            speed = max(self.birth_speed_pixels / math.sqrt(2), LEAST_SPEED)
             constant: F8 = np.repeat([position, speed, size], [2, 2, len(x) - 4])[:, None] * np.ones(x.shape[1])
             return constant
-        row = 6 if self.scaling == "previous" else 4
-        out: F8 = box_noise(x, row, self.box_noise, self.min_noise, self.birth_speed)
+        row, out = 6 if self.scaling == "previous" else 4, np.empty(x.shape)
+        sigma = np.maximum(self.box_noise * x[row : row + 2], self.min_noise)
+        out[:2], out[4:6], out[6:] = 0.5 * sigma, sigma, sigma[: len(x) - 6]
+        out[2:4] = np.maximum(self.birth_speed * np.sqrt(x[4] * x[5]) / math.sqrt(2), LEAST_SPEED)
         return out
 
     def boxes(self, x: F8) -> F8:
         """(n, 4) the boxes of the states."""
-        corners: F8 = box_corners(x)
-        return corners
+        half, out = 0.5 * x[4:6], np.empty((x.shape[1], 4))
+        out[:, :2], out[:, 2:] = (x[:2] - half).T, (x[:2] + half).T
+        return out
 
 
 @dataclass(frozen=True, slots=True)
