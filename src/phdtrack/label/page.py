@@ -265,7 +265,8 @@ def _endpoint(work: Callable[..., Any], media: str) -> Callable[[Request], Any]:
 
 
 def _encoded(image: Image, suffix: str = ".jpg") -> bytes:
-    return cv2.imencode(suffix, image, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes()
+    quality = [cv2.IMWRITE_JPEG_QUALITY, 90] if suffix == ".jpg" else []
+    return cv2.imencode(suffix, image, quality)[1].tobytes()
 
 
 class Guard(BaseHTTPMiddleware):

@@ -161,10 +161,7 @@ class RunRecord:
 
     @property
     def frames_per_second(self) -> float:
-        """Frames over the wall time of detection and tracking; NaN where no time was measured.
-
-        Without it, it is the frames over the sum of the stages, as if they did not overlap.
-        """
+        """Frames over the wall time of detection and tracking, else over the sum of the stages; NaN without either."""
         about = self.about
         total = about.tracking_seconds if about.left_out else about.tracking_seconds or float(self.seconds.sum())
         return (len(self) - about.left_out) / total if total > 0 else math.nan
