@@ -26,11 +26,12 @@ from phdtrack.models.scene import FalseAlarmRatio, with_scene
 from phdtrack.protocols import AnyStages
 from phdtrack.scene import LearnedDensity, TrackedObjects
 from phdtrack.scene.training import (
+    FALSE_BOXES,
+    OBJECT_BOXES,
     Training,
     births_in,
     learn_births,
-    learn_clutter,
-    learn_objects,
+    learn_boxes,
     with_prior,
 )
 from phdtrack.types import F8, I8, Tracks
@@ -106,7 +107,7 @@ def own_births(tracks: Tracks, case: Case, rate: float) -> Training | None:
 def learned_alarms(case: Case, marks: Marks) -> Training:
     """False alarms from marks."""
     size = float(case.info.width), float(case.info.height)
-    lesson = learn_clutter(marks.false_boxes, len(marks.looked_at), size)
+    lesson = learn_boxes(marks.false_boxes, len(marks.looked_at), size, FALSE_BOXES)
     return _with_prior(lesson, case)
 
 
@@ -114,7 +115,7 @@ def learned_followed(tracks: Tracks, case: Case, marks: Marks) -> TrackedObjects
     """What the tracker follows of what was marked and of what was not; None where too little was not."""
     size, frames = (float(case.info.width), float(case.info.height)), len(marks.looked_at)
     try:
-        objects = learn_objects(marks.object_boxes, frames, size)
+        objects = learn_boxes(marks.object_boxes, frames, size, OBJECT_BOXES)
     except InputError:
         return None
     return TrackedObjects(marks.share_followed(tracks), _with_prior(objects, case).learned)

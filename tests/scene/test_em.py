@@ -6,7 +6,7 @@ import pytest
 from phdtrack.errors import InputError
 from phdtrack.kernels.mixtures import Gaussians
 from phdtrack.scene import SceneDensity, grid, learn, marginal
-from phdtrack.scene.em import Samples, criterion, fitted, improved, moments, parameters
+from phdtrack.scene.em import Samples, _fitted, _improved, criterion, moments, parameters
 from phdtrack.types import F8
 from reference import em as defined
 
@@ -191,20 +191,20 @@ def test_em_raises_the_likelihood_step_by_step_and_leaves_what_was_given():
     seen = samples_of(p.sample(300, rng), floor=1e-9)
     shifted = density([[300, 260, 45, 80], [480, 120, 33, 75]], [WIDE, PLACE * 9], [0.5, 0.5], 0.5)
     before = shifted.mean.copy(), shifted.covariance.copy()
-    values = [likelihood_of(fitted(shifted, seen, steps), seen) for steps in range(8)]
+    values = [likelihood_of(_fitted(shifted, seen, steps), seen) for steps in range(8)]
     assert (np.diff(values) > 0).all()
     np.testing.assert_array_equal(shifted.mean, before[0])
     np.testing.assert_array_equal(shifted.covariance, before[1])
     # The truth explains what was drawn of it worse than what was fitted to it.
-    assert likelihood_of(fitted(shifted, seen), seen) > likelihood_of(p, seen)
+    assert likelihood_of(_fitted(shifted, seen), seen) > likelihood_of(p, seen)
 
 
 def test_a_component_with_less_than_half_its_parameters_goes_and_the_last_stays():
     x = two().sample(100, np.random.default_rng(3))
     far = density([[320, 240, 40, 90], [10, 10, 5, 5]], [WIDE, PLACE], [0.9, 0.1])
-    assert len(fitted(far, samples_of(x))) == 1
+    assert len(_fitted(far, samples_of(x))) == 1
     # Worth little, one component is kept all the same.
-    assert len(fitted(far, samples_of(x, np.full(100, 0.01)))) == 1
+    assert len(_fitted(far, samples_of(x, np.full(100, 0.01)))) == 1
 
 
 def test_the_criterion_is_what_it_says():
@@ -229,7 +229,7 @@ def places(rng: np.random.Generator) -> F8:
 @pytest.mark.parametrize("seed", range(6))
 def test_a_place_that_a_wide_component_has_swallowed_is_found(seed):
     seen = samples_of(places(np.random.default_rng(seed)), floor=0.1)
-    found = improved(density([[320, 240, 30, 75]], [WIDE], [1.0]), seen, 20)
+    found = _improved(density([[320, 240, 30, 75]], [WIDE], [1.0]), seen, 20)
     for place in ([300.0, 200, 32, 80], [500, 330, 28, 70]):
         deviation = np.sqrt(np.einsum("mrr->rm", found.covariance))
         near = np.flatnonzero((np.abs(found.mean - np.array(place)[:, None]) < [[3], [8], [3], [8]]).all(axis=0))
@@ -245,8 +245,8 @@ def test_components_too_many_go():
     seen = samples_of(np.hstack([flat, place]))
     same = [[297, 195, 30, 75], [303, 205, 34, 85]]
     begun = density([*same, [320, 240, 60, 120]], [PLACE, PLACE, np.diag([180.0, 130, 35, 70]) ** 2], [0.4, 0.4, 0.2], 1e-3)
-    found = improved(begun, seen, 20)
+    found = _improved(begun, seen, 20)
     # One for the place; what is spread evenly over the volume is the uniform part's.
     assert len(found) == 1
     assert found.uniform == pytest.approx(60 / 260, abs=0.01)
-    assert len(improved(begun, seen, 0)) == 3
+    assert len(_improved(begun, seen, 0)) == 3

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from phdtrack.errors import InputError
-from phdtrack.scene.training import learn_births, learn_clutter, learn_objects
+from phdtrack.scene.training import FALSE_BOXES, OBJECT_BOXES, learn_births, learn_boxes
 
 SIZE = (640.0, 480.0)
 MEAN, DEVIATION = np.array([100.0, 300, 2, 0.5, 40, 90]), np.array([10.0, 15, 0.5, 0.5, 4, 8])
@@ -51,10 +51,13 @@ def test_too_little_is_told():
         (learn_births, (born[:, 1:], 100, SIZE), "at least 14 births"),
         (learn_births, (0.01 * born[:4, :9], 100, *ground), "at least 10 births while the scene was watched, got 9"),
         (learn_births, (born, 0, SIZE), "some length"),
-        (learn_objects, (np.ones((4, 9)), 40, SIZE), "at least 10 detections of objects on the frames .*, got 9.* Look at"),
-        (learn_clutter, (np.ones((4, 9)), 40, SIZE), "at least 10 detections marked as false, got 9"),
-        (learn_objects, (np.ones((4, 20)), 0, SIZE), "expected frames on which detections were looked at, got 0"),
-        (learn_clutter, (np.ones((4, 20)), 0, SIZE), "expected frames on which detections were looked at, got 0"),
+        (
+            learn_boxes,
+            (np.ones((4, 9)), 40, SIZE, OBJECT_BOXES),
+            "at least 10 detections of objects .*, got 9.* Look at",
+        ),
+        (learn_boxes, (np.ones((4, 9)), 40, SIZE, FALSE_BOXES), "at least 10 detections marked as false, got 9"),
+        (learn_boxes, (np.ones((4, 20)), 0, SIZE, FALSE_BOXES), "expected frames on which detections were looked at, got 0"),
     ):
         with pytest.raises(InputError, match=words):
             learn(*arguments)
@@ -63,12 +66,12 @@ def test_too_little_is_told():
 def test_objects_are_where_they_were_detected_so_many_a_frame():
     rng = np.random.default_rng(8)
     boxes = door(rng, 300)[[0, 1, 4, 5]]
-    lesson = learn_objects(boxes, 40, SIZE)
+    lesson = learn_boxes(boxes, 40, SIZE, OBJECT_BOXES)
     assert (lesson.learned.rate, lesson.learned.samples) == (7.5, 300)
     density = lesson.learned.density
     assert density.mean[:, np.argmax(density.weight)] == pytest.approx([100, 300, 40, 90], abs=3)
     # As what is learned of the same boxes as false alarms: the places of both can be compared.
-    false = learn_clutter(boxes, 40, SIZE).learned.density
+    false = learn_boxes(boxes, 40, SIZE, FALSE_BOXES).learned.density
     np.testing.assert_array_equal(density.covariance, false.covariance)
     np.testing.assert_array_equal((density.low, density.high), (false.low, false.high))
 
@@ -94,5 +97,5 @@ def test_the_share_of_what_may_be_anywhere_is_learned_from_unseen_samples():
     anywhere = rng.uniform(0, 1, (4, 300)) * np.array([640.0, 480, 640, 480])[:, None]
     flag = np.array([500.0, 100, 30, 30])[:, None] + 3 * rng.standard_normal((4, 700))
     boxes = np.hstack([anywhere, flag])[:, rng.permutation(1000)]
-    density = learn_clutter(boxes, 40, SIZE).learned.density
+    density = learn_boxes(boxes, 40, SIZE, FALSE_BOXES).learned.density
     assert density.uniform == pytest.approx(0.3, abs=0.06)

@@ -9,7 +9,7 @@ from phdtrack.arrays import to_xyxy
 from phdtrack.scene import LearnedDensity, SceneDensity
 from phdtrack.scene.labelling import ObservedFrame, PendingFrames, label
 from phdtrack.scene.online import Regime
-from phdtrack.scene.online_mixture import KEPT_PER_BATCH, Batch, Evidence, OnlineMixture, faded, relearned, thinned
+from phdtrack.scene.online_mixture import KEPT_PER_BATCH, Batch, Evidence, OnlineMixture, _faded, _relearned, _thinned
 from phdtrack.scene.training import PRIOR, measurement_volume, state_volume
 from phdtrack.types import Tracks
 
@@ -32,13 +32,13 @@ def test_evidence_decides_by_two_standard_errors_and_else_not_at_all():
     ones = np.ones(40)
     # The standard error is 1/√40 = 0.158.
     for shift, expected in ((0.4, 1), (0.2, 0), (-0.2, 0), (-0.4, -1)):
-        assert Evidence().with_gains(noise + shift, ones, 1e9).sign == expected
-    assert Evidence().with_gains(noise[:9] + 5, ones[:9], 1e9).sign == 0
+        assert Evidence.of(noise + shift, ones).sign == expected
+    assert Evidence.of(noise[:9] + 5, ones[:9]).sign == 0
 
 
 def test_evidence_fades():
-    old = Evidence().with_gains(np.full(100, 2.0), np.ones(100), 50)
-    new = old.with_gains(np.full(100, -1.0), np.ones(100), 50)
+    old, ones = Evidence.of(np.full(100, 2.0), np.ones(100)), np.ones(100)
+    new = old.joined(Evidence.of(np.full(100, -1.0), ones), 50)
     assert new.mean == pytest.approx((100 * np.exp(-2) * 2 - 100) / (100 * np.exp(-2) + 100))
 
 
@@ -48,21 +48,21 @@ def test_evidence_fades():
 def test_thinning_keeps_the_weight_and_the_shares():
     rng = np.random.default_rng(1)
     samples, weight = rng.normal(size=(4, 500)), rng.random(500)
-    few, each = thinned(samples, weight, 50)
+    few, each = _thinned(samples, weight, 50)
     assert few.shape == (4, 50)
     assert each.sum() == pytest.approx(weight.sum())
     # A sample that is worth 40 % of all is chosen 40 % of the times.
     weight[7] = 2 / 3 * (weight.sum() - weight[7])
-    few, _ = thinned(samples, weight, 50)
+    few, _ = _thinned(samples, weight, 50)
     assert (few == samples[:, 7:8]).all(axis=0).sum() == pytest.approx(20, abs=1)
-    same, own = thinned(samples[:, :5], weight[:5], 5)
+    same, own = _thinned(samples[:, :5], weight[:5], 5)
     np.testing.assert_array_equal(same, samples[:, :5])
     np.testing.assert_array_equal(own, weight[:5])
 
 
 def test_old_samples_count_less_and_equal_ones_count_each():
-    np.testing.assert_allclose(faded(np.full(4, 3.0), np.full(4, 100.0), 50.0), 1)
-    weight = faded(np.ones(2), np.array([50.0, 0.0]), 50.0)
+    np.testing.assert_allclose(_faded(np.full(4, 3.0), np.full(4, 100.0), 50.0), 1)
+    weight = _faded(np.ones(2), np.array([50.0, 0.0]), 50.0)
     assert weight[0] / weight[1] == pytest.approx(np.exp(-1))
 
 
@@ -72,7 +72,7 @@ def follow(samples, rounds=12):
     density, parts = part.density, np.array_split(samples, rounds, axis=1)
     for k in range(rounds):
         age = np.repeat(np.arange(k, -1, -1), [each.shape[1] for each in parts[: k + 1]])
-        density = relearned(density, np.hstack(parts[: k + 1]), faded(np.ones(len(age)), age, 100.0))
+        density = _relearned(density, np.hstack(parts[: k + 1]), _faded(np.ones(len(age)), age, 100.0))
     return density
 
 
@@ -101,11 +101,11 @@ def batch(samples, seconds=1.0):
 def test_the_rate_follows_within_the_memory():
     rng, part = np.random.default_rng(4), OnlineMixture.unknown(LOW, HIGH)
     memory = 60.0
-    for k in range(120):
-        part = part.updated(batch(boxes(PLACES[0], 50, rng)), float(k), memory)
+    for _ in range(120):
+        part = part.updated(batch(boxes(PLACES[0], 50, rng)), memory)
     assert part.rate == pytest.approx(2.0, rel=1e-6)
-    for k in range(120, 180):
-        part = part.updated(batch(boxes(PLACES[0], 25, rng)), float(k), memory)
+    for _ in range(60):
+        part = part.updated(batch(boxes(PLACES[0], 25, rng)), memory)
     assert part.rate == pytest.approx(1 + np.exp(-1) * (1 - np.exp(-2)) / (1 - np.exp(-3)), abs=0.02)
     assert len(part.weight) <= 2 * memory * KEPT_PER_BATCH + KEPT_PER_BATCH
 
@@ -113,9 +113,9 @@ def test_the_rate_follows_within_the_memory():
 def test_what_is_learned_is_used_after_it_has_explained_what_it_had_not_learned():
     rng, part, memory = np.random.default_rng(5), OnlineMixture.unknown(LOW, HIGH), 60.0
     used = []
-    for k in range(12):
+    for _ in range(12):
         new = batch(boxes(PLACES[0], 20, rng))
-        part = part.scored(new, memory).updated(new, float(k), memory)
+        part = part.scored(new, memory).updated(new, memory)
         used.append(part.trusted)
     assert not used[0]
     assert used[-1]
@@ -130,7 +130,7 @@ def test_what_was_learned_before_counts_as_if_it_had_just_been_seen():
     part = OnlineMixture.unknown(LOW, HIGH).known(LearnedDensity(2.0, density, 500), 60.0, 25.0)
     assert part.trusted
     assert part.rate == 2.0
-    after = part.updated(batch(boxes(PLACES[0], 50, np.random.default_rng(6))), 1.0, 60.0)
+    after = part.updated(batch(boxes(PLACES[0], 50, np.random.default_rng(6))), 60.0)
     unseen = boxes(PLACES[0], 500, np.random.default_rng(7))
     assert after.density.log(unseen).mean() == pytest.approx(density.log(unseen).mean(), abs=0.15)
     assert after.rate == pytest.approx(2.0, abs=1e-9)
@@ -245,7 +245,7 @@ def lived(entered, rounds, rng):
     now, nothing = Regime("day", *unknown), Batch(np.zeros((4, 0)), np.zeros(0), 25, 25.0)
     for _ in range(rounds):
         new = batch(states(entered(4, rng))), nothing, batch(walkers(40, rng))
-        now = now.scored(*new[:2], 60.0).updated(new, 1.0, 60.0)
+        now = now.scored(new, 60.0).updated(new, 60.0)
     return now
 
 
@@ -263,17 +263,15 @@ def test_births_are_used_where_people_come_in_otherwise_than_they_are():
     assert anywhere.births.evidence.mean < 0.2
     # The door is closed, and a dozen people come in anywhere.
     nothing = Batch(np.zeros((4, 0)), np.zeros(0), 25, 25.0)
-    assert not at_door.scored(batch(states(walkers(12, rng))), nothing, 60.0).births_used
+    assert not at_door.scored((batch(states(walkers(12, rng))), nothing, nothing), 60.0).births_used
 
 
 def after(rng, n):
     """What is used of false alarms after two lessons of ``n`` boxes of a place."""
     part = OnlineMixture.unknown(LOW, HIGH)
-    for now in (1.0, 2.0):
-        part = part.updated(batch(boxes(PLACES[0], n, rng)), now, 60.0)
-    return Regime(
-        "day", OnlineMixture.unknown(*state_volume(640, 360, 20)), part, OnlineMixture.unknown(LOW, HIGH)
-    ).known.clutter
+    for _ in range(2):
+        part = part.updated(batch(boxes(PLACES[0], n, rng)), 60.0)
+    return Regime("day", OnlineMixture.unknown(*state_volume(640, 360, 20)), part, OnlineMixture.unknown(LOW, HIGH)).known[1]
 
 
 def test_what_is_used_is_no_surer_than_its_samples():

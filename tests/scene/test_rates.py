@@ -13,11 +13,11 @@ from phdtrack.scene.rates import (
     PRIOR_FRAMES,
     PRIOR_TRACKED,
     CountedTracks,
-    LabelledScores,
     Priors,
     RateSums,
     ScoreScale,
     SuccessiveScores,
+    with_newest,
 )
 from phdtrack.types import Tracks
 
@@ -84,7 +84,7 @@ def test_what_stays_in_its_place_and_what_was_not_confirmed_teaches_nothing():
 def labelled_scores(rng, n=2000, share=0.4):
     """Scores of objects N(1, 1) and of false alarms N(0, 1), with the truth of each: odds are exp(s − ½)."""
     false = rng.random(n) < share
-    return LabelledScores().joined(rng.normal(np.where(false, 0.0, 1.0), 1.0), false.astype(float))
+    return np.stack([rng.normal(np.where(false, 0.0, 1.0), 1.0), false])[:, -MAX_SCORES:]
 
 
 def test_the_odds_are_those_of_the_two_densities():
@@ -96,10 +96,10 @@ def test_the_odds_are_those_of_the_two_densities():
 
 def test_only_the_order_of_scores_counts():
     labelled = labelled_scores(np.random.default_rng(1))
-    s = labelled.score[:50]
+    s = labelled[0, :50]
     plain, bent = (
         ScoreScale.learned(labelled),
-        ScoreScale.learned(LabelledScores(1e6 * np.exp(3 * labelled.score), labelled.false)),
+        ScoreScale.learned(np.stack([1e6 * np.exp(3 * labelled[0]), labelled[1]])),
     )
     at = np.searchsorted(plain.at, s)
     assert np.array_equal(plain.log_ratio, bent.log_ratio)
@@ -111,7 +111,7 @@ def test_odds_never_fall_with_the_score_and_are_bounded():
     for seed in range(20):
         rng = np.random.default_rng(seed)
         n = int(rng.integers(2, 300))
-        labelled = LabelledScores().joined(np.round(rng.normal(size=n), 1), rng.random(n))
+        labelled = np.stack([np.round(rng.normal(size=n), 1), rng.random(n)])
         odds = ScoreScale.learned(labelled).ratio(np.sort(rng.normal(scale=3, size=100)))
         assert (np.diff(odds) >= -1e-12).all()
         assert (np.abs(np.log(odds)) <= MAX_LOG_RATIO + 1e-12).all()
@@ -119,7 +119,7 @@ def test_odds_never_fall_with_the_score_and_are_bounded():
 
 def test_constant_scores_say_nothing_exactly():
     rng = np.random.default_rng(2)
-    found = ScoreScale.learned(LabelledScores().joined(np.full(500, 0.7), (rng.random(500) < 0.5).astype(float)))
+    found = ScoreScale.learned(np.stack([np.full(500, 0.7), rng.random(500) < 0.5]))
     assert (found.ratio(np.array([0.7, 0.1, 5.0])) == 1).all()
     assert (ScoreScale().ratio(np.array([0.3, np.nan])) == 1).all()
 
@@ -127,8 +127,8 @@ def test_constant_scores_say_nothing_exactly():
 def test_scores_without_bounds_and_without_value():
     rng = np.random.default_rng(3)
     labelled = labelled_scores(rng)
-    wild = np.concatenate([labelled.score, [np.inf, np.inf, -np.inf, np.nan]])
-    found = ScoreScale.learned(LabelledScores().joined(wild, np.concatenate([labelled.false, [0.0, 0.0, 1.0, 0.0]])))
+    wild = np.array([[np.inf, np.inf, -np.inf, np.nan], [0.0, 0.0, 1.0, 0.0]])
+    found = ScoreScale.learned(with_newest(labelled, wild))
     assert np.isfinite(found.at).all()
     assert np.isfinite(found.log_ratio).all()
     odds = found.ratio(np.array([-np.inf, 0.5, np.inf, np.nan]))

@@ -37,7 +37,7 @@ from phdtrack.models.volumes import EVERYWHERE
 from phdtrack.protocols import AnyStages
 from phdtrack.report.pages import render
 from phdtrack.scene import LearnedDensity, Scene, TrackedObjects, write_scene
-from phdtrack.scene.training import Training, births_in, learn_births, learn_clutter, learn_objects, with_prior
+from phdtrack.scene.training import FALSE_BOXES, OBJECT_BOXES, Training, births_in, learn_births, learn_boxes, with_prior
 from phdtrack.types import F8, Detections, Tracks
 from phdtrack.video import open_source
 
@@ -192,7 +192,7 @@ class TrainingData:
         """False alarms from marks [M09 §IV]."""
         marks = self._marks(_ONLY_BOXES)
         frames = len(marks.looked_at)
-        training = learn_clutter(marks.false_boxes, frames, self._size)
+        training = learn_boxes(marks.false_boxes, frames, self._size, FALSE_BOXES)
         marked = f"{counted(training.learned.samples, 'box')} marked by a person on {counted(frames, 'frame')}"
         return training, marked
 
@@ -205,7 +205,7 @@ class TrainingData:
         table = self.found.table
         rows = np.searchsorted(table.frame, [one.frame for one in taken]) + np.array([one.box for one in taken], np.int64)
         try:
-            training = learn_clutter(to_cxcywh(table.detections.xyxy[rows]), len(frames), self._size)
+            training = learn_clutter(to_cxcywh(table.detections.xyxy[rows]), len(frames), self._size, FALSE_BOXES)
         except InputError as error:
             raise InputError(error.problem, where=error.where, cure="Look yourself: phdtrack label") from None
         many = f"{counted(training.learned.samples, 'box')} of {counted(len(frames), 'frame')}"
@@ -221,7 +221,7 @@ class TrainingData:
         """The tracks of a run that knew the marked false alarms, but for those that stay among them; which of the false
         alarms it followed all the same, None where that is not known; and a sentence about it."""
         try:
-            objects = self._with_prior(learn_objects(marks.object_boxes, len(marks.looked_at), self._size))
+            objects = self._with_prior(learn_boxes(marks.object_boxes, len(marks.looked_at), self._size, OBJECT_BOXES))
         except InputError as error:
             return tracks, None, f"no track is held back: {error}"
         followed = TrackedObjects(marks.share_followed(tracks), objects.learned)

@@ -146,7 +146,7 @@ class SceneObserver(RunObserver):
         modes = [mode for mode in (known.regime, *others) if mode.trusted]
         self._modes = [mode.name for mode in modes]
         for file, mode in zip(rundir.SCENES, modes, strict=False):
-            write_scene(directory.file(file), self._learning.scene(mode, self._source))
+            write_scene(directory.file(file), self._learning.rule.scene(mode, self._source))
 
     def report(self) -> Report:
         """Rates over time and what changed; at most 500 entries, all that say something among them."""

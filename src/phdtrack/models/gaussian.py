@@ -37,7 +37,6 @@ from phdtrack.kernels.gaussian import (
     Expected,
     Measurements,
     NewTargets,
-    Period,
     Predicted,
     first_states,
     predicted_covariance,
@@ -52,14 +51,18 @@ SCALE, WEIGHT = 2.0, 0.25
 
 
 def predicted(model: Model, mean: F8, covariance: F8, dt: float, transform: Transform) -> Predicted:
-    """Gaussians after the interval ``dt`` [V06 (24)–(29), §IV-B].
+    """Gaussians after an interval [V06 (24)–(29), §IV-B].
 
     Parameters
     ----------
-    mean : (J, d).
-    covariance : (J, d, d).
+    model : of the world.
+    mean, covariance : arrays (J, d) and (J, d, d).
     dt : interval in the model's time unit.
     transform : ``linear`` or ``unscented``, see above.
+
+    Returns
+    -------
+    The predicted Gaussians.
     """
     motion = model.motion
     if type(motion) is BoxMotion and transform == "linear" and not motion.remember_size:
@@ -74,7 +77,9 @@ def predicted(model: Model, mean: F8, covariance: F8, dt: float, transform: Tran
     d, many, count = points.shape
     through = motion.transition(points.reshape(d, many * count), dt)[0].reshape(d, many, count)
     step = through - through[:, :1]
-    return Predicted(np.ascontiguousarray(_mean(through[:, 0], step).T), _product(step, step) + q, p_survive)
+    return Predicted(
+        np.ascontiguousarray((through[:, 0] + WEIGHT * step.sum(axis=1)).T), _product(step, step) + q, p_survive
+    )
 
 
 def moved(model: Model, mean: F8, covariance: F8, dt: float, transform: Transform) -> tuple[F8, F8, Predicted]:
@@ -100,9 +105,12 @@ def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> 
     Parameters
     ----------
     sensor : the model's sensor.
-    mean : (J, d).
-    covariance : (J, d, d).
+    mean, covariance : arrays (J, d) and (J, d, d).
     transform : ``linear`` or ``unscented``, see above.
+
+    Returns
+    -------
+    The expected measurements.
 
     Raises
     ------
@@ -122,7 +130,7 @@ def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> 
     d, many, count = points.shape
     through = sensor.expected(points.reshape(d, many * count)).reshape(len(sensor.angles), many, count)
     step = sensor.innovation(through, through[:, :1])
-    z = np.ascontiguousarray(_mean(through[:, 0], step).T)
+    z = np.ascontiguousarray((through[:, 0] + WEIGHT * step.sum(axis=1)).T)
     return Expected(
         row_numbers(tuple(range(z.shape[1]))),
         z,
@@ -135,15 +143,9 @@ def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> 
 
 def measurements(model: Model, z: F8) -> Measurements:
     """The measurements ``z`` (m, N) of a frame, with their noise and κ(z)."""
-    period = _periods(model.sensor.angles)
+    period = tuple(2 * math.pi if angle else 0.0 for angle in model.sensor.angles)
     rows = np.ascontiguousarray(z[: len(period)].T)
     return Measurements(rows, model.sensor.measurement_noise(z), model.clutter.intensity(z), period)
-
-
-@lru_cache(maxsize=8)
-def _periods(angles: tuple[bool, ...]) -> Period:
-    """2π for angles, else 0."""
-    return tuple(2 * math.pi if angle else 0.0 for angle in angles)
 
 
 @lru_cache(maxsize=8)
@@ -166,23 +168,21 @@ def _product(a: F8, b: F8) -> F8:
     return np.ascontiguousarray(WEIGHT * np.einsum("akj,bkj->jab", a, b))
 
 
-def _mean(centre: F8, step: F8) -> F8:
-    """(r, J) f(m) + Σ e_i/4."""
-    out: F8 = centre + WEIGHT * step.sum(axis=1)
-    return out
-
-
 def new_targets(model: Model, z: F8, m: Measurements, dt: float, gate: float, transform: Transform) -> NewTargets:
     """What targets born in the interval ``dt`` are whose first detections the measurements are.
 
     Parameters
     ----------
-    model : the model.
-    z : (m, N) measurements.
+    model : of the world.
+    z : array (m, N), measurements.
     m : the same as the record that filters take.
     dt : interval in the model's time unit.
     gate : in deviations of the innovation.
     transform : ``linear`` or ``unscented``.
+
+    Returns
+    -------
+    Density and state for each measurement.
     """
     births = model.birth.gaussians(z, model.sensor, dt / model.rate)
     around = births.around

@@ -22,8 +22,8 @@ from phdtrack.models.plane import PlaneSensor
 from phdtrack.models.point import PointSensor
 from phdtrack.models.scene import not_standing, with_scene
 from phdtrack.protocols import Birth, Clutter, Learning, Model
-from phdtrack.scene import Scene, online, rates
-from phdtrack.scene.online import OnlineLearning, OnlineScene, Regime
+from phdtrack.scene import Scene
+from phdtrack.scene.online import OnlineLearning, OnlineScene
 from phdtrack.scene.rates import LearnedRates, Priors, RatesLearning
 from phdtrack.types import Detections, Step
 
@@ -66,7 +66,7 @@ class SceneLearning:
 
     def start(self) -> SceneState:
         """Before the first frame."""
-        return self._in_use(online.begin(self.rule, self.scenes), self.shadow.start())
+        return self._in_use(self.rule.begin(self.scenes), self.shadow.start())
 
     def model(self, state: SceneState, model: Model) -> Model:
         """The model with what is in use. Raises `InputError` where the camera moves: what is learned lies at pixels."""
@@ -77,28 +77,33 @@ class SceneLearning:
         return replace(model, birth=state.birth or model.birth, clutter=state.clutter or model.clutter)
 
     def with_scores(self, state: SceneState, model: Model, detections: Detections) -> Model:
-        """The same model: scores are not learned here."""
+        """The same model: scores are not learned here.
+
+        Parameters
+        ----------
+        state, model, detections : as of `protocols.Learning.with_scores`.
+
+        Returns
+        -------
+        The model.
+        """
         return model
 
     def advance(self, state: SceneState, step: Step) -> SceneState:
         """Take in one frame."""
         shadow, seen = self.shadow.advance(state.shadow, step)
-        known = online.advance(self.rule, state.known, seen)
+        known = self.rule.advance(state.known, seen)
         if known.last is state.known.last:
             return SceneState(known, shadow, state.birth, state.clutter)
         return self._in_use(known, shadow)
 
     def mode(self, state: SceneState, name: str) -> SceneState:
         """With the regime of this name in use from now on; a new one, which knows nothing, where there is none."""
-        return self._in_use(online.named(self.rule, state.known, name), state.shadow)
-
-    def scene(self, regime: Regime, source: str) -> Scene:
-        """What is in use of a regime, to be written to a file."""
-        return online.scene_of(self.rule, regime, source)
+        return self._in_use(self.rule.named(state.known, name), state.shadow)
 
     def _in_use(self, known: OnlineScene, shadow: Any) -> SceneState:
         """The state with the births and false alarms that are in use."""
-        used = online.scene_of(self.rule, known.regime, "")
+        used = self.rule.scene(known.regime, "")
         model = with_scene(self.default, used.births, used.clutter, used.followed, self.particles)
         birth = None if used.births is None else model.birth
         return SceneState(known, shadow, birth, None if used.clutter is None else model.clutter)
@@ -126,7 +131,7 @@ class RateLearning:
 
     def start(self) -> RatesState:
         """Before the first frame."""
-        return RatesState(rates.begin(self.rule), self.other and self.other.start())
+        return RatesState(self.rule.begin(), self.other and self.other.start())
 
     def model(self, state: RatesState, model: Model) -> Model:
         """The model with the rates that are used; cautious ones only where nothing else explains them."""
@@ -145,7 +150,16 @@ class RateLearning:
         return self.other.model(state.other, model) if self.other else model
 
     def with_scores(self, state: RatesState, model: Model, detections: Detections) -> Model:
-        """The model with the false alarms of a frame by the number and the scores of its detections."""
+        """The model with the false alarms of a frame by the number and the scores of its detections.
+
+        Parameters
+        ----------
+        state, model, detections : as of `protocols.Learning.with_scores`.
+
+        Returns
+        -------
+        The model.
+        """
         model = self.other.with_scores(state.other, model, detections) if self.other else model
         if len(detections) == 0:
             return model
@@ -161,7 +175,7 @@ class RateLearning:
     def advance(self, state: RatesState, step: Step) -> RatesState:
         """Take in one frame."""
         other = self.other and self.other.advance(state.other, step)
-        return RatesState(rates.advance(self.rule, state.learned, step), other)
+        return RatesState(self.rule.advance(state.learned, step), other)
 
     def mode(self, state: RatesState, name: str) -> RatesState | None:
         """With the regime of this name, of what else is learned."""

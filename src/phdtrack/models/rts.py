@@ -39,6 +39,10 @@ def predict(motion: Motion, mean: F8, covariance: F8, dt: float, warp: F8 = STIL
     mean, covariance : (n, d), (n, d, d).
     dt : interval in the model's time unit.
     warp : (3, 3) the camera's motion in it; `types.STILL` where there is none.
+
+    Returns
+    -------
+    The predictions, with their Jacobians.
     """
     x = np.ascontiguousarray(mean.T)
     slope = motion.warp_jacobian(x, warp) if len(warp) else None
@@ -55,6 +59,10 @@ def update(mean: F8, covariance: F8, z: F8, noise: F8, rows: I8) -> tuple[F8, F8
     mean, covariance : (n, d), (n, d, d) predictions.
     z, noise : (n, r), (n, r, r) measurements and their covariances.
     rows : (r,) of the state that they show.
+
+    Returns
+    -------
+    The means and covariances.
     """
     part = covariance[:, rows]
     gain = _solve(part[:, :, rows] + noise, part).transpose(0, 2, 1)
@@ -69,6 +77,10 @@ def smooth_back(mean: F8, covariance: F8, ahead: Ahead, later: F8, later_covaria
     mean, covariance : (n, d), (n, d, d) filtered.
     ahead : their predictions for the next frame.
     later, later_covariance : (n, d), (n, d, d) smoothed states of the next frame.
+
+    Returns
+    -------
+    The smoothed means and covariances.
     """
     gain = _solve(ahead.covariance, ahead.jacobian @ covariance).transpose(0, 2, 1)
     change = gain @ (later_covariance - ahead.covariance) @ gain.transpose(0, 2, 1)
@@ -76,7 +88,7 @@ def smooth_back(mean: F8, covariance: F8, ahead: Ahead, later: F8, later_covaria
 
 
 def bridge(motion: Motion, ends: tuple[F8, F8, F8, F8], steps: F8, warps: Sequence[F8] = ()) -> F8:
-    """(d, n) means of the states in a gap, given the states before and after it.
+    """Means of the states in a gap, given the states before and after it.
 
     Parameters
     ----------
@@ -84,6 +96,10 @@ def bridge(motion: Motion, ends: tuple[F8, F8, F8, F8], steps: F8, warps: Sequen
     ends : mean (d,) and covariance (d, d) before the gap, then those after it.
     steps : (n + 1,) intervals from the state before through the n frames of the gap to the state after.
     warps : (n + 1) camera motions in the intervals; empty where the camera stands still.
+
+    Returns
+    -------
+    Array (d, n).
     """
     before, cov_before, after, cov_after = (x[None] for x in ends)
     forward: list[tuple[F8, F8, Ahead]] = []

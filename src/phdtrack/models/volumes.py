@@ -88,7 +88,18 @@ def inside(x: F8, region: Region) -> Bool:
 
 
 def local_density(place: F8, z: F8, rate: float) -> F8:
-    """(L,) density per m² at positions (2, L) of ``rate`` in the ellipse around each z (5, N), summed where they overlap."""
+    """Density of a rate in the ellipse around each measurement, summed where they overlap.
+
+    Parameters
+    ----------
+    place : array (2, L), positions, metres.
+    z : array (5, N), measurements on the ground.
+    rate : of each ellipse.
+
+    Returns
+    -------
+    Array (L,), per m².
+    """
     half = PLANE_REACH * np.sqrt(z[[2, 4]])
     x, y = (np.ascontiguousarray(row) for row in place[:2])
     point, which = points_in_rectangles(x, y, z[:2] - half, z[:2] + half)

@@ -96,7 +96,7 @@ def learn(
         Recursion(tau, total, MIN_UNIFORM, float(np.log(extent).sum()), passes * n, least),
     )
     found = SceneDensity(density.low, density.high, uniform, *left)
-    return improved(found, Samples(x, weights, least), moves) if moves else found
+    return _improved(found, Samples(x, weights, least), moves) if moves else found
 
 
 def grid(
@@ -177,7 +177,7 @@ def moments(p: SceneDensity, samples: Samples) -> Moments:
     return found._replace(covariance=found.covariance + np.diag(samples.floor))
 
 
-def fitted(p: SceneDensity, samples: Samples, steps: int = MAX_STEPS) -> SceneDensity:
+def _fitted(p: SceneDensity, samples: Samples, steps: int = MAX_STEPS) -> SceneDensity:
     """``p`` after at most so many steps of EM; components that explain less than τ samples go, all but the last."""
     before = -math.inf
     for _ in range(steps):
@@ -194,14 +194,14 @@ def fitted(p: SceneDensity, samples: Samples, steps: int = MAX_STEPS) -> SceneDe
     return p
 
 
-def improved(p: SceneDensity, samples: Samples, moves: int) -> SceneDensity:
+def _improved(p: SceneDensity, samples: Samples, moves: int) -> SceneDensity:
     """``p`` fitted to the samples, after at most so many split and merge moves."""
-    p = fitted(p, samples)
+    p = _fitted(p, samples)
     length = criterion(p, samples)
     for _ in range(moves):
-        trials = [fitted(trial, samples, TRIAL_STEPS) for trial in _moved(p, samples)]
+        trials = [_fitted(trial, samples, TRIAL_STEPS) for trial in _moved(p, samples)]
         best = np.argsort([criterion(trial, samples) for trial in trials])[:FULL_TRIALS]
-        found = [(criterion(trial, samples), trial) for trial in (fitted(trials[i], samples) for i in best)]
+        found = [(criterion(trial, samples), trial) for trial in (_fitted(trials[i], samples) for i in best)]
         shortest, better = min(found, key=lambda one: one[0])
         if not shortest < length - CONVERGED:
             break

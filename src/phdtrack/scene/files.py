@@ -73,18 +73,11 @@ class Scene:
 
 def write_scene(path: Path, scene: Scene) -> None:
     """Write a scene, whole or not at all."""
-    followed = scene.followed and {"share": scene.followed.share, "objects": _plain(scene.followed.objects)}
-    document = {
-        "format": FORMAT,
-        "width": scene.width,
-        "height": scene.height,
-        "rate": scene.rate,
-        "source": scene.source,
-        "births": scene.births and _plain(scene.births),
-        "clutter": scene.clutter and _plain(scene.clutter),
-        "followed": followed,
-        "notes": dict(scene.notes),
-    }
+    document: dict[str, Any] = {"format": FORMAT}
+    document |= {name: getattr(scene, name) for name in ("width", "height", "rate", "source")}
+    document |= {"births": scene.births and _plain(scene.births), "clutter": scene.clutter and _plain(scene.clutter)}
+    document["followed"] = scene.followed and {"share": scene.followed.share, "objects": _plain(scene.followed.objects)}
+    document["notes"] = dict(scene.notes)
     part = path.with_name(path.name + ".part")
     part.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     part.replace(path)
@@ -97,9 +90,8 @@ def read_scene(path: Path) -> Scene:
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", where=path) from None
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise InputError(
-            f"expected a learned scene as JSON ({error})", where=path, cure="Make one: phdtrack learn"
-        ) from None
+        problem = f"expected a learned scene as JSON ({error})"
+        raise InputError(problem, where=path, cure="Make one: phdtrack learn") from None
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         found = document.get("format") if isinstance(document, dict) else type(document).__name__
         raise InputError(f"expected a learned scene of format {FORMAT}, got {found!r}", where=path, cure="Learn it again")
@@ -114,10 +106,9 @@ def read_scene(path: Path) -> Scene:
             dict(document["notes"]),
             _followed(document.get("followed")),
         )
-    except InputError as error:
-        raise InputError(f"no learned scene: {error}", where=path, cure="Learn it again") from None
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"no learned scene: {type(error).__name__} {error}", where=path, cure="Learn it again") from None
+    except (InputError, KeyError, TypeError, ValueError) as error:
+        problem = error if isinstance(error, InputError) else f"{type(error).__name__} {error}"
+        raise InputError(f"no learned scene: {problem}", where=path, cure="Learn it again") from None
 
 
 def _plain(learned: LearnedDensity) -> dict[str, Any]:

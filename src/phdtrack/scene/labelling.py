@@ -101,13 +101,14 @@ class TrackEvidence:
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedFrame:
     """An observed frame: its number and time, the boxes detected (N, 4), the filter's probability (N,) that each is a false
-    alarm, and the online rows of the frame."""
+    alarm, the online rows of the frame, and the detections' scores (N,)."""
 
     number: int
     time: float
     xyxy: F8
     false: F8
     rows: Tracks
+    score: F8 = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,7 +129,8 @@ class PendingFrames:
             return self
         n, false = len(step.detections), step.info.clutter_probability
         false = false if len(false) == n else np.ones(n)
-        frame = ObservedFrame(step.number, step.time, step.detections.xyxy, false, step.tracks)
+        found = step.detections
+        frame = ObservedFrame(step.number, step.time, found.xyxy, false, step.tracks, found.confidence)
         return replace(self, frames=(*self.frames, frame))
 
 

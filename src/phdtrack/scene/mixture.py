@@ -178,9 +178,13 @@ def mass_inside(mean: F8, covariance: F8, low: F8, high: F8) -> F8:
 
     Parameters
     ----------
-    mean : (d, M), d at most 8.
-    covariance : (M, d, d), positive definite.
-    low, high : (d,).
+    mean : array (d, M), d at most 8.
+    covariance : array (M, d, d), positive definite.
+    low, high : arrays (d,).
+
+    Returns
+    -------
+    Array (M,).
     """
     from scipy.special import ndtr, ndtri
 
@@ -204,7 +208,7 @@ def mass_inside(mean: F8, covariance: F8, low: F8, high: F8) -> F8:
 
 
 def place_map(p: SceneDensity, shape: tuple[int, int], step: float, *, sized: bool = True) -> F8:
-    """(H, W) map of where p's Gaussians lie, all sizes and velocities together, with largest value 1 [M09 Figs. 7, 8].
+    """Map of where p's Gaussians lie, all sizes and velocities together, with largest value 1 [M09 Figs. 7, 8].
 
     A quarter of the mean size is added as deviation, because what happens at a place is seen as a box and not as its centre.
 
@@ -214,6 +218,10 @@ def place_map(p: SceneDensity, shape: tuple[int, int], step: float, *, sized: bo
     shape : rows and columns of the map, which begins at p's lower bounds.
     step : side of a cell, pixels or metres.
     sized : whether the states have a size.
+
+    Returns
+    -------
+    Array of this shape.
     """
     cov = p.covariance.copy()
     for axis in range(2 if sized else 0):

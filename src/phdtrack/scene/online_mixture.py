@@ -43,15 +43,22 @@ class Evidence:
     mean: float = 0.0
     square: float = 0.0
 
-    def with_gains(self, gain: F8, weight: F8, fading: float) -> Evidence:
-        """With the gains (k,) of samples of weight (k,); older ones fade over ``fading`` samples."""
-        new = float(weight.sum())
-        if not new > 0:
+    @classmethod
+    def of(cls, gain: F8, weight: F8) -> Evidence:
+        """The gains (k,) of samples of weight (k,)."""
+        count = float(weight.sum())
+        if not count > 0:
+            return cls()
+        return cls(count, float((weight * gain).sum()) / count, float((weight * np.square(gain)).sum()) / count)
+
+    def joined(self, new: Evidence, fading: float) -> Evidence:
+        """With newer gains; older ones fade over ``fading`` samples."""
+        if not new.count:
             return self
-        old = self.count * math.exp(-new / fading)
-        mean = (old * self.mean + float((weight * gain).sum())) / (old + new)
-        square = (old * self.square + float((weight * np.square(gain)).sum())) / (old + new)
-        return Evidence(old + new, mean, square)
+        old = self.count * math.exp(-new.count / fading)
+        count = old + new.count
+        mean = (old * self.mean + new.count * new.mean) / count
+        return Evidence(count, mean, (old * self.square + new.count * new.square) / count)
 
     @property
     def sign(self) -> int:
@@ -73,6 +80,11 @@ class Batch(NamedTuple):
     exposure: float
     rate: float
 
+    @property
+    def seconds(self) -> float:
+        """How long it took."""
+        return self.exposure / self.rate
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OnlineMixture:
@@ -83,6 +95,7 @@ class OnlineMixture:
     density : what was learned, the uniform one at first.
     samples, weight, time : (d, n), (n,), (n,) recent samples, their weights when they came, and that time, seconds.
     amount, exposure : sum of weights and time in which they came, both fading: their ratio is the rate.
+    clock : seconds for which it was learned.
     evidence : for the density, of recent samples; ``newest`` : of the last batch.
     trusted : whether the density is in use.
     """
@@ -93,6 +106,7 @@ class OnlineMixture:
     time: F8
     amount: float = 0.0
     exposure: float = 0.0
+    clock: float = 0.0
     evidence: Evidence = field(default_factory=Evidence)
     newest: Evidence = field(default_factory=Evidence)
     trusted: bool = False
@@ -103,7 +117,7 @@ class OnlineMixture:
         return cls(uniform_density(low, high), np.zeros((len(low), 0)), np.zeros(0), np.zeros(0))
 
     def known(self, learned: LearnedDensity | None, memory: float, rate: float) -> OnlineMixture:
-        """What was learned before, as if it had come within the ``memory`` (s) before now, in the volume of this one.
+        """What was learned before, as if it had come within the memory before now, in the volume of this one.
 
         Draws of its Gaussians stand for the samples; the uniform part is mostly the prior.
 
@@ -150,27 +164,28 @@ class OnlineMixture:
         samples, weight = batch.samples[:, inside], batch.weight[inside]
         gains = self.density.log(samples) + math.log(self.density.volume) if gain is None else gain(samples)
         fading = max(MIN_FADING, FADING_SHARE * memory * batch.rate * self.rate)
-        evidence, newest = self.evidence.with_gains(gains, weight, fading), Evidence().with_gains(gains, weight, math.inf)
-        return replace(self, evidence=evidence, newest=newest).decided()
+        newest = Evidence.of(gains, weight)
+        return replace(self, evidence=self.evidence.joined(newest, fading), newest=newest).decided()
 
     def decided(self) -> OnlineMixture:
         """In use or not by the evidence that there is."""
         against = self.evidence.sign < 0 or self.newest.sign < 0
         return replace(self, trusted=not against and (self.trusted or self.evidence.sign > 0))
 
-    def updated(self, batch: Batch, now: float, memory: float) -> OnlineMixture:
-        """After learning from a batch at ``now`` seconds, with forgetting; ``memory`` in seconds."""
-        fade = math.exp(-batch.exposure / (batch.rate * memory))
+    def updated(self, batch: Batch, memory: float) -> OnlineMixture:
+        """After learning from a batch, with forgetting; ``memory`` in seconds."""
+        now, fade = self.clock + batch.seconds, math.exp(-batch.seconds / memory)
         amount, exposure = fade * self.amount + float(batch.weight.sum()), fade * self.exposure + batch.exposure
+        known = replace(self, amount=amount, exposure=exposure, clock=now)
         inside = self.density.contains(batch.samples) & (batch.weight > 0)
-        samples, weight = thinned(batch.samples[:, inside], batch.weight[inside], KEPT_PER_BATCH)
+        samples, weight = _thinned(batch.samples[:, inside], batch.weight[inside], KEPT_PER_BATCH)
         if not len(weight):
-            return replace(self, amount=amount, exposure=exposure)
+            return known
         kept = self.time > now - MAX_AGE * memory
         samples, weight = np.hstack([self.samples[:, kept], samples]), np.concatenate([self.weight[kept], weight])
         time = np.append(self.time[kept], np.full(len(weight) - int(kept.sum()), now))
-        density = relearned(self.density, samples, faded(weight, now - time, memory))
-        return replace(self, density=density, samples=samples, weight=weight, time=time, amount=amount, exposure=exposure)
+        density = _relearned(self.density, samples, _faded(weight, now - time, memory))
+        return replace(known, density=density, samples=samples, weight=weight, time=time)
 
     def learned(self, sizes: F8) -> LearnedDensity | None:
         """The density with the shrinkage prior over the ``sizes`` (2, n) detected; None before a component was learned."""
@@ -180,7 +195,7 @@ class OnlineMixture:
         return with_prior(LearnedDensity(self.rate, predictive(self.density, n), math.ceil(n)), sizes)
 
 
-def thinned(samples: F8, weight: F8, count: int) -> tuple[F8, F8]:
+def _thinned(samples: F8, weight: F8, count: int) -> tuple[F8, F8]:
     """At most ``count`` samples of equal weight in place of (d, k) with weights (k,), by systematic resampling."""
     total = float(weight.sum())
     if len(weight) <= count or not total > 0:
@@ -190,7 +205,7 @@ def thinned(samples: F8, weight: F8, count: int) -> tuple[F8, F8]:
     return samples[:, chosen], np.full(count, total / count)
 
 
-def faded(weight: F8, age: F8, memory: float) -> F8:
+def _faded(weight: F8, age: F8, memory: float) -> F8:
     """(n,) weights of samples of this age, seconds, scaled so that they add up to the effective number of samples."""
     out = weight * np.exp(-age / memory)
     return out * (_effective(out) / out.sum()) if out.any() else out
@@ -202,7 +217,7 @@ def _effective(weight: F8) -> float:
     return float(weight.sum()) ** 2 / squares if squares > 0 else 0.0
 
 
-def relearned(density: SceneDensity, samples: F8, weight: F8) -> SceneDensity:
+def _relearned(density: SceneDensity, samples: F8, weight: F8) -> SceneDensity:
     """The density of samples (d, n) with weights (n,), the newest last, learned from what it was before."""
     begun = _with_rest(_with_new(density, samples, weight), samples, weight)
     if not len(begun):

@@ -80,17 +80,6 @@ class Priors:
 
 
 @dataclass(frozen=True, slots=True)
-class RatesLearning:
-    """How rates are learned: by which settings, from which values, with ``rate`` time units per second and labels ``delay``
-    seconds late."""
-
-    settings: RatesSettings
-    priors: Priors
-    rate: float
-    delay: float
-
-
-@dataclass(frozen=True, slots=True)
 class Rates:
     """Estimates with frame ``number``, at ``time`` seconds.
 
@@ -128,8 +117,8 @@ class RateSums(NamedTuple):
         """These sums times ``fade``, and others."""
         return RateSums(*(fade * mine + more for mine, more in zip(self, other, strict=True)))
 
-    def rates(self, priors: Priors, number: int = 0, time: float = 0.0) -> Rates:
-        """The estimates of p_D and of the rates, with frame ``number`` at ``time`` seconds."""
+    def rates(self, priors: Priors) -> Rates:
+        """The estimates of p_D and of the rates."""
         detection = (PRIOR_TRACKED * priors.detection + self.hits) / (PRIOR_TRACKED + self.span)
         over, prior, begun = self.frames, PRIOR_FRAMES, priors.clutter
         limits = priors.clutter / CLUTTER_LIMIT, max(priors.clutter, 1.0) * CLUTTER_LIMIT
@@ -145,7 +134,7 @@ class RateSums(NamedTuple):
         kept = np.clip(found, *np.transpose(allowed))
         names = ("detection", "clutter", "births")
         limited = tuple(name for name, out in zip(names, found != kept, strict=True) if out)
-        return Rates(number, time, float(kept[0]), float(kept[1]), float(kept[2]), limited=limited)
+        return Rates(0, 0.0, float(kept[0]), float(kept[1]), float(kept[2]), limited=limited)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,20 +157,6 @@ class CountedTracks:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LabelledScores:
-    """Scores (n,) of labelled detections, and the probability ``false`` (n,) that each was a false alarm."""
-
-    score: F8 = field(default_factory=lambda: np.zeros(0))
-    false: F8 = field(default_factory=lambda: np.zeros(0))
-
-    def joined(self, score: F8, false: F8) -> LabelledScores:
-        """With more of them; only the newest are kept, and no NaN."""
-        known = ~np.isnan(score)
-        newer = np.append(self.score, score[known]), np.append(self.false, false[known])
-        return LabelledScores(*(part[-MAX_SCORES:] for part in newer))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class ScoreScale:
     """Likelihood ratios of scores: ``log_ratio`` (k,) of p(s|object)/p(s|false alarm) at the scores ``at`` (k,), both
     ascending; linear between them, constant beyond. Without any, every ratio is 1."""
@@ -197,12 +172,11 @@ class ScoreScale:
         return np.where(np.isnan(score), 1.0, np.exp(np.interp(near, self.at, self.log_ratio)))
 
     @classmethod
-    def learned(cls, labelled: LabelledScores, share: float = 1.0) -> ScoreScale:
-        """From labelled scores; each frame of a track counts for a ``share`` of an independent one."""
+    def learned(cls, labelled: F8, share: float = 1.0) -> ScoreScale:
+        """From scores and the chance that each was a false alarm (2, n); a frame of a track is a ``share`` of a new one."""
         from scipy.optimize import isotonic_regression
 
-        order = np.argsort(labelled.score, kind="stable")
-        score, false = labelled.score[order], labelled.false[order]
+        score, false = labelled[:, np.argsort(labelled[0], kind="stable")]
         n = len(score)
         if n == 0 or score[0] == score[-1]:
             return cls()
@@ -232,7 +206,16 @@ class SuccessiveScores:
     last: F8 = field(default_factory=lambda: np.zeros(0))
 
     def joined(self, identity: I8, frame: I8, score: F8) -> SuccessiveScores:
-        """With more detections of tracks: identities, frames and scores (n,). Only the newest pairs are kept."""
+        """With more detections of tracks. Only the newest pairs are kept.
+
+        Parameters
+        ----------
+        identity, frame, score : arrays (n,), of the detections.
+
+        Returns
+        -------
+        The pairs.
+        """
         order = np.lexsort((frame, identity))
         track, value = np.append(self.identity, identity[order]), np.append(self.last, score[order])
         order = np.argsort(track, kind="stable")
@@ -259,15 +242,14 @@ class SuccessiveScores:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LearnedRates:
-    """What is known: the ``rates`` in use, sums over labelled frames, frames that wait for labels with their ``scores``,
-    ``labelled`` scores, and ``learned``, seconds when something was last learned, NaN before."""
+    """What is known: the ``rates`` in use, sums over labelled frames, frames that wait for labels, ``labelled`` scores with
+    the chance that each is a false alarm (2, n), and ``learned``, the time when something was last learned, NaN before."""
 
     rates: Rates
     sums: RateSums = field(default_factory=RateSums)
     counted: CountedTracks = field(default_factory=CountedTracks)
     pending: PendingFrames = field(default_factory=PendingFrames)
-    scores: tuple[F8, ...] = ()
-    labelled: LabelledScores = field(default_factory=LabelledScores)
+    labelled: F8 = field(default_factory=lambda: np.zeros((2, 0)))
     successive: SuccessiveScores = field(default_factory=SuccessiveScores)
     scale: ScoreScale = field(default_factory=ScoreScale)
     learned: float = math.nan
@@ -278,37 +260,51 @@ class LearnedRates:
         return (known.detections + now) / (known.frames + 1)
 
 
-def begin(rule: RatesLearning) -> LearnedRates:
-    """Knowing the settings."""
-    return LearnedRates(RateSums().rates(rule.priors))
+@dataclass(frozen=True, slots=True)
+class RatesLearning:
+    """How rates are learned: by which settings, from which values, with ``rate`` time units per second and labels ``delay``
+    seconds late."""
+
+    settings: RatesSettings
+    priors: Priors
+    rate: float
+    delay: float
+
+    def begin(self) -> LearnedRates:
+        """Knowing the settings."""
+        return LearnedRates(RateSums().rates(self.priors))
+
+    def advance(self, state: LearnedRates, step: Step) -> LearnedRates:
+        """Take in one frame, and learn when it is time to. Frames that were not observed teach nothing."""
+        state = replace(state, pending=state.pending.joined(step))
+        if math.isnan(state.learned):
+            return replace(state, learned=step.time)
+        before = state.pending.frames
+        if step.time < state.learned + self.settings.update_interval or not before:
+            return state
+        successive = _with_successive(state)
+        pending, labels = label(state.pending, step.time - self.delay, state.rates.detection, self.rate)
+        number, units, frames = len(labels.false), labels.seconds * self.rate, labels.frames
+        counted, tracked = state.counted.updated(pending.evidence)
+        new = RateSums(
+            tracked.hits, tracked.span, float(labels.false.sum()), number, frames,
+            labels.births.shape[1], units, number * units / max(frames, 1),
+        )  # fmt: skip
+        sums = state.sums.plus(new, math.exp(-labels.seconds / self.settings.memory))
+        labelled, scale = state.labelled, state.scale
+        if frames:
+            score = np.concatenate([frame.score for frame in before[:frames]])
+            labelled = with_newest(labelled, np.stack([score, labels.false]))
+            scale = ScoreScale.learned(labelled, successive.share)
+        lowest, highest = np.exp(scale.log_ratio[[0, -1]]).tolist() if len(scale.at) > 1 else (1.0, 1.0)
+        rates = sums.plus(_waiting(pending)).rates(self.priors)
+        rates = replace(rates, number=step.number, time=step.time, lowest=lowest, highest=highest)
+        return LearnedRates(rates, sums, counted, pending, labelled, successive, scale, step.time)
 
 
-def advance(rule: RatesLearning, state: LearnedRates, step: Step) -> LearnedRates:
-    """Take in one frame, and learn when it is time to. Frames that were not observed teach nothing."""
-    if step.detections.observed:
-        scores = (*state.scores, step.detections.confidence)
-        state = replace(state, pending=state.pending.joined(step), scores=scores)
-    if math.isnan(state.learned):
-        return replace(state, learned=step.time)
-    if step.time < state.learned + rule.settings.update_interval or not state.pending.frames:
-        return state
-    successive = _with_successive(state)
-    pending, labels = label(state.pending, step.time - rule.delay, state.rates.detection, rule.rate)
-    number, units, frames = len(labels.false), labels.seconds * rule.rate, labels.frames
-    counted, tracked = state.counted.updated(pending.evidence)
-    new = RateSums(
-        tracked.hits, tracked.span, float(labels.false.sum()), number, frames,
-        labels.births.shape[1], units, number * units / max(frames, 1),
-    )  # fmt: skip
-    sums = state.sums.plus(new, math.exp(-labels.seconds / rule.settings.memory))
-    labelled, scale = state.labelled, state.scale
-    if frames:
-        labelled = labelled.joined(np.concatenate(state.scores[:frames]), labels.false)
-        scale = ScoreScale.learned(labelled, successive.share)
-    lowest, highest = np.exp(scale.log_ratio[[0, -1]]) if len(scale.at) > 1 else np.ones(2)
-    rates = sums.plus(_waiting(pending)).rates(rule.priors, step.number, step.time)
-    rates = replace(rates, lowest=float(lowest), highest=float(highest))
-    return LearnedRates(rates, sums, counted, pending, state.scores[frames:], labelled, successive, scale, step.time)
+def with_newest(labelled: F8, new: F8) -> F8:
+    """Labelled scores (2, n) with newer ones; only the newest are kept, and no NaN."""
+    return np.hstack([labelled, new[:, ~np.isnan(new[0])]])[:, -MAX_SCORES:]
 
 
 def _with_successive(state: LearnedRates) -> SuccessiveScores:
@@ -317,9 +313,8 @@ def _with_successive(state: LearnedRates) -> SuccessiveScores:
     number = np.array([frame.number for frame in frames], np.int64)
     rows = Tracks.concatenate([frame.rows for frame in frames[counted:]])
     rows = rows.take((rows.detection >= 0) & rows.confirmed & np.isin(rows.frame, number))
-    count = np.array([len(score) for score in state.scores], np.int64)
-    start = np.cumsum(count) - count
-    score = np.concatenate([*state.scores, np.zeros(0)])[start[np.searchsorted(number, rows.frame)] + rows.detection]
+    start = np.cumsum([0, *(len(frame.score) for frame in frames)])
+    score = np.concatenate([frame.score for frame in frames])[start[np.searchsorted(number, rows.frame)] + rows.detection]
     return state.successive.joined(rows.identity, rows.frame, score)
 
 

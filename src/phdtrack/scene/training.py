@@ -27,6 +27,8 @@ from phdtrack.types import F8, I8, Tracks
 # M09's grids.
 BIRTH_GRID, CLUTTER_GRID = (12, 10), (16, 14)
 MIN_SAMPLES = 10
+# What boxes are, for messages.
+FALSE_BOXES, OBJECT_BOXES = "detections marked as false", "detections of objects on the frames that were looked at"
 # Every so many samples one is left out; up to so many samples each of them is left out in turn.
 FOLDS, MAX_ALL_FOLDS = 5, 400
 # Seconds of a track from which its first velocity is taken.
@@ -76,14 +78,15 @@ def learn_births(
     return _trained(_start(states, low, high, BIRTH_GRID), states, states.shape[1] / time_units)
 
 
-def learn_clutter(boxes: F8, frames: int, frame_size: tuple[float, float]) -> Training:
-    """False alarms p(z|c) with r̄, their number per frame.
+def learn_boxes(boxes: F8, frames: int, frame_size: tuple[float, float], what: str) -> Training:
+    """Where boxes come, with their number per frame: false alarms p(z|c), r̄, or detections of objects p(z|o).
 
     Parameters
     ----------
-    boxes : (4, n) centre and size of the boxes marked as false.
+    boxes : array (4, n), centre and size of the boxes.
     frames : number of frames on which detections were looked at.
     frame_size : width and height, pixels.
+    what : what the boxes are, for an error message.
 
     Returns
     -------
@@ -93,28 +96,10 @@ def learn_clutter(boxes: F8, frames: int, frame_size: tuple[float, float]) -> Tr
     ------
     InputError : fewer than ten boxes, or no frames.
     """
-    _check_number(boxes.shape[1], "detections marked as false", "Mark more of them")
-    return _trained_boxes(boxes, frames, frame_size)
-
-
-def learn_objects(boxes: F8, frames: int, frame_size: tuple[float, float]) -> Training:
-    """Where objects are detected, p(z|o), with their number per frame.
-
-    Parameters
-    ----------
-    boxes : (4, n) centre and size of the boxes that were not marked as false.
-    frames, frame_size : as of `learn_clutter`.
-
-    Returns
-    -------
-    The density, its rate and its gain.
-
-    Raises
-    ------
-    InputError : fewer than ten boxes, or no frames.
-    """
-    _check_number(boxes.shape[1], "detections of objects on the frames that were looked at", "Look at more frames")
-    return _trained_boxes(boxes, frames, frame_size)
+    _check_number(boxes.shape[1], what, "Look at more frames, or mark more of them")
+    if frames < 1:
+        raise InputError(f"expected frames on which detections were looked at, got {frames}", where="learning from boxes")
+    return _trained(_start(boxes, *measurement_volume(*frame_size), CLUTTER_GRID), boxes, boxes.shape[1] / frames)
 
 
 def box_density(boxes: F8, frame_size: tuple[float, float]) -> SceneDensity:
@@ -157,7 +142,7 @@ def births_in(tracks: Tracks, fps: float, rate: float, shown: F8 | None = None) 
     tracks : M rows of corrected tracks.
     fps : frames per second.
     rate : time units per second of the velocities.
-    shown : (r, M) what the rows show, position first, if it is not centre and size of the boxes.
+    shown : array (r, M), what the rows show, position first, if it is not centre and size of the boxes.
 
     Returns
     -------
@@ -229,13 +214,6 @@ def state_volume(
 def measurement_volume(width: float, height: float) -> tuple[F8, F8]:
     """Bounds (4,) of boxes: centre in the frame, any size in it."""
     return np.zeros(4), np.array([width, height, width, height], np.float64)
-
-
-def _trained_boxes(boxes: F8, frames: int, frame_size: tuple[float, float]) -> Training:
-    """What boxes teach that were found on so many frames."""
-    if frames < 1:
-        raise InputError(f"expected frames on which detections were looked at, got {frames}", where="learning from boxes")
-    return _trained(_start(boxes, *measurement_volume(*frame_size), CLUTTER_GRID), boxes, boxes.shape[1] / frames)
 
 
 def _start(samples: F8, low: F8, high: F8, counts: tuple[int, int]) -> SceneDensity:
