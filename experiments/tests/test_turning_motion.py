@@ -62,10 +62,3 @@ def test_jacobians_are_derivatives(rng):
             behind[row] -= step
             slope = (turned(ahead, dt) - turned(behind, dt)) / (2 * step)
             np.testing.assert_allclose(slope.T, jacobian[:, :, row], atol=2e-6)
-
-
-def test_the_series_meets_the_closed_form():
-    """Column of the turn rate just below and above the switch: no jump."""
-    x = np.array([[0.0, 0], [0, 0], [50, 50], [20, 20], [SMALL * (1 - 1e-12), SMALL * (1 + 1e-12)]])
-    below, above = slopes(x, 1.0)
-    np.testing.assert_allclose(below, above, rtol=1e-9)

@@ -6,12 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import chi2, kstest
+from scipy.stats import kstest
 
 from phdtrack.errors import InputError
-from phdtrack.kernels.newborn import standard_points
 from phdtrack.models import BoxSensor, FixedBirth, MeasurementBirth, UniformBirth
-from phdtrack.models.births import _radii
 from phdtrack.types import GaussianMixture
 from reference import birth_twin as twin
 
@@ -54,17 +52,6 @@ def test_weights_integrate_gamma_over_the_regions(boxes, few: float, covered: fl
     assert np.mean(masses) == pytest.approx(want, rel=4 * deviation / math.sqrt(80) + 0.006)
 
 
-@pytest.mark.parametrize("rows", [2, 4])
-def test_every_stretch_of_the_standard_points_fills_the_region_evenly(rows: int, rng):
-    """The quantiles of the radii are a low-discrepancy sequence: of any J points the discrepancy is a few parts in J."""
-    points = standard_points(rng.standard_normal((rows + 1, 1000)), rng.random(1001), _radii(rows))
-    quantile = chi2(rows).cdf((points[:rows] ** 2).sum(0)) / 0.99
-    for begin, count in ((0, 1000), (17, 50), (400, 250)):
-        part = np.sort(quantile[begin : begin + count])
-        assert np.abs(part - (np.arange(count) + 0.5) / count).max() < 4 / count
-    np.testing.assert_allclose(points[-1], np.exp(-0.5 * (points[:rows] ** 2).sum(0)), rtol=1e-9)
-
-
 def test_the_number_of_newborn_follows_what_is_predicted(rng):
     z, sensor = columns(APART), BoxSensor()
     birth = MeasurementBirth(0.01, 1000, "image", FRAME)
@@ -96,13 +83,6 @@ def test_nothing_is_born_without_extent(sensor: BoxSensor, rng):
             assert born.state[4:6].min() > 0
             assert np.all(born.weight > 0)
             assert np.isfinite(born.weight).all()
-
-
-def test_where_positions_cannot_be_told_apart_no_weight_is_infinite(rng):
-    """At 1e16 pixels two positions are 2 apart: newborn of a box of 4 fall out of their own region."""
-    z, sensor = np.array([[1e16], [25.0], [4.0], [50.0]]), BoxSensor()
-    born = MeasurementBirth(0.01, 1000, "local").sample(z, np.zeros(1), sensor, 1.0, rng)
-    assert np.isfinite(born.weight).all()
 
 
 def test_the_image_volume_needs_the_size_of_the_frame(rng):

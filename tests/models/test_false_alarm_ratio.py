@@ -23,10 +23,6 @@ def at(place: np.ndarray, deviation: float, uniform: float) -> SceneDensity:
     return SceneDensity(LOW, HIGH, uniform, np.ones(1), place, deviation**2 * np.eye(4)[None])
 
 
-def peak(deviation: float) -> float:
-    return (2 * np.pi * deviation**2) ** -2
-
-
 FLAGS = LearnedDensity(3.0, at(FLAG, 4.0, 0.1))
 PEOPLE = LearnedDensity(5.0, at(STREET, 20.0, 0.3))
 ODDS = FalseAlarmRatio(FLAGS, TrackedObjects(0.4, PEOPLE))
@@ -42,17 +38,6 @@ ENTRY = SceneDensity(
 def followed(z, odds: FalseAlarmRatio = ODDS) -> np.ndarray:
     """(N,) of those that are followed."""
     return odds.log(z)[0]
-
-
-def test_the_odds_of_one_place_by_hand():
-    """λ r̄ α_g N over the density of objects a frame; every Gaussian lies in the volume but for a millionth."""
-    false, flat = 0.4 * 3.0 * 0.9 * peak(4.0), 5.0 * 0.3 / VOLUME
-    assert followed(FLAG)[0] == pytest.approx(np.log(false / flat), rel=1e-6)
-    two_off = FLAG + np.array([[8.0], [0], [0], [4]])
-    assert followed(two_off)[0] == pytest.approx(np.log(false * np.exp(-0.5 * 5) / flat), rel=1e-6)
-    both = FLAG + np.array([[0.0], [12], [0], [0]])
-    people = flat + 5.0 * 0.7 * peak(20.0) * np.exp(-0.5 * ((both - STREET) ** 2).sum() / 400)
-    assert followed(both)[0] == pytest.approx(np.log(false * np.exp(-4.5) / people), rel=1e-6)
 
 
 def test_false_alarms_are_where_they_were_marked_and_nowhere_else():

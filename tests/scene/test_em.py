@@ -6,7 +6,7 @@ import pytest
 from phdtrack.errors import InputError
 from phdtrack.kernels.mixtures import Gaussians
 from phdtrack.scene import SceneDensity, grid, learn, marginal
-from phdtrack.scene.em import Samples, _fitted, _improved, criterion, moments, parameters
+from phdtrack.scene.em import Samples, _fitted, _improved, moments
 from phdtrack.types import F8
 from reference import em as defined
 
@@ -205,16 +205,6 @@ def test_a_component_with_less_than_half_its_parameters_goes_and_the_last_stays(
     assert len(_fitted(far, samples_of(x))) == 1
     # Worth little, one component is kept all the same.
     assert len(_fitted(far, samples_of(x, np.full(100, 0.01)))) == 1
-
-
-def test_the_criterion_is_what_it_says():
-    p = two()
-    seen = samples_of(p.sample(50, np.random.default_rng(4)))
-    assert parameters(4) == 14
-    explained = 50 * 0.95 * p.weight
-    prices = [7 * (np.log(n) + 6 / (n - 6)) + 0.5 * np.log(50) for n in explained]
-    expected = sum(prices) - likelihood_of(p, seen)
-    assert criterion(p, seen) == pytest.approx(expected)
 
 
 def places(rng: np.random.Generator) -> F8:

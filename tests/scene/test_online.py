@@ -9,7 +9,7 @@ from phdtrack.arrays import to_xyxy
 from phdtrack.scene import LearnedDensity, SceneDensity
 from phdtrack.scene.labelling import ObservedFrame, PendingFrames, label
 from phdtrack.scene.online import Regime
-from phdtrack.scene.online_mixture import KEPT_PER_BATCH, Batch, Evidence, OnlineMixture, _faded, _relearned, _thinned
+from phdtrack.scene.online_mixture import KEPT_PER_BATCH, Batch, Evidence, OnlineMixture, _faded, _relearned
 from phdtrack.scene.training import PRIOR, measurement_volume, state_volume
 from phdtrack.types import Tracks
 
@@ -43,27 +43,6 @@ def test_evidence_fades():
 
 
 # Samples
-
-
-def test_thinning_keeps_the_weight_and_the_shares():
-    rng = np.random.default_rng(1)
-    samples, weight = rng.normal(size=(4, 500)), rng.random(500)
-    few, each = _thinned(samples, weight, 50)
-    assert few.shape == (4, 50)
-    assert each.sum() == pytest.approx(weight.sum())
-    # A sample that is worth 40 % of all is chosen 40 % of the times.
-    weight[7] = 2 / 3 * (weight.sum() - weight[7])
-    few, _ = _thinned(samples, weight, 50)
-    assert (few == samples[:, 7:8]).all(axis=0).sum() == pytest.approx(20, abs=1)
-    same, own = _thinned(samples[:, :5], weight[:5], 5)
-    np.testing.assert_array_equal(same, samples[:, :5])
-    np.testing.assert_array_equal(own, weight[:5])
-
-
-def test_old_samples_count_less_and_equal_ones_count_each():
-    np.testing.assert_allclose(_faded(np.full(4, 3.0), np.full(4, 100.0), 50.0), 1)
-    weight = _faded(np.ones(2), np.array([50.0, 0.0]), 50.0)
-    assert weight[0] / weight[1] == pytest.approx(np.exp(-1))
 
 
 def follow(samples, rounds=12):

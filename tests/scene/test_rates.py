@@ -173,11 +173,3 @@ def test_without_pairs_or_with_constant_ones_a_frame_says_nothing_new():
     assert ones.share == 0
     unknown = SuccessiveScores().joined(np.ones(9, np.int64), np.arange(9), np.full(9, np.nan))
     assert len(unknown.first) == 0
-
-
-def test_the_odds_are_to_the_power_of_the_share():
-    labelled = labelled_scores(np.random.default_rng(5))
-    s = np.linspace(-1, 2, 7)
-    assert np.log(ScoreScale.learned(labelled, 0.3).ratio(s)) == pytest.approx(
-        0.3 * np.log(ScoreScale.learned(labelled).ratio(s))
-    )

@@ -205,7 +205,7 @@ class TrainingData:
         table = self.found.table
         rows = np.searchsorted(table.frame, [one.frame for one in taken]) + np.array([one.box for one in taken], np.int64)
         try:
-            training = learn_clutter(to_cxcywh(table.detections.xyxy[rows]), len(frames), self._size, FALSE_BOXES)
+            training = learn_boxes(to_cxcywh(table.detections.xyxy[rows]), len(frames), self._size, FALSE_BOXES)
         except InputError as error:
             raise InputError(error.problem, where=error.where, cure="Look yourself: phdtrack label") from None
         many = f"{counted(training.learned.samples, 'box')} of {counted(len(frames), 'frame')}"
