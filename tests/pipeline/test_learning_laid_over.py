@@ -93,7 +93,7 @@ def test_the_shadow_tracker_knows_nothing_of_what_was_learned(followed):
 def test_what_is_in_use_is_written_with_where_objects_are(followed, tmp_path):
     scene, built, found = followed
     mode = found[-1][0].learned.known.regime
-    write_scene(tmp_path / "scene.json", built.learning.scene(mode, "street"))
+    write_scene(tmp_path / "scene.json", built.learning.rule.scene(mode, "street"))
     back = read_scene(tmp_path / "scene.json")
     assert back.births is not None
     assert back.clutter.rate == mode.clutter.rate
@@ -106,7 +106,7 @@ def test_what_is_in_use_is_written_with_where_objects_are(followed, tmp_path):
     assert fixed.model.birth.among is not None
     assert not isinstance(fixed.associator, FalseTrackRejection)
     # What is out of use is left out, and any size may come when it is learned on.
-    unused = built.learning.scene(replace(mode, births=replace(mode.births, trusted=False)), "street")
+    unused = built.learning.rule.scene(replace(mode, births=replace(mode.births, trusted=False)), "street")
     assert unused.births is None
     again = stages(scene.info, "learn.kind=online", f"learn.file={str(tmp_path / 'scene.json')!r}")
     begun = again.learning.start()
