@@ -16,7 +16,6 @@ import numpy as np
 
 from phdtrack.arrays import chi2_quantile, draw
 from phdtrack.errors import InputError, NonNegative, PositiveCount, Probability, Share, check
-from phdtrack.kernels.box import summed_densities
 from phdtrack.kernels.gaussian import Births, NewTargets
 from phdtrack.kernels.newborn import density_within, place_newborn, proposal_density, proposals, standard_points
 from phdtrack.models.volumes import (
@@ -31,6 +30,7 @@ from phdtrack.models.volumes import (
     image_area,
     image_volume,
     inside,
+    local_box_density,
     local_density,
     local_volume,
 )
@@ -200,9 +200,7 @@ class MeasurementBirth(_AroundDetections):
         if self.volume == "image":
             everywhere: F8 = self.births_per_second / image_volume(self.frame_size) * ((z[2] > 0) & (z[3] > 0))
             return everywhere
-        each = self.births_per_second / local_volume(z)
-        local: F8 = summed_densities(np.ascontiguousarray(z[:4]), z[0].argsort(), each, REACH, *SIZES)
-        return local
+        return local_box_density(z, self.births_per_second)
 
     def _gamma(self, shown: F8, first: I8, z: F8) -> F8:
         """γ per second at positions and sizes (4, L), which lie in the runs ``first``; 0 where a size is not positive."""

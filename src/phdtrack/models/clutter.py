@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.errors import InputError, NonNegative, Positive, check
-from phdtrack.kernels.box import summed_densities
-from phdtrack.models.volumes import REACH, SIZES, local_density, local_volume
+from phdtrack.models.volumes import local_box_density, local_density
 from phdtrack.protocols import Clutter
 from phdtrack.types import F8
 
@@ -45,11 +44,7 @@ class LocalClutter:
 
     def intensity(self, z: F8) -> F8:
         """κ(z) = Σ_j rate / V(z_j) over the detections z_j in whose neighbourhood z lies, its own included."""
-        if z.shape[1] == 0:
-            return np.zeros(0)
-        density = self.clutter_per_frame / local_volume(z)
-        out: F8 = summed_densities(np.ascontiguousarray(z[:4]), z[0].argsort(), density, REACH, *SIZES)
-        return out
+        return local_box_density(z, self.clutter_per_frame)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ import numpy as np
 
 from phdtrack.arrays import sum_by
 from phdtrack.errors import InputError
+from phdtrack.kernels.box import summed_densities
 from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.types import F8, Bool
 
@@ -48,6 +49,12 @@ def local_volume(z: F8) -> F8:
     """(N,) volume of the neighbourhood of each measurement z = (px, py, w, h), pixel⁴."""
     area: F8 = z[2] * z[3]
     return (2 * REACH) ** 2 * (SIZES[1] - SIZES[0]) ** 2 * area**2
+
+
+def local_box_density(z: F8, rate: float) -> F8:
+    """(N,) density at boxes (4, N) of a ``rate`` around each of them, pixel⁻⁴, summed where neighbourhoods overlap."""
+    out: F8 = summed_densities(np.ascontiguousarray(z[:4]), z[0].argsort(), rate / local_volume(z), REACH, *SIZES)
+    return out
 
 
 PlaneVolume = Literal["region", "local"]
