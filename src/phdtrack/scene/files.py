@@ -107,8 +107,8 @@ def read_scene(path: Path) -> Scene:
             _followed(document.get("followed")),
         )
     except (InputError, KeyError, TypeError, ValueError) as error:
-        problem = error if isinstance(error, InputError) else f"{type(error).__name__} {error}"
-        raise InputError(f"no learned scene: {problem}", where=path, cure="Learn it again") from None
+        what = str(error) if isinstance(error, InputError) else f"{type(error).__name__} {error}"
+        raise InputError(f"no learned scene: {what}", where=path, cure="Learn it again") from None
 
 
 def _plain(learned: LearnedDensity) -> dict[str, Any]:
