@@ -93,6 +93,6 @@ def test_kinds_of_points_and_of_boxes_are_not_mixed():
     for sets in (["motion.kind=point", "birth.kind=measurement"], ["sensor.kind=point"], ["birth.kind=point"]):
         with pytest.raises(InputError, match="does not fit"):
             config.load(sets=sets)
-    with pytest.raises(InputError, match="of points: point"):
+    with pytest.raises(InputError, match="or point"):
         config.load(preset="d14", sets=["filter.kind=gm-phd"])
     config.load(preset="d14", sets=["filter.kind=gm-phd", "birth.kind=point"])
