@@ -121,7 +121,9 @@ class Tracker:
         number = self._state.number + 1 if frame is None else _whole(frame, "update(frame=…)")
         if number < 1:
             raise InputError(f"expected a frame number from 1, got {number}", where="update(frame=…)")
-        time = self._time(number) if timestamp is None else _number(timestamp, f"frame {number}, update(timestamp=…)")
+        time = self._state.time + (number - (self._state.number or 1)) / self.fps
+        if timestamp is not None:
+            time = _number(timestamp, f"frame {number}, update(timestamp=…)")
         found = as_detections(detections, where=f"frame {number}")
         moved = STILL if warp is None else as_warp(warp, f"frame {number}, update(warp=…)")
         if len(moved):
@@ -130,12 +132,6 @@ class Tracker:
             refuse_standing(self.stages.model)
         self._state, self._step = pipeline.advance(self.stages, self._state, found, number, time, self._rng, moved)
         return self._step.tracks
-
-    def _time(self, number: int) -> float:
-        """Seconds of a frame without timestamp: ``1/fps`` per number since the last."""
-        if self._state.number == 0:
-            return (number - 1) / self.fps
-        return self._state.time + (number - self._state.number) / self.fps
 
     def flush(self) -> Tracks:
         """The online rows that the output delay holds back; none without a delay."""

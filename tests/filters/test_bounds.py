@@ -7,6 +7,7 @@ import pytest
 from phdtrack.errors import InputError
 from phdtrack.filters import GMCPHD, GMPHD, PMB, ParticleCPHD, ParticlePHD
 from phdtrack.filters.extract import Components, KMeans, Mixture
+from phdtrack.smooth import Smoothing
 
 WRONG = {
     GMPHD: {"weight_threshold": -1.0, "merge_distance": -1.0, "max_components": -1, "gate_probability": 0.0},
@@ -20,6 +21,7 @@ WRONG = {
     KMeans: {"min_weight": 0.0, "split_weight": -1.0, "iterations": 0, "merge_iou": 0.0},
     Mixture: {"min_weight": 0.0, "split_weight": -1.0, "iterations": 0, "merge_iou": 0.0},
     Components: {"min_weight": 0.0, "merge_iou": 0.0},
+    Smoothing: {"reentry_probability": 1.0, "mean_occluded_time": 0.0},
 }  # fmt: skip
 
 

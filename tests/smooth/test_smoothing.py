@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from smoothing_cases import model_of, piece, sequence, walk
 
-from phdtrack.errors import InputError
 from phdtrack.smooth import Smoothing
 from phdtrack.types import MeasurementHistory, Tracks
 
@@ -161,13 +160,6 @@ def test_nothing_comes_of_nothing():
     tracks, measured = sequence([{1: np.array([50.0, 50, 20, 40])}], 1, MODEL)
     np.testing.assert_allclose(Smoothing().smooth(tracks, measured, MODEL).xyxy, tracks.xyxy)
     assert len(Smoothing().smooth(replace(tracks, detection=np.array([-1])), measured, MODEL)) == 1
-
-
-def test_wrong_settings_are_refused():
-    with pytest.raises(InputError, match="below 1"):
-        Smoothing(reentry_probability=1.0)
-    with pytest.raises(InputError, match=r"Smoothing\.mean_occluded_time"):
-        Smoothing(mean_occluded_time=0.0)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -43,10 +43,6 @@ class UpdatedParticles:
         """(L,) weights."""
         return np.concatenate([self.old.weight, self.born.weight])
 
-    def particles(self) -> Particles:
-        """The same intensity as plain particles; a copy in float64."""
-        return Particles(self.state.astype(np.float64), self.weight)
-
 
 Intensity = Particles | ParticleBlocks | UpdatedParticles
 

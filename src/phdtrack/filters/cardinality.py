@@ -77,11 +77,6 @@ class Weighing:
     cardinality: F8
 
 
-def no_targets() -> F8:
-    """(1,) no target, for certain."""
-    return np.ones(1)
-
-
 def log_poisson(mean: float, count: int) -> F8:
     """(count,) logarithms of the Poisson probabilities of 0 … count − 1."""
     if mean <= 0:
@@ -154,7 +149,7 @@ def factors(cardinality: F8, mass: float, missed: float, evidence: F8, clutter: 
     Poisson: the factors are those of the PHD filter then.
     """
     if mass < TINY:
-        return Weighing(1.0, np.zeros(len(evidence)), no_targets())
+        return Weighing(1.0, np.zeros(len(evidence)), np.ones(1))
     with np.errstate(divide="ignore"):
         prior = np.log(cardinality)
         phi = float(np.log(min(max(missed / mass, 0.0), 1.0)))

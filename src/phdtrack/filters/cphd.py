@@ -15,7 +15,7 @@ import numpy as np
 
 from phdtrack.arrays import GATE
 from phdtrack.errors import Count, NonNegative, PositiveCount, Share, check
-from phdtrack.filters.cardinality import Cardinalised, no_targets, poisson, survived, weigh
+from phdtrack.filters.cardinality import Cardinalised, poisson, survived, weigh
 from phdtrack.filters.phd_gaussian import GMPHD
 from phdtrack.filters.phd_particle import ParticlePHD
 from phdtrack.models.gaussian import Transform
@@ -60,7 +60,7 @@ class _CPHD(Filter[Cardinalised[Any]]):
     def reduce(self, state: Cardinalised[Any], rng: np.random.Generator) -> Cardinalised[Any]:
         """The intensity reduced; the number stays, unless nothing is left."""
         intensity = _intensity(self).reduce(state.intensity, rng)
-        return Cardinalised(intensity, state.cardinality if len(intensity) else no_targets())
+        return Cardinalised(intensity, state.cardinality if len(intensity) else np.ones(1))
 
 
 @dataclass(frozen=True, slots=True)
