@@ -29,7 +29,7 @@ MAX_LOADED_MODULES, MAX_LOADED_LINES = 90, 11_000
 ALLOWED = {
     "lines": 34_500,
     "test lines": 25_200,
-    "experiment lines": 5_650,
+    "experiment lines": 5_950,
     "long files": 1,
     "small files": 1,
     "long functions": 1,
