@@ -181,7 +181,8 @@ def updated_layer(
     gone = np.empty(count, np.int64)
     t, k, lost, mass = _write_kept(layer, p_detect, exists, kept, options, s.merge_distance * s.merge_distance, out, gone)
     k, mass = _write_new(r_new, new.mean, new.covariance, prior, fresh, t, k, mass, out)
-    if len(ended):
+    # The oldest come first.
+    if len(ended) and frame - ended[0, 0] > history:
         ended = ended[frame - ended[:, 0] <= history]
     if lost:
         ended = np.vstack([ended, np.stack([np.full(lost, frame - 1), gone[:lost]], axis=1)])
