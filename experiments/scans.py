@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -94,9 +93,12 @@ def measure(
     run: Callable[[FilterRun], SetErrors], runs: Mapping[tuple[str, str], int], label: str, options: Options
 ) -> RunErrors:
     """So many ``runs`` of every pair of a case and a filter, from seed 0."""
-    jobs = [FilterRun(name, case, seed) for (case, name), number in runs.items() for seed in range(number)]
-    outcomes = iter(in_parallel(run, jobs, label, options))
-    return {pair: list(islice(outcomes, number)) for pair, number in runs.items()}
+    # Seed by seed: several processes then begin with different filters, and each kernel is compiled once.
+    jobs = [
+        FilterRun(name, case, seed) for seed in range(max(runs.values())) for case, name in runs if seed < runs[case, name]
+    ]
+    outcomes = dict(zip(jobs, in_parallel(run, jobs, label, options), strict=True))
+    return {(case, name): [outcomes[FilterRun(name, case, seed)] for seed in range(n)] for (case, name), n in runs.items()}
 
 
 @dataclass(frozen=True, slots=True)

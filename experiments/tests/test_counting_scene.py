@@ -56,16 +56,6 @@ def test_expected_number_stays() -> None:
         assert abs(number[:, frame].mean() - n) < 4 * spread / np.sqrt(runs)
 
 
-def test_lifetimes() -> None:
-    """Survival from frame to frame happens with p_S."""
-    world = Counting(50, frames=200, p_survive=0.95)
-    truth = world.figures(np.random.default_rng(1))
-    key = truth.frame * 100000 + truth.identity
-    before_last = truth.frame < 200
-    stays = np.isin(key[before_last] + 100000, key)
-    assert abs(stays.mean() - 0.95) < 4 * np.sqrt(0.95 * 0.05 / len(stays))
-
-
 def test_leaving_targets_are_gone_and_others_go_on() -> None:
     for leaving in (True, False):
         world = Counting(30, width=200, height=200, leaving=leaving, frames=100)

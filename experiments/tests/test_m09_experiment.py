@@ -1,27 +1,22 @@
-"""M09's experiment: what is marked, learned, run and counted on small scenes, and what the page counts of made-up scores."""
+"""M09's experiment: what is marked, learned, run and counted on small scenes."""
 
 from __future__ import annotations
-
-import dataclasses
 
 import numpy as np
 import pytest
 
 from experiments import m09, m09_lessons, m09_runs, m09_scenes
-from experiments.common import Case, filled
-from experiments.m09_runs import GM, GM_IMAGE, IMAGE, PHD, UM, SceneRun, SceneScores
+from experiments.common import Case
+from experiments.m09_runs import GM, GM_IMAGE, IMAGE, UM, SceneRun
 from phdtrack.arrays import iou
 from phdtrack.associate.rejection import FalseTrackRejection
 from phdtrack.label.samples import REACH, Marks
-from phdtrack.metrics import evaluate
 from phdtrack.models import LocalClutter, MeasurementBirth, UniformClutter
 from phdtrack.models.scene import SceneBirth, SceneClutter
 from phdtrack.protocols import Birth, Clutter
 from phdtrack.scene import LearnedDensity, TrackedObjects, marginal, uniform_density
 from phdtrack.simulate import DetectorModel, make_scene
 from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks, Truth
-
-FRAMES = 40
 
 
 @pytest.fixture(scope="module")
@@ -140,63 +135,3 @@ def test_delays_are_parted_by_where_somebody_is_first_detected() -> None:
     tracks = Tracks(frame[rows], identity[rows], truth.xyxy[rows], np.ones(n), np.full(n, -1), np.ones(n, np.bool_))
     assert m09_runs.delays(case, tracks, np.array([[-np.inf, 0, 20, 360]])) == ({1: 3.0}, {2: 1.0})
     assert m09_runs.delays(case, tracks, np.zeros((0, 4))) == ({}, {1: 3.0, 2: 1.0})
-
-
-# What the page counts, of made-up scores.
-
-
-def scores(misses: int, false: int) -> m09.Scores:
-    """Scores of tracks of one object over 40 frames: so many misses, and a false track of so many boxes."""
-    box = np.tile([0.0, 0, 10, 20], (FRAMES, 1))
-    truth = Truth(np.arange(1, FRAMES + 1), np.ones(FRAMES, np.int64), box, np.zeros(FRAMES, np.bool_))
-    frame = np.concatenate([np.arange(1 + misses, FRAMES + 1), np.arange(1, false + 1)])
-    identity = np.concatenate([np.ones(FRAMES - misses, np.int64), np.full(false, 9)])
-    xyxy = np.concatenate([box[misses:], np.tile([500.0, 0, 510, 20], (false, 1))])
-    n = len(frame)
-    return evaluate(truth, Tracks(frame, identity, xyxy, np.ones(n), np.full(n, -1), np.ones(n, np.bool_)), frames=FRAMES)
-
-
-def outcome(misses: int, false: int, delay: float) -> SceneScores:
-    one = scores(misses, false)
-    return SceneScores(one, (one,) * 4, one, {1: delay}, {2: delay + 1})
-
-
-# Misses, false boxes and delay of each run by scene.
-ERRORS = {
-    "garden": {UM: (8, 20, 6.0), GM: (4, 4, 3.0), "A6": (4, 2, 4.0), "A1": (8, 18, 5.0), "A2": (6, 4, 4.0)},
-    "arcade": {UM: (4, 2, 3.0), GM: (6, 1, 4.0), "A6": (8, 1, 4.0), "A1": (4, 2, 3.0), "A2": (6, 1, 4.0)},
-}
-
-
-@pytest.fixture
-def found(street) -> m09.SceneResults:
-    """Two scenes: in one what is learned helps, in the other it does not."""
-    half = dataclasses.replace(street[0], info=dataclasses.replace(street[0].info, frames=10_000))
-    scenes = {name: m09_scenes.Halves(name, half, half, np.zeros((0, 4))) for name in ERRORS}
-    scored = {}
-    for run in m09.runs_of(scenes, dict.fromkeys(scenes, 1), quick=False):
-        errors = ERRORS[run.scene]
-        kind = run.run if run.filter == PHD else UM
-        scored[run] = outcome(*errors.get(kind, errors[UM]))
-        if run.rates == m09_runs.LOCAL_SWEEP[2]:
-            scored[run] = outcome(2, 2, 3.0)
-    timings = {("garden", PHD): (1e-3, 1.02e-3, 4e-3), ("garden", "mht"): (1e-3, 1.2e-3, 4e-3)}
-    learned = learned_scene(m09_scenes.stretch(street[0], 1, 300))
-    return m09.SceneResults(scenes, scored, {(name, 1): learned for name in scenes}, timings)
-
-
-def test_the_page_has_every_table(found: m09.SceneResults) -> None:
-    text = filled("m09", **m09.figures(found))
-    lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
-    assert ["garden", GM, "3.0", "4.0", "1", "1", "0.800", "4"] in lines
-    assert ["arcade", "around detections", "5", "0.01", "3", "0.900", "0.825", "-0.075", "0.050", "0.150"] in lines
-    assert ["garden", "mht", "1.00", "1.20", "4.00", "1.20", "1.040"] in lines
-    assert ["garden", "+0.400", "+0.000", "+0.050", "+0.050"] in lines
-    assert [line[:3] for line in lines if line[:2] == ["garden", "none"]] == [["garden", "none", "–"]]
-
-
-def test_gains_are_of_all_frames_with_intervals_over_quarters(found: m09.SceneResults) -> None:
-    gain = found.gain(["garden", "arcade"], GM, "MOTA")
-    assert gain.mean == pytest.approx((28 + 6 - 8 - 7) / 80)
-    assert (gain.count, gain.half) == (4, pytest.approx(0, abs=1e-12))
-    assert found.gain(["garden"], "A6", "false_tracks").mean == 0

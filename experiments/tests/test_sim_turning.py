@@ -37,14 +37,6 @@ def test_number_of_targets_and_where_they_are():
         assert np.hypot(*x[:2]).max() < 2082
 
 
-def test_births_are_where_targets_start():
-    model = Turning()
-    mean = model.birth_mean
-    for start in TURNING_START:
-        step = np.abs(mean - start[:, None]) / np.array(model.birth_sd)[:, None]
-        assert step.max(axis=0).min() < 1.01, "within a deviation of one of them in every component"
-
-
 def test_measurements_scatter_as_the_sensor_says():
     """Over 20 realisations: bearings and ranges, the share that is seen, the number and extent of false ones."""
     model = replace(Turning(), p_detect=0.9, clutter_rate=7.0)

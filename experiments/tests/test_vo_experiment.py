@@ -5,19 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments import nonlinear, scans, standard, unknown, vo
-from experiments.common import Options
+from experiments import nonlinear, standard, unknown
 from experiments.scans import FilterRun, SetErrors, Summary, apart
 
 # Mean OSPA over three runs may be this far above what is claimed of a hundred: 4 standard errors of one run's mean, which
 # scatters by 1.2, over √3.
 SLACK = 2.8
-
-
-@pytest.fixture
-def serial(monkeypatch):
-    """Work is done in this process."""
-    monkeypatch.setattr(scans, "in_parallel", lambda work, jobs, label, options: [work(job) for job in jobs])
 
 
 @pytest.fixture(scope="module")
@@ -76,23 +69,6 @@ def test_targets_that_turn_are_followed(turns):
         assert abs(summary.bias) < 0.6
         assert summary.place < 30
         assert summary.ospa < 36
-
-
-def test_it_writes_its_page_and_pictures(tmp_path, monkeypatch, serial):
-    """Two runs of one case and two filters of either scenario."""
-    for module in (standard, nonlinear):
-        few = {name: module.FILTERS[name] for name in ("gm-phd", "gm-cphd")}
-        monkeypatch.setattr(module, "FILTERS", few)
-    monkeypatch.setattr(unknown, "FILTERS", ("gm-phd",))
-    page = vo.main(Options(runs=2, quick=True, out=tmp_path))
-    assert page == tmp_path / "vo.md"
-    text = page.read_text(encoding="utf-8")
-    assert text.count("gm-cphd less gm-phd") == 2
-    assert "{" not in text
-    pictures = [line.split("](")[1].rstrip(")") for line in text.splitlines() if line.startswith("![")]
-    assert len(pictures) == 3
-    for picture in pictures:
-        assert (tmp_path / picture).stat().st_size > 10_000
 
 
 @pytest.mark.slow

@@ -11,10 +11,9 @@ from rich.console import Console
 
 from benchmarks import c_kernel, d14, mht, particle_phd
 from benchmarks.__main__ import measure
-from benchmarks.extraction import on_threads
 from benchmarks.parts import SMOKE, Outcome, Part, Row, Skipped
 from benchmarks.registry import PARTS
-from benchmarks.report import Paper, write
+from benchmarks.report import Paper
 from benchmarks.timing import Spread, exponent, in_turns
 
 REQUIRED = {
@@ -109,12 +108,6 @@ def test_d14s_sequence_is_timed_with_its_filters() -> None:
     assert all(row.cpu is not None and row.cpu > 0 for row in outcome.rows)
 
 
-def test_filter_and_extraction_on_two_threads_give_the_states_of_one() -> None:
-    found = on_threads(3, frames=2, repeats=2)
-    assert found["identical"]
-    assert found["ratio"] == pytest.approx(found["one_ms"] / found["two_ms"])
-
-
 def test_multiple_hypotheses_are_timed_and_counted() -> None:
     outcome = mht.run(SMOKE, lambda text: None)
     assert [row.most for row in outcome.rows] == [None, 50.0]
@@ -131,15 +124,6 @@ def test_c_and_numba_agree_on_the_kernel() -> None:
     assert outcome.entries["c_kernel"]["ratio"] > 0
     # A library linked with -ffast-math would have switched denormal numbers off for everything that comes after.
     assert np.float64(5e-324) * np.float64(1.0) > 0
-
-
-def test_a_document_that_cannot_be_written_leaves_the_old_one(tmp_path: Path) -> None:
-    path = tmp_path / "bench.json"
-    write({"a": 1}, path)
-    with pytest.raises(TypeError):
-        write({"a": {1, 2}}, path)
-    assert json.loads(path.read_text()) == {"a": 1}
-    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_exponent_and_turns() -> None:

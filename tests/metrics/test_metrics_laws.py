@@ -150,12 +150,3 @@ def test_pools_need_like_parts():
         pool([])
     with pytest.raises(InputError, match="same settings"):
         pool([evaluate(*GOOD), evaluate(*GOOD, iou=0.7)])
-
-
-def test_ties_follow_neither_the_order_of_rows_nor_the_names():
-    """Two outputs overlap the object alike in frame 1, one of them again in frame 2: a switch or none, but the same."""
-    truth = truth_of([1, 2], [1, 1], [BOX, BOX])
-    tracks = tracks_of([1, 1, 2], [7, 8, 7], [[0, 0, 8, 10], [2, 0, 10, 10], BOX])
-    renamed = tracks_of(tracks.frame, 15 - tracks.identity, tracks.xyxy)
-    for same in (tracks.take(np.array([1, 0, 2])), renamed):
-        assert evaluate(truth, same).as_dict() == evaluate(truth, tracks).as_dict()

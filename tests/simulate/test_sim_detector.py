@@ -72,14 +72,6 @@ def test_poisson_clutter(truth: Truth, rate: float) -> None:
     assert set(map(tuple, np.round(np.stack([w, h], axis=1), 6))) <= set(map(tuple, sizes))
 
 
-def test_log_uniform_sizes(truth: Truth) -> None:
-    found = run(truth, clutter_rate=10.0, clutter_of_all_sizes=True)
-    _, _, w, h = to_cxcywh(found.table.detections.xyxy[found.source == 0])
-    part = np.log(h / (0.08 * 480)) / np.log(0.5 / 0.08)
-    assert abs(part.mean() - 0.5) < 4 / np.sqrt(12 * len(h))
-    assert ((w / h >= 1 / 3 - 1e-9) & (w / h <= 1 + 1e-9)).all()
-
-
 def test_persistent_places_fire_with_their_probability_around_their_box(truth: Truth) -> None:
     found = run(truth, places=5, place_fire=0.5, place_jitter=0.1)
     assert found.places.shape == (5, 4)

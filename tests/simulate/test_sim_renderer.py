@@ -6,7 +6,6 @@ import pytest
 
 from phdtrack.errors import InputError
 from phdtrack.simulate import NAMED, DetectorModel, Look, Scenario, Scene, Walk, build_scene, make_scene, render
-from phdtrack.simulate.paint import put_scaled, pyramid
 
 STILL = Look(noise=0.0, flicker=0.0, plants=0, wave=0.0, lamps=0)
 NOTHING = DetectorModel(clutter_rate=0.0)
@@ -142,16 +141,3 @@ def test_lamps_blink_flicker_and_noise_have_their_strength() -> None:
     assert abs(np.corrcoef(noisy[0].ravel(), noisy[1].ravel())[0, 1]) < 0.02
     with pytest.raises(InputError, match="Look"):
         Look(noise=-1.0)
-
-
-@pytest.mark.parametrize("mirrored", [False, True])
-def test_a_sprite_fills_its_box_and_mirrors(mirrored: bool) -> None:
-    """Its left half is red, its right half blue."""
-    sprite, canvas = np.full((40, 20, 4), 255, np.uint8), np.full((60, 60, 3), 100, np.uint8)
-    sprite[:, :10, :3], sprite[:, 10:, :3] = (0, 0, 200), (200, 0, 0)
-    box = np.array([10.0, 5.0, 36.0, 57.0])
-    put_scaled(canvas, pyramid(sprite), box, mirrored=mirrored)
-    y, x = np.nonzero((canvas != 100).any(axis=2))
-    assert np.abs(np.array([x.min(), y.min(), x.max() + 1, y.max() + 1]) - box).max() <= 1
-    left, right = canvas[30, 15], canvas[30, 30]
-    assert (left[2] > left[0]) == (right[0] > right[2]) == (not mirrored)

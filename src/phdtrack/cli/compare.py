@@ -127,7 +127,7 @@ def compare(
     # Once, before several processes would each compile them.
     info = made.cases[0].info
     with announced(output):
-        for method in {method.filter_name: method for method in made.methods}.values():
+        for method in {method.settings.kind("filter"): method for method in made.methods}.values():
             detections_needed(build(method.settings, info), info, (info.width / 20, info.height / 10))
     begun = about("Comparison of " + ", ".join(method.name for method in made.methods), made.seeds[0])
     clock, processes = time.perf_counter(), jobs or os.cpu_count() or 1
@@ -175,13 +175,13 @@ def finish(
         "failed": [{"run": str(run), "reason": reason} for run, reason in comparison.failed],
         "seconds": begun.seconds,
         "warnings": warnings,
-        "rows": [results.document_of(row) for row in found.rows],
+        "rows": [results.document_of(row) for row in found],
         "directory": str(comparison.folder),
     }
     write_run(directory.file(DOCUMENT), document)
     out.warn(warnings)
-    out.table(*results.table(found.rows, names), words=(0, 1, 3))
-    if apart := [row for row in found.widest if row.ahead]:
+    out.table(*results.table(found, names), words=(0, 1, 3))
+    if apart := [row for row in comparing.widest(found) if row.ahead]:
         out.say("", f"Difference to {plan.methods[0].name}, seed by seed:")
         out.table(*results.table(apart, names, ahead=True), words=(0, 1, 3))
     done = lines("comparison_done.txt", comparison=comparison, seconds=begun.seconds, plan=results.described(plan))

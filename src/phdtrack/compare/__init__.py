@@ -7,17 +7,18 @@ summary(comparison)         means over the seeds with intervals, per case and po
 
 from phdtrack.compare.plans import DetectionChoice, Plan, SettingsSource, plan
 from phdtrack.compare.runs import Comparison, run, steps
-from phdtrack.compare.statistics import Summary, check_scores, summary
+from phdtrack.compare.statistics import Row, check_scores, summary, widest
 
 __all__ = [
     "Comparison",
     "DetectionChoice",
     "Plan",
+    "Row",
     "SettingsSource",
-    "Summary",
     "check_scores",
     "plan",
     "run",
     "steps",
     "summary",
+    "widest",
 ]

@@ -33,11 +33,6 @@ class Condition:
     given: RunInput
     mistakes: Sequence[Sequence[Mistakes]]
 
-    @property
-    def counts(self) -> I8:
-        """(methods, F + 1) the number of mistakes."""
-        return np.array([[frame.count for frame in frames] for frames in self.mistakes])
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WorstFrame:
@@ -98,12 +93,12 @@ def _boxes(frame: I8, identity: I8, xyxy: F8) -> dict[tuple[int, int], F8]:
 
 
 def _chosen(found: Sequence[Condition], number: int) -> list[tuple[Condition, int, str]]:
-    """Frames with the greatest difference, then those with most mistakes, none of either within a second of another.
+    """Frames with the greatest difference, then those with most mistakes, none within a second of another, with the reasons.
 
-    A frame that is both is there once, with both reasons; where mistakes are as many, one that is shown already.
+    Of frames with as many mistakes one that is shown already comes first.
     """
     reasons: dict[tuple[int, int], list[str]] = {}
-    counts = [condition.counts for condition in found]
+    counts = [np.array([[frame.count for frame in frames] for frames in one.mistakes]) for one in found]
     for why, values in (
         ("differ most", [np.ptp(count, axis=0) for count in counts]),
         ("most mistakes", [count.sum(axis=0) for count in counts]),

@@ -33,11 +33,10 @@ _NEXT_SETTING = re.compile(r",(?=\s*(?:preset|[a-z]+\.[a-z_]+)\s*=)")
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A sequence and one set of detections of it.
+    """A sequence and one set of detections of it, by the names of both.
 
     Attributes
     ----------
-    sequence, detections : names of both.
     info : size and rate; ``frames`` is 0 where the frames are counted by decoding.
     truth : annotated objects, None without.
     source : video or images, empty where there are none.
@@ -72,11 +71,6 @@ class Method:
     name: str
     settings: Settings
 
-    @property
-    def filter_name(self) -> str:
-        """``filter.kind``."""
-        return self.settings.kind("filter")
-
 
 @dataclass(frozen=True, slots=True)
 class Run:
@@ -103,12 +97,7 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Every case with every rate of clutter, every method and every seed; other methods are compared to the first.
-
-    Raises
-    ------
-    InputError : nothing to do, a name or number twice, a rate or an overlap that is none.
-    """
+    """Every case with every rate of clutter, every method and every seed; other methods are compared to the first."""
 
     cases: tuple[Case, ...]
     methods: tuple[Method, ...]
@@ -161,15 +150,10 @@ class SettingsSource:
 
 @dataclass(frozen=True, slots=True)
 class DetectionChoice:
-    """Which detections to compare on; empty: whatever a sequence has. ``{}`` in a file's name stands for the sequence's
-    name.
+    """Which detections to compare on; empty: whatever a sequence has.
 
-    Attributes
-    ----------
-    detections : names of sets that the folders have, or files.
-    detectors : by name.
-    max_width : to which frames are shrunk for them, pixels; 0: not at all.
-    truth : a file of annotated objects.
+    ``detections`` are sets that the folders have, or files; ``detectors`` look at frames of at most ``max_width`` pixels (0:
+    as they are); ``truth`` is a file. ``{}`` in a file's name stands for the sequence's name.
     """
 
     detections: tuple[str, ...] = ()

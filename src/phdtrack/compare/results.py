@@ -14,7 +14,7 @@ import numpy as np
 from phdtrack.compare.failures import WorstFrame
 from phdtrack.compare.plans import Plan
 from phdtrack.compare.runs import Comparison, Failed
-from phdtrack.compare.statistics import OTHERS, SCORES, Interval, Row, Summary, values_of
+from phdtrack.compare.statistics import OTHERS, SCORES, Interval, Row, values_of, widest
 from phdtrack.report.charts import MethodScores, Picture, jpeg, score_chart
 from phdtrack.report.pages import lines, render
 from phdtrack.report.record import About
@@ -34,9 +34,9 @@ class Table(NamedTuple):
     rows: Sequence[tuple[str, ...]]
 
 
-def shown(found: Summary, wanted: Sequence[str]) -> tuple[str, ...]:
+def shown(rows: Sequence[Row], wanted: Sequence[str]) -> tuple[str, ...]:
     """The scores to show: those wanted, or the usual ones where there is truth, and what the comparison has of them."""
-    known = {name for row in found.rows for name in row.values}
+    known = {name for row in rows for name in row.values}
     usual = _SHOWN if "MOTA" in known else OTHERS
     return tuple(name for name in (wanted or usual) if name in known) or OTHERS
 
@@ -88,29 +88,31 @@ def table(rows: Iterable[Row], names: Sequence[str], *, ahead: bool = False) -> 
     return Table(("sequence", "detections", "clutter", "filter", *map(_label, names)), out)
 
 
-def write_cells(path: Path, found: Summary) -> None:
-    """One row for each line of the table: every score's mean, half its interval, the difference to the first method."""
-    names = [name for name in (*SCORES, *OTHERS) if any(name in row.values for row in found.rows)]
-    columns = [f"{name}{part}" for name in names for part in ("", "_half", "_ahead", "_ahead_half")]
-    rows = []
-    for row in found.rows:
+def write_cells(path: Path, rows: Sequence[Row]) -> None:
+    """One line for each row: every score's mean, half its interval, the difference to the first method."""
+    names = [name for name in (*SCORES, *OTHERS) if any(name in row.values for row in rows)]
+    lines: list[Sequence[object]] = [
+        ["sequence", "detections", "cases", "clutter", "filter", "seeds", "failed"]
+        + [f"{name}{part}" for name in names for part in ("", "_half", "_ahead", "_ahead_half")]
+    ]
+    for row in rows:
         seeds = max((value.count for value in row.values.values()), default=0)
         intervals = [part.get(name, _UNKNOWN) for name in names for part in (row.values, row.ahead)]
         where = (row.sequence, row.detections, row.cases, f"{row.rate:g}", row.method, seeds, row.failed)
-        rows.append([*where, *(_number(number) for one in intervals for number in (one.mean, one.half))])
-    _write(path, ["sequence", "detections", "cases", "clutter", "filter", "seeds", "failed", *columns], rows)
+        lines.append([*where, *(_number(number) for one in intervals for number in (one.mean, one.half))])
+    _write(path, lines)
 
 
 def write_runs(path: Path, comparison: Comparison) -> None:
-    """One row for each run, and where it is kept."""
+    """One line for each run, and where it is kept."""
     each = [(run, {} if isinstance(result, Failed) else values_of([result]), result) for run, result in comparison.runs]
     names = [name for name in (*SCORES, *OTHERS) if any(name in values for _, values, _ in each)]
-    rows = []
+    lines: list[Sequence[object]] = [["sequence", "detections", "clutter", "filter", "seed", "failed", *names, "folder"]]
     for run, values, result in each:
         failed = result.reason if isinstance(result, Failed) else ""
         where = (run.case.sequence, run.case.detections, f"{run.rate:g}", run.method.name, run.seed, failed)
-        rows.append([*where, *(_number(values.get(name, math.nan)) for name in names), run.place.as_posix()])
-    _write(path, ["sequence", "detections", "clutter", "filter", "seed", "failed", *names, "folder"], rows)
+        lines.append([*where, *(_number(values.get(name, math.nan)) for name in names), run.place.as_posix()])
+    _write(path, lines)
 
 
 def document_of(row: Row) -> dict[str, object]:
@@ -129,11 +131,11 @@ def described(plan: Plan) -> str:
     return lines("comparison_plan.txt", plan=plan, sequences=len({case.sequence for case in plan.cases}))[0]
 
 
-def sentences(plan: Plan, found: Summary) -> tuple[str, ...]:
+def sentences(plan: Plan, found: Sequence[Row]) -> tuple[str, ...]:
     """Which method has the highest MOTA over everything, for each rate of clutter, where that is more than chance."""
     out: list[str] = []
     for rate in plan.rates:
-        rows = [row for row in found.widest if row.rate == rate and "MOTA" in row.values]
+        rows = [row for row in widest(found) if row.rate == rate and "MOTA" in row.values]
         if len(rows) < 2:
             continue
         best, *others = sorted(rows, key=lambda row: -row.values["MOTA"].mean)
@@ -145,12 +147,12 @@ def sentences(plan: Plan, found: Summary) -> tuple[str, ...]:
     return tuple(out)
 
 
-def notes(found: Summary, comparison: Comparison, *, in_turn: bool) -> tuple[str, ...]:
+def notes(rows: Sequence[Row], comparison: Comparison, *, in_turn: bool) -> tuple[str, ...]:
     """What a reader should know of the numbers.
 
     Parameters
     ----------
-    found, comparison : the rows, and what was run.
+    rows, comparison : the summary, and what was run.
     in_turn : whether the runs of this time ran one after the other.
 
     Returns
@@ -158,18 +160,18 @@ def notes(found: Summary, comparison: Comparison, *, in_turn: bool) -> tuple[str
     Sentences.
     """
     many = len(comparison.plan.seeds) > 1
-    still = dict.fromkeys(row.method for row in found.rows if many and not row.random and not row.failed)
+    still = dict.fromkeys(row.method for row in rows if many and not row.random and not row.failed)
     return lines("comparison_notes.txt", still=list(still), in_turn=in_turn, kept=comparison.reused > 0)
 
 
 def comparison_page(
-    comparison: Comparison, found: Summary, names: Sequence[str], frames: Sequence[WorstFrame], about: About
+    comparison: Comparison, rows: Sequence[Row], names: Sequence[str], frames: Sequence[WorstFrame], about: About
 ) -> str:
     """The report of a comparison.
 
     Parameters
     ----------
-    comparison, found : what was run, and its summary.
+    comparison, rows : what was run, and its summary.
     names : the scores to show.
     frames : the worst ones.
     about : title, command, warnings, notes.
@@ -186,29 +188,29 @@ def comparison_page(
         "comparison.html",
         title=about.title,
         source=described(plan),
-        lead=" ".join(sentences(plan, found)),
+        lead=" ".join(sentences(plan, rows)),
         about=about,
         first=plan.methods[0].name,
-        pooled=table((row for row in found.rows if row.pooled), names),
-        charts=[(title, list(_charts(x, x_label, rows, names))) for title, x, x_label, rows in _sections(plan, found)],
-        each=table((row for row in found.rows if not row.pooled), names),
-        differences=table((row for row in found.rows if row.ahead), names, ahead=True),
+        pooled=table((row for row in rows if row.pooled), names),
+        charts=[(title, list(_charts(*places, names))) for title, *places in _sections(plan, rows)],
+        each=table((row for row in rows if not row.pooled), names),
+        differences=table((row for row in rows if row.ahead), names, ahead=True),
         frames=[(jpeg(frame.image), frame.caption) for frame in frames],
         settings=flattened(settings | more),
         seeds=len(plan.seeds),
     )
 
 
-def _sections(plan: Plan, found: Summary) -> Iterator[tuple[str, F8 | Sequence[str], str, list[list[Row]]]]:
+def _sections(plan: Plan, found: Sequence[Row]) -> Iterator[tuple[str, F8 | Sequence[str], str, list[list[Row]]]]:
     """Title, places, their label, and for each method its rows at these places."""
     methods = [method.name for method in plan.methods]
     if len(plan.rates) > 1:
-        rates, by_rate = sorted(plan.rates), {(row.method, row.rate): row for row in found.widest}
-        over = ", pooled over everything" if found.widest[0].pooled else ""
+        rates, by_rate = sorted(plan.rates), {(row.method, row.rate): row for row in widest(found)}
+        over = ", pooled over everything" if widest(found)[0].pooled else ""
         rows = [[by_rate[method, rate] for rate in rates] for method in methods]
         yield f"By added clutter{over}", np.array(rates), "added clutter, boxes per frame", rows
     for rate in plan.rates:
-        single = [row for row in found.rows if row.rate == rate and not row.pooled]
+        single = [row for row in found if row.rate == rate and not row.pooled]
         rows = [[row for row in single if row.method == method] for method in methods]
         places = [f"{row.sequence} {row.detections}" for row in rows[0]]
         yield f"By sequence, {rate:g} added boxes per frame" if rate else "By sequence, as detected", places, "", rows
@@ -238,7 +240,7 @@ def _number(value: float) -> str:
     return f"{value:.9g}" if math.isfinite(value) else ""
 
 
-def _write(path: Path, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+def _write(path: Path, rows: Sequence[Sequence[object]]) -> None:
     file = io.StringIO()
-    csv.writer(file, lineterminator="\n").writerows([columns, *rows])
+    csv.writer(file, lineterminator="\n").writerows(rows)
     write_text(path, file.getvalue())

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 from scipy.special import stdtrit
 
-from phdtrack.compare.plans import Case, Method, Run
+from phdtrack.compare.plans import Case, Run
 from phdtrack.compare.runs import Comparison, Failed, RunResult
 from phdtrack.errors import InputError
 from phdtrack.metrics import Scores, pool
@@ -35,16 +35,6 @@ class Interval:
     def clear(self) -> bool:
         """Whether 0 lies outside."""
         return abs(self.mean) > self.half
-
-    @property
-    def low(self) -> float:
-        """The lower end; the mean itself where there is no interval."""
-        return self.mean - self.half if math.isfinite(self.half) else self.mean
-
-    @property
-    def high(self) -> float:
-        """The upper end; the mean itself where there is no interval."""
-        return self.mean + self.half if math.isfinite(self.half) else self.mean
 
 
 def interval(values: Sequence[float]) -> Interval:
@@ -94,21 +84,8 @@ class Row:
         return found.clear if self.random or other.random else found.mean != 0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Summary:
-    """``rows`` of the cases, then those pooled over the sequences of each set of detections, then over everything."""
-
-    rows: tuple[Row, ...]
-
-    @property
-    def widest(self) -> tuple[Row, ...]:
-        """The rows that pool the most."""
-        most = max(row.cases for row in self.rows)
-        return tuple(row for row in self.rows if row.cases == most)
-
-
-def summary(comparison: Comparison) -> Summary:
-    """The rows of a comparison."""
+def summary(comparison: Comparison) -> tuple[Row, ...]:
+    """Rows of the cases, then those pooled over the sequences of each set of detections, then over everything."""
     cases = comparison.plan.cases
     groups: list[tuple[str, str, Sequence[Case]]] = [(case.sequence, case.detections, [case]) for case in cases]
     names = list(dict.fromkeys(case.detections for case in cases))
@@ -118,36 +95,34 @@ def summary(comparison: Comparison) -> Summary:
             groups.append((POOLED, name, own))
     if len(cases) > 1:
         groups.append((POOLED, names[0] if len(names) == 1 else POOLED, cases))
-    return Summary(tuple(row for group in groups for row in _rows(comparison, *group)))
+    return tuple(row for group in groups for row in _rows(comparison, *group))
+
+
+def widest(rows: Sequence[Row]) -> list[Row]:
+    """The rows that pool the most."""
+    most = max(row.cases for row in rows)
+    return [row for row in rows if row.cases == most]
 
 
 def _rows(comparison: Comparison, sequence: str, detections: str, cases: Sequence[Case]) -> Iterator[Row]:
     """Every method at every rate on these cases."""
-    for rate in comparison.plan.rates:
+    plan = comparison.plan
+    for rate in plan.rates:
         first: Row | None = None
-        for method in comparison.plan.methods:
-            each, random, failed = _scores_by_seed(comparison, cases, rate, method)
+        for method in plan.methods:
+            found = [[comparison.result(Run(case, rate, method, seed)) for case in cases] for seed in plan.seeds]
+            random = rate > 0 or any(isinstance(one, RunResult) and one.drawn for one in found[0])
+            reasons = [one.reason for results in found for one in results if isinstance(one, Failed)]
+            each = [] if reasons else [values_of([one for one in r if isinstance(one, RunResult)]) for r in found]
             ahead: Mapping[str, Interval] = {}
             if first is not None:
                 pairs = zip(each, first.each, strict=False)
                 apart = [{name: mine[name] - theirs[name] for name in mine if name in theirs} for mine, theirs in pairs]
                 ahead = _intervals(apart, random or first.random)
-            where = (sequence, detections, len(cases), rate, method.name)
-            row = Row(*where, random, _intervals(each, random), ahead, each, failed)
+            values, failed = _intervals(each, random), reasons[0] if reasons else ""
+            row = Row(sequence, detections, len(cases), rate, method.name, random, values, ahead, each, failed)
             first = first or row
             yield row
-
-
-def _scores_by_seed(
-    comparison: Comparison, cases: Sequence[Case], rate: float, method: Method
-) -> tuple[list[dict[str, float]], bool, str]:
-    """The scores of a method at every seed, pooled over cases; whether the seeds matter; without scores, why."""
-    found = [[comparison.result(Run(case, rate, method, seed)) for case in cases] for seed in comparison.plan.seeds]
-    random = rate > 0 or any(isinstance(first, RunResult) and first.drawn for first in found[0])
-    failed = [one.reason for results in found for one in results if isinstance(one, Failed)]
-    if failed:
-        return [], random, failed[0]
-    return [values_of([one for one in results if isinstance(one, RunResult)]) for results in found], random, ""
 
 
 def _intervals(each: Sequence[Mapping[str, float]], random: bool) -> dict[str, Interval]:

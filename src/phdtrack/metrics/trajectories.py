@@ -5,11 +5,9 @@ T-GOSPA (García-Fernández, Rahmathullah, Svensson 2020; LP relaxation) [G20]:
     d^p = min_W Σ_k [ Σ_mapped min(d, c)^p + c^p/2 (missed + false) ] + γ^p/2 Σ_k Σ_ij |W_k+1(i, j) − W_k(i, j)|
 
 over weights W_k(i, j) ∈ [0, 1] with row and column sums ≤ 1: GOSPA with α = 2 in every frame, and γ^p/2 for each mapping of
-trajectories that begins or ends between two frames; a switch costs γ^p, a mapping that is given up γ^p/2. Two trajectories
-may stay mapped while one is absent, at c^p/2 like a miss. With γ = 0 it is the sum of GOSPA^p over the frames. The
-relaxation to weights keeps it a metric, and makes it a linear programme; at the optimum the weights are mostly 0 or 1.
-
-It takes seconds (800 frames, 19 people, 190 tracks: 8 s), so `evaluate` does not include it.
+trajectories that begins or ends between two frames. Two trajectories may stay mapped while one is absent, at c^p/2 like a
+miss. With γ = 0 it is the sum of GOSPA^p over the frames. At the optimum the weights are mostly 0 or 1. It takes seconds
+(800 frames, 19 people, 190 tracks: 8 s), so `evaluate` does not include it.
 
 Notation: K frames, n true and m output trajectories, Q pairs of them that come nearer than c at some time.
 
@@ -19,7 +17,7 @@ target i is mapped
 
     RMSE_i = √( mean ‖estimate − truth_i‖² )        and per axis √( mean (estimate − truth_i)² )
 
-It says how well targets are located that are located at all; read it beside the number of frames in which they were not.
+It says how well targets are located that are located at all.
 """
 
 from __future__ import annotations

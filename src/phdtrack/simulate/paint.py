@@ -54,16 +54,13 @@ class Placed(NamedTuple):
 def put(canvas: Image, placed: Placed) -> None:
     """Put a sprite on the canvas (H, W, 3), in place; what lies outside is cut."""
     sprite, left, top = placed
-    height, width = sprite.shape[:2]
-    x0, y0 = max(left, 0), max(top, 0)
-    x1, y1 = min(left + width, canvas.shape[1]), min(top + height, canvas.shape[0])
-    if x0 >= x1 or y0 >= y1:
-        return
-    part = sprite[y0 - top : y1 - top, x0 - left : x1 - left]
-    room = canvas[y0:y1, x0:x1]
-    clear = cv2.bitwise_not(part[:, :, 3])
-    below = cv2.multiply(room, cv2.merge((clear, clear, clear)), scale=1 / 255)
-    cv2.add(below, np.ascontiguousarray(part[:, :, :3]), dst=room)
+    x, y = max(left, 0), max(top, 0)
+    part = sprite[y - top : max(canvas.shape[0] - top, 0), x - left : max(canvas.shape[1] - left, 0)]
+    if part.size:
+        room = canvas[y : y + part.shape[0], x : x + part.shape[1]]
+        clear = cv2.bitwise_not(part[:, :, 3])
+        below = cv2.multiply(room, cv2.merge((clear, clear, clear)), scale=1 / 255)
+        cv2.add(below, np.ascontiguousarray(part[:, :, :3]), dst=room)
 
 
 def pyramid(sprite: Image, smallest: int = 12) -> tuple[Image, ...]:
@@ -75,15 +72,18 @@ def pyramid(sprite: Image, smallest: int = 12) -> tuple[Image, ...]:
     return tuple(levels)
 
 
-def put_scaled(canvas: Image, levels: tuple[Image, ...], box: F8, *, mirrored: bool = False) -> None:
-    """Put a sprite on the canvas, in place, so that it fills a box exactly, parts of pixels included.
+def scaled(levels: tuple[Image, ...], box: F8, *, mirrored: bool = False) -> Placed:
+    """A sprite that fills a box exactly, parts of pixels included.
 
     Parameters
     ----------
-    canvas : (H, W, 3) uint8.
     levels : the sprite in sizes, as `pyramid` gives them.
     box : (4,) xyxy, pixels.
     mirrored : whether left and right are changed.
+
+    Returns
+    -------
+    The picture in its place.
     """
     left, top, right, bottom = box.tolist()
     fitting = [level for level in levels if level.shape[0] >= bottom - top]
@@ -93,7 +93,7 @@ def put_scaled(canvas: Image, levels: tuple[Image, ...], box: F8, *, mirrored: b
     across, down = (right - left) / sprite.shape[1], (bottom - top) / sprite.shape[0]
     start = (right - across / 2 if mirrored else left + across / 2) - x0 - 0.5
     move = np.array([[-across if mirrored else across, 0, start], [0, down, top + down / 2 - y0 - 0.5]])
-    put(canvas, Placed(cv2.warpAffine(sprite, move, size, flags=cv2.INTER_LINEAR), x0, y0))
+    return Placed(cv2.warpAffine(sprite, move, size, flags=cv2.INTER_LINEAR), x0, y0)
 
 
 def walking(rng: np.random.Generator, aspect: float) -> tuple[tuple[Image, ...], ...]:
@@ -177,22 +177,15 @@ class Plant:
     bend: F4
     phase: F4
 
-    def wave(self, canvas: Image, time: float, gust: float) -> None:
-        """Draw the plant on the canvas, in place.
-
-        Parameters
-        ----------
-        canvas : (H, W, 3) uint8.
-        time : seconds.
-        gust : displacement of its top, pixels.
-        """
+    def waving(self, time: float, gust: float) -> Placed:
+        """The plant at a time in seconds, its top displaced by ``gust`` pixels."""
         sway = gust * (0.7 * np.sin(2 * np.pi * 0.9 * time + self.foot) + 0.3 * np.sin(2 * np.pi * 2.3 * time))
         tremble = np.sin(self.phase + np.float32(2 * np.pi * 3.1 * time))
         y, x = np.ogrid[: self.phase.shape[0], : self.phase.shape[1]]
         across = x - self.bend * (np.float32(sway) + np.float32(0.6 * gust) * tremble)
         down = y - self.bend * np.float32(0.35 * gust) * tremble
         bent = cv2.remap(self.sprite, across.astype(np.float32), down.astype(np.float32), cv2.INTER_LINEAR)
-        put(canvas, Placed(bent, self.left, self.top))
+        return Placed(bent, self.left, self.top)
 
 
 def grow(box: F8, rng: np.random.Generator) -> Plant:

@@ -9,7 +9,6 @@ Poisson clutter.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
 
 import cv2
 import numpy as np
@@ -97,14 +96,13 @@ class Rendered:
         for left, _, right, bottom in figures.xyxy[here]:  # a shadow a little to the right of the feet
             wide, deep = right - left, 0.16 * (right - left)
             place = np.array([left + 0.1 * wide, bottom - deep, right + 0.25 * wide, bottom + deep])
-            paint.put_scaled(canvas, self._shadow, place)
-        strokes = [(float(figures.xyxy[row, 3]), partial(self._figure, canvas, int(row))) for row in here]
-        for foot, thing in zip(self.scene.obstacles[:, 3].tolist(), self._things, strict=True):
-            strokes.append((foot, partial(paint.put, canvas, thing)))
-        for plant, gust in zip(self._plants, self._gusts[number - 1].tolist(), strict=True):
-            strokes.append((plant.foot, partial(plant.wave, canvas, number / info.fps, gust)))
-        for _, stroke in sorted(strokes, key=lambda pair: pair[0]):
-            stroke()
+            paint.put(canvas, paint.scaled(self._shadow, place))
+        standing = [(float(figures.xyxy[row, 3]), self._figure(int(row))) for row in here]
+        standing += zip(self.scene.obstacles[:, 3].tolist(), self._things, strict=True)
+        gusts = zip(self._plants, self._gusts[number - 1].tolist(), strict=True)
+        standing += [(plant.foot, plant.waving(number / info.fps, gust)) for plant, gust in gusts]
+        for _, placed in sorted(standing, key=lambda pair: pair[0]):
+            paint.put(canvas, placed)
         for leaf in self._leaves[slice(*np.searchsorted(self._blown, [number, number + 1]))]:
             paint.put(canvas, leaf)
         top, left = self._corners[number - 1]
@@ -112,14 +110,13 @@ class Rendered:
         picture: Image = cv2.addWeighted(canvas, float(self._gain[number - 1]), noise, 1.0, -_MIDDLE)
         return picture
 
-    def _figure(self, canvas: Image, row: int) -> None:
-        """Draw one figure."""
+    def _figure(self, row: int) -> paint.Placed:
+        """One figure, at this phase of its step."""
         box, identity = self.scene.figures.xyxy[row], int(self.scene.figures.identity[row])
         if identity not in self._wardrobe:
             aspect = float((box[2] - box[0]) / (box[3] - box[1]))
             self._wardrobe[identity] = paint.walking(np.random.default_rng([self.seed, identity]), aspect)
-        sprite = self._wardrobe[identity][self._phase[row]]
-        paint.put_scaled(canvas, sprite, box, mirrored=bool(self._leftward[row]))
+        return paint.scaled(self._wardrobe[identity][self._phase[row]], box, mirrored=bool(self._leftward[row]))
 
 
 def _gait(figures: Truth) -> tuple[I8, Bool]:

@@ -134,7 +134,6 @@ NAMED: MappingProxyType[str, Scenario] = MappingProxyType(
 )
 """All scenes by name."""
 # Where a scene is not as usual: places with persistent false alarms, at which plants grow, and the look of the video.
-_USUAL_PLACES = 5
 _PLACES = {"yard": 3, "garden": 12, "arcade": 3}
 _LOOKS = {"yard": Look(wave=0.12), "garden": Look(wave=0.30, lamps=10), "arcade": Look(wave=0.12, lamps=4)}
 
@@ -186,7 +185,7 @@ def build_scene(world: Scenario, seed: int, detector: DetectorModel) -> Scene:
 
 def default_detector(world: Scenario) -> DetectorModel:
     """The detector that a scene is given where none is asked for."""
-    return DetectorModel(occlusion=2.0, places=_PLACES.get(world.name, _USUAL_PLACES))
+    return DetectorModel(occlusion=2.0, places=_PLACES.get(world.name, 5))
 
 
 def default_look(name: str) -> Look:
