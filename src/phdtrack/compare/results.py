@@ -192,7 +192,7 @@ def comparison_page(
         about=about,
         first=plan.methods[0].name,
         pooled=table((row for row in rows if row.pooled), names),
-        charts=[(title, list(_charts(*places, names))) for title, *places in _sections(plan, rows)],
+        charts=[(title, list(_charts(x, x_label, own, names))) for title, x, x_label, own in _sections(plan, rows)],
         each=table((row for row in rows if not row.pooled), names),
         differences=table((row for row in rows if row.ahead), names, ahead=True),
         frames=[(jpeg(frame.image), frame.caption) for frame in frames],
