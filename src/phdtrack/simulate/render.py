@@ -15,6 +15,7 @@ import numpy as np
 
 from phdtrack.simulate import paint
 from phdtrack.simulate.detector import place_boxes
+from phdtrack.simulate.paint import Placed
 from phdtrack.simulate.scenes import Look, Scene
 from phdtrack.types import F8, I8, Bool, Frame, Image, SequenceInfo, Truth
 
@@ -110,7 +111,7 @@ class Rendered:
         picture: Image = cv2.addWeighted(canvas, float(self._gain[number - 1]), noise, 1.0, -_MIDDLE)
         return picture
 
-    def _figure(self, row: int) -> paint.Placed:
+    def _figure(self, row: int) -> Placed:
         """One figure, at this phase of its step."""
         box, identity = self.scene.figures.xyxy[row], int(self.scene.figures.identity[row])
         if identity not in self._wardrobe:
@@ -138,13 +139,13 @@ def _gait(figures: Truth) -> tuple[I8, Bool]:
     return phase, leftward
 
 
-def _leaves(info: SequenceInfo, number: int, rng: np.random.Generator) -> list[paint.Placed]:
+def _leaves(info: SequenceInfo, number: int, rng: np.random.Generator) -> list[Placed]:
     """Blown leaves anywhere in the frame."""
     centre = rng.random((number, 2)) * np.array([info.width, info.height])
     sprites = [paint.blown_leaf(info.height, rng) for _ in range(40)] if number else []
     leaves = [sprites[k] for k in rng.integers(max(len(sprites), 1), size=number)]
     corner = centre - np.array([leaf.shape[1::-1] for leaf in leaves]).reshape(-1, 2) / 2
-    return [paint.Placed(leaf, round(x), round(y)) for leaf, (x, y) in zip(leaves, corner.tolist(), strict=True)]
+    return [Placed(leaf, round(x), round(y)) for leaf, (x, y) in zip(leaves, corner.tolist(), strict=True)]
 
 
 def _blinking(frames: int, fps: float, number: int, rng: np.random.Generator) -> F8:
