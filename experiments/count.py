@@ -158,7 +158,9 @@ def _model(scene: Counting, p_detect: float, clutter: float, laws: Laws) -> tupl
         first, later = SceneBirth(scene, float(scene.n)), SceneBirth(scene, scene.births)
         alarms = SceneClutter(scene, clutter)
     else:
-        first, later = (MeasurementBirth(25 * rate, MOST, "image", size) for rate in (float(scene.n), scene.births))
+        first, later = (
+            MeasurementBirth(25 * rate, particles=MOST, frame_size=size) for rate in (float(scene.n), scene.births)
+        )
         alarms = UniformClutter(clutter, image_volume(size))
     model = Model(motion, sensor, later, alarms)
     return replace(model, birth=first), model

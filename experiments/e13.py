@@ -47,10 +47,9 @@ ARRIVALS = 0.2
 RATES = (
     "sensor.scaling=given",
     "birth.kind=ground",
-    "birth.volume=region",
     f"birth.births_per_second={7 * ARRIVALS}",
     REGION,
-    "clutter.volume=region",
+    "clutter.clutter_per_frame=0.3",
     "clutter.density=0.0",
 )
 FILTERS: dict[str, tuple[str, tuple[str, ...]]] = {

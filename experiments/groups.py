@@ -153,7 +153,6 @@ def settings_of(where: WalkedScene) -> config.Settings:
         f"camera.region={list(where.region)}",
         f"sensor.detection_probability={DETECTION}",
         f"clutter.clutter_per_frame={CLUTTER}",
-        "clutter.volume=region",
         # What comes in metres has no boxes that could overlap.
         "extract.merge_iou=1.0",
     )

@@ -105,9 +105,10 @@ def stages_of(one: SceneRun, halved: Halves, scene: LearnedScene) -> AnyStages:
 def swept(run: str, filter_name: str, rates: tuple[float, float], info: SequenceInfo) -> AnyStages:
     """The uniform model with the rates of a sweep."""
     births, clutter = rates
-    volume = "local" if run == UM else "image"
-    sets = (f"birth.births_per_second={25 * births}", f"clutter.clutter_per_frame={clutter}")
-    sets += (f"birth.volume={volume}", f"clutter.volume={volume}")
+    born, false = (
+        ("births_per_detection", "clutter_per_detection") if run == UM else ("births_per_second", "clutter_per_frame")
+    )
+    sets = (f"birth.{born}={25 * births}", f"clutter.{false}={clutter}")
     return config.build(config.load(None, sets), info, filter_name)
 
 
@@ -119,13 +120,14 @@ def uniform_of(run: str, model: Model, scene: LearnedScene, train: Case) -> Mode
     assert isinstance(clutter, LocalClutter)
     if run in (IMAGE, GM_IMAGE):
         size = float(train.info.width), float(train.info.height)
-        everywhere = replace(birth, volume="image", frame_size=size)
-        return replace(model, birth=everywhere, clutter=UniformClutter(clutter.clutter_per_frame, image_volume(size)))
+        everywhere = MeasurementBirth(birth.births_per_detection, particles=birth.particles, frame_size=size)
+        return replace(model, birth=everywhere, clutter=UniformClutter(clutter.clutter_per_detection, image_volume(size)))
     # So many of each detection that they are as many as were learned.
     each = train.info.frames / max(len(train.table.frame), 1)
     if run in ("A3", "A5"):
         birth = replace(
-            birth, births_per_second=each * (model.rate * scene.births.rate if scene.births else birth.births_per_second)
+            birth,
+            births_per_detection=each * (model.rate * scene.births.rate if scene.births else birth.births_per_detection),
         )
     if run in ("A3", "A4"):
         clutter = LocalClutter(each * scene.clutter.rate)

@@ -56,7 +56,7 @@ def chosen(section: str, kind: str) -> list[str]:
 
 
 WORDS = {
-    "image": "local", "local": "image", "particle": "detection", "given": "fixed", "fixed": "given",
+    "particle": "detection", "given": "fixed", "fixed": "given",
     "continuous": "piecewise", "piecewise": "continuous", "map": "eap", "box": "plane",
     "": "07:30 day", "00:00": "12:30", "similarity": "homography", "linear": "unscented", "joint": "each",
     "overlap": "distance",
@@ -80,14 +80,18 @@ def another(value, kind: str = ""):
             return [*value, tuple(item + 1 for item in value[0])]
         case "given" if kind == "mcmc":
             return "none"
-        case "local" if kind == "ground":
-            return "region"
         case str() if value in WORDS:
             return WORDS[value]
     raise AssertionError(f"no other value is known for {value!r}")
 
 
 # Reaching every setting
+
+# Of two rates one is 0.
+OTHER_RATE = {
+    "births_per_second": "births_per_detection", "births_per_detection": "births_per_second",
+    "clutter_per_frame": "clutter_per_detection", "clutter_per_detection": "clutter_per_frame",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(("section", "kind"), dict.fromkeys((section, kind) for section, kind, _ in EVERY))
@@ -98,8 +102,9 @@ def test_every_setting_is_reached(section: str, kind: str, tmp_path):
     values = {name: another(before[name], kind) for where, of, name in EVERY if (where, of) == (section, kind)}
     for name, value in values.items():
         after = config.load(sets=[*options, f"{section}.{name}={toml_value(value)}"]).as_dict()[section]
-        assert after == before | {name: value}
+        assert after == before | {name: value} | ({OTHER_RATE[name]: 0.0} if OTHER_RATE.get(name) in before else {})
     config.build(config.load(sets=options), INFO, moving=True)
+    values |= {name: 0.0 for name in ("births_per_second", "clutter_per_frame") if OTHER_RATE[name] in values}
     path = tmp_path / "settings.toml"
     lines = [f"[{section}]", *(f"{name} = {toml_value(value)}" for name, value in values.items())]
     path.write_text("\n".join([*lines, f'kind = "{kind}"' if kind else ""]), encoding="utf-8")
@@ -191,19 +196,32 @@ def test_the_default_has_values_of_its_own_with_each_filter(kind: str):
     """Built as printed, whatever the filter was before; not in a paper's preset, and never over what was asked for."""
     usual = (0.25, 1.5) if kind == "pmb" else (0.15, 0.3)
     model = config.build(config.load(), INFO, kind).model
-    assert (model.sensor.box_noise, model.clutter.clutter_per_frame) == usual
+    assert (model.sensor.box_noise, model.clutter.clutter_per_detection) == usual
 
     def said(*sets: str, preset: str = "") -> tuple[float, float]:
         found = config.load(sets=sets, preset=preset).as_dict()
-        return found["sensor"]["box_noise"], found["clutter"]["clutter_per_frame"]
+        return found["sensor"]["box_noise"], found["clutter"]["clutter_per_detection"]
 
     assert said(f"filter.kind={kind}") == usual
-    assert said("sensor.box_noise=0.7", f"filter.kind={kind}", "clutter.clutter_per_frame=0.01") == (0.7, 0.01)
+    assert said("sensor.box_noise=0.7", f"filter.kind={kind}", "clutter.clutter_per_detection=0.01") == (0.7, 0.01)
     assert said(f"filter.kind={kind}", preset="m07") == (0.15, 1.0)
+
+
+def test_of_two_rates_the_one_that_is_named_last_holds():
+    """``births_per_second`` are anywhere, ``births_per_detection`` around each detection; so it is with clutter."""
+
+    def rates(*sets: str) -> tuple[float, ...]:
+        found = config.load(sets=[f"clutter.clutter_per_{one}" for one in sets]).as_dict()["clutter"]
+        return found["clutter_per_frame"], found["clutter_per_detection"]
+
+    assert rates() == (0.0, 1.5)
+    assert rates("frame=3") == (3.0, 0.0)
+    assert rates("frame=3", "detection=0.5") == (0.0, 0.5)
+    assert rates("frame=0") == (0.0, 1.5)
 
 
 def test_another_kind_does_not_inherit_settings():
     """The preset's birth rate is per detection; that of uniform births is per frame."""
     other, same = (config.load(sets=[f"birth.kind={kind}"], preset="m07").as_dict() for kind in ("uniform", "measurement"))
     assert other["birth"]["births_per_second"] == UniformBirth((1, 1)).births_per_second
-    assert same["birth"]["births_per_second"] == PRESETS["m07"]["birth"]["births_per_second"]
+    assert same["birth"]["births_per_detection"] == PRESETS["m07"]["birth"]["births_per_detection"]

@@ -72,11 +72,11 @@ def test_on_the_ground_a_uniform_density_needs_a_region():
         return config.build(config.load(sets=["motion.kind=plane", *sets]), INFO).model
 
     with pytest.raises(InputError, match="region"):
-        model("clutter.volume=region")
-    births = model("birth.volume=region")
+        model("clutter.clutter_per_frame=0.3")
+    births = model("birth.births_per_second=0.25")
     with pytest.raises(InputError, match="region"):
         births.birth.gaussians(np.ones((5, 1)), births.sensor, 1.0)
-    clutter = model("camera.region=[-10, 0, 10, 40]", "clutter.volume=region").clutter
+    clutter = model("camera.region=[-10, 0, 10, 40]", "clutter.clutter_per_frame=0.3").clutter
     np.testing.assert_allclose(clutter.intensity(np.zeros((5, 1))), 0.3 / 800)
     np.testing.assert_array_equal(model("clutter.density=1e-4").clutter.intensity(np.zeros((5, 3))), 1e-4)
 

@@ -40,7 +40,6 @@ MISTAKES = [
         "It goes with filter.kind=particle-phd or particle-cphd; here there are existence_threshold",
     ),
     ("clutter.clutter_per_frame=-1", "greater than or equal to 0"),
-    ("clutter.volume=frame", "'image'"),
     ("time.units_per_second=0", "greater than 0"),
 ]
 

@@ -73,25 +73,24 @@ def test_without_a_size_births_have_four_components(tmp_path, world):
         config.build(config.load(sets=["birth.kind=scene", file, f"time.units_per_second={rate:g}"]), INFO)
 
 
-# What is laid beside, and who is held back
+# What is added, and which tracks are held back
 
 
-@pytest.mark.parametrize("name", SECTIONS["filter"])
-def test_the_shipped_model_is_beside_a_scene(tmp_path, name):
+@pytest.mark.parametrize("filter_name", SECTIONS["filter"])
+def test_the_shipped_rates_are_added_to_a_scene(tmp_path, filter_name):
     """As much as is usual with the filter, told and built alike; nothing in a paper's preset, or where so asked."""
     sets = written(tmp_path / "scene.json", followed=FOLLOWED)
-    plain = config.load(sets=[f"filter.kind={name}"]).as_dict()
-    usual = {"birth": plain["birth"]["births_per_second"], "clutter": plain["clutter"]["clutter_per_frame"]}
-    settings = config.load(sets=[f"filter.kind={name}", *sets])
+    plain = config.load(sets=[f"filter.kind={filter_name}"]).as_dict()
+    settings = config.load(sets=[f"filter.kind={filter_name}", *sets])
     model = config.build(settings, INFO).model
-    for section, rate in usual.items():
-        assert settings.as_dict()[section]["around_detections"] == getattr(model, section).around_detections == rate > 0
+    for section, rate in (("birth", "births_per_detection"), ("clutter", "clutter_per_detection")):
+        assert settings.as_dict()[section][rate] == getattr(getattr(model, section), rate) == plain[section][rate] > 0
     np.testing.assert_array_equal(model.birth.among.high, FOLLOWED.objects.density.high)
-    sets_alone = [*sets, "birth.around_detections=0", "clutter.around_detections=0"]
-    alone = config.build(config.load(sets=sets_alone), INFO, name).model
-    assert alone.birth.around_detections == alone.clutter.around_detections == 0
+    sets_alone = [*sets, "birth.births_per_detection=0", "clutter.clutter_per_detection=0"]
+    alone = config.build(config.load(sets=sets_alone), INFO, filter_name).model
+    assert alone.birth.births_per_detection == alone.clutter.clutter_per_detection == 0
     paper = config.load(preset="m09", sets=sets)
-    assert paper.as_dict()["birth"]["around_detections"] == paper.as_dict()["clutter"]["around_detections"] == 0
+    assert paper.as_dict()["birth"]["births_per_detection"] == paper.as_dict()["clutter"]["clutter_per_detection"] == 0
 
 
 @pytest.mark.parametrize(("name", "kind"), [("pmb", Labelled), ("gm-phd", GraphMatching), ("none", GraphMatching)])
@@ -127,9 +126,11 @@ def test_a_scene_is_taken_whole_and_options_change_it(tmp_path):
     told = track(path).as_dict()
     assert {name: told[name]["kind"] for name in ("birth", "clutter")} == {"birth": "scene", "clutter": "scene"}
     assert (told["birth"]["file"], told["clutter"]["reject_false_tracks"]) == (str(path), True)
-    told = track(path, "clutter.reject_false_tracks=false", "birth.around_detections=0").as_dict()
-    assert (told["clutter"]["reject_false_tracks"], told["birth"]["around_detections"]) == (False, 0)
-    assert track(path, "birth.kind=measurement").as_dict()["birth"]["births_per_second"] == 0.125, "the kind that was chosen"
+    told = track(path, "clutter.reject_false_tracks=false", "birth.births_per_detection=0").as_dict()
+    assert (told["clutter"]["reject_false_tracks"], told["birth"]["births_per_detection"]) == (False, 0)
+    assert track(path, "birth.kind=measurement").as_dict()["birth"]["births_per_detection"] == 0.125, (
+        "the kind that was chosen"
+    )
     assert track(path, "birth.kind=measurement").as_dict()["clutter"]["kind"] == "scene"
     with pytest.raises(InputError, match=r"unknown setting of \[clutter\]: clutter_per_frame"):
         track(path, "clutter.clutter_per_frame=2")
@@ -144,7 +145,8 @@ def test_what_a_scene_has_not_taught_goes_with_what_it_has(tmp_path):
     write_scene(alarms, replace(scene, births=None))
     assert track(births).as_dict()["clutter"] == config.load().as_dict()["clutter"]
     assert track(alarms).as_dict()["birth"] == config.load().as_dict()["birth"]
-    assert track(births, preset="m07").as_dict()["clutter"]["volume"] == "image"
-    assert track(alarms, preset="m07").as_dict()["birth"]["volume"] == "image"
-    assert track(births, "birth.around_detections=0").as_dict()["clutter"]["volume"] == "image"
-    assert track(births, "birth.around_detections=0", "clutter.volume=local").as_dict()["clutter"]["volume"] == "local"
+    assert track(births, preset="m07").as_dict()["clutter"]["clutter_per_frame"] == 1.0
+    assert track(alarms, preset="m07").as_dict()["birth"]["births_per_second"] == 0.25
+    assert track(births, "birth.births_per_detection=0").as_dict()["clutter"]["clutter_per_frame"] == 1.5
+    given = track(births, "birth.births_per_detection=0", "clutter.clutter_per_detection=1").as_dict()["clutter"]
+    assert (given["clutter_per_frame"], given["clutter_per_detection"]) == (0.0, 1.0)

@@ -75,7 +75,7 @@ def test_every_run_has_its_births_and_its_clutter(street) -> None:
     births = {run: rate_and_kind(one.model.birth) for run, one in stages.items()}
     # So many a frame as were learned, over the detections of a frame.
     each = train.info.frames / len(train.table.frame)
-    shipped, estimated = (MeasurementBirth, 0.125, "local"), (MeasurementBirth, 0.5 * each, "local")
+    shipped, estimated = (MeasurementBirth, 0.125, "around"), (MeasurementBirth, 0.5 * each, "around")
     learned, by_hand, alone = (SceneBirth, 0.5, 0.125), (SceneBirth, 1.25, 0.125), (SceneBirth, 0.5, 0.0)
     assert births == {
         UM: shipped, IMAGE: (MeasurementBirth, 0.125, "image"), GM: learned, GM_IMAGE: alone, "A1": learned, "A2": shipped,
@@ -93,15 +93,21 @@ def test_every_run_has_its_births_and_its_clutter(street) -> None:
 
 
 def _rate(part: Birth | Clutter) -> float:
-    """Births a second, or false alarms a frame."""
-    return getattr(part, "births_per_second", None) or part.clutter_per_frame
+    """Births a second, or false alarms a frame: everywhere, or around each detection."""
+    names = ("births_per_second", "births_per_detection", "clutter_per_frame", "clutter_per_detection")
+    return next(rate for rate in (getattr(part, name, 0.0) for name in names) if rate)
 
 
 def rate_and_kind(part: Birth | Clutter) -> tuple[type, float, object]:
     """Kind, rate, and what it stands beside or is spread over."""
     if isinstance(part, SceneBirth | SceneClutter):
-        return type(part), _rate(part), part.around_detections
-    return type(part), _rate(part), part.volume if isinstance(part, MeasurementBirth) else None
+        return (
+            type(part),
+            _rate(part),
+            part.births_per_detection if isinstance(part, SceneBirth) else part.clutter_per_detection,
+        )
+    around = "around" if isinstance(part, MeasurementBirth) and part.births_per_detection else "image"
+    return type(part), _rate(part), around if isinstance(part, MeasurementBirth) else None
 
 
 def learned_scene(train: Case) -> m09_lessons.LearnedScene:

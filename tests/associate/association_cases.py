@@ -21,7 +21,7 @@ def model_of(*, rate: float = 25.0, detection: float = 0.95, **motion) -> Model:
     size = (WIDTH, HEIGHT)
     settings = {"acceleration": 0.03, "size_noise": 0.05, "survival_probability": 0.99**25, "frame_size": size} | motion
     sensor = BoxSensor(detection_probability=detection, box_noise=0.15, min_noise=1.0, scaling="particle", birth_speed=0.06)
-    return Model(BoxMotion(**settings), sensor, MeasurementBirth(frame_size=size), UniformClutter(1.0, 1e10), rate)
+    return Model(BoxMotion(**settings), sensor, MeasurementBirth(0.25, frame_size=size), UniformClutter(1.0, 1e10), rate)
 
 
 def matching_of(*, miss: float = 0.3, **settings) -> GraphMatching:

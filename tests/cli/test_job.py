@@ -73,7 +73,7 @@ class Looker:
 
 @pytest.fixture
 def job() -> Job:
-    model = Model(BoxMotion(), BoxSensor(), MeasurementBirth(volume="local"), LocalClutter(1.0))
+    model = Model(BoxMotion(), BoxSensor(), MeasurementBirth(births_per_detection=0.25), LocalClutter(1.0))
     stages = Stages(model, NoFilter(), Raw(), GraphMatching())
     clip = Clip()
     return Job(

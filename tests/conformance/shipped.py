@@ -92,18 +92,20 @@ def learned(low: list[float], high: list[float]) -> SceneDensity:
 
 
 BIRTHS = {
-    "measurement, image": MeasurementBirth(births_per_second=0.02, particles=200, volume="image", frame_size=SIZE),
-    "measurement, local": MeasurementBirth(births_per_second=0.02, particles=200, volume="local"),
+    "measurement, image": MeasurementBirth(births_per_second=0.02, particles=200, frame_size=SIZE),
+    "measurement, local": MeasurementBirth(births_per_detection=0.02, particles=200),
     "uniform": UniformBirth(SIZE, particles=40),
     "fixed": FixedBirth(mixture(6), particles=100),
     "learned": SceneBirth(0.05, learned([0, 0, -9, -9, 0, 0], [640, 480, 9, 9, 640, 480]), particles=200),
 }
 PEOPLE = learned([0, 0, 0, 0], [640, 480, 640, 480])
-BIRTHS["laid over"] = replace(BIRTHS["learned"], around_detections=0.02, among=PEOPLE)
+BIRTHS["laid over"] = replace(BIRTHS["learned"], births_per_detection=0.02, among=PEOPLE)
 GROUND = SENSORS["plane"]
 PLANE_BIRTHS = {
-    "plane, region": PlaneBirth(births_per_second=0.02, particles=200, volume="region", borders=(-40.0, 0.0, 40.0, 60.0)),
-    "plane, local": PlaneBirth(births_per_second=0.02, particles=200),
+    "plane, region": PlaneBirth(
+        births_per_second=0.02, births_per_detection=0, particles=200, borders=(-40.0, 0.0, 40.0, 60.0)
+    ),
+    "plane, local": PlaneBirth(births_per_detection=0.02, particles=200),
     "plane, fixed": FixedBirth(
         GaussianMixture(
             np.array([0.02, 0.01]), np.array([[0.0, 1], [10, 20], [0, 0], [0, 1]]), np.tile(np.eye(4), (2, 1, 1))
@@ -117,7 +119,7 @@ POINT_BIRTHS = {
 }
 CLUTTERS = {"uniform": UniformClutter(2.0, (640.0 * 480) ** 2), "local": LocalClutter(2.0), "none": UniformClutter(0.0, 1.0)}
 CLUTTERS["learned"] = SceneClutter(2.0, PEOPLE)
-CLUTTERS["laid over"] = SceneClutter(2.0, PEOPLE, around_detections=0.5)
+CLUTTERS["laid over"] = SceneClutter(2.0, PEOPLE, clutter_per_detection=0.5)
 PLANE_CLUTTERS = {"plane, region": UniformClutter(2.0, 800.0), "plane, local": LocalPlaneClutter(2.0)}
 FILTERS = {
     "particle-phd": ParticlePHD(particles_per_target=200),
@@ -167,8 +169,7 @@ ASSOCIATORS |= {
 
 def often(birth: MeasurementBirth | SceneBirth) -> MeasurementBirth | SceneBirth:
     """25 times as many births a second."""
-    rates = ("births_per_second", "around_detections") if isinstance(birth, SceneBirth) else ("births_per_second",)
-    return replace(birth, **{name: 25 * getattr(birth, name) for name in rates})
+    return replace(birth, **{name: 25 * getattr(birth, name) for name in ("births_per_second", "births_per_detection")})
 
 
 def model_of(sensor: BoxSensor | None = None) -> Model:

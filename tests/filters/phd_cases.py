@@ -39,7 +39,11 @@ def world(birth=None, clutter=None, **sensor) -> Model:
 
 
 def with_births(model: Model, rate: float = 0.05, most: int = 300) -> Model:
-    return replace(model, birth=MeasurementBirth(25 * rate, most, "local", FRAME), clutter=LocalClutter(0.5))
+    return replace(
+        model,
+        birth=MeasurementBirth(births_per_detection=25 * rate, particles=most, frame_size=FRAME),
+        clutter=LocalClutter(0.5),
+    )
 
 
 def crowd(rng, targets: int, each: int, mass: float = 1.0, spread: float = 0.15, width: float = 640.0) -> Particles:

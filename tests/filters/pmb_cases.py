@@ -30,12 +30,12 @@ def world(
     volume = (FRAME[0] * FRAME[1]) ** 2
     sensor = BoxSensor(detection_probability=detection, scaling="fixed", fixed_noise=(3.0, 3.0), birth_speed_pixels=6.0)
     motion = BoxMotion(acceleration=0.5, size_noise=0.5, survival_probability=survival**rate, scaled_noise=False)
-    births = MeasurementBirth(births_per_second=rate * birth * volume, volume="image", frame_size=FRAME)
+    births = MeasurementBirth(births_per_second=rate * birth * volume, frame_size=FRAME)
     return Model(motion, sensor, births, UniformClutter(clutter * volume, volume), rate=rate)
 
 
 def without_births(model: Model) -> Model:
-    return replace(model, birth=MeasurementBirth(births_per_second=0.0, volume="image", frame_size=FRAME))
+    return replace(model, birth=MeasurementBirth(births_per_second=0.0, frame_size=FRAME))
 
 
 def kalman(model: Model, mean: F8, cov: F8, z: F8 | None, dt: float) -> tuple[F8, F8]:

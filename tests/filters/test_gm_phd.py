@@ -145,7 +145,7 @@ def with_no_births(model: Model) -> Model:
 
 
 def test_births_stop_where_mass_explains_the_detection(rng):
-    model = world(birth=MeasurementBirth(25 * 0.05, volume="local"), clutter=LocalClutter(0.5))
+    model = world(birth=MeasurementBirth(births_per_detection=25 * 0.05), clutter=LocalClutter(0.5))
     z = MEAN[ROWS, None]
     for weight, born in ((1.2, False), (0.5, True)):
         state = GaussianMixture(np.array([weight]), MEAN[:, None], COV[None])
@@ -194,7 +194,7 @@ def test_a_target_keeps_its_tag(general: bool, rng):
     model = Model(
         BoxMotion(frame_size=FRAME),
         BoxSensor(detection_probability=0.9),
-        MeasurementBirth(volume="local"),
+        MeasurementBirth(births_per_detection=0.25),
         LocalClutter(0.3),
     )
     recursion, known = GMPHD(), []

@@ -167,7 +167,7 @@ def test_fifty_false_alarms_a_frame_are_bounded():
 def test_limits_hold_where_everything_competes():
     """Fifteen targets on one spot, each seen half of the time, among false alarms there: all one cluster."""
     rng = np.random.default_rng(6)
-    model = replace(world(detection=0.5, survival=0.99), birth=MeasurementBirth(25 * 0.3, 100, "image", FRAME),
+    model = replace(world(detection=0.5, survival=0.99), birth=MeasurementBirth(25 * 0.3, particles=100, frame_size=FRAME),
                     clutter=UniformClutter(3.0, (640.0 * 480) ** 2))  # fmt: skip
     filter_, state, largest = MHT(max_hypotheses=40, history=4), MHT().start(model, RNG), 0
     for _ in range(12):
@@ -183,8 +183,8 @@ def test_limits_hold_where_everything_competes():
 
 def test_overlapping_targets_are_told_of_once():
     """A detector that fires twice on one object: the track that began first is its."""
-    model = replace(world(detection=0.95, survival=0.99), birth=MeasurementBirth(25 * 0.1, 100, "local", FRAME),
-                    clutter=LocalClutter(0.1))  # fmt: skip
+    birth = MeasurementBirth(births_per_detection=25 * 0.1, particles=100)
+    model = replace(world(detection=0.95, survival=0.99), birth=birth, clutter=LocalClutter(0.1))
     scans = [boxes((200 + k, 200)) if k < 5 else boxes((206 + k, 203), (200 + k, 200)) for k in range(15)]
     state, _ = run(MHT(), scans, model)
     assert len(told(state, model)) == 2

@@ -70,7 +70,7 @@ def test_points(transform: str):
 def test_the_ground_plane(transform: str):
     """Metres on a plan, with a covariance of each measurement."""
     rng, sensor = np.random.default_rng(2), PlaneSensor(scaling="given", detection_probability=0.99)
-    births = PlaneBirth(births_per_second=0.05, volume="region", borders=(-20.0, 0.0, 20.0, 40.0))
+    births = PlaneBirth(births_per_second=0.05, births_per_detection=0.0, borders=(-20.0, 0.0, 20.0, 40.0))
     model = Model(PlaneMotion(acceleration=0.02), sensor, births, UniformClutter(1.0, 1600.0))
     x = np.array([[-5.0, 5], [10, 25], [0.1, -0.1], [0.05, 0.1]])
     found, truth = follow(

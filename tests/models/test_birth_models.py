@@ -24,26 +24,26 @@ def columns(rows) -> np.ndarray:
     return np.array(rows, dtype=float).T.copy()
 
 
-@pytest.mark.parametrize("volume", ["image", "local"])
+@pytest.mark.parametrize("rate", ["births_per_second", "births_per_detection"])
 @pytest.mark.parametrize("covered", [0.0, 0.6])
 @pytest.mark.parametrize(
     ("boxes", "few"),
     [(ALONE, 0.03), (APART, 0.03), (OVERLAPPING, 0.05), (TINY, 0.2)],
     ids=["alone", "apart", "near", "tiny"],
 )
-def test_weights_integrate_gamma_over_the_regions(boxes, few: float, covered: float, volume: str, rng):
+def test_weights_integrate_gamma_over_the_regions(boxes, few: float, covered: float, rate: str, rng):
     """A thousand particles a detection give the mass within a few per cent, and on average without bias.
 
     Of a box of two by three pixels a good part of the region has sizes at which nothing is born.
     """
     z, sensor = columns(boxes), BoxSensor(box_noise=0.15)
-    birth = MeasurementBirth(0.02, 1000, volume, FRAME)
+    birth = MeasurementBirth(**{rate: 0.02}, particles=1000, frame_size=FRAME)
     masses = [birth.sample(z, np.full(z.shape[1], covered), sensor, 2.0, rng).mass for _ in range(80)]
     sigma = sensor.noise(sensor.states(z)[0])[[0, 1, 4, 5]]
 
     def density(points):
-        per_time = twin.image_density(points, 0.02, FRAME) if volume == "image" else twin.local_density(points, z, 0.02)
-        return 2.0 * per_time
+        around = rate == "births_per_detection"
+        return 2.0 * (twin.local_density(points, z, 0.02) if around else twin.image_density(points, 0.02, FRAME))
 
     want = twin.mass(z, sigma, density, 200_000, rng)
     deviation = np.std(masses) / want
@@ -54,16 +54,16 @@ def test_weights_integrate_gamma_over_the_regions(boxes, few: float, covered: fl
 
 def test_the_number_of_newborn_follows_what_is_predicted(rng):
     z, sensor = columns(APART), BoxSensor()
-    birth = MeasurementBirth(0.01, 1000, "image", FRAME)
+    birth = MeasurementBirth(0.01, particles=1000, frame_size=FRAME)
     born = birth.sample(z, np.array([0.0, 0.7494, 1.2]), sensor, 1.0, rng)
     nearest = np.argmin(np.abs(born.state[0][:, None] - z[0]), axis=1)
     np.testing.assert_array_equal(np.bincount(nearest, minlength=3), [1000, 251, 0])
-    assert len(MeasurementBirth(0.0, 1000, "local").sample(z, np.zeros(3), sensor, 1.0, rng)) == 0
+    assert len(MeasurementBirth(particles=1000, frame_size=FRAME).sample(z, np.zeros(3), sensor, 1.0, rng)) == 0
 
 
 def test_newborn_lie_in_the_region_with_positive_sizes_and_any_direction(rng):
     z, sensor = columns(ALONE), BoxSensor()
-    born = MeasurementBirth(0.01, 4000, "image", FRAME).sample(z, np.zeros(1), sensor, 1.0, rng)
+    born = MeasurementBirth(0.01, particles=4000, frame_size=FRAME).sample(z, np.zeros(1), sensor, 1.0, rng)
     x, cov = sensor.states(z)
     distance2 = (((born.state - x) ** 2).T / np.diag(cov[0]))[:, [0, 1, 4, 5]].sum(1)
     assert distance2.max() <= twin.REGION * (1 + 1e-9)
@@ -76,18 +76,21 @@ def test_newborn_lie_in_the_region_with_positive_sizes_and_any_direction(rng):
     "sensor", [BoxSensor(min_noise=1.0), BoxSensor(box_noise=0.4, min_noise=0.0), BoxSensor(scaling="fixed")]
 )
 def test_nothing_is_born_without_extent(sensor: BoxSensor, rng):
-    for volume in ("image", "local"):
+    for rates in ((0.01, 0.0), (0.0, 0.01)):
         for _ in range(5):
-            born = MeasurementBirth(0.01, 1000, volume, FRAME).sample(columns(TINY), np.zeros(1), sensor, 1.0, rng)
+            birth = MeasurementBirth(*rates, particles=1000, frame_size=FRAME)
+            born = birth.sample(columns(TINY), np.zeros(1), sensor, 1.0, rng)
             assert len(born) > 0
             assert born.state[4:6].min() > 0
             assert np.all(born.weight > 0)
             assert np.isfinite(born.weight).all()
 
 
-def test_the_image_volume_needs_the_size_of_the_frame(rng):
+def test_births_over_the_image_need_the_size_of_the_frame_and_are_not_also_around_detections(rng):
     with pytest.raises(InputError, match="frame-size"):
-        MeasurementBirth(volume="image").sample(columns(ALONE), np.zeros(1), BoxSensor(), 1.0, rng)
+        MeasurementBirth(0.25).sample(columns(ALONE), np.zeros(1), BoxSensor(), 1.0, rng)
+    with pytest.raises(InputError, match="not both"):
+        MeasurementBirth(0.25, 0.25)
 
 
 @pytest.mark.parametrize("scaling", ["particle", "previous", "given"])

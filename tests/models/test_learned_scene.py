@@ -17,7 +17,9 @@ SIZE = (640.0, 480.0)
 LOW, HIGH = np.array([0.0, 0, -30, -30, 0, 0]), np.array([640.0, 480, 30, 30, 640, 480])
 SHOWN = [0, 1, 4, 5]
 SENSOR, FIXED = BoxSensor(), BoxSensor(scaling="fixed", fixed_noise=(3.0, 6.0))
-MODEL = Model(BoxMotion(frame_size=SIZE), SENSOR, MeasurementBirth(0.05, 300, "local"), LocalClutter(0.4))
+MODEL = Model(
+    BoxMotion(frame_size=SIZE), SENSOR, MeasurementBirth(births_per_detection=0.05, particles=300), LocalClutter(0.4)
+)
 ANYWHERE, ANY_BOX = uniform_density(LOW, HIGH), uniform_density(LOW[SHOWN], HIGH[SHOWN])
 # Of which nothing is known but that objects and births are detected anywhere.
 BLANK = LearnedDensity(0.01, ANYWHERE), LearnedDensity(0.0, ANY_BOX), TrackedObjects(0.3, LearnedDensity(4.0, ANY_BOX))
@@ -97,7 +99,7 @@ def test_what_a_density_says_of_detections(d: int, rows: tuple[int, ...], rng):
 
 
 def test_without_gaussians_it_is_uniform_birth_over_the_image():
-    scene, plain = SceneBirth(0.02, ANYWHERE), MeasurementBirth(0.02, 1000, "image", SIZE)
+    scene, plain = SceneBirth(0.02, ANYWHERE), MeasurementBirth(0.02, particles=1000, frame_size=SIZE)
     covered = np.array([0.0, 0.4])
     a, b = (birth.sample(Z, covered, SENSOR, 1.5, np.random.default_rng(1)) for birth in (scene, plain))
     assert image_volume(SIZE) == pytest.approx(ANY_BOX.volume)
@@ -133,7 +135,7 @@ def test_velocities_are_those_of_the_place():
 
 
 def test_gaussian_newborn_are_the_learned_ones_and_the_uniform_part_about_detections():
-    birth, flat = SceneBirth(0.5, entrance(uniform=0.2)), MeasurementBirth(0.5 * 0.2, 1000, "image", SIZE)
+    birth, flat = SceneBirth(0.5, entrance(uniform=0.2)), MeasurementBirth(0.5 * 0.2, particles=1000, frame_size=SIZE)
     found, uniform = (one.gaussians(Z, SENSOR, 2.0) for one in (birth, flat))
     assert found.weight[0] * birth.density.truncated_mass[0] == pytest.approx(0.5 * 2.0 * 0.8)
     np.testing.assert_array_equal(found.mean[0], birth.density.mean[:, 0])
@@ -148,7 +150,7 @@ def test_gaussian_newborn_are_the_learned_ones_and_the_uniform_part_about_detect
 def test_false_alarms_are_added_to_those_around_each_detection(count: int, rng):
     p, z = marginal(entrance(), (0, 1, 4, 5)), boxes(rng, count)
     there = twin.mixture_density(z, p.low, p.high, p.flat, p.flat, p.gaussians.weight, p.mean, p.covariance)
-    found = SceneClutter(4.0, p, around_detections=0.7).intensity(np.vstack([z, z]))
+    found = SceneClutter(4.0, p, clutter_per_detection=0.7).intensity(np.vstack([z, z]))
     np.testing.assert_allclose(found, 0.7 * near_each(z) + 4.0 * there, rtol=1e-10)
 
 
@@ -160,7 +162,7 @@ def test_births_are_those_around_each_detection_by_place(among: SceneDensity | N
     seen, objects = SENSOR.states(z), among or ANY_BOX
     plain, states = SceneBirth(1.0, entrance()).around(seen, 1.0)
     born, there = np.maximum(plain, 0.2 / ANY_BOX.volume), np.maximum(objects(z), objects.flat)
-    found, same = SceneBirth(0.2, entrance(), around_detections=0.05, among=among).around(seen, 2.0)
+    found, same = SceneBirth(0.2, entrance(), births_per_detection=0.05, among=among).around(seen, 2.0)
     np.testing.assert_allclose(found, 0.1 * near_each(z) * born / there, rtol=1e-9)
     for one, other in zip(states, same, strict=True):
         np.testing.assert_array_equal(one, other)
@@ -171,7 +173,7 @@ def test_births_around_detections_reach_beyond_the_volume():
     z = np.array([[-40.0, 320], [240, 600], [40, 40], [90, 90]])
     seen = SENSOR.states(z)
     assert (SceneBirth(0.01, entrance()).around(seen, 1.0)[0] == 0).all()
-    birth = SceneBirth(0.01, entrance(), around_detections=0.05)
+    birth = SceneBirth(0.01, entrance(), births_per_detection=0.05)
     np.testing.assert_allclose(birth.around(seen, 1.0)[0], 0.05 / local_volume(z) * 0.2, rtol=1e-12)
     assert len(birth.sample(z, np.zeros(2), SENSOR, 1.0, np.random.default_rng(0))) > 1000
     assert (birth.gaussians(z, SENSOR, 1.0).around.density > 0).all()
@@ -179,7 +181,7 @@ def test_births_around_detections_reach_beyond_the_volume():
 
 def test_their_particles_have_the_evidence_of_gamma_and_the_velocities_of_the_place():
     z = np.array([[115.0], [205], [40], [85]])
-    birth = SceneBirth(0.01, entrance(), particles=1000, around_detections=0.05, among=square())
+    birth = SceneBirth(0.01, entrance(), particles=1000, births_per_detection=0.05, among=square())
     wanted = birth.around(FIXED.states(z), 2.0)[0][0]
     drawn = [birth.sample(z, np.zeros(1), FIXED, 2.0, np.random.default_rng(k)) for k in range(20)]
     found = [float(born.weight @ np.exp(FIXED.log_likelihood(z, born.state))) for born in drawn]
@@ -207,12 +209,19 @@ def test_what_was_not_learned_stays_as_it_is():
     model = with_scene(MODEL, births, None, None, 300)
     assert model.clutter is MODEL.clutter
     birth = model.birth
-    assert (birth.births_per_second, birth.around_detections, birth.particles, birth.among) == (25 * 0.02, 0.05, 300, None)
+    assert (birth.births_per_second, birth.births_per_detection, birth.particles, birth.among) == (
+        25 * 0.02,
+        0.05,
+        300,
+        None,
+    )
     model = with_scene(MODEL, None, clutter, followed, 300)
     assert model.birth is MODEL.birth
-    assert (model.clutter.clutter_per_frame, model.clutter.around_detections) == (3.0, 0.4)
+    assert (model.clutter.clutter_per_frame, model.clutter.clutter_per_detection) == (3.0, 0.4)
     assert with_scene(MODEL, births, clutter, followed, 300).birth.among is followed.objects.density
     # Births and false alarms that are spread over the image are replaced by the scene's, as M09's are.
-    image = replace(MODEL, birth=MeasurementBirth(0.05, 300, "image", SIZE), clutter=UniformClutter(2.0, ANY_BOX.volume))
+    image = replace(
+        MODEL, birth=MeasurementBirth(0.05, particles=300, frame_size=SIZE), clutter=UniformClutter(2.0, ANY_BOX.volume)
+    )
     own = with_scene(image, births, clutter, followed, 300)
-    assert own.birth.around_detections == own.clutter.around_detections == 0
+    assert own.birth.births_per_detection == own.clutter.clutter_per_detection == 0

@@ -53,7 +53,7 @@ def test_false_alarms_come_to_those_that_are_shipped(followed):
     learned = found[-1][0].learned
     model = built.learning.model(learned, built.model)
     assert isinstance(built.model.clutter, LocalClutter)
-    assert model.clutter.around_detections == built.model.clutter.clutter_per_frame
+    assert model.clutter.clutter_per_detection == built.model.clutter.clutter_per_detection
     z = built.model.sensor.measure(scene.detections.at(1500))
     alone, shipped = model.clutter.clutter_per_frame * model.clutter.density(z[:4]), built.model.clutter.intensity(z)
     np.testing.assert_allclose(model.clutter.intensity(z), shipped + alone, rtol=1e-9)
@@ -63,7 +63,7 @@ def test_births_go_from_where_objects_are_to_where_they_enter(followed):
     scene, built, found = followed
     learned = found[-1][0].learned
     birth = built.learning.model(learned, built.model).birth
-    assert birth.around_detections == built.model.birth.births_per_second
+    assert birth.births_per_detection == built.model.birth.births_per_detection
     truth = scene.truth
     first = np.unique(truth.identity, return_index=True)[1]
     enter = to_cxcywh(truth.xyxy[first[truth.frame[first] > 1]])
@@ -111,7 +111,7 @@ def test_what_is_in_use_is_written_with_where_objects_are(followed, tmp_path):
     again = stages(scene.info, "learn.kind=online", f"learn.file={str(tmp_path / 'scene.json')!r}")
     begun = again.learning.start()
     assert begun.known.regime.clutter.density.high.tolist() == [640, 360, 640, 360]
-    assert begun.birth.around_detections == built.model.birth.births_per_second
+    assert begun.birth.births_per_detection == built.model.birth.births_per_detection
     assert begun.clutter.density.high[2] < 640
 
 

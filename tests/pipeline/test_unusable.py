@@ -20,7 +20,7 @@ ABOVE = np.array([[100.0, 2, 120, 35], [300, 0, 310, 20]])
 
 def stages(filter_, extractor) -> Stages:
     sensor = PlaneSensor(camera=LevelCamera(), frame_size=FRAME)
-    model = Model(PlaneMotion(), sensor, PlaneBirth(volume="local"), UniformClutter(0.1, 500.0), rate=1.0, first=0.1)
+    model = Model(PlaneMotion(), sensor, PlaneBirth(), UniformClutter(0.1, 500.0), rate=1.0, first=0.1)
     return Stages(model, filter_, extractor, Labelled() if isinstance(filter_, MHT | PMB) else GraphMatching(gap_cost=30.1))
 
 

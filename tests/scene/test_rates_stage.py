@@ -60,9 +60,9 @@ def test_rates_replace_those_of_the_model_in_steps():
     assert again.birth is model.birth
 
 
-@pytest.mark.parametrize("volume", ["image", "local"])
-def test_odds_divide_the_false_alarms(volume):
-    built = stages(f"clutter.volume={volume}")
+@pytest.mark.parametrize("rate", ["clutter_per_frame", "clutter_per_detection"])
+def test_odds_divide_the_false_alarms(rate):
+    built = stages(f"clutter.{rate}=1.5")
     rng = np.random.default_rng(1)
     found = Detections.of(boxes(4, rng), [0.1, 0.5, 0.9, np.nan])
     model = built.learning.with_scores(knowing(built), built.model, found)
@@ -129,7 +129,7 @@ def test_cautious_estimates_are_used_where_nothing_else_explains_them():
 
 
 def test_there_are_no_more_false_alarms_than_detections():
-    built = stages("clutter.volume=image", "clutter.clutter_per_frame=90.0")
+    built = stages("clutter.clutter_per_frame=90.0")
     state = built.learning.start()
     model = built.learning.model(state, built.model)
     assert model.clutter.clutter_per_frame == 90
@@ -137,7 +137,7 @@ def test_there_are_no_more_false_alarms_than_detections():
     assert seven.clutter.clutter_per_frame == pytest.approx(7, rel=0.03)
     many = built.learning.with_scores(state, model, Detections.of(boxes(200, np.random.default_rng(9))))
     assert many.clutter.clutter_per_frame == 90
-    cautious = stages("clutter.volume=image", "clutter.clutter_per_frame=90.0", "rates.cautious=true")
+    cautious = stages("clutter.clutter_per_frame=90.0", "rates.cautious=true")
     assert cautious.learning.with_scores(state, model, Detections.of(boxes(7, np.random.default_rng(9)))) is model
 
 
@@ -181,7 +181,7 @@ def test_other_filters_learn_the_same(filter_name):
 
 @pytest.mark.parametrize("wrong", [0.5, 40.0])
 def test_a_rate_that_is_far_off_is_mended_within_two_seconds(wrong):
-    sets = ("clutter.volume=image", "birth.volume=image", f"clutter.clutter_per_frame={wrong}", "rates.update_interval=0.4")
+    sets = ("birth.births_per_second=0.125", f"clutter.clutter_per_frame={wrong}", "rates.update_interval=0.4")
     for seed in (1, 2):
         rates, _, _ = course("gm-phd", seed, sets, frames=60, p_detect=0.9, clutter_rate=5.0)
         assert rates[50].clutter == pytest.approx(5, rel=0.35)

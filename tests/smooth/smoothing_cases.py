@@ -20,7 +20,7 @@ def model_of(**motion) -> Model:
         if values["scaled_noise"]
         else BoxSensor(detection_probability=0.8, scaling="fixed", fixed_noise=(2.0, 3.0), birth_speed_pixels=4.0)
     )
-    return Model(BoxMotion(**values), sensor, MeasurementBirth(frame_size=size), UniformClutter(1.0, 1e10))
+    return Model(BoxMotion(**values), sensor, MeasurementBirth(0.25, frame_size=size), UniformClutter(1.0, 1e10))
 
 
 def walk(rng: np.random.Generator, frames: int, begin, velocity, size=(40.0, 80.0), noise: float = 2.0) -> np.ndarray:

@@ -25,8 +25,8 @@ from phdtrack.config.presets import PRESETS
 MAIN = {
     "motion": ("acceleration", "survival_probability"),
     "sensor": ("detection_probability", "box_noise"),
-    "birth": ("births_per_second",),
-    "clutter": ("clutter_per_frame",),
+    "birth": ("births_per_second", "births_per_detection"),
+    "clutter": ("clutter_per_frame", "clutter_per_detection"),
     "associate": ("min_track_length", "max_coast", "output_delay"),
     "filter": ("kind",),
 }

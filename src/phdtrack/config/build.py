@@ -154,10 +154,11 @@ def _birth(settings: Settings, sensor: Any, size: Size, region: Region) -> Birth
     if scene.births.density.dim != len(observed) + 2:
         problem = f"expected births of {len(observed) + 2} components, got {scene.births.density.dim}"
         raise InputError(problem, where=birth.file, cure="Learn them with the motion.kind that they are used with")
-    if birth.around_detections > 0 and len(observed) != 4:
-        raise InputError("births around detections are of boxes only", where="birth.around_detections", cure="Leave it out")
+    if birth.births_per_detection > 0 and len(observed) != 4:
+        where = "birth.births_per_detection"
+        raise InputError("births around detections are of boxes only", where=where, cure="Leave it out")
     among, per_second = objects_of(scene.followed), scene.births.rate * rate
-    return SceneBirth(per_second, scene.births.density, observed, birth.particles, birth.around_detections, among)
+    return SceneBirth(per_second, scene.births.density, observed, birth.particles, birth.births_per_detection, among)
 
 
 def _clutter(settings: Settings, size: Size, region: Region) -> Clutter:
@@ -169,13 +170,13 @@ def _clutter(settings: Settings, size: Size, region: Region) -> Clutter:
         scene = _scene(given.file, size)
         if scene.clutter is None:
             raise InputError("false alarms were not learned in this scene", where=given.file, cure="Leave clutter.kind out")
-        return SceneClutter(scene.clutter.rate, scene.clutter.density, given.around_detections)
+        return SceneClutter(scene.clutter.rate, scene.clutter.density, given.clutter_per_detection)
     if kind == "point":
         return UniformClutter(given.clutter_per_frame, image_area(size))
     if kind == "ground" and given.density > 0:
         return UniformClutter(given.density, 1.0)
-    if given.volume == "local":
-        return (LocalClutter if kind == "image" else LocalPlaneClutter)(given.clutter_per_frame)
+    if given.clutter_per_detection > 0:
+        return (LocalClutter if kind == "image" else LocalPlaneClutter)(given.clutter_per_detection)
     where = "clutter.clutter_per_frame on the ground"
     return UniformClutter(given.clutter_per_frame, image_volume(size) if kind == "image" else area(region, where))
 

@@ -17,7 +17,7 @@ from typing import Any, get_type_hints
 
 from phdtrack.errors import NonNegative, Positive, PositiveCount, check
 from phdtrack.files import read_toml
-from phdtrack.models.volumes import EVERYWHERE, PlaneVolume, Region, Volume, check_region
+from phdtrack.models.volumes import EVERYWHERE, Region, check_region, one_rate
 
 Places = list[tuple[float, float, float, float, float]]
 """Of each: x, y in metres, weight, standard deviations of position (m) and of velocity (m/s)."""
@@ -81,22 +81,30 @@ class PointClutterSettings(_Checked):
 
 @dataclass(frozen=True, slots=True)
 class ClutterSettings(_Checked):
-    """False alarms of boxes. ``clutter_per_frame``: expected false alarms per frame, in the image, or around each detection
-    where ``volume`` is local. ``volume``: what they are spread over."""
+    """False alarms of boxes. ``clutter_per_frame``: expected false alarms per frame, anywhere in the image.
+    ``clutter_per_detection``: instead, expected false alarms around each detection."""
 
-    clutter_per_frame: NonNegative = 1.0
-    volume: Volume = "image"
+    clutter_per_frame: NonNegative = 0.0
+    clutter_per_detection: NonNegative = 0.0
+
+    def __post_init__(self) -> None:
+        check(self)
+        one_rate("clutter", self.clutter_per_frame, self.clutter_per_detection, "[clutter]")
 
 
 @dataclass(frozen=True, slots=True)
 class GroundClutterSettings(_Checked):
-    """False alarms on the ground. ``clutter_per_frame``: expected false alarms per frame, in the region, or around each
-    detection where ``volume`` is local. ``volume``: what they are spread over. ``density``: false alarms per frame and m²,
-    which replaces the other two where it is not 0."""
+    """False alarms on the ground. ``clutter_per_frame``: expected false alarms per frame, anywhere in the region.
+    ``clutter_per_detection``: instead, expected false alarms around each detection. ``density``: false alarms per frame and
+    m², which replaces the other two where it is not 0."""
 
-    clutter_per_frame: NonNegative = 0.3
-    volume: PlaneVolume = "local"
+    clutter_per_frame: NonNegative = 0.0
+    clutter_per_detection: NonNegative = 0.3
     density: NonNegative = 0.0
+
+    def __post_init__(self) -> None:
+        check(self)
+        one_rate("clutter", self.clutter_per_frame, self.clutter_per_detection, "[clutter]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,12 +124,12 @@ class SceneBirthSettings(_Checked):
     ----------
     file : what was learned.
     particles : Jmax, newborn particles around a detection, see `models.births.MeasurementBirth`.
-    around_detections : births per second around detections of boxes where nothing is known of the place; 0: none.
+    births_per_detection : births per second around each detection of boxes, where nothing is known of the place; 0: none.
     """
 
     file: str
     particles: PositiveCount = 500
-    around_detections: NonNegative = 0.0
+    births_per_detection: NonNegative = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,14 +139,14 @@ class SceneClutterSettings(_Checked):
     Parameters
     ----------
     file : what was learned.
-    around_detections : false alarms per frame around detections, in addition to these.
+    clutter_per_detection : false alarms around each detection, in addition to these.
     reject_false_tracks : withhold tracks that stay where false alarms are followed (`associate.rejection`), where
         `phdtrack learn` has seen which are.
     immediate_confirmation : confirm a track at once where there are at most so many false alarms for each object.
     """
 
     file: str
-    around_detections: NonNegative = 0.0
+    clutter_per_detection: NonNegative = 0.0
     reject_false_tracks: bool = True
     immediate_confirmation: NonNegative = 0.1
 

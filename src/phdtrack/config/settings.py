@@ -31,6 +31,11 @@ from phdtrack.errors import InputError
 from phdtrack.files import read_toml
 
 Values = dict[str, Any]
+# Sections with two rates, of which one is 0: around each detection, and everywhere.
+_RATES = {
+    "birth": ("births_per_detection", "births_per_second"),
+    "clutter": ("clutter_per_detection", "clutter_per_frame"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,6 +185,12 @@ def _replaced(settings: Settings, entries: Iterable[_Entry]) -> Settings:
         if entry not in kinds:
             value = entry.value if entry.section == "detector" else _checked(merged, entry)
             given.setdefault(entry.section, {})[entry.key] = value
+            rates = _RATES.get(entry.section, ())
+            if entry.key in rates and value:
+                # Of the two rates the one that is named last holds.
+                other = rates[1 - rates.index(entry.key)]
+                if other in settable(entry.section, merged.kind(entry.section), ""):
+                    given[entry.section][other] = 0.0
     return merged
 
 
@@ -240,10 +251,11 @@ def _with_scene(settings: Settings, file: str, options: list[_Entry]) -> list[_E
     learned = [name for name, part in parts.items() if part is not None and said.get(name, "scene") == "scene"]
     options = [*_entries({name: {"kind": "scene", "file": file} for name in learned}, "--scene"), *options]
     merged = _replaced(settings, options)
-    if merged.kind("motion") != "box" or all(merged.values(name).get("around_detections", 0) > 0 for name in learned):
+    each = {name: merged.values(name).get(key, 0.0) for name, (key, _) in _RATES.items()}
+    if merged.kind("motion") != "box" or all(each[name] > 0 for name in learned):
         return options
-    others = [name for name in parts if "volume" in settable(name, merged.kind(name), "box")]
-    return [*_entries({name: {"volume": "image"} for name in others}, "--scene"), *options]
+    others = {name: {_RATES[name][1]: each[name]} for name in parts if name not in learned and each[name] > 0}
+    return [*_entries(others, "--scene"), *options]
 
 
 def _assignment(text: str) -> _Entry:

@@ -22,9 +22,7 @@ from phdtrack.models.volumes import (
     EVERYWHERE,
     REACH,
     SIZES,
-    PlaneVolume,
     Region,
-    Volume,
     area,
     check_region,
     image_area,
@@ -33,6 +31,7 @@ from phdtrack.models.volumes import (
     local_box_density,
     local_density,
     local_volume,
+    one_rate,
 )
 from phdtrack.protocols import Sensor
 from phdtrack.types import F8, I8, GaussianMixture, Particles
@@ -147,11 +146,12 @@ class _AroundDetections:
 
     def __post_init__(self) -> None:
         check(self)
+        one_rate("births", self.births_per_second, self._each, type(self).__name__)
 
     @property
-    def volume(self) -> str:
-        """What γ is spread over; around each detection where ``local``."""
-        return "image"
+    def _each(self) -> float:
+        """Births per second around each detection."""
+        return 0.0
 
     def _gamma(self, shown: F8, first: I8, z: F8) -> F8:
         """γ per second at what measurements show (r, L), in the runs ``first``, where ``z`` (m, N) was detected."""
@@ -173,8 +173,9 @@ class _AroundDetections:
         return births_around(sensor.states(z), self.density(z) * seconds)
 
     def expected(self, z: F8, seconds: float) -> float:
-        """births_per_second·seconds, of each detection where ``local``."""
-        return self.births_per_second * seconds * (z.shape[1] if self.volume == "local" else 1)
+        """The mass of γT."""
+        rate: float = self.births_per_second + self._each * z.shape[1]
+        return rate * seconds
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,32 +184,37 @@ class MeasurementBirth(_AroundDetections):
 
     Parameters
     ----------
-    births_per_second : expected births per second: in all where spread over the ``image``, around each detection where
-        ``local``.
+    births_per_second : expected births per second, uniform over the image.
+    births_per_detection : instead, expected births per second around each detection (see `models.volumes`).
     particles : Jmax, particles drawn around a detection of which nothing is predicted.
-    volume : ``image`` or ``local``: what γ is spread over (see `models.volumes`).
-    frame_size : the image's width and height in pixels, needed for ``image``.
+    frame_size : the image's width and height in pixels, needed for births uniform over it.
     """
 
-    births_per_second: NonNegative = 0.25
+    births_per_second: NonNegative = 0.0
+    births_per_detection: NonNegative = 0.0
     particles: PositiveCount = 1000
-    volume: Volume = "image"
     frame_size: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def _each(self) -> float:
+        return self.births_per_detection
 
     def density(self, z: F8) -> F8:
         """(N,) γ per second at the detections themselves."""
-        if self.volume == "image":
+        if not self.births_per_detection:
             everywhere: F8 = self.births_per_second / image_volume(self.frame_size) * ((z[2] > 0) & (z[3] > 0))
             return everywhere
-        return local_box_density(z, self.births_per_second)
+        return local_box_density(z, self.births_per_detection)
 
     def _gamma(self, shown: F8, first: I8, z: F8) -> F8:
         """γ per second at positions and sizes (4, L), which lie in the runs ``first``; 0 where a size is not positive."""
-        if self.volume == "image":
+        if not self.births_per_detection:
             return self.density(shown)
         lower = np.concatenate([z[:2] - REACH * z[2:4], SIZES[0] * z[2:4]])
         upper = np.concatenate([z[:2] + REACH * z[2:4], SIZES[1] * z[2:4]])
-        out: F8 = density_within(np.ascontiguousarray(shown), first, lower, upper, self.births_per_second / local_volume(z))
+        out: F8 = density_within(
+            np.ascontiguousarray(shown), first, lower, upper, self.births_per_detection / local_volume(z)
+        )
         return out
 
 
@@ -241,26 +247,29 @@ class PlaneBirth(_AroundDetections):
 
     Parameters
     ----------
-    births_per_second : expected births per second: in all where spread over the ``region``, around each detection where
-        ``local``.
+    births_per_second : expected births per second, uniform over the region.
+    births_per_detection : instead, expected births per second around each detection (see `models.volumes`).
     particles : Jmax, particles drawn around a detection of which nothing is predicted.
-    volume : ``region`` or ``local``: what γ is spread over (see `models.volumes`).
-    borders : left, low, right and high border in metres, needed for ``region``.
+    borders : left, low, right and high border of the region in metres, needed for births uniform over it.
     """
 
-    births_per_second: NonNegative = 0.25
+    births_per_second: NonNegative = 0.0
+    births_per_detection: NonNegative = 0.25
     particles: PositiveCount = 500
-    volume: PlaneVolume = "local"
     borders: Region = EVERYWHERE
 
     def __post_init__(self) -> None:
-        check(self)
+        _AroundDetections.__post_init__(self)
         check_region(self.borders, "PlaneBirth.borders")
+
+    @property
+    def _each(self) -> float:
+        return self.births_per_detection
 
     def _gamma(self, shown: F8, first: I8, z: F8) -> F8:
         """γ per second and m² at positions (2, L)."""
-        if self.volume == "local":
-            return local_density(shown, z, self.births_per_second)
+        if self.births_per_detection:
+            return local_density(shown, z, self.births_per_detection)
         flat = self.births_per_second / area(self.borders, "PlaneBirth.borders")
         return np.where(inside(shown, self.borders), flat, 0.0)
 

@@ -30,36 +30,35 @@ class UniformClutter:
 
 @dataclass(frozen=True, slots=True)
 class LocalClutter:
-    """``clutter_per_frame`` expected clutter points per frame around each detection: ±1 box in position, 0.5 to 1.5 in size
+    """``clutter_per_detection`` expected clutter points around each detection: ±1 box in position, 0.5 to 1.5 in size
     [M07 §2].
 
     Where neighbourhoods overlap their densities add up, as those of the births do: where a detector reports much, more of it
     is taken for clutter, and the ratio of the two densities stays what the rates say.
     """
 
-    clutter_per_frame: NonNegative
+    clutter_per_detection: NonNegative
 
     def __post_init__(self) -> None:
         check(self)
 
     def intensity(self, z: F8) -> F8:
         """κ(z) = Σ_j rate / V(z_j) over the detections z_j in whose neighbourhood z lies, its own included."""
-        return local_box_density(z, self.clutter_per_frame)
+        return local_box_density(z, self.clutter_per_detection)
 
 
 @dataclass(frozen=True, slots=True)
 class LocalPlaneClutter:
-    """``clutter_per_frame`` expected clutter points per frame around each detection on the ground plane (see
-    `models.volumes`)."""
+    """``clutter_per_detection`` expected clutter points around each detection on the ground (see `models.volumes`)."""
 
-    clutter_per_frame: NonNegative
+    clutter_per_detection: NonNegative
 
     def __post_init__(self) -> None:
         check(self)
 
     def intensity(self, z: F8) -> F8:
         """κ(z), per m²: the sum of what all detections near z bring, its own included."""
-        return local_density(z, z, self.clutter_per_frame)
+        return local_density(z, z, self.clutter_per_detection)
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,11 +29,13 @@ from phdtrack.types import Detections, Step
 
 # p_D goes into the model in steps of this size, rates in steps of this ratio.
 DETECTION_STEP, RATE_RATIO = 0.01, 1.05
-# The parts of a model whose number can be learned, by the name of that number.
-LEARNABLE: dict[str, tuple[type[Any], ...]] = {
-    "detection_probability": (BoxSensor, PlaneSensor, PointSensor),
-    "clutter_per_frame": (UniformClutter, LocalClutter, LocalPlaneClutter),
-    "births_per_second": (MeasurementBirth, PlaneBirth, PointBirth),
+# The parts of a model with a number that can be learned, and its names: of several, the one that is not 0.
+LEARNABLE: dict[type[Any], tuple[str, ...]] = {
+    **dict.fromkeys((BoxSensor, PlaneSensor, PointSensor), ("detection_probability",)),
+    UniformClutter: ("clutter_per_frame",),
+    **dict.fromkeys((LocalClutter, LocalPlaneClutter), ("clutter_per_detection",)),
+    **dict.fromkeys((MeasurementBirth, PlaneBirth), ("births_per_detection", "births_per_second")),
+    PointBirth: ("births_per_second",),
 }
 
 
@@ -146,7 +148,7 @@ class RateLearning:
             model = with_clutter(model, _rounded(clutter, priors.clutter))
         if used.birth:
             rate = model.rate * _rounded(births, priors.births)
-            model = replace(model, birth=_with(model.birth, "births_per_second", rate))
+            model = replace(model, birth=_with(model.birth, rate))
         return self.other.model(state.other, model) if self.other else model
 
     def with_scores(self, state: RatesState, model: Model, detections: Detections) -> Model:
@@ -185,35 +187,36 @@ class RateLearning:
 
 def priors_of(model: Model) -> Priors:
     """The rates of a model; 0, or p_D = 1, of parts that have none."""
-    birth = model.birth
-    births_each = isinstance(birth, MeasurementBirth | PlaneBirth) and birth.volume == "local"
+    clutter, births = _name(model.clutter), _name(model.birth)
     return Priors(
-        _number(model.sensor, "detection_probability", 1.0),
-        _number(model.clutter, "clutter_per_frame", 0.0),
-        _number(birth, "births_per_second", 0.0) / model.rate,
-        isinstance(model.clutter, LocalClutter | LocalPlaneClutter),
-        births_each,
+        getattr(model.sensor, _name(model.sensor), 1.0),
+        getattr(model.clutter, clutter, 0.0),
+        getattr(model.birth, births, 0.0) / model.rate,
+        clutter == "clutter_per_detection",
+        births == "births_per_detection",
     )
 
 
 def with_detection(model: Model, detection: float) -> Model:
     """The model with this p_D; a sensor that has none stays as it is."""
-    return replace(model, sensor=_with(model.sensor, "detection_probability", detection))
+    return replace(model, sensor=_with(model.sensor, detection))
 
 
 def with_clutter(model: Model, rate: float) -> Model:
     """The model with this rate of false alarms; learned ones and those without a rate stay as they are."""
-    return replace(model, clutter=_with(model.clutter, "clutter_per_frame", rate))
+    return replace(model, clutter=_with(model.clutter, rate))
 
 
-def _number(part: Any, name: str, otherwise: float) -> float:
-    """The number of a part of a model that can be learned, or another."""
-    return float(getattr(part, name)) if isinstance(part, LEARNABLE[name]) else otherwise
+def _name(part: Any) -> str:
+    """The name of the number of a part of a model that can be learned; empty for none."""
+    names = next((names for kind, names in LEARNABLE.items() if isinstance(part, kind)), ("",))
+    return next((name for name in names[:-1] if getattr(part, name)), names[-1])
 
 
-def _with(part: Any, name: str, value: float) -> Any:
-    """A part of a model with one number changed; itself where that cannot be learned."""
-    return _changed(part, name, value) if isinstance(part, LEARNABLE[name]) else part
+def _with(part: Any, value: float) -> Any:
+    """A part of a model with its number changed; itself where it cannot be learned."""
+    name = _name(part)
+    return _changed(part, name, value) if name else part
 
 
 @lru_cache(maxsize=256)

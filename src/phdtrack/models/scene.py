@@ -57,7 +57,7 @@ class SceneBirth:
     density : p(x|b) on states (d).
     observed : the rows of the state that measurements show; the others are velocities.
     particles : Jmax, particles drawn around a detection of which nothing is predicted.
-    around_detections : births a second around each detection, of boxes, where nothing is known; 0: s̄ p(x|b) alone.
+    births_per_detection : births a second around each detection, of boxes, where nothing is known; 0: s̄ p(x|b) alone.
     among : p(z|o), for births around detections; None: uniform over the volume.
     """
 
@@ -65,7 +65,7 @@ class SceneBirth:
     density: SceneDensity
     observed: tuple[int, ...] = OBSERVED
     particles: PositiveCount = 1000
-    around_detections: NonNegative = 0.0
+    births_per_detection: NonNegative = 0.0
     among: SceneDensity | None = None
 
     def __post_init__(self) -> None:
@@ -104,7 +104,7 @@ class SceneBirth:
         The births.
         """
         seen = sensor.states(z)
-        if self.around_detections > 0:
+        if self.births_per_detection > 0:
             density, learned = self.around(seen, seconds)
             return births_around(learned, density)
         contained = self._shown.contains(z[: len(self.observed)])
@@ -115,8 +115,8 @@ class SceneBirth:
 
     def expected(self, z: F8, seconds: float) -> float:
         """s̄T, or with births around detections so many of each."""
-        if self.around_detections > 0:
-            return float(self.around_detections * seconds * z.shape[1])
+        if self.births_per_detection > 0:
+            return float(self.births_per_detection * seconds * z.shape[1])
         return self.births_per_second * seconds
 
     def around(self, seen: tuple[F8, F8], seconds: float) -> tuple[F8, tuple[F8, F8]]:
@@ -127,11 +127,11 @@ class SceneBirth:
         state, shown = np.ascontiguousarray(seen[0]), self._shown
         mixture, order, limit2 = self._learned
         density, mean, covariance = states_given(state, seen[1], order, shown.low, shown.high, shown.flat, mixture, limit2)
-        if not self.around_detections:
+        if not self.births_per_detection:
             return self.births_per_second * seconds * density, (mean, covariance)
         z = state[order[: shown.dim]]
         objects = 1 / shown.volume if self.among is None else self.among(z, outside=self.among.flat)
-        local = self.around_detections * seconds * LOCAL.intensity(z)
+        local = self.births_per_detection * seconds * LOCAL.intensity(z)
         return local * np.maximum(density, shown.flat) / objects, (mean, covariance)
 
     @cached_property
@@ -160,12 +160,12 @@ class SceneClutter:
     clutter_per_frame : r̄, expected false alarms per frame.
     density : p(z|c) on what measurements show (r). Where it does not reach, κ is that of its uniform part: a detection
         beyond the volume is no more certain to be a target than one in an empty place.
-    around_detections : false alarms a frame around each detection, of boxes, that are added; 0: none.
+    clutter_per_detection : false alarms a frame around each detection, of boxes, that are added; 0: none.
     """
 
     clutter_per_frame: NonNegative
     density: SceneDensity
-    around_detections: NonNegative = 0.0
+    clutter_per_detection: NonNegative = 0.0
 
     def __post_init__(self) -> None:
         check(self)
@@ -173,7 +173,7 @@ class SceneClutter:
     def intensity(self, z: F8) -> F8:
         """(N,) κ per frame and unit of measurement space."""
         learned = self.clutter_per_frame * self.density(z[: self.density.dim], outside=self.density.flat)
-        return learned + self.around_detections * LOCAL.intensity(z) if self.around_detections else learned
+        return learned + self.clutter_per_detection * LOCAL.intensity(z) if self.clutter_per_detection else learned
 
 
 def with_scene(
@@ -198,12 +198,11 @@ def with_scene(
     """
     birth, false = model.birth, model.clutter
     if births is not None:
-        own = birth.births_per_second if isinstance(birth, MeasurementBirth) and birth.volume == "local" else 0.0
-        birth = SceneBirth(
-            births.rate * model.rate, births.density, particles=particles, around_detections=own, among=objects_of(followed)
-        )
+        own = birth.births_per_detection if isinstance(birth, MeasurementBirth) else 0.0
+        rate, among = births.rate * model.rate, objects_of(followed)
+        birth = SceneBirth(rate, births.density, particles=particles, births_per_detection=own, among=among)
     if clutter is not None:
-        own = false.clutter_per_frame if isinstance(false, LocalClutter) else 0.0
+        own = false.clutter_per_detection if isinstance(false, LocalClutter) else 0.0
         false = SceneClutter(clutter.rate, clutter.density, own)
     return replace(model, birth=birth, clutter=false)
 

@@ -13,7 +13,6 @@ two more are needed. M07's words, "around the detections", suggest the latter.
 from __future__ import annotations
 
 import math
-from typing import Literal
 
 import numpy as np
 
@@ -23,10 +22,19 @@ from phdtrack.kernels.box import summed_densities
 from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.types import F8, Bool
 
-Volume = Literal["image", "local"]
 # Half the extent of a local volume in position, in boxes; its range of sizes, in boxes.
 REACH = 1.0
 SIZES = (0.5, 1.5)
+
+
+def one_rate(what: str, everywhere: float, each: float, where: str) -> None:
+    """Raise `InputError` where both rates are above 0: one density is uniform, the other one is around the detections."""
+    if everywhere > 0 and each > 0:
+        raise InputError(
+            f"expected {what} uniform or around each detection, not both, got rates of {everywhere:g} and {each:g}",
+            where=where,
+            cure="Set one of the two to 0",
+        )
 
 
 def image_area(frame_size: tuple[float, float]) -> float:
@@ -57,7 +65,6 @@ def local_box_density(z: F8, rate: float) -> F8:
     return out
 
 
-PlaneVolume = Literal["region", "local"]
 PLANE_REACH = 6.0
 """Extent of a local volume on the ground in deviations of the detection's noise."""
 Region = tuple[float, float, float, float]

@@ -23,7 +23,7 @@ def world(p_detect: float = 0.9, clutter: float = 1e-4) -> Model:
     return Model(
         BoxMotion(0.03, 0.07, frame_size=FRAME),
         BoxSensor(detection_probability=p_detect),
-        MeasurementBirth(25 * 0.05, 300, "local", FRAME),
+        MeasurementBirth(births_per_detection=25 * 0.05, particles=300, frame_size=FRAME),
         LocalClutter(clutter),
     )
 

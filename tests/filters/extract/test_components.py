@@ -11,7 +11,7 @@ from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutt
 from phdtrack.protocols import Model
 from phdtrack.types import GaussianMixture
 
-MODEL = Model(BoxMotion(), BoxSensor(), MeasurementBirth(volume="local"), UniformClutter(1.0, 1e10))
+MODEL = Model(BoxMotion(), BoxSensor(), MeasurementBirth(births_per_detection=0.25), UniformClutter(1.0, 1e10))
 MEAN = np.array([[100.0, 100, 2, 0, 40, 80], [300, 120, 0, 1, 40, 80], [306, 120, 0, 1, 40, 80], [500, 90, 0, 0, 30, 70]]).T
 MIXTURE = GaussianMixture(np.array([0.9, 2.2, 0.6, 0.49]), MEAN, np.tile(np.eye(6), (4, 1, 1)))
 Z = MEAN[[0, 1, 4, 5]][:, [1, 0]] + 1.0
