@@ -7,9 +7,13 @@ height as columns, the measurement vector z = (px, py, w, h) of M07 and M09.
 from __future__ import annotations
 
 import math
+import sys
 from functools import lru_cache
+from threading import Lock
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phdtrack.types import F8, I8, GaussianMixture, Particles
 
@@ -31,6 +35,34 @@ def chi2_quantile(dof: int, probability: float) -> float:
         outside += sum(math.exp(-half) * half ** (k + odd) / math.gamma(k + odd + 1) for k in range(dof // 2))
         low, high = (middle, high) if outside > 1 - probability else (low, middle)
     return (low + high) / 2
+
+
+def _references(memories: list[NDArray[np.uint8]]) -> list[int]:
+    """How many references there are to each array."""
+    return [sys.getrefcount(memory) for memory in memories]
+
+
+# Memory of large arrays, from how many bytes on an array is large, and the references to memory that no array uses.
+_MEMORY: list[NDArray[np.uint8]] = []
+_LARGE, _MOST, _LOCK = 2**20, 12, Lock()
+_UNUSED = _references([np.empty(0, np.uint8)])[0]
+
+
+def reused(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """An array of any content, where it is large in memory that no array uses any more.
+
+    Fresh pages from the operating system cost more than to write all their numbers.
+    """
+    size = math.prod(shape) * dtype.itemsize
+    if size < _LARGE:
+        return np.empty(shape, dtype)
+    with _LOCK:
+        for k, references in enumerate(_references(_MEMORY)):
+            if references == _UNUSED and size <= _MEMORY[k].nbytes <= 2 * size:
+                return _MEMORY[k][:size].view(dtype).reshape(shape)
+        _MEMORY.append(np.empty(size + size // 4, np.uint8))
+        del _MEMORY[:-_MOST]
+        return _MEMORY[-1][:size].view(dtype).reshape(shape)
 
 
 def sum_by(index: I8, value: F8, count: int) -> F8:

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from phdtrack.filters.blocks import cut
 from phdtrack.filters.extract import heavy_enough
 from phdtrack.kernels.blocks import block_moments, claim, reaching, summarise, unreached
-from phdtrack.kernels.grid import make_grid
 from phdtrack.kernels.mixtures import Gaussians
 from phdtrack.models import BoxSensor
 from reference import clustering_twin as twin
@@ -73,24 +72,22 @@ def test_what_windows_reach(seed: int, count: int, most: int):
     x = rng.uniform(0, 100, (2, 60))
     order, start = cut(x, most)
     parts = summarise(x[:, order], np.ones(1), start)
-    grid = make_grid(parts.low.T.copy(), parts.high.T.copy())
     at, half = rng.uniform(0, 100, (2, count)), rng.uniform(0, 40, (2, count))
     low, high = at - half, at + half
-    near = reaching(parts, grid, low, high)
+    near = reaching(parts, low, high)
     apart = (low.T[:, None] > parts.high) | (high.T[:, None] < parts.low)
     for b in range(len(start) - 1):
         np.testing.assert_array_equal(near.component[near.first[b] : near.first[b + 1]], np.flatnonzero(~apart.any(2)[:, b]))
     inside = (np.abs(parts.state[:, :, None] - at[:, None]) <= half[:, None]).all(0)
-    np.testing.assert_array_equal(unreached(parts, near, low, high), ~inside.any(1))
+    np.testing.assert_array_equal(unreached(parts, low, high), ~inside.any(1))
 
 
 def test_claims():
     """The second asks for what the first has; the third for the rest."""
     x, weight = np.array([[0.0, 1, 2, 10, 11], [0, 0, 0, 0, 0]]), np.array([1.0, 1, 2, 1, 0])
     parts = summarise(x, weight, np.array([0, 3, 5]))
-    grid = make_grid(parts.low.T.copy(), parts.high.T.copy())
     low, high = np.array([[-1.0, 0, 1.5], [-1, -1, -1]]), np.array([[1.0, 2, 20], [1, 1, 1]])
-    centre, left = claim(parts, grid, np.ones(5, bool), np.array([0, 1, 3]), low, high)
+    centre, left = claim(parts, np.ones(5, bool), np.array([0, 1, 3]), low, high)
     np.testing.assert_allclose(centre, [[0.5, (2 * 2 + 10) / 3], [0, 0]])
     assert not left.any()
 

@@ -10,9 +10,9 @@ from numba import config, njit
 from scipy import stats
 
 from inner_kernels import from_python
+from phdtrack.kernels.fast32 import philox, unit, xoroshiro
 from phdtrack.kernels.particle_models import BLOCK, N0
 from phdtrack.kernels.particles import LANES, ROWS, fill_normals
-from phdtrack.kernels.random import philox, unit, xoroshiro
 from reference import random_twin as twins
 
 fill_normals, philox, unit, xoroshiro = from_python(fill_normals, philox, unit, xoroshiro)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from functools import lru_cache
-from typing import TypeVar
+from dataclasses import dataclass, replace
+from functools import lru_cache, reduce
+from typing import Any, TypeVar
 
 import numpy as np
 
-from phdtrack.kernels.particle_models import BLOCK
+from phdtrack.kernels.particle_models import BLOCK, SensorNumbers
+from phdtrack.kernels.particles import Part, Sums, masses, weigh
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, ParticleBlocks, Particles, Real
 
@@ -20,28 +21,62 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UpdatedParticles:
-    """The updated intensity before it is resampled: the particles that were there, and the newborn."""
+    """The updated intensity before it is resampled; weights are computed when they are asked for.
 
-    old: ParticleBlocks
-    born: ParticleBlocks
+    Attributes
+    ----------
+    blocks : the particles that were there, and the newborn, with their weights before the update.
+    parts, sums : these with the detections near them, and the sums over their blocks.
+    numbers : the sensor's.
+    missed, detected : factors of the terms of missed targets and of each detection, see `particles.weigh`.
+    threads : that share the work.
+    """
+
+    blocks: tuple[ParticleBlocks, ...]
+    parts: tuple[Part, ...]
+    sums: tuple[Sums, ...]
+    numbers: SensorNumbers
+    missed: float
+    detected: F8
+    threads: int = 1
 
     def __len__(self) -> int:
-        return len(self.old) + len(self.born)
+        return sum(len(blocks) for blocks in self.blocks)
+
+    @property
+    def masses(self) -> F8:
+        """(B,) of all blocks."""
+        return np.concatenate(
+            [
+                blocks.unit * masses(part, sums, self.missed, self.detected)
+                for blocks, part, sums in zip(self.blocks, self.parts, self.sums, strict=True)
+            ]
+        )
 
     @property
     def mass(self) -> float:
         """The integral of the intensity: the expected number of targets."""
-        return self.old.mass + self.born.mass
+        return float(self.masses.sum())
 
     @property
     def state(self) -> Real:
         """(d, L) states."""
-        return np.concatenate([self.old.state, self.born.state], axis=1)
+        return np.concatenate([blocks.state for blocks in self.blocks], axis=1)
 
     @property
     def weight(self) -> F8:
         """(L,) weights."""
-        return np.concatenate([self.old.weight, self.born.weight])
+        return np.concatenate([blocks.weight for blocks in self.weighed()])
+
+    def weighed(self) -> list[ParticleBlocks]:
+        """The blocks with their weights after the update."""
+        out = []
+        for blocks, part in zip(self.blocks, self.parts, strict=True):
+            share = np.empty(len(blocks), blocks.state.dtype)
+            given = (part, self.numbers.model, self.numbers.table, self.missed, self.detected, share)
+            for_blocks(weigh, given, len(part.start) - 1, self.threads)
+            out.append(replace(blocks, share=share))
+        return out
 
 
 Intensity = Particles | ParticleBlocks | UpdatedParticles
@@ -82,7 +117,7 @@ def in_blocks(state: Intensity, dtype: np.dtype[np.floating]) -> ParticleBlocks:
     if isinstance(state, ParticleBlocks):
         return state
     if isinstance(state, UpdatedParticles):
-        return joined(state.old, state.born)
+        return reduce(joined, state.weighed())
     if len(state) == 0:
         return ParticleBlocks.empty(len(state.state), dtype)
     x, weight = state.state, state.weight
@@ -125,6 +160,11 @@ def joined(a: ParticleBlocks, b: ParticleBlocks) -> ParticleBlocks:
 @lru_cache(maxsize=4)
 def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="phdtrack")
+
+
+def for_blocks(kernel: Callable[..., None], given: tuple[Any, ...], count: int, threads: int) -> None:
+    """Call ``kernel(lo, hi, *given)`` for ranges of ``count`` blocks on so many threads."""
+    in_ranges(lambda lo, hi: kernel(lo, hi, *given), count, threads)
 
 
 def in_ranges(work: Callable[[int, int], T], count: int, threads: int) -> list[T]:

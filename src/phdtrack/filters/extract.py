@@ -32,7 +32,7 @@ from phdtrack.filters.blocks import cut
 from phdtrack.filters.cardinality import Cardinalised
 from phdtrack.kernels.blocks import Blocks, block_moments, claim, reaching, summarise, unreached
 from phdtrack.kernels.em import em_step
-from phdtrack.kernels.grid import Grid, make_grid, overlapping_pairs
+from phdtrack.kernels.grid import make_grid, overlapping_pairs
 from phdtrack.kernels.kmeans import Rule, kmeans
 from phdtrack.kernels.mixtures import Gaussians
 from phdtrack.protocols import Model, Sensor
@@ -95,10 +95,10 @@ class KMeans(_Extraction):
         lightest, split = (LIGHTEST_CLUSTER, NEVER_SPLIT) if counting else (self.min_weight, self.split_weight)
         if state.mass < lightest:
             return Estimates.empty(model.motion.dim)
-        sensor, (blocks, grid) = model.sensor, known_blocks(state)
-        centres, _ = seeds(blocks, grid, z, sensor, lightest)
+        sensor, blocks = model.sensor, known_blocks(state)
+        centres, _ = seeds(blocks, z, sensor, lightest)
         scales = np.ascontiguousarray(sensor.noise(centres).T)
-        found = kmeans(blocks, grid, np.ascontiguousarray(centres.T), scales, Rule(REACH, split, self.iterations))
+        found = kmeans(blocks, np.ascontiguousarray(centres.T), scales, Rule(REACH, split, self.iterations))
         heavy = heavy_enough(found, sensor, lightest, split)
         return finish(join_unresolved(heavy, sensor, self.merge_iou)[0], z, model)
 
@@ -125,24 +125,24 @@ class Mixture(_Extraction):
         lightest, split = (LIGHTEST_COMPONENT, NEVER_SPLIT) if counting else (self.min_weight, self.split_weight)
         if state.mass < lightest:
             return Estimates.empty(model.motion.dim)
-        sensor, (blocks, grid) = model.sensor, known_blocks(state)
-        centres, free = seeds(blocks, grid, z, sensor, lightest)
+        sensor, blocks = model.sensor, known_blocks(state)
+        centres, free = seeds(blocks, z, sensor, lightest)
         if free.any():
             # A block with one component in reach is all that component's, but for the remnants that nothing reaches.
-            blocks, grid = _without(blocks, free)
+            blocks = _without(blocks, free)
         scales = np.ascontiguousarray(sensor.noise(centres).T)
-        start = kmeans(blocks, grid, np.ascontiguousarray(centres.T), scales, Rule(REACH, math.inf, 0))
+        start = kmeans(blocks, np.ascontiguousarray(centres.T), scales, Rule(REACH, math.inf, 0))
         known = block_moments(blocks)
-        mixture = self._fit(blocks, grid, known, start, sensor)
+        mixture = self._fit(blocks, known, start, sensor)
         for _ in range(math.ceil(2 * state.mass / split)):
             if not (mixture.weight > split).any():
                 break
-            mixture = self._fit(blocks, grid, known, _divided(mixture, sensor, split), sensor)
+            mixture = self._fit(blocks, known, _divided(mixture, sensor, split), sensor)
         heavy = kept(mixture, mixture.weight >= lightest)
         found = finish(join_unresolved(heavy, sensor, self.merge_iou)[0], z, model)
         return united(found, sensor) if counting else found
 
-    def _fit(self, blocks: Blocks, grid: Grid, known: Gaussians, mixture: Gaussians, sensor: Sensor) -> Gaussians:
+    def _fit(self, blocks: Blocks, known: Gaussians, mixture: Gaussians, sensor: Sensor) -> Gaussians:
         """EM iterations from a mixture, with a floor under the covariances [M09 §III-B]."""
         nothing = np.zeros(0)
         for _ in range(self.iterations):
@@ -150,7 +150,7 @@ class Mixture(_Extraction):
             if len(mixture.weight) == 0:
                 break
             at, reach = mixture.mean[:2], REACH * scale[:2]
-            near = reaching(blocks, grid, at - reach, at + reach)
+            near = reaching(blocks, at - reach, at + reach)
             mass, mean, cov, *_ = em_step(blocks.state, blocks.weight, nothing, mixture, near, known)
             mixture = Gaussians(mass, mean, cov)
         return _floored(mixture, sensor)[0]
@@ -192,36 +192,31 @@ class Components(_Extraction):
         return replace(found, tag=state.tag[heavy]) if len(state.tag) else found
 
 
-def known_blocks(intensity: Intensity) -> tuple[Blocks, Grid]:
-    """The particles of an intensity that is not empty in blocks, and a grid over the blocks' boxes of positions.
-
-    `ValueError` where a state is NaN or infinite.
-    """
+def known_blocks(intensity: Intensity) -> Blocks:
+    """The particles of an intensity that is not empty in blocks; `ValueError` where a state is NaN or infinite."""
     if isinstance(intensity, ParticleBlocks):
-        weight = np.array([intensity.unit], intensity.state.dtype)
+        state, start, weight = intensity.state, intensity.start, np.array([intensity.unit], intensity.state.dtype)
         if len(intensity.share):
             weight = weight * intensity.share
-        blocks = summarise(intensity.state, weight, intensity.start)
     else:
         if not np.isfinite(intensity.state).all():
             raise ValueError("states must be finite")
         order, start = cut(intensity.state)
-        blocks = summarise(np.ascontiguousarray(intensity.state[:, order]), intensity.weight[order], start)
-    if not np.isfinite(blocks.middle).all():
-        raise ValueError("states must be finite")
-    return blocks, make_grid(np.ascontiguousarray(blocks.low[:, :2].T), np.ascontiguousarray(blocks.high[:, :2].T))
+        state, weight = np.ascontiguousarray(intensity.state[:, order]), intensity.weight[order]
+    blocks: Blocks = summarise(state, weight, start)
+    return blocks
 
 
-def _without(blocks: Blocks, which: Bool) -> tuple[Blocks, Grid]:
-    """The blocks without some particles (L,), and the grid over them."""
+def _without(blocks: Blocks, which: Bool) -> Blocks:
+    """The blocks without some particles (L,)."""
     left = ~which
     weight = blocks.weight[left] if len(blocks.weight) > 1 else blocks.weight
     start = np.concatenate([[0], np.cumsum(left)])[blocks.start]
-    fewer = summarise(np.ascontiguousarray(blocks.state[:, left]), weight, start)
-    return fewer, make_grid(np.ascontiguousarray(fewer.low[:, :2].T), np.ascontiguousarray(fewer.high[:, :2].T))
+    fewer: Blocks = summarise(np.ascontiguousarray(blocks.state[:, left]), weight, start)
+    return fewer
 
 
-def seeds(blocks: Blocks, grid: Grid, z: F8, sensor: Sensor, lightest: float) -> tuple[F8, Bool]:
+def seeds(blocks: Blocks, z: F8, sensor: Sensor, lightest: float) -> tuple[F8, Bool]:
     """First centres (d, k): the detections, at rest [M07 §3], and the middle of what no detection is near.
 
     A target that was missed has no detection to start from, and its particles would be drawn into a far cluster or lost.
@@ -230,7 +225,7 @@ def seeds(blocks: Blocks, grid: Grid, z: F8, sensor: Sensor, lightest: float) ->
 
     Parameters
     ----------
-    blocks, grid : the particles, and the grid over their blocks.
+    blocks : the particles.
     z : (m, N) measurements.
     sensor : that measured them.
     lightest : mass of the lightest target.
@@ -241,7 +236,7 @@ def seeds(blocks: Blocks, grid: Grid, z: F8, sensor: Sensor, lightest: float) ->
     """
     centres = sensor.states(z)[0]
     low, high = _windows(centres, sensor)
-    free = unreached(blocks, reaching(blocks, grid, low, high), low, high)
+    free = unreached(blocks, low, high)
     # Once finds every target whose particles lie together, as blocks do; again, to be sure.
     for _ in range(2):
         left = np.flatnonzero(free)
@@ -251,7 +246,7 @@ def seeds(blocks: Blocks, grid: Grid, z: F8, sensor: Sensor, lightest: float) ->
         marks = np.searchsorted(mass, np.arange(0.25 * lightest, mass[-1], 0.5 * lightest))
         asked = left[np.unique(np.minimum(marks, len(left) - 1))]
         low, high = _windows(blocks.state[:, asked].astype(np.float64), sensor)
-        found, free = claim(blocks, grid, free, asked, low, high)
+        found, free = claim(blocks, free, asked, low, high)
         centres = np.concatenate((centres, found), axis=1)
     return centres, free
 

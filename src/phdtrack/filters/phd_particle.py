@@ -16,13 +16,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phdtrack.arrays import chi2_quantile, draw, sum_by
+from phdtrack.arrays import chi2_quantile, draw, reused, sum_by
 from phdtrack.errors import Count, PositiveCount, check
-from phdtrack.filters.blocks import Intensity, UpdatedParticles, carried, in_blocks, in_ranges, joined
+from phdtrack.filters.blocks import Intensity, UpdatedParticles, carried, for_blocks, in_blocks, joined
 from phdtrack.filters.terms import TINY, UpdateTerms
 from phdtrack.kernels import particles as sweeps
 from phdtrack.kernels.grid import Grid, make_grid
-from phdtrack.kernels.particle_models import SensorNumbers, precision
+from phdtrack.kernels.particle_models import GivenSize, SensorNumbers, precision
+from phdtrack.kernels.resampling import comb, pick
 from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, GaussianMixture, ParticleBlocks, Particles, Real, UpdateInfo
 
@@ -30,14 +31,8 @@ from phdtrack.types import F8, GaussianMixture, ParticleBlocks, Particles, Real,
 FAINT = 1e-30
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Part:
-    """Blocks of particles and their likelihoods: the particles that were there, or the newborn."""
-
-    blocks: ParticleBlocks
-    weights: sweeps.Weights
-    pairs: sweeps.Pairs
-    sums: sweeps.Sums
+# A sensor that sees nothing.
+BLIND = SensorNumbers(GivenSize(np.float32(1.0)), np.zeros((8, 0), np.float32), np.zeros(1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,12 +87,9 @@ class ParticlePHD(Filter[Intensity]):
         key = (rng.random(2) * 2.0**32).astype(np.int64)
         if len(blocks) == 0:
             return blocks
-        moved, share = np.empty_like(blocks.state), np.empty(len(blocks), blocks.state.dtype)
-
-        def work(lo: int, hi: int) -> None:
-            sweeps.predict(lo, hi, motion, blocks.state, blocks.share, blocks.start, key, moved, share)
-
-        in_ranges(work, len(blocks.start) - 1, self.threads)
+        moved, share = reused(blocks.state.shape, blocks.state.dtype), reused((len(blocks),), blocks.state.dtype)
+        given = (motion, blocks.state, blocks.share, blocks.start, key, moved, share)
+        for_blocks(sweeps.predict, given, len(blocks.start) - 1, self.threads)
         predicted = ParticleBlocks(moved, blocks.start, blocks.unit, share)
         if model.spawn is None:
             return predicted
@@ -138,78 +130,57 @@ class ParticlePHD(Filter[Intensity]):
         terms : to be weighed.
         """
         numbers, region = model.sensor.particle_model(z), chi2_quantile(len(model.sensor.observed), 0.99)
-        dtype = precision(numbers.model)
+        dtype, count = precision(numbers.model), z.shape[1]
+        if count == 0 and self.skip_empty_frames:
+            numbers = numbers._replace(detection=np.zeros(1, dtype))
         gates = make_grid(*model.sensor.gate(z), 0.0, 0.0)
-        before = in_blocks(state, dtype)
-        old = self._part(before, numbers, gates, region, model)
-        covered: F8 = old.blocks.unit * sum_by(old.pairs.which, old.sums.near, z.shape[1])
+        old = self._part(in_blocks(state, dtype), numbers, gates, region, model)
+        covered: F8 = old[0].unit * sum_by(old[1].which, old[2].near, count)
         newborn = in_blocks(model.birth.sample(z, covered, model.sensor, dt / model.rate, rng), dtype)
         new = self._part(newborn, numbers, gates, region, model)
-        parts, units = (old, new), np.array([old.blocks.unit, new.blocks.unit])
-        evidence = sum(
-            unit * np.bincount(part.pairs.which, part.sums.evidence, z.shape[1])
-            for part, unit in zip(parts, units, strict=True)
-        )
-        mass = units * [part.sums.mass.sum() for part in parts]
-        missed = units * [part.sums.missed.sum() for part in parts]
+        blocks, parts, sums = (old[0], new[0]), (old[1], new[1]), (old[2], new[2])
+        unit, evidence = np.array([of.unit for of in blocks]), np.zeros(count)
+        for of, part, known in zip(blocks, parts, sums, strict=True):
+            evidence += of.unit * sum_by(part.which, known.evidence, count)
+        mass = unit * np.array([known.mass.sum() for known in sums])
+        missed = unit * np.array([known.missed.sum() for known in sums])
 
         def weighed(missed: float, detected: F8) -> UpdatedParticles:
-            if z.shape[1] == 0 and self.skip_empty_frames:
-                return UpdatedParticles(old.blocks, new.blocks)
-            return UpdatedParticles(self._weighed(old, missed, detected), self._weighed(new, missed, detected))
+            return UpdatedParticles(blocks, parts, sums, numbers, missed, detected, self.threads)
 
         return UpdateTerms(
-            float(mass.sum()), float(mass[1]), float(missed.sum()), np.asarray(evidence), model.clutter.intensity(z),
+            float(mass.sum()), float(mass[1]), float(missed.sum()), evidence, model.clutter.intensity(z),
             weighed, FAINT if dtype == np.float32 else TINY,
         )  # fmt: skip
 
-    def _weighed(self, part: _Part, missed: float, detected: F8) -> ParticleBlocks:
-        """Updated blocks: missed terms times ``missed``, those of each detection times ``detected`` (N,)."""
-        share = np.empty(len(part.blocks), part.blocks.state.dtype)
-
-        def work(lo: int, hi: int) -> None:
-            sweeps.weigh(lo, hi, missed, detected, part.weights, part.blocks.start, part.pairs, part.sums.g, share)
-
-        in_ranges(work, len(part.blocks.start) - 1, self.threads)
-        return replace(part.blocks, share=share)
-
-    def _part(self, blocks: ParticleBlocks, numbers: SensorNumbers, gates: Grid, region: float, model: Model) -> _Part:
-        """Likelihoods of the particles and the detections near them."""
-        dtype, count = blocks.state.dtype, len(blocks.start) - 1
-        detect = numbers.detection
+    def _part(
+        self, blocks: ParticleBlocks, numbers: SensorNumbers, gates: Grid, region: float, model: Model
+    ) -> tuple[ParticleBlocks, sweeps.Part, sweeps.Sums]:
+        """Blocks with their extents, the detections near them, and sums of likelihoods."""
+        dtype, count, detect = blocks.state.dtype, len(blocks.start) - 1, numbers.detection
         if len(detect) == 0:
             detect = model.sensor.p_detect(blocks.state.astype(np.float64))
         extents = sweeps.bound(numbers.model, blocks.state, blocks.start)
-        pairs = sweeps.pair_up(extents, blocks.start, gates)
-        weights, many = sweeps.Weights(blocks.share, np.asarray(detect, dtype)), len(pairs.which)
-        g = np.empty(pairs.place[-1], dtype)
-        sums = sweeps.Sums(g, np.empty(many), np.empty(many), np.empty(count), np.empty(count))
-
-        def work(lo: int, hi: int) -> None:
-            sweeps.likelihoods(
-                lo, hi, numbers.model, numbers.table, region, blocks.state, weights, blocks.start, pairs, sums
-            )  # fmt: skip
-
-        in_ranges(work, count, self.threads)
-        return _Part(replace(blocks, extents=extents), weights, pairs, sums)
+        first, which = sweeps.pair_up(extents, blocks.start, gates)
+        part = sweeps.Part(blocks.state, blocks.share, np.asarray(detect, dtype), blocks.start, first, which)
+        sums = sweeps.Sums(np.empty(len(which)), np.empty(len(which)), np.empty(count), np.empty(count))
+        for_blocks(sweeps.likelihoods, (part, numbers.model, numbers.table, region, sums), count, self.threads)
+        return replace(blocks, extents=extents), part, sums
 
     def reduce(self, state: Intensity, rng: np.random.Generator) -> ParticleBlocks:
         """Systematic resampling to ρ particles per expected target, which keeps the mass exactly [M07 §2]."""
-        parts = (state.old, state.born) if isinstance(state, UpdatedParticles) else (in_blocks(state, np.dtype(np.float64)),)
-        masses = np.concatenate([part.unit * sweeps.masses(part.share, part.start) for part in parts])
-        mass, first = float(masses.sum()), parts[0].state
-        count, offset = self.particles(mass), rng.random()
+        updated = state if isinstance(state, UpdatedParticles) else _not_updated(in_blocks(state, np.dtype(np.float64)))
+        first, (model, table, _) = updated.blocks[0].state, updated.numbers
+        masses, offset = updated.masses, rng.random()
+        mass = float(masses.sum())
+        count = self.particles(mass)
         if count == 0:
             return ParticleBlocks.empty(len(first), first.dtype)
-        extents = np.concatenate([part.extents if len(part.extents) else _extents(part) for part in parts])
-        teeth, start = sweeps.comb(masses, extents, count, offset)
-        out, shift = np.empty((len(first), count), first.dtype), 0
-        for part in parts:
-
-            def work(lo: int, hi: int, part: ParticleBlocks = part, shift: int = shift) -> None:
-                sweeps.pick(lo, hi, teeth, shift, part.state, part.share, part.start, out)
-
-            in_ranges(work, len(part.start) - 1, self.threads)
+        teeth, start = comb(masses, np.concatenate([blocks.extents for blocks in updated.blocks]), count, offset)
+        out, shift = reused((len(first), count), first.dtype), 0
+        for part in updated.parts:
+            given = (part, model, table, updated.missed, updated.detected, teeth, shift, out)
+            for_blocks(pick, given, len(part.start) - 1, self.threads)
             shift += len(part.start) - 1
         return ParticleBlocks(out, start, mass / count)
 
@@ -220,6 +191,18 @@ class ParticlePHD(Filter[Intensity]):
             return 0
         count = max(count, self.min_particles)
         return min(count, self.max_particles) if self.max_particles else count
+
+
+def _not_updated(blocks: ParticleBlocks) -> UpdatedParticles:
+    """The intensity as if a sensor had looked that sees nothing."""
+    count, none = len(blocks.start) - 1, np.zeros(0, np.int64)
+    blind, first = np.zeros(1, blocks.state.dtype), np.zeros(count + 1, np.int64)
+    part = sweeps.Part(blocks.state, blocks.share, blind, blocks.start, first, none)
+    sums = sweeps.Sums(np.zeros(0), np.zeros(0), np.empty(count), np.empty(count))
+    sweeps.likelihoods(0, count, part, BLIND.model, BLIND.table, 0.0, sums)
+    if len(blocks.extents) == 0:
+        blocks = replace(blocks, extents=_extents(blocks))
+    return UpdatedParticles((blocks,), (part,), (sums,), BLIND, 1.0, np.zeros(0))
 
 
 def _extents(blocks: ParticleBlocks) -> Real:

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.em import Candidates
-from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR, sortable, sorted_number
-from phdtrack.kernels.grid import Grid, overlapping, overlapping_pairs
+from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR, extent
+from phdtrack.kernels.grid import Grid, make_grid, overlapping, overlapping_pairs
 from phdtrack.kernels.mixtures import Gaussians
 
 F8 = NDArray[np.float64]
@@ -24,6 +24,7 @@ Bool = NDArray[np.bool_]
 Real = NDArray[np.floating[Any]]
 # Columns are counted without a sign: one that might be negative is checked, and the check keeps loops from being vectorised.
 U = np.uint64
+TINY = 1e-300
 
 
 class Blocks(NamedTuple):
@@ -31,7 +32,9 @@ class Blocks(NamedTuple):
 
     ``state`` (d, L), ``weight`` (L,) of each or (1,) of all; ``start`` (B + 1,): block b holds the columns start[b] …
     start[b + 1] − 1. ``mass`` (B,) Σw; ``low``, ``high`` (B, d) corners of the box that holds the particles; ``middle``
-    (B, d) a point among them, exact in the state's precision; ``first`` (B, d) Σw·(x − middle). Zeros for an empty block.
+    (B, d) a point among them, exact in the state's precision; ``first`` (B, d), ``second`` (B, d, d) Σw·(x − middle) and
+    Σw·(x − middle)(x − middle)ᵀ, its lower triangle; zeros for an empty block. ``grid`` over the
+    boxes of positions.
     """
 
     state: Real
@@ -42,59 +45,69 @@ class Blocks(NamedTuple):
     high: F8
     middle: F8
     first: F8
-
-
-@njit(**VECTOR)
-def extent(state: Real, r: int, begin: int, n: int) -> tuple[float, float]:
-    """The smallest and the largest of n > 0 numbers of a row, from column ``begin`` on."""
-    at = U(begin)
-    low = high = sortable(state[r, begin])
-    for i in range(U(n)):
-        key = sortable(state[r, at + i])
-        low, high = min(low, key), max(high, key)
-    return sorted_number(low), sorted_number(high)
+    second: F8
+    grid: Grid
 
 
 @njit(**(ENTRY | {"fastmath": FAST}))
 def summarise(state: Real, weight: Real, start: I8) -> Blocks:
     """The blocks of particles ``state`` (d, L), ``weight`` (L,) or (1,), ``start`` (B + 1,), with what is known of each."""
-    d, blocks, real = state.shape[0], start.size - 1, state.dtype.type
+    d, blocks, unit = state.shape[0], start.size - 1, float(weight[0]) if weight.size == 1 else 1.0
     mass, low, high = np.zeros(blocks), np.zeros((blocks, d)), np.zeros((blocks, d))
-    middle, first = np.zeros((blocks, d)), np.zeros((blocks, d))
+    middle, first, second = np.zeros((blocks, d)), np.zeros((blocks, d)), np.zeros((blocks, d, d))
+    even, widest = d + d % 2, max(np.max(np.diff(start)), 1) if blocks > 0 else 1
+    row = np.zeros((2 * even + 1, widest), state.dtype)
     for b in range(blocks):
         begin, n = start[b], start[b + 1] - start[b]
-        at, unit = U(begin), float(weight[0])
         if n == 0:
             continue
         for r in range(d):
             low[b, r], high[b, r] = extent(state, r, begin, n)
-            one, total = state[r, begin], real(0)
-            for i in range(U(n)):
-                total += state[r, at + i] - one
-            here = one + total / real(n)
-            middle[b, r] = here
-            first[b, r] = unit * (float(total) + n * (float(one) - float(here)))
-        mass[b] = n * unit
-        if weight.size == 1:
-            continue
-        total = real(0)
-        for i in range(U(n)):
-            total += weight[at + i]
-        mass[b] = total
+            middle[b, r] = mean_of(state, r, begin, n)
+        load_steps(state, begin, n, middle[b], row)
+        mass[b], by = n * unit, 0
+        if weight.size > 1:
+            by = even + 1
+            row[even, :n] = weight[begin : begin + n]
+            mass[b] = row_sum(row, even, n)
+            weigh(row, even, n, d)
         for r in range(d):
-            here, total = real(middle[b, r]), real(0)
-            for i in range(U(n)):
-                total += weight[at + i] * (state[r, at + i] - here)
-            first[b, r] = total
-    return Blocks(state, weight, start, mass, low, high, middle, first)
+            first[b, r] = unit * row_sum(row, by + r, n)
+        add_products(row, by, n, second[b])
+        for r in range(d):
+            for q in range(r + 1):
+                second[b, r, q] *= unit
+    if not np.isfinite(middle).all():
+        raise ValueError("states must be finite")
+    grid = make_grid(low[:, :2].T.copy(), high[:, :2].T.copy(), 0.0, 0.0)
+    return Blocks(state, weight, start, mass, low, high, middle, first, second, grid)
 
 
 @njit(**VECTOR)
-def load_steps(state: Real, begin: int, n: int, middle: F8, b: int, row: Real) -> None:
-    """Write the n states of block b, from column ``begin`` on, less its middle into the first rows of ``row``."""
+def mean_of(state: Real, r: int, begin: int, n: int) -> Any:
+    """The mean of n > 0 numbers of a row, from column ``begin`` on, in their precision."""
+    at, one = U(begin), state[r, begin]
+    total = one - one
+    for i in range(U(n)):
+        total += state[r, at + i] - one
+    return one + total / state.dtype.type(n)
+
+
+@njit(**VECTOR)
+def row_sum(row: Real, r: int, n: int) -> float:
+    """The sum of the first n numbers of a row."""
+    total = row.dtype.type(0)
+    for i in range(U(n)):
+        total += row[r, i]
+    return float(total)
+
+
+@njit(**VECTOR)
+def load_steps(state: Real, begin: int, n: int, middle: F8, row: Real) -> None:
+    """Write n states, from column ``begin`` on, less ``middle`` (d,) into the first rows of ``row``."""
     at = U(begin)
     for r in range(state.shape[0]):
-        zero = state.dtype.type(middle[b, r])
+        zero = state.dtype.type(middle[r])
         for i in range(U(n)):
             row[r, i] = state[r, at + i] - zero
 
@@ -132,30 +145,12 @@ def weigh(row: Real, weight: int, n: int, d: int) -> None:
             row[weight + 1 + r, i] = row[weight, i] * row[r, i]
 
 
-@njit(**(ENTRY | {"fastmath": FAST}))
 def block_moments(blocks: Blocks) -> Gaussians:
     """Masses, means and covariances of the blocks."""
-    count, d = blocks.middle.shape
-    widest, even = max(np.max(np.diff(blocks.start)), 1), d + d % 2
-    row, cov = np.zeros((2 * even + 1, widest), blocks.state.dtype), np.zeros((count, d, d))
-    mean = blocks.middle.T.copy()
-    for b in range(count):
-        at, n, mass = blocks.start[b], blocks.start[b + 1] - blocks.start[b], blocks.mass[b]
-        if not mass > 0.0:
-            continue
-        load_steps(blocks.state, at, n, blocks.middle, b, row)
-        row[even, :n] = blocks.weight[0]
-        if blocks.weight.size > 1:
-            row[even, :n] = blocks.weight[at : at + n]
-        weigh(row, even, n, d)
-        add_products(row, even + 1, n, cov[b])
-        for r in range(d):
-            step = blocks.first[b, r] / mass
-            mean[r, b] += step
-            for q in range(r + 1):
-                cov[b, r, q] = cov[b, r, q] / mass - step * blocks.first[b, q] / mass
-                cov[b, q, r] = cov[b, r, q]
-    return Gaussians(blocks.mass, mean, cov)
+    mass = np.maximum(blocks.mass, TINY)[:, None]
+    step, lower = blocks.first / mass, np.tril(blocks.second)
+    second = (lower + np.tril(lower, -1).transpose(0, 2, 1)) / mass[:, :, None]
+    return Gaussians(blocks.mass, (blocks.middle + step).T.copy(), second - step[:, :, None] * step[:, None, :])
 
 
 @njit(**INNER)
@@ -167,9 +162,9 @@ def holds(low: F8, high: F8, j: int, box_low: F8, box_high: F8, b: int) -> bool:
 
 
 @njit(**ENTRY)
-def reaching(blocks: Blocks, grid: Grid, low: F8, high: F8) -> Candidates:
-    """The windows ``low``, ``high`` (2, k) that overlap each block, ascending; ``grid`` is over the blocks' boxes."""
-    window, block = overlapping_pairs(low, high, grid)
+def reaching(blocks: Blocks, low: F8, high: F8) -> Candidates:
+    """The windows ``low``, ``high`` (2, k) that overlap each block, ascending."""
+    window, block = overlapping_pairs(low, high, blocks.grid)
     first, which = np.zeros(blocks.start.size, np.int64), np.empty(window.size, np.int64)
     for p in range(block.size):
         first[block[p] + 1] += 1
@@ -183,9 +178,9 @@ def reaching(blocks: Blocks, grid: Grid, low: F8, high: F8) -> Candidates:
 
 
 @njit(**ENTRY)
-def unreached(blocks: Blocks, near: Candidates, low: F8, high: F8) -> Bool:
-    """(L,) which particles lie in none of the windows that are ``near`` their block."""
-    x, y = blocks.state[0], blocks.state[1]
+def unreached(blocks: Blocks, low: F8, high: F8) -> Bool:
+    """(L,) which particles lie in none of the windows ``low``, ``high`` (2, k)."""
+    x, y, near = blocks.state[0], blocks.state[1], reaching(blocks, low, high)
     free = np.empty(x.size, np.bool_)
     for b in range(blocks.start.size - 1):
         covered, begin, end = False, blocks.start[b], blocks.start[b + 1]
@@ -201,7 +196,7 @@ def unreached(blocks: Blocks, near: Candidates, low: F8, high: F8) -> Bool:
 
 
 @njit(**ENTRY)
-def claim(blocks: Blocks, grid: Grid, free: Bool, asked: I8, low: F8, high: F8) -> tuple[F8, Bool]:
+def claim(blocks: Blocks, free: Bool, asked: I8, low: F8, high: F8) -> tuple[F8, Bool]:
     """Centres (d, m) among the particles that are ``free`` (L,), and which are left.
 
     Each of the particles ``asked`` (k,) that is still free claims the free ones in its window (2, k): their mean is a
@@ -215,7 +210,7 @@ def claim(blocks: Blocks, grid: Grid, free: Bool, asked: I8, low: F8, high: F8) 
             continue
         for r in range(d):
             total[r] = 0.0
-        for m in range(overlapping(low[0, a], low[1, a], high[0, a], high[1, a], grid, found)):
+        for m in range(overlapping(low[0, a], low[1, a], high[0, a], high[1, a], blocks.grid, found)):
             b = found[m]
             for i in range(blocks.start[b], blocks.start[b + 1]):
                 inside = low[0, a] <= state[0, i] <= high[0, a] and low[1, a] <= state[1, i] <= high[1, a]

@@ -1,17 +1,22 @@
-"""Elementary functions in float32, as polynomials that vectorise (libm's do not), and the settings to compile with.
+"""Elementary functions and random numbers in float32, which vectorise (libm's do not), and the settings to compile with.
 
 The coefficients are near-minimax fits (Lawson's iteration on Chebyshev nodes); tests/kernels states and shows the errors.
+Random numbers depend on a counter and a key, so that threads cannot change a result. `philox` is Philox 4x32 [Salmon et al.
+2011] with seven rounds, the fewest that pass BigCrush; `xoroshiro` is xoroshiro64* [Blackman and Vigna 2021], which costs
+half as much: its first state is a counter's words.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import wraps
 from typing import Any
 
 import numpy as np
 from numba import types
 from numba.extending import overload
+from numpy.typing import NDArray
 
 from phdtrack.kernels.cache import njit
 
@@ -24,8 +29,11 @@ ENTRY = LEAN | {"cache": True, "nogil": True}
 INNER = LEAN | {"no_cpython_wrapper": True}
 VECTOR = INNER | {"fastmath": FAST}
 
+Real = NDArray[np.floating[Any]]
 F = np.float32
 INT = np.int32
+W = np.uint32
+D = np.uint64
 ONE, HALF = F(1.0), F(0.5)
 LOWEST = F(-87.0)  # below, exp is no normal float32 any more
 LOG2E, LN2_HIGH, LN2_LOW = F(1.44269504), F(0.693359375), F(-2.12194440e-4)
@@ -43,6 +51,13 @@ S3, S4, S5 = F(-9.62460471), F(3.51637608), F(-0.798343085)
 C0, C1, C2 = F(0.999999988), F(-3.73920462), F(5.11185246)
 C3, C4, C5 = F(-3.66074089), F(1.59794309), F(-0.40875047)
 FOUR, SIXTEEN = F(4.0), F(16.0)
+ROUNDS = 7
+MULTIPLY_0, MULTIPLY_1 = D(0xD2511F53), D(0xCD9E8D57)
+WEYL_0, WEYL_1 = D(0x9E3779B9), D(0xBB67AE85)
+HIGH, LOW = D(32), D(0xFFFFFFFF)
+TO_23_BITS, STEP, HALF_STEP = W(9), F(2.0**-23), F(2.0**-24)
+STAR = D(0x9E3779BB)
+TURN_A, BACK_A, SHIFT, TURN_B, BACK_B = W(26), W(6), W(9), W(13), W(19)
 
 
 @njit(**VECTOR)
@@ -77,7 +92,50 @@ def cos_sin_turn(u: np.float32) -> tuple[np.float32, np.float32]:
     return -cosine, -sine
 
 
+@njit(**INNER)
+def philox(
+    c0: np.uint32, c1: np.uint32, c2: np.uint32, c3: np.uint32, k0: np.uint32, k1: np.uint32, rounds: int
+) -> tuple[np.uint32, np.uint32, np.uint32, np.uint32]:
+    """Four words of 32 random bits for the counter (c0, c1, c2, c3) under the key (k0, k1)."""
+    for _ in range(rounds):
+        a, b = MULTIPLY_0 * D(c0), MULTIPLY_1 * D(c2)
+        c0, c1, c2, c3 = W(b >> HIGH) ^ c1 ^ k0, W(b & LOW), W(a >> HIGH) ^ c3 ^ k1, W(a & LOW)
+        k0, k1 = W((D(k0) + WEYL_0) & LOW), W((D(k1) + WEYL_1) & LOW)
+    return c0, c1, c2, c3
+
+
+@njit(**VECTOR)
+def unit(word: np.uint32) -> np.float32:
+    """A uniform number in (0, 1): the middle of one of 2²³ equal cells (of 2²⁴ the last would round to 1)."""
+    return np.float32(np.int32(word >> TO_23_BITS)) * STEP + HALF_STEP
+
+
+@njit(**INNER)
+def xoroshiro(a: np.uint32, b: np.uint32) -> tuple[np.uint32, np.uint32, np.uint32]:
+    """A word of 32 bits, of which the upper are the better ones, and the state after it; (0, 0) is no state."""
+    word = W((D(a) * STAR) & LOW)
+    b = W(b ^ a)
+    a = W(W(W(a << TURN_A) | W(a >> BACK_A)) ^ b ^ W(b << SHIFT))
+    return word, a, W(W(b << TURN_B) | W(b >> BACK_B))
+
+
+def by_type(single: Callable[..., Any], double: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that is ``single`` where its last argument has 32 bits, and ``double`` elsewhere, compiled or not."""
+
+    @wraps(single)
+    def chosen(*args: Any) -> Any:
+        return (single if isinstance(args[-1], np.float32 | np.int32) else double)(*args)
+
+    @wraps(single)
+    def typed(*args: Any) -> Callable[..., Any]:
+        return single if args[-1] in (types.float32, types.int32) else double
+
+    overload(chosen, jit_options=VECTOR)(typed)
+    return chosen
+
+
 def _exp_single(x: Any) -> Any:
+    """eˣ for x ≤ 0 in the type of x: in single precision a polynomial, which vectorises."""
     return exp32(x)
 
 
@@ -86,6 +144,7 @@ def _exp_double(x: Any) -> Any:
 
 
 def _log_single(x: Any) -> Any:
+    """log x for normal x > 0 in the type of x."""
     return log32(x)
 
 
@@ -94,6 +153,7 @@ def _log_double(x: Any) -> Any:
 
 
 def _key_single(x: Any) -> Any:
+    """An integer that is greater where x is: minima of integers vectorise, those of numbers that may be NaN do not."""
     bits = F(x).view(np.int32)
     return INT(bits ^ INT(INT(bits >> SIGN) & REST))
 
@@ -103,49 +163,27 @@ def _key_double(x: Any) -> Any:
     return bits ^ ((bits >> np.int64(63)) & np.int64(0x7FFFFFFFFFFFFFFF))
 
 
-def _of_key_single(key: Any) -> Any:
+def _number_single(key: Any) -> Any:
+    """The number that `sortable` made ``key`` of."""
     return INT(key ^ INT(INT(key >> SIGN) & REST)).view(np.float32)
 
 
-def _of_key_double(key: Any) -> Any:
+def _number_double(key: Any) -> Any:
     return np.int64(key ^ ((key >> np.int64(63)) & np.int64(0x7FFFFFFFFFFFFFFF))).view(np.float64)
 
 
-def exp_of(x: Any) -> Any:
-    """eˣ for x ≤ 0 in the type of x: in single precision a polynomial, which vectorises."""
-    return _exp_single(x) if isinstance(x, np.float32) else _exp_double(x)
+exp_of = by_type(_exp_single, _exp_double)
+log_of = by_type(_log_single, _log_double)
+sortable = by_type(_key_single, _key_double)
+sorted_number = by_type(_number_single, _number_double)
 
 
-def log_of(x: Any) -> Any:
-    """log x for normal x > 0 in the type of x."""
-    return _log_single(x) if isinstance(x, np.float32) else _log_double(x)
-
-
-def sortable(x: Any) -> Any:
-    """An integer that is greater where x is: minima of integers vectorise, those of numbers that may be NaN do not."""
-    return _key_single(x) if isinstance(x, np.float32) else _key_double(x)
-
-
-def sorted_number(key: Any) -> Any:
-    """The number that `sortable` made ``key`` of."""
-    return _of_key_single(key) if isinstance(key, np.int32) else _of_key_double(key)
-
-
-@overload(exp_of, jit_options=VECTOR)
-def _exp_of(x: Any) -> Callable[..., Any]:
-    return _exp_single if x == types.float32 else _exp_double
-
-
-@overload(log_of, jit_options=VECTOR)
-def _log_of(x: Any) -> Callable[..., Any]:
-    return _log_single if x == types.float32 else _log_double
-
-
-@overload(sortable, jit_options=VECTOR)
-def _sortable(x: Any) -> Callable[..., Any]:
-    return _key_single if x == types.float32 else _key_double
-
-
-@overload(sorted_number, jit_options=VECTOR)
-def _sorted_number(key: Any) -> Callable[..., Any]:
-    return _of_key_single if key == types.int32 else _of_key_double
+@njit(**VECTOR)
+def extent(state: Real, r: int, begin: int, n: int) -> tuple[float, float]:
+    """The smallest and the largest of n > 0 numbers of a row, from column ``begin`` on."""
+    at = D(begin)
+    low = high = sortable(state[r, begin])
+    for i in range(D(n)):
+        key = sortable(state[r, at + i])
+        low, high = min(low, key), max(high, key)
+    return sorted_number(low), sorted_number(high)

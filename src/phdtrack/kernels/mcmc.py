@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.particle_models import BLOCK, distance, move, normals, seen
+from phdtrack.kernels.particle_models import BLOCK, distance, move, normals, prepare, seen
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -80,6 +80,7 @@ def _draw(
     move(motion, scratch, 0)
     for a in range(d):
         out[a] = scratch[a * BLOCK]
+    prepare(sensor, scratch, 0)
     d2, factor = distance(sensor, seen(sensor, table, t), scratch, 0)
     return math.log(float(factor)) - 0.5 * float(d2)
 

@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phdtrack.kernels.cache import njit
-from phdtrack.kernels.fast32 import ENTRY, FAST, HALF, exp32
+from phdtrack.kernels.fast32 import ENTRY, FAST, VECTOR, F, cos_sin_turn, exp_of
 from phdtrack.kernels.grid import make_grid, overlapping
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
-F = np.float32
 GOLDEN = 0.6180339887498949
 U = np.uint64
 Real = NDArray[np.floating[Any]]
@@ -78,7 +77,7 @@ def proposals(mean: F8, cov: F8, rows: I8, counts: I8, limit: float, kept: float
 
 
 @njit(**ENTRY)
-def standard_points(normal: F8, uniform: F8, radii: F8) -> F8:
+def standard_points(normal: Real, uniform: F8, radii: F8) -> Real:
     """(r + 3, P) standard Gaussian vectors inside a truncated region, velocities, and exp(−r²/2) of each vector.
 
     The quantiles of the radii are a golden-section sequence, so that every stretch of the points has about every radius: the
@@ -91,7 +90,7 @@ def standard_points(normal: F8, uniform: F8, radii: F8) -> F8:
     radii : (K,) the radii at equal steps of the quantile.
     """
     r, count = normal.shape[0] - 1, normal.shape[1]
-    out, cells = np.empty((r + 3, count)), radii.size - 1
+    out, cells, real = np.empty((r + 3, count), normal.dtype), radii.size - 1, normal.dtype.type
     for i in range(count):
         turn = uniform[count] + GOLDEN * i
         place = (turn - np.floor(turn)) * cells
@@ -101,98 +100,101 @@ def standard_points(normal: F8, uniform: F8, radii: F8) -> F8:
             square += normal[a, i] * normal[a, i]
         for a in range(r):
             out[a, i] = normal[a, i] * radius / np.sqrt(square)
-        angle = 2.0 * np.pi * uniform[i]
-        out[r, i], out[r + 1, i] = normal[r, i] * np.cos(angle), normal[r, i] * np.sin(angle)
-        out[r + 2, i] = np.exp(-0.5 * radius * radius)
+        cosine, sine = cos_sin_turn(F(uniform[i]))
+        out[r, i], out[r + 1, i] = normal[r, i] * cosine, normal[r, i] * sine
+        out[r + 2, i] = exp_of(real(-0.5 * radius * radius))
     return out
 
 
 @njit(**(ENTRY | {"fastmath": FAST}))
-def place_newborn(about: Proposal, points: Real, begin: I8, first: I8, out: Real) -> None:
-    """Write newborn states into ``out`` (d, L), from ``points`` (r + 2, P), of each measurement from ``begin`` (N,) on."""
-    d, count = about.mean.shape
-    r, real = about.rows.size, out.dtype.type
-    for j in range(count):
-        at, n, source = U(first[j]), first[j + 1] - first[j], U(begin[j])
-        for a in range(d):
-            middle = real(about.mean[a, j])
-            for i in range(U(n)):
-                out[a, at + i] = middle
-        for a in range(r):
-            row = U(about.rows[a])
-            for c in range(a + 1):
-                factor = real(about.root[j, a, c])
-                if factor != real(0):
-                    for i in range(U(n)):
-                        out[row, at + i] += factor * points[c, source + i]
-        for a in range(2):
-            for c in range(a + 1):
-                factor = real(about.velocity[j, a, c])
-                if factor != real(0):
-                    for i in range(U(n)):
-                        out[2 + a, at + i] += factor * points[r + c, source + i]
+def place_newborn(about: Proposal, points: Real, begin: I8, first: I8, limit: float, out: Real, density: Real) -> None:
+    """Write newborn states into ``out`` (d, L), and Σ_i J_i p_i(x) there into ``density`` (L,) [M07 §2].
 
-
-@njit(**(ENTRY | {"fastmath": FAST}))
-def proposal_density(about: Proposal, shown: Real, first: I8, own: Real, begin: I8, limit: float) -> Real:
-    """(L,) Σ_i J_i p_i(x) at newborn particles that show ``shown`` (r, L) [M07 §2].
-
-    p_i is cut at the squared radius ``limit``. ``own`` (P,): exp(−r²/2) of the points that a measurement's own newborn were
-    placed from: on the rim of its region rounding could put a particle outside.
+    Those of each measurement are placed from ``points`` (r + 3, P) from ``begin`` (N,) on. p_i is cut at the squared radius
+    ``limit``.
     """
-    r, count = shown.shape[0], first.size - 1
-    lower, upper = about.mean[:2] - about.reach, about.mean[:2] + about.reach
+    mean, rows, root, inverse, velocity, peak, reach = about
+    count, r, real = mean.shape[1], rows.size, out.dtype.type
+    lower, upper = mean[:2] - reach, mean[:2] + reach
     grid, found = make_grid(lower, upper, 0.0, 0.0), np.empty(count, np.int64)
-    longest = 0
+    squares = np.empty(np.max(np.diff(first)), out.dtype)
     for j in range(count):
-        longest = max(longest, first[j + 1] - first[j])
-    real = shown.dtype.type
-    out, squares, part = np.empty(first[count]), np.empty(longest, shown.dtype), np.empty(longest, shown.dtype)
-    for j in range(count):
-        at, n = first[j], first[j + 1] - first[j]
+        n = first[j + 1] - first[j]
         if n == 0:
             continue
-        for i in range(n):
-            out[at + i] = about.peak[j] * own[begin[j] + i]
+        _place(mean, rows, root, velocity, points, j, begin[j], first[j], n, out)
+        at, own, source = U(first[j]), real(peak[j]), U(begin[j])
+        for i in range(U(n)):
+            # Of its own proposal by its radius: on the rim of the region rounding could put a particle outside.
+            density[at + i] = own * points[r + 2, source + i]
         for m in range(overlapping(lower[0, j], lower[1, j], upper[0, j], upper[1, j], grid, found)):
             k = found[m]
-            if k == j or about.peak[k] == 0.0:
-                continue
-            for i in range(n):
-                squares[i] = real(0)
-            for a in range(r):
-                for i in range(n):
-                    part[i] = real(0)
+            if k != j and peak[k] > 0.0:
+                _squares(mean, rows, inverse, k, first[j], n, out, squares)
+                factor, rim, zero, half = real(peak[k]), real(limit), real(0), real(-0.5)
+                for i in range(U(n)):
+                    value = factor * exp_of(half * squares[i])
+                    density[at + i] += value if squares[i] <= rim else zero
+
+
+@njit(**VECTOR)
+def _place(
+    mean: F8, rows: I8, root: F8, velocity: F8, points: Real, j: int, begin: int, first: int, n: int, out: Real
+) -> None:  # fmt: skip
+    """Write n states of measurement ``j`` from column ``first`` on, from the points from ``begin`` on."""
+    at, source, r, real = U(first), U(begin), rows.size, out.dtype.type
+    for a in range(mean.shape[0]):
+        middle = real(mean[a, j])
+        for i in range(U(n)):
+            out[a, at + i] = middle
+    for a in range(r + 2):
+        row, lower = U(rows[a] if a < r else 2 + a - r), 0 if a < r else r
+        for c in range(lower, a + 1):
+            factor = real(root[j, a, c] if a < r else velocity[j, a - r, c - r])
+            if factor != real(0):
+                for i in range(U(n)):
+                    out[row, at + i] += factor * points[c, source + i]
+
+
+@njit(**VECTOR)
+def _squares(mean: F8, rows: I8, inverse: F8, k: int, first: int, n: int, state: Real, squares: Real) -> None:
+    """Write the squared distances of n states from measurement ``k``."""
+    at, r, real = U(first), rows.size, state.dtype.type
+    for i in range(U(n)):
+        squares[i] = real(0)
+    for a in range(r):
+        diagonal = True
+        for c in range(a):
+            diagonal &= inverse[k, a, c] == 0.0
+        if diagonal:
+            row, factor, middle = U(rows[a]), real(inverse[k, a, a]), real(mean[rows[a], k])
+            for i in range(U(n)):
+                part = factor * (state[row, at + i] - middle)
+                squares[i] += part * part
+        else:
+            for i in range(U(n)):
+                part = real(0)
                 for c in range(a + 1):
-                    factor, middle = real(about.inverse[k, a, c]), real(about.mean[about.rows[c], k])
-                    if factor != real(0):
-                        for i in range(n):
-                            part[i] += factor * (shown[c, at + i] - middle)
-                for i in range(n):
-                    squares[i] += part[i] * part[i]
-            peak, rim = about.peak[k], real(limit)
-            for i in range(n):
-                density = peak * float(exp32(-HALF * F(squares[i])))
-                out[at + i] += density if squares[i] <= rim else 0.0
-    return out
+                    part += real(inverse[k, a, c]) * (state[U(rows[c]), at + i] - real(mean[rows[c], k]))
+                squares[i] += part * part
 
 
 @njit(**ENTRY)
-def density_within(shown: Real, first: I8, lower: F8, upper: F8, density: F8) -> F8:
-    """(L,) Σ_k density_k over the boxes ``lower``, ``upper`` (r, N) of measurement space that hold each of ``shown`` (r, L).
+def density_within(state: Real, rows: I8, first: I8, lower: F8, upper: F8, density: F8) -> F8:
+    """(L,) Σ_k density_k over the boxes ``lower``, ``upper`` (r, N) of measurement space that hold ``rows`` of ``state``.
 
     Particles lie in runs, ``first`` (M + 1,), of which each is asked for its neighbours once.
     """
-    r, count = shown.shape[0], first.size - 1
+    r, count = rows.size, first.size - 1
     grid, found = make_grid(lower[:2].copy(), upper[:2].copy(), 0.0, 0.0), np.empty(lower.shape[1], np.int64)
-    out, held = np.zeros(shown.shape[1]), np.empty(shown.shape[1], np.bool_)
+    out, held = np.zeros(state.shape[1]), np.empty(state.shape[1], np.bool_)
     for j in range(count):
         begin, end = first[j], first[j + 1]
         if end == begin:
             continue
         left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
         for i in range(begin, end):
-            x, y = shown[0, i], shown[1, i]
+            x, y = state[0, i], state[1, i]
             left, right, top, bottom = min(left, x), max(right, x), min(top, y), max(bottom, y)
         for m in range(overlapping(left, top, right, bottom, grid, found)):
             k = found[m]
@@ -201,7 +203,7 @@ def density_within(shown: Real, first: I8, lower: F8, upper: F8, density: F8) ->
             for a in range(r):
                 low, high = lower[a, k], upper[a, k]
                 for i in range(begin, end):
-                    held[i] &= (shown[a, i] >= low) & (shown[a, i] <= high)
+                    held[i] &= (state[rows[a], i] >= low) & (state[rows[a], i] <= high)
             for i in range(begin, end):
                 out[i] += density[k] if held[i] else 0.0
     return out

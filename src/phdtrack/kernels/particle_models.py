@@ -1,9 +1,9 @@
 """What the particle sweeps ask of a model: small compiled functions of one particle, chosen by the model's record.
 
 A motion and a sensor hand over a record of their numbers (`BoxWalk`, `OwnSize`, …). The functions `move`, `survives`,
-`seen`, `distance` and `neighbourhood` have one implementation for each type of record. The sweeps (`kernels.particles`)
-call them, and Numba compiles the sweeps for the types that they are given. To add a model, write a record and register its
-functions with `implements`.
+`prepare`, `seen`, `distance` and `neighbourhood` have one implementation for each type of record. The sweeps
+(`kernels.particles`) call them, and Numba compiles the sweeps for the types that they are given. To add a model, write a
+record and register its functions with `implements`.
 
 Particles lie in a scratch array: row r of particle i is ``s[r * BLOCK + i]``. Rows 0 to 7 are the state, rows 8 to 15 hold
 standard normal numbers while particles are moved.
@@ -13,14 +13,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import wraps
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from phdtrack.kernels.fast32 import FAST, HALF, ONE, exp32
+from phdtrack.kernels.cache import njit
+from phdtrack.kernels.fast32 import FAST, HALF, ONE, VECTOR, by_type
 
 F8 = NDArray[np.float64]
 Real = NDArray[np.floating[Any]]
@@ -30,7 +31,7 @@ F = np.float32
 BLOCK = 256
 X, Y, VX, VY, W, H, W0, H0 = (BLOCK * row for row in range(8))
 N0, N1, N2, N3, N4, N5 = (BLOCK * row for row in range(8, 14))
-ZERO, FOUR, MINUS_HALF = F(0.0), F(4.0), F(-0.5)
+ZERO, FOUR = F(0.0), F(4.0)
 _COMPILE = {"error_model": "numpy", "no_cfunc_wrapper": True, "no_cpython_wrapper": True, "fastmath": FAST}
 
 _FORMS: dict[str, dict[type, Callable[..., Any]]] = {}
@@ -40,85 +41,74 @@ def implements(function: Callable[..., Any], *models: type) -> Callable[[Callabl
     """A decorator that makes a function the implementation of ``function`` for these types of records."""
 
     def register(form: Callable[..., Any]) -> Callable[..., Any]:
-        _FORMS.setdefault(function.__name__, {}).update(dict.fromkeys(models, form))
+        _FORMS[function.__name__].update(dict.fromkeys(models, form))
         return form
 
     return register
 
 
-def normals(model: Number) -> int:
+def _by_record(function: Callable[..., Any]) -> Callable[..., Any]:
+    """``function`` as it was registered for the type of its first argument, or for any object, compiled or not."""
+    forms = _FORMS.setdefault(function.__name__, {})
+
+    @wraps(function)
+    def chosen(*args: Any) -> Any:
+        return (forms.get(type(args[0])) or forms[object])(*args)
+
+    @wraps(function)
+    def typed(*args: Any) -> Callable[..., Any] | None:
+        return forms.get(getattr(args[0], "instance_class", type(None))) or forms.get(object)
+
+    overload(chosen, jit_options=_COMPILE)(typed)
+    return chosen
+
+
+@_by_record
+def normals(model: Number) -> Number:
     """How many standard normal numbers `move` needs, 4 or 8."""
-    count: int = _FORMS["normals"][type(model)](model)
-    return count
 
 
+@_by_record
 def survives(model: Number, s: Real, i: int) -> Number:
     """p_S of particle i, before it is moved."""
-    return _FORMS["survives"][type(model)](model, s, i)
 
 
-def move(model: Number, s: Real, i: int) -> None:
+@_by_record
+def move(model: Number, s: Real, i: int) -> Number:
     """Replace the state of particle i by a draw of f(·|x), from the normal numbers in the rows N0, N1, …"""
-    _FORMS["move"][type(model)](model, s, i)
 
 
+@_by_record
+def prepare(model: Number, s: Real, i: int) -> Number:
+    """Write what `distance` needs of particle i besides its state, the same for all measurements, to the rows N0, N1, …"""
+
+
+@_by_record
 def seen(model: Number, table: Real, j: int) -> Number:
     """The numbers of measurement j that `distance` reads, as a tuple; ``table`` has a column for each measurement."""
-    return _FORMS["seen"][type(model)](model, table, j)
 
 
+@_by_record
 def distance(model: Number, z: Number, s: Real, i: int) -> Number:
     """d² and c of particle i and the measurement ``z`` of `seen`, with g(z|x) = c·exp(−d²/2)."""
-    return _FORMS["distance"][type(model)](model, z, s, i)
 
 
+@_by_record
 def neighbourhood(model: Number, s: Real, i: int) -> Number:
     """Width and height within which particles near particle i are put into one block."""
-    return _FORMS["neighbourhood"][type(model)](model, s, i)
 
 
-def exp_half(d2: Number) -> Number:
-    """exp(−d²/2): in single precision a polynomial, which vectorises."""
-    return _exp_half_single(d2) if isinstance(d2, np.float32) else _exp_half_double(d2)
-
-
-def _exp_half_single(d2: Number) -> Number:
-    return exp32(MINUS_HALF * d2)
-
-
-def _exp_half_double(d2: Number) -> Number:
-    return math.exp(-0.5 * d2)
-
-
-@overload(exp_half, jit_options=_COMPILE)
-def _exp_half(d2: Number) -> Callable[..., Any]:
-    return _exp_half_single if d2 == types.float32 else _exp_half_double
-
-
-def word(number: Number) -> Number:
+def _word_single(x: Number) -> Number:
     """The 32 bits that `number` has put into a number of the scratch array."""
-    return _word_single(number) if isinstance(number, np.float32) else _word_double(number)
+    return F(x).view(np.uint32)
 
 
-def _word_single(number: Number) -> Number:
-    return F(number).view(np.uint32)
-
-
-def _word_double(number: Number) -> Number:
-    return np.uint32(number)
-
-
-@overload(word, jit_options=_COMPILE)
-def _word(number: Number) -> Callable[..., Any]:
-    return _word_single if number == types.float32 else _word_double
-
-
-def number(bits: Number, like: Number) -> Number:
-    """A number of the type of ``like`` that holds these 32 bits."""
-    return _number_single(bits, like) if isinstance(like, np.float32) else _number_double(bits, like)
+def _word_double(x: Number) -> Number:
+    return np.uint32(x)
 
 
 def _number_single(bits: Number, like: Number) -> Number:
+    """A number of the type of ``like`` that holds these 32 bits."""
     return np.uint32(bits).view(np.float32)
 
 
@@ -126,39 +116,8 @@ def _number_double(bits: Number, like: Number) -> Number:
     return np.float64(bits)
 
 
-@overload(number, jit_options=_COMPILE)
-def _number(bits: Number, like: Number) -> Callable[..., Any]:
-    return _number_single if like == types.float32 else _number_double
-
-
-@overload(normals, jit_options=_COMPILE)
-def _normals(model: Number) -> Callable[..., Any] | None:
-    return _FORMS["normals"].get(getattr(model, "instance_class", type(None)))
-
-
-@overload(survives, jit_options=_COMPILE)
-def _survives(model: Number, s: Real, i: int) -> Callable[..., Any] | None:
-    return _FORMS["survives"].get(getattr(model, "instance_class", type(None)))
-
-
-@overload(move, jit_options=_COMPILE)
-def _move(model: Number, s: Real, i: int) -> Callable[..., Any] | None:
-    return _FORMS["move"].get(getattr(model, "instance_class", type(None)))
-
-
-@overload(seen, jit_options=_COMPILE)
-def _seen(model: Number, table: Real, j: int) -> Callable[..., Any] | None:
-    return _FORMS["seen"].get(getattr(model, "instance_class", type(None)))
-
-
-@overload(distance, jit_options=_COMPILE)
-def _distance(model: Number, z: Number, s: Real, i: int) -> Callable[..., Any] | None:
-    return _FORMS["distance"].get(getattr(model, "instance_class", type(None)))
-
-
-@overload(neighbourhood, jit_options=_COMPILE)
-def _neighbourhood(model: Number, s: Real, i: int) -> Callable[..., Any] | None:
-    return _FORMS["neighbourhood"].get(getattr(model, "instance_class", type(None)))
+word = by_type(_word_single, _word_double)
+number = by_type(_number_single, _number_double)
 
 
 class SensorNumbers(NamedTuple):
@@ -317,21 +276,34 @@ def _seen_box(model: Number, table: Real, j: int) -> Number:
     return table[0, j], table[1, j], table[2, j], table[3, j]
 
 
-@implements(distance, OwnSize)
-def _distance_own(model: Number, z: Number, s: Real, i: int) -> Number:
-    w, h = s[W + i], s[H + i]
+@implements(prepare, OwnSize)
+def _prepare_own(model: Number, s: Real, i: int) -> None:
+    _write_precisions(model, s, i, s[W + i], s[H + i])
+
+
+@implements(prepare, SizeBefore)
+def _prepare_before(model: Number, s: Real, i: int) -> None:
+    _write_precisions(model, s, i, s[W0 + i], s[H0 + i])
+
+
+@njit(**VECTOR)
+def _write_precisions(model: Number, s: Real, i: int, w: Number, h: Number) -> None:
+    """One over the deviations of a box of this size, and the density's factor."""
     sw, sh = model.noise * w, model.noise * h
     iw, ih = ONE / (sw if sw > model.min_noise else model.min_noise), ONE / (sh if sh > model.min_noise else model.min_noise)
-    dx, dy, dw, dh = (z[0] - s[X + i]) * iw, (z[1] - s[Y + i]) * ih, (z[2] - w) * iw, (z[3] - h) * ih
-    return FOUR * (dx * dx + dy * dy) + (dw * dw + dh * dh), NORM * (iw * ih) * (iw * ih)
+    s[N0 + i], s[N1 + i], s[N2 + i] = iw, ih, NORM * (iw * ih) * (iw * ih)
 
 
-@implements(distance, SizeBefore)
-def _distance_before(model: Number, z: Number, s: Real, i: int) -> Number:
-    sw, sh = model.noise * s[W0 + i], model.noise * s[H0 + i]
-    iw, ih = ONE / (sw if sw > model.min_noise else model.min_noise), ONE / (sh if sh > model.min_noise else model.min_noise)
+@implements(distance, OwnSize, SizeBefore)
+def _distance_box(model: Number, z: Number, s: Real, i: int) -> Number:
+    iw, ih = s[N0 + i], s[N1 + i]
     dx, dy, dw, dh = (z[0] - s[X + i]) * iw, (z[1] - s[Y + i]) * ih, (z[2] - s[W + i]) * iw, (z[3] - s[H + i]) * ih
-    return FOUR * (dx * dx + dy * dy) + (dw * dw + dh * dh), NORM * (iw * ih) * (iw * ih)
+    return FOUR * (dx * dx + dy * dy) + (dw * dw + dh * dh), s[N2 + i]
+
+
+@implements(prepare, object)
+def _prepare_nothing(model: Number, s: Real, i: int) -> None:
+    pass
 
 
 # (2π)⁻² times 4, because σ_px σ_py = σ_w σ_h / 4.

@@ -11,13 +11,14 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
-from phdtrack.arrays import chi2_quantile, draw
+from phdtrack.arrays import chi2_quantile, draw, reused
 from phdtrack.errors import InputError, NonNegative, PositiveCount, Probability, Share, check
 from phdtrack.kernels.gaussian import Births, NewTargets
-from phdtrack.kernels.newborn import density_within, place_newborn, proposal_density, proposals, standard_points
+from phdtrack.kernels.newborn import density_within, place_newborn, proposals, standard_points
 from phdtrack.models.volumes import (
     EVERYWHERE,
     REACH,
@@ -42,6 +43,8 @@ KEPT = 0.99
 # So many more points are drawn than one detection needs, so that detections have different ones.
 SPARE = 128
 _NO_RUNS: I8 = np.zeros(1, np.int64)
+# Rows of the state of a box that a measurement shows.
+BOX_ROWS = np.array([0, 1, 4, 5])
 
 
 def particles_about(
@@ -64,7 +67,7 @@ def particles_about(
     seen : the states (d, N) and covariances (N, d, d) that the measurements show, as `Sensor.states` gives them.
     rows : `Sensor.observed`.
     particles : Jmax.
-    gamma : density of births at what measurements show (r, L); those about measurement j are first[j] … first[j + 1] − 1.
+    gamma : density of births at states (d, L), or (1,) of all; those about measurement j are first[j] … first[j + 1] − 1.
     rng : random numbers.
 
     Returns
@@ -81,16 +84,16 @@ def particles_about(
     first, begin = np.zeros(len(counts) + 1, np.int64), (SPARE * rng.random(len(counts))).astype(np.int64)
     np.cumsum(counts, out=first[1:])
     many = int(counts.max()) + SPARE
-    points = standard_points(rng.standard_normal((len(observed) + 1, many)), rng.random(many + 1), _radii(len(observed)))
     # Boxes in the precision of their filter: there are many.
-    state = np.empty((len(mean), first[-1]), np.float32 if len(observed) == 4 else np.float64)
-    place_newborn(about, points.astype(state.dtype), begin, first, state)
-    shown = state[observed]
-    density = gamma(shown, first)
-    weight = density / proposal_density(about, shown, first, points[-1], begin, limit)
+    dtype: np.dtype[Any] = np.dtype(np.float32 if len(observed) == 4 else np.float64)
+    normal = rng.standard_normal((len(observed) + 1, many), dtype=dtype.type)
+    points = standard_points(normal, rng.random(many + 1), _radii(len(observed)))
+    state, density = reused((len(mean), int(first[-1])), dtype), reused((int(first[-1]),), dtype)
+    place_newborn(about, points, begin, first, limit, state, density)
+    weight = np.divide(gamma(state, first), density, out=density)
     # Of a small box the noise's region reaches sizes below 0, where nothing is born.
-    possible = density > 0
-    if not possible.all():
+    if not weight.min() > 0:
+        possible = weight > 0
         first = np.concatenate([[0], np.cumsum(possible)])[first]
         state, weight = state[:, possible], weight[possible]
     return Particles(state, weight, np.unique(first))
@@ -153,8 +156,8 @@ class _AroundDetections:
         """Births per second around each detection."""
         return 0.0
 
-    def _gamma(self, shown: F8, first: I8, z: F8) -> F8:
-        """γ per second at what measurements show (r, L), in the runs ``first``, where ``z`` (m, N) was detected."""
+    def _gamma(self, x: F8, first: I8, z: F8) -> F8:
+        """γ per second at states (d, L), in the runs ``first``, where ``z`` (m, N) was detected; (1,): the same at all."""
         raise NotImplementedError
 
     def density(self, z: F8) -> F8:
@@ -206,15 +209,14 @@ class MeasurementBirth(_AroundDetections):
             return everywhere
         return local_box_density(z, self.births_per_detection)
 
-    def _gamma(self, shown: F8, first: I8, z: F8) -> F8:
-        """γ per second at positions and sizes (4, L), which lie in the runs ``first``; 0 where a size is not positive."""
+    def _gamma(self, x: F8, first: I8, z: F8) -> F8:
+        """γ per second at states of boxes (d, L), which lie in the runs ``first``; 0 where a size is not positive."""
         if not self.births_per_detection:
-            return self.density(shown)
+            flat = np.array([self.births_per_second / image_volume(self.frame_size)])
+            return flat if x[4:6].min() > 0 else flat * (x[4:6] > 0).all(axis=0)
         lower = np.concatenate([z[:2] - REACH * z[2:4], SIZES[0] * z[2:4]])
         upper = np.concatenate([z[:2] + REACH * z[2:4], SIZES[1] * z[2:4]])
-        out: F8 = density_within(
-            np.ascontiguousarray(shown), first, lower, upper, self.births_per_detection / local_volume(z)
-        )
+        out: F8 = density_within(x, BOX_ROWS, first, lower, upper, self.births_per_detection / local_volume(z))
         return out
 
 
@@ -233,12 +235,12 @@ class PointBirth(_AroundDetections):
     particles: PositiveCount = 500
     frame_size: tuple[float, float] = (0.0, 0.0)
 
-    def _gamma(self, shown: F8, first: I8, z: F8) -> F8:
-        """γ per second and pixel² at positions (2, L).
+    def _gamma(self, x: F8, first: I8, z: F8) -> F8:
+        """γ per second and pixel² at states (d, L).
 
         The image has no border here: a centroid measured with noise may lie a little outside, and so may its target.
         """
-        return np.full(shown.shape[1], self.births_per_second / image_area(self.frame_size))
+        return np.full(x.shape[1], self.births_per_second / image_area(self.frame_size))
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,12 +268,12 @@ class PlaneBirth(_AroundDetections):
     def _each(self) -> float:
         return self.births_per_detection
 
-    def _gamma(self, shown: F8, first: I8, z: F8) -> F8:
-        """γ per second and m² at positions (2, L)."""
+    def _gamma(self, x: F8, first: I8, z: F8) -> F8:
+        """γ per second and m² at states (d, L)."""
         if self.births_per_detection:
-            return local_density(shown, z, self.births_per_detection)
+            return local_density(x[:2], z, self.births_per_detection)
         flat = self.births_per_second / area(self.borders, "PlaneBirth.borders")
-        return np.where(inside(shown, self.borders), flat, 0.0)
+        return np.where(inside(x[:2], self.borders), flat, 0.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -85,8 +85,8 @@ class SceneBirth:
         density, seen = self.around(sensor.states(z), seconds)
 
         def gamma(x: F8, first: I8) -> F8:
-            """γT at ``x`` (r, L), in runs about the detections; 0 where a size is not positive."""
-            return np.where((x[2:] > 0).all(axis=0), np.repeat(density, np.diff(first)), 0.0)
+            """γT at states ``x`` (d, L), in runs about the detections; 0 where a size is not positive."""
+            return np.where((x[4:6] > 0).all(axis=0), np.repeat(density, np.diff(first)), 0.0)
 
         return particles_about(covered, seen, self.observed, self.particles, gamma, rng)
 

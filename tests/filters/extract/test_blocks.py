@@ -63,7 +63,7 @@ def test_clusters_are_the_twins(seed: int, targets: int, alarms: int, width: flo
     extractor, sensor = KMeans(merge_iou=1.0), MODEL.sensor
     if state.mass < extractor.min_weight:
         return
-    centres, _ = seeds(*known_blocks(state), z, sensor, extractor.min_weight)
+    centres, _ = seeds(known_blocks(state), z, sensor, extractor.min_weight)
     order, _ = cut(state.state)
     mass, mean, cov = twin.kmeans(
         state.state[:, order], state.weight[order], centres, sensor.noise, extractor.min_weight, extractor.split_weight
@@ -123,8 +123,8 @@ def test_clusters_from_any_centres_are_the_twins(seed: int, targets: int, width:
     state, z = scene(rng, targets, 5, width, 100)
     # Centres beside the targets have a long way to go, and some lose all they have.
     centres, _ = MODEL.sensor.states(z + rng.normal(0, 15, z.shape) * [[1], [1], [0], [0]])
-    scale, (parts, grid) = MODEL.sensor.noise(centres), known_blocks(state)
-    found = kmeans(parts, grid, centres.T.copy(), scale.T.copy(), Rule(REACH, split, iterations))
+    scale, parts = MODEL.sensor.noise(centres), known_blocks(state)
+    found = kmeans(parts, centres.T.copy(), scale.T.copy(), Rule(REACH, split, iterations))
     labels, mass, mean = twin.cluster(parts.state, parts.weight, centres, scale, split, iterations)
     cov = twin.moments(parts.state, twin.members(labels, parts.weight, len(mass)), len(mass))[2]
     np.testing.assert_allclose(found.weight, mass, rtol=1e-9, atol=1e-12)
@@ -140,7 +140,7 @@ def test_strays_are_not_peeled_off_without_end(most: int, rng):
     pile[:, :12] += 6 * MODEL.sensor.noise(pile[:, :12]) * np.hstack([np.eye(6), -np.eye(6)])
     scale = MODEL.sensor.noise(HERE[:, None]).T.copy()
     parts = known_blocks(blocks(Particles(pile, np.full(4000, 0.02)), rng, most))
-    mass = kmeans(*parts, HERE[None], scale, Rule(REACH, 1.5, 5)).weight
+    mass = kmeans(parts, HERE[None], scale, Rule(REACH, 1.5, 5)).weight
     assert len(mass) == 1 + PATIENCE
     assert mass.sum() == pytest.approx(80.0)
     assert mass.max() == pytest.approx(80.0 - 0.02 * PATIENCE)
@@ -152,12 +152,12 @@ def test_em_over_blocks_whose_moments_are_known(seed: int, targets: int, equal: 
     """Blocks with one component in reach are not looked at; the moments are those of looking at every particle."""
     rng = np.random.default_rng(seed)
     state, z = scene(rng, targets, 3, 400.0)
-    parts, grid = known_blocks(blocks(state) if equal else state)
+    parts = known_blocks(blocks(state) if equal else state)
     mean, cov = MODEL.sensor.states(z)
     if z.shape[1] == 0:
         return
     mixture, reach = Gaussians(rng.uniform(0.1, 1.5, z.shape[1]), mean, cov), REACH * MODEL.sensor.noise(mean)[:2]
-    near = reaching(parts, grid, mean[:2] - reach, mean[:2] + reach)
+    near = reaching(parts, mean[:2] - reach, mean[:2] + reach)
     given_all = (parts.state, parts.weight, np.zeros(0), mixture, near)
     found, want = em_step(*given_all, block_moments(parts)), em_step(*given_all, nothing_known(6))
     exact = 1e-3 if equal else 1e-9

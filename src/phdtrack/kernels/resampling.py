@@ -1,0 +1,242 @@
+"""Systematic resampling of particles in blocks [M07 §2].
+
+The comb is laid over the masses of the blocks after the update, which follow from sums of likelihoods. Only the particles of
+blocks on which one of its teeth falls are weighed, and those on which one falls are copied.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phdtrack.kernels.cache import njit
+from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR
+from phdtrack.kernels.fast32 import D as U
+from phdtrack.kernels.fast32 import W as WORD
+from phdtrack.kernels.grid import cell_of
+from phdtrack.kernels.particle_models import BLOCK, Number, Real, X, Y
+from phdtrack.kernels.particles import F8, I8, ROWS, SUM, WEIGHT, Part, load_part, update_weights, whole
+
+I4 = NDArray[np.int32]
+U4 = NDArray[np.uint32]
+QUARTER = BLOCK // 4
+FIXED = 2.0**32
+SMALL, MOST_CELLS = 1e-9, 2048.0
+
+
+class Comb(NamedTuple):
+    """The resampling comb over blocks in their order.
+
+    ``teeth``, ``first`` (B,) how many offspring each has, and the column of the first;
+    ``phase``, ``width`` (B,) where its first tooth stands and how wide it is, in steps of the comb; ``divided`` (B,) 1 or 2
+    where its particles are to be parted along x or y.
+    """
+
+    teeth: I8
+    first: I8
+    phase: F8
+    width: F8
+    divided: I8
+
+
+@njit(**ENTRY)
+def by_cells(extents: Real) -> I8:
+    """(B,) the blocks in the order of the cells that their centres lie in; cells are as large as neighbourhoods are."""
+    n = extents.shape[0]
+    x, y = np.empty(n), np.empty(n)
+    width, height = 0.0, 0.0
+    for i in range(n):
+        x[i], y[i] = 0.5 * (extents[i, 0] + extents[i, 2]), 0.5 * (extents[i, 1] + extents[i, 3])
+        width += extents[i, 4]
+        height += extents[i, 5]
+    x0, y0, x1, y1 = np.inf, np.inf, -np.inf, -np.inf
+    for i in range(n):
+        x0, x1, y0, y1 = min(x0, x[i]), max(x1, x[i]), min(y0, y[i]), max(y1, y[i])
+    wide, high = x1 - x0 if n else 0.0, y1 - y0 if n else 0.0
+    nx, ny = int(min(wide * n / max(width, SMALL), MOST_CELLS)) + 1, int(min(high * n / max(height, SMALL), MOST_CELLS)) + 1
+    if nx * ny > 4 * n + 16:
+        shrink = np.sqrt((4 * n + 16) / (nx * ny))
+        nx, ny = max(int(nx * shrink), 1), max(int(ny * shrink), 1)
+    per_x, per_y = nx / max(wide, SMALL), ny / max(high, SMALL)
+    start, cell, order = np.zeros(nx * ny + 1, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    for i in range(n):
+        cell[i] = cell_of(y[i], y0, per_y, ny) * nx + cell_of(x[i], x0, per_x, nx)
+        start[cell[i] + 1] += 1
+    for c in range(nx * ny):
+        start[c + 1] += start[c]
+    for i in range(n):
+        order[start[cell[i]]] = i
+        start[cell[i]] += 1
+    return order
+
+
+@njit(**ENTRY)
+def comb(mass: F8, extents: Real, count: int, offset: float) -> tuple[Comb, I8]:
+    """The teeth of a comb of ``count`` teeth over the blocks, and ``start`` (B',) of the blocks of their offspring.
+
+    Tooth k stands at (k + offset)/count of the total, 0 ≤ offset < 1. Masses (B,) count in steps of 2⁻³² of the total, so
+    that the order of a sum cannot matter. A block that is wider than its neighbourhood is to be parted along its longer
+    side: what has drifted apart is parted in a few frames.
+    """
+    n, order = mass.size, by_cells(extents)
+    teeth, first, divided = np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64)
+    phase, width = np.zeros(n), np.zeros(n)
+    scale, total, reached, done = FIXED / max(mass.sum(), 1e-300), 0, 0, 0
+    for b in range(n):
+        total += int(mass[b] * scale)
+    per = count / max(total, 1)
+    for b in order:
+        size, begin = int(mass[b] * scale), reached * per
+        reached += size
+        upto = int(np.ceil(reached * per - offset))
+        upto = count if reached >= total else max(min(upto, count), done)
+        teeth[b], first[b], phase[b], width[b] = upto - done, done, done + offset - begin, size * per
+        done = upto
+        wide, high = extents[b, 2] - extents[b, 0], extents[b, 3] - extents[b, 1]
+        if wide > extents[b, 4] or high > extents[b, 5]:
+            # In neighbourhoods, without a division: a given state may have no size.
+            divided[b] = 1 if wide * extents[b, 5] >= high * extents[b, 4] else 2
+    return Comb(teeth, first, phase, width, divided), offspring_blocks(order, teeth, divided, extents)
+
+
+@njit(**INNER)
+def offspring_blocks(order: I8, teeth: I8, divided: I8, extents: Real) -> I8:
+    """Where the blocks of offspring begin.
+
+    Offspring are put together into blocks of at most `BLOCK` while their common extent is at most the neighbourhood's. Those
+    of a block that is parted are halved.
+    """
+    start, blocks, filled = np.zeros(2 * order.size + teeth.sum() // BLOCK + 2, np.int64), 0, 0
+    left, top, right, bottom = 0.0, 0.0, 0.0, 0.0
+    for b in order:
+        rest, most = teeth[b], BLOCK
+        if rest == 0:
+            continue
+        x0, y0, x1, y1 = float(extents[b, 0]), float(extents[b, 1]), float(extents[b, 2]), float(extents[b, 3])
+        left, right, top, bottom = min(left, x0), max(right, x1), min(top, y0), max(bottom, y1)
+        apart = divided[b] > 0 or not (right - left <= extents[b, 4] and bottom - top <= extents[b, 5])
+        if filled > 0 and apart:
+            blocks, filled = blocks + 1, 0
+        if filled == 0:
+            left, top, right, bottom = x0, y0, x1, y1
+        if divided[b] > 0 and rest < 2 * BLOCK:
+            most = (rest + 1) // 2
+        while rest > 0:
+            take = min(rest, most - filled)
+            filled += take
+            rest -= take
+            start[blocks + 1] = start[blocks] + filled
+            if filled >= most or (rest == 0 and divided[b] > 0):
+                blocks, filled = blocks + 1, 0
+    return start[: blocks + (2 if filled > 0 else 1)]
+
+
+@njit(**(ENTRY | {"fastmath": FAST}))
+def pick(
+    lo: int, hi: int, part: Part, sensor: Number, table: Real, missed: float, factor: F8, teeth: Comb, shift: int, out: Real
+) -> None:
+    """The offspring of the blocks lo … hi − 1, weighed as by `weigh`, into their columns of ``out``.
+
+    The blocks are ``shift`` further in the comb.
+    """
+    state, share, detect, start, first, which = part
+    many, place, phase, width, divided = teeth
+    s, parted = np.empty(ROWS * BLOCK, state.dtype), np.empty(ROWS * BLOCK, state.dtype)
+    upto, owner, d = np.empty(BLOCK, np.int32), np.empty(many.max() + 2, np.uint32), state.shape[0]
+    for b in range(lo, hi):
+        c, n = b + shift, start[b + 1] - start[b]
+        if many[c] == 0:
+            continue
+        load_part(sensor, s, n, state, share, detect, start[b])
+        update_weights(sensor, table, s, whole(n), which, first[b], first[b + 1], missed, factor)
+        if divided[c] > 0:
+            divide(s, n, d, X if divided[c] == 1 else Y, upto, parted)
+            write_offspring(parted, n, d, many[c], place[c], phase[c], width[c], upto, owner, out)
+        else:
+            write_offspring(s, n, d, many[c], place[c], phase[c], width[c], upto, owner, out)
+
+
+@njit(**INNER)
+def divide(s: Real, n: int, d: int, row: int, target: I4, parted: Real) -> None:
+    """Copy the block to ``parted``: first the particles before the middle of its extent along a row, then the others."""
+    least, most, right = s[row], s[row], 0
+    for i in range(n):
+        least, most = min(least, s[row + i]), max(most, s[row + i])
+    middle = s.dtype.type(0.5) * (least + most)
+    for i in range(n):
+        right += 1 if s[row + i] < middle else 0
+    left = 0
+    for i in range(n):
+        before = s[row + i] < middle
+        target[i] = left if before else right
+        left, right = left + (1 if before else 0), right + (0 if before else 1)
+    for r in range(d + 1):
+        line = r * BLOCK if r < d else WEIGHT
+        for i in range(n):
+            parted[line + target[i]] = s[line + i]
+
+
+@njit(**INNER)
+def write_offspring(
+    s: Real, n: int, d: int, count: int, at: int, phase: float, width: float, upto: I4, owner: U4, out: Real
+) -> None:  # fmt: skip
+    """Write the particles of a block on whose stretch of the weights a tooth of the comb falls, from column ``at`` on.
+
+    In steps of the comb the block is ``width`` wide and its ``count`` teeth stand at phase, phase + 1, …
+    Rounding can leave the last tooth beyond the last sum: it belongs to the last particle that has a weight.
+    """
+    total, last = running_sum(s, n), n
+    # Below 1, or a tooth at the very beginning would fall on particles without weight there.
+    shift = min(1.0 - phase, 1.0 - 2.0**-24)
+    teeth_before(s, n, width / total if total > 0.0 else 0.0, shift, count, upto)
+    while last > 1 and not s[WEIGHT + last - 1] > 0.0:
+        last -= 1
+    # Where its teeth begin each particle puts its number; a later one overwrites those without any. The running maximum
+    # then is the owner of each tooth: no branch to miss.
+    begin = 0
+    for t in range(count):
+        owner[t] = WORD(0)
+    for i in range(last):
+        owner[begin] = i
+        begin = upto[i]
+    mine = WORD(0)
+    for t in range(count):
+        mine = owner[t] if owner[t] > mine else mine
+        owner[t] = mine
+    for r in range(d):
+        row, to = WORD(r * BLOCK), U(at)
+        for t in range(U(count)):
+            out[r, to + t] = s[row + owner[t]]
+
+
+@njit(**INNER)
+def running_sum(s: Real, n: int) -> float:
+    """The running sum of the weights into SUM, of four quarters at once so that none waits for another's; the whole."""
+    zero = s.dtype.type(0)
+    for i in range(n, BLOCK):
+        s[WEIGHT + i] = zero
+    a, b, c, e = zero, zero, zero, zero
+    for i in range(QUARTER):
+        a += s[WEIGHT + i]
+        b += s[WEIGHT + QUARTER + i]
+        c += s[WEIGHT + 2 * QUARTER + i]
+        e += s[WEIGHT + 3 * QUARTER + i]
+        s[SUM + i], s[SUM + QUARTER + i], s[SUM + 2 * QUARTER + i], s[SUM + 3 * QUARTER + i] = a, b, c, e
+    b += a
+    c += b
+    for i in range(QUARTER):
+        s[SUM + QUARTER + i] += a
+        s[SUM + 2 * QUARTER + i] += b
+        s[SUM + 3 * QUARTER + i] += c
+    return float(c + e)
+
+
+@njit(**VECTOR)
+def teeth_before(s: Real, n: int, scale: float, shift: float, count: int, upto: I4) -> None:
+    """How many teeth stand before the end of each particle's stretch, from the running sums."""
+    most, per, more = np.int32(count), s.dtype.type(scale), s.dtype.type(shift)
+    for i in range(n):
+        here = np.int32(s[SUM + i] * per + more)
+        upto[i] = here if here < most else most
