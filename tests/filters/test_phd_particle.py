@@ -332,7 +332,7 @@ def test_any_number_of_threads_and_the_same_seed_give_the_same_bits(recursion, r
 @pytest.mark.parametrize("count", [0, 1, 5, 97, 1000])
 def test_ranges_cover_the_work_in_order(count: int):
     for threads in (0, 1, 3, 8):
-        parts = in_ranges(lambda lo, hi: list(range(lo, hi)), count, threads)
+        parts = in_ranges(lambda lo, hi: list(range(lo, hi)), (), count, threads)
         assert [i for part in parts for i in part] == list(range(count))
 
 

@@ -44,6 +44,10 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
     filter_name : a filter in place of ``filter.kind``; empty for that one.
     moving : whether the caller compensates the camera's motion.
 
+    Returns
+    -------
+    The stages, ready for the first frame.
+
     Raises
     ------
     InputError : settings do not go together, a file cannot be read, or the settings name a motion of the camera and the

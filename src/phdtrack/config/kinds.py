@@ -203,7 +203,17 @@ def first_kind(section: str) -> str:
 
 @cache
 def settable(section: str, kind: str, motion: str) -> Mapping[str, Any]:
-    """The settings of a kind and the type of each, bounds included; ``filter.initial`` is for ``motion`` on the plane."""
+    """The names that a user may set, and the type of each, bounds included.
+
+    Parameters
+    ----------
+    section, kind : of which part.
+    motion : kind of ``[motion]``; ``filter.initial`` is for the plane only.
+
+    Returns
+    -------
+    Type by name.
+    """
     chosen = record(section, kind)
     hints = get_type_hints(chosen, include_extras=True)
     known = {field.name: hints[field.name] for field in fields(chosen) if field.name not in FROM_SEQUENCE}

@@ -74,7 +74,7 @@ class UpdatedParticles:
         for blocks, part in zip(self.blocks, self.parts, strict=True):
             share = np.empty(len(blocks), blocks.state.dtype)
             given = (part, self.numbers.model, self.numbers.table, self.missed, self.detected, share)
-            for_blocks(weigh, given, len(part.start) - 1, self.threads)
+            in_ranges(weigh, given, len(part.start) - 1, self.threads)
             out.append(replace(blocks, share=share))
         return out
 
@@ -162,19 +162,15 @@ def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="phdtrack")
 
 
-def for_blocks(kernel: Callable[..., None], given: tuple[Any, ...], count: int, threads: int) -> None:
-    """Call ``kernel(lo, hi, *given)`` for ranges of ``count`` blocks on so many threads."""
-    in_ranges(lambda lo, hi: kernel(lo, hi, *given), count, threads)
-
-
-def in_ranges(work: Callable[[int, int], T], count: int, threads: int) -> list[T]:
-    """What ``work(lo, hi)`` returns for ranges that cover 0 … count, in their order.
+def in_ranges(work: Callable[..., T], given: tuple[Any, ...], count: int, threads: int) -> list[T]:
+    """What ``work(lo, hi, *given)`` returns for ranges that cover 0 … count, in their order.
 
     Kernels release the interpreter's lock, and their results do not depend on the ranges.
 
     Parameters
     ----------
     work : called from several threads.
+    given : what it takes besides the range.
     count : the end of the last range.
     threads : how many share the work; 0: one per core.
 
@@ -184,7 +180,7 @@ def in_ranges(work: Callable[[int, int], T], count: int, threads: int) -> list[T
     """
     threads = threads or os.cpu_count() or 1
     if threads == 1 or count < 2 * threads:
-        return [work(0, count)]
+        return [work(0, count, *given)]
     # More ranges than threads, because blocks differ in what they cost.
     edges = [count * i // (4 * threads) for i in range(4 * threads + 1)]
-    return list(_pool(threads).map(work, edges[:-1], edges[1:]))
+    return list(_pool(threads).map(lambda lo, hi: work(lo, hi, *given), edges[:-1], edges[1:]))

@@ -18,7 +18,7 @@ import numpy as np
 
 from phdtrack.arrays import chi2_quantile, draw, reused, sum_by
 from phdtrack.errors import Count, PositiveCount, check
-from phdtrack.filters.blocks import Intensity, UpdatedParticles, carried, for_blocks, in_blocks, joined
+from phdtrack.filters.blocks import Intensity, UpdatedParticles, carried, in_blocks, in_ranges, joined
 from phdtrack.filters.terms import TINY, UpdateTerms
 from phdtrack.kernels import particles as sweeps
 from phdtrack.kernels.grid import Grid, make_grid
@@ -89,7 +89,7 @@ class ParticlePHD(Filter[Intensity]):
             return blocks
         moved, share = reused(blocks.state.shape, blocks.state.dtype), reused((len(blocks),), blocks.state.dtype)
         given = (motion, blocks.state, blocks.share, blocks.start, key, moved, share)
-        for_blocks(sweeps.predict, given, len(blocks.start) - 1, self.threads)
+        in_ranges(sweeps.predict, given, len(blocks.start) - 1, self.threads)
         predicted = ParticleBlocks(moved, blocks.start, blocks.unit, share)
         if model.spawn is None:
             return predicted
@@ -164,7 +164,8 @@ class ParticlePHD(Filter[Intensity]):
         first, which = sweeps.pair_up(extents, blocks.start, gates)
         part = sweeps.Part(blocks.state, blocks.share, np.asarray(detect, dtype), blocks.start, first, which)
         sums = sweeps.Sums(np.empty(len(which)), np.empty(len(which)), np.empty(count), np.empty(count))
-        for_blocks(sweeps.likelihoods, (part, numbers.model, numbers.table, region, sums), count, self.threads)
+        given = (part, numbers.model, numbers.table, region, sums)
+        in_ranges(sweeps.likelihoods, given, count, self.threads)
         return replace(blocks, extents=extents), part, sums
 
     def reduce(self, state: Intensity, rng: np.random.Generator) -> ParticleBlocks:
@@ -180,7 +181,7 @@ class ParticlePHD(Filter[Intensity]):
         out, shift = reused((len(first), count), first.dtype), 0
         for part in updated.parts:
             given = (part, model, table, updated.missed, updated.detected, teeth, shift, out)
-            for_blocks(pick, given, len(part.start) - 1, self.threads)
+            in_ranges(pick, given, len(part.start) - 1, self.threads)
             shift += len(part.start) - 1
         return ParticleBlocks(out, start, mass / count)
 

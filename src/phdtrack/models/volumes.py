@@ -28,7 +28,17 @@ SIZES = (0.5, 1.5)
 
 
 def one_rate(what: str, everywhere: float, each: float, where: str) -> None:
-    """Raise `InputError` where both rates are above 0: one density is uniform, the other one is around the detections."""
+    """Check that one of two rates is 0: density is uniform or around the detections.
+
+    Parameters
+    ----------
+    what, where : of what, and the setting's place, for the message.
+    everywhere, each : the rate over the whole volume, and around each detection.
+
+    Raises
+    ------
+    InputError : both are above 0.
+    """
     if everywhere > 0 and each > 0:
         raise InputError(
             f"expected {what} uniform or around each detection, not both, got rates of {everywhere:g} and {each:g}",
