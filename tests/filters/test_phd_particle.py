@@ -80,7 +80,10 @@ def test_the_update_is_the_dense_one(scaling: str, rng):
 def test_on_the_plane_and_of_points_the_update_is_the_dense_one_in_double_precision(kind: str, rng):
     clutter = UniformClutter(1.0, 400.0)
     plane = Model(
-        PlaneMotion(), PlaneSensor(gate_probability=1.0, view=False), PlaneBirth(births_per_detection=0.0), clutter
+        PlaneMotion(),
+        PlaneSensor(gate_probability=1.0, view=False),
+        PlaneBirth(0.0, 0.0, borders=(0.0, 0.0, 20.0, 20.0)),
+        clutter,
     )
     point = Model(PointMotion(), PointSensor(gate_probability=1.0), PointBirth(0.0, frame_size=(20, 20)), clutter)
     model = plane if kind == "plane" else point
