@@ -52,8 +52,8 @@ def test_rates_replace_those_of_the_model_in_steps():
     built = stages()
     model = built.learning.model(knowing(built, detection=0.9312, clutter=0.7, births=0.003), built.model)
     assert model.sensor.detection_probability == pytest.approx(0.93)
-    assert model.clutter.clutter_per_frame == pytest.approx(0.7, rel=0.03)
-    assert model.birth.births_per_second == pytest.approx(25 * 0.003, rel=0.03)
+    assert model.clutter.clutter_per_detection == pytest.approx(0.7, rel=0.03)
+    assert model.birth.births_per_detection == pytest.approx(25 * 0.003, rel=0.03)
     again = built.learning.model(knowing(built, detection=0.9308, clutter=0.7001, births=0.003), built.model)
     assert again.sensor is model.sensor
     assert again.clutter is model.clutter
@@ -120,12 +120,14 @@ def test_cautious_estimates_are_used_where_nothing_else_explains_them():
     model = built.learning.model(knowing(built, **higher), set_to)
     assert (
         model.sensor.detection_probability,
-        model.clutter.clutter_per_frame,
-        model.birth.births_per_second,
+        model.clutter.clutter_per_detection,
+        model.birth.births_per_detection,
     ) == pytest.approx((rates.detection, rates.clutter, 25 * rates.births))
     model = built.learning.model(knowing(built, **lower), set_to)
     assert model.sensor.detection_probability == pytest.approx(0.6)
-    assert (model.clutter.clutter_per_frame, model.birth.births_per_second) == pytest.approx((0.9, 25 * 0.05), rel=0.03)
+    assert (model.clutter.clutter_per_detection, model.birth.births_per_detection) == pytest.approx(
+        (0.9, 25 * 0.05), rel=0.03
+    )
 
 
 def test_there_are_no_more_false_alarms_than_detections():

@@ -1,14 +1,17 @@
 """Tracking under a camera that moves: with its motion told, identities are kept that are lost without."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from moving_cases import handheld, moving, step
-from phdtrack import Tracker
+from phdtrack import Tracker, config
 from phdtrack.errors import InputError
 from phdtrack.metrics import evaluate
+from phdtrack.models import FixedBirth
 from phdtrack.simulate import DetectorModel, make_scene
-from phdtrack.types import Tracks
+from phdtrack.types import GaussianMixture, SequenceInfo, Tracks
 from tracker_cases import two_people
 
 FRAMES = 120
@@ -49,12 +52,12 @@ def test_identities_are_kept(street, name: str):
         assert untold.IDF1 < 0.7 * stands.IDF1
 
 
-@pytest.mark.parametrize(("settings", "what"), [
-    ({"birth": {"kind": "fixed", "boxes": [[100.0, 100.0, 140.0, 180.0]]}}, "birth.kind=fixed"),
-    ({"learn": {"kind": "online"}}, "learning where"),
-], ids=["births", "learning"])  # fmt: skip
-def test_what_lies_at_pixels_does_not_go_with_a_moving_camera(settings, what: str):
-    tracker = Tracker((640, 480), **settings)
+@pytest.mark.parametrize(("sets", "what"), [((), "birth.kind=places"), (("learn.kind=online",), "learning where")])
+def test_what_lies_at_pixels_does_not_go_with_a_moving_camera(sets: tuple[str, ...], what: str):
+    stages = config.build(config.load(sets=sets), SequenceInfo(640, 480, 25.0))
+    entrance = FixedBirth(GaussianMixture(np.ones(1), np.array([[100.0, 100, 0, 0, 40, 80]]).T, np.eye(6)[None]))
+    model = stages.model if sets else replace(stages.model, birth=entrance)
+    tracker = Tracker(stages=replace(stages, model=model), fps=25)
     tracker.update(np.zeros((0, 4)), warp=None)
     with pytest.raises(InputError, match=rf"^camera motion: .*{what}.* stands still"):
         tracker.update(np.zeros((0, 4)), warp=np.eye(3))
