@@ -63,9 +63,8 @@ def measure(targets: int, frames: int = 0, seed: int = 1, clutter: float = -1.0)
         began = time.perf_counter()
         state, _ = matching.extend(state, estimates, z, number, 1.0, model)
         spent.append(time.perf_counter() - began)
-    rows = state.window.rows
     settled = spent[min(SETTLED, frames // 2) :]
-    return Spread.of(settled, 1e6).as_dict() | {"targets": targets, "states": len(states[-1]), "window": len(rows.since)}
+    return Spread.of(settled, 1e6).as_dict() | {"targets": targets, "states": len(states[-1]), "window": len(state.window.since)}
 
 
 if __name__ == "__main__":

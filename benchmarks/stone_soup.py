@@ -73,7 +73,7 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
     say(f"SMC-PHD, {few} targets")
     crowd = crowd_of(few, scale.stone_frames)
     built = described(crowd)
-    as_many = replace(built, filter=replace(built.filter, fewest=scale.stone_particles))
+    as_many = replace(built, filter=replace(built.filter, min_particles=scale.stone_particles))
     ours, theirs = _over_seeds(crowd, scale, lambda seed: (Ours(as_many, seed), Sampled(built, scale.stone_particles, seed)))
     # Of ours the filter's step alone, as of theirs.
     step = replace(ours, seconds=ours.seconds[:, :1], cpu=ours.cpu[:, :1])
