@@ -64,7 +64,8 @@ def measure(targets: int, frames: int = 0, seed: int = 1, clutter: float = -1.0)
         state, _ = matching.extend(state, estimates, z, number, 1.0, model)
         spent.append(time.perf_counter() - began)
     settled = spent[min(SETTLED, frames // 2) :]
-    return Spread.of(settled, 1e6).as_dict() | {"targets": targets, "states": len(states[-1]), "window": len(state.window.since)}
+    sizes = {"targets": targets, "states": len(states[-1]), "window": len(state.window.since)}
+    return Spread.of(settled, 1e6).as_dict() | sizes
 
 
 if __name__ == "__main__":
