@@ -36,7 +36,7 @@ env: $(STAMP)
 # TrackEval comes without its dependencies: they would put OpenCV 5, which has no cascades, over OpenCV 4.
 $(STAMP): pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "phdtrack needs Python 3.11 or later, and none was found: install it, or say make PYTHON=/path/to/python3" >&2; exit 1; }
-	@test -x $(PY) || "$(PYTHON)" -m venv $(VENV) || { echo "$(PYTHON) cannot make an environment: on Debian and Ubuntu, apt-get install python3-venv" >&2; exit 1; }
+	@$(PY) -m pip --version >/dev/null 2>&1 || "$(PYTHON)" -m venv --clear $(VENV) || { echo "$(PYTHON) cannot make an environment: on Debian and Ubuntu, apt-get install python3-venv" >&2; exit 1; }
 	$(PY) -m pip install --quiet -c constraints.txt hatchling editables
 	$(PY) -m pip install --quiet -c constraints.txt --no-build-isolation -e '.[dev]'
 	$(PY) -m pip install --quiet -c constraints.txt --no-deps trackeval

@@ -31,8 +31,8 @@ def street():
     return still, moving(still, path), path
 
 
-def tracked(scene, path, settings) -> tuple[Tracker, Tracks]:
-    tracker, rows = Tracker((640, 360), fps=25, **settings), []
+def tracked(scene, path, settings, seed: int = 0) -> tuple[Tracker, Tracks]:
+    tracker, rows = Tracker((640, 360), fps=25, seed=seed, **settings), []
     for k in range(1, FRAMES + 1):
         rows.append(tracker.update(scene.detections.at(k), warp=None if path is None else step(path, k)))
     return tracker, Tracks.concatenate(rows)
@@ -40,16 +40,19 @@ def tracked(scene, path, settings) -> tuple[Tracker, Tracks]:
 
 @pytest.mark.parametrize("name", SETTINGS)
 def test_identities_are_kept(street, name: str):
-    """Shares of what the same filter reaches where the camera stands."""
+    """Shares of what the same filter reaches where the camera stands; of particles the mean of four runs, for one run's
+    online IDF1 scatters by 0.1."""
     still, seen, path = street
     scores = []
     for scene, told in ((still, None), (seen, path), (seen, None)):
-        tracker, online = tracked(scene, told, SETTINGS[name])
-        scores.append([evaluate(scene.truth, rows, frames=FRAMES) for rows in (tracker.tracks(), online)])
+        runs = [tracked(scene, told, SETTINGS[name], seed) for seed in range(4 if name == "particle-phd" else 1)]
+        rows = [(tracker.tracks(), online) for tracker, online in runs]
+        found = [[evaluate(scene.truth, tracks, frames=FRAMES) for tracks in kinds] for kinds in zip(*rows, strict=True)]
+        scores.append([np.mean([(one.IDF1, one.MOTA) for one in kind], axis=0) for kind in found])
     for stands, told, untold in zip(*scores, strict=True):
-        assert told.IDF1 > 0.9 * stands.IDF1
-        assert told.MOTA > stands.MOTA - 0.1
-        assert untold.IDF1 < 0.7 * stands.IDF1
+        assert told[0] > 0.9 * stands[0]
+        assert told[1] > stands[1] - 0.1
+        assert untold[0] < 0.7 * stands[0]
 
 
 @pytest.mark.parametrize(("sets", "what"), [((), "birth.kind=places"), (("learn.kind=online",), "learning where")])
