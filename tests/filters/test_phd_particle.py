@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from phd_cases import FRAME, crowd, seen_by, with_births, world
 
+from phdtrack.arrays import reused
 from phdtrack.filters import NoFilter, ParticleCPHD, ParticlePHD
 from phdtrack.filters.blocks import in_blocks, in_ranges
 from phdtrack.models import (
@@ -347,3 +348,16 @@ def test_no_filter_takes_each_detection_for_a_target(rng):
     assert len(NoFilter().predict(state, model, 1.0, rng)) == 0
     np.testing.assert_array_equal(info.clutter_probability, np.zeros(5))
     assert image_volume(FRAME) == 640.0**2 * 480.0**2
+
+
+def test_memory_is_used_again_only_where_no_array_uses_it():
+    shape, kind = (2**19,), np.dtype(np.float32)
+    first = reused(shape, kind)
+    first[:] = 1
+    part, place = first[10:20], first.ctypes.data
+    del first
+    second = reused(shape, kind)
+    second[:] = 2
+    np.testing.assert_array_equal(part, 1)
+    del part, second
+    assert place in [array.ctypes.data for array in [reused(shape, kind) for _ in range(12)]]

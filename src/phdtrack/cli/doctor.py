@@ -45,8 +45,8 @@ def doctor(output: Output) -> None:
     for check in checks:
         mark = "ok     " if check.ok else "MISSING" if check.essential else "absent "
         output.say(f"{mark}  {check.name}: {check.detail}", *([f"         {check.cure}"] if check.cure else []))
-    verdict = "Everything essential works here." if ok else "Something essential does not work here: see MISSING above."
-    output.say("", verdict)
+    sentence = "Everything essential works here." if ok else "Something essential does not work here: see MISSING above."
+    output.say("", sentence)
     known = {name: version or None for name, version in numbers.items()}
     output.document({"ok": ok, "versions": known, "checks": [asdict(check) for check in checks]})
     if not ok:

@@ -137,10 +137,7 @@ class GMPHD(Filter[GaussianMixture]):
         -------
         state, info : the updated mixture, not reduced.
         """
-        terms = self.terms(state, z, model, dt, rng)
-        factor, vanished = terms.factors()
-        after = terms.weighed(1.0, factor)
-        return after, terms.info(after.mass, vanished)
+        return self.terms(state, z, model, dt, rng).phd()
 
     def terms(
         self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator

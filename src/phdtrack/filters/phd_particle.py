@@ -111,10 +111,7 @@ class ParticlePHD(Filter[Intensity]):
         -------
         state, info : the updated intensity, not resampled.
         """
-        terms = self.terms(state, z, model, dt, rng)
-        factor, vanished = terms.factors()
-        result = terms.weighed(1.0, factor)
-        return result, terms.info(result.mass, vanished)
+        return self.terms(state, z, model, dt, rng).phd()
 
     def terms(
         self, state: Intensity, z: F8, model: Model, dt: float, rng: np.random.Generator

@@ -4,13 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
 from phdtrack.types import F8, UpdateInfo
 
-S = TypeVar("S")
+
+class Weighed(Protocol):
+    """An intensity after the update."""
+
+    @property
+    def mass(self) -> float:
+        """The expected number of targets."""
+
+
+S = TypeVar("S", bound=Weighed)
 TINY = float(np.finfo(np.float64).tiny)
 
 
@@ -37,6 +46,12 @@ class UpdateTerms(Generic[S]):
     def info(self, mass: float, vanished: int = 0) -> UpdateInfo:
         """What the update learned, ``mass`` being that after it."""
         return UpdateInfo(self.mass, self.born, mass, self.evidence, self.clutter, vanished)
+
+    def phd(self) -> tuple[S, UpdateInfo]:
+        """The intensity after the update of a PHD filter, and what it learned."""
+        factor, vanished = self.factors()
+        after = self.weighed(1.0, factor)
+        return after, self.info(after.mass, vanished)
 
     def factors(self) -> tuple[F8, int]:
         """(N,) 1/(κ + C) [V06 (32); M07 (5)], and how many are 0 because κ + C is."""
