@@ -68,44 +68,15 @@ def overlap_of(boxes: F8, i: int, j: int) -> float:
     return share
 
 
-@njit(**INNER)
-def motion_noises(
-    size: float, dt: float, acceleration: float, resize: float, smallest: float, scaled: bool
-) -> tuple[float, float, float, float]:
-    """Along one axis, of one box: variances of position, with velocity, of velocity and of size [M09 (11)]."""
-    unit = 1.0 if not scaled else smallest if size < smallest else size
-    pushed, resized = acceleration * unit * (acceleration * unit), resize * unit * (resize * unit)
-    position = dt * dt * dt / 3.0 - (dt if dt > 1.0 else dt * dt * dt) / 12.0
-    return pushed * position, pushed * dt * dt / 2.0, pushed * dt, resized * dt
-
-
-@njit(**ENTRY)
-def box_motion_noise(
-    size: F8, dt: float, acceleration: float, resize: float, smallest: float, scaled: bool, out: F8
-) -> None:
-    """Noise covariances of boxes of ``size`` (2, n), written into planes of zeros ``out`` (d, d, n) [M09 (11)].
-
-    States' first rows are centre, velocity and size. Noises are multiples of the size, at least ``smallest``, where
-    ``scaled``; else of one pixel.
-    """
-    # As many axes as there are and not 2: the compiler would write the loop out.
-    for axis in range(size.shape[0]):
-        for i in range(size.shape[1]):
-            own, mixed, speed, extent = motion_noises(size[axis, i], dt, acceleration, resize, smallest, scaled)
-            out[axis, axis, i] = own
-            out[axis, axis + 2, i] = mixed
-            out[axis + 2, axis, i] = mixed
-            out[axis + 2, axis + 2, i] = speed
-            out[axis + 4, axis + 4, i] = extent
-
-
 class BoxDynamics(NamedTuple):
-    """Motion of boxes over one interval: settings of `BoxMotion`, ``p_survive`` inside the frame of this size (0: no
-    border)."""
+    """Motion of boxes over one interval: variances of position, of position with velocity, of velocity and of size along an
+    axis, of a target of size 1 where ``scaled``; ``p_survive`` inside the frame of this size (0: no border)."""
 
     dt: float
-    acceleration: float
-    size_noise: float
+    position: float
+    mixed: float
+    velocity: float
+    extent: float
     min_size: float
     scaled: bool
     p_survive: float
@@ -142,14 +113,15 @@ def predicted_boxes(mean: F8, covariance: F8, motion: BoxDynamics) -> Predicted:
         inside = True
         # As many axes as there are and not 2: the compiler would write the loop out.
         for a in range(d // 3):
-            place, both, speed, extent = motion_noises(
-                mean[i, a + 4], dt, motion.acceleration, motion.size_noise, motion.min_size, motion.scaled
-            )
-            out_cov[i, a, a] += place
-            out_cov[i, a, a + 2] += both
-            out_cov[i, a + 2, a] += both
-            out_cov[i, a + 2, a + 2] += speed
-            out_cov[i, a + 4, a + 4] += extent
+            unit = 1.0
+            if motion.scaled:
+                unit = mean[i, a + 4] if mean[i, a + 4] > motion.min_size else motion.min_size
+                unit *= unit
+            out_cov[i, a, a] += motion.position * unit
+            out_cov[i, a, a + 2] += motion.mixed * unit
+            out_cov[i, a + 2, a] += motion.mixed * unit
+            out_cov[i, a + 2, a + 2] += motion.velocity * unit
+            out_cov[i, a + 4, a + 4] += motion.extent * unit
             half, end = 0.5 * mean[i, a + 4], motion.width if a == 0 else motion.height
             inside &= -half < mean[i, a] < end + half
         p_survive[i] = motion.p_survive if inside or not bordered else 0.0
@@ -213,25 +185,41 @@ def states_of_boxes(z: F8, dim: int, noise: BoxNoise, speed: float) -> tuple[F8,
 
 
 @njit(**ENTRY)
-def summed_densities(z: F8, order: I8, density: F8, reach: float, smallest: float, largest: float) -> F8:
-    """(N,) Σ_j density_j over the detections z_j = (px, py, w, h) in whose neighbourhood each detection lies.
+def box_deviations(x: F8, noise: BoxNoise, speed: float) -> F8:
+    """(d, n) deviations by which boxes ``x`` (d, n) are resolved: measured ones', and ``speed`` as of `states_of_boxes`."""
+    out = np.empty(x.shape)
+    row = 6 if noise.scaling == PREVIOUS else 4
+    for i in range(x.shape[1]):
+        variance = box_variances(noise, x[row, i], x[row + 1, i])
+        moving = speed * (1.0 if noise.scaling == FIXED else np.sqrt(x[4, i] * x[5, i]))
+        for a in range(2):
+            out[a, i], out[a + 2, i] = np.sqrt(variance[a]), moving if moving > LEAST_SPEED else LEAST_SPEED
+        for c in range(4, x.shape[0]):
+            out[c, i] = np.sqrt(variance[2 + c % 2])
+    return out
 
-    ``z`` (4, N), ``order`` (N,) their numbers by px, rising, ``density`` (N,). A neighbourhood reaches ``reach`` boxes from
-    its centre and holds sizes between ``smallest`` and ``largest`` times its own.
+
+@njit(**ENTRY)
+def summed_densities(z: F8, order: I8, rate: float, reach: float, smallest: float, largest: float) -> F8:
+    """(N,) Σ_j rate / V_j over the detections z_j = (px, py, w, h) in whose neighbourhood each detection lies.
+
+    ``z`` (≥ 4, N), ``order`` (N,) their numbers by px, rising. A neighbourhood reaches ``reach`` boxes from its centre and
+    holds sizes between ``smallest`` and ``largest`` times its own; V_j is its volume, pixel⁴.
     """
-    n, out = order.size, np.empty(order.size)
+    n, out, unit = order.size, np.empty(order.size), 2.0 * reach * (largest - smallest)
     for i in range(n):
         out[i] = 0.0
     for p in range(n):
         j, k = order[p], p
         x, y, w, h = z[0, j], z[1, j], z[2, j], z[3, j]
         left, right, top, bottom = x - reach * w, x + reach * w, y - reach * h, y + reach * h
+        density = rate / (unit * unit * (w * h) * (w * h))
         while k > 0 and z[0, order[k - 1]] >= left:
             k -= 1
         while k < n and z[0, order[k]] <= right:
             i = order[k]
             near, wide, high = top <= z[1, i] <= bottom, z[2, i], z[3, i]
             if near and smallest * w <= wide <= largest * w and smallest * h <= high <= largest * h:
-                out[i] += density[j]
+                out[i] += density
             k += 1
     return out

@@ -17,7 +17,7 @@ Arrays count targets (T), hypotheses (C), measurements (N) or pairs of a hypothe
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,17 +159,29 @@ def updated_layer(
     fresh : the label that the next new target is given.
     past : (E, 2) frame and hypothesis of targets that have ended, the number of this frame, and how many frames are kept.
     """
-    targets, hypotheses, mean, covariance = layer
     ended, frame, history = past
-    count, n, prior = len(targets), len(m.z), s.static_clutter_prior
-    p_detect = (1.0 - hypotheses["occluded"]) * e.p_detect
-    p_detect[hypotheses["static"] > 0] = s.static_detection_probability
+    after, learned, gone = _update(layer, e, m, new, s, fresh)
+    # The oldest come first.
+    if len(ended) and frame - ended[0, 0] > history:
+        ended = ended[frame - ended[:, 0] <= history]
+    if len(gone):
+        ended = np.vstack([ended, np.stack([np.full(len(gone), frame - 1), gone], axis=1)])
+    return Layer._make(after), Summary._make(learned), ended
+
+
+@njit(**ENTRY)
+def _update(layer: Layer, e: Expected, m: Measurements, new: NewTargets, s: Settings, fresh: int) -> Any:
+    """Those of `updated_layer`, and the hypotheses of targets that have ended."""
+    targets, hypotheses, mean, covariance = layer
+    count, n, prior, p_detect = len(targets), len(m.z), s.static_clutter_prior, np.empty(len(hypotheses))
+    for c in range(len(hypotheses)):
+        h = hypotheses[c]
+        p_detect[c] = s.static_detection_probability if h.static else (1.0 - h.occluded) * e.p_detect[c]
     pairs = gated(e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, s.gate, p_detect)
     exists, found = np.empty(count), np.empty((3, n))
     born, vanished, started, predicted = _associate(
         targets, hypotheses, p_detect, pairs, exists, m.clutter, new.density, found, s.existence_threshold, prior
     )
-    evidence, false, r_new = found
     options, kept = np.empty(len(hypotheses) + len(pairs), PAIR), np.empty(count, np.int64)
     k = _choose(
         targets, hypotheses, p_detect, pairs, exists, s.existence_threshold, s.hypothesis_threshold, s.max_hypotheses,
@@ -180,17 +192,12 @@ def updated_layer(
     write_posteriors(mean, covariance, e, m, options, out.mean, out.covariance)
     gone = np.empty(count, np.int64)
     t, k, lost, mass = _write_kept(layer, p_detect, exists, kept, options, s.merge_distance * s.merge_distance, out, gone)
-    k, mass = _write_new(r_new, new.mean, new.covariance, prior, fresh, t, k, mass, out)
-    # The oldest come first.
-    if len(ended) and frame - ended[0, 0] > history:
-        ended = ended[frame - ended[:, 0] <= history]
-    if lost:
-        ended = np.vstack([ended, np.stack([np.full(lost, frame - 1), gone[:lost]], axis=1)])
-    out = Layer(out.targets[: t + started], out.hypotheses[:k], out.mean[:k], out.covariance[:k])
-    return out, Summary(born + predicted, born, mass, vanished, evidence, false), ended
+    k, mass = _write_new(found[2], new.mean, new.covariance, prior, fresh, t, k, mass, out)
+    after = out.targets[: t + started], out.hypotheses[:k], out.mean[:k], out.covariance[:k]
+    return after, (born + predicted, born, mass, vanished, found[0], found[1]), gone[:lost]
 
 
-@njit(**ENTRY)
+@njit(**INNER)
 def _associate(
     targets: Records, hypotheses: Records, p_detect: F8, pairs: Records, exists: F8, clutter: F8, density: F8, found: F8,
     least: float, prior: float,
@@ -271,7 +278,7 @@ def _weigh(targets: Records, hypotheses: Records, p_detect: F8, pairs: Records, 
     return p_new
 
 
-@njit(**ENTRY)
+@njit(**INNER)
 def _choose(
     targets: Records, hypotheses: Records, p_detect: F8, pairs: Records, exists: F8, least: float, share: float, most: float,
     options: Records, kept: I8,
@@ -337,7 +344,7 @@ def heavier_like(hypotheses: Records, mean: F8, cov: F8, begin: int, k: int, lim
     return k
 
 
-@njit(**ENTRY)
+@njit(**INNER)
 def _write_kept(
     layer: Layer, p_detect: F8, exists: F8, kept: I8, options: Records, limit: float, out: Layer, gone: I8
 ) -> tuple[int, int, int, float]:
@@ -397,7 +404,7 @@ def write_target(
     return r * total
 
 
-@njit(**ENTRY)
+@njit(**INNER)
 def _write_new(
     r_new: F8, new_mean: F8, new_cov: F8, prior: float, fresh: int, t: int, k: int, mass: float, out: Layer
 ) -> tuple[int, float]:

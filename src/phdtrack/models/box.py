@@ -33,6 +33,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -43,13 +44,12 @@ from phdtrack.kernels.box import (
     DETECTION,
     FIXED,
     GIVEN,
-    LEAST_SPEED,
     PARTICLE,
     PREVIOUS,
     BoxDynamics,
     BoxNoise,
     box_covariances,
-    box_motion_noise,
+    box_deviations,
     states_of_boxes,
 )
 from phdtrack.kernels.particle_models import BoxWalk, GivenSize, OwnSize, SensorNumbers, SizeBefore
@@ -65,6 +65,12 @@ OBSERVED = (0, 1, 4, 5)
 TINY = 1e-12
 # Squared Mahalanobis radius of the 99 % region in four dimensions.
 OWN = 13.28
+
+
+@lru_cache(maxsize=8)
+def _box_noise(scaling: Scaling, share: float, floor: float, fixed: tuple[float, float]) -> BoxNoise:
+    """The noise as the kernels take it: made once, as a step of ten targets takes hardly longer than making it."""
+    return BoxNoise(_SCALINGS[scaling], share, floor, fixed[0] ** 2, fixed[1] ** 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +194,9 @@ class BoxSensor:
         """(N, 4, 4) R where it follows the detection, else (0, 4, 4)."""
         if self.scaling == "given":
             return np.maximum(z[4:8], TINY).T[:, :, None] * np.eye(4)
-        out: F8 = box_covariances(z[2:4] if self.scaling == "detection" else np.zeros((2, 0)), self._numbers)
+        if self.scaling != "detection":
+            return np.zeros((0, 4, 4))
+        out: F8 = box_covariances(z[2:4], self._numbers)
         return out
 
     def p_detect(self, x: F8) -> F8:
@@ -245,27 +253,22 @@ class BoxSensor:
         The velocity of uniform direction and Gaussian amplitude a has variance a²/2 per axis.
         """
         dim = 8 if self.scaling == "previous" else 6
-        speed = (self.birth_speed_pixels if self.scaling == "fixed" else self.birth_speed) / math.sqrt(2)
-        found: tuple[F8, F8] = states_of_boxes(np.ascontiguousarray(z), dim, self._numbers, speed)
+        found: tuple[F8, F8] = states_of_boxes(np.ascontiguousarray(z), dim, self._numbers, self._speed)
         return found
 
     @property
     def _numbers(self) -> BoxNoise:
         """The noise as the kernels of boxes take it."""
-        position, size = self.fixed_noise
-        return BoxNoise(_SCALINGS[self.scaling], self.box_noise, self.min_noise, position**2, size**2)
+        return _box_noise(self.scaling, self.box_noise, self.min_noise, self.fixed_noise)
+
+    @property
+    def _speed(self) -> float:
+        """Deviation of an unknown velocity's components, in box sizes, or in pixels where the noise is fixed."""
+        return (self.birth_speed_pixels if self.scaling == "fixed" else self.birth_speed) / math.sqrt(2)
 
     def noise(self, x: F8) -> F8:
         """Deviations of the state's components: the measurement's of a box of this size, and an unknown velocity's."""
-        if self.scaling == "fixed":
-            position, size = self.fixed_noise
-            speed = max(self.birth_speed_pixels / math.sqrt(2), LEAST_SPEED)
-            constant: F8 = np.repeat([position, speed, size], [2, 2, len(x) - 4])[:, None] * np.ones(x.shape[1])
-            return constant
-        row, out = 6 if self.scaling == "previous" else 4, np.empty(x.shape)
-        sigma = np.maximum(self.box_noise * x[row : row + 2], self.min_noise)
-        out[:2], out[4:6], out[6:] = 0.5 * sigma, sigma, sigma[: len(x) - 6]
-        out[2:4] = np.maximum(self.birth_speed * np.sqrt(x[4] * x[5]) / math.sqrt(2), LEAST_SPEED)
+        out: F8 = box_deviations(np.ascontiguousarray(x), self._numbers, self._speed)
         return out
 
     def boxes(self, x: F8) -> F8:
@@ -379,16 +382,21 @@ class BoxMotion:
             f[6:8] = np.eye(2, 8, 4)
             mean[6:8] = x[4:6]
         # By planes, as the kernels that predict many states read it.
-        noise = np.zeros((d, d, n))
-        box_motion_noise(mean[4:6], float(dt), self.acceleration, self.size_noise, self.min_size, self.scaled_noise, noise)
+        noise, along = np.zeros((d, d, n)), self.dynamics(dt, 0.0)
+        unit = np.square(np.maximum(mean[4:6], self.min_size)) if self.scaled_noise else np.ones((2, n))
+        for a in range(2):
+            noise[a, a], noise[a + 2, a + 2] = along.position * unit[a], along.velocity * unit[a]
+            noise[a, a + 2] = noise[a + 2, a] = along.mixed * unit[a]
+            noise[a + 4, a + 4] = along.extent * unit[a]
         # One Jacobian for all, as np.broadcast_to would give it in more time than the rest takes for a few states.
         return mean, np.ndarray((n, d, d), np.float64, f, 0, (0, *f.strides)), noise.transpose(2, 0, 1)
 
     def dynamics(self, dt: float, seconds: float) -> BoxDynamics:
-        """The motion over an interval of ``dt`` time units, as the kernels of boxes take it."""
+        """The motion over an interval of ``dt`` time units, as the kernels of boxes take it [M09 (11)]."""
+        dt, pushed = float(dt), self.acceleration**2
         return BoxDynamics(
-            float(dt), self.acceleration, self.size_noise, self.min_size, self.scaled_noise,
-            self.survival_probability**seconds, *self.frame_size,
+            dt, pushed * (dt**3 / 3 - min(dt, dt**3) / 12), pushed * dt**2 / 2, pushed * dt, self.size_noise**2 * dt,
+            self.min_size, self.scaled_noise, self.survival_probability**seconds, *self.frame_size,
         )  # fmt: skip
 
     def warp_states(self, x: F8, warp: F8) -> F8:

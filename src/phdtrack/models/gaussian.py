@@ -143,9 +143,15 @@ def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> 
 
 def measurements(model: Model, z: F8) -> Measurements:
     """The measurements ``z`` (m, N) of a frame, with their noise and κ(z)."""
-    period = tuple(2 * math.pi if angle else 0.0 for angle in model.sensor.angles)
+    period = _periods(model.sensor.angles)
     rows = np.ascontiguousarray(z[: len(period)].T)
     return Measurements(rows, model.sensor.measurement_noise(z), model.clutter.intensity(z), period)
+
+
+@lru_cache(maxsize=8)
+def _periods(angles: tuple[bool, ...]) -> tuple[float, ...]:
+    """Of each component of a measurement: 2π of an angle, else 0."""
+    return tuple(2 * math.pi if angle else 0.0 for angle in angles)
 
 
 @lru_cache(maxsize=8)

@@ -70,8 +70,8 @@ def local_volume(z: F8) -> F8:
 
 
 def local_box_density(z: F8, rate: float) -> F8:
-    """(N,) density at boxes (4, N) of a ``rate`` around each of them, pixel⁻⁴, summed where neighbourhoods overlap."""
-    out: F8 = summed_densities(np.ascontiguousarray(z[:4]), z[0].argsort(), rate / local_volume(z), REACH, *SIZES)
+    """(N,) density at boxes (≥ 4, N) of a ``rate`` around each of them, pixel⁻⁴, summed where neighbourhoods overlap."""
+    out: F8 = summed_densities(np.ascontiguousarray(z), z[0].argsort(), rate, REACH, *SIZES)
     return out
 
 
