@@ -45,7 +45,7 @@ from phdtrack.filters.hypotheses import (
     parted,
 )
 from phdtrack.filters.pmb import without_overlaps
-from phdtrack.kernels.gaussian import PAIR, Expected, Measurements, NewTargets, gated, write_posteriors
+from phdtrack.kernels.gaussian import PAIR, Expected, Measurements, NewTargets, all_gated, all_posteriors
 from phdtrack.kernels.pmb import NEVER, TINY
 from phdtrack.models.gaussian import Transform, expected, measurements, moved, new_targets
 from phdtrack.protocols import Filter, Model
@@ -174,7 +174,7 @@ class MHT(Filter[Hypotheses]):
 
 def _scores(e: Expected, m: Measurements, new: NewTargets, p_detect: F8, gate: float) -> Scores:
     """What measurements, leaves, and pairs contribute to log-weights; ``p_detect`` (L,) is r p_D."""
-    pairs = gated(e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, gate, p_detect)
+    pairs = all_gated(e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, gate, p_detect)
     leaf, measurement = np.ascontiguousarray(pairs["gaussian"]), np.ascontiguousarray(pairs["measurement"])
     missed = np.log1p(-p_detect)
     gain = np.log(p_detect[leaf]) + pairs["log_density"] - missed[leaf]
@@ -199,7 +199,7 @@ def _grown(state: Hypotheses, branches: Branches, p_detect: F8, e: Expected, m: 
     # Of branches without a measurement of an earlier track nothing is written.
     pairs = np.empty(n, PAIR)
     pairs["gaussian"], pairs["measurement"] = source, np.where(begins, -1, which)
-    write_posteriors(leaves.mean, leaves.covariance, e, m, pairs, mean, cov)
+    all_posteriors(leaves.mean, leaves.covariance, e, m, pairs, mean, cov)
     # The last place stands for new tracks.
     label = np.where(begins, state.next_label + np.cumsum(begins) - 1, np.append(leaves.label, -1)[source])
     nodes = Nodes(mean, cov, r, which, np.append(leaves.parent, -1)[source], label, since)

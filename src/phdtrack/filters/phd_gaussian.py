@@ -187,7 +187,12 @@ class GMPHD(Filter[GaussianMixture]):
         state = tagged(state)
         frame = self._frame(self._predicted(state, model, dt), state.fresh, z, model, dt)
         axes = tuple(range(frame.rows.mean.shape[1]))
-        weight, mean, covariance, tag, *learned, fresh = phd_step(*frame, self._merging, axes)
+        new = frame.newborn
+        # As plain tuples: Numba looks up the class of every named one, which takes a quarter of a step of ten targets.
+        weight, mean, covariance, tag, *learned, fresh = phd_step(
+            tuple(frame.rows), tuple(frame.expected), tuple(frame.measurements),
+            (tuple(new.around), *new[1:-1], tuple(new.expected)), tuple(frame.reach), tuple(self._merging), axes,
+        )  # fmt: skip
         evidence, (predicted, born, mass), vanished = learned
         after = GaussianMixture(weight, mean, covariance, tag, fresh)
         return after, UpdateInfo(predicted, born, mass, evidence, frame.measurements.clutter, vanished)

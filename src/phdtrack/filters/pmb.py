@@ -153,7 +153,7 @@ class PMB(Filter[Bernoullis]):
         model.refuse_spawning("PMB filter")
         now = state.present
         mean, covariance, after = moved(model, now.mean, now.covariance, dt, self.transform)
-        noise, now = model.sensor.noise(np.ascontiguousarray(mean.T)), now._replace(mean=mean, covariance=covariance)
+        now, noise = Layer(now.targets, now.hypotheses, mean, covariance), model.sensor.noise(np.ascontiguousarray(mean.T))
         layer = predicted_layer(now, after, noise, *self._changes(dt / model.rate))
         return Bernoullis((*state.layers[-self.history :], layer), state.ended, state.next_label, state.frame + 1)
 
@@ -184,14 +184,19 @@ class PMB(Filter[Bernoullis]):
             self.existence_threshold, self.hypothesis_threshold, float(self.max_hypotheses), self.merge_distance, gate,
             self.static_clutter_prior, self.static_clutter_detection_probability,
         )  # fmt: skip
-        past = state.ended, state.frame, self.history
-        layer, learned, ended = updated_layer(
-            now, expected(model.sensor, now.mean, now.covariance, self.transform), seen,
-            new_targets(model, z, seen, dt, gate, self.transform), settings, label, past,
-        )  # fmt: skip
+        said = expected(model.sensor, now.mean, now.covariance, self.transform)
+        new = new_targets(model, z, seen, dt, gate, self.transform)
+        # As plain tuples: Numba looks up the class of every named one, which takes as long as some kernels.
+        layer, learned, gone = updated_layer(*map(tuple, (now, said, seen, new, settings)), label)
         if len(layer.targets):
             label = max(label, int(layer.targets[-1]["label"]) + 1)
-        return Bernoullis((*state.layers[:-1], layer), ended, label, state.frame), UpdateInfo(**learned._asdict())
+        ended = state.ended
+        # The oldest come first.
+        if len(ended) and state.frame - ended[0, 0] > self.history:
+            ended = ended[state.frame - ended[:, 0] <= self.history]
+        if len(gone):
+            ended = np.vstack([ended, np.stack([np.full(len(gone), state.frame - 1), gone], axis=1)])
+        return Bernoullis((*state.layers[:-1], layer), ended, label, state.frame), UpdateInfo(*learned)
 
 
 @dataclass(frozen=True, slots=True)

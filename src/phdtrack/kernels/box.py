@@ -5,7 +5,7 @@ The formulas stand in `models.box`. States are (px, py, vx, vy, w, h).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from phdtrack.kernels.gaussian import Predicted
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
+Noise = tuple[int, float, float, float, float]
 # Rows of the state that a measurement shows.
 ROWS = (0, 1, 4, 5)
 PARTICLE, DETECTION, FIXED, GIVEN, PREVIOUS = range(5)
@@ -68,6 +69,7 @@ def overlap_of(boxes: F8, i: int, j: int) -> float:
     return share
 
 
+# The two records come as plain tuples: Numba looks up the class of every named one, which takes as long as some kernels.
 class BoxDynamics(NamedTuple):
     """Motion of boxes over one interval: variances of position, of position with velocity, of velocity and of size along an
     axis, of a target of size 1 where ``scaled``; ``p_survive`` inside the frame of this size (0: no border)."""
@@ -96,33 +98,36 @@ class BoxNoise(NamedTuple):
 
 
 @njit(**ENTRY)
-def predicted_boxes(mean: F8, covariance: F8, motion: BoxDynamics) -> Predicted:
+def predicted_boxes(mean: F8, covariance: F8, motion: tuple[Any, ...]) -> Predicted:
     """Boxes at constant velocity, (J, 6) and (J, 6, 6), after an interval: F P Fᵀ + Q [M09 (11)]."""
+    motion = BoxDynamics(*motion)
     n, d = mean.shape
     out_mean, out_cov, p_survive = np.empty((n, d)), np.empty((n, d, d)), np.empty(n)
     dt, bordered = motion.dt, motion.width > 0.0 and motion.height > 0.0
+    axes = d // 3
     for i in range(n):
-        # Rows first, then columns: P → F P → F P Fᵀ.
         for r in range(d):
-            out_mean[i, r] = mean[i, r] + dt * mean[i, r + 2] if r < 2 else mean[i, r]
+            out_mean[i, r] = mean[i, r]
             for s in range(d):
-                out_cov[i, r, s] = covariance[i, r, s] + dt * covariance[i, r + 2, s] if r < 2 else covariance[i, r, s]
-        for r in range(d):
-            out_cov[i, r, 0] += dt * out_cov[i, r, 2]
-            out_cov[i, r, 1] += dt * out_cov[i, r, 3]
+                out_cov[i, r, s] = covariance[i, r, s]
+        # Rows first, then columns: P → F P → F P Fᵀ. Axes are counted, as the compiler would write loops of two out.
+        for a in range(axes):
+            out_mean[i, a] += dt * mean[i, a + 2]
+            for s in range(d):
+                out_cov[i, a, s] += dt * out_cov[i, a + 2, s]
         inside = True
-        # As many axes as there are and not 2: the compiler would write the loop out.
-        for a in range(d // 3):
-            unit = 1.0
-            if motion.scaled:
-                unit = mean[i, a + 4] if mean[i, a + 4] > motion.min_size else motion.min_size
-                unit *= unit
+        for a in range(axes):
+            for s in range(d):
+                out_cov[i, s, a] += dt * out_cov[i, s, a + 2]
+            size = mean[i, a + 4]
+            unit = size if size > motion.min_size else motion.min_size
+            unit = unit * unit if motion.scaled else 1.0
             out_cov[i, a, a] += motion.position * unit
             out_cov[i, a, a + 2] += motion.mixed * unit
             out_cov[i, a + 2, a] += motion.mixed * unit
             out_cov[i, a + 2, a + 2] += motion.velocity * unit
             out_cov[i, a + 4, a + 4] += motion.extent * unit
-            half, end = 0.5 * mean[i, a + 4], motion.width if a == 0 else motion.height
+            half, end = 0.5 * size, motion.width if a == 0 else motion.height
             inside &= -half < mean[i, a] < end + half
         p_survive[i] = motion.p_survive if inside or not bordered else 0.0
     return Predicted(out_mean, out_cov, p_survive)
@@ -143,8 +148,9 @@ def box_variances(noise: BoxNoise, w: float, h: float) -> tuple[float, float, fl
 
 
 @njit(**ENTRY)
-def box_covariances(size: F8, noise: BoxNoise) -> F8:
+def box_covariances(size: F8, noise: Noise) -> F8:
     """(L, 4, 4) noise covariances of (px, py, w, h) of measured boxes whose noise follows sizes (2, L)."""
+    noise = BoxNoise(*noise)
     n = size.shape[1]
     m = len(ROWS)
     out = np.empty((n, m, m))
@@ -157,12 +163,13 @@ def box_covariances(size: F8, noise: BoxNoise) -> F8:
 
 
 @njit(**ENTRY)
-def states_of_boxes(z: F8, dim: int, noise: BoxNoise, speed: float) -> tuple[F8, F8]:
+def states_of_boxes(z: F8, dim: int, noise: Noise, speed: float) -> tuple[F8, F8]:
     """States at rest (dim, N) that boxes ``z`` (m, N) alone show, and their covariances (N, dim, dim).
 
     ``speed`` is the deviation of each velocity component, in √(wh), or in pixels where the noise is constant. Rows behind
     the sixth are sizes, too.
     """
+    noise = BoxNoise(*noise)
     n = z.shape[1]
     x, cov = np.empty((dim, n)), np.empty((n, dim, dim))
     for j in range(n):
@@ -185,8 +192,9 @@ def states_of_boxes(z: F8, dim: int, noise: BoxNoise, speed: float) -> tuple[F8,
 
 
 @njit(**ENTRY)
-def box_deviations(x: F8, noise: BoxNoise, speed: float) -> F8:
+def box_deviations(x: F8, noise: Noise, speed: float) -> F8:
     """(d, n) deviations by which boxes ``x`` (d, n) are resolved: measured ones', and ``speed`` as of `states_of_boxes`."""
+    noise = BoxNoise(*noise)
     out = np.empty(x.shape)
     row = 6 if noise.scaling == PREVIOUS else 4
     for i in range(x.shape[1]):

@@ -304,7 +304,7 @@ def places_of(z: F8, period: Axes) -> Places:
     return Places(spots, begin, along, across, low, scale, near)
 
 
-@njit(**ENTRY)
+@njit(**INNER)
 def gated(rows: I8, seen: F8, spread: F8, noise: F8, z: F8, extra: F8, period: Axes, gate: float, active: F8) -> Records:
     """(P,) of `PAIR`, the pairs (Gaussian, measurement) with d ≤ ``gate``, in time linear in Gaussians and pairs.
 
@@ -355,7 +355,7 @@ def gated(rows: I8, seen: F8, spread: F8, noise: F8, z: F8, extra: F8, period: A
     return pairs[:found]
 
 
-@njit(**ENTRY)
+@njit(**INNER)
 def write_posteriors(
     mean: F8, covariance: F8, e: Expected, m: Measurements, pairs: Records, out_mean: F8, out_covariance: F8
 ) -> None:
@@ -395,6 +395,10 @@ def write_posteriors(
                     value -= w[c, a] * s[a, a] * w[b, a]
                 out_covariance[k, c, b] = value
                 out_covariance[k, b, c] = value
+
+
+# The same two for callers in Python.
+all_gated, all_posteriors = (njit(**ENTRY)(getattr(kernel, "py_func", kernel)) for kernel in (gated, write_posteriors))
 
 
 @njit(cache=True)

@@ -264,6 +264,9 @@ def phd_step(
     Returns the Gaussians, means as (d, J), C(z) (N,), the masses predicted, born and after the update, the number of
     measurements with κ + C = 0, and the next tag.
     """
+    around, observed, volume, stretch, said = new
+    new = Newborn(NewTargets(*around), observed, volume, stretch, Expected(*said))
+    before, e, m, reach, merging = Rows(*before), Expected(*e), Measurements(*m), Reach(*reach), Merging(*merging)
     terms = terms_of(before, e, m, new, reach)
     rows, mass, fresh = mixture_of(before, e, m, new, terms, (1.0, terms.explained), reach.fresh, merging.weight_threshold)
     weight, mean, covariance, tag, fresh = merged_rows(rows, axes, merging, mass if merging.keep_mass else -1.0, fresh)

@@ -17,7 +17,7 @@ Arrays count targets (T), hypotheses (C), measurements (N) or pairs of a hypothe
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,17 +90,7 @@ class Settings(NamedTuple):
     static_detection_probability: float
 
 
-class Summary(NamedTuple):
-    """What an update learned: masses, measurements with κ + C = 0, and (N,) C(z) and κ(z) as `UpdateInfo` has them."""
-
-    mass_predicted: float
-    mass_born: float
-    mass: float
-    vanished: int
-    evidence: F8
-    clutter: F8
-
-
+@njit(**ENTRY)
 def predicted_layer(layer: Layer, p: Predicted, noise: F8, occlude: float, reappear: float) -> Layer:
     """The targets after an interval; static clutter stays where it is.
 
@@ -111,42 +101,40 @@ def predicted_layer(layer: Layer, p: Predicted, noise: F8, occlude: float, reapp
     noise : (d, C) deviations by which the sensor resolves them, `Sensor.noise`.
     occlude, reappear : probabilities that a visible target is occluded after the interval, and an occluded one visible.
     """
-    after = Layer(layer.targets.copy(), layer.hypotheses.copy(), p.mean.copy(), p.covariance.copy())
-    _predict(*after, layer.mean, layer.covariance, p.p_survive, noise, occlude, reappear)
-    return after
-
-
-@njit(**ENTRY)
-def _predict(
-    targets: Records, hypotheses: Records, mean: F8, cov: F8, old_mean: F8, old_cov: F8, p_survive: F8, noise: F8,
-    occlude: float, reappear: float,
-) -> None:  # fmt: skip
-    """Write the targets after an interval over those before it; ``mean`` and ``cov`` are those after the motion."""
+    before, old, old_mean, old_cov = layer
+    moved_mean, moved_cov, p_survive = p
+    targets, hypotheses = np.empty(before.size, TARGET), np.empty(old.size, HYPOTHESIS)
+    mean, cov = np.empty(old_mean.shape), np.empty(old_cov.shape)
     for t in range(targets.size):
+        targets[t] = before[t]
         target = targets[t]
         stay = presence = 0.0
         for c in range(target.begin, target.end):
-            stay += hypotheses[c].weight * p_survive[c]
+            stay += old[c].weight * p_survive[c]
         target.r *= stay
         for c in range(target.begin, target.end):
+            hypotheses[c] = old[c]
             h = hypotheses[c]
             h.parent, h.detection = c, -1
             if stay > 0.0:
                 h.weight *= p_survive[c] / stay
             if h.static:
                 copy_gaussian(old_mean, old_cov, c, mean, cov, c)
-                for a in range(mean.shape[1]):
+                for a in range(old_mean.shape[1]):
                     least = STATIC_SHARE * noise[a, c] * noise[a, c]
                     cov[c, a, a] = cov[c, a, a] if cov[c, a, a] > least else least
             else:
+                copy_gaussian(moved_mean, moved_cov, c, mean, cov, c)
                 h.occluded = h.occluded * (1.0 - reappear) + (1.0 - h.occluded) * occlude
                 presence += target.r * h.weight
         target.presence = presence
+    return Layer(targets, hypotheses, mean, cov)
 
 
+@njit(**ENTRY)
 def updated_layer(
-    layer: Layer, e: Expected, m: Measurements, new: NewTargets, s: Settings, fresh: int, past: tuple[I8, int, int]
-) -> tuple[Layer, Summary, I8]:
+    layer: Layer, e: Expected, m: Measurements, new: NewTargets, s: Settings, fresh: int
+) -> tuple[Layer, tuple[float, float, float, F8, F8, int], I8]:
     """The targets after the measurements, with new ones, what was learned, and the targets that have ended [W15].
 
     Parameters
@@ -157,21 +145,13 @@ def updated_layer(
     new : what targets are whose first detections these measurements are.
     s : settings; hypotheses of a target that become the same are one.
     fresh : the label that the next new target is given.
-    past : (E, 2) frame and hypothesis of targets that have ended, the number of this frame, and how many frames are kept.
+
+    Returns
+    -------
+    layer, learned, gone : ``learned`` in the order of `types.UpdateInfo`. Of each target that was once confirmed and has
+        been deleted ``gone`` has the best hypothesis of the frame before.
     """
-    ended, frame, history = past
-    after, learned, gone = _update(layer, e, m, new, s, fresh)
-    # The oldest come first.
-    if len(ended) and frame - ended[0, 0] > history:
-        ended = ended[frame - ended[:, 0] <= history]
-    if len(gone):
-        ended = np.vstack([ended, np.stack([np.full(len(gone), frame - 1), gone], axis=1)])
-    return Layer._make(after), Summary._make(learned), ended
-
-
-@njit(**ENTRY)
-def _update(layer: Layer, e: Expected, m: Measurements, new: NewTargets, s: Settings, fresh: int) -> Any:
-    """Those of `updated_layer`, and the hypotheses of targets that have ended."""
+    layer, e, m, new, s = Layer(*layer), Expected(*e), Measurements(*m), NewTargets(*new), Settings(*s)
     targets, hypotheses, mean, covariance = layer
     count, n, prior, p_detect = len(targets), len(m.z), s.static_clutter_prior, np.empty(len(hypotheses))
     for c in range(len(hypotheses)):
@@ -193,8 +173,8 @@ def _update(layer: Layer, e: Expected, m: Measurements, new: NewTargets, s: Sett
     gone = np.empty(count, np.int64)
     t, k, lost, mass = _write_kept(layer, p_detect, exists, kept, options, s.merge_distance * s.merge_distance, out, gone)
     k, mass = _write_new(found[2], new.mean, new.covariance, prior, fresh, t, k, mass, out)
-    after = out.targets[: t + started], out.hypotheses[:k], out.mean[:k], out.covariance[:k]
-    return after, (born + predicted, born, mass, vanished, found[0], found[1]), gone[:lost]
+    after = Layer(out.targets[: t + started], out.hypotheses[:k], out.mean[:k], out.covariance[:k])
+    return after, (born + predicted, born, mass, found[0], found[1], vanished), gone[:lost]
 
 
 @njit(**INNER)
@@ -205,7 +185,7 @@ def _associate(
     """Write the probability of each pair as its weight, and those that a target exists and was missed into ``exists`` (T,).
 
     ``p_detect`` (C,) is of hypotheses, ``density`` (N,) is γ̂, ``least`` the probability from which a target is kept, and
-    ``prior`` that of static clutter. Writes into ``found`` (3, N) C(z) and κ(z) as of `Summary`, and the probability that a
+    ``prior`` that of static clutter. Writes into ``found`` (3, N) C(z) and κ(z), and the probability that a
     new target exists. Returns the mass of new targets, how many measurements have κ + C = 0, how many begin one, and the
     mass predicted.
     """

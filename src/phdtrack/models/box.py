@@ -47,7 +47,7 @@ from phdtrack.kernels.box import (
     PARTICLE,
     PREVIOUS,
     BoxDynamics,
-    BoxNoise,
+    Noise,
     box_covariances,
     box_deviations,
     states_of_boxes,
@@ -68,9 +68,9 @@ OWN = 13.28
 
 
 @lru_cache(maxsize=8)
-def _box_noise(scaling: Scaling, share: float, floor: float, fixed: tuple[float, float]) -> BoxNoise:
-    """The noise as the kernels take it: made once, as a step of ten targets takes hardly longer than making it."""
-    return BoxNoise(_SCALINGS[scaling], share, floor, fixed[0] ** 2, fixed[1] ** 2)
+def _box_noise(scaling: Scaling, share: float, floor: float, fixed: tuple[float, float]) -> Noise:
+    """`BoxNoise` as the kernels take it: made once, as a step of ten targets takes hardly longer than making it."""
+    return _SCALINGS[scaling], share, floor, fixed[0] ** 2, fixed[1] ** 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,7 +201,8 @@ class BoxSensor:
 
     def p_detect(self, x: F8) -> F8:
         """p_D, less where nearer targets cover x, see `models.occlusion`."""
-        p = np.full(x.shape[1], self.detection_probability)
+        p = np.empty(x.shape[1])
+        p.fill(self.detection_probability)
         if self.hiders is None:
             return p
         boxes = self.boxes(x)
@@ -257,7 +258,7 @@ class BoxSensor:
         return found
 
     @property
-    def _numbers(self) -> BoxNoise:
+    def _numbers(self) -> Noise:
         """The noise as the kernels of boxes take it."""
         return _box_noise(self.scaling, self.box_noise, self.min_noise, self.fixed_noise)
 

@@ -66,7 +66,7 @@ def predicted(model: Model, mean: F8, covariance: F8, dt: float, transform: Tran
     """
     motion = model.motion
     if type(motion) is BoxMotion and transform == "linear" and not motion.remember_size:
-        boxes: Predicted = predicted_boxes(mean, covariance, motion.dynamics(dt, dt / model.rate))
+        boxes: Predicted = predicted_boxes(mean, covariance, tuple(motion.dynamics(dt, dt / model.rate)))
         return boxes
     columns = np.ascontiguousarray(mean.T)
     p_survive = motion.p_survive(columns, dt / model.rate)
@@ -194,7 +194,7 @@ def new_targets(model: Model, z: F8, m: Measurements, dt: float, gate: float, tr
     around = births.around
     p_detect = model.sensor.p_detect(np.ascontiguousarray(around.mean.T))
     if len(births.weight) == 0:
-        return around._replace(density=p_detect * around.density)
+        return NewTargets(p_detect * around.density, around.mean, around.covariance)
     given = expected(model.sensor, births.mean, births.covariance, transform)
     out: NewTargets = first_states(births, p_detect, given, m, gate)
     return out
