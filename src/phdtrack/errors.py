@@ -15,7 +15,9 @@ Bounds are stated once, in the annotation of a field, and checked wherever a rec
 
 from __future__ import annotations
 
+import difflib
 import math
+from collections.abc import Iterable
 from dataclasses import fields
 from functools import cache
 from numbers import Real
@@ -48,6 +50,13 @@ class InputError(ValueError):
         self.problem, self.where, self.cure = problem, str(where), cure
         text = f"{where}: {problem}" if where else problem
         super().__init__(f"{text.rstrip('.')}. {cure}" if cure else text)
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """The cure for a name that is not among the ``known``: the nearest of them, or all."""
+    names = list(known)
+    close = difflib.get_close_matches(name, names, 1)
+    return f"Did you mean {close[0]}?" if close else f"There are {', '.join(names) or 'none'}."
 
 
 def interrupted(error: BaseException) -> bool:

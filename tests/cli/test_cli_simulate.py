@@ -53,7 +53,7 @@ def test_the_look_of_the_video_is_the_scenes_own_and_can_be_changed(tmp_path: Pa
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["streets"], "did you mean street"),
+        (["streets"], "Did you mean street"),
         (["street", "--set", "arivals=2"], "Did you mean arrivals?"),
         (["street", "--set", "arrivals"], "NAME=VALUE"),
         (["street", "--set", "arrivals=many"], "expected a number, got 'many'"),

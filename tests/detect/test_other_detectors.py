@@ -125,8 +125,8 @@ def test_every_name_makes_a_detector_and_every_parameter_is_taken(name: str) -> 
 @pytest.mark.parametrize(
     ("name", "parameters", "message"),
     [
-        ("chagne", {}, "no detector 'chagne'. Did you mean 'change'.*mog2"),
-        ("change", {"min_aera": 1}, "no parameter 'min_aera'. Did you mean 'min_area'"),
+        ("chagne", {}, "no detector 'chagne'. Did you mean change"),
+        ("change", {"min_aera": 1}, "no parameter 'min_aera'. Did you mean min_area"),
         ("mog2", {"method": "knn"}, "no parameter 'method'"),
         ("change", {"window": 4}, "window: expected an odd whole number, got 4"),
         ("change", {"false_alarm": 1.5}, "false_alarm: expected a value below 1, got 1.5"),

@@ -112,9 +112,9 @@ def test_doors_are_where_people_appear() -> None:
 
 
 def test_unknown_scene_and_setting_name_the_nearest() -> None:
-    with pytest.raises(InputError, match="did you mean street"):
+    with pytest.raises(InputError, match="Did you mean street"):
         make_scene("stret", 0)
-    with pytest.raises(InputError, match="did you mean arrivals"):
+    with pytest.raises(InputError, match="Did you mean arrivals"):
         make_scene("street", 0, arivals=2.0)
 
 

@@ -3,7 +3,6 @@ over the seeds."""
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -13,7 +12,7 @@ from scipy.special import stdtrit
 
 from phdtrack.compare.plans import Case, Run
 from phdtrack.compare.runs import Comparison, Failed, RunResult
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, did_you_mean
 from phdtrack.metrics import Scores, pool
 
 LEVEL = 0.95
@@ -137,9 +136,7 @@ def check_scores(names: Sequence[str]) -> tuple[str, ...]:
     known = {name.lower(): name for name in (*SCORES, *OTHERS)}
     for name in names:
         if name.lower() not in known:
-            close = difflib.get_close_matches(name.lower(), known, 1)
-            cure = f"Did you mean {known[close[0]]}?" if close else f"There are {', '.join(known.values())}."
-            raise InputError(f"there is no score {name}", where="--scores", cure=cure)
+            raise InputError(f"there is no score {name}", where="--scores", cure=did_you_mean(name, known.values()))
     return tuple(known[name.lower()] for name in names)
 
 

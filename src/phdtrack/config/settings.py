@@ -17,7 +17,6 @@ On the command line the same is ``--set sensor.detection_probability=0.9``. A pr
 from __future__ import annotations
 
 import datetime
-import difflib
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
@@ -27,7 +26,7 @@ from typing import Any, NamedTuple
 
 from phdtrack.config.kinds import DECIDING, FITTING, SECTIONS, Nothing, constructor_defaults, first_kind, record, settable
 from phdtrack.config.presets import PRESETS, values_of
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, did_you_mean
 from phdtrack.files import read_toml
 
 Values = dict[str, Any]
@@ -290,7 +289,5 @@ def _assignment(text: str) -> _Entry:
 
 def _unknown(what: str, name: str, known: Sequence[str], where: str, owner: str = "") -> InputError:
     """Says the nearest name, or all; ``owner`` is where else there is one of this name."""
-    close = difflib.get_close_matches(name, known, 1)
-    cure = f"Did you mean {close[0]}?" if close else f"There are {', '.join(known) or 'none'}."
-    cure = f"It goes with {owner}; here there are {', '.join(known) or 'none'}." if owner else cure
+    cure = f"It goes with {owner}; here there are {', '.join(known) or 'none'}." if owner else did_you_mean(name, known)
     return InputError(f"unknown {what}: {name}", where=where, cure=cure)

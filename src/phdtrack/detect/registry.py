@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,7 @@ import numpy as np
 from phdtrack.detect.change import ChangeDetector, MeanBackgroundDetector
 from phdtrack.detect.components import BlobSettings
 from phdtrack.detect.opencv import FaceDetector, PersonDetector, SubtractorDetector
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, did_you_mean
 from phdtrack.files import load
 from phdtrack.protocols import Detector
 from phdtrack.types import Bool, Detections, DetectionTable, Frame, Image
@@ -133,7 +131,7 @@ def _read_mask(path: Path) -> Image:
 def detector_parameters(name: str) -> dict[str, Any]:
     """The parameters of detector ``name`` and their defaults, those of the clean-up included."""
     if name not in DETECTORS:
-        raise InputError(f"there is no detector {name!r}", cure=_suggest(name, DETECTORS))
+        raise InputError(f"there is no detector {name!r}", cure=did_you_mean(name, DETECTORS))
     known = {field.name: field.default for field in fields(_BUILD[name]) if field.name != "method"}
     return known | ({field.name: field.default for field in fields(BlobSettings)} if known.pop("blobs", None) else {})
 
@@ -162,7 +160,7 @@ def make_detector(
     own, blobs = dict[str, Any](), dict[str, Any]()
     for key, value in parameters.items():
         if key not in known:
-            raise InputError(f"detector {name!r} has no parameter {key!r}", cure=_suggest(key, tuple(known)))
+            raise InputError(f"detector {name!r} has no parameter {key!r}", cure=did_you_mean(key, known))
         kind = type(known[key])
         value = float(value) if kind is float and type(value) is int else value
         if not isinstance(value, kind) or isinstance(value, bool) > (kind is bool):
@@ -176,10 +174,3 @@ def make_detector(
     if max_width:
         detector = Rescaled(detector, max_width)
     return detector if mask is None else Masked(detector, mask)
-
-
-def _suggest(name: str, known: Sequence[str]) -> str:
-    """The nearest name, and all."""
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    meant = f"Did you mean {close[0]!r}? " if close else ""
-    return f"{meant}There are {', '.join(known)}."

@@ -17,7 +17,6 @@ and ``terrain = "hill.npz"``, an elevation map, beside the latter two.
 
 from __future__ import annotations
 
-import difflib
 import io
 import re
 import tomllib
@@ -29,7 +28,7 @@ from typing import Any, Literal, get_args, get_type_hints
 import cv2
 import numpy as np
 
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, did_you_mean
 from phdtrack.files import AnyPath, Element, load, read_json, read_xml
 from phdtrack.ground.calibrate import Calibration
 from phdtrack.ground.cameras import HomographyCamera, OpenCVLens, PosedCamera, TsaiLens
@@ -241,9 +240,7 @@ def _toml(text: str) -> Description:
     known = ["homography", "inside", *(field.name for field in fields(MatrixForm)), "file", "terrain", *names]
     for key in values:
         if key not in known:
-            close = difflib.get_close_matches(key, known, 1)
-            cure = f"Did you mean {close[0]}?" if close else "There are homography, camera_matrix, file and theirs."
-            raise InputError(f"a camera has no setting {key}", cure=cure)
+            raise InputError(f"a camera has no setting {key}", cure=did_you_mean(key, known))
     return values
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from phdtrack.errors import Count, InputError, NonNegative, Probability, check
+from phdtrack.errors import Count, InputError, NonNegative, Probability, check, did_you_mean
 from phdtrack.simulate.detector import DetectorModel, detect
 from phdtrack.simulate.scenario import Entrance, Scenario, Walk
 from phdtrack.types import F8, I8, DetectionTable, SequenceInfo, Truth
@@ -156,10 +155,13 @@ def make_scene(name: str, seed: int, detector: DetectorModel | None = None, **se
     ------
     InputError : no scene has this name, it has no such setting, or the value is impossible.
     """
-    _known(name, list(NAMED), f"no scene is called {name!r}")
+    if name not in NAMED:
+        raise InputError(f"no scene is called {name!r}", cure=did_you_mean(name, NAMED))
     world = NAMED[name]
+    known = [field.name for field in fields(world)]
     for key in settings:
-        _known(key, [f.name for f in fields(world)], f"scene {name} has no setting {key!r}")
+        if key not in known:
+            raise InputError(f"scene {name} has no setting {key!r}", cure=did_you_mean(key, known))
     return build_scene(replace(world, **settings), seed, detector or default_detector(world))
 
 
@@ -191,11 +193,3 @@ def default_detector(world: Scenario) -> DetectorModel:
 def default_look(name: str) -> Look:
     """What the video of the scene ``name`` looks like where nothing else is asked for."""
     return _LOOKS.get(name, Look())
-
-
-def _known(word: str, known: list[str], problem: str) -> None:
-    """Raise `InputError` with the nearest known word unless the word is known."""
-    if word not in known:
-        close = difflib.get_close_matches(word, known, 1)
-        hint = f"; did you mean {close[0]}?" if close else ""
-        raise InputError(problem, cure=f"There are {', '.join(known)}{hint}")
