@@ -97,4 +97,4 @@ def test_frames_without_any_box_count_where_seqinfo_names_them(truth: Path) -> N
 
 @pytest.mark.parametrize("iou", [0, -1, 1.5, "nan"])
 def test_impossible_threshold(truth: Path, iou: object) -> None:
-    assert "--iou" in refused("evaluate", "--truth", truth, "--tracks", truth, "--iou", iou, "--json")
+    assert "iou" in refused("evaluate", "--truth", truth, "--tracks", truth, "--iou", iou, "--json")

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from importlib import import_module
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any
 
 import typer
 
@@ -22,7 +22,7 @@ from phdtrack.errors import InputError, interrupted
 
 Command = Callable[..., None]
 
-# What each command does. Its module, of the same name but for these two, is loaded when it is run.
+# What each command does. Its module, of the same name but for these three, is loaded when it is run.
 COMMANDS = {
     "demo": "Render a street and track the people in it, with the filter and without.",
     "track": "Track the objects in a video, or in a file of detections.",
@@ -37,7 +37,7 @@ COMMANDS = {
     "settings": "Print settings as TOML, with units and meaning, for --config to read back.",
     "doctor": "Say what works on this machine, and how to mend what does not.",
 }
-_MODULES = {"demo": "simulate", "detect": "track"}
+_MODULES = {"demo": "simulate", "detect": "track", "learn": "label"}
 _SUMMARY = (
     "From a video, or any detector's boxes, to tracks: a filter of random finite sets between detector and identities."
 )
@@ -91,21 +91,13 @@ def with_options(command: Command) -> Command:
     """The command with the fields of each record among its parameters as options of their own."""
     parameters = inspect.signature(command, eval_str=True).parameters
     records: dict[str, Any] = {name: one.annotation for name, one in parameters.items() if is_dataclass(one.annotation)}
-    options: list[inspect.Parameter] = []
+    options = []
     for name, parameter in parameters.items():
-        if name not in records:
-            options.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
-            continue
-        hints = get_type_hints(records[name], include_extras=True)
-        for field in fields(records[name]):
-            kind = inspect.Parameter.KEYWORD_ONLY
-            options.append(inspect.Parameter(field.name, kind, default=field.default, annotation=hints[field.name]))
+        own = inspect.signature(records[name], eval_str=True).parameters.values() if name in records else [parameter]
+        options += [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in own]
 
     def run(**values: Any) -> None:
-        made = {
-            name: record(**{field.name: values.pop(field.name) for field in fields(record)})
-            for name, record in records.items()
-        }
+        made = {name: kind(**{one.name: values.pop(one.name) for one in fields(kind)}) for name, kind in records.items()}
         command(**values, **made)
 
     run.__doc__, run.__annotations__ = command.__doc__, {one.name: one.annotation for one in options}
@@ -134,7 +126,7 @@ def common(
 
 
 # What typer raises for a command line that cannot be read. Some versions bring a click of their own, others import it.
-Misuse: type[Exception] = typer.BadParameter.__bases__[0]
+Misuse: type[Any] = typer.BadParameter.__bases__[0]
 
 
 def main() -> None:
@@ -143,12 +135,9 @@ def main() -> None:
     try:
         status = application(words[0])(words, prog_name="phdtrack", standalone_mode=False)
     except Misuse as error:
-        status = failed(misuse(error), 2).exit_code
+        # One sentence for a command line that cannot be read, and where its help stands.
+        where = getattr(error, "ctx", None)
+        sentence = " ".join(error.format_message().split())
+        end = "" if sentence.endswith((".", "?")) else "."
+        status = failed(f"{sentence}{end} See {where.command_path if where else 'phdtrack'} --help.", 2).exit_code
     sys.exit(status)
-
-
-def misuse(error: Any) -> str:
-    """One sentence for a command line that cannot be read, and where its help stands."""
-    command = error.ctx.command_path if error.ctx is not None else "phdtrack"
-    sentence = " ".join(error.format_message().split())
-    return f"{sentence if sentence.endswith(('.', '?')) else sentence + '.'} See {command} --help."

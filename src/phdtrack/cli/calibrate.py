@@ -12,13 +12,13 @@ from phdtrack.cli.inputs import frame_size
 from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, counted
 from phdtrack.errors import InputError
-from phdtrack.files import load
-from phdtrack.formats.checks import Origin
-from phdtrack.formats.text import numbers, scan
+from phdtrack.formats.checks import Rule, enforce
+from phdtrack.formats.text import read_columns
 from phdtrack.ground import Calibration, fit_homography, footprint
 from phdtrack.ground.read import calibration_text
 from phdtrack.groups import polygon_area
-from phdtrack.types import F8
+from phdtrack.report.words import write_text
+from phdtrack.types import F8, Bool
 
 # A point is a line of these, in this order where there is no header.
 COLUMNS = ("u", "v", "x", "y", "z")
@@ -45,58 +45,39 @@ def calibrate(
     size = frame_size(image_size) if image_size else None
     if out.exists() and not overwrite:
         raise InputError("the file is there already", where=f"--out {out}", cure="Say --overwrite, or choose another --out.")
-    pixel, world, origin = read_points(points)
-    for row, (u, v) in enumerate(pixel.T):
-        if size and not (0 <= u <= size[0] and 0 <= v <= size[1]):
-            problem = f"expected a pixel inside of {size[0]}x{size[1]}, got ({u:g}, {v:g})"
-            cure = "The first two numbers are the pixel, the others its place in metres; or is --image-size another?"
-            raise InputError(problem, where=origin.at(row), cure=cure)
+    origin, table = read_columns(points, COLUMNS, (4, 5))
+    pixel, world = np.ascontiguousarray(table[:, :2].T), np.ascontiguousarray(table[:, 2:4].T)
+    unknown: Bool = np.logical_not(np.isfinite(table).all(axis=1))
+    height = np.zeros(len(table)) if table.shape[1] < 5 else table[:, 4]
+    flat = "A homography knows flat ground only: leave out points above it, or calibrate with OpenCV."
+    rules = [
+        Rule(unknown, "expected finite numbers", height),
+        Rule(height != 0, "expected points of the ground, Z = 0, got Z = {:g}", height, flat),
+    ]
+    if size is not None:
+        outside: Bool = np.logical_not(((table[:, :2] >= 0) & (table[:, :2] <= size)).all(axis=1))
+        problem = f"expected a pixel inside of {size[0]}x{size[1]}, got ({{:g}}, {{:g}})"
+        cure = "The first two numbers are the pixel, the others its place in metres; or is --image-size another?"
+        rules.append(Rule(outside, problem, table[:, :2], cure))
+    enforce(origin, *rules)
     try:
         fitted = fit_homography(pixel, world)
     except InputError as error:
         raise InputError(error.problem, where=points, cure=error.cure) from None
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(calibration_text(fitted, size), encoding="utf-8")
-    report(output, fitted, pixel, world, out, size)
+    write_text(out, calibration_text(fitted, size))
+    _report(output, fitted, table, out, size)
 
 
-def read_points(path: Path) -> tuple[F8, F8, Origin]:
-    """(2, N) pixels, (2, N) places on the ground in metres, and where each stands in the file.
-
-    Raises `InputError` where a column is missing, a number is none, or a point is not at height 0.
-    """
-    text = scan(path, load(path))
-    columns = list(range(text.width))
-    if text.header:
-        columns = [i for name in COLUMNS for i, found in enumerate(text.header) if found == name]
-        for name in COLUMNS[:4]:
-            if (count := text.header.count(name)) != 1:
-                cure = "The header names u and v, pixels, and X and Y, metres."
-                raise InputError(f"expected one column {name}, got {count or 'none'}", where=path, cure=cure)
-    if len(columns) not in (4, 5) and len(text):
-        problem = f"expected 4 or 5 numbers a line, u v X Y and maybe Z, got {len(columns)}"
-        raise InputError(problem, where=text.origin.at(0))
-    table = numbers(text, columns, ["u", "v", "X", "Y", "Z"][: len(columns)]) if len(text) else np.zeros((0, 4))
-    for row, values in enumerate(table):
-        if not np.isfinite(values).all():
-            raise InputError("expected finite numbers", where=text.origin.at(row))
-        if values[4:].any():
-            problem = f"expected points of the ground, Z = 0, got Z = {values[4]:g}"
-            cure = "A homography knows flat ground only: leave out points above it, or calibrate with OpenCV."
-            raise InputError(problem, where=text.origin.at(row), cure=cure)
-    return np.ascontiguousarray(table[:, :2].T), np.ascontiguousarray(table[:, 2:4].T), text.origin
-
-
-def report(out: Output, fitted: Calibration, pixel: F8, world: F8, file: Path, size: tuple[int, int] | None) -> None:
+def _report(out: Output, fitted: Calibration, points: F8, file: Path, size: tuple[int, int] | None) -> None:
     """The residuals of all points in pixels and metres, and what the camera can tell of the ground."""
-    count, metres = pixel.shape[1], np.linalg.norm(fitted.camera.jacobian(pixel), ord=2, axis=(1, 2))
-    table = np.vstack([pixel, world, fitted.pixel_error, fitted.ground_error, metres]).T.tolist()
+    metres = np.linalg.norm(fitted.camera.jacobian(points[:, :2].T), ord=2, axis=(1, 2))
+    table = np.column_stack([points[:, :4], fitted.pixel_error, fitted.ground_error, metres]).tolist()
     form = "{} {:g} {:g} {:g} {:g} {:.2f} {:.3f} {:.3f}"
     rows = [form.format(i, *row).split() for i, row in enumerate(table, start=1)]
     out.table(["point", "u", "v", "X", "Y", "off, px", "off, m", "m per px"], rows, words=())
     rms_px, rms_m = (float(np.sqrt((error**2).mean())) for error in (fitted.pixel_error, fitted.ground_error))
-    out.say(f"{counted(count, 'point')}: {rms_px:.2f} pixels and {rms_m:.3f} m off (root mean square)")
-    if count == 4:
+    out.say(f"{counted(len(table), 'point')}: {rms_px:.2f} pixels and {rms_m:.3f} m off (root mean square)")
+    if len(table) == 4:
         out.warn(["four points are always fitted exactly: how good the camera is, only more points can tell"])
     seen = None
     if size:

@@ -17,7 +17,6 @@ import typer
 from phdtrack import compare as comparing
 from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.evaluate import check_iou
 from phdtrack.cli.job import about, announced, detections_needed
 from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, progress
@@ -41,8 +40,6 @@ FILES = {
 # A comparison takes hours: the pace of the last half minute would tell nothing of its end.
 PACE = 24 * 3600.0
 MOST_WARNINGS = 12
-
-
 _VARIANT = "Another method, as few=filter.history=5,preset=m09: the first filter with these settings. May be given again."
 
 
@@ -55,11 +52,7 @@ class PlanOptions:
     ] = ""
     detections: Annotated[
         str,
-        option(
-            "--detections",
-            "NAME|FILE,...",
-            "Sets of the folders, as public, or files, {} for the sequence's name; default: all.",
-        ),
+        option("--detections", "NAME|FILE,...", "Sets of the folders, or files, {} for the sequence's name; default: all."),
     ] = ""
     detectors: Annotated[str, option("--detectors", "NAME,...", "Detectors to run on the videos, each of them once.")] = ""
     clutter: Annotated[str, option("--clutter", "F,...", "Rates of false alarms to add, Poisson, boxes per frame.")] = "0"
@@ -75,17 +68,15 @@ class PlanOptions:
 
     def plan(self, sequences: list[str]) -> Plan:
         """Every sequence with these detections, methods, rates of clutter and seeds. Raises `InputError` for mistakes."""
-        check_iou(self.iou)
         try:
             rates = tuple(float(part) for part in listed(self.clutter))
         except ValueError:
             raise InputError(f"expected numbers as 0,5,10, got {self.clutter!r}", where="--clutter") from None
+        looked = comparing.DetectionChoice(listed(self.detections), listed(self.detectors), self.max_width, self.truth)
         return comparing.plan(
             sequences,
             filters=listed(self.filters),
-            detections=comparing.DetectionChoice(
-                listed(self.detections), listed(self.detectors), self.max_width, self.truth
-            ),
+            detections=looked,
             clutter=rates,
             seeds=self.seeds,
             variants=self.variants or (),
@@ -121,7 +112,7 @@ def compare(
     rundir.check(out, overwrite or ours, FILES)
     wanted = comparing.check_scores(listed(scores))
     made = options.plan(sequences)
-    directory = rundir.claim(out, True, FILES)
+    directory = rundir.claim(out, "", True, FILES)
     # Whatever ends this, the next one knows the folder for its own.
     write_run(directory.file(DOCUMENT), {"complete": False})
     # Once, before several processes would each compile them.
@@ -196,5 +187,5 @@ def doubts(comparison: Comparison) -> tuple[str, ...]:
     said = [f"{run} failed: {reason}" for run, reason in comparison.failed]
     said += [result.warning for _, result in comparison.runs if isinstance(result, RunResult) and result.warning]
     each = tuple(dict.fromkeys(said))
-    more = len(each) - MOST_WARNINGS
-    return each if more < 1 else (*each[:MOST_WARNINGS], f"and {more} more, see {EACH}")
+    more = (f"and {len(each) - MOST_WARNINGS} more, see {EACH}",) if len(each) > MOST_WARNINGS else ()
+    return (*each[:MOST_WARNINGS], *more)

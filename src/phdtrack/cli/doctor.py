@@ -10,6 +10,7 @@ import platform
 import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from importlib import import_module, metadata
 from pathlib import Path
 
@@ -84,9 +85,7 @@ def _opencv() -> str:
 
 
 def _detector(name: str) -> str:
-    from phdtrack.detect import make_detector
-
-    make_detector(name)
+    import_module("phdtrack.detect").make_detector(name)
     return "can be made"
 
 
@@ -98,13 +97,10 @@ def _decoders() -> str:
 
 
 def _encoders() -> str:
-    import numpy as np
-
-    from phdtrack.video import VideoWriter
-
-    with tempfile.TemporaryDirectory() as folder, VideoWriter(Path(folder) / "try.mp4", 64, 48, 25.0) as writer:
+    numpy, video = import_module("numpy"), import_module("phdtrack.video")
+    with tempfile.TemporaryDirectory() as folder, video.VideoWriter(Path(folder) / "try.mp4", 64, 48, 25.0) as writer:
         for _ in range(3):
-            writer.write(np.zeros((48, 64, 3), np.uint8))
+            writer.write(numpy.zeros((48, 64, 3), numpy.uint8))
     return "writes mp4 files that play in a browser"
 
 
@@ -124,26 +120,25 @@ def _cache() -> str:
     return f"{cache.folder} ({state})"
 
 
-def _plots() -> str:
-    figure = import_module("matplotlib.figure").Figure(figsize=(1, 1))
-    import_module("matplotlib.backends.backend_agg").FigureCanvasAgg(figure).draw()
-    return f"matplotlib {_version('matplotlib')}"
-
-
-def _parquet() -> str:
-    import_module("pyarrow.parquet")
-    return f"pyarrow {_version('pyarrow')}"
+def _imported(module: str, package: str) -> str:
+    import_module(module)
+    return f"{package} {_version(package)}"
 
 
 # Name for people, what is tried, whether it is essential, and what to do where it fails.
 CHECKS: list[tuple[str, Callable[[], str], bool, str]] = [
     ("OpenCV", _opencv, True, HEADLESS),
-    ("detector face (cascades)", lambda: _detector("face"), False, HEADLESS),
-    ("detector person (HOG)", lambda: _detector("person"), False, HEADLESS),
+    ("detector face (cascades)", partial(_detector, "face"), False, HEADLESS),
+    ("detector person (HOG)", partial(_detector, "person"), False, HEADLESS),
     ("video in", _decoders, True, "pip install --force-reinstall av"),
     ("video out (H.264)", _encoders, False, "pip install --force-reinstall av; or track with --no-video"),
     ("compiled kernels", _kernels, True, "pip install --force-reinstall numba"),
     ("cache of compiled kernels", _cache, False, "Set NUMBA_CACHE_DIR to a folder that can be written into."),
-    ("report (plots)", _plots, False, "pip install --force-reinstall matplotlib"),
-    ("Parquet files", _parquet, False, "pip install pyarrow"),
+    (
+        "report (plots)",
+        partial(_imported, "matplotlib.backends.backend_agg", "matplotlib"),
+        False,
+        "pip install --force-reinstall matplotlib",
+    ),
+    ("Parquet files", partial(_imported, "pyarrow.parquet", "pyarrow"), False, "pip install pyarrow"),
 ]

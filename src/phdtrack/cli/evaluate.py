@@ -6,13 +6,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from phdtrack.cli import options as given
 from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, number
-from phdtrack.errors import InputError
 from phdtrack.formats import find_seqinfo, read_tracks, read_truth
 from phdtrack.metrics import Scores, rmse_per_target, tgospa_boxes
 from phdtrack.metrics import evaluate as score
@@ -45,7 +43,6 @@ def evaluate(
     A row of the truth that the benchmark ignores is ignored here; every row of the tracks counts. With --json a score
     whose denominator is empty is null.
     """
-    check_iou(iou)
     annotated, found = read_truth(truth), read_tracks(tracks)
     known = None if frames else find_seqinfo(truth)
     if known is not None:
@@ -66,12 +63,6 @@ def evaluate(
     output.document(document)
 
 
-def check_iou(iou: float) -> None:
-    """Raise InputError where the threshold is not in (0, 1]."""
-    if not 0 < iou <= 1:
-        raise InputError(f"expected an overlap above 0 and at most 1, got {iou:g}", where="--iou", cure="0.5 is usual.")
-
-
 def score_table(out: Output, runs: Mapping[str, Scores]) -> None:
     """The scores of each run, by its title, in a column of its own, and what each of them says."""
     _table(out, {title: scores.as_dict() for title, scores in runs.items()}, SHOWN.split())
@@ -88,11 +79,8 @@ def located_errors(out: Output, truth: Truth, tracks: Tracks, gate: float) -> ob
     kept = ~truth.distractor
     centre, found = ((xyxy[:, :2] + xyxy[:, 2:]).T / 2 for xyxy in (truth.xyxy[kept], tracks.xyxy))
     errors = rmse_per_target(truth.frame[kept], truth.identity[kept], centre, tracks.frame, found, gate)
-    counts, sizes = np.stack([errors.identity, errors.frames, errors.mapped]), np.vstack([errors.rmse_axis, errors.rmse])
-    rows = [
-        [*map(str, whole), *(number(error, 2) for error in exact)]
-        for whole, exact in zip(counts.T.tolist(), sizes.T.tolist(), strict=True)
-    ]
+    columns = [each.tolist() for each in (errors.identity, errors.frames, errors.mapped, *errors.rmse_axis, errors.rmse)]
+    rows = [[number(value, 2) for value in row] for row in zip(*columns, strict=True)]
     total = ["all", str(errors.frames.sum()), str(errors.mapped.sum()), "", "", number(errors.overall, 2)]
     out.say("", f"RMSE of box centres in pixels, pairs nearer than {gate:g}:")
     out.table(["object", "frames", "mapped", "x", "y", "RMSE"], [*rows, total])

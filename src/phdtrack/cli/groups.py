@@ -1,8 +1,7 @@
 """``phdtrack groups``: groups of people on the ground, from a video or detections, or among known positions.
 
-`GroupObserver` finds groups during a run; `GroupStory` writes, draws and reports them. Contours are polygons in WKT
-(``MULTIPOLYGON``), on the ground in metres and, where there is a camera, in pixels of the image. Rings that run clockwise
-on the ground are holes.
+Contours are polygons in WKT (``MULTIPOLYGON``), on the ground in metres and, where there is a camera, in pixels of the
+image. Rings that run clockwise on the ground are holes.
 """
 
 from __future__ import annotations
@@ -17,13 +16,12 @@ from typing import Annotated, NamedTuple
 
 import cv2
 import numpy as np
-import typer
 
 from phdtrack import config
 from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.inputs import NO_PICTURE, refuse
-from phdtrack.cli.job import Job, about, finish_document, places
+from phdtrack.cli.job import about, finish_document, places
 from phdtrack.cli.observers import Draw, Report, RunObserver
 from phdtrack.cli.options import SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, progress
@@ -44,7 +42,7 @@ from phdtrack.protocols import AnyStages, Camera
 from phdtrack.report.pages import lines, render
 from phdtrack.report.plan import Plan, PlanScene, draw_contours, extent_of, plan_size
 from phdtrack.report.words import flattened, write_text
-from phdtrack.types import F8, GaussianMixture, Image, Step, Tracks
+from phdtrack.types import F8, I8, GaussianMixture, Image, SequenceInfo, Step, Tracks
 from phdtrack.video import VideoWriter
 
 USUAL_FILTER = "gm-phd"
@@ -80,33 +78,38 @@ def groups(
     ] = None,
     out: given.Out = None,
     overwrite: given.Overwrite = False,
-    video: Annotated[bool, typer.Option("--video/--no-video", help="Write plan.mp4 and annotated.mp4.")] = True,
+    video: given.Video = True,
 ) -> None:
     """Find groups of people on the ground, in a video, in a file of detections, or among known positions.
 
     The run's directory holds what that of `phdtrack track` does, and groups.csv (counts, places, contours), members.csv,
     events.csv, warnings.csv and plan.mp4: the ground from above beside the annotated video.
     """
-    if out is not None:
-        rundir.check(out, overwrite)
+    rundir.check(out, overwrite)
     if positions is None:
-        settings = ground_settings(options, camera)
-        job = with_groups(prepare(source, options, settings, video=video), settings, read_edges(edges))
-        finish(output, job, rundir.claim(out or Path("runs") / job.inputs.info.name, overwrite))
+        settings = _ground_settings(options, camera)
+        job, delay = prepare(source, options, settings, video=video), settings.build("associate").output_delay
+        stages, info, reach = job.stages, job.inputs.info, settings.build("camera").max_distance
+        observer = GroupObserver(build_groups(settings, stages), info, _read_edges(edges), stages, delay, reach)
+        finish(output, replace(job, observers=(*job.observers, observer)), rundir.claim(out, info.name, overwrite))
         return
-    _refuse_unused(source, options, camera)
-    lines, known = read_edges(edges), read_positions(positions)
+    useless = {f"--{name.replace('_', '-')}": used for name, used in asdict(replace(source, source="", fps=0.0)).items()}
+    useless |= {"SOURCE": source.source, "--camera": camera, "--filter": options.filter_name, "--truth": options.truth}
+    useless["--threads"] = options.threads is not None
+    refuse(useless, "the positions are known, so there is nothing that this could change", "--positions")
+    lines, known = _read_edges(edges), read_positions(positions)
     if not len(known):
         raise InputError("expected people, got a file without any", where=positions)
     if not source.fps:
         cure = "Say --fps F, the rate of the video that the frames are numbered in."
         raise InputError("the rate of the frames is not known", where=positions, cure=cure)
-    place = out or Path("runs") / (positions.resolve().parent.name or positions.stem)
-    directory = rundir.claim(place, overwrite)
-    group_known(output, known, source.fps, chosen(options), lines, directory, positions, video=video)
+    directory = rundir.claim(out, positions.resolve().parent.name or positions.stem, overwrite)
+    document, summary = _group_known(known, positions, source.fps, chosen(options), lines, directory, video=video)
+    output.say(*summary, "", *directory.listing())
+    output.document(document)
 
 
-def ground_settings(options: TrackingOptions, camera: Path | None) -> Settings:
+def _ground_settings(options: TrackingOptions, camera: Path | None) -> Settings:
     """The settings on the ground plane with this camera; a filter of Gaussians where none was named.
 
     Raises `InputError` where there is no camera, or the settings are for another world or without a filter.
@@ -130,63 +133,62 @@ def ground_settings(options: TrackingOptions, camera: Path | None) -> Settings:
     return settings
 
 
-def with_groups(job: Job, settings: Settings, edges: tuple[F8, ...]) -> Job:
-    """The job with an observer of groups."""
-    stages, size = job.stages, (job.inputs.info.width, job.inputs.info.height)
-    sensor, around = stages.model.sensor, Surroundings(edges=edges)
-    if isinstance(sensor, PlaneSensor) and sensor.camera is not None:
-        around = Surroundings(sensor.camera, footprint(sensor.camera, size, settings.build("camera").max_distance), edges)
-    delay, story = settings.build("associate").output_delay, GroupStory(around, job.inputs.info.fps, size)
-    observer = GroupObserver(build_groups(settings, stages), stages, delay, story)
-    return replace(job, observers=(*job.observers, observer, story))
+def _read_edges(path: Path | None) -> tuple[F8, ...]:
+    """Lines (2, K) in metres: a point ``x y`` or ``x,y`` on each line of text, an empty line between one edge and the next.
+
+    Raises `InputError` where the file is missing, or a line is not two numbers.
+    """
+    edges: list[list[tuple[float, float]]] = [[]]
+    text = load(path).decode("utf-8-sig", errors="replace") if path is not None else ""
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.partition("#")[0].replace(",", " ").split()
+        if not words:
+            edges.append([])
+            continue
+        try:
+            x, y = map(float, words)
+        except ValueError:
+            problem = f"expected a point of an edge, x and y in metres, got '{line.strip()[:40]}'"
+            raise InputError(problem, where=f"{path}, line {number}") from None
+        edges[-1].append((x, y))
+    return tuple(np.array(edge).T for edge in edges if len(edge) > 1)
 
 
-def _refuse_unused(source: SourceOptions, options: TrackingOptions, camera: Path | None) -> None:
-    """Raise `InputError` where an option has nothing to do, because positions are known."""
-    read = asdict(replace(source, source="", fps=0.0))
-    useless = {f"--{name.replace('_', '-')}": value for name, value in read.items()}
-    useless |= {"SOURCE": source.source, "--camera": camera, "--filter": options.filter_name, "--truth": options.truth}
-    useless["--threads"] = options.threads is not None
-    refuse(useless, "the positions are known, so there is nothing that this could change", "--positions")
-
-
-def group_known(
-    output: Output,
+def _group_known(
     known: Positions,
+    path: Path,
     fps: float,
     settings: Settings,
     edges: tuple[F8, ...],
-    directory: rundir.RunDirectory,
-    path: Path,
+    directory: RunDirectory,
     *,
     video: bool,
-) -> None:
-    """Find groups among known positions, read from ``path``, write everything, and say what was found."""
-    clock, begun = time.perf_counter(), about(path.parent.name or path.name)
-    frames, stages, state = np.unique(known.frame).tolist(), build_groups(settings), LifeCycleState()
+) -> tuple[dict[str, object], tuple[str, ...]]:
+    """Find groups among known positions, read from ``path``, and write everything; the content of run.json, a summary."""
+    clock, begun, frames = time.perf_counter(), about(path.parent.name or path.name), np.unique(known.frame).tolist()
     # One picture for each frame with people, as fast as these usually follow each other.
     step = float(np.median(np.diff(frames))) if len(frames) > 1 else 1.0
-    story = GroupStory(Surroundings(edges=edges), fps / step)
+    observer = GroupObserver(build_groups(settings), SequenceInfo(0, 0, fps / step), edges)
     with ExitStack() as files, progress("grouping", len(frames)) as advance:
-        story.open(directory, files)
+        observer.open(directory, files)
         for done, number in enumerate(frames, start=1):
             here, at = known.at(number), (number - frames[0]) / fps
-            state, frame = stages.advance(state, known_people(here.state), here.identity, np.arange(len(here)), number, at)
-            story.add(frame, here.state[:2], _NOWHERE)
+            people = People(here.identity, here.state[:2], np.arange(len(here)))
+            observer.group(number, at, known_people(here.state), people, _NOWHERE)
             advance(done)
     if video:
         with ExitStack() as files, progress("drawing", len(frames)) as advance:
-            draw = story.drawing(directory, files, pictures=False)
+            draw = observer.drawing(directory, files, pictures=False)
             for done, number in enumerate(frames, start=1):
                 draw(number, NO_PICTURE)
                 advance(done)
-    found, people = story.report(), len(np.unique(known.identity))
-    summary = (f"{people} people in {len(frames)} frames at {fps:.4g} frames per second.", *found.sentences)
+    found, count = observer.report(), len(np.unique(known.identity))
+    summary = (f"{count} people in {len(frames)} frames at {fps:.4g} frames per second.", *found.sentences)
     used = {name: value for name, value in settings.as_dict().items() if name in GROUP_SECTIONS}
     words = {"title": begun.title, "source": str(path), "lead": " ".join(summary), "settings": flattened(used)}
     page = render("positions.html", about=replace(begun, notes=(_NOTE,)), sections=found.section, **words)
     write_text(directory.file(rundir.REPORT), page)
-    document = {
+    document: dict[str, object] = {
         "command": begun.command,
         "title": begun.title,
         "summary": summary,
@@ -194,55 +196,44 @@ def group_known(
         "started": begun.started,
         "seconds": time.perf_counter() - clock,
         "frames": len(frames),
-        "people": people,
+        "people": count,
         "configuration": used,
         "complete": True,
         "input": {"positions": str(path), "fps": fps},
     }
-    document = finish_document(document, directory, found.document)
-    output.say(*summary, "", *directory.listing())
-    output.document(document)
+    return finish_document(document, directory, found.document), summary
 
 
-def read_edges(path: Path | None) -> tuple[F8, ...]:
-    """Lines (2, K) in metres: a point ``x y`` or ``x,y`` on each line of text, an empty line between one edge and the next.
+class People(NamedTuple):
+    """Those with an identity in a frame, their places (2, n) in metres, and the Gaussian that each of them is."""
 
-    Raises `InputError` where the file is missing, or a line is not two finite numbers.
-    """
-    edges: list[list[list[float]]] = [[]]
-    text = load(path).decode("utf-8-sig", errors="replace") if path is not None else ""
-    for number, line in enumerate(text.splitlines(), start=1):
-        words = line.partition("#")[0].replace(",", " ").split()
-        try:
-            point = [float(word) for word in words]
-        except ValueError:
-            point = [np.nan]
-        if not words:
-            edges.append([])
-        elif len(point) == 2 and np.isfinite(point).all():
-            edges[-1].append(point)
-        else:
-            problem = f"expected a point of an edge, x and y in metres, got '{line.strip()[:40]}'"
-            raise InputError(problem, where=f"{path}, line {number}")
-    return tuple(np.array(edge).T for edge in edges if len(edge) > 1)
+    identity: I8
+    place: F8
+    carrier: I8
 
 
-class Surroundings(NamedTuple):
-    """What stays the same in all frames: the camera, if any, what it sees (2, K), and lines to be drawn (2, K)."""
+class GroupObserver(RunObserver):
+    """Finds groups on the ground plane, writes them, keeps each frame's plan (some hundred bytes a person), and draws and
+    reports them at the end. Without ``stages`` nothing was detected, and `group` is called instead of `take`.
 
-    camera: Camera | None = None
-    field: F8 = _NOWHERE
-    edges: tuple[F8, ...] = ()
-
-
-class GroupStory(RunObserver):
-    """Writes every frame's groups, keeps its plan (some hundred bytes a person), and draws and reports it at the end.
-
-    ``picture`` is the width and height of the frames, None where positions are known and nothing was detected.
+    Members are the identities of the confirmed online rows. A frame's rows come ``delay`` frames later; until then its
+    number, time, mixture and the places of its detections wait. The ground is shown up to ``max_distance`` of the camera.
     """
 
-    def __init__(self, around: Surroundings, fps: float, picture: tuple[int, int] | None = None) -> None:
-        self._around, self._fps, self._picture = around, fps, picture
+    def __init__(
+        self,
+        groups: GroupStages,
+        info: SequenceInfo,
+        edges: tuple[F8, ...],
+        stages: AnyStages | None = None,
+        delay: int = 0,
+        max_distance: float = 0.0,
+    ) -> None:
+        self._groups, self._info, self._edges, self._stages, self._delay = groups, info, edges, stages, delay
+        sensor = None if stages is None else stages.model.sensor
+        self._camera = sensor.camera if isinstance(sensor, PlaneSensor) else None
+        self._field = _NOWHERE if self._camera is None else footprint(self._camera, (info.width, info.height), max_distance)
+        self._state, self._waiting = LifeCycleState(), deque[tuple[int, float, GaussianMixture, F8]]()
         self._scenes: list[PlanScene] = []
 
     def open(self, directory: RunDirectory, files: ExitStack) -> None:
@@ -251,35 +242,53 @@ class GroupStory(RunObserver):
         for name, head in _HEADS.items():
             self._tables[name].write(head)
 
-    def add(self, frame: GroupFrame, people: F8, detections: F8) -> None:
-        """Take in a frame, the places (2, n) of its people with identities, those of its detections (2, N)."""
-        for name, rows in self._rows(frame).items():
-            if rows:
-                self._tables[name].write("\n".join(rows))
-        self._scenes.append(PlanScene(frame, detections, people, frame.member))
+    def take(self, step: Step, state: TrackingState) -> None:
+        """Take in a step; the frame whose rows it brings is grouped."""
+        assert self._stages is not None
+        z = self._stages.model.sensor.measure(step.detections)
+        usable = np.ascontiguousarray(z[:, np.isfinite(z).all(axis=0)])
+        mixture = mixture_of(state.intensity, step, usable, self._stages, self._groups.grouping.min_weight)
+        self._waiting.append((step.number, step.time, mixture, z[:2]))
+        if len(self._waiting) > self._delay:
+            self._group_first(step.tracks)
 
-    def _rows(self, frame: GroupFrame) -> dict[str, list[str]]:
-        """A frame's rows in each table."""
-        n, at, groups, camera = frame.number, f"{frame.time:.6f}", frame.groups, self._around.camera
-        rows: dict[str, list[str]] = {rundir.GROUPS: []}
+    def flush(self, rows: Tracks) -> None:
+        """Group the frames that are left."""
+        while self._waiting:
+            self._group_first(rows)
+
+    def _group_first(self, tracks: Tracks) -> None:
+        """Group the first frame that waits."""
+        number, time, mixture, detections = self._waiting.popleft()
+        rows = tracks.take((tracks.frame == number) & tracks.confirmed)
+        place = self._places(rows)
+        carrier = carriers(mixture, place, self._groups.grouping.min_weight)
+        self.group(number, time, mixture, People(rows.identity, place, carrier), detections)
+
+    def group(self, number: int, time: float, mixture: GaussianMixture, people: People, detections: F8) -> None:
+        """Find and write the groups of a frame; ``detections`` (2, N) are places in metres."""
+        self._state, frame = self._groups.advance(self._state, mixture, people.identity, people.carrier, number, time)
+        n, at, found, camera = number, f"{time:.6f}", frame.groups, self._camera
+        write = {name: table.write for name, table in self._tables.items()}
         for g, rings in enumerate(frame.contours):
-            numbers = [groups.count[g], groups.deviation[g], *groups.mean[:, g]]
-            values = ",".join(f"{value:.7g}" for value in numbers)
+            values = ",".join(f"{value:.7g}" for value in (found.count[g], found.deviation[g], *found.mean[:, g]))
             image = _EMPTY if camera is None else _polygons(rings, [_in_image(camera, ring) for ring in rings])
-            rows[rundir.GROUPS].append(f'{n},{at},{frame.identity[g]},{values},"{_polygons(rings, rings)}","{image}"')
-        order = np.lexsort((frame.member, frame.membership))
-        rows[rundir.MEMBERS] = [f"{n},{frame.membership[i]},{frame.member[i]}" for i in order]
-        rows[rundir.EVENTS] = [f"{e.frame},{e.time:.6f},{e.kind},{e.group},{e.other}" for e in frame.events]
-        rows[rundir.WARNINGS] = [
-            f"{n},{at},{w.first},{w.second},{w.seconds:.4g},{w.distance:.4g},{w.deviation:.4g},"
-            f"{w.place[0]:.7g},{w.place[1]:.7g},{w.probability:.4g}"
-            for w in frame.warnings
-        ]
-        return rows
+            write[rundir.GROUPS](f'{n},{at},{frame.identity[g]},{values},"{_polygons(rings, rings)}","{image}"')
+        for i in np.lexsort((frame.member, frame.membership)):
+            write[rundir.MEMBERS](f"{n},{frame.membership[i]},{frame.member[i]}")
+        for e in frame.events:
+            write[rundir.EVENTS](f"{e.frame},{e.time:.6f},{e.kind},{e.group},{e.other}")
+        for w in frame.warnings:
+            numbers = (w.seconds, w.distance, w.deviation)
+            close = ",".join(f"{value:.4g}" for value in numbers)
+            place = f"{w.place[0]:.7g},{w.place[1]:.7g}"
+            write[rundir.WARNINGS](f"{n},{at},{w.first},{w.second},{close},{place},{w.probability:.4g}")
+        members = people.place[:, np.searchsorted(people.identity, frame.member)]
+        self._scenes.append(PlanScene(frame, detections, members, frame.member))
 
-    def show(self, tracks: Tracks, place: F8) -> None:
-        """Draw the corrected tracks and their places (2, M), as the annotated video does, instead of the online rows."""
-        numbers = [scene.frame.number for scene in self._scenes]
+    def finish(self, directory: RunDirectory, tracks: Tracks) -> None:
+        """Draw the corrected tracks, as the annotated video does, instead of the online rows."""
+        place, numbers = self._places(tracks), [scene.frame.number for scene in self._scenes]
         first, last = (np.searchsorted(tracks.frame, numbers, side=side) for side in ("left", "right"))
         self._scenes = [
             replace(scene, people=place[:, i:j], identity=tracks.identity[i:j])
@@ -289,12 +298,12 @@ class GroupStory(RunObserver):
     def drawing(self, directory: RunDirectory, files: ExitStack, *, pictures: bool) -> Draw:
         """plan.mp4, with the annotated pictures on its left where there are any."""
         left, height = 0, _HEIGHT
-        if pictures and self._picture is not None:
-            height = max(self._picture[1], _MIN_HEIGHT)
-            left = 2 * round(self._picture[0] * height / self._picture[1] / 2)
+        if pictures:
+            height = max(self._info.height, _MIN_HEIGHT)
+            left = 2 * round(self._info.width * height / self._info.height / 2)
         plan, scenes = self._plan(height + height % 2), {scene.frame.number: scene for scene in self._scenes}
         file = directory.file(rundir.PLAN)
-        video = files.enter_context(VideoWriter(file, left + plan.width, plan.height, self._fps))
+        video = files.enter_context(VideoWriter(file, left + plan.width, plan.height, self._info.fps))
 
         def draw(number: int, picture: Image) -> None:
             scene = scenes.get(number)
@@ -308,88 +317,47 @@ class GroupStory(RunObserver):
 
     def report(self) -> Report:
         """Counts, plan, events and warnings."""
-        frames, counts = [scene.frame for scene in self._scenes], list[int]()
-        if self._picture is not None:
-            counts = [scene.detections.shape[1] for scene in self._scenes]
+        frames = [scene.frame for scene in self._scenes]
+        counts = [] if self._stages is None else [scene.detections.shape[1] for scene in self._scenes]
         kinds = Counter(event.kind for frame in frames for event in frame.events)
-        people, groups, detections = (
-            float(np.mean(each)) if each else None
-            for each in ([frame.people for frame in frames], [frame.named for frame in frames], counts)
-        )
-        document: dict[str, object] = {
-            "people_mean": people,
-            "groups_mean": groups,
-            "detections_mean": detections,
+        means: dict[str, list[float] | list[int]] = {
+            "people_mean": [frame.people for frame in frames],
+            "groups_mean": [frame.named for frame in frames],
+            "detections_mean": counts,
+        }
+        document: dict[str, object] = {name: float(np.mean(each)) if each else None for name, each in means.items()}
+        document |= {
             "identities": len({identity for frame in frames for identity in frame.identity.tolist()} - {0}),
             "events": {kind: kinds[kind] for kind in ("appear", "vanish", "merge", "split")},
             "warnings": sum(len(frame.warnings) for frame in frames),
         }
-        said = lines("groups.txt", found=document, frames=frames)
         known = {"found": document, "frames": frames, "detections": counts, "stills": self._stills()}
-        return Report({"groups": document}, said, render("groups.html", **known))
+        return Report({"groups": document}, lines("groups.txt", **known), render("groups.html", **known))
 
     def _stills(self) -> list[tuple[int, Image]]:
         """The plan at some frames, spread over those with people."""
-        shown = [scene for scene in self._scenes if len(scene.frame)]
-        if not shown:
-            return []
-        plan, share = self._plan(_HEIGHT), (np.arange(_STILLS) + 0.5) / _STILLS
-        chosen = dict.fromkeys((share * len(shown)).astype(int).tolist())
+        shown, plan = [scene for scene in self._scenes if len(scene.frame)], self._plan(_HEIGHT)
+        chosen = dict.fromkeys(((np.arange(_STILLS) + 0.5) / _STILLS * len(shown)).astype(int).tolist() if shown else ())
         return [(shown[k].frame.number, plan.draw(shown[k])) for k in chosen]
+
+    def _places(self, tracks: Tracks) -> F8:
+        """(2, M) metres."""
+        assert self._stages is not None
+        return places(self._stages.model.sensor, tracks.xyxy)
 
     def _plan(self, height: int) -> Plan:
         """A plan of the ground on which people were."""
         people = [scene.people for scene in self._scenes]
         centres = [scene.frame.groups.mean[:2, scene.frame.identity > 0] for scene in self._scenes]
         extent = extent_of(np.hstack([_NOWHERE, *people, *centres]))
-        return Plan(extent, *plan_size(extent, height), self._around.field, self._around.edges)
+        return Plan(extent, *plan_size(extent, height), self._field, self._edges)
 
     def _with_contours(self, picture: Image, frame: GroupFrame) -> Image:
         """The picture with the contours that the camera shows."""
-        if (camera := self._around.camera) is None:
+        if (camera := self._camera) is None:
             return picture
         shown = [[_in_image(camera, ring) for ring in rings] for rings in frame.contours]
         return draw_contours(picture, frame.identity, [[ring for ring in rings if ring.shape[1]] for rings in shown])
-
-
-class GroupObserver(RunObserver):
-    """Finds groups during a run on the ground plane; ``story`` takes them in.
-
-    Members are the identities of the confirmed online rows. A frame's rows come ``delay`` frames later; until then its
-    number, time, mixture and the places of its detections wait.
-    """
-
-    def __init__(self, settings: GroupStages, stages: AnyStages, delay: int, story: GroupStory) -> None:
-        self._settings, self._stages, self._delay, self._story = settings, stages, delay, story
-        self._state, self._waiting = LifeCycleState(), deque[tuple[int, float, GaussianMixture, F8]]()
-
-    def take(self, step: Step, state: TrackingState) -> None:
-        """Take in a step; the frame whose rows it brings is grouped."""
-        sensor, min_weight = self._stages.model.sensor, self._settings.grouping.min_weight
-        z = sensor.measure(step.detections)
-        usable = np.ascontiguousarray(z[:, np.isfinite(z).all(axis=0)])
-        mixture = mixture_of(state.intensity, step, usable, self._stages, min_weight)
-        self._waiting.append((step.number, step.time, mixture, z[:2]))
-        if len(self._waiting) > self._delay:
-            self._group(step.tracks)
-
-    def flush(self, rows: Tracks) -> None:
-        """Group the frames that are left."""
-        while self._waiting:
-            self._group(rows)
-
-    def finish(self, directory: RunDirectory, tracks: Tracks) -> None:
-        """Show the corrected tracks."""
-        self._story.show(tracks, places(self._stages.model.sensor, tracks.xyxy))
-
-    def _group(self, tracks: Tracks) -> None:
-        """Group the first frame that waits."""
-        number, time, mixture, detections = self._waiting.popleft()
-        rows = tracks.take((tracks.frame == number) & tracks.confirmed)
-        place = places(self._stages.model.sensor, rows.xyxy)
-        carrier = carriers(mixture, place, self._settings.grouping.min_weight)
-        self._state, frame = self._settings.advance(self._state, mixture, rows.identity, carrier, number, time)
-        self._story.add(frame, place[:, np.searchsorted(rows.identity, frame.member)], detections)
 
 
 def _in_image(camera: Camera, ring: F8) -> F8:
@@ -411,9 +379,9 @@ def _polygons(rings: Sequence[F8], drawn: Sequence[F8]) -> str:
     shown = [k for k, ring in enumerate(drawn) if ring.shape[1]]
     outer = {k: [text[k]] for k in shown if polygon_area(rings[k]) > 0}
     for k in shown:
-        around = [o for o in outer if k not in outer and _inside(rings[k][:, 0], rings[o])]
-        for o in around[:1]:
-            outer[o].append(text[k])
+        around = next((o for o in outer if k not in outer and _inside(rings[k][:, 0], rings[o])), None)
+        if around is not None:
+            outer[around].append(text[k])
     return "MULTIPOLYGON (" + ", ".join("(" + ", ".join(part) + ")" for part in outer.values()) + ")" if outer else _EMPTY
 
 

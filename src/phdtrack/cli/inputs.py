@@ -1,8 +1,7 @@
 """What a run reads: a video, a video with detections, or detections alone.
 
 Every source becomes frames and a detector. Without a video the frames have empty pictures, and the detector looks its
-boxes up by frame number. `ahead` lets stages of the work overlap in threads, `rereadable` gives frames a second time that
-come only once.
+boxes up by frame number.
 """
 
 from __future__ import annotations
@@ -57,26 +56,15 @@ class Inputs:
     warnings: tuple[str, ...] = ()
 
 
-def blank(info: SequenceInfo) -> VideoSource:
-    """``info.frames`` frames without pictures, at the rate of ``info``."""
-    numbers = range(1, info.frames + 1)
-    return VideoSource(info, lambda _: ((number, (number - 1) / info.fps, NO_PICTURE, "") for number in numbers))
-
-
-def standing(frame: Frame, found: Detections) -> F8:
-    """`types.STILL`: the camera does not move."""
-    return STILL
-
-
 def detected(
-    detector: Detector, frames: Iterable[Frame], mover: Mover = standing
+    detector: Detector, frames: Iterable[Frame], mover: Mover | None = None
 ) -> Iterator[tuple[Frame, Detections, F8, float]]:
     """Each frame with what ``detector`` sees in it, how the camera moved, and how many seconds the detector looked."""
     for frame in frames:
         clock = time.perf_counter()
         found = detector(frame)
         seconds = time.perf_counter() - clock
-        yield frame, found, mover(frame, found), seconds
+        yield frame, found, STILL if mover is None else mover(frame, found), seconds
 
 
 def write_detected(inputs: Inputs, path: Path) -> Iterator[int]:
@@ -110,7 +98,7 @@ def open_inputs(given: SourceOptions, parameters: dict[str, Any], last: int = 0)
     problem = f"the detections come from {path}, so there is no detector that this could change"
     refuse(useless, problem, "--detections")
     table = read_detections(path)
-    frames = _video(given) if pictures else blank(_sequence(given, path, table, last))
+    frames = _video(given) if pictures else _blank(given, path, table, last)
     seen, left_out = within_frame(table, frames.info, path)
     return Inputs(frames.info, frames, TableDetector(seen), given.source or str(path), str(path), pictures, again, left_out)
 
@@ -160,8 +148,8 @@ def _detector(given: SourceOptions, parameters: dict[str, Any]) -> Detector:
         raise InputError(error.problem, where=where, cure=error.cure) from error
 
 
-def _sequence(given: SourceOptions, path: Path, table: DetectionTable, last: int) -> SequenceInfo:
-    """Size, rate and length of a sequence of which there are detections only: options first, then seqinfo.ini."""
+def _blank(given: SourceOptions, path: Path, table: DetectionTable, last: int) -> VideoSource:
+    """Frames without pictures, where there are detections only; size and rate by options, or seqinfo.ini."""
     found = find_seqinfo(path) or SequenceInfo(0, 0, 0.0, 0, path.stem)
     width, height = frame_size(given.frame_size) if given.frame_size else (found.width, found.height)
     fps, where_else = given.fps or found.fps, "or put a seqinfo.ini beside the file or one folder up, or name the video."
@@ -169,7 +157,9 @@ def _sequence(given: SourceOptions, path: Path, table: DetectionTable, last: int
         raise InputError("the size of the frames is not known", where=path, cure=f"Say --frame-size WxH, {where_else}")
     if not fps:
         raise InputError("the rate of the frames is not known", where=path, cure=f"Say --fps F, {where_else}")
-    return replace(found, width=width, height=height, fps=fps, frames=max(found.frames, table.last, last))
+    info = replace(found, width=width, height=height, fps=fps, frames=max(found.frames, table.last, last))
+    numbers = range(1, info.frames + 1)
+    return VideoSource(info, lambda _: ((number, (number - 1) / fps, NO_PICTURE, "") for number in numbers))
 
 
 def comes_again(source: str) -> bool:
@@ -209,10 +199,6 @@ def rereadable(inputs: Inputs, needed: bool) -> Iterator[tuple[Iterable[Frame], 
 @contextmanager
 def ahead(items: Iterable[T], depth: int = DEPTH) -> Iterator[Iterator[T]]:
     """The same items in the same order, made by a thread of their own while earlier ones are used.
-
-        with ahead(source) as frames, ahead(detected(detector, frames)) as found:
-            for frame, detections, seconds in found:
-                ...
 
     An error of a stage is raised in the loop after the items before it. When the block is left, by an error or Ctrl-C too,
     the stage is stopped and waited for: nothing still runs or holds a file afterwards. At most ``depth`` items are being

@@ -1,15 +1,14 @@
 """One run from frames to the run directory: the loop with its files, then what can only be made at the end.
 
-While the loop runs, every frame's detections, states and online track rows go to their files at once. Whatever stops it,
-the end of the video, a frame that cannot be used, a full disk or Ctrl-C, the frames done so far are finished like a whole
-run: corrected tracks, scores, annotated video, report, ``run.json``. The outcome then carries what stopped it.
-
-Decoding, detecting and tracking overlap (`inputs.ahead`), and so do decoding, drawing and encoding.
+Every frame's detections, states and online track rows go to their files at once. Whatever stops the loop, a frame that
+cannot be used, a full disk or Ctrl-C, the frames done so far are finished like a whole run: corrected tracks, scores,
+annotated video, report, ``run.json``. Decoding, detecting and tracking overlap (`inputs.ahead`), and so does drawing.
 """
 
 from __future__ import annotations
 
 import math
+import shlex
 import signal
 import sys
 import threading
@@ -27,9 +26,9 @@ from numba.core import event
 from phdtrack import pipeline
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.doctor import versions
-from phdtrack.cli.inputs import NO_PICTURE, Inputs, Mover, ahead, detected, rereadable, standing
+from phdtrack.cli.inputs import NO_PICTURE, Inputs, Mover, ahead, detected, rereadable
 from phdtrack.cli.observers import Draw, RunObserver
-from phdtrack.cli.output import Output, command_line, progress
+from phdtrack.cli.output import Output, progress
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.errors import interrupted
 from phdtrack.filters import NoFilter
@@ -76,18 +75,15 @@ class Job:
     truth: Truth | None = None
     video: bool = True
     observers: tuple[RunObserver, ...] = ()
-    mover: Mover = standing
+    mover: Mover | None = None
 
 
 class Outcome(NamedTuple):
-    """What came of a run: the content of run.json, a summary in sentences, frames done, scores where there is truth.
-
-    ``stop`` is what ended it before its time, None where it ran to the end.
-    """
+    """What came of a run: the content of run.json, a summary in sentences, scores where there is truth; ``stop`` is what
+    ended it before its time, None where it ran to the end."""
 
     document: dict[str, object]
     summary: tuple[str, ...]
-    frames: int
     scores: Scores | None
     warnings: tuple[str, ...]
     stop: Stop | None
@@ -127,7 +123,7 @@ class _Progress:
 def about(title: str, seed: int = 0) -> About:
     """What is known of a run that starts now."""
     now, installed = datetime.now(UTC).isoformat(timespec="seconds"), tuple(one for one in versions() if one[1])
-    return About(title, command_line(), seed, now, versions=installed)
+    return About(title, shlex.join(["phdtrack", *sys.argv[1:]]), seed, now, versions=installed)
 
 
 def run(job: Job, directory: RunDirectory) -> Outcome:
@@ -150,26 +146,24 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
             done.cut = _draw(job, again(), directory, done, tracks)
     record = done.recorder.record(tracks, job.about, job.truth)
     # Of each the note comes first, then the warning if there is one.
-    said_of = [_confirmation(job, done)]
-    if record.chain is not None:
-        said_of.append(list(lines("chain.txt", chain=record.chain, least=LOW_EFFECTIVE)))
+    doubts = (_confirmation(job, done), lines("chain.txt", chain=record.chain, least=LOW_EFFECTIVE))
     said = replace(
         job.about,
         seconds=time.perf_counter() - clock,
         tracking_seconds=done.seconds,
         left_out=done.left_out,
         scores=() if scores is None else tuple((k, math.nan if v is None else v) for k, v in scores.as_dict().items()),
-        warnings=(*_problems(job, done), *(warning for said in said_of for warning in said[1:])),
-        notes=(*(note for said in said_of for note in said[:1]), _WHICH),
+        warnings=(*_problems(job, done), *(warning for each in doubts for warning in each[1:])),
+        notes=(*(note for each in doubts for note in each[:1]), _WHICH),
     )
-    record, reports = replace(record, about=said), [observer.report() for observer in job.observers]
+    record, stop = replace(record, about=said), done.stop or done.cut
+    reports = [observer.report() for observer in job.observers]
     sections = "\n".join(report.section for report in reports)
     write_text(directory.file(rundir.REPORT), report_html(record, job.configuration | {"input": job.read}, sections))
-    stop = done.stop or done.cut
     document = run_document(record, job.configuration) | {"complete": stop is None, "input": job.read}
     document = finish_document(document, directory, *(report.document for report in reports))
     summary = (*sentences(record), *(sentence for report in reports for sentence in report.sentences))
-    return Outcome(document, summary, len(done.seen), scores, said.warnings, stop)
+    return Outcome(document, summary, scores, said.warnings, stop)
 
 
 def finish_document(document: dict[str, object], directory: RunDirectory, *more: dict[str, object]) -> dict[str, object]:
@@ -285,23 +279,23 @@ def _as_meant(stop: Stop) -> Stop:
     return KeyboardInterrupt() if interrupted(stop) and not isinstance(stop, KeyboardInterrupt) else stop
 
 
-def _problems(job: Job, done: _Progress) -> list[str]:
+def _problems(job: Job, done: _Progress) -> Iterator[str]:
     """What did not go as it should, in sentences: what the source lost, and what stopped the run."""
+    yield from filter(None, (*job.inputs.warnings, job.inputs.source.note, done.lost))
     annotated = 0 if job.truth is None else int(job.truth.frame.max(initial=0))
     why = ["stopped by Ctrl-C" if isinstance(stop, KeyboardInterrupt) else stop for stop in (done.stop, done.cut)]
-    said = lines("problems.txt", stop=why[0], cut=why[1], last=done.last, annotated=annotated, video=rundir.VIDEO)
-    return [*filter(None, (*job.inputs.warnings, job.inputs.source.note, done.lost)), *said]
+    yield from lines("problems.txt", stop=why[0], cut=why[1], last=done.last, annotated=annotated, video=rundir.VIDEO)
 
 
-def _confirmation(job: Job, done: _Progress) -> list[str]:
+def _confirmation(job: Job, done: _Progress) -> tuple[str, ...]:
     """After how many detections of the usual size an object is reported: a note, and a warning where it takes long."""
     boxes = [seen.detections.xyxy for seen in done.seen if len(seen.detections)]
     if isinstance(job.stages.filter, NoFilter) or not boxes:
-        return []
+        return ()
     xyxy = np.concatenate(boxes)
     width, height = np.median(xyxy[:, 2:] - xyxy[:, :2], axis=0)
     needed = detections_needed(job.stages, job.inputs.info, (float(width), float(height)))
-    return list(lines("confirmation.txt", needed=needed, tried=_TRIED, slow=_SLOW))
+    return lines("confirmation.txt", needed=needed, tried=_TRIED, slow=_SLOW)
 
 
 def detections_needed(stages: AnyStages, info: SequenceInfo, size: tuple[float, float]) -> int:
@@ -318,15 +312,15 @@ def detections_needed(stages: AnyStages, info: SequenceInfo, size: tuple[float, 
 
 
 def places(sensor: Sensor, xyxy: F8) -> F8:
-    """(2, M) metres: the ground under the middle of each box's (M, 4) lower edge; NaN where there is none, or where the
-    world of the sensor is the image. Without a camera the image is a plan, and the middles of the boxes are the places."""
+    """(2, M) metres: the ground under the middle of each box's (M, 4) lower edge, or its centre where the image is a plan;
+    NaN where there is none, or where the world of the sensor is the image."""
     plane = isinstance(sensor, PlaneSensor)
     return sensor.measure(Detections.of(xyxy))[:2] if plane else np.full((2, len(xyxy)), np.nan)
 
 
 def shown_particles(stages: AnyStages, intensity: object) -> Particles | None:
-    """The filter's particles where the image shows them: rows 0 and 1 the middle of their boxes in pixels, as detections
-    are drawn. None where the filter has none, or the world is a plan without an image."""
+    """The filter's particles where the image shows them: rows 0 and 1 the middle of their boxes in pixels. None where the
+    filter has none, or the world is a plan without an image."""
     particles = intensity.intensity if isinstance(intensity, Cardinalised) else intensity
     particles = particles.particles() if isinstance(particles, ParticleBlocks) else particles
     if isinstance(stages.filter, NoFilter) or not isinstance(particles, Particles):
@@ -363,10 +357,7 @@ class _Announcement(event.Listener):  # type: ignore[misc]
 
 @contextmanager
 def announced(out: Output) -> Iterator[None]:
-    """While this lasts, say so when the first kernel is compiled, so that the first run does not look as if it hung.
-
-    Kernels that are loaded from disk say nothing. The line comes on a terminal only, as a progress bar does; that kernels
-    cannot be kept is said in any case, because the user can change it.
-    """
+    """While this lasts, say so when the first kernel is compiled, on a terminal only, so that the run does not look as if it
+    hung; that kernels cannot be kept is said in any case, because the user can change it."""
     with event.install_listener("numba:compile", _Announcement(out)):
         yield

@@ -1,7 +1,4 @@
-"""What goes along with a run: observers that take in every step and report it at the end, and how the camera moves.
-
-`RunObserver` has the moments of a run at which an observer is asked. Groups on the ground are observed in `groups`.
-"""
+"""What goes along with a run: observers that take in every step and report it at the end, and how the camera moves."""
 
 from __future__ import annotations
 
@@ -11,18 +8,18 @@ from dataclasses import asdict
 from typing import Any, NamedTuple
 
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.inputs import Inputs, Mover, standing
+from phdtrack.cli.inputs import Inputs, Mover
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.config import Settings
 from phdtrack.errors import InputError
 from phdtrack.formats.warps import WarpsWriter, read_warps
-from phdtrack.models.learning import RateLearning, RatesState, SceneLearning, SceneState
+from phdtrack.models.learning import RateLearning, RatesState, SceneLearning
 from phdtrack.models.scene import not_standing, refuse_standing
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import Learning, Model
 from phdtrack.report.pages import lines, render
 from phdtrack.scene import write_scene
-from phdtrack.scene.online import SceneUpdate
+from phdtrack.scene.online import OnlineScene, SceneUpdate
 from phdtrack.scene.rates import Rates
 from phdtrack.types import F8, STILL, Detections, Frame, Image, SequenceInfo, Step, Tracks
 from phdtrack.video.ego_motion import CameraMotion, CameraPath
@@ -62,7 +59,7 @@ class RunObserver:
 
     def report(self) -> Report:
         """What came of it."""
-        return Report({})
+        raise NotImplementedError
 
 
 def observers_of(settings: Settings, inputs: Inputs, learning: Learning[Any] | None) -> tuple[RunObserver, ...]:
@@ -105,14 +102,12 @@ class RatesObserver(RunObserver):
     """Keeps the rates each time that they are learned."""
 
     def __init__(self, learning: RateLearning) -> None:
-        self._rule = learning.rule
-        self._course: list[Rates] = []
+        self._rule, self._course = learning.rule, list[Rates]()
 
     def take(self, step: Step, state: TrackingState) -> None:
         """Keep what this frame taught."""
-        known: RatesState = state.learned
-        if known.learned.rates.number == step.number:
-            self._course.append(known.learned.rates)
+        if (rates := state.learned.learned.rates).number == step.number:
+            self._course.append(rates)
 
     def report(self) -> Report:
         """The rates over time, at most 500 of them, and those at the end."""
@@ -127,30 +122,27 @@ class SceneObserver(RunObserver):
     """Writes what was learned of the scene, for another run to begin with: a file for each mode, the active one's first."""
 
     def __init__(self, learning: SceneLearning, source: str) -> None:
-        self._learning, self._source = learning, source
-        self._course: list[SceneUpdate] = []
-        self._modes: list[str] = []
+        self._rule, self._source = learning.rule, source
+        self._course, self._modes = list[SceneUpdate](), list[str]()
 
     def take(self, step: Step, state: TrackingState) -> None:
         """Keep what this frame taught."""
         learned = state.learned
-        self._state: SceneState = learned.other if isinstance(learned, RatesState) else learned
-        last = self._state.known.last
-        if last is not None and last.number == step.number:
-            self._course.append(last)
+        self._known: OnlineScene = (learned.other if isinstance(learned, RatesState) else learned).known
+        if self._known.last is not None and self._known.last.number == step.number:
+            self._course.append(self._known.last)
 
     def finish(self, directory: RunDirectory, tracks: Tracks) -> None:
         """Write all modes that know something."""
-        known = self._state.known
-        others = [mode for k, mode in enumerate(known.regimes) if k != known.active]
-        modes = [mode for mode in (known.regime, *others) if mode.trusted]
+        active = self._known.regime
+        modes = [mode for mode in (active, *(other for other in self._known.regimes if other is not active)) if mode.trusted]
         self._modes = [mode.name for mode in modes]
         for file, mode in zip(rundir.SCENES, modes, strict=False):
-            write_scene(directory.file(file), self._learning.rule.scene(mode, self._source))
+            write_scene(directory.file(file), self._rule.scene(mode, self._source))
 
     def report(self) -> Report:
         """Rates over time and what changed; at most 500 entries, all that say something among them."""
-        rule = self._learning.rule
+        rule = self._rule
         kept = _thinned(len(self._course), [k for k, one in enumerate(self._course) if one.changes])
         course = [
             {
@@ -179,15 +171,15 @@ def _thinned(count: int, more: Iterable[int] = ()) -> list[int]:
     return sorted({*range(0, count, count // _MAX_ENTRIES + 1), *range(count)[-1:], *more})
 
 
-def mover_of(settings: Settings, inputs: Inputs, model: Model) -> Mover:
-    """How the camera moves, as the settings ask for: not at all, as measured in the pictures, or as a file has it.
+def mover_of(settings: Settings, inputs: Inputs, model: Model) -> Mover | None:
+    """How the camera moves: None for not at all, as measured in the pictures, or as a file has it.
 
     Raises `InputError` where there are no pictures, where the file is of another sequence, and for settings that hold only
     while the camera stands still.
     """
     kind, chosen = settings.kind("camera_motion"), settings.build("camera_motion")
     if kind == "none":
-        return standing
+        return None
     refuse_standing(model)
     if settings.kind("learn") != "none":
         raise not_standing("learning where false alarms and entrances are (learn.kind=online)")
@@ -204,16 +196,15 @@ def mover_of(settings: Settings, inputs: Inputs, model: Model) -> Mover:
 
         return measured
     warps = read_warps(chosen.file)
-    last = int(warps.frame[-1]) if len(warps.frame) else 0
-    if inputs.info.frames and last > inputs.info.frames:
-        problem = f"the camera's motion goes on to frame {last}, and {inputs.name} has {inputs.info.frames}"
+    if 0 < inputs.info.frames < (end := int(warps.frame.max(initial=0))):
+        problem = f"the camera's motion goes on to frame {end}, and {inputs.name} has {inputs.info.frames}"
         raise InputError(problem, where=chosen.file, cure="Is it the motion of this sequence?")
-    before = 0
+    last = 0
 
     def read(frame: Frame, found: Detections) -> F8:
         """The motions of the frames since the last one, dropped frames among them."""
-        nonlocal before
-        start, before = before or frame.number - 1, frame.number
-        return warps.between(start, frame.number)
+        nonlocal last
+        before, last = last or frame.number - 1, frame.number
+        return warps.between(before, frame.number)
 
     return read

@@ -27,6 +27,7 @@ MaxWidth = Annotated[
 Mask = Annotated[
     Path | None, option("--mask", "FILE", "Image of the frame's size; only what lies where it is not black is reported.")
 ]
+Video = Annotated[bool, typer.Option("--video/--no-video", help="Write videos to look at.")]
 FrameSize = Annotated[str, option("--frame-size", "WxH", "Size of the frames in pixels, as 1920x1080.")]
 Fps = Annotated[float, option("--fps", "F", "Frames per second; 0: what the video or seqinfo.ini says.", min=0.0)]
 Detector = Annotated[str, option("--detector", "NAME", "change (default), mean-background, mog2, knn, face or person.")]

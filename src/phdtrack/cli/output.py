@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import math
-import shlex
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -65,11 +64,6 @@ def counted(count: int, noun: str) -> str:
     """ "no boxes", "1 box", "2 boxes"."""
     many = f"{noun}es" if noun.endswith("x") else f"{noun}s"
     return f"{count or 'no'} {noun if count == 1 else many}"
-
-
-def command_line() -> str:
-    """What was typed, so that it can be typed again."""
-    return shlex.join(["phdtrack", *sys.argv[1:]])
 
 
 @contextmanager

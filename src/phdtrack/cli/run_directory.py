@@ -1,7 +1,6 @@
-"""The directory of a run: which files it holds, and that no earlier files are destroyed unasked.
+"""The directory of a run: which files it holds, and that no earlier run is replaced unasked.
 
-An earlier run is replaced only when that was asked for, and even then only the files that a run writes are touched:
-whatever else lies in the directory stays.
+Only the files that a run writes are touched: whatever else lies in the directory stays.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ RUN_FILES = {
 
 @dataclass(frozen=True, slots=True)
 class RunDirectory:
-    """A directory that is ready to be written into; none of its ``files`` was there when it was claimed."""
+    """A directory that is ready to be written into; none of its ``files``, by name with what they are, is there yet."""
 
     path: Path
     files: Mapping[str, str]
@@ -55,7 +54,7 @@ class RunDirectory:
 
     def listing(self) -> list[str]:
         """A line for each of these that says what it is."""
-        return [f"  {self.file(name)}  {what}" for name, what in self.files.items() if what and self.file(name).exists()]
+        return [f"  {file}  {self.files[file.name]}" for file in self.written() if self.files.get(file.name)]
 
     def clear(self) -> None:
         """Remove the files again: nothing came of the run, and what is there would be taken for a result."""
@@ -63,9 +62,11 @@ class RunDirectory:
             file.unlink()
 
 
-def check(path: Path, overwrite: bool, files: Mapping[str, str] = RUN_FILES) -> None:
+def check(path: Path | None, overwrite: bool, files: Mapping[str, str] = RUN_FILES) -> None:
     """Raise `InputError` where `claim` would because of what is there already: ``path`` is a file, or holds one of ``files``
     and ``overwrite`` is False."""
+    if path is None:
+        return
     where = f"--out {path}"
     if path.exists() and not path.is_dir():
         raise InputError("a directory was expected, and this is a file", where=where, cure="Choose another --out.")
@@ -77,11 +78,12 @@ def check(path: Path, overwrite: bool, files: Mapping[str, str] = RUN_FILES) -> 
         raise InputError(problem, where=where, cure="Say --overwrite to replace these files, or choose another --out.")
 
 
-def claim(path: Path, overwrite: bool, files: Mapping[str, str] = RUN_FILES) -> RunDirectory:
-    """The directory made ready; files of an earlier run are removed, so that none can be taken for this one's.
+def claim(out: Path | None, name: str, overwrite: bool, files: Mapping[str, str] = RUN_FILES) -> RunDirectory:
+    """``out``, or ``runs/NAME``, made ready: files of an earlier run are removed, so that none is taken for one of this run.
 
     Raises `InputError` as `check`, or where the directory cannot be made or written into.
     """
+    path = out or Path("runs") / name
     check(path, overwrite, files)
     try:
         path.mkdir(parents=True, exist_ok=True)

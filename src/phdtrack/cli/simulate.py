@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
@@ -20,7 +19,7 @@ from phdtrack.cli.options import SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, counted, progress
 from phdtrack.cli.settings import chosen
 from phdtrack.cli.track import prepare
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, did_you_mean
 from phdtrack.formats import write_detections, write_truth
 from phdtrack.simulate import NAMED, Look, Scene, default_detector, default_look, make_scene, render
 from phdtrack.video import VideoWriter
@@ -50,7 +49,7 @@ def simulate(
     look: Annotated[
         list[str] | None, option("--look", "NAME=VALUE", "How the video looks: wave=0.3, lamps=8, noise, flicker, …")
     ] = None,
-    video: Annotated[bool, typer.Option("--video/--no-video", help="Render the scene as a video, too.")] = True,
+    video: given.Video = True,
 ) -> None:
     """Simulate a scene: truth, detections of it, and a video.
 
@@ -58,28 +57,26 @@ def simulate(
     finds size and rate.
     """
     if name not in NAMED:
-        make_scene(name, seed)  # which says what scenes there are
+        raise InputError(f"no scene is called {name!r}", where="SCENE", cure=did_you_mean(name, NAMED))
     world, model, picture = NAMED[name], default_detector(NAMED[name]), default_look(name)
     values = {"p_detect": p_detect, "clutter_rate": clutter, "places": places, "jitter": jitter, "jitter_size": jitter}
     said: dict[str, Any] = {key: value for key, value in values.items() if value is not None}
-    model = replace(model, **said)
     picture = replace(picture, **_assigned(look or [], picture, "--look"))
-    scene = make_scene(name, seed, model, **_assigned(sets or [], world, "--set") | ({"frames": frames} if frames else {}))
-    target = rundir.claim(out or Path("runs") / name, overwrite, FILES)
+    changes = _assigned(sets or [], world, "--set") | ({"frames": frames} if frames else {})
+    scene = make_scene(name, seed, replace(model, **said), **changes)
+    target, info = rundir.claim(out, name, overwrite, FILES), scene.info
     write_truth(target.file(TRUTH), scene.truth)
     write_detections(target.file(DETECTIONS), scene.detections)
-    info = scene.info
     lines = ["[Sequence]", f"name={info.name}", f"frameRate={info.fps:g}", f"seqLength={info.frames}"]
     lines += [f"imWidth={info.width}", f"imHeight={info.height}", ""]
     target.file(SEQINFO).write_text("\n".join(lines), encoding="utf-8")
     if video:
-        render_video(scene, seed, target.file(VIDEO), picture)
-    objects = len(set(scene.truth.identity.tolist()))
-    parts = [(info.frames, "frame"), (objects, "object"), (len(scene.detections), "detection")]
+        _render_video(scene, seed, target.file(VIDEO), picture)
+    found = {"frames": info.frames, "objects": len(np.unique(scene.truth.identity)), "detections": len(scene.detections)}
     files = [str(file) for file in target.written()]
-    output.say(f"{name}: {', '.join(counted(*part) for part in parts)}, in {target.path}", *(f"  {file}" for file in files))
-    about = {"scene": name, "seed": seed, "frames": info.frames, "objects": objects}
-    output.document(about | {"detections": len(scene.detections), "files": files})
+    numbers = ", ".join(counted(count, noun[:-1]) for noun, count in found.items())
+    output.say(f"{name}: {numbers}, in {target.path}", *(f"  {file}" for file in files))
+    output.document({"scene": name, "seed": seed, **found, "files": files})
 
 
 def demo(
@@ -95,17 +92,17 @@ def demo(
     without.
     """
     rundir.check(out / WITHOUT, overwrite)
-    directory = rundir.claim(out, overwrite, {VIDEO: "", DEMO_TRUTH: ""} | rundir.RUN_FILES)
+    directory = rundir.claim(out, "", overwrite, {VIDEO: "", DEMO_TRUTH: ""} | rundir.RUN_FILES)
     movie, truth = directory.file(VIDEO), directory.file(DEMO_TRUTH)
     scene = make_scene("street", seed, frames=FRAMES, arrivals=0.6)
     write_truth(truth, scene.truth)
     # No blinking lamps: they stay lit for seconds, and what is seen coherently for seconds is an object to any filter.
     look = Look(flicker=0.05, plants=4, wave=0.06, blown=16.0, lamps=0)
-    render_video(scene, seed, movie, look)
+    _render_video(scene, seed, movie, look)
     output.say(f"The scene: {movie}, {scene.info.frames} frames, flickering light, leaves in the wind.")
+    places = {"with filter": directory, "without": rundir.claim(out / WITHOUT, "", overwrite)}
     outcomes = {}
-    without = rundir.claim(out / WITHOUT, overwrite)
-    for title, filter_name, place in (("with filter", "pmb", directory), ("without", "none", without)):
+    for (title, place), filter_name in zip(places.items(), ("pmb", "none"), strict=True):
         options = TrackingOptions(filter_name, seed=seed, truth=truth)
         job = prepare(SourceOptions(str(movie)), options, chosen(options), video=True)
         with announced(output):
@@ -121,7 +118,7 @@ def demo(
     output.document({"with_filter": with_filter, "without_filter": without_filter})
 
 
-def render_video(scene: Scene, seed: int, path: Path, look: Look) -> None:
+def _render_video(scene: Scene, seed: int, path: Path, look: Look) -> None:
     """Write the scene as an mp4 file."""
     info, rng = scene.info, np.random.default_rng(seed)
     with (
@@ -136,18 +133,16 @@ def render_video(scene: Scene, seed: int, path: Path, look: Look) -> None:
 
 def _assigned(texts: Sequence[str], settings: Any, option: str) -> dict[str, Any]:
     """What assignments as "frames=100" give to those fields of the record ``settings`` that are numbers."""
-    values = {field.name: getattr(settings, field.name) for field in fields(settings)}
-    numeric = {key: type(value) for key, value in values.items() if type(value) in (int, float)}
-    found = {}
+    kinds = {field.name: type(getattr(settings, field.name)) for field in fields(settings)}
+    numeric, found = {key: kind for key, kind in kinds.items() if kind in (int, float)}, dict[str, Any]()
     for text in texts:
-        key, equals, value = (part.strip() for part in text.partition("="))
+        key, _, value = (part.strip() for part in text.partition("="))
         where = f"{option} {text}"
-        if not equals or not key:
+        if not value:
             raise InputError("expected NAME=VALUE", where=where)
         if key not in numeric:
-            close = difflib.get_close_matches(key, numeric, 1)
-            cure = f"Did you mean {close[0]}?" if close else f"There are {', '.join(numeric)}."
-            raise InputError(f"this scene has no setting {key} that is a number", where=where, cure=cure)
+            problem = f"this scene has no setting {key} that is a number"
+            raise InputError(problem, where=where, cure=did_you_mean(key, numeric))
         try:
             found[key] = numeric[key](value)
         except ValueError:

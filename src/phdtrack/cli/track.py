@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -28,7 +27,7 @@ def track(
     output: Output,
     out: given.Out = None,
     overwrite: given.Overwrite = False,
-    video: Annotated[bool, typer.Option("--video/--no-video", help="Write annotated.mp4.")] = True,
+    video: given.Video = True,
     scene: given.SceneFile = None,
     learn_online: Annotated[
         bool,
@@ -44,15 +43,14 @@ def track(
     The run's directory holds tracks.csv (MOTChallenge), detections.csv, states.csv, annotated.mp4, report.html and
     run.json. A video that is cut short is tracked as far as it goes, with a warning. Ctrl-C finishes what was done so far.
     """
-    if out is not None:
-        rundir.check(out, overwrite)
+    rundir.check(out, overwrite)
     settings = chosen(options, scene_settings(scene, camera_motion, learn_online=learn_online))
     job = prepare(source, options, settings, video=video)
-    finish(output, job, rundir.claim(out or Path("runs") / job.inputs.info.name, overwrite))
+    finish(output, job, rundir.claim(out, job.inputs.info.name, overwrite))
 
 
 def detect(
-    source: Annotated[str, typer.Argument(metavar="SOURCE", help="Video, folder or pattern of images, camera number.")],
+    source: given.Source,
     output: Output,
     detector: given.Detector = DEFAULT_DETECTOR,
     out: given.Out = None,
@@ -70,20 +68,18 @@ def detect(
     looked = SourceOptions(source, detector=detector, fps=fps, max_width=max_width, mask=mask)
     inputs = open_inputs(looked, load(config, sets or ()).detector)
     files = {rundir.DETECTIONS: rundir.RUN_FILES[rundir.DETECTIONS]}
-    directory = rundir.claim(out or Path("runs") / inputs.info.name, overwrite, files)
-    frames, boxes, file, clock = 0, 0, directory.file(rundir.DETECTIONS), time.perf_counter()
+    directory = rundir.claim(out, inputs.info.name, overwrite, files)
+    counts, file, clock = list[int](), directory.file(rundir.DETECTIONS), time.perf_counter()
     try:
-        for count in write_detected(inputs, file):
-            frames, boxes = frames + 1, boxes + count
+        counts.extend(write_detected(inputs, file))
     except InputError:
-        if not frames:
+        if not counts:
             # Nothing was looked at: an empty file would be taken for "nothing was detected".
             directory.clear()
         raise
-    seconds = time.perf_counter() - clock
-    warnings = [sentence for sentence in (inputs.source.note, inputs.source.problem) if sentence]
+    frames, boxes, rate = len(counts), sum(counts), len(counts) / (time.perf_counter() - clock)
+    warnings = list(filter(None, (inputs.source.note, inputs.source.problem)))
     output.warn(warnings)
-    rate = frames / seconds if seconds > 0 else 0.0
     done = f"{counted(boxes, 'box')} in {counted(frames, 'frame')} by {inputs.described}"
     output.say(f"{done}, {rate:.0f} frames per second: {file}")
     document = {"source": source, "detector": inputs.described, "frames": frames, "detections": boxes}
@@ -98,9 +94,10 @@ def prepare(source: SourceOptions, options: TrackingOptions, settings: Settings,
         settings = config.for_detector(settings, source.detector or DEFAULT_DETECTOR)
     inputs = open_inputs(source, settings.detector, 0 if truth is None else int(truth.frame.max(initial=0)))
     stages = config.build(settings, inputs.info, moving=True)
-    looked = {"detector": inputs.described, "max_width": source.max_width, "mask": str(source.mask or "")}
-    given = {"detections": str(source.detections)}
-    read = looked | {"fps": inputs.info.fps} if source.detections is None else given
+    read: dict[str, object] = {"detections": str(source.detections)}
+    if source.detections is None:
+        mask, fps = str(source.mask or ""), inputs.info.fps
+        read = {"detector": inputs.described, "max_width": source.max_width, "mask": mask, "fps": fps}
     return Job(
         inputs=inputs,
         stages=stages,

@@ -123,7 +123,7 @@ def read_columns(path: AnyPath, names: Sequence[str], widths: Sequence[int]) -> 
     text = scan(Path(path), load(path))
     found = [name for name in names if name in text.header] if text.header else list(names[: text.width or min(widths)])
     width = len(found) if text.header or not len(text) else text.width
-    if width not in widths or found != list(names[:width]):
+    if width not in widths or found != list(names[:width]) or max(map(text.header.count, found), default=0) > 1:
         wanted = " or ".join(map(str, widths))
         came = ", ".join(text.header) or f"{width} numbers a line"
         where = text.origin.at(0) if len(text) else str(path)

@@ -40,7 +40,7 @@ def above(overlap: F8, threshold: float) -> F8:
 def check_threshold(threshold: float) -> None:
     """Raise `InputError` unless 0 < ``threshold`` ≤ 1."""
     if not 0 < threshold <= 1:
-        raise InputError(f"expected an overlap threshold in (0, 1], got {threshold}", where="iou")
+        raise InputError(f"expected an overlap (IoU) above 0 and at most 1, got {threshold:g}", where="iou")
 
 
 def assign(score: F8) -> tuple[I8, I8]:
