@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from compare_cases import FRAMES, small
 
@@ -23,15 +24,16 @@ def test_mistakes_of_all_frames_are_those_of_the_scores(comparison: Comparison) 
     found = list(conditions(comparison, "a"))
     assert [condition.rate for condition in found] == [0.0, 4.0]
     for condition in found:
-        for method, frames in zip(comparison.plan.methods, condition.mistakes, strict=True):
+        for method, rows in zip(comparison.plan.methods, condition.mistakes.values(), strict=True):
             result = comparison.result(Run(condition.case, condition.rate, method, 1))
             assert isinstance(result, RunResult)
-            assert result.scores is not None
-            assert len(frames) == FRAMES + 1
-            assert sum(len(frame.missed) for frame in frames) == result.scores.misses
-            assert sum(len(frame.false) for frame in frames) == result.scores.false_positives
-            assert sum(int(frame.switched.sum()) for frame in frames) == result.scores.id_switches
-            assert sum(len(frame.found) for frame in frames) == result.scores.matches
+            scores = result.scores
+            assert scores is not None
+            right, switched, missed, false = np.bincount(rows.kind, minlength=4)
+            assert (missed, false, switched) == (scores.misses, scores.false_positives, scores.id_switches)
+            assert right + switched == scores.matches
+            assert rows.counts(FRAMES).sum() == missed + false + switched
+            assert str(rows) == f"{missed} missed, {false} false, {switched} switched"
 
 
 def test_pictures_are_written_and_show_something(comparison: Comparison, tmp_path: Path) -> None:

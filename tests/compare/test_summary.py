@@ -10,7 +10,7 @@ import pytest
 from compare_cases import small
 
 from phdtrack.compare import Comparison, run, summary
-from phdtrack.compare.results import sentences, table, written
+from phdtrack.compare.results import Results
 from phdtrack.compare.runs import Failed, RunResult
 from phdtrack.compare.statistics import Row, interval
 from phdtrack.metrics import Scores, pool
@@ -65,16 +65,17 @@ def test_a_failed_run_leaves_its_rows_empty(comparison: Comparison) -> None:
         one = row(found, sequence, 3.0, "none")
         assert (one.values, one.failed) == ({}, "no luck")
     assert row(found, "b", 3.0, "none").values
-    assert table([row(found, "a", 3.0, "none")], ("MOTA", "ms")).rows == [("a", "det", "3", "none", "failed", "")]
+    (line,) = Results.of(broken, ("MOTA", "ms")).table([row(found, "a", 3.0, "none")]).rows
+    assert line == ("a", "det", "3", "none", "failed", "")
 
 
-def test_numbers_as_people_read_them() -> None:
-    assert written(interval([0.5, 0.6]), "MOTA") == "0.550 ± 0.635"
-    assert written(interval([3.0]), "id_switches") == "3.0"
-    assert written(interval([0.25]), "MOTA", sign="+") == "+0.250"
-    assert written(None, "MOTA") == written(interval([]), "MOTA") == "–"
+def test_numbers_as_people_read_them(comparison: Comparison) -> None:
+    assert f"{interval([0.5, 0.6]):.3f}" == "0.550 ± 0.635"
+    assert f"{interval([0.25]):+.3f}" == "+0.250"
+    assert f"{interval([]):.3f}" == "–"
     rows = [Row("a", detections, 1, 0.0, method) for detections, method in (("x", "f"), ("x", "g"), ("y", "f"))]
-    assert table(rows, ("ms",)).rows == [("a", "x", "0", "f", "–"), ("", "", "", "g", "–"), ("", "y", "0", "f", "–")]
+    lines = Results(comparison, rows, ("ms",)).table(rows).rows
+    assert lines == [("a", "x", "0", "f", "–"), ("", "", "", "g", "–"), ("", "y", "0", "f", "–")]
 
 
 def made_up(method: str, values: list[float], random: bool = True) -> Row:
@@ -84,20 +85,20 @@ def made_up(method: str, values: list[float], random: bool = True) -> Row:
 
 
 def test_a_best_is_named_only_where_it_is_more_than_chance(comparison: Comparison) -> None:
-    still = replace(comparison.plan, rates=(0.0,))
+    still = replace(comparison, plan=replace(comparison.plan, rates=(0.0,)))
     a, b = made_up("a", [0.50, 0.60, 0.40]), made_up("b", [0.51, 0.59, 0.41])
     # Far less than the seeds scatter, but the same at every one.
     c, d = made_up("c", [0.49, 0.57, 0.39]), made_up("d", [0.1, 0.1, 0.1], random=False)
-    (said,) = sentences(still, (c, a, b, d))
+    (said,) = Results(still, (c, a, b, d), ()).sentences()
     assert said.startswith("Without added clutter the highest MOTA is not told apart between b 0.503 ± ")
     assert " and a 0.500 ± " in said
     assert said.index("; c 0.483 ± ") > said.index("and a")
     assert said.endswith(", d 0.100.")
-    assert sentences(still, (c, b))[0].startswith("Without added clutter b has the highest MOTA, 0.503 ± ")
+    assert Results(still, (c, b), ()).sentences()[0].startswith("Without added clutter b has the highest MOTA, 0.503 ± ")
     e = made_up("e", [0.2, 0.2, 0.2], random=False)
-    assert sentences(still, (d, e)) == ("Without added clutter e has the highest MOTA, 0.200; d 0.100.",)
+    assert Results(still, (d, e), ()).sentences() == ("Without added clutter e has the highest MOTA, 0.200; d 0.100.",)
     # One seed tells nothing from chance.
-    assert "not told apart" in sentences(still, (made_up("f", [0.5]), made_up("g", [0.9])))[0]
+    assert "not told apart" in Results(still, (made_up("f", [0.5]), made_up("g", [0.9])), ()).sentences()[0]
 
 
 def test_intervals_are_those_of_a_printed_table() -> None:

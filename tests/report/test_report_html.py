@@ -152,4 +152,4 @@ def test_a_filter_without_mass_or_judgement_has_a_report() -> None:
 
 def test_every_score_says_what_it_means() -> None:
     nobody = Truth(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)), np.zeros(0, np.bool_))
-    assert {*evaluate(nobody, Tracks.empty()).as_dict(), *BY_TRAJECTORY} == set(score_meanings())
+    assert {*evaluate(nobody, Tracks.empty()).as_dict(), *BY_TRAJECTORY, "ms"} == set(score_meanings())

@@ -11,7 +11,7 @@ from report_runs import run_record
 from phdtrack.errors import InputError
 from phdtrack.files import json_value
 from phdtrack.report import About, Recorder, run_document, sentences, write_run
-from phdtrack.report.words import counted, duration, grouped, percent
+from phdtrack.report.pages import counted, duration, grouped, percent
 from phdtrack.types import SequenceInfo, Tracks
 
 KEYS = """

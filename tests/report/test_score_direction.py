@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from phdtrack.cli.evaluate import BY_TRAJECTORY
-from phdtrack.compare.statistics import OTHERS
 from phdtrack.metrics import evaluate
-from phdtrack.report.words import HIGHER_IS_BETTER as HIGHER
-from phdtrack.report.words import LOWER_IS_BETTER as LOWER
+from phdtrack.report.pages import score_meanings
 from phdtrack.types import Tracks, Truth
 
 FRAMES, PEOPLE = 20, 3
@@ -47,16 +44,10 @@ def test_every_score_gets_worse_that_way() -> None:
     truth = walkers()
     best = evaluate(truth, tracks(truth.frame, truth.identity, truth.xyxy)).as_dict()
     found = [evaluate(truth, each).as_dict() for each in worse(truth).values()]
-    assert set(best) == (set(best) & LOWER) | (set(best) & HIGHER) | PLAIN
-    assert not LOWER & HIGHER
-    assert not PLAIN & (LOWER | HIGHER)
-    assert set(best) | set(OTHERS) | set(BY_TRAJECTORY) >= LOWER | HIGHER
-    for name, perfect in best.items():
-        assert perfect is not None
-        changes = np.array([float(each[name]) - perfect for each in found if each[name] is not None])
-        if name in LOWER:
-            assert changes.min() >= -1e-12, name
-            assert changes.max() > 1e-6, name
-        elif name in HIGHER:
-            assert changes.max() <= 1e-12, name
-            assert changes.min() < -1e-6, name
+    lower = {name for name, meaning in score_meanings().items() if meaning.endswith("; lower is better")}
+    assert set(best) >= PLAIN
+    for name in set(best) - PLAIN:
+        sign = -1 if name in lower else 1
+        changes = sign * np.array([float(each[name]) - best[name] for each in found if each[name] is not None])
+        assert changes.max() <= 1e-12, name
+        assert changes.min() < -1e-6, name

@@ -21,14 +21,14 @@ from phdtrack.cli.job import about, announced, detections_needed
 from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, progress
 from phdtrack.cli.settings import scene_settings
-from phdtrack.compare import Comparison, Plan, results
+from phdtrack.compare import Comparison, Plan
 from phdtrack.compare.failures import worst_frames, write_frames
+from phdtrack.compare.results import Results, document_of
 from phdtrack.compare.runs import RunResult
 from phdtrack.config import build
 from phdtrack.errors import InputError
 from phdtrack.report import About, write_run
-from phdtrack.report.pages import lines
-from phdtrack.report.words import write_text
+from phdtrack.report.pages import lines, write_text
 
 DOCUMENT, CELLS, EACH, FRAMES = "compare.json", "compare.csv", "runs.csv", "worst"
 FILES = {
@@ -146,17 +146,15 @@ def finish(
     in_turn: bool,
 ) -> None:
     """Write everything but the runs, which are there already, and say who is ahead of the first method by how much."""
-    found, plan = comparing.summary(comparison), comparison.plan
-    names, notes = results.shown(found, wanted), results.notes(found, comparison, in_turn=in_turn)
-    warnings, frames = doubts(comparison), list(worst_frames(comparison, worst))
-    results.write_cells(directory.file(CELLS), found)
-    results.write_runs(directory.file(EACH), comparison)
+    found = Results.of(comparison, wanted)
+    notes, warnings, frames = found.notes(in_turn=in_turn), doubts(comparison), list(worst_frames(comparison, worst))
+    found.write_cells(directory.file(CELLS))
+    found.write_runs(directory.file(EACH))
     # Pictures of an earlier comparison go.
     for old in (directory.path / FRAMES).glob("*-clutter-*-frame-*.png"):
         old.unlink()
     write_frames(directory.path / FRAMES, frames)
-    page = results.comparison_page(comparison, found, names, frames, replace(begun, warnings=warnings, notes=notes))
-    write_text(directory.file(rundir.REPORT), page)
+    write_text(directory.file(rundir.REPORT), found.page(frames, replace(begun, warnings=warnings, notes=notes)))
     document = {
         "complete": True,
         "command": begun.command,
@@ -166,17 +164,17 @@ def finish(
         "failed": [{"run": str(run), "reason": reason} for run, reason in comparison.failed],
         "seconds": begun.seconds,
         "warnings": warnings,
-        "rows": [results.document_of(row) for row in found],
+        "rows": [document_of(row) for row in found.rows],
         "directory": str(comparison.folder),
     }
     write_run(directory.file(DOCUMENT), document)
     out.warn(warnings)
-    out.table(*results.table(found, names), words=(0, 1, 3))
-    if apart := [row for row in comparing.widest(found) if row.ahead]:
-        out.say("", f"Difference to {plan.methods[0].name}, seed by seed:")
-        out.table(*results.table(apart, names, ahead=True), words=(0, 1, 3))
-    done = lines("comparison_done.txt", comparison=comparison, seconds=begun.seconds, plan=results.described(plan))
-    out.say("", *done, *results.sentences(plan, found), *notes, "", *directory.listing())
+    out.table(*found.table(found.rows), words=(0, 1, 3))
+    if apart := [row for row in comparing.widest(found.rows) if row.ahead]:
+        out.say("", f"Difference to {comparison.plan.methods[0].name}, seed by seed:")
+        out.table(*found.table(apart, ahead=True), words=(0, 1, 3))
+    done = lines("comparison_done.txt", comparison=comparison, seconds=begun.seconds, plan=found.described())
+    out.say("", *done, *found.sentences(), *notes, "", *directory.listing())
     if frames:
         out.say(f"  {directory.path / FRAMES}  the worst frames as pictures")
     out.document(document)

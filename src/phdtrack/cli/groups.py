@@ -39,9 +39,8 @@ from phdtrack.groups.pipeline import GroupFrame, GroupStages, carriers, known_pe
 from phdtrack.models import PlaneSensor
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages, Camera
-from phdtrack.report.pages import lines, render
-from phdtrack.report.plan import Plan, PlanScene, draw_contours, extent_of, plan_size
-from phdtrack.report.words import flattened, write_text
+from phdtrack.report.drawing import Plan, PlanScene, draw_contours, extent_of, plan_size
+from phdtrack.report.pages import flattened, lines, render, write_text
 from phdtrack.types import F8, I8, GaussianMixture, Image, SequenceInfo, Step, Tracks
 from phdtrack.video import VideoWriter
 
@@ -357,7 +356,8 @@ class GroupObserver(RunObserver):
         if (camera := self._camera) is None:
             return picture
         shown = [[_in_image(camera, ring) for ring in rings] for rings in frame.contours]
-        return draw_contours(picture, frame.identity, [[ring for ring in rings if ring.shape[1]] for rings in shown])
+        contours = [[ring for ring in rings if ring.shape[1]] for rings in shown]
+        return draw_contours(picture, list(zip(frame.identity.tolist(), contours, strict=True)))
 
 
 def _in_image(camera: Camera, ring: F8) -> F8:

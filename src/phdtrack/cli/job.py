@@ -38,9 +38,8 @@ from phdtrack.kernels import CACHE
 from phdtrack.models import PlaneSensor
 from phdtrack.protocols import AnyStages, Sensor
 from phdtrack.report import About, Annotator, Recorder, report_html, run_document, sentences, write_run
-from phdtrack.report.pages import lines
+from phdtrack.report.pages import lines, write_text
 from phdtrack.report.record import LOW_EFFECTIVE
-from phdtrack.report.words import write_text
 from phdtrack.tracker import Tracker
 from phdtrack.types import F8, Detections, Frame, Image, ParticleBlocks, Particles, SequenceInfo, Tracks, Truth
 from phdtrack.video import VideoWriter

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -15,27 +15,24 @@ from phdtrack.compare.runs import TRACKS, Comparison, Failed, RunInput, run_inpu
 from phdtrack.errors import InputError
 from phdtrack.formats import read_tracks
 from phdtrack.metrics.matching import build, tracking_mapping
-from phdtrack.report.drawing import Mistakes, side_by_side
-from phdtrack.types import F8, I8, Image, Tracks
+from phdtrack.report.drawing import FALSE, MISSED, RIGHT, SWITCHED, Mistakes, side_by_side
+from phdtrack.types import Image, Tracks
 from phdtrack.video import open_source
 
-MIN_SECONDS_BETWEEN = 1.0
-"""Between two frames that are shown of a sequence: neighbours show the same."""
+# Between two frames that are shown of a sequence: neighbours show the same.
+_MIN_SECONDS_BETWEEN = 1.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Condition:
-    """A case at a rate of clutter, at the first seed: what was given, and for every method the mistakes of each frame from
-    number 0."""
+class Condition(NamedTuple):
+    """A case at a rate of clutter, at the first seed: what was given, and every method's mistakes in all frames."""
 
     case: Case
     rate: float
     given: RunInput
-    mistakes: Sequence[Sequence[Mistakes]]
+    mistakes: Mapping[str, Mistakes]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WorstFrame:
+class WorstFrame(NamedTuple):
     """A picture of a frame, what it shows in words, and a name for its file."""
 
     name: str
@@ -49,8 +46,15 @@ def worst_frames(comparison: Comparison, number: int) -> Iterator[WorstFrame]:
         found = list(conditions(comparison, sequence))
         chosen = _chosen(found, number)
         pictures = _pictures(found[0].case.source if found else "", {frame for _, frame, _ in chosen})
-        for condition, frame, why in chosen:
-            yield _drawn(condition, frame, why, pictures.get(frame), comparison.plan.seeds[0])
+        for (case, rate, given, mistakes), frame, why in chosen:
+            clutter = f", clutter {rate:g}, seed {comparison.plan.seeds[0]}" if rate else ""
+            heading = f"{case.name}{clutter}, frame {frame}"
+            size, here = (given.info.width, given.info.height), {name: rows.at(frame) for name, rows in mistakes.items()}
+            boxes = given.table.at(frame).xyxy
+            picture = side_by_side(pictures.get(frame), size, f"{heading}: {why}", boxes, here)
+            caption = "; ".join(f"{name}: {rows}" for name, rows in here.items())
+            name = f"{'-'.join(case.place.parts)}-clutter-{rate:g}-frame-{frame}.png"
+            yield WorstFrame(name, f"{heading} ({why}). {caption}.", picture)
 
 
 def conditions(comparison: Comparison, sequence: str) -> Iterator[Condition]:
@@ -62,34 +66,34 @@ def conditions(comparison: Comparison, sequence: str) -> Iterator[Condition]:
             if runs := [run for run in runs if not isinstance(comparison.result(run), Failed)]:
                 given = run_input(runs[0], folder)
                 tracks = {run.method.name: read_tracks(folder / run.place / TRACKS) for run in runs}
-                mistakes = [_mistakes(name, given, rows, plan.iou) for name, rows in tracks.items()]
+                mistakes = {name: _mistakes(given, rows, plan.iou) for name, rows in tracks.items()}
                 yield Condition(case, rate, given, mistakes)
 
 
-def _mistakes(method: str, given: RunInput, tracks: Tracks, iou: float) -> list[Mistakes]:
-    """What is right and wrong in each frame, from number 0."""
-    truth, nothing, no_one = given.truth, np.zeros((0, 4)), np.zeros(0, np.int64)
+def _mistakes(given: RunInput, tracks: Tracks, iou: float) -> Mistakes:
+    """What is right and wrong in all frames."""
+    truth = given.truth
     assert truth is not None
     scene = build(truth, tracks, given.info.frames)
     mapping = tracking_mapping(scene, iou)
-    switched, annotated = mapping.switches(), ~truth.distractor
-    wanted = _boxes(truth.frame[annotated], truth.identity[annotated], truth.xyxy[annotated])
-    found = _boxes(tracks.frame, tracks.identity, tracks.xyxy)
-    out = [Mistakes(method, nothing, no_one, no_one.astype(np.bool_), nothing, nothing)] * (given.info.frames + 1)
-    for i, pair in enumerate(scene.pairs):
-        here = slice(*np.searchsorted(mapping.position, [i, i + 1]))
-        right = scene.output_identity[mapping.output[here]]
-        missed = scene.truth_identity[np.setdiff1d(pair.truth, mapping.truth[here])]
-        false = scene.output_identity[np.setdiff1d(pair.output, mapping.output[here])]
-        parts = ((found, right), (wanted, missed), (found, false))
-        boxes = [np.array([box[pair.number, who] for who in names.tolist()]).reshape(-1, 4) for box, names in parts]
-        out[pair.number] = Mistakes(method, boxes[0], right, switched[here], boxes[1], boxes[2])
-    return out
-
-
-def _boxes(frame: I8, identity: I8, xyxy: F8) -> dict[tuple[int, int], F8]:
-    """The box (4,) of an identity in a frame."""
-    return dict(zip(zip(frame.tolist(), identity.tolist(), strict=True), xyxy, strict=True))
+    # By frame and identity, first as if nothing were mapped.
+    of_tracks, of_truth = dict[tuple[int, int], int](), dict[tuple[int, int], int]()
+    for pair in scene.pairs:
+        of_tracks |= {(pair.number, who): FALSE for who in scene.output_identity[pair.output].tolist()}
+        of_truth |= {(pair.number, who): MISSED for who in scene.truth_identity[pair.truth].tolist()}
+    outputs, objects = scene.output_identity[mapping.output], scene.truth_identity[mapping.truth]
+    pairs = zip(mapping.position.tolist(), outputs.tolist(), objects.tolist(), mapping.switches().tolist(), strict=True)
+    for position, output, target, switched in pairs:
+        number = scene.pairs[position].number
+        of_tracks[number, output] = SWITCHED if switched else RIGHT
+        del of_truth[number, target]
+    parts = []
+    for rows, kinds in ((tracks, of_tracks), (truth, of_truth)):
+        keys = list(zip(rows.frame.tolist(), rows.identity.tolist(), strict=True))
+        kept = [k for k, key in enumerate(keys) if key in kinds]
+        kind = np.array([kinds[keys[k]] for k in kept], np.int64)
+        parts.append(Mistakes(rows.frame[kept], rows.identity[kept], kind, rows.xyxy[kept]))
+    return Mistakes(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def _chosen(found: Sequence[Condition], number: int) -> list[tuple[Condition, int, str]]:
@@ -98,7 +102,7 @@ def _chosen(found: Sequence[Condition], number: int) -> list[tuple[Condition, in
     Of frames with as many mistakes one that is shown already comes first.
     """
     reasons: dict[tuple[int, int], list[str]] = {}
-    counts = [np.array([[frame.count for frame in frames] for frames in one.mistakes]) for one in found]
+    counts = [np.array([rows.counts(one.given.info.frames) for rows in one.mistakes.values()]) for one in found]
     for why, values in (
         ("differ most", [np.ptp(count, axis=0) for count in counts]),
         ("most mistakes", [count.sum(axis=0) for count in counts]),
@@ -107,7 +111,7 @@ def _chosen(found: Sequence[Condition], number: int) -> list[tuple[Condition, in
         places.sort(key=lambda place: (-values[place[0]][place[1]], place not in reasons, place))
         taken: list[tuple[int, int]] = []
         for i, frame in places:
-            apart = MIN_SECONDS_BETWEEN * found[i].given.info.fps
+            apart = _MIN_SECONDS_BETWEEN * found[i].given.info.fps
             if len(taken) < number and all(abs(frame - other) >= apart for _, other in taken):
                 taken.append((i, frame))
         for place in taken:
@@ -126,18 +130,6 @@ def _pictures(source: str, numbers: set[int]) -> dict[int, Image]:
             if frame.number >= max(numbers):
                 break
     return found
-
-
-def _drawn(condition: Condition, frame: int, why: str, image: Image | None, seed: int) -> WorstFrame:
-    given, case = condition.given, condition.case
-    clutter = f", clutter {condition.rate:g}, seed {seed}" if condition.rate else ""
-    heading = f"{case.name}{clutter}, frame {frame}"
-    mistakes = [frames[frame] for frames in condition.mistakes]
-    size = (given.info.width, given.info.height)
-    picture = side_by_side(image, size, f"{heading}: {why}", given.table.at(frame).xyxy, mistakes)
-    titles = "; ".join(one.title for one in mistakes)
-    name = f"{'-'.join(case.place.parts)}-clutter-{condition.rate:g}-frame-{frame}.png"
-    return WorstFrame(name, f"{heading} ({why}). {titles}.", picture)
 
 
 def write_frames(folder: Path, frames: Sequence[WorstFrame]) -> list[Path]:

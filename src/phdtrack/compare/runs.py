@@ -41,7 +41,7 @@ from phdtrack.metrics import Scores
 from phdtrack.metrics.counts import Counts, count
 from phdtrack.metrics.matching import build
 from phdtrack.metrics.scores import scores_of
-from phdtrack.report.words import write_run
+from phdtrack.report.pages import write_run
 from phdtrack.simulate import add_clutter
 from phdtrack.types import F8, I8, DetectionTable, SequenceInfo, Tracks, Truth
 from phdtrack.video import open_source

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from scipy.special import stdtrit
@@ -35,12 +35,20 @@ class Interval:
         """Whether 0 lies outside."""
         return abs(self.mean) > self.half
 
+    def __format__(self, spec: str) -> str:
+        """Both with the digits of ``spec``, as ``0.553 ± 0.018``; a dash where there is no mean."""
+        half = f" ± {self.half:{spec.lstrip('+')}}" if math.isfinite(self.half) else ""
+        return f"{self.mean:{spec}}{half}" if math.isfinite(self.mean) else "–"
+
+
+UNKNOWN = Interval(math.nan, math.nan, 0)
+
 
 def interval(values: Sequence[float]) -> Interval:
     """Mean and interval of independent values, t with n − 1 degrees of freedom; undefined (NaN) values make it undefined."""
     count = len(values)
     if count < 2:
-        return Interval(float(values[0]) if count else math.nan, math.nan, count)
+        return Interval(float(values[0]), math.nan, 1) if count else UNKNOWN
     error = float(np.std(values, ddof=1)) / math.sqrt(count)
     return Interval(float(np.mean(values)), float(stdtrit(count - 1, (1 + LEVEL) / 2)) * error, count)
 
@@ -111,17 +119,14 @@ def _rows(comparison: Comparison, sequence: str, detections: str, cases: Sequenc
         for method in plan.methods:
             found = [[comparison.result(Run(case, rate, method, seed)) for case in cases] for seed in plan.seeds]
             random = rate > 0 or any(isinstance(one, RunResult) and one.drawn for one in found[0])
-            reasons = [one.reason for results in found for one in results if isinstance(one, Failed)]
-            each = [] if reasons else [values_of([one for one in r if isinstance(one, RunResult)]) for r in found]
-            ahead: Mapping[str, Interval] = {}
-            if first is not None:
-                pairs = zip(each, first.each, strict=False)
-                apart = [{name: mine[name] - theirs[name] for name in mine if name in theirs} for mine, theirs in pairs]
-                ahead = _intervals(apart, random or first.random)
-            values, failed = _intervals(each, random), reasons[0] if reasons else ""
-            row = Row(sequence, detections, len(cases), rate, method.name, random, values, ahead, each, failed)
+            failed = next((one.reason for results in found for one in results if isinstance(one, Failed)), "")
+            each = [] if failed else [values_of([one for one in r if isinstance(one, RunResult)]) for r in found]
+            values = _intervals(each, random)
+            row = Row(sequence, detections, len(cases), rate, method.name, random, values, each=each, failed=failed)
+            pairs = zip(each, first.each if first else (), strict=False)
+            apart = [{name: mine[name] - theirs[name] for name in mine if name in theirs} for mine, theirs in pairs]
             first = first or row
-            yield row
+            yield replace(row, ahead=_intervals(apart, random or first.random))
 
 
 def _intervals(each: Sequence[Mapping[str, float]], random: bool) -> dict[str, Interval]:

@@ -1,9 +1,8 @@
 """The charts and pictures of reports. Each function gives a `Picture`: charts are SVG, what lies over a photograph JPEG.
 
 `Figure` objects are made directly: neither pyplot nor a display is needed and no rcParams change. matplotlib takes half a
-second to import: it is imported where a figure is made. What has thousands of points is drawn as pixels, not as outlines.
-
-Photographs are turned grey and darkened, so that colour belongs to the data; axes are pixels of the original video.
+second to import: it is imported where a figure is made. Photographs are turned grey and darkened; axes are pixels of the
+original video.
 """
 
 from __future__ import annotations
@@ -11,9 +10,9 @@ from __future__ import annotations
 import base64
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -24,11 +23,10 @@ from phdtrack.scene import LearnedDensity, Scene
 from phdtrack.scene.mixture import place_map
 from phdtrack.scene.online import SceneUpdate
 from phdtrack.scene.rates import Rates, RatesLearning
-from phdtrack.types import F8, I8, Image, SequenceInfo
+from phdtrack.types import F8, Image, SequenceInfo
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
     from phdtrack.groups.pipeline import GroupFrame
 
@@ -37,11 +35,14 @@ _BLUE, _ORANGE, _GREEN, _RED, _GREY = "#3b6fd4", "#e08a1e", "#2a9d74", "#c0504d"
 _METHODS = ((_BLUE, "o"), (_ORANGE, "s"), (_GREEN, "D"), ("#a45cc0", "^"), (_RED, "v"), ("#7a8599", "P"))
 # Inches.
 _WIDE, _NARROW = 8.2, 5.4
-# Identities with a label each; points of a line, or bars, up to which they are outlines and not pixels.
+# Identities with a label each; points of a line, or bars, up to which they are outlines: more would swell the file.
 _LABELS, _LABELLED_ROWS, _OUTLINES = 80, 60, 3000
 # Characters of all labels together that fit beside each other.
 _LABEL_ROOM = 45
 _MAX_STRETCH, _CELLS = 6.0, 160
+_DOTS: Any = {"marker": ".", "linestyle": "", "color": _GREY, "markersize": 3, "alpha": 0.7}
+_STEPS: Any = {"drawstyle": "steps-mid"}
+_BAND: Any = {"color": _BLUE, "alpha": 0.18, "linewidth": 0}
 # Gaussians lighter than this are drawn without an arrow.
 _MIN_WEIGHT = 0.02
 
@@ -61,43 +62,35 @@ class Picture:
         return f"data:{self.mime};base64,{base64.b64encode(self.data).decode('ascii')}"
 
 
-class MethodScores(NamedTuple):
-    """A method's score at n places: ``mean`` and ``half`` of the width of its interval, both (n,); NaN where unknown."""
-
-    label: str
-    mean: F8
-    half: F8
-
-
 def count_chart(record: RunRecord) -> Picture:
     """Objects over time: annotated (where there is truth), detected, expected by the filter, tracked.
 
     Where the filter carries the distribution of the number, a band shows between which numbers it lies with 90 %.
     """
-    times, axes = record.times, _time_axes(record.times, "objects in the frame", 3.1)
+    axes = _time_axes(record.times, "objects in the frame", 3.1)
     if len(record.count_range):
         # Half an object to either side: a number that is certain has a band too.
         low, high = record.count_range.T
-        _band(axes, times, np.maximum(low - 0.5, 0), high + 0.5, label="number, 90 %", step="mid")
-    _plot(axes, times, record.n_detections, ".", color=_GREY, markersize=3, alpha=0.7, label="detections")
+        axes.fill_between(record.times, np.maximum(low - 0.5, 0), high + 0.5, label="number, 90 %", step="mid", **_BAND)
+    axes.plot(record.times, record.n_detections, label="detections", **_DOTS)
     if len(record.truth_count):
-        _plot(axes, times, record.truth_count, drawstyle="steps-mid", color=_GREEN, linewidth=5, alpha=0.4, label="truth")
-    _plot(axes, times, record.track_count, drawstyle="steps-mid", color=_ORANGE, label="tracks")
-    _plot(axes, times, record.mass, color=_BLUE, label="expected count (mass of the filter)")
-    return _chart(axes, bottom=0)
+        axes.plot(record.times, record.truth_count, color=_GREEN, linewidth=5, alpha=0.4, label="truth", **_STEPS)
+    axes.plot(record.times, record.track_count, color=_ORANGE, label="tracks", **_STEPS)
+    axes.plot(record.times, record.mass, color=_BLUE, label="expected count (mass of the filter)")
+    return _chart(axes, len(record), bottom=0)
 
 
 def group_chart(frames: Sequence[GroupFrame], detections: Sequence[int]) -> Picture:
     """People, groups and raw detections, where there are any, over time [E13 Fig. 2]."""
-    times, people, deviation = np.array([(frame.time, frame.people, frame.deviation) for frame in frames]).T
+    numbers = [(frame.time, frame.people, frame.deviation, frame.named) for frame in frames]
+    times, people, deviation, named = np.array(numbers).T
     axes = _time_axes(times, "number", 3.1)
     if len(detections):
-        _plot(axes, times, np.array(detections), ".", color=_GREY, markersize=3, alpha=0.7, label="detections")
-    _band(axes, times, np.maximum(people - deviation, 0), people + deviation, label="one deviation")
-    _plot(axes, times, people, color=_BLUE, label="people estimated")
-    named = np.array([frame.named for frame in frames])
-    _plot(axes, times, named, drawstyle="steps-mid", color=_ORANGE, label="groups")
-    return _chart(axes, bottom=0)
+        axes.plot(times, detections, label="detections", **_DOTS)
+    axes.fill_between(times, np.maximum(people - deviation, 0), people + deviation, label="one deviation", **_BAND)
+    axes.plot(times, people, color=_BLUE, label="people estimated")
+    axes.plot(times, named, color=_ORANGE, label="groups", **_STEPS)
+    return _chart(axes, len(times), bottom=0)
 
 
 def lifetime_chart(record: RunRecord) -> Picture:
@@ -106,8 +99,7 @@ def lifetime_chart(record: RunRecord) -> Picture:
     height = float(np.clip(0.8 + 0.17 * len(names), 1.6, 9.0))
     axes = _time_axes(record.times, "identity", height)
     axes.grid(False, axis="y")
-    # A bar is a stretch of consecutive frames, all seen or all predicted. All bars are one collection, which is fast with
-    # thousands, and become pixels where outlines would swell the file.
+    # A bar is a stretch of consecutive frames, all seen or all predicted.
     order = np.lexsort((record.tracks.frame, record.tracks.predicted, row))
     row, frame, predicted = row[order], record.tracks.frame[order], record.tracks.predicted[order]
     first = np.flatnonzero(
@@ -115,17 +107,16 @@ def lifetime_chart(record: RunRecord) -> Picture:
     )
     last = np.append(first[1:], len(row))[: len(first)] - 1
     start, end = (np.interp(frame[k], record.numbers, record.times) for k in (first, last))
-    colours = [(*_rgb(int(names[row[k]])), 0.35 if predicted[k] else 1.0) for k in first]
+    colours = [(_colour(int(names[row[k]])), 0.35 if predicted[k] else 1.0) for k in first]
     thick = 0.8 * 72 * (height - 0.6) / max(len(names), 1)
-    bars = axes.hlines(row[first], start, end + _interval(record), colors=colours, linewidth=thick)
-    bars.set(capstyle="butt", rasterized=len(first) > _OUTLINES)
+    axes.hlines(row[first], start, end + _interval(record), colors=colours, linewidth=thick).set(capstyle="butt")
     if len(names) <= _LABELLED_ROWS:
         axes.set_yticks(range(len(names)), names.astype(str))
     else:
         axes.set_yticks([])
         axes.set_ylabel(f"{len(names)} identities, the lowest number on top", fontsize=10, color=_INK)
     axes.set_ylim(max(len(names), 1) - 0.4, -0.6)
-    return _chart(axes)
+    return _chart(axes, len(first))
 
 
 def timing_chart(record: RunRecord) -> Picture:
@@ -134,12 +125,11 @@ def timing_chart(record: RunRecord) -> Picture:
     if len(record):
         # The last step is as wide as a frame.
         time, table = np.append(record.times, record.times[-1] + _interval(record)), 1000 * record.seconds
-        look: dict[str, Any] = {"step": "post", "linewidth": 0, "rasterized": len(record) > _OUTLINES}
-        colours = (_GREY, _BLUE, _ORANGE, _GREEN)
-        axes.stackplot(time, np.vstack([table, table[-1:]]).T, labels=STAGES, colors=colours, **look)
+        look: dict[str, Any] = {"colors": (_GREY, _BLUE, _ORANGE, _GREEN), "step": "post", "linewidth": 0}
+        axes.stackplot(time, np.vstack([table, table[-1:]]).T, labels=STAGES, **look)
         total = table.sum(axis=1)
         axes.set_ylim(0, max(min(1.25 * float(np.quantile(total, 0.97)), 1.05 * float(total.max())), 1e-3))
-    return _chart(axes)
+    return _chart(axes, len(record))
 
 
 def learning_chart(course: Sequence[SceneUpdate], rate: float) -> Picture:
@@ -147,55 +137,54 @@ def learning_chart(course: Sequence[SceneUpdate], rate: float) -> Picture:
 
     ``course`` is what was known after each frame that taught something, ``rate`` the model's time units a second.
     """
-    axes = _chart_axes(_figure(_WIDE, 2.8), "time in seconds", "rate")
-    time = np.array([one.time for one in course])
-    clutter, births = np.array([one.clutter for one in course]), np.array([one.births for one in course]) * rate * 60
-    unit = 0.01 * float(max(clutter.max(), births.max(), 1e-3))
+    axes = _axes(_WIDE, 2.8, "time in seconds", "rate")
+    time, alarms, births, in_use, births_in_use = np.array(
+        [(one.time, one.clutter, one.births * rate * 60, one.clutter_used, one.births_used) for one in course]
+    ).T
+    unit = 0.01 * max(alarms.max(), births.max(), 1e-3)
     for values, colour, label, place, used in (
-        (clutter, _RED, "false alarms a frame", 3, [one.clutter_used for one in course]),
-        (births, _GREEN, "births a minute", 7, [one.births_used for one in course]),
+        (alarms, _RED, "false alarms a frame", 3, in_use),
+        (births, _GREEN, "births a minute", 7, births_in_use),
     ):
-        _plot(axes, time, values, color=colour, label=label)
-        low, high = -(place + 2) * unit, -place * unit
-        axes.fill_between(time, low, high, where=np.array(used) > 0, color=colour, linewidth=0, step="post")
-    return _chart(axes)
+        axes.plot(time, values, color=colour, label=label)
+        axes.fill_between(time, -(place + 2) * unit, -place * unit, where=used > 0, color=colour, linewidth=0, step="post")
+    return _chart(axes, len(time))
 
 
 def rates_chart(course: Sequence[Rates], rule: RatesLearning) -> Picture:
     """Estimates of p_D and of false alarms over time, and at the right the odds of the best and the worst score."""
-    figure, time = _figure(_WIDE, 2.6), np.array([one.time for one in course])
     alarms = f"false alarms{', share' if rule.priors.clutter_each else ' a frame'}"
-    left = _chart_axes(figure, "time in seconds", "rate", 121)
-    _plot(left, time, np.array([one.detection for one in course]), color=_BLUE, label="p_D")
-    _plot(left, time, np.array([one.clutter for one in course]), color=_RED, label=alarms)
+    left = _axes(_WIDE, 2.6, "time in seconds", "rate", 121)
+    right = _styled(left.figure.add_subplot(122), "time in seconds", "odds of a score")
+    time, *values = np.array([(one.time, one.detection, one.clutter, one.highest, one.lowest) for one in course]).T
+    lines = ((left, _BLUE, "p_D"), (left, _RED, alarms), (right, _GREEN, "best"), (right, _ORANGE, "worst"))
+    for estimates, (axes, colour, label) in zip(values, lines, strict=True):
+        axes.plot(time, estimates, color=colour, label=label)
     left.set_ylim(bottom=0)
-    right = _chart_axes(figure, "time in seconds", "odds of a score", 122)
-    _plot(right, time, np.array([one.highest for one in course]), color=_GREEN, label="best")
-    _plot(right, time, np.array([one.lowest for one in course]), color=_ORANGE, label="worst")
-    return _chart(right, bottom=0)
+    return _chart(right, len(time), bottom=0)
 
 
-def score_chart(places: F8 | Sequence[str], x_label: str, y_label: str, methods: Sequence[MethodScores]) -> Picture:
+def score_chart(places: F8 | Sequence[str], x_label: str, y_label: str, methods: Mapping[str, F8]) -> Picture:
     """The scores of each method with their intervals, moved a little to the side so that all can be seen.
 
     Parameters
     ----------
     places : n numbers, which are joined by a line, or n names, at which the scores were taken.
     x_label, y_label : what the axes show.
-    methods : n scores each.
+    methods : by name, means and halves of the intervals (2, n); NaN where unknown.
 
     Returns
     -------
     The chart.
     """
-    axes, named = _chart_axes(_figure(_NARROW, 3.0), x_label, y_label), not isinstance(places, np.ndarray)
+    axes, named = _axes(_NARROW, 3.0, x_label, y_label), not isinstance(places, np.ndarray)
     names = [str(place) if named else f"{place:g}" for place in places]
     x = np.arange(len(names), dtype=np.float64) if named else np.asarray(places, np.float64)
     apart = min(0.8 / max(len(methods), 1), 0.2) if named else 0.012 * float(np.ptp(x))
-    for i, one in enumerate(methods):
+    for i, (label, (mean, half)) in enumerate(methods.items()):
         (colour, marker), at = _METHODS[i % len(_METHODS)], x + apart * (i - (len(methods) - 1) / 2)
         line = "" if named else "-"
-        axes.errorbar(at, one.mean, one.half, color=colour, capsize=3, marker=marker, linestyle=line, label=one.label)
+        axes.errorbar(at, mean, half, color=colour, capsize=3, marker=marker, linestyle=line, label=label)
     if named:
         axes.grid(False, axis="x")
         axes.set_xlim(-0.5, max(len(names), 1) - 0.5)
@@ -212,7 +201,7 @@ def trajectory_picture(record: RunRecord) -> Picture:
     axes, tracks = _over_scene(record.info, record.background, _WIDE, darkness=0.4), record.tracks
     rows = [np.flatnonzero(tracks.identity == identity) for identity in np.unique(tracks.identity)]
     paths = [tracks.take(own[np.argsort(tracks.frame[own])]) for own in rows]
-    colours = [_rgb(int(path.identity[0])) for path in paths]
+    colours = [_colour(int(path.identity[0])) for path in paths]
     for width, alpha, thin in ((0.8, 0.8, True), (1.8, 1.0, False)):
         ways = []
         for path in paths:
@@ -223,9 +212,9 @@ def trajectory_picture(record: RunRecord) -> Picture:
         (x, y), (x_end, y_end) = feet(path.xyxy)[[0, -1]].tolist()
         axes.scatter(x, y, s=24, facecolors="none", edgecolors=[colour], linewidths=1.0)
         if len(paths) <= _LABELS:
+            look: Any = {"color": "black", "fontsize": 7.5, "ha": "center", "va": "center", "clip_on": True}
             plate = {"boxstyle": "round,pad=0.2", "facecolor": colour, "linewidth": 0}
-            label = axes.text(x_end, y_end, str(path.identity[0]), color="black", fontsize=7.5, bbox=plate, clip_on=True)
-            label.set(ha="center", va="center")
+            axes.text(x_end, y_end, str(path.identity[0]), bbox=plate, **look)
     return _photograph(axes)
 
 
@@ -267,7 +256,7 @@ def map_picture(learned: LearnedDensity, scene: Scene, image: Image, *, births: 
     (left, top), (wide, high) = p.low[:2], (p.high - p.low)[:2]
     ground = (left, top, wide, high) != (0, 0, scene.width, scene.height)
     if ground:
-        axes = _chart_axes(_figure(_WIDE, _WIDE * min(max(high / wide, 0.3), 1.5)), "x in metres", "y in metres")
+        axes = _axes(_WIDE, _WIDE * min(max(high / wide, 0.3), 1.5), "x in metres", "y in metres")
     else:
         axes = _over_scene(SequenceInfo(scene.width, scene.height, 25.0), image, _WIDE, darkness=0.5)
     step = max(wide, high) / _CELLS
@@ -295,31 +284,20 @@ def _interval(record: RunRecord) -> float:
     return 1 / record.info.fps if record.info.fps > 1e-3 else 1.0
 
 
-def _rgb(identity: int) -> tuple[float, float, float]:
+def _colour(identity: int) -> str:
     """The colour of an identity as matplotlib takes it."""
-    red, green, blue = identity_colour(identity)
-    return red / 255, green / 255, blue / 255
+    return f"#{bytes(identity_colour(identity)).hex()}"
 
 
-def _plot(axes: Axes, times: F8, values: F8 | I8, *style: str, **look: Any) -> None:
-    axes.plot(times, values, *style, rasterized=len(times) > _OUTLINES, **look)
-
-
-def _band(axes: Axes, times: F8, low: F8, high: F8, **look: Any) -> None:
-    look |= {"color": _BLUE, "alpha": 0.18, "linewidth": 0, "rasterized": len(times) > _OUTLINES}
-    axes.fill_between(times, low, high, **look)
-
-
-def _figure(width: float, height: float) -> Figure:
-    """An empty figure of ``width`` × ``height`` inches that lays itself out."""
+def _axes(width: float, height: float, x_label: str, y_label: str, position: int = 111) -> Axes:
+    """New axes, at this position of a figure of ``width`` × ``height`` inches."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height), layout="constrained")
+    return _styled(Figure(figsize=(width, height), layout="constrained").add_subplot(position), x_label, y_label)
 
 
-def _chart_axes(figure: Figure, x_label: str, y_label: str, position: int = 111) -> Axes:
-    """New axes in the style of all charts: a light grid behind, no frame at the top and right."""
-    axes = figure.add_subplot(position)
+def _styled(axes: Axes, x_label: str, y_label: str) -> Axes:
+    """The axes in the style of all charts: a light grid behind, no frame at the top and right."""
     axes.set_xlabel(x_label, fontsize=10, color=_INK)
     axes.set_ylabel(y_label, fontsize=10, color=_INK)
     axes.tick_params(labelsize=9, colors=_INK)
@@ -332,7 +310,7 @@ def _chart_axes(figure: Figure, x_label: str, y_label: str, position: int = 111)
 
 def _time_axes(times: F8, y_label: str, height: float) -> Axes:
     """Axes over the whole run of frames at ``times`` (F,)."""
-    axes = _chart_axes(_figure(_WIDE, height), "time in seconds", y_label)
+    axes = _axes(_WIDE, height, "time in seconds", y_label)
     if len(times) and times[-1] > times[0]:
         axes.set_xlim(float(times[0]), float(times[-1]))
     return axes
@@ -341,7 +319,7 @@ def _time_axes(times: F8, y_label: str, height: float) -> Axes:
 def _over_scene(info: SequenceInfo, image: Image, width: float, *, darkness: float) -> Axes:
     """Axes that are the frame in pixels, over the darkened grey photograph or a dark ground."""
     height = float(np.clip((width - 1.2) * info.height / info.width + 0.7, 1.8, 9.0))
-    axes = _chart_axes(_figure(width, height), "x in pixels", "y in pixels")
+    axes = _axes(width, height, "x in pixels", "y in pixels")
     axes.grid(False)
     axes.spines[:].set(visible=True, color="black")
     axes.set_facecolor(_DARK)
@@ -360,28 +338,30 @@ def _shade(axes: Axes, density: F8, top: float, extent: tuple[float, float, floa
     axes.imshow(density, cmap="inferno", extent=extent, alpha=alpha, vmin=0, vmax=top, interpolation=interpolation)
 
 
-def _chart(axes: Axes, bottom: float | None = None) -> Picture:
+def _chart(axes: Axes, points: int = 0, bottom: float | None = None) -> Picture:
     """The figure with legends above its axes, as SVG on a transparent ground: text as outlines, no date."""
     axes.set_ylim(bottom=bottom)
     for each in axes.figure.axes:
+        for artist in (*each.lines, *each.collections):
+            artist.set_rasterized(points > _OUTLINES)
         handles, _ = each.get_legend_handles_labels()
         if handles:
             look = {"ncols": len(handles), "frameon": False, "fontsize": 9.0, "labelcolor": _INK}
             each.legend(loc="lower left", bbox_to_anchor=(0, 1), **look)
     nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
-    data, width, height = _saved(axes, format="svg", dpi=144, transparent=True, metadata=nothing)
-    return Picture("image/svg+xml", data[data.index(b"<svg") :], width, height)
+    return _saved(axes, "image/svg+xml", format="svg", transparent=True, metadata=nothing)
 
 
 def _photograph(axes: Axes) -> Picture:
     """The figure as JPEG on white."""
-    return Picture("image/jpeg", *_saved(axes, format="jpg", dpi=144, facecolor="white", pil_kwargs={"quality": 87}))
+    return _saved(axes, "image/jpeg", format="jpg", facecolor="white", pil_kwargs={"quality": 87})
 
 
-def _saved(axes: Axes, **look: Any) -> tuple[bytes, int, int]:
-    """The figure as a file, its width and height in CSS pixels."""
+def _saved(axes: Axes, mime: str, **look: Any) -> Picture:
+    """The figure as a file; its width and height are in CSS pixels."""
     figure, buffer = axes.get_figure(root=True), io.BytesIO()
     assert figure is not None
-    figure.savefig(buffer, **look)
-    wide, high = (round(96 * float(inches)) for inches in figure.get_size_inches())
-    return buffer.getvalue(), wide, high
+    figure.savefig(buffer, dpi=144, **look)
+    data, (wide, high) = buffer.getvalue(), (round(96 * float(inches)) for inches in figure.get_size_inches())
+    # Of an SVG without its XML declaration.
+    return Picture(mime, data[max(data.find(b"<svg"), 0) :], wide, high)

@@ -1,4 +1,4 @@
-"""Boxes drawn on frames: the annotated video, and the mistakes of several methods side by side.
+"""Pictures that OpenCV draws: annotated frames, the mistakes of several methods side by side, the ground from above.
 
 An annotated frame shows detections as thin white outlines, red and crossed where the filter takes them for false alarms
 (posterior clutter probability above one half); fading trails at the feet of tracks; tracks in the colour of their identity
@@ -7,17 +7,18 @@ header: frame number, number of tracks, the filter's expected count.
 
 The twelve colours of identities are light enough for dark pictures and strong enough for white paper. Consecutive ones
 differ by at least 40 units of CIE L*a*b*, for normal sight and in the simulation of protanopia and deuteranopia by
-Machado, Oliveira and Fernandes (2009). They repeat, so that wherever an identity is drawn its number stands there too.
-Colours are RGB here, BGR in the picture. `plate` writes into the picture that it is given.
+Machado, Oliveira and Fernandes (2009). They repeat: wherever an identity is drawn its number stands there too.
+Colours are RGB here, BGR in the picture.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
@@ -25,29 +26,137 @@ import numpy as np
 from phdtrack.errors import InputError
 from phdtrack.types import F8, I8, Bool, Detections, Image, SequenceInfo, Tracks
 
+if TYPE_CHECKING:
+    from phdtrack.groups.pipeline import GroupFrame
+
 Rgb = tuple[int, int, int]
 _HEX = "ff9f1c 1fb5ad ffe14d a78bfa 2ec27e 4d7cfe ff4d4d e8d5ff c98b5b 4cc9f0 b5e853 ff7ac6"
 COLOURS: tuple[Rgb, ...] = tuple((each[0], each[1], each[2]) for each in map(bytes.fromhex, _HEX.split()))
-BLACK: Rgb = (0, 0, 0)
-WHITE: Rgb = (255, 255, 255)
-_FALSE_ALARM: Rgb = (200, 45, 45)
-MISSED, FALSE, SWITCHED, RIGHT = (255, 77, 77), (255, 159, 28), (255, 64, 255), (46, 194, 126)
-_LEGEND = {"right": RIGHT, "missed (truth)": MISSED, "false": FALSE, "identity switched": SWITCHED, "detection": WHITE}
+_BLACK, _WHITE, _FALSE_ALARM = (0, 0, 0), (255, 255, 255), (200, 45, 45)
+_UNKNOWN: F8 = np.zeros(0)
+RIGHT, SWITCHED, MISSED, FALSE = range(4)
+"""Kinds of `Mistakes`: a track on an object; one on an object that had another identity before; a miss; a false track."""
+MISTAKE_COLOURS: tuple[Rgb, ...] = ((46, 194, 126), (255, 64, 255), (255, 77, 77), (255, 159, 28))
+_LEGEND = (("right", RIGHT), ("missed (truth)", MISSED), ("false", FALSE), ("identity switched", SWITCHED))
 # Widths of a panel of mistakes, height of the bars above and below, and what lies between panels, pixels.
 _WIDTHS, _BAR, _GAP, _DARK = (480, 720), 28, 6, (20, 20, 20)
 _EDGES = (0, _GAP, 0, _GAP, cv2.BORDER_CONSTANT)
-_FONT = cv2.FONT_HERSHEY_SIMPLEX
-_UNKNOWN: F8 = np.zeros(0)
+_GRID, _INK, _WITHOUT_IDENTITY = (228, 231, 236), (58, 66, 80), (140, 140, 140)
+_FIELD, _ROAD_EDGE, _WARNING = (216, 228, 246), (150, 120, 80), (208, 60, 60)
+# Lines of the grid across a plan at most; metres around what is shown; plans are drawn in sixteenths of a pixel.
+_MAX_LINES, _MARGIN, _FRACTION_BITS = 12, 1.5, 4
 
 
 def identity_colour(identity: int) -> Rgb:
-    """Red, green, blue (0–255) of the target with this identity (from 1)."""
-    return COLOURS[(identity - 1) % len(COLOURS)]
+    """Red, green, blue (0–255) of the target with this identity (from 1); grey for none (0)."""
+    return COLOURS[(identity - 1) % len(COLOURS)] if identity else _WITHOUT_IDENTITY
 
 
 def feet(xyxy: F8) -> F8:
     """(n, 2) the middle of the lower edge of each box (n, 4)."""
     return np.stack([(xyxy[:, 0] + xyxy[:, 2]) / 2, xyxy[:, 3]], axis=1)
+
+
+class _Canvas:
+    """A copy of a picture to draw on. Widths, the length of a dash and letters suit its size; ``unit`` 1 is 480 lines.
+
+    What is glazed lets the picture through: it is drawn on a copy, which `mix` puts in by the opacity of each pixel.
+    """
+
+    def __init__(self, image: Image, unit: float = 0.0) -> None:
+        unit = unit or min(image.shape[0], 0.75 * image.shape[1]) / 480
+        sizes = ((1.6, 1), (0.7, 1), (1, 1), (8, 5))
+        self.line, self.thin, self._bold, self._dash = (max(least, round(part * unit)) for part, least in sizes)
+        # Text of very small frames can still be read.
+        self._font = max(0.34, 0.39 * unit)
+        self.image, self._over = image.copy(), image.copy()
+        self._opacity: Image = np.zeros(image.shape[:2], np.uint8)
+
+    def glaze_boxes(self, boxes: F8, colour: Rgb, width: int, opacity: float, *, crossed: bool = False) -> None:
+        """The outlines of boxes (n, 4), with their diagonals where they are ``crossed``."""
+        for _, (left, top, right, bottom) in self._corners(boxes):
+            cv2.rectangle(self._over, (left, top), (right, bottom), colour[::-1], width)
+            cv2.rectangle(self._opacity, (left, top), (right, bottom), round(255 * opacity), width)
+            if crossed:
+                self.glaze_line((left, top), (right, bottom), colour, width, opacity)
+                self.glaze_line((left, bottom), (right, top), colour, width, opacity)
+
+    def glaze_line(self, start: Sequence[int], end: Sequence[int], colour: Rgb, width: int, opacity: float) -> None:
+        """A line; the margin of the opacity holds its smoothed edge."""
+        cv2.line(self._over, start, end, colour[::-1], width, cv2.LINE_AA)
+        cv2.line(self._opacity, start, end, round(255 * opacity), width + 2)
+
+    def mix(self) -> None:
+        """Put in what was glazed; call it once."""
+        place = np.nonzero(self._opacity)
+        alpha = self._opacity[place][:, None].astype(np.uint16)
+        mixed = (self.image[place] * (255 - alpha) + self._over[place] * alpha + 127) // 255
+        self.image[place] = mixed.astype(np.uint8)
+
+    def targets(self, boxes: F8, colours: Sequence[Rgb], dashed: Bool, labels: Sequence[str] = ()) -> None:
+        """The outlines of boxes (n, 4), and on top of all of them their labels, if any."""
+        shown = self._corners(boxes)
+        for k, (left, top, right, bottom) in shown:
+            if not dashed[k]:
+                cv2.rectangle(self.image, (left, top), (right, bottom), colours[k][::-1], self.line)
+                continue
+            for a, b in pairwise(np.array([[left, top], [right, top], [right, bottom], [left, bottom], [left, top]])):
+                # An odd number of equal pieces, every other one drawn: the corners always are.
+                pieces = max(3, 2 * round(float(np.abs(b - a).max()) / self._dash / 2) + 1)
+                edges = np.linspace(a, b, pieces + 1).round().astype(int).tolist()
+                for start, end in zip(edges[0::2], edges[1::2], strict=True):
+                    cv2.line(self.image, start, end, colours[k][::-1], self.line)
+        for k, box in shown if len(labels) else ():
+            self.plate(labels[k], box[:2], colours[k])
+
+    def plate(self, text: str, corner: Sequence[int], fill: Rgb, opacity: float = 1.0) -> int:
+        """Text on a coloured plate with this lower left corner, moved and shrunk to stay in the picture; its width."""
+        # OpenCV's fonts have no letters but ASCII.
+        text, font, room = text.encode("ascii", "replace").decode("ascii"), self._font, self.image.shape[1]
+        (wide, high), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, font, self._bold)
+        pad = max(2, high // 4)
+        if wide + 2 * pad > room:
+            font *= max(0.1, (room - 2 * pad) / wide)
+            (wide, high), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, font, self._bold)
+        under = pad + (0 if text.isdigit() else below // 2)
+        wide, high = wide + 2 * pad, high + pad + under
+        left = min(max(corner[0], 0), max(room - wide, 0))
+        bottom = min(max(corner[1], high), max(self.image.shape[0], high))
+        ground = self.image[bottom - high : bottom, left : left + wide]
+        ground[:] = (ground * (1 - opacity) + np.array(fill[::-1]) * opacity + 0.5).astype(np.uint8)
+        # Black or white, whichever is easier to read by relative luminance.
+        light = np.array([0.2126, 0.7152, 0.0722]) @ (np.array(fill) / 255) ** 2.2 > 0.2
+        self.text(text, (left + pad, bottom - under), _BLACK if light else _WHITE, font, self._bold)
+        return int(wide)
+
+    def text(self, text: str, spot: Sequence[int], colour: Rgb, font: float = 0.0, bold: int = 1) -> None:
+        """Letters without a plate, smaller where no ``font`` is given."""
+        font, look = font or 0.8 * self._font, cv2.FONT_HERSHEY_SIMPLEX
+        cv2.putText(self.image, text, spot, look, font, colour[::-1], bold, cv2.LINE_AA)
+
+    def path(self, points: F8, colour: Rgb, width: int) -> None:
+        """A line through points (2, K)."""
+        cv2.polylines(self.image, [_fixed(points)], False, colour[::-1], width, cv2.LINE_AA, _FRACTION_BITS)
+
+    def contours(self, contours: Sequence[F8], identity: int, *, filled: bool = False) -> None:
+        """A group's outline in its colour, and its area. Rings (2, K) within others are holes: the even-odd rule."""
+        rings, colour = [_fixed(ring) for ring in contours], identity_colour(identity)[::-1]
+        if rings and filled:
+            over = self.image.copy()
+            cv2.fillPoly(over, rings, colour, cv2.LINE_AA, _FRACTION_BITS)
+            cv2.addWeighted(over, 0.3, self.image, 0.7, 0, dst=self.image)
+        cv2.polylines(self.image, rings, True, colour, self.line + filled, cv2.LINE_AA, _FRACTION_BITS)
+
+    def _corners(self, boxes: F8) -> list[tuple[int, list[int]]]:
+        """The index and the whole-pixel left, top, right, bottom of those boxes (n, 4) of which something can be drawn.
+
+        Boxes reaching far out are cut one frame beyond the edges: OpenCV's coordinates overflow otherwise.
+        """
+        size = np.array(self.image.shape[1::-1], np.float64)
+        low, high = np.minimum(boxes[:, :2], boxes[:, 2:]), np.maximum(boxes[:, :2], boxes[:, 2:])
+        seen = np.flatnonzero(np.isfinite(boxes).all(axis=1) & (high >= 0).all(axis=1) & (low <= size).all(axis=1))
+        cut = np.hstack([np.clip(each[seen], -size, 2 * size) for each in (low, high)]).round().astype(int)
+        return list(zip(seen.tolist(), cut.tolist(), strict=True))
 
 
 class Annotator:
@@ -97,30 +206,25 @@ class Annotator:
             raise InputError(f"expected a BGR picture (H, W, 3) of uint8, got {image.shape} of {image.dtype}", where=where)
         if known not in (0, count):
             raise InputError(f"expected a clutter probability for each of {count} detections, got {known}", where=where)
-        pen, glaze, rows = Pen.of(image), _Glaze(image), tracks.take(tracks.frame == number)
+        canvas, rows = _Canvas(image), tracks.take(tracks.frame == number)
         false_alarm = clutter_probability > 0.5 if known else np.zeros(count, np.bool_)
-        for false, colour in ((False, WHITE), (True, _FALSE_ALARM)):
-            for _, box in _corners(detections.xyxy[false_alarm == false], image):
-                glaze.box(box, colour, pen.thin, 0.75, crossed=false)
-        self._trails(glaze, number, rows.take(rows.confirmed), pen)
+        canvas.glaze_boxes(detections.xyxy[~false_alarm], _WHITE, canvas.thin, 0.75)
+        canvas.glaze_boxes(detections.xyxy[false_alarm], _FALSE_ALARM, canvas.thin, 0.75, crossed=True)
         # From the top of the frame downwards, because what stands lower is usually nearer.
         rows = rows.take(np.argsort(rows.xyxy[:, 3], kind="stable"))
-        boxes = [(k, box, identity_colour(int(rows.identity[k]))) for k, box in _corners(rows.xyxy, image)]
-        for k, box, colour in boxes:
-            if not rows.confirmed[k]:
-                glaze.box(box, colour, pen.line, 0.4)
-        out, confirmed = glaze.mixed(), [each for each in boxes if rows.confirmed[each[0]]]
-        for k, box, colour in confirmed:
-            _outline(out, box, colour, pen, dashed=bool(rows.predicted[k]))
-        for k, box, colour in confirmed:
-            plate(out, str(rows.identity[k]), box[:2], colour, pen)
-        count = int(rows.confirmed.sum())
-        header = f"frame {number}   {count} track{'' if count == 1 else 's'}"
+        self._trails(canvas, number, rows.take(rows.confirmed))
+        for k in np.flatnonzero(~rows.confirmed):
+            canvas.glaze_boxes(rows.xyxy[k : k + 1], identity_colour(int(rows.identity[k])), canvas.line, 0.4)
+        canvas.mix()
+        rows = rows.take(rows.confirmed)
+        identities = rows.identity.tolist()
+        canvas.targets(rows.xyxy, [identity_colour(k) for k in identities], rows.predicted, [str(k) for k in identities])
+        header = f"frame {number}   {len(rows)} track{'' if len(rows) == 1 else 's'}"
         header += f"   expected count {mass:.1f}" if math.isfinite(mass) else ""
-        plate(out, header, (0, 0), BLACK, pen, opacity=0.65)
-        return out
+        canvas.plate(header, (0, 0), _BLACK, opacity=0.65)
+        return canvas.image
 
-    def _trails(self, glaze: _Glaze, number: int, rows: Tracks, pen: Pen) -> None:
+    def _trails(self, canvas: _Canvas, number: int, rows: Tracks) -> None:
         """A line through the earlier and present feet of each identity, which fades towards the oldest."""
         past = Tracks.concatenate([self._past, rows])
         self._past = past = past.take(past.frame > number - self._length)
@@ -129,164 +233,36 @@ class Annotator:
             points = np.clip(points[np.isfinite(points).all(axis=1)], -1e4, 1e4).round().astype(int)
             for k, (a, b) in enumerate(pairwise(points.tolist()), start=1):
                 strength = (30 + 200 * k / (len(points) - 1)) / 255
-                glaze.line(a, b, identity_colour(identity), pen.line, strength)
+                canvas.glaze_line(a, b, identity_colour(identity), canvas.line, strength)
 
 
-class Pen(NamedTuple):
-    """Widths of a line, a thin line and of letters, length of a dash, in pixels, and a font scale, to suit a frame."""
+class Mistakes(NamedTuple):
+    """What a method got right and wrong, a row each: annotated boxes that were missed, and all boxes of its tracks.
 
-    line: int
-    thin: int
-    font: float
-    bold: int
-    dash: int
-
-    @classmethod
-    def of(cls, image: Image) -> Pen:
-        """480 lines are the unit; very small frames keep text that can still be read."""
-        unit = min(image.shape[0], 0.75 * image.shape[1]) / 480
-        line, thin, bold, dash = (max(least, round(part * unit)) for part, least in ((1.6, 1), (0.7, 1), (1, 1), (8, 5)))
-        return cls(line, thin, max(0.34, 0.39 * unit), bold, dash)
-
-
-class _Glaze:
-    """What lets the picture through: drawn on a copy, which is mixed with the picture by the opacity of each pixel."""
-
-    def __init__(self, image: Image) -> None:
-        self._image, self._over = image, image.copy()
-        self._opacity: Image = np.zeros(image.shape[:2], np.uint8)
-
-    def box(self, box: Sequence[int], colour: Rgb, width: int, opacity: float, *, crossed: bool = False) -> None:
-        """The outline of a box, with its diagonals where it is ``crossed``."""
-        cv2.rectangle(self._over, box[:2], box[2:], colour[::-1], width)
-        cv2.rectangle(self._opacity, box[:2], box[2:], round(255 * opacity), width)
-        if crossed:
-            self.line(box[:2], box[2:], colour, width, opacity)
-            self.line((box[0], box[3]), (box[2], box[1]), colour, width, opacity)
-
-    def line(self, start: Sequence[int], end: Sequence[int], colour: Rgb, width: int, opacity: float) -> None:
-        """A line; the margin of the opacity holds its smoothed edge."""
-        cv2.line(self._over, start, end, colour[::-1], width, cv2.LINE_AA)
-        cv2.line(self._opacity, start, end, round(255 * opacity), width + 2)
-
-    def mixed(self) -> Image:
-        """A new picture with everything drawn so far."""
-        out, place = self._image.copy(), np.nonzero(self._opacity)
-        alpha = self._opacity[place][:, None].astype(np.uint16)
-        out[place] = ((out[place] * (255 - alpha) + self._over[place] * alpha + 127) // 255).astype(np.uint8)
-        return out
-
-
-def _corners(boxes: F8, image: Image) -> list[tuple[int, list[int]]]:
-    """The index and the whole-pixel left, top, right, bottom of those boxes (n, 4) of which something can be drawn.
-
-    Boxes reaching far out are cut one frame beyond the edges: OpenCV's coordinates overflow otherwise.
-    """
-    size = np.array(image.shape[1::-1], np.float64)
-    low, high = np.minimum(boxes[:, :2], boxes[:, 2:]), np.maximum(boxes[:, :2], boxes[:, 2:])
-    seen = np.flatnonzero(np.isfinite(boxes).all(axis=1) & (high >= 0).all(axis=1) & (low <= size).all(axis=1))
-    cut = np.hstack([np.clip(each[seen], -size, 2 * size) for each in (low, high)]).round().astype(int)
-    return list(zip(seen.tolist(), cut.tolist(), strict=True))
-
-
-def _outline(image: Image, box: Sequence[int], colour: Rgb, pen: Pen, *, dashed: bool = False) -> None:
-    """A closed rectangle, or one of dashes whose corners are always drawn, so that the shape stays clear."""
-    if not dashed:
-        cv2.rectangle(image, box[:2], box[2:], colour[::-1], pen.line)
-        return
-    left, top, right, bottom = box
-    for a, b in pairwise(np.array([[left, top], [right, top], [right, bottom], [left, bottom], [left, top]])):
-        # An odd number of equal pieces, every other one drawn, the first and last among them.
-        pieces = max(3, 2 * round(float(np.abs(b - a).max()) / pen.dash / 2) + 1)
-        edges = np.linspace(a, b, pieces + 1).round().astype(int).tolist()
-        for start, end in zip(edges[0::2], edges[1::2], strict=True):
-            cv2.line(image, start, end, colour[::-1], pen.line)
-
-
-def plate(image: Image, text: str, corner: Sequence[int], fill: Rgb, pen: Pen, *, opacity: float = 1.0) -> int:
-    """Draw text on a coloured plate, moved and shrunk to stay in the frame.
-
-    Parameters
-    ----------
-    image : is drawn on.
-    text : what OpenCV's fonts cannot write, all but ASCII, becomes ``?``.
-    corner : x and y of the plate's lower left corner.
-    fill : its colour.
-    pen : the size of the letters.
-    opacity : of the plate, from 0 to 1.
-
-    Returns
-    -------
-    The plate's width in pixels.
-    """
-    text, font, room = text.encode("ascii", "replace").decode("ascii"), pen.font, image.shape[1]
-    (wide, high), below = cv2.getTextSize(text, _FONT, font, pen.bold)
-    pad = max(2, high // 4)
-    if wide + 2 * pad > room:
-        font *= max(0.1, (room - 2 * pad) / wide)
-        (wide, high), below = cv2.getTextSize(text, _FONT, font, pen.bold)
-    under = pad + (0 if text.isdigit() else below // 2)
-    wide, high = wide + 2 * pad, high + pad + under
-    left = min(max(corner[0], 0), max(room - wide, 0))
-    bottom = min(max(corner[1], high), max(image.shape[0], high))
-    ground = image[bottom - high : bottom, left : left + wide]
-    ground[:] = (ground * (1 - opacity) + np.array(fill[::-1]) * opacity + 0.5).astype(np.uint8)
-    # Black or white, whichever is easier to read by relative luminance.
-    light = np.array([0.2126, 0.7152, 0.0722]) @ (np.array(fill) / 255) ** 2.2 > 0.2
-    cv2.putText(image, text, (left + pad, bottom - under), _FONT, font, BLACK if light else WHITE, pen.bold, cv2.LINE_AA)
-    return int(wide)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Mistakes:
-    """What a method made of a frame; boxes xyxy in pixels of the video.
-
-    Attributes
-    ----------
-    method : its name.
-    found : (k, 4) boxes on an annotated object.
-    identity, switched : (k,) their identities, and whether the object had another one before.
-    missed, false : (n, 4) annotated boxes, (m, 4) boxes of tracks, without a partner.
+    ``frame``, ``identity`` and ``kind``, such as `MISSED`, are (n,), ``xyxy`` (n, 4) in pixels of the video.
     """
 
-    method: str
-    found: F8
+    frame: I8
     identity: I8
-    switched: Bool
-    missed: F8
-    false: F8
+    kind: I8
+    xyxy: F8
 
-    @property
-    def count(self) -> int:
-        """Number of mistakes."""
-        return len(self.missed) + len(self.false) + int(self.switched.sum())
+    def at(self, number: int) -> Mistakes:
+        """Those of one frame."""
+        return Mistakes(*(column[self.frame == number] for column in self))
 
-    @property
-    def title(self) -> str:
-        """The method and its mistakes in words."""
-        return f"{self.method}: {len(self.missed)} missed, {len(self.false)} false, {int(self.switched.sum())} switched"
+    def counts(self, frames: int) -> I8:
+        """(frames + 1,) number of mistakes in each frame, from number 0."""
+        return np.bincount(self.frame[self.kind != RIGHT], minlength=frames + 1)
 
-    def _drawn(self, ground: Image, scale: float, detections: F8) -> Image:
-        """A copy of ``ground`` with the boxes, whose pixels are ``scale`` times as large there as in the video."""
-        pen, glaze = Pen.of(ground), _Glaze(ground)
-        for _, box in _corners(detections * scale, ground):
-            glaze.box(box, WHITE, pen.thin, 0.6)
-        for _, box in _corners(self.false * scale, ground):
-            glaze.box(box, FALSE, pen.line, 1.0, crossed=True)
-        out = glaze.mixed()
-        for k, box in _corners(self.found * scale, ground):
-            colour = SWITCHED if self.switched[k] else RIGHT
-            _outline(out, box, colour, pen)
-            plate(out, str(self.identity[k]), box[:2], colour, pen)
-        # On top: where a box is wrong, the one that it should have been is what one wants to see.
-        for _, box in _corners(self.missed * scale, ground):
-            _outline(out, box, MISSED, pen, dashed=True)
-        plate(out, self.title, (0, 0), BLACK, pen, opacity=0.75)
-        return out
+    def __str__(self) -> str:
+        """Their numbers in words."""
+        missed, false, switched = (np.count_nonzero(self.kind == kind) for kind in (MISSED, FALSE, SWITCHED))
+        return f"{missed} missed, {false} false, {switched} switched"
 
 
 def side_by_side(
-    image: Image | None, size: tuple[int, int], heading: str, detections: F8, methods: Sequence[Mistakes]
+    image: Image | None, size: tuple[int, int], heading: str, detections: F8, methods: Mapping[str, Mistakes]
 ) -> Image:
     """A picture with a panel for each method, on the frame where there is one, on a plain ground otherwise.
 
@@ -296,27 +272,192 @@ def side_by_side(
     size : width and height that the boxes are in.
     heading : what stands above everything.
     detections : (N, 4) what all methods were given.
-    methods : what each made of it.
+    methods : what each got wrong in this frame, by its name.
 
     Returns
     -------
     (h, w, 3) BGR.
     """
     wide = int(np.clip(size[0], *_WIDTHS))
-    high = max(1, round(size[1] * wide / size[0]))
+    high, scale = max(1, round(size[1] * wide / size[0])), wide / size[0]
     ground = np.full((high, wide, 3), 46, np.uint8)
     if image is not None and image.size:
         ground = cv2.resize(image, (wide, high), interpolation=cv2.INTER_AREA).astype(np.uint8)
+    panels: list[Image] = []
+    for name, mistakes in methods.items():
+        canvas, kind, boxes = _Canvas(ground), mistakes.kind, mistakes.xyxy * scale
+        canvas.glaze_boxes(detections * scale, _WHITE, canvas.thin, 0.6)
+        canvas.glaze_boxes(boxes[kind == FALSE], MISTAKE_COLOURS[FALSE], canvas.line, 1.0, crossed=True)
+        canvas.mix()
+        right, missed = kind <= SWITCHED, kind == MISSED
+        colours, names = [MISTAKE_COLOURS[k] for k in kind[right]], mistakes.identity[right].astype(str)
+        canvas.targets(boxes[right], colours, np.zeros(len(names), np.bool_), names.tolist())
+        # On top: where a box is wrong, the one that it should have been is what one wants to see.
+        canvas.targets(boxes[missed], [MISTAKE_COLOURS[MISSED]] * len(boxes), missed[missed])
+        canvas.plate(f"{name}: {mistakes}", (0, 0), _BLACK, opacity=0.75)
+        panels.append(cv2.copyMakeBorder(canvas.image, *_EDGES, value=_DARK))
     # The shape of the whole is the one nearest to a page's (2 : 1). Up to four panels fill their rows.
-    panels = [cv2.copyMakeBorder(one._drawn(ground, wide / size[0], detections), *_EDGES, value=_DARK) for one in methods]
     count = len(panels)
     shapes = [columns for columns in range(1, count + 1) if count > 4 or count % columns == 0]
     columns = min(shapes, key=lambda n: abs(math.log(wide / high * n / -(-count // n) / 2)))
     panels += [np.full_like(panels[0], _DARK[0])] * (-count % columns)
     rows = [np.hstack(panels[k : k + columns]) for k in range(0, len(panels), columns)]
-    out: Image = cv2.copyMakeBorder(np.vstack(rows), _BAR + _GAP, _BAR, _GAP, 0, cv2.BORDER_CONSTANT, value=_DARK)
-    pen, x = Pen.of(np.zeros((480, 640, 3), np.uint8)), _GAP
-    plate(out, heading, (_GAP, _BAR - 4), BLACK, pen)
-    for label, colour in _LEGEND.items():
-        x += plate(out, label, (x, len(out) - 6), colour, pen) + 12
-    return out
+    bars = (_BAR + _GAP, _BAR, _GAP, 0, cv2.BORDER_CONSTANT)
+    canvas, x = _Canvas(cv2.copyMakeBorder(np.vstack(rows), *bars, value=_DARK), unit=1.0), _GAP
+    canvas.plate(heading, (_GAP, _BAR - 4), _BLACK)
+    for label, colour in (*((label, MISTAKE_COLOURS[kind]) for label, kind in _LEGEND), ("detection", _WHITE)):
+        x += canvas.plate(label, (x, len(canvas.image) - 6), colour) + 12
+    return canvas.image
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanScene:
+    """What there is on the ground in one frame.
+
+    Attributes
+    ----------
+    frame : its groups, with their contours and the warnings.
+    detections, people : (2, N), (2, n) metres, NaN where they have no place on the ground.
+    identity : (n,) of the people, 0 for none.
+    """
+
+    frame: GroupFrame
+    detections: F8
+    people: F8
+    identity: I8
+
+
+@dataclass(frozen=True, slots=False, eq=False)
+class Plan:
+    """The ground from above, white, x to the right and y upwards, with a grid in metres [E13 Fig. 1].
+
+    Parameters
+    ----------
+    extent : left, low, right, high in metres.
+    width, height : pixels of the picture; both ways have the same scale, what is left over shows more ground.
+    field : (2, K) outline of what the camera sees, metres; K = 0 for none.
+    edges : lines (2, K) to be shown, such as the edges of roads, metres.
+    """
+
+    extent: tuple[float, float, float, float]
+    width: int
+    height: int
+    field: F8 = field(default_factory=lambda: np.zeros((2, 0)))
+    edges: tuple[F8, ...] = ()
+
+    @property
+    def scale(self) -> float:
+        """Pixels per metre."""
+        left, low, right, high = self.extent
+        return min(self.width / max(right - left, 1e-9), self.height / max(high - low, 1e-9))
+
+    def pixels(self, place: F8) -> F8:
+        """(2, N) pixels of places (2, N) on the ground."""
+        offset = place - np.array([[self.extent[0] + self.extent[2]], [self.extent[1] + self.extent[3]]]) / 2
+        out: F8 = offset * np.array([[self.scale], [-self.scale]]) + np.array([[self.width], [self.height]]) / 2
+        return out
+
+    def draw(self, scene: PlanScene) -> Image:
+        """A picture (height, width, 3) BGR of one frame: detections, people, groups with their counts, warnings."""
+        canvas, frame = _Canvas(self.ground), scene.frame
+        for identity, rings in zip(frame.identity.tolist(), frame.contours, strict=True):
+            canvas.contours([self.pixels(ring) for ring in rings], identity, filled=True)
+        for _, spot in self._shown(scene.detections):
+            size = 2 * max(3, 2 * canvas.line + 1)
+            cv2.drawMarker(canvas.image, spot, _INK[::-1], cv2.MARKER_TILTED_CROSS, size, canvas.thin, cv2.LINE_AA)
+        for k, (x, y) in self._shown(scene.people):
+            cv2.circle(canvas.image, (x, y), max(2, canvas.line + 1), _INK[::-1], -1, cv2.LINE_AA)
+            if scene.identity[k]:
+                canvas.text(str(scene.identity[k]), (x + 4, y - 4), _INK)
+        centre, velocity = frame.groups.mean[:2], frame.groups.mean[2:]
+        # The way of the next second.
+        for way in np.stack([self.pixels(centre), self.pixels(centre + velocity)]).transpose(2, 0, 1):
+            if np.hypot(*(way[1] - way[0])) > 3:
+                tail, tip = np.clip(way, -1e4, 1e4).round().astype(int).tolist()
+                cv2.arrowedLine(canvas.image, tail, tip, _INK[::-1], canvas.thin, cv2.LINE_AA, tipLength=0.25)
+        place = dict(zip(frame.identity.tolist(), centre.T, strict=True))
+        for warning in frame.warnings:
+            if warning.first in place and warning.second in place:
+                between = self.pixels(np.stack([place[warning.first], place[warning.second]], axis=1))
+                canvas.path(between, _WARNING, canvas.line)
+                x, y = np.clip(between.mean(axis=1), 0, 1e4).astype(int).tolist()
+                canvas.plate(f"meet in {warning.seconds:.1f} s", (x, y), _WARNING, opacity=0.9)
+        gap = round(min(1.2 * self.scale, 40)) // 2
+        for g, (x, y) in self._shown(centre):
+            if label := _label(frame, g):
+                canvas.plate(label, (x + gap, y - gap), identity_colour(int(frame.identity[g])))
+        detected = int(np.isfinite(scene.detections).all(axis=0).sum())
+        header = f"frame {frame.number}   {frame.time:.1f} s   {frame.people:.1f} people in {frame.named} groups"
+        canvas.plate(header + (f"   {detected} detections" if detected else ""), (0, 0), _INK, opacity=0.85)
+        return canvas.image
+
+    @cached_property
+    def ground(self) -> Image:
+        """What is the same in all frames: field of view, grid and edges."""
+        canvas = _Canvas(np.full((self.height, self.width, 3), 255, np.uint8))
+        if self.field.shape[1] > 2:
+            cv2.fillPoly(canvas.image, [_fixed(self.pixels(self.field))], _FIELD[::-1], cv2.LINE_AA, _FRACTION_BITS)
+        # The smallest of 1, 2, 5, 10, … times a power of ten with few enough lines.
+        size = np.array([self.width, self.height]) / self.scale
+        smallest = size.max() / _MAX_LINES
+        steps = 10 ** np.floor(np.log10(smallest)) * np.array([1, 2, 5, 10])
+        step = steps[steps >= smallest * (1 - 1e-9)].min()
+        middle = (np.array(self.extent[:2]) + np.array(self.extent[2:])) / 2
+        reach = np.stack([middle - size / 2, middle + size / 2], axis=1)
+        for axis in (0, 1):
+            # Adding 0 makes 0 of −0.
+            for value in np.arange(np.ceil(reach[axis, 0] / step), reach[axis, 1] / step) * step + 0.0:
+                ends = reach.copy()
+                ends[axis] = value
+                line = self.pixels(ends)
+                canvas.path(line, _GRID, canvas.thin)
+                spot = (int(line[0, 0]) + 3, self.height - 5) if axis == 0 else (3, int(line[1, 0]) - 3)
+                canvas.text(f"{value:g}{' m' if value == 0 else ''}", spot, _WITHOUT_IDENTITY)
+        for edge in self.edges:
+            canvas.path(self.pixels(edge), _ROAD_EDGE, canvas.line + 1)
+        return canvas.image
+
+    def _shown(self, place: F8) -> list[tuple[int, tuple[int, int]]]:
+        """The index and the whole pixel of those places (2, N) that are in the picture."""
+        spots = enumerate(np.nan_to_num(self.pixels(place), nan=-1.0).T.tolist())
+        return [(k, (int(x), int(y))) for k, (x, y) in spots if 0 <= x < self.width and 0 <= y < self.height]
+
+
+def extent_of(places: F8) -> tuple[float, float, float, float]:
+    """Left, low, right, high in metres of the ground to show, at least 8 m wide and high.
+
+    It holds all ``places`` (2, N), NaN where not known, but the outermost hundredth on each side, which may be false alarms.
+    """
+    known = places[:, np.isfinite(places).all(axis=0)]
+    low, high = np.quantile(known, [0.01, 0.99], axis=1) if known.size else np.zeros((2, 2))
+    middle, half = (low + high) / 2, np.maximum((high - low) / 2 + _MARGIN, 4.0)
+    (left, below), (right, above) = (middle - half).tolist(), (middle + half).tolist()
+    return left, below, right, above
+
+
+def plan_size(extent: tuple[float, float, float, float], height: int) -> tuple[int, int]:
+    """Width and height in even pixels of a picture of the extent, ``height`` high, neither very narrow nor very wide."""
+    left, low, right, high = extent
+    width = height * float(np.clip((right - left) / (high - low), 0.6, 1.8))
+    return 2 * round(width / 2), 2 * round(height / 2)
+
+
+def draw_contours(image: Image, contours: Sequence[tuple[int, Sequence[F8]]]) -> Image:
+    """A copy of a picture (H, W, 3) BGR with groups: of each its identity, 0 for none, and rings (2, K) in pixels."""
+    canvas = _Canvas(image)
+    for identity, rings in contours:
+        canvas.contours(rings, identity)
+    return canvas.image
+
+
+def _label(frame: GroupFrame, g: int) -> str:
+    """Identity and number of people; nothing where the group probably does not exist."""
+    identity, count, deviation = frame.identity[g], frame.groups.count[g], frame.groups.deviation[g]
+    if not identity and count < 0.5:
+        return ""
+    return (f"{identity}: " if identity else "") + f"{count:.1f}" + (f" +-{deviation:.1f}" if deviation >= 0.05 else "")
+
+
+def _fixed(points: F8) -> np.ndarray[tuple[int, ...], np.dtype[np.int32]]:
+    """(K, 1, 2) points (2, K) in sixteenths of a pixel, as OpenCV takes them."""
+    return np.ascontiguousarray((np.clip(points.T, -1e5, 1e5) * 2**_FRACTION_BITS).round().astype(np.int32))[:, None]

@@ -1,28 +1,39 @@
-"""The pages and sections of reports, from the Jinja2 templates in ``report/templates``.
+"""The pages, sections and sentences of reports, from the Jinja2 templates in ``report/templates``, and ``run.json``.
 
 A report is one file that can be read without network, on a phone, on paper and in the dark: pictures are ``data:``
 addresses, the style sheet is inline, there is no script, and a content security policy forbids to fetch anything. Whatever a
 template prints is escaped, unless it is `markupsafe.Markup`. Control characters and lone surrogates, which no browser
 shows, become �.
+
+``run.json`` and its like are plain JSON: values that are not numbers (NaN, infinity) become null, arrays lists, paths
+strings. Keys keep their names and order; new ones are added at the end.
 """
 
 from __future__ import annotations
 
+import json
+import math
 import re
 from collections.abc import Mapping
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from markupsafe import Markup
 
+from phdtrack.errors import InputError
 from phdtrack.files import json_value
-from phdtrack.report import charts, words
+from phdtrack.report import charts
 from phdtrack.report.record import STAGES, RunRecord
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
+# A space that does not break; unlike the narrow ones every legacy terminal encoding has it.
+_NBSP = "\u00a0"
 _NOT_SHOWN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff]")
+_STAGE_TIMES = ("mean", "median", "p95", "share")
 
 
 @cache
@@ -39,8 +50,7 @@ def environment() -> Environment:
         lstrip_blocks=True,
     )
     made.globals["charts"] = charts
-    for function in (words.grouped, words.counted, words.duration, words.percent, words.score, words.score_direction):
-        made.filters[function.__name__] = function
+    made.filters |= {function.__name__: function for function in (grouped, counted, duration, percent, score)}
     return made
 
 
@@ -55,9 +65,9 @@ def lines(template: str, **context: object) -> tuple[str, ...]:
 
 
 def score_meanings() -> dict[str, str]:
-    """What each score says, and which way it is better, by its name."""
+    """What each score says, and where less of it is better, by its name."""
     found: dict[str, str] = vars(environment().get_template("scores.html").module)["meanings"]
-    return {name: meaning + words.score_direction(name) for name, meaning in found.items()}
+    return found
 
 
 def sentences(record: RunRecord) -> tuple[str, ...]:
@@ -79,7 +89,7 @@ def report_html(record: RunRecord, config: Mapping[str, object], more: str = "")
     The whole page.
     """
     title, lead = record.about.title or record.info.name or "Tracking run", " ".join(sentences(record))
-    known = {"record": record, "more": Markup(more), "settings": words.flattened(config)}
+    known = {"record": record, "more": Markup(more), "settings": flattened(config)}
     return str(render("run.html", title=title, lead=lead, **known))
 
 
@@ -90,7 +100,7 @@ def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, o
     ``frames_left_out`` in which kernels were compiled or loaded; ``stages`` are milliseconds per frame, whose sum may
     exceed a frame's share of the time because stages overlap. ``chain`` is null but for MCMC filters.
     """
-    about, info = record.about, record.info
+    about, info, times = record.about, record.info, record.stage_times
     document = {
         "command": about.command,
         "title": about.title,
@@ -102,10 +112,7 @@ def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, o
         "source": {"name": info.name, "width": info.width, "height": info.height, "fps": info.fps},
         "frames": len(record),
         "frames_per_second": record.frames_per_second,
-        "stages": {
-            name: dict(zip(("mean", "median", "p95", "share"), record.stage_times[name], strict=True))
-            for name in (STAGES if len(record) else ())
-        },
+        "stages": {name: dict(zip(_STAGE_TIMES, times[name], strict=True)) for name in STAGES if name in times},
         "tracks": len(record.lifetimes),
         "track_rows": len(record.tracks),
         "predicted_rows": int(record.tracks.predicted.sum()),
@@ -120,3 +127,64 @@ def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, o
         "chain": record.chain,
     }
     return {key: json_value(value) for key, value in document.items()}
+
+
+def grouped(number: float) -> str:
+    """A whole number with spaces between groups of three digits."""
+    return f"{round(number):,}".replace(",", _NBSP)
+
+
+def counted(number: int, *noun: str) -> str:
+    """A number with its noun, as "1 frame" and "2 frames"; its plural is the second where that has more than an s."""
+    return f"{grouped(number)} {noun[0] if number == 1 else (*noun, f'{noun[0]}s')[1]}"
+
+
+def duration(seconds: float) -> str:
+    """Such as "8.2 s", "1 min 54 s", "2 h 5 min"."""
+    if seconds < 60:
+        return f"{seconds:.1f} s"
+    if seconds < 3600:
+        return f"{int(seconds // 60)} min {int(seconds % 60)} s"
+    return f"{int(seconds // 3600)} h {int(seconds % 3600 // 60)} min"
+
+
+def percent(part: float, whole: float = 1.0) -> str:
+    """The share in per cent, with a decimal where it is small; a dash where the whole is 0."""
+    if not whole > 0:
+        return "–"
+    share = 100 * part / whole
+    return f"{share:.{1 if 0 < share < 10 else 0}f}{_NBSP}%"
+
+
+def score(value: float) -> str:
+    """A score with three decimals, a count without any."""
+    if not math.isfinite(value):
+        return "undefined"
+    return grouped(value) if isinstance(value, int | np.integer) else f"{value:.3f}"
+
+
+def flattened(config: Mapping[str, object], prefix: str = "") -> tuple[tuple[str, str], ...]:
+    """Pairs (dotted name, text) of a nested configuration, in its order: the form that ``--set`` takes."""
+    pairs: list[tuple[str, str]] = []
+    for key, value in config.items():
+        if isinstance(value, Mapping):
+            pairs += flattened(value, f"{prefix}{key}.")
+        else:
+            pairs.append((f"{prefix}{key}", json.dumps(json_value(value), ensure_ascii=False)))
+    return tuple(pairs)
+
+
+def write_run(path: Path, document: Mapping[str, object]) -> None:
+    """Write the document as indented UTF-8. Raises `InputError` where the file cannot be written."""
+    write_text(path, json.dumps(json_value(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write UTF-8 and make the folder. Raises `InputError` where that cannot be done."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # File names may hold bytes that are no text; their escape is also how JSON spells them.
+        path.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
+    except OSError as error:
+        problem = f"could not be written: {error.strerror or error}"
+        raise InputError(problem, where=path, cure="Choose another output folder.") from error
