@@ -17,7 +17,7 @@ from phdtrack.formats.text import read_columns
 from phdtrack.ground import Calibration, fit_homography, footprint
 from phdtrack.ground.read import calibration_text
 from phdtrack.groups import polygon_area
-from phdtrack.report.words import write_text
+from phdtrack.report.pages import write_text
 from phdtrack.types import F8, Bool
 
 # A point is a line of these, in this order where there is no header.

@@ -44,8 +44,7 @@ from phdtrack.models import PlaneSensor
 from phdtrack.models.scene import FalseAlarmRatio, with_scene
 from phdtrack.models.volumes import EVERYWHERE
 from phdtrack.protocols import AnyStages
-from phdtrack.report.pages import render
-from phdtrack.report.words import write_text
+from phdtrack.report.pages import render, write_text
 from phdtrack.scene import LearnedDensity, Scene, TrackedObjects, write_scene
 from phdtrack.scene.training import FALSE_BOXES, OBJECT_BOXES, Training, births_in, learn_births, learn_boxes, with_prior
 from phdtrack.types import F8, Detections, DetectionTable, SequenceInfo, Tracks
