@@ -43,9 +43,11 @@ class LabelTable(NamedTuple):
     def including(self, moments: Sequence[Moment]) -> LabelTable:
         """The table with a row for every label of the moments."""
         tag = np.concatenate([m.estimates.tag for m in moments])
-        if len(self.label) and (self.label.take(self.places(tag), mode="clip") == tag).all():
+        if len(self.label):
+            tag = tag[self.label.take(self.places(tag), mode="clip") != tag]
+        if not len(tag):
             return self
-        fresh = LabelTable.of(np.setdiff1d(tag, self.label))
+        fresh = LabelTable.of(np.unique(tag))
         both = LabelTable._make(np.concatenate(pair) for pair in zip(self, fresh, strict=True))
         return both.take(np.argsort(both.label, kind="stable"))
 

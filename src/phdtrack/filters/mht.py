@@ -263,6 +263,6 @@ class BestHypothesis:
             mean = np.ascontiguousarray(here.mean.T)
             found = Estimates(mean, here.covariance, weight[reported], model.sensor.boxes(mean), here.detection, here.label)
             # Labels rise with the frame in which a track began.
-            frames.append(without_overlaps(found, self.merge_iou))
+            frames.append(found.take(without_overlaps(found.xyxy, self.merge_iou)))
             at = before(nodes, at)
         return replace(frames[0], past=tuple(frames[:0:-1]))

@@ -248,11 +248,13 @@ class BestBernoullis:
         target = np.flatnonzero((trace["place"] >= 0) & (trace["presence"] >= self.min_weight))
         at = trace["place"][target]
         mean = np.ascontiguousarray(layer.mean[at].T)
-        boxes, detection = model.sensor.boxes(mean), layer.hypotheses["detection"][at]
-        weight, label = trace["presence"][target], layer.targets["label"][target]
-        found = Estimates(mean, layer.covariance[at], weight, boxes, detection, label, past)
+        boxes = model.sensor.boxes(mean)
         # Labels rise with the frame in which a target began.
-        return without_overlaps(found, self.merge_iou)
+        left = without_overlaps(boxes, self.merge_iou)
+        if len(left) < len(at):
+            target, at, boxes, mean = target[left], at[left], boxes[left], np.ascontiguousarray(mean[:, left])
+        weight, label = trace["presence"][target], layer.targets["label"][target]
+        return Estimates(mean, layer.covariance[at], weight, boxes, layer.hypotheses["detection"][at], label, past)
 
 
 def _best(layer: Layer) -> Records:
@@ -262,10 +264,9 @@ def _best(layer: Layer) -> Records:
     return trace
 
 
-def without_overlaps(found: Estimates, merge_iou: float) -> Estimates:
-    """The estimates without those whose boxes overlap an earlier one that is left by more than ``merge_iou``; 1: all."""
-    if merge_iou >= 1 or len(found) < 2:
-        return found
-    boxes = np.ascontiguousarray(found.xyxy)
-    kept = apart(boxes, boxes[:, 0].argsort(), merge_iou)
-    return found if len(kept) == len(boxes) else found.take(kept)
+def without_overlaps(boxes: F8, merge_iou: float) -> I8:
+    """Which of the boxes (n, 4) are left without those that overlap an earlier one that is left by more; 1: all."""
+    if merge_iou >= 1 or len(boxes) < 2:
+        return np.arange(len(boxes))
+    left: I8 = apart(boxes, boxes[:, 0].argsort(), merge_iou)
+    return left
