@@ -131,3 +131,35 @@ def test_a_kernel_of_a_users_record_is_not_kept_and_harms_no_other_program(insta
     for program in (RECORD, "from phdtrack.kernels.caller import first\nassert first((4.0,)) == 4.0"):
         done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=120)
         assert done.returncode == 0, done.stderr
+
+
+VECTORS = """
+import numba
+import numpy as np
+from phdtrack.kernels.cache import njit
+from phdtrack.kernels.fast32 import INNER, LEAN, VECTOR
+
+def total(x):
+    out = 0.0
+    for value in x:
+        out += value
+    return out
+
+@njit(**INNER)
+def doubled(x):
+    return 2.0 * inner(x)
+
+@njit(**LEAN)
+def outer(x):
+    return doubled(x)
+
+inner, own = njit(**VECTOR)(total), numba.njit(fastmath=True)(total)
+assert outer(np.ones(40)) == 80.0 and own(np.ones(40)) == 40.0
+for kernel in (outer, own):
+    assert "x double>" in kernel.inspect_llvm(kernel.signatures[0]), kernel
+"""
+
+
+def test_what_only_kernels_call_is_optimised_in_them_and_a_users_own_functions_are_as_ever() -> None:
+    done = subprocess.run([sys.executable, "-c", VECTORS], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr

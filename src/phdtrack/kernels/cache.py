@@ -53,7 +53,9 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         dispatcher: Any = numba.njit(**options)(function)
         if numba.config.DISABLE_JIT:
             return dispatcher
-        dispatcher.compile = _compiling(dispatcher.compile, options.get("no_cpython_wrapper", False))
+        # What vectorises does so where it is optimised by itself.
+        inner = options.get("no_cpython_wrapper", False) and not options.get("fastmath")
+        dispatcher.compile = _compiling(dispatcher.compile, inner)
         if not options.get("cache"):
             return dispatcher
         keep = dispatcher._cache.save_overload
