@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from phdtrack.compare import DetectionChoice, Plan, SettingsSource, plan
+from phdtrack.compare import Plan, Request, plan
 
 FRAMES = 30
 
@@ -41,8 +41,5 @@ def small(folder: Path, **more: Any) -> Plan:
 
 
 def planned(folders: Sequence[Path | str], **more: Any) -> Plan:
-    """`plan` with the parts of `DetectionChoice` and `SettingsSource` by their names."""
-    parts = {name: more.pop(name) for name in ("detections", "detectors", "max_width", "truth") if name in more}
-    choice = DetectionChoice(**{name: tuple(value) if isinstance(value, list) else value for name, value in parts.items()})
-    settings = SettingsSource(sets=tuple(more.pop("sets", ())))
-    return plan([str(folder) for folder in folders], detections=choice, settings=settings, **more)
+    """The plan of a `Request`."""
+    return plan(Request([str(folder) for folder in folders], **more))

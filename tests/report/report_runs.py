@@ -61,13 +61,13 @@ def run_record(
     info = info or SequenceInfo(WIDE, HIGH, 10.0, frames, "walk")
     rng = np.random.default_rng(3)
     picture = rng.integers(0, 255, (info.height, info.width, 3), dtype=np.uint8)
-    recorder = Recorder(info)
     boxes = walkers(frames, objects, info)
+    tracks = tracks_of(boxes)
+    annotated = Truth(tracks.frame, tracks.identity, tracks.xyxy, np.zeros(len(tracks), np.bool_)) if truth else None
+    recorder = Recorder(info, annotated)
     for number, here in boxes.items():
         centre = np.repeat((here[:, :2] + here[:, 2:]).T / 2, 50, axis=1)
         state = np.concatenate([centre + rng.normal(0, 2, centre.shape), np.zeros((4, centre.shape[1]))])
         particles = Particles(state, np.full(state.shape[1], 1 / 50))
         recorder.add(picture if video else None, step(number, here, cardinality=cardinality), particles, 0.003)
-    tracks = tracks_of(boxes)
-    annotated = Truth(tracks.frame, tracks.identity, tracks.xyxy, np.zeros(len(tracks), np.bool_)) if truth else None
-    return recorder.record(tracks, about or About(title="Walk", command="phdtrack track walk.mp4", seed=4), annotated)
+    return recorder.record(tracks, about or About(title="Walk", command="phdtrack track walk.mp4", seed=4))

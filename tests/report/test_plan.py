@@ -9,10 +9,10 @@ import pytest
 
 from phdtrack.groups import Encounter, Event, Groups
 from phdtrack.groups.pipeline import GroupFrame
-from phdtrack.report.drawing import Plan, PlanScene, extent_of, identity_colour, plan_size
+from phdtrack.report.drawing import Plan, PlanScene, extent_of, identity_colour
 from phdtrack.report.pages import render
 
-PLAN = Plan((-10.0, 0.0, 10.0, 10.0), 400, 200)
+PLAN = Plan((-9.0, 0.0, 9.0, 10.0), 200)
 NOWHERE = np.zeros((2, 0))
 SQUARE = np.array([[0.0, 4, 4, 0, 0], [2, 2, 6, 6, 2]])
 
@@ -38,11 +38,11 @@ def colour_at(image: np.ndarray, x: float, y: float) -> np.ndarray:
 
 def test_metres_are_square_and_y_goes_up() -> None:
     assert PLAN.scale == pytest.approx(20)
-    corners = PLAN.pixels(np.array([[-10.0, 10, 0], [0, 10, 5]]))
-    assert corners == pytest.approx(np.array([[0.0, 400, 200], [200, 0, 100]]))
-    wide = Plan((-10.0, 0.0, 10.0, 10.0), 800, 200)
-    assert wide.scale == pytest.approx(20)
-    assert wide.pixels(np.array([[0.0], [5.0]])) == pytest.approx(np.array([[400.0], [100.0]]))
+    corners = PLAN.pixels(np.array([[-9.0, 9, 0], [0, 10, 5]]))
+    assert corners == pytest.approx(np.array([[0.0, 360, 180], [200, 0, 100]]))
+    wide = Plan((0.0, 0.0, 100.0, 1.0), 400)
+    assert (wide.width, wide.scale) == (720, pytest.approx(7.2))
+    assert wide.pixels(np.array([[50.0], [0.5]])) == pytest.approx(np.array([[360.0], [200.0]]))
 
 
 def test_a_group_is_filled_with_its_colour_but_for_its_holes() -> None:
@@ -57,11 +57,11 @@ def test_a_group_is_filled_with_its_colour_but_for_its_holes() -> None:
 
 def test_the_field_of_view_and_edges_lie_behind() -> None:
     field = np.array([[-10.0, 10, 0], [0, 0, 9.5]])
-    plan = Plan(PLAN.extent, 400, 200, field, (np.array([[9.0, 9.0], [9, 4]]),))
+    plan = Plan(PLAN.extent, 200, field, (np.array([[8.0, 8.0], [9, 4]]),))
     image = plan.draw(scene(groups()))
     assert colour_at(image, 0.3, 2.3) == pytest.approx([246, 228, 216], abs=1)
     assert (colour_at(image, -8.3, 8.3) == 255).all()
-    assert colour_at(image, 9.0, 6.3) == pytest.approx([80, 120, 150], abs=30)
+    assert colour_at(image, 8.0, 6.3) == pytest.approx([80, 120, 150], abs=30)
 
 
 def test_detections_and_warnings_are_drawn_where_they_have_a_place() -> None:
@@ -82,8 +82,6 @@ def test_the_extent_leaves_out_what_is_far_from_everything() -> None:
     assert extent_of(NOWHERE) == (-4, -4, 4, 4)
     assert right - left > 40
     assert low < -20
-    assert plan_size((0, 0, 100, 1), 400) == (720, 400)
-    assert plan_size((0, 0, 10, 10), 401) == (400, 400)
 
 
 def test_the_report_shows_counts_events_and_warnings() -> None:

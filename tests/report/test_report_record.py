@@ -22,12 +22,12 @@ NOTHING = np.zeros((0, 4))
 
 
 def test_numbers_of_every_frame_arrive_where_they_belong() -> None:
-    recorder = Recorder(INFO)
-    for number, boxes in walkers(5, 3, INFO).items():
-        recorder.add(None, step(number, boxes[:number], clutter=0.2), None, 0.5 * number)
     frame = np.array([1, 1, 2, 7])
     truth = Truth(frame, np.array([1, 2, 1, 1]), np.ones((4, 4)), np.array([False, True, False, False]))
-    record = recorder.record(Tracks.empty(), About(), truth)
+    recorder = Recorder(INFO, truth)
+    for number, boxes in walkers(5, 3, INFO).items():
+        recorder.add(None, step(number, boxes[:number], clutter=0.2), None, 0.5 * number)
+    record = recorder.record(Tracks.empty(), About())
     np.testing.assert_array_equal(record.numbers, [1, 2, 3, 4, 5])
     np.testing.assert_allclose(record.times, [0.1, 0.2, 0.3, 0.4, 0.5])
     np.testing.assert_array_equal(record.n_detections, [1, 2, 3, 3, 3])

@@ -72,17 +72,22 @@ class PlanOptions:
             rates = tuple(float(part) for part in listed(self.clutter))
         except ValueError:
             raise InputError(f"expected numbers as 0,5,10, got {self.clutter!r}", where="--clutter") from None
-        looked = comparing.DetectionChoice(listed(self.detections), listed(self.detectors), self.max_width, self.truth)
-        return comparing.plan(
+        wanted = comparing.Request(
             sequences,
             filters=listed(self.filters),
-            detections=looked,
+            detections=listed(self.detections),
+            detectors=listed(self.detectors),
+            max_width=self.max_width,
+            truth=self.truth,
             clutter=rates,
             seeds=self.seeds,
             variants=self.variants or (),
-            settings=comparing.SettingsSource(self.preset, self.config, (*scene_settings(self.scene), *(self.sets or ()))),
+            preset=self.preset,
+            file=self.config,
+            sets=(*scene_settings(self.scene), *(self.sets or ())),
             iou=self.iou,
         )
+        return comparing.plan(wanted)
 
 
 def compare(

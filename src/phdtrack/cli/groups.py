@@ -39,7 +39,7 @@ from phdtrack.groups.pipeline import GroupFrame, GroupStages, carriers, known_pe
 from phdtrack.models import PlaneSensor
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages, Camera
-from phdtrack.report.drawing import Plan, PlanScene, draw_contours, extent_of, plan_size
+from phdtrack.report.drawing import Plan, PlanScene, draw_contours, extent_of
 from phdtrack.report.pages import flattened, lines, render, write_text
 from phdtrack.types import F8, I8, GaussianMixture, Image, SequenceInfo, Step, Tracks
 from phdtrack.video import VideoWriter
@@ -348,8 +348,7 @@ class GroupObserver(RunObserver):
         """A plan of the ground on which people were."""
         people = [scene.people for scene in self._scenes]
         centres = [scene.frame.groups.mean[:2, scene.frame.identity > 0] for scene in self._scenes]
-        extent = extent_of(np.hstack([_NOWHERE, *people, *centres]))
-        return Plan(extent, *plan_size(extent, height), self._field, self._edges)
+        return Plan(extent_of(np.hstack([_NOWHERE, *people, *centres])), height, self._field, self._edges)
 
     def _with_contours(self, picture: Image, frame: GroupFrame) -> Image:
         """The picture with the contours that the camera shows."""

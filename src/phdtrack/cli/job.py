@@ -143,7 +143,7 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
             scores = evaluate(job.truth, tracks, frames=done.last)
         if job.video:
             done.cut = _draw(job, again(), directory, done, tracks)
-    record = done.recorder.record(tracks, job.about, job.truth)
+    record = done.recorder.record(tracks, job.about)
     # Of each the note comes first, then the warning if there is one.
     doubts = (_confirmation(job, done), lines("chain.txt", chain=record.chain, least=LOW_EFFECTIVE))
     said = replace(
@@ -180,7 +180,7 @@ def _track(job: Job, source: Iterable[Frame], directory: RunDirectory) -> _Progr
     """Every frame through detector and tracker, into files and record, until the source ends or something stops it."""
     inputs, stages, sensor = job.inputs, job.stages, job.stages.model.sensor
     tracker = Tracker(stages=stages, fps=inputs.info.fps, seed=job.about.seed)
-    done = _Progress(tracker, Recorder(inputs.info))
+    done = _Progress(tracker, Recorder(inputs.info, job.truth))
     with ExitStack() as files:
         detections = files.enter_context(DetectionsWriter(directory.file(rundir.DETECTIONS)))
         states = files.enter_context(StatesWriter(directory.file(rundir.STATES)))

@@ -9,16 +9,18 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from phdtrack import config
 from phdtrack.config import Settings
+from phdtrack.config.kinds import SECTIONS
 from phdtrack.detect import detector_parameters, make_detector
 from phdtrack.detect.convert import within_frame
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, did_you_mean
 from phdtrack.formats import find_seqinfo, read_detections, read_truth
 from phdtrack.metrics.matching import check_threshold
 from phdtrack.types import SequenceInfo
@@ -136,122 +138,101 @@ class Plan:
 
 
 @dataclass(frozen=True, slots=True)
-class SettingsSource:
-    """Where settings come from: a preset by name, a file, texts ``section.name=value``."""
+class Request:
+    """What a user wants to compare, by names.
 
-    preset: str = ""
-    file: Path | None = None
-    sets: tuple[str, ...] = ()
-
-    def load(self, sets: Iterable[str], preset: str = "") -> Settings:
-        """The settings with these texts, and with another preset where one is given."""
-        return config.load(self.file, tuple(sets), preset or self.preset)
-
-
-@dataclass(frozen=True, slots=True)
-class DetectionChoice:
-    """Which detections to compare on; empty: whatever a sequence has.
-
-    ``detections`` are sets that the folders have, or files; ``detectors`` look at frames of at most ``max_width`` pixels (0:
-    as they are); ``truth`` is a file. ``{}`` in a file's name stands for the sequence's name.
-    """
-
-    detections: tuple[str, ...] = ()
-    detectors: tuple[str, ...] = ()
-    max_width: int = 0
-    truth: str = ""
-
-
-_ANY_DETECTIONS, _DEFAULTS = DetectionChoice(), SettingsSource()
-
-
-def plan(
-    sequences: Sequence[str],
-    *,
-    filters: Sequence[str] = (),
-    detections: DetectionChoice = _ANY_DETECTIONS,
-    clutter: Sequence[float] = (0.0,),
-    seeds: int = 5,
-    variants: Sequence[str] = (),
-    settings: SettingsSource = _DEFAULTS,
-    iou: float = 0.5,
-) -> Plan:
-    """What `phdtrack compare` compares; every input has been opened and every setting checked.
-
-    Parameters
+    Attributes
     ----------
     sequences : folders as MOTChallenge lays them out, or videos.
-    filters : by the names of configuration; the others are compared to the first. Without any, that of the settings, and
-        none.
-    detections : which sets, files or detectors.
+    filters : the others are compared to the first. Without any, that of the settings, and none.
+    detections : sets that the folders have, or files; ``{}`` in a file's name stands for the sequence's name.
+    detectors, max_width : what looks at the videos, in frames of at most so many pixels (0: as they are). Without
+        detections and detectors: whatever a sequence has.
+    truth : a file, named as those of detections; empty for that of the folder.
     clutter : rates of added clutter, boxes per frame.
     seeds : how many, from 1.
     variants : ``NAME=section.name=value,…`` over the first filter's settings, each a further method.
-    settings : preset, file and single settings; one of a filter, its extraction or its association holds for those filters
-        that have it.
+    preset, file, sets : the settings; one of a filter, its extraction or its association holds for the filters that have it.
     iou : overlap from which boxes match.
-
-    Returns
-    -------
-    The plan.
-
-    Raises
-    ------
-    InputError : anything that cannot be read, or that does not go together.
     """
-    if not sequences:
+
+    sequences: Sequence[str]
+    filters: Sequence[str] = ()
+    detections: Sequence[str] = ()
+    detectors: Sequence[str] = ()
+    max_width: int = 0
+    truth: str = ""
+    clutter: Sequence[float] = (0.0,)
+    seeds: int = 5
+    variants: Sequence[str] = ()
+    preset: str = ""
+    file: Path | None = None
+    sets: Sequence[str] = ()
+    iou: float = 0.5
+
+    def load(self, sets: Sequence[str], preset: str = "") -> Settings:
+        """The settings with these texts, and with another preset where one is given."""
+        return config.load(self.file, sets, preset or self.preset)
+
+
+def plan(wanted: Request) -> Plan:
+    """What `phdtrack compare` compares; every input has been opened and every setting checked.
+
+    Raises `InputError` for anything that cannot be read, or that does not go together.
+    """
+    if not wanted.sequences:
         raise InputError("nothing to compare on", where="SEQUENCE", cure="Name folders of sequences, or videos.")
-    for option, names in (("--detections", detections.detections), ("--truth", (detections.truth,))):
+    for option, names in (("--detections", wanted.detections), ("--truth", (wanted.truth,))):
         for name in names:
-            if len(sequences) > 1 and _is_file(name) and "{}" not in name:
+            if len(wanted.sequences) > 1 and _is_file(name) and "{}" not in name:
                 cure = "Write {} where the name of the sequence stands in the names of the files."
-                raise InputError(f"{name} cannot belong to {len(sequences)} sequences", where=option, cure=cure)
-    methods = _methods(filters, variants, settings)
-    of_detectors = [text for text in settings.sets if text.strip().startswith("detector.")]
-    parameters = config.load(settings.file, of_detectors).detector
-    _detector_parameters(detections.detectors, detections.max_width, parameters)  # raises where one does not exist
-    cases = tuple(case for word in sequences for case in _cases(word, detections, parameters))
+                raise InputError(f"{name} cannot belong to {len(wanted.sequences)} sequences", where=option, cure=cure)
+    methods = _methods(wanted)
+    parameters = wanted.load([text for text in wanted.sets if _section(text) == "detector"]).detector
+    _detector_parameters(wanted.detectors, wanted.max_width, parameters)  # raises where one does not exist
+    cases = tuple(case for word in wanted.sequences for case in _cases(word, wanted, parameters))
     for case in cases:
         for method in methods:
             config.build(method.settings, case.info)
-    return Plan(cases, methods, tuple(clutter), tuple(range(1, seeds + 1)), iou)
+    return Plan(cases, methods, tuple(wanted.clutter), tuple(range(1, wanted.seeds + 1)), wanted.iou)
 
 
-def _methods(filters: Sequence[str], variants: Sequence[str], given: SettingsSource) -> tuple[Method, ...]:
+def _section(text: str) -> str:
+    """The section of ``section.name=value``."""
+    return text.strip().split(".")[0]
+
+
+def _methods(wanted: Request) -> tuple[Method, ...]:
     """One method for each filter, then one for each variant."""
-    kind = [text for text in given.sets if text.replace(" ", "").startswith("filter.kind=")]
-    if kind and filters:
+    kind = [text for text in wanted.sets if text.replace(" ", "").startswith("filter.kind=")]
+    if kind and wanted.filters:
         raise InputError("--filters says which filters there are", where=f"--set {kind[0]}", cure="Leave one of them out.")
-    shared = [text for text in given.sets if text.strip().split(".")[0] not in _OF_FILTERS]
-    own = [text for text in given.sets if text not in (*shared, *kind)]
-    names = tuple(filters) or tuple(dict.fromkeys((given.load([*shared, *kind]).kind("filter"), "none")))
-    chosen = [_under_filter(name, shared, own, given) for name in names]
+    shared = [text for text in wanted.sets if _section(text) not in _OF_FILTERS]
+    own = [text for text in wanted.sets if text not in (*shared, *kind)]
+    names = tuple(wanted.filters) or tuple(dict.fromkeys((wanted.load([*shared, *kind]).kind("filter"), "none")))
+    for name in names:
+        if name not in SECTIONS["filter"]:
+            cure = did_you_mean(name, SECTIONS["filter"])
+            raise InputError(f"unknown kind of filter: {name}", where="--filters", cure=cure)
+    chosen = [_under_filter([*shared, f"filter.kind={name}"], own, wanted) for name in names]
     for text in own:
-        if not any(text in used for _, used in chosen):
-            given.load((f"filter.kind={names[0]}", text))  # raises, and says which name is near
-    out = [Method(name, settings) for name, (settings, _) in zip(names, chosen, strict=True)]
-    return (*out, *(_variant(text, chosen[0][1], shared, given) for text in variants))
+        if not any(text in used for used in chosen):
+            wanted.load((f"filter.kind={names[0]}", text))  # raises, and says which name is near
+    filters = (Method(name, wanted.load(used)) for name, used in zip(names, chosen, strict=True))
+    return (*filters, *(_variant(text, chosen[0], shared, wanted) for text in wanted.variants))
 
 
-def _under_filter(name: str, shared: list[str], own: list[str], given: SettingsSource) -> tuple[Settings, list[str]]:
-    """The settings under this filter, and the texts that they are made of: of ``own`` those that the filter has."""
-    used = [*shared, f"filter.kind={name}"]
-    try:
-        settings = given.load(used)
-    except InputError as error:
-        if not error.where.endswith(f"filter.kind={name}"):
-            raise
-        raise InputError(error.problem, where="--filters", cure=error.cure) from None
+def _under_filter(used: list[str], own: list[str], wanted: Request) -> list[str]:
+    """The texts ``used``, which name a filter, and those of ``own`` that it has."""
     # First of what kind the extraction and the association are.
     for text in sorted(own, key=lambda text: ".kind" not in text.partition("=")[0]):
-        try:
-            settings, used = given.load([*used, text]), [*used, text]
-        except InputError:
-            continue
-    return settings, used
+        with suppress(InputError):
+            wanted.load([*used, text])
+            used = [*used, text]
+    return used
 
 
-def _variant(text: str, first: list[str], shared: list[str], given: SettingsSource) -> Method:
+def _variant(text: str, first: list[str], shared: list[str], wanted: Request) -> Method:
     """A method like the ``first``; like what all filters share where the text names a preset or another filter."""
     name, equals, rest = text.partition("=")
     if not name or not equals or "=" not in rest:
@@ -262,19 +243,19 @@ def _variant(text: str, first: list[str], shared: list[str], given: SettingsSour
     other = presets or any(part.startswith("filter.kind") for part in parts)
     try:
         sets = [*(shared if other else first), *(part for part in parts if not part.startswith("preset"))]
-        return Method(name, given.load(sets, presets[-1] if presets else ""))
+        return Method(name, wanted.load(sets, presets[-1] if presets else ""))
     except InputError as error:
         raise InputError(error.problem, where=f"--variant {name}", cure=error.cure) from None
 
 
-def _cases(word: str, choice: DetectionChoice, parameters: Mapping[str, Any]) -> list[Case]:
+def _cases(word: str, wanted: Request, parameters: Mapping[str, Any]) -> list[Case]:
     """The cases of a folder or a video, every file of them read once to see that it can be."""
     path = Path(word)
     if not path.exists():
         open_source(word)  # says which name is near
         raise InputError("expected a folder or a video file", where=word)
     name, source, sets = path.stem, word, dict[str, Path]()
-    truth = Path(choice.truth.replace("{}", path.absolute().name if path.is_dir() else name)) if choice.truth else None
+    truth = Path(wanted.truth.replace("{}", path.absolute().name if path.is_dir() else name)) if wanted.truth else None
     if path.is_dir():
         name = path.absolute().name
         annotated, images = path / "gt" / "gt.txt", path / "img1"
@@ -284,9 +265,9 @@ def _cases(word: str, choice: DetectionChoice, parameters: Mapping[str, Any]) ->
         videos = [file for file in path.iterdir() if file.suffix.lower() in VIDEOS]
         pictures = [images] if images.is_dir() else videos
         source = str(pictures[0]) if len(pictures) == 1 else ""
-    files = [_detection_file(text, name, sets) for text in choice.detections]
-    detectors = choice.detectors
-    if not choice.detections and not detectors:
+    files = [_detection_file(text, name, sets) for text in wanted.detections]
+    detectors = wanted.detectors
+    if not wanted.detections and not detectors:
         files, detectors = list(sets.items()), () if sets else (DEFAULT_DETECTOR,)
     if detectors and not source:
         cure = "Name detections with --detections, or put one video, or images in img1, into the folder."
@@ -295,9 +276,9 @@ def _cases(word: str, choice: DetectionChoice, parameters: Mapping[str, Any]) ->
     seen = open_source(source).info if source and (detectors or known is None) else None
     found = [Case(name, label, _info(word, file, known or seen, last), truth, source, file) for label, file in files]
     if seen is not None and detectors:
-        own = _detector_parameters(detectors, choice.max_width, parameters)
+        own = _detector_parameters(detectors, wanted.max_width, parameters)
         info = replace(seen, frames=0, name=name)
-        found += [Case(name, each, info, truth, source, None, values, choice.max_width) for each, values in own.items()]
+        found += [Case(name, each, info, truth, source, None, values, wanted.max_width) for each, values in own.items()]
     return found
 
 

@@ -13,9 +13,9 @@ from __future__ import annotations
 import hashlib
 import json
 import multiprocessing
+import os
 import shutil
 import signal
-import tempfile
 import time
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -41,7 +41,7 @@ from phdtrack.metrics import Scores
 from phdtrack.metrics.counts import Counts, count
 from phdtrack.metrics.matching import build
 from phdtrack.metrics.scores import scores_of
-from phdtrack.report.pages import write_run
+from phdtrack.report.pages import write_run, write_text
 from phdtrack.simulate import add_clutter
 from phdtrack.types import F8, I8, DetectionTable, SequenceInfo, Tracks, Truth
 from phdtrack.video import open_source
@@ -166,16 +166,15 @@ def run(plan: Plan, folder: Path, jobs: int = 1, *, anew: bool = False, advance:
     ------
     InputError : the folder cannot be written into, or an input has gone since it was planned.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        problem = f"cannot be written into ({error.strerror or error})"
-        raise InputError(problem, where=folder, cure="Choose another folder.") from error
+    write_text(probe := folder / ".probe", "")
+    probe.unlink()
     _contents.cache_clear()
     found, done = Comparison(plan, folder), count_from(1)
-    looks = {case.place: _look(case, folder) for case in plan.cases if case.file is None}
+    looks = {
+        case.place: _Piece(folder / "detections" / case.place, json_value(_decides_detections(case)), partial(_detect, case))
+        for case in plan.cases
+        if case.file is None
+    }
     seen: dict[Path, dict[str, Any] | Failed] = {}
     try:
         for place, document in _documents(found, looks, jobs, anew):
@@ -188,10 +187,10 @@ def run(plan: Plan, folder: Path, jobs: int = 1, *, anew: bool = False, advance:
                 first = None if one.seed == plan.seeds[0] or one.rate else found.result(one)
                 if isinstance(look, Failed):
                     found.results[one.place] = look
-                if isinstance(look, Failed) or (isinstance(first, RunResult) and not first.drawn):
-                    advance(next(done))
-                else:
+                elif not isinstance(first, RunResult) or first.drawn:
                     pieces[one.place] = _tracking(one, plan.iou, folder)
+                    continue
+                advance(next(done))
             for place, document in _documents(found, pieces, jobs, anew):
                 found.results[place] = document if isinstance(document, Failed) else _result(document["outcome"])
                 advance(next(done))
@@ -235,16 +234,9 @@ def read_about(folder: Path) -> dict[str, Any]:
 
 def _result(outcome: Mapping[str, Any]) -> RunResult:
     """A result as ``run.json`` has it."""
-    values = dict(outcome)
-    if sums := values["counts"]:
-        lists = {name: np.array(value) for name, value in sums.items() if isinstance(value, list)}
-        values["counts"] = Counts(**(sums | lists))
-    return RunResult(**values)
-
-
-def _look(case: Case, folder: Path) -> _Piece:
-    """A detector's look at a video."""
-    return _Piece(folder / "detections" / case.place, json_value(_decides_detections(case)), partial(_detect, case))
+    sums: dict[str, Any] = outcome["counts"] or {}
+    arrays: dict[str, Any] = {name: np.array(value) for name, value in sums.items() if isinstance(value, list)}
+    return RunResult(**{**outcome, "counts": Counts(**(sums | arrays)) if sums else None})
 
 
 def _detect(case: Case, folder: Path) -> dict[str, object]:
@@ -361,27 +353,24 @@ def outcomes(work: Sequence[Callable[[], T]], jobs: int) -> Iterator[tuple[int, 
         return
     # Ctrl-C is for the parent, which ends its processes.
     ignore, context = (signal.SIGINT, signal.SIG_IGN), multiprocessing.get_context("spawn")
-    before, pools = set(multiprocessing.active_children()), list[ProcessPoolExecutor]()
-    left, running = list(enumerate(work))[::-1], dict[Future[Any], tuple[int, ProcessPoolExecutor]]()
-    idle: list[ProcessPoolExecutor | None] = [None] * min(jobs, len(work))
+    before, left = set(multiprocessing.active_children()), list(enumerate(work))[::-1]
+    idle = [ProcessPoolExecutor(1, context, signal.signal, ignore) for _ in range(min(jobs, len(work)))]
+    running: dict[Future[Any], tuple[int, ProcessPoolExecutor]] = {}
     try:
         while left or running:
             while left and idle:
-                number, piece = left.pop()
-                if (pool := idle.pop()) is None:
-                    pool = ProcessPoolExecutor(1, context, signal.signal, ignore)
-                    pools.append(pool)
+                (number, piece), pool = left.pop(), idle.pop()
                 running[pool.submit(_tried, piece)] = number, pool
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 number, pool = running.pop(future)
                 died = isinstance(future.exception(), BrokenProcessPool)
-                idle.append(None if died else pool)
+                idle.append(ProcessPoolExecutor(1, context, signal.signal, ignore) if died else pool)
                 yield number, Failed("its process died (out of memory?)") if died else future.result()
     finally:
         # None of them has anything to do any more, but after Ctrl-C.
         for process in set(multiprocessing.active_children()) - before:
             process.kill()
-        for pool in pools:
+        for pool in (*idle, *(pool for _, pool in running.values())):
             pool.shutdown(cancel_futures=True)
 
 
@@ -430,8 +419,7 @@ def _digest(files: Iterable[Path]) -> str:
     total = hashlib.sha256()
     for file in files:
         with file.open("rb") as content:
-            digest = hashlib.file_digest(content, "sha256").digest()
-        total.update(file.name.encode("utf-8", "surrogateescape") + b"\0" + digest)
+            total.update(os.fsencode(file.name) + b"\0" + hashlib.file_digest(content, "sha256").digest())
     return total.hexdigest()[:32]
 
 

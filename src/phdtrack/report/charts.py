@@ -215,7 +215,7 @@ def trajectory_picture(record: RunRecord) -> Picture:
             look: Any = {"color": "black", "fontsize": 7.5, "ha": "center", "va": "center", "clip_on": True}
             plate = {"boxstyle": "round,pad=0.2", "facecolor": colour, "linewidth": 0}
             axes.text(x_end, y_end, str(path.identity[0]), bbox=plate, **look)
-    return _photograph(axes)
+    return _saved(axes)
 
 
 def heat_picture(heat: HeatMap, info: SequenceInfo) -> Picture:
@@ -235,7 +235,7 @@ def heat_picture(heat: HeatMap, info: SequenceInfo) -> Picture:
     bar = axes.figure.colorbar(ScalarMappable(Normalize(0, top), "inferno"), ax=axes, shrink=0.75, aspect=30, pad=0.015)
     bar.set_label(f"objects in {heat.cell:g} × {heat.cell:g} pixels", fontsize=10, color=_INK)
     bar.ax.tick_params(labelsize=9, colors=_INK)
-    return _photograph(axes)
+    return _saved(axes)
 
 
 def map_picture(learned: LearnedDensity, scene: Scene, image: Image, *, births: bool) -> Picture:
@@ -269,7 +269,7 @@ def map_picture(learned: LearnedDensity, scene: Scene, image: Image, *, births: 
         axes.annotate("", xy=tuple(start + way), xytext=tuple(start), arrowprops=style)
     # Of a plan the far end is above, of a picture row 0.
     axes.set(xlim=(left, left + wide), ylim=(top, top + high) if ground else (top + high, top))
-    return _photograph(axes)
+    return _saved(axes)
 
 
 def jpeg(image: Image, max_width: int = 1400) -> Picture:
@@ -352,16 +352,11 @@ def _chart(axes: Axes, points: int = 0, bottom: float | None = None) -> Picture:
     return _saved(axes, "image/svg+xml", format="svg", transparent=True, metadata=nothing)
 
 
-def _photograph(axes: Axes) -> Picture:
-    """The figure as JPEG on white."""
-    return _saved(axes, "image/jpeg", format="jpg", facecolor="white", pil_kwargs={"quality": 87})
-
-
-def _saved(axes: Axes, mime: str, **look: Any) -> Picture:
-    """The figure as a file; its width and height are in CSS pixels."""
+def _saved(axes: Axes, mime: str = "image/jpeg", **look: Any) -> Picture:
+    """The figure as a file, JPEG on white if nothing else is said; its width and height are in CSS pixels."""
     figure, buffer = axes.get_figure(root=True), io.BytesIO()
     assert figure is not None
-    figure.savefig(buffer, dpi=144, **look)
+    figure.savefig(buffer, dpi=144, **(look or {"format": "jpg", "facecolor": "white", "pil_kwargs": {"quality": 87}}))
     data, (wide, high) = buffer.getvalue(), (round(96 * float(inches)) for inches in figure.get_size_inches())
     # Of an SVG without its XML declaration.
     return Picture(mime, data[max(data.find(b"<svg"), 0) :], wide, high)

@@ -333,23 +333,28 @@ class Plan:
 
     Parameters
     ----------
-    extent : left, low, right, high in metres.
-    width, height : pixels of the picture; both ways have the same scale, what is left over shows more ground.
+    extent : left, low, right, high in metres; where it is very narrow or wide more ground is shown.
+    height : of the picture in pixels, even; both ways have the same scale.
     field : (2, K) outline of what the camera sees, metres; K = 0 for none.
     edges : lines (2, K) to be shown, such as the edges of roads, metres.
     """
 
     extent: tuple[float, float, float, float]
-    width: int
     height: int
     field: F8 = field(default_factory=lambda: np.zeros((2, 0)))
     edges: tuple[F8, ...] = ()
 
     @property
+    def width(self) -> int:
+        """Of the picture in pixels, even."""
+        left, low, right, high = self.extent
+        return 2 * round(self.height * float(np.clip((right - left) / (high - low), 0.6, 1.8)) / 2)
+
+    @property
     def scale(self) -> float:
         """Pixels per metre."""
         left, low, right, high = self.extent
-        return min(self.width / max(right - left, 1e-9), self.height / max(high - low, 1e-9))
+        return min(self.width / (right - left), self.height / (high - low))
 
     def pixels(self, place: F8) -> F8:
         """(2, N) pixels of places (2, N) on the ground."""
@@ -433,13 +438,6 @@ def extent_of(places: F8) -> tuple[float, float, float, float]:
     middle, half = (low + high) / 2, np.maximum((high - low) / 2 + _MARGIN, 4.0)
     (left, below), (right, above) = (middle - half).tolist(), (middle + half).tolist()
     return left, below, right, above
-
-
-def plan_size(extent: tuple[float, float, float, float], height: int) -> tuple[int, int]:
-    """Width and height in even pixels of a picture of the extent, ``height`` high, neither very narrow nor very wide."""
-    left, low, right, high = extent
-    width = height * float(np.clip((right - left) / (high - low), 0.6, 1.8))
-    return 2 * round(width / 2), 2 * round(height / 2)
 
 
 def draw_contours(image: Image, contours: Sequence[tuple[int, Sequence[F8]]]) -> Image:

@@ -162,9 +162,9 @@ class RunRecord:
     @property
     def frames_per_second(self) -> float:
         """Frames over the wall time of detection and tracking, else over the sum of the stages; NaN without either."""
-        about = self.about
-        total = about.tracking_seconds if about.left_out else about.tracking_seconds or float(self.seconds.sum())
-        return (len(self) - about.left_out) / total if total > 0 else math.nan
+        left_out = self.about.left_out
+        total = self.about.tracking_seconds or (0.0 if left_out else float(self.seconds.sum()))
+        return (len(self) - left_out) / total if total > 0 else math.nan
 
     @property
     def stage_times(self) -> Mapping[str, Sequence[float]]:
@@ -180,11 +180,12 @@ class RunRecord:
 class Recorder:
     """Collects a `RunRecord` while a run goes on: `add` every frame in order, `record` at the end or when it breaks off.
 
-    Pictures are kept of frames whose index is a multiple of a stride, which doubles when they become too many.
+    Pictures are kept of frames whose index is a multiple of a stride, which doubles when they become too many. ``truth`` is
+    None where nothing is annotated.
     """
 
-    def __init__(self, info: SequenceInfo) -> None:
-        self._info = info
+    def __init__(self, info: SequenceInfo, truth: Truth | None = None) -> None:
+        self._info, self._truth = info, truth
         self._rows: list[tuple[float, ...]] = []
         self._chains: list[ChainInfo] = []
         self._kept: list[tuple[int, Image, HeatMap | None]] = []
@@ -218,20 +219,9 @@ class Recorder:
             self._stride *= 2
             self._kept = [each for each in self._kept if each[0] % self._stride == 0]
 
-    def record(self, tracks: Tracks, about: About, truth: Truth | None = None) -> RunRecord:
-        """Everything so far; collecting may go on.
-
-        Parameters
-        ----------
-        tracks : the corrected tracks of the whole run.
-        about : words and single values.
-        truth : annotated objects, None where there are none.
-
-        Returns
-        -------
-        The record.
-        """
-        table = np.array(self._rows, dtype=np.float64).reshape(-1, 7 + len(STAGES))
+    def record(self, tracks: Tracks, about: About) -> RunRecord:
+        """Everything so far, with the corrected tracks of the whole run; collecting may go on."""
+        truth, table = self._truth, np.array(self._rows, dtype=np.float64).reshape(-1, 7 + len(STAGES))
         numbers, ranges = table[:, 0].astype(np.int64), table[:, 5:7]
         maps = [heat for _, _, heat in self._kept if heat is not None]
         images = [image for _, image, _ in self._kept if image.size]
