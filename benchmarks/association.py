@@ -1,7 +1,7 @@
 """The association alone: microseconds per frame on a stream of states, as a filter gives them.
 
-Boxes at constant density (10 per 720 × 480) move and turn, are missed in 5 % of the frames, and beside them stand as
-many false states as ``clutter`` says, one for every ten boxes unless told.
+Boxes at constant density (10 per 720 × 480) move and turn, are missed in 5 % of the frames; ``clutter`` false states
+are added, by default one for every ten boxes.
 """
 
 from __future__ import annotations

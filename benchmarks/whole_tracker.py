@@ -38,7 +38,7 @@ WARM_UP = 20
 LIMIT_MS = {"20 easy": 0.35, "20 hard": 0.35, "200 hard": 1.8}
 LEAST_RATIO = {"20 easy": 2.0, "20 hard": 2.0, "200 hard": 6.0}
 LIFE = 150
-# Settings tried, each library's own defaults first (Norfair has no default threshold): tracks kept shorter, believed sooner
+# Settings tried, each library's own defaults first (Norfair has no default threshold): tracks kept shorter, confirmed sooner
 # or later. The scenes' frame_rate is given to those that ask for it.
 TUNED: dict[str, tuple[dict[str, Any], ...]] = {
     "sort": ({}, {"lost_track_buffer": 15}, {"minimum_consecutive_frames": 2}),
@@ -97,7 +97,7 @@ def _best(peer: str, streams: dict[str, Stream]) -> dict[str, Any]:
 
 
 def _in_turns(stream: Stream, chosen: dict[str, dict[str, Any]], turns: int) -> dict[str, dict[str, Any]]:
-    """Everybody on one stream, in rounds; of each the round with the least median."""
+    """All trackers on one stream, in rounds; of each the round with the least median."""
     rounds: dict[str, list[dict[str, Any]]] = {who: [] for who in ("phdtrack", *chosen)}
     for _ in range(turns):
         rounds["phdtrack"].append(ours(stream))
@@ -193,7 +193,7 @@ def _tracks(frame: NDArray[Any], identity: NDArray[Any], xyxy: NDArray[Any]) -> 
 
 
 def _rows(case: str, results: dict[str, dict[str, dict[str, Any]]]) -> list[Row]:
-    """A case: everybody's time and MOTA, and how much faster ours is than the fastest peer."""
+    """A case: every tracker's time and MOTA, and how much faster ours is than the fastest peer."""
     rows = []
     mine = results["phdtrack"][case]
     for who, of in results.items():

@@ -2,8 +2,8 @@
 
 10 targets and 10 clutter points per 720 × 480 area; the area grows with the targets. Boxes are 20 … 50 pixels wide and twice
 as high (uniform in the width), cross their own size in about 50 frames and turn at the borders; detected with p_D = 0.95 and
-errors of 5 % of the size in position and in size. Clutter is Poisson, uniform, of the same sizes. Nobody comes or goes
-unless ``life`` says so, so that the number of targets is what the row says.
+errors of 5 % of the size in position and in size. Clutter is Poisson, uniform, of the same sizes. The number of targets
+is constant unless ``life`` is given.
 """
 
 from __future__ import annotations

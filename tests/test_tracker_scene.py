@@ -1,4 +1,4 @@
-"""The tracker with a scene laid over its model, that holds back who stays where false alarms are."""
+"""The tracker with a learned scene: tracks that stay where false alarms are learned are not reported."""
 
 from __future__ import annotations
 
@@ -65,23 +65,23 @@ def near(tracks: Tracks, at: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("section", [{}, {"delay": 3}, {"particles": True}], ids=["default", "delay", "particles"])
-def test_a_flag_is_nobody_and_who_walks_past_is_somebody(section):
-    plain, vetted = tracker_of(False, **section), tracker_of(**section)
-    rows = [Tracks.concatenate([*feed(tracker, scans()), tracker.flush()]) for tracker in (plain, vetted)]
+def test_a_flag_is_rejected_and_a_walker_is_not(section):
+    plain, learned = tracker_of(False, **section), tracker_of(**section)
+    rows = [Tracks.concatenate([*feed(tracker, scans()), tracker.flush()]) for tracker in (plain, learned)]
     without, held = (r.take(r.confirmed) for r in rows)
-    assert np.count_nonzero(near(without, FLAG)) > 20, "a filter alone takes the flag for somebody"
+    assert np.count_nonzero(near(without, FLAG)) > 20, "without the scene the flag becomes a track"
     assert not near(held, FLAG).any()
     assert np.count_nonzero(near(held, WALK)) > 50
     assert np.count_nonzero(near(plain.tracks(), FLAG)) > 20
-    corrected = vetted.tracks()
+    corrected = learned.tracks()
     assert near(corrected, WALK).all()
     assert len(corrected) > 50
     assert set(corrected.identity) == {1}
 
 
 @pytest.mark.parametrize("section", [{}, {"particles": True}], ids=["default", "particles"])
-def test_who_enters_where_nothing_is_false_is_reported_at_once(section):
-    """The walker as soon as there is a state of him; the flag is nobody all the same, and corrected tracks are the same."""
+def test_a_walker_who_enters_where_no_false_alarms_are_is_reported_at_once(section):
+    """The walker from the first state on; the flag is rejected all the same, and corrected tracks are the same."""
     trackers = [tracker_of(sure=odds, **section) for odds in (0.0, 0.1)]
     slow, early = (Tracks.concatenate([*feed(tracker, scans()), tracker.flush()]) for tracker in trackers)
     first = [int(rows.frame[rows.confirmed & near(rows, WALK)].min()) for rows in (slow, early)]

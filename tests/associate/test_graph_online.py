@@ -143,7 +143,7 @@ def test_the_missing_are_waited_for_as_long_as_the_missing_came_back():
     filled = [int(np.isin(np.arange(11, 15) + 14 * k, online.frame).sum()) for k in range(6)]
     assert filled[0] == 1
     assert filled[2:] == [4, 4, 4, 4]
-    assert online.frame.max() == 6 * 14, "nobody ever came back after five"
+    assert online.frame.max() == 6 * 14, "no track came back after five"
 
 
 def test_who_does_not_come_back_is_soon_not_waited_for():

@@ -86,7 +86,7 @@ def test_corrected_tracks_begin_where_they_are_believed(inner):
     tracks, plain = result.tracks, run(inner, STREET).tracks
     assert set(plain.identity) == {1, 2, 3, 4}
     assert set(tracks.identity) == {1, 2, 3}, "identities from 1"
-    # Who walks out is believed from the first place on at which an object is the likelier, who walks in to the end.
+    # A track that leaves is reported from the first box on at which an object is likelier, one that enters to its end.
     assert np.count_nonzero(tracks.frame == 1) == 2
     assert centre(tracks).min() == pytest.approx(280 - 5 * 24, abs=2)
     out = tracks.take(tracks.identity == 1)
@@ -130,7 +130,7 @@ def test_each_is_believed_from_the_first_detection_on_that_is_more_likely_an_obj
 
 
 @dataclass(frozen=True)
-class Told:
+class Given:
     """An associator that gives the rows of a table, each ``delay`` frames late; its state is the frame's number."""
 
     rows: Tracks
@@ -153,7 +153,7 @@ class Told:
 def test_online_the_same_rows_are_believed(rows, delay):
     """With any delay: those that are kept of the corrected tracks, where both are the same rows."""
     tracks = Tracks.concatenate([table(rows)])
-    associator = FalseTrackRejection(Told(tracks, delay), STRIP)
+    associator = FalseTrackRejection(Given(tracks, delay), STRIP)
     result = run(associator, [states([])] * 9)
     found = result.online
     assert same(found, tracks, "confirmed")

@@ -92,11 +92,11 @@ def test_what_cannot_be_used_is_told_and_changes_nothing(page, path, sent, words
 
 
 def test_suggestions_leave_out_what_is_marked(page):
-    told = page.get("/api/suggestions").json()
-    assert (told["ready"], told["share"], told["problem"], told["more"]) == (True, 1.0, "", 0)
-    assert len(told["items"]) == FRAMES + FRAMES // 2
-    assert told["items"][0] == [1, 3, "place", 0.99, 0]
-    assert told["items"][FRAMES] == [1, 4, "rejected", 0.95, -1]
+    found = page.get("/api/suggestions").json()
+    assert (found["ready"], found["share"], found["problem"], found["more"]) == (True, 1.0, "", 0)
+    assert len(found["items"]) == FRAMES + FRAMES // 2
+    assert found["items"][0] == [1, 3, "place", 0.99, 0]
+    assert found["items"][FRAMES] == [1, 4, "rejected", 0.95, -1]
     page.post("/api/frame/1/marks", json={"marks": [{"frame": k, "box": 3, "mark": "false"} for k in (1, 2)]})
     assert len(page.get("/api/suggestions").json()["items"]) == FRAMES + FRAMES // 2 - 2
     page.post("/api/frame/1/undo", json={})

@@ -55,7 +55,7 @@ def test_places_and_scattered_false_alarms_of_simulated_scenes(name, seed, clutt
     assert found["all"][1] > 0.92
     assert found["all"][2] > 0.92
     assert found["place"][1] > 0.9
-    # Who has just come is rejected for a frame or two before he is believed.
+    # A new target is rejected for a frame or two before it is confirmed.
     assert found["rejected"][1] > 0.9
     # What a short track held is never ticked: of it more is true than false.
     assert found["short"][0] == 0

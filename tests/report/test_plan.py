@@ -19,12 +19,12 @@ SQUARE = np.array([[0.0, 4, 4, 0, 0], [2, 2, 6, 6, 2]])
 
 def groups(*places: tuple[float, float], contours: tuple[np.ndarray, ...] = (), **more: Any) -> GroupFrame:
     """Groups 1, 2, … of two people at these places, who stand; the first one has the contours."""
-    n, nobody = len(places), np.zeros(0, np.int64)
+    n, none = len(places), np.zeros(0, np.int64)
     mean = np.vstack([np.array(places).reshape(-1, 2).T, np.zeros((2, n))])
-    found = Groups(nobody, np.full(n, 2.0), np.full(n, 0.4), mean, np.zeros((n, 4, 4)))
+    found = Groups(none, np.full(n, 2.0), np.full(n, 0.4), mean, np.zeros((n, 4, 4)))
     rings = (contours, *[()] * (n - 1))[:n]
     filled = {"events": (), "warnings": ()} | more
-    return GroupFrame(3, 0.5, np.arange(1, n + 1), found, rings, nobody, nobody, **filled)
+    return GroupFrame(3, 0.5, np.arange(1, n + 1), found, rings, none, none, **filled)
 
 
 def scene(frame: GroupFrame, detections: np.ndarray = NOWHERE) -> PlanScene:

@@ -75,7 +75,7 @@ def test_odds_divide_the_false_alarms(rate):
 
 @pytest.mark.parametrize("recursion", [GMPHD(), MHT(), ParticlePHD(400)])
 def test_a_low_score_confirms_but_starts_nobody(recursion):
-    """One detection each of a new place, scored low and high, and a second low one of somebody believed."""
+    """One detection each of a new place, scored low and high, and a second low one of a confirmed target."""
     built, rng = stages(), np.random.default_rng(4)
     box = np.array([[100.0, 100, 130, 180]])
 

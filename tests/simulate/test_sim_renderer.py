@@ -19,8 +19,8 @@ def difference(scene: Scene, look: Look, number: int) -> np.ndarray:
     """(H, W) what the figures change in a frame, in grey levels."""
     full, bare = video(scene, look), video(scene, look)
     none = np.zeros(0, np.int64)
-    nobody = replace(scene.figures, frame=none, identity=none, xyxy=np.zeros((0, 4)), distractor=none.astype(bool))
-    bare.scene = replace(scene, figures=nobody)
+    empty = replace(scene.figures, frame=none, identity=none, xyxy=np.zeros((0, 4)), distractor=none.astype(bool))
+    bare.scene = replace(scene, figures=empty)
     return np.abs(full.paint(number).astype(int) - bare.paint(number)).max(axis=2)
 
 

@@ -6,7 +6,7 @@ shape is the level curve of its position intensity, velocity integrated out:
 
     v(p) = Σ_i w_i N(p; m_i, P_i)  over position alone,   contour = {p : v(p) = level}
 
-At E13's level of 0.1 people per square metre one person has a contour while w/(2π√|P|) exceeds it, and none where his
+At E13's level of 0.1 people per square metre one person has a contour while w/(2π√|P|) exceeds it, and none where the
 position is less certain than that; a loose group may have several.
 """
 

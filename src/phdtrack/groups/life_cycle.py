@@ -50,7 +50,7 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """One person's membership: the ``group`` accepted, the one ``proposed`` and since when, and when he was last seen."""
+    """One person's membership: the ``group`` accepted, the one ``proposed`` and since when, and when last seen."""
 
     group: int
     proposed: int
@@ -139,11 +139,11 @@ class GroupLifeCycle:
 
 
 def _proposals(state: LifeCycleState, member: I8, label: I8, weight: F8) -> tuple[I8, int]:
-    """The identity that each member's cluster proposes to him, and the next number that is free.
+    """The identity that each member's cluster proposes, and the next number that is free.
 
     Clusters and groups are matched one to one with the largest total weight in common. A member speaks for the group last
-    proposed to him and, at half his weight, for the one that he has accepted: two groups that touch for a moment part again
-    as who they were. A cluster without a match takes a new number.
+    proposed and, at half its weight, for the one accepted: two groups that touch for a moment have their old identities
+    afterwards. A cluster without a match takes a new number.
     """
     from scipy.optimize import linear_sum_assignment
 

@@ -22,7 +22,7 @@ from phdtrack.types import F8, I8, GaussianMixture, Step
 UNNAMED = 0.5
 # Squared Mahalanobis radius of the 99 % region in two dimensions: within it a Gaussian belongs to a track.
 REACH = 9.21
-# Deviations of a person whose position and velocity are known, metres and metres per second: his own width, his gait.
+# Deviations of a person whose position and velocity are known, metres and metres per second: body width, gait.
 BODY, GAIT = 0.3, 0.1
 # Metres, and metres per second: no cluster of particles is known better, few of them may lie in one place.
 _FINEST = 0.05
@@ -145,7 +145,7 @@ def mixture_of(intensity: Any, step: Step, z: F8, stages: AnyStages, lightest: f
     """What is known after a step as Gaussians over (px, py, vx, vy).
 
     A filter of Gaussians has them. Of particles the clusters of the extraction are taken, here also those that are too
-    light to be reported as people, down to ``lightest``: else one miss would drop a person from his group.
+    light to be reported as people, down to ``lightest``: else one miss would drop a person from the group.
 
     Parameters
     ----------
