@@ -13,7 +13,7 @@ import pytest
 from cli_runner import phdtrack, refused
 
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.job import shown_particles
+from phdtrack.cli.track import shown_particles
 from phdtrack.formats import read_tracks
 from phdtrack.models import BoxSensor, PlaneSensor
 from phdtrack.types import Particles, Step

@@ -25,7 +25,7 @@ CALLER = (
 )
 PROGRAM = """
 import json, sys
-from phdtrack.cli.job import announced
+from phdtrack.cli.track import announced
 from phdtrack.cli.output import Output
 from phdtrack.kernels import CACHE
 from phdtrack.kernels.caller import caller

@@ -16,7 +16,7 @@ import pytest
 from phdtrack.associate import GraphMatching
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.inputs import DEPTH, Inputs
-from phdtrack.cli.job import Job, Outcome, run
+from phdtrack.cli.track import Job, Outcome, run
 from phdtrack.errors import InputError
 from phdtrack.filters import NoFilter
 from phdtrack.filters.none import Raw
@@ -196,7 +196,7 @@ def test_an_interrupt_while_a_frame_is_written_waits_for_its_end(
 
 
 def test_stopped_while_drawing(job: Job, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch) -> None:
-    from phdtrack.cli import job as module
+    from phdtrack.cli import track as module
 
     real: Callable[..., object] = module.Annotator
 

@@ -27,15 +27,12 @@ LIMIT = 100.0
 
 
 def calibrate(
-    points: Annotated[
-        Path, typer.Argument(metavar="POINTS", help="Text or CSV, a line a point: u v X Y (pixels, metres on the ground).")
-    ],
+    points: Annotated[Path, typer.Argument(metavar="POINTS", help="Lines of u v X Y: pixels, metres on the ground.")],
     output: Output,
-    out: Annotated[Path, option("--out", "FILE", "Where to write the camera.")] = Path("camera.toml"),
+    out: Annotated[Path, option("FILE", "Where to write the camera.")] = Path("camera.toml"),
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a camera that is there already.")] = False,
     image_size: Annotated[
-        str,
-        typer.Option("--image-size", "--frame-size", metavar="WxH", help="Size of the frames: no point may lie outside."),
+        str, option("WxH", "Frames' size: no point may lie outside.", "--image-size", "--frame-size")
     ] = "",
 ) -> None:
     """Make a camera of four or more points of flat ground, and say how well it fits each of them.

@@ -17,10 +17,10 @@ import typer
 from phdtrack import compare as comparing
 from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.job import about, announced, detections_needed
 from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, progress
 from phdtrack.cli.settings import scene_settings
+from phdtrack.cli.track import about, announced, detections_needed
 from phdtrack.compare import Comparison, Plan
 from phdtrack.compare.failures import worst_frames, write_frames
 from phdtrack.compare.results import Results, document_of
@@ -47,22 +47,19 @@ _VARIANT = "Another method, as few=filter.history=5,preset=m09: the first filter
 class PlanOptions:
     """What is compared on the sequences."""
 
-    filters: Annotated[
-        str, option("--filters", "NAME,...", "The first is what others are compared to; default: pmb,none.")
-    ] = ""
+    filters: Annotated[str, option("NAME,...", "The first is what others are compared to; default: pmb,none.")] = ""
     detections: Annotated[
-        str,
-        option("--detections", "NAME|FILE,...", "Sets of the folders, or files, {} for the sequence's name; default: all."),
+        str, option("NAME|FILE,...", "Sets of the folders, or files, {} for the sequence; default: all.")
     ] = ""
-    detectors: Annotated[str, option("--detectors", "NAME,...", "Detectors to run on the videos, each of them once.")] = ""
-    clutter: Annotated[str, option("--clutter", "F,...", "Rates of false alarms to add, Poisson, boxes per frame.")] = "0"
-    seeds: Annotated[int, option("--seeds", "N", "How many seeds, from 1.", min=1)] = 5
-    variants: Annotated[list[str] | None, option("--variant", "NAME=SETTINGS", _VARIANT)] = None
+    detectors: Annotated[str, option("NAME,...", "Detectors to run on the videos, each of them once.")] = ""
+    clutter: Annotated[str, option("F,...", "Rates of false alarms to add, Poisson, boxes per frame.")] = "0"
+    seeds: Annotated[int, option("N", "How many seeds, from 1.", min=1)] = 5
+    variants: Annotated[list[str] | None, option("NAME=SETTINGS", _VARIANT, "--variant")] = None
     preset: given.Preset = ""
     config: given.Config = None
     sets: given.Sets = None
     scene: given.SceneFile = None
-    truth: Annotated[str, option("--truth", "FILE", "Annotated objects of a video; {} stands for its name.")] = ""
+    truth: Annotated[str, option("FILE", "Annotated objects of a video; {} stands for its name.")] = ""
     max_width: given.MaxWidth = 0
     iou: given.Iou = 0.5
 
@@ -91,20 +88,13 @@ class PlanOptions:
 
 
 def compare(
-    sequences: Annotated[
-        list[str],
-        typer.Argument(metavar="SEQUENCE", help="Folders as MOTChallenge lays them out (seqinfo.ini, gt, det), or videos."),
-    ],
+    sequences: Annotated[list[str], typer.Argument(metavar="SEQUENCE", help="MOTChallenge's folders, or videos.")],
     output: Output,
     options: PlanOptions,
-    scores: Annotated[
-        str, option("--scores", "NAME,...", "What to show, as MOTA,IDF1,ms; the CSV files hold everything.")
-    ] = "",
-    worst: Annotated[
-        int, option("--worst", "N", "Frames to show of each sequence: N where filters differ most, N worst.", min=0)
-    ] = 2,
-    out: Annotated[Path, option("--out", "DIR", "Where everything is kept.")] = Path("runs/compare"),
-    jobs: Annotated[int, option("--jobs", "N", "Processes; 0: one per core.", min=0)] = 0,
+    scores: Annotated[str, option("NAME,...", "What to show, as MOTA,IDF1,ms; the CSV files hold everything.")] = "",
+    worst: Annotated[int, option("N", "Frames to show of each sequence: N where filters differ most, N worst.", min=0)] = 2,
+    out: Annotated[Path, option("DIR", "Where everything is kept.")] = Path("runs/compare"),
+    jobs: Annotated[int, option("N", "Processes; 0: one per core.", min=0)] = 0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Run everything anew, also what is kept already.")] = False,
 ) -> None:
     """Compare filters: one table, with confidence intervals over seeds, plots, and the frames in which they differ most.

@@ -26,17 +26,13 @@ BY_TRAJECTORY = ("TGOSPA", "TGOSPA_localisation", "TGOSPA_missed", "TGOSPA_false
 
 
 def evaluate(
-    truth: Annotated[Path, option("--truth", "FILE", "Annotated objects: MOTChallenge gt.txt, CSV, XML.")],
-    tracks: Annotated[Path, option("--tracks", "FILE", "Tracks to score: MOTChallenge or CSV.")],
+    truth: Annotated[Path, option("FILE", "Annotated objects: MOTChallenge gt.txt, CSV, XML.")],
+    tracks: Annotated[Path, option("FILE", "Tracks to score: MOTChallenge or CSV.")],
     output: Output,
     iou: given.Iou = 0.5,
-    frames: Annotated[int, option("--frames", "N", "Number of frames; 0: as seqinfo.ini or the last box says.", min=0)] = 0,
-    t_gospa: Annotated[
-        bool, typer.Option("--t-gospa", help="T-GOSPA too, which takes seconds to minutes on long sequences.")
-    ] = False,
-    rmse: Annotated[
-        float, option("--rmse", "PX", "RMSE of box centres of each object, too, over pairs nearer than PX pixels.", min=0.0)
-    ] = 0.0,
+    frames: Annotated[int, option("N", "Number of frames; 0: as seqinfo.ini or the last box says.", min=0)] = 0,
+    t_gospa: Annotated[bool, typer.Option("--t-gospa", help="T-GOSPA too: seconds to minutes on long sequences.")] = False,
+    rmse: Annotated[float, option("PX", "RMSE of each object's box centres too, pairs nearer than PX.", min=0.0)] = 0.0,
 ) -> None:
     """Score tracks against annotated objects.
 

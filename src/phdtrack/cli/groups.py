@@ -21,13 +21,12 @@ from phdtrack import config
 from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.inputs import NO_PICTURE, refuse
-from phdtrack.cli.job import about, finish_document, places
 from phdtrack.cli.observers import Draw, Report, RunObserver
 from phdtrack.cli.options import SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, progress
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.cli.settings import chosen
-from phdtrack.cli.track import finish, prepare
+from phdtrack.cli.track import about, finish, finish_document, places, prepare
 from phdtrack.config import Settings, build_groups
 from phdtrack.errors import InputError
 from phdtrack.files import load
@@ -66,15 +65,9 @@ def groups(
     source: SourceOptions,
     options: TrackingOptions,
     output: Output,
-    camera: Annotated[
-        Path | None, option("--camera", "FILE", "Between pixels and the ground: Tsai XML, OpenCV, homography, TOML.")
-    ] = None,
-    positions: Annotated[
-        Path | None, option("--positions", "FILE", "Known people and velocities (obsmat.txt): only groups are estimated.")
-    ] = None,
-    edges: Annotated[
-        Path | None, option("--edges", "FILE", "Lines to draw on the plan, as road edges: x y in metres a line.")
-    ] = None,
+    camera: Annotated[Path | None, option("FILE", "From pixels to the ground: Tsai XML, OpenCV, homography, TOML.")] = None,
+    positions: Annotated[Path | None, option("FILE", "Known people (obsmat.txt): only groups are estimated.")] = None,
+    edges: Annotated[Path | None, option("FILE", "Lines to draw on the plan, as road edges: x y in metres a line.")] = None,
     out: given.Out = None,
     overwrite: given.Overwrite = False,
     video: given.Video = True,

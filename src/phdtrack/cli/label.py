@@ -65,12 +65,10 @@ LIMITS = (
 def label(
     source: SourceOptions,
     labels: given.Labels = None,
-    frames: Annotated[int, option("--frames", "N", "How many frames to draw.", min=1)] = 40,
-    seed: Annotated[int, option("--seed", "N", "Seed of the draw.", min=0)] = 0,
-    port: Annotated[int, option("--port", "N", "Port of the page; 0: any that is free.", min=0, max=65535)] = 0,
-    host: Annotated[
-        str, option("--host", "NAME", "Address to listen on; other machines need the token in the printed address.")
-    ] = "127.0.0.1",
+    frames: Annotated[int, option("N", "How many frames to draw.", min=1)] = 40,
+    seed: Annotated[int, option("N", "Seed of the draw.", min=0)] = 0,
+    port: Annotated[int, option("N", "Port of the page; 0: any that is free.", min=0, max=65535)] = 0,
+    host: Annotated[str, option("NAME", "Address to listen on; other machines need the printed token.")] = "127.0.0.1",
     suggest: Annotated[bool, typer.Option("--suggest/--no-suggest", help="Look for detections that may be false.")] = True,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
     config: given.Config = None,
@@ -213,16 +211,11 @@ def learn(
     source: SourceOptions,
     output: Output,
     labels: given.Labels = None,
-    births: Annotated[
-        str, option("--births", "FROM", "tracks: where the tracker's tracks begin; hand: marked with `phdtrack label`.")
-    ] = "tracks",
-    clutter: Annotated[
-        str,
-        option("--clutter", "FROM", "labels: marked with `phdtrack label`; unattended: suggested, not checked by anybody."),
-    ] = "labels",
-    first: Annotated[int, option("--first", "N", "Learn from this frame on.", min=1)] = 1,
-    last: Annotated[int, option("--last", "N", "Learn up to this frame; 0: all.", min=0)] = 0,
-    out: Annotated[Path | None, option("--out", "FILE", "Where to write the scene; default: SOURCE.scene.json.")] = None,
+    births: Annotated[str, option("FROM", "tracks: where tracks begin; hand: marked with `phdtrack label`.")] = "tracks",
+    clutter: Annotated[str, option("FROM", "labels: marked with `phdtrack label`; unattended: not checked.")] = "labels",
+    first: Annotated[int, option("N", "Learn from this frame on.", min=1)] = 1,
+    last: Annotated[int, option("N", "Learn up to this frame; 0: all.", min=0)] = 0,
+    out: Annotated[Path | None, option("FILE", "Where to write the scene; default: SOURCE.scene.json.")] = None,
     overwrite: given.Overwrite = False,
     config: given.Config = None,
     sets: given.Sets = None,

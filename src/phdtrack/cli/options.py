@@ -12,46 +12,33 @@ from typing import Annotated, Any
 import typer
 
 
-def option(name: str, metavar: str, help: str, **more: Any) -> Any:
-    """An option with a value, which its help calls ``metavar``."""
-    return typer.Option(name, metavar=metavar, help=help, **more)
+def option(metavar: str, help: str, *name: str, **more: Any) -> Any:
+    """An option with a value, which its help calls ``metavar``; without a ``name`` it has that of the parameter."""
+    return typer.Option(*name, metavar=metavar, help=help, **more)
 
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; everything else goes to stderr.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the files of an earlier run; other files stay.")]
-Seed = Annotated[int, option("--seed", "N", "Seed of everything random: the same seed gives the same result.", min=0)]
-Iou = Annotated[float, option("--iou", "F", "Overlap (intersection over union) from which two boxes match.")]
-MaxWidth = Annotated[
-    int, option("--max-width", "N", "Width to scale frames down to for the detector; boxes are not scaled. 0: off.", min=0)
-]
-Mask = Annotated[
-    Path | None, option("--mask", "FILE", "Image of the frame's size; only what lies where it is not black is reported.")
-]
+Seed = Annotated[int, option("N", "Seed of everything random: the same seed gives the same result.", min=0)]
+Iou = Annotated[float, option("F", "Overlap (intersection over union) from which two boxes match.")]
+MaxWidth = Annotated[int, option("N", "Wider frames are shrunk to N pixels for the detector; 0: off.", min=0)]
+Mask = Annotated[Path | None, option("FILE", "Image of the frame's size; only what lies where it is not black is reported.")]
 Video = Annotated[bool, typer.Option("--video/--no-video", help="Write videos to look at.")]
-FrameSize = Annotated[str, option("--frame-size", "WxH", "Size of the frames in pixels, as 1920x1080.")]
-Fps = Annotated[float, option("--fps", "F", "Frames per second; 0: what the video or seqinfo.ini says.", min=0.0)]
-Detector = Annotated[str, option("--detector", "NAME", "change (default), mean-background, mog2, knn, face or person.")]
+FrameSize = Annotated[str, option("WxH", "Size of the frames in pixels, as 1920x1080.")]
+Fps = Annotated[float, option("F", "Frames per second; 0: what the video or seqinfo.ini says.", min=0.0)]
+Detector = Annotated[str, option("NAME", "change (default), mean-background, mog2, knn, face or person.")]
 Source = Annotated[str, typer.Argument(metavar="SOURCE", help="Video, folder or pattern of images, or camera number.")]
 _FILTERS = "pmb (default), gm-phd (default of groups), particle-phd, gm-cphd, particle-cphd, mht, mcmc, or none."
-Filter = Annotated[str, option("--filter", "NAME", _FILTERS)]
-SceneFile = Annotated[Path | None, option("--scene", "FILE", "What `phdtrack learn` has learned of this scene.")]
-TruthFile = Annotated[Path | None, option("--truth", "FILE", "Annotated objects to score against.")]
-Labels = Annotated[
-    Path | None, option("--labels", "FILE", "What was marked with `phdtrack label`; default: next to the video.")
-]
-Config = Annotated[Path | None, option("--config", "FILE", "Settings in a TOML file; an unknown name is an error.")]
-Sets = Annotated[
-    list[str] | None, option("--set", "NAME=VALUE", "One setting, as sensor.detection_probability=0.9; may be given again.")
-]
-Preset = Annotated[
-    str, option("--preset", "NAME", "Settings to start from: default, or a paper's: m07, m09, fv, m09-mht, e13, d14.")
-]
-DetectionsFile = Annotated[Path | None, option("--detections", "FILE", "File of detections, used instead of a detector.")]
-Out = Annotated[Path | None, option("--out", "DIR", "Directory to write into; default: runs/ and the source's name.")]
-Threads = Annotated[
-    int | None,
-    option("--threads", "N", "Threads of particle filters, with the same result (default: 1; 0: all cores).", min=0),
-]
+Filter = Annotated[str, option("NAME", _FILTERS, "--filter")]
+SceneFile = Annotated[Path | None, option("FILE", "What `phdtrack learn` has learned of this scene.")]
+TruthFile = Annotated[Path | None, option("FILE", "Annotated objects to score against.")]
+Labels = Annotated[Path | None, option("FILE", "What was marked with `phdtrack label`; default: next to the video.")]
+Config = Annotated[Path | None, option("FILE", "Settings in a TOML file; an unknown name is an error.")]
+Sets = Annotated[list[str] | None, option("NAME=VALUE", "One setting, as sensor.box_noise=0.1; repeatable.", "--set")]
+Preset = Annotated[str, option("NAME", "Settings to start from: default, or a paper's: m07, m09, fv, m09-mht, e13, d14.")]
+DetectionsFile = Annotated[Path | None, option("FILE", "File of detections, used instead of a detector.")]
+Out = Annotated[Path | None, option("DIR", "Directory to write into; default: runs/ and the source's name.")]
+Threads = Annotated[int | None, option("N", "Threads of particle filters; same result (default: 1; 0: all cores).", min=0)]
 
 DEFAULT_DETECTOR = "change"
 

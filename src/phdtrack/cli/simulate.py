@@ -14,11 +14,10 @@ from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.evaluate import score_table
 from phdtrack.cli.inputs import ahead
-from phdtrack.cli.job import announced, run
 from phdtrack.cli.options import SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, counted, progress
 from phdtrack.cli.settings import chosen
-from phdtrack.cli.track import prepare
+from phdtrack.cli.track import announced, prepare, run
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.formats import write_detections, write_truth
 from phdtrack.simulate import NAMED, Look, Scene, default_detector, default_look, make_scene, render
@@ -30,25 +29,18 @@ DEMO_TRUTH, WITHOUT, FRAMES = "scene_gt.txt", "without-filter", 300
 
 
 def simulate(
-    name: Annotated[
-        str,
-        typer.Argument(metavar="SCENE", help="street, crossing, occlusion, crowd, corridor, yard, garden, arcade, empty."),
-    ],
+    name: Annotated[str, typer.Argument(metavar="SCENE", help=", ".join(NAMED))],
     output: Output,
     out: given.Out = None,
     overwrite: given.Overwrite = False,
     seed: given.Seed = 0,
-    frames: Annotated[int, option("--frames", "N", "Number of frames; 0: the scene's own.", min=0)] = 0,
-    p_detect: Annotated[float | None, option("--p-detect", "P", "Detection probability.")] = None,
-    clutter: Annotated[float | None, option("--clutter", "F", "Expected false alarms per frame, Poisson.")] = None,
-    places: Annotated[int | None, option("--places", "N", "Places with persistent false alarms.")] = None,
-    jitter: Annotated[float | None, option("--jitter", "F", "Error of boxes, as a fraction of their size.")] = None,
-    sets: Annotated[
-        list[str] | None, option("--set", "NAME=VALUE", "Another setting of the scene, as arrivals=0.8.")
-    ] = None,
-    look: Annotated[
-        list[str] | None, option("--look", "NAME=VALUE", "How the video looks: wave=0.3, lamps=8, noise, flicker, …")
-    ] = None,
+    frames: Annotated[int, option("N", "Number of frames; 0: the scene's own.", min=0)] = 0,
+    p_detect: Annotated[float | None, option("P", "Detection probability.")] = None,
+    clutter: Annotated[float | None, option("F", "Expected false alarms per frame, Poisson.")] = None,
+    places: Annotated[int | None, option("N", "Places with persistent false alarms.")] = None,
+    jitter: Annotated[float | None, option("F", "Error of boxes, as a fraction of their size.")] = None,
+    sets: Annotated[list[str] | None, option("NAME=VALUE", "A setting of the scene, as arrivals=0.8.", "--set")] = None,
+    look: Annotated[list[str] | None, option("NAME=VALUE", "Look of the video: wave=0.3, lamps=8, noise, …")] = None,
     video: given.Video = True,
 ) -> None:
     """Simulate a scene: truth, detections of it, and a video.
@@ -81,7 +73,7 @@ def simulate(
 
 def demo(
     output: Output,
-    out: Annotated[Path, option("--out", "DIR", "Where to write.")] = Path("demo-run"),
+    out: Annotated[Path, option("DIR", "Where to write.")] = Path("demo-run"),
     overwrite: given.Overwrite = False,
     seed: given.Seed = 7,
 ) -> None:

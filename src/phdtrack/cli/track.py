@@ -1,24 +1,71 @@
-"""``phdtrack track``: the main job, from a video or from detections to tracks; ``phdtrack detect``: only the detections."""
+"""``phdtrack track``: from a video or from detections to tracks; ``phdtrack detect``: only the detections.
+
+In a run every frame's detections, states and online track rows go to their files at once. Whatever stops the loop, a frame
+that cannot be used, a full disk or Ctrl-C, the frames done so far are finished like a whole run: corrected tracks, scores,
+annotated video, report, ``run.json``. Decoding, detecting and tracking overlap (`inputs.ahead`), and so does drawing.
+"""
 
 from __future__ import annotations
 
+import math
+import shlex
+import signal
+import sys
+import threading
 import time
-from typing import Annotated
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from itertools import repeat
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
+import numpy as np
 import typer
+from numba.core import event
 
-from phdtrack import config
+from phdtrack import config, pipeline
 from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.inputs import open_inputs, write_detected
-from phdtrack.cli.job import Job, about, announced, run
-from phdtrack.cli.observers import mover_of, observers_of
+from phdtrack.cli.doctor import versions
+from phdtrack.cli.inputs import NO_PICTURE, Inputs, Mover, ahead, detected, open_inputs, rereadable, write_detected
+from phdtrack.cli.observers import Draw, RunObserver, mover_of, observers_of
 from phdtrack.cli.options import DEFAULT_DETECTOR, SourceOptions, TrackingOptions, option
-from phdtrack.cli.output import Output, counted
+from phdtrack.cli.output import Output, counted, progress
+from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.cli.settings import chosen, scene_settings
 from phdtrack.config import Settings, load
-from phdtrack.errors import InputError
-from phdtrack.formats import read_truth
+from phdtrack.errors import InputError, interrupted
+from phdtrack.filters import NoFilter
+from phdtrack.filters.cardinality import Cardinalised
+from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter, read_truth, write_tracks
+from phdtrack.kernels import CACHE
+from phdtrack.models import PlaneSensor
+from phdtrack.protocols import AnyStages, Sensor
+from phdtrack.report import About, Annotator, Recorder, report_html, run_document, sentences, write_run
+from phdtrack.report.pages import lines
+from phdtrack.report.record import LOW_EFFECTIVE
+from phdtrack.report.pages import write_text
+from phdtrack.tracker import Tracker
+from phdtrack.types import F8, Detections, Frame, Image, ParticleBlocks, Particles, SequenceInfo, Tracks, Truth
+from phdtrack.video import VideoWriter
+
+if TYPE_CHECKING:
+    from phdtrack.metrics import Scores
+
+Stop = Exception | KeyboardInterrupt
+
+_WHICH = (
+    f"{rundir.TRACKS} holds the corrected tracks of the whole run, {rundir.ONLINE} the rows as they were given "
+    "frame by frame, which did not change afterwards."
+)
+_COMPILING = "compiling kernels (first use on this machine, some ten seconds; they are kept for the next runs) ..."
+_ALWAYS_COMPILING = (
+    "kernels are compiled anew in every run (some ten seconds): neither the installation nor the home folder can be "
+    "written into; set NUMBA_CACHE_DIR to a folder that can"
+)
+# An object detected so often in a row must have been reported; after more than _SLOW detections the user is warned.
+_TRIED, _SLOW = 25, 5
 
 
 def track(
@@ -29,14 +76,8 @@ def track(
     overwrite: given.Overwrite = False,
     video: given.Video = True,
     scene: given.SceneFile = None,
-    learn_online: Annotated[
-        bool,
-        typer.Option("--learn-online", help="Learn false alarms and entrances while tracking, from nothing or --scene."),
-    ] = False,
-    camera_motion: Annotated[
-        str,
-        option("--camera-motion", "flow|FILE|none", "A camera that moves: measured in the pictures, or read from a file."),
-    ] = "",
+    learn_online: Annotated[bool, typer.Option("--learn-online", help="Learn the scene while tracking.")] = False,
+    camera_motion: Annotated[str, option("flow|FILE|none", "A camera that moves: measured, or from a file.")] = "",
 ) -> None:
     """Track the objects in a video, or in a file of detections.
 
@@ -126,3 +167,302 @@ def finish(output: Output, job: Job, directory: rundir.RunDirectory) -> None:
     output.document(outcome.document)
     if outcome.stop is not None:
         raise outcome.stop
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What is to be run; ``configuration`` and ``read``, what was read and how, decide the result."""
+
+    inputs: Inputs
+    stages: AnyStages
+    configuration: dict[str, object]
+    read: dict[str, object]
+    about: About
+    truth: Truth | None = None
+    video: bool = True
+    observers: tuple[RunObserver, ...] = ()
+    mover: Mover | None = None
+
+
+class Outcome(NamedTuple):
+    """What came of a run: the content of run.json, a summary in sentences, scores where there is truth; ``stop`` is what
+    ended it before its time, None where it ran to the end."""
+
+    document: dict[str, object]
+    summary: tuple[str, ...]
+    scores: Scores | None
+    warnings: tuple[str, ...]
+    stop: Stop | None
+
+
+class _Seen(NamedTuple):
+    """What the second pass needs of a frame."""
+
+    number: int
+    detections: Detections
+    mass: float
+    clutter_probability: F8
+
+
+@dataclass(slots=True)
+class _Progress:
+    """How far it got. ``stop`` ended the loop, ``cut`` the drawing; ``lost`` is what the source said when it ended.
+
+    ``seconds`` is what the loop took, but for ``left_out`` frames in which kernels were compiled or loaded.
+    """
+
+    tracker: Tracker
+    recorder: Recorder
+    seen: list[_Seen] = field(default_factory=list)
+    seconds: float = 0.0
+    left_out: int = 0
+    lost: str = ""
+    stop: Stop | None = None
+    cut: Stop | None = None
+
+    @property
+    def last(self) -> int:
+        """The number of the last frame that went through, 0 where none did."""
+        return self.seen[-1].number if self.seen else 0
+
+
+def about(title: str, seed: int = 0) -> About:
+    """What is known of a run that starts now."""
+    now, installed = datetime.now(UTC).isoformat(timespec="seconds"), tuple(one for one in versions() if one[1])
+    return About(title, shlex.join(["phdtrack", *sys.argv[1:]]), seed, now, versions=installed)
+
+
+def run(job: Job, directory: RunDirectory) -> Outcome:
+    """Run the job. Raises only where nothing was computed; the directory is then left without files of this run."""
+    clock, scores = time.perf_counter(), None
+    with rereadable(job.inputs, job.video) as (frames, again):
+        done = _track(job, frames, directory)
+        if not done.seen and done.stop is not None:
+            directory.clear()
+            raise done.stop
+        tracks = pipeline.finish(job.stages, done.tracker.state)
+        write_tracks(directory.file(rundir.TRACKS), tracks, places(job.stages.model.sensor, tracks.xyxy))
+        for observer in job.observers:
+            observer.finish(directory, tracks)
+        if job.truth is not None:
+            from phdtrack.metrics import evaluate
+
+            scores = evaluate(job.truth, tracks, frames=done.last)
+        if job.video:
+            done.cut = _draw(job, again(), directory, done, tracks)
+    record = done.recorder.record(tracks, job.about)
+    # Of each the note comes first, then the warning if there is one.
+    doubts = (_confirmation(job, done), lines("chain.txt", chain=record.chain, least=LOW_EFFECTIVE))
+    said = replace(
+        job.about,
+        seconds=time.perf_counter() - clock,
+        tracking_seconds=done.seconds,
+        left_out=done.left_out,
+        scores=() if scores is None else tuple((k, math.nan if v is None else v) for k, v in scores.as_dict().items()),
+        warnings=(*_problems(job, done), *(warning for each in doubts for warning in each[1:])),
+        notes=(*(note for each in doubts for note in each[:1]), _WHICH),
+    )
+    record, stop = replace(record, about=said), done.stop or done.cut
+    reports = [observer.report() for observer in job.observers]
+    sections = "\n".join(report.section for report in reports)
+    write_text(directory.file(rundir.REPORT), report_html(record, job.configuration | {"input": job.read}, sections))
+    document = run_document(record, job.configuration) | {"complete": stop is None, "input": job.read}
+    document = finish_document(document, directory, *(report.document for report in reports))
+    summary = (*sentences(record), *(sentence for report in reports for sentence in report.sentences))
+    return Outcome(document, summary, scores, said.warnings, stop)
+
+
+def finish_document(document: dict[str, object], directory: RunDirectory, *more: dict[str, object]) -> dict[str, object]:
+    """Write run.json: the document, where the files are, and what observers add."""
+    run = directory.file(rundir.RUN)
+    files = {file.name: str(file) for file in directory.written()} | {run.name: str(run)}
+    document = document | {"directory": str(directory.path), "files": files}
+    for part in more:
+        document |= part
+    write_run(run, document)
+    return document
+
+
+def _track(job: Job, source: Iterable[Frame], directory: RunDirectory) -> _Progress:
+    """Every frame through detector and tracker, into files and record, until the source ends or something stops it."""
+    inputs, stages, sensor = job.inputs, job.stages, job.stages.model.sensor
+    tracker = Tracker(stages=stages, fps=inputs.info.fps, seed=job.about.seed)
+    done = _Progress(tracker, Recorder(inputs.info, job.truth))
+    with ExitStack() as files:
+        detections = files.enter_context(DetectionsWriter(directory.file(rundir.DETECTIONS)))
+        states = files.enter_context(StatesWriter(directory.file(rundir.STATES)))
+        online = files.enter_context(TracksWriter(directory.file(rundir.ONLINE)))
+        advance = files.enter_context(progress("tracking", inputs.info.frames))
+        for observer in job.observers:
+            observer.open(directory, files)
+        # To load or to compile a kernel for arguments of new types Numba takes a lock, which is recorded.
+        locks, clock = files.enter_context(event.install_recorder("numba:compiler_lock")), time.perf_counter()
+        try:
+            with ahead(source) as frames, ahead(detected(inputs.detector, frames, job.mover)) as looked:
+                for frame, found, warp, seconds in looked:
+                    rows = tracker.update(found, frame.number, frame.time, warp if len(warp) else None)
+                    step = tracker.step
+                    assert step is not None
+                    with _uninterrupted():  # no frame stands in one file and not in another
+                        detections.append(frame.number, found)
+                        states.append(frame.number, frame.time, step.estimates)
+                        online.append(rows, places(sensor, rows.xyxy))
+                        for observer in job.observers:
+                            observer.take(step, tracker.state)
+                        image = frame.image if inputs.pictures else None
+                        done.recorder.add(image, step, shown_particles(stages, tracker.state.intensity), seconds)
+                        seen = _Seen(step.number, step.detections, step.info.mass, step.info.clutter_probability)
+                        done.seen.append(seen)
+                    advance(len(done.seen))
+                    before, clock = clock, time.perf_counter()
+                    if locks.buffer:
+                        done.left_out += 1
+                        locks.buffer.clear()
+                    else:
+                        done.seconds += clock - before
+            held = tracker.flush()
+            online.append(held, places(sensor, held.xyxy))
+            for observer in job.observers:
+                observer.flush(held)
+        except (Exception, KeyboardInterrupt) as stop:
+            done.stop = _as_meant(stop)
+        done.lost = inputs.source.problem
+    return done
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Ctrl-C that comes within the block is raised at its end; elsewhere than in the main thread none comes."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: came.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if came:
+        raise KeyboardInterrupt
+
+
+def _draw(job: Job, again: Iterable[Frame], directory: RunDirectory, done: _Progress, tracks: Tracks) -> Stop | None:
+    """The videos of the frames that were tracked; what stopped it, if anything did."""
+    try:
+        with ExitStack() as files:
+            draw, info = list[Draw](), job.inputs.info
+            pictures: Iterable[Image] = repeat(NO_PICTURE)
+            if job.inputs.pictures:
+                video = files.enter_context(VideoWriter(directory.file(rundir.VIDEO), info.width, info.height, info.fps))
+                draw.append(lambda number, picture: video.write(picture))
+                frames = files.enter_context(ahead(again))
+                pictures = files.enter_context(ahead(_annotated(Annotator(info), done.seen, frames, tracks)))
+            found = (observer.drawing(directory, files, pictures=job.inputs.pictures) for observer in job.observers)
+            draw.extend(filter(None, found))
+            if not draw:
+                return None
+            advance = files.enter_context(progress("drawing", len(done.seen)))
+            for count, (seen, picture) in enumerate(zip(done.seen, pictures, strict=False), start=1):
+                for one in draw:
+                    one(seen.number, picture)
+                advance(count)
+    except (Exception, KeyboardInterrupt) as stop:
+        return _as_meant(stop)
+    return None
+
+
+def _annotated(annotate: Annotator, seen: list[_Seen], frames: Iterable[Frame], tracks: Tracks) -> Iterator[Image]:
+    """The frames that were seen, drawn on."""
+    for one, frame in zip(seen, frames, strict=False):
+        rows = tracks.take(np.arange(*np.searchsorted(tracks.frame, [one.number, one.number + 1])))
+        chances = one.clutter_probability
+        yield annotate(frame.image, one.number, rows, one.detections, mass=one.mass, clutter_probability=chances)
+
+
+def _as_meant(stop: Stop) -> Stop:
+    """Ctrl-C, in whatever form it comes out of compiled code, or the error itself."""
+    return KeyboardInterrupt() if interrupted(stop) and not isinstance(stop, KeyboardInterrupt) else stop
+
+
+def _problems(job: Job, done: _Progress) -> Iterator[str]:
+    """What did not go as it should, in sentences: what the source lost, and what stopped the run."""
+    yield from filter(None, (*job.inputs.warnings, job.inputs.source.note, done.lost))
+    annotated = 0 if job.truth is None else int(job.truth.frame.max(initial=0))
+    why = ["stopped by Ctrl-C" if isinstance(stop, KeyboardInterrupt) else stop for stop in (done.stop, done.cut)]
+    yield from lines("problems.txt", stop=why[0], cut=why[1], last=done.last, annotated=annotated, video=rundir.VIDEO)
+
+
+def _confirmation(job: Job, done: _Progress) -> tuple[str, ...]:
+    """After how many detections of the usual size an object is reported: a note, and a warning where it takes long."""
+    boxes = [seen.detections.xyxy for seen in done.seen if len(seen.detections)]
+    if isinstance(job.stages.filter, NoFilter) or not boxes:
+        return ()
+    xyxy = np.concatenate(boxes)
+    width, height = np.median(xyxy[:, 2:] - xyxy[:, :2], axis=0)
+    needed = detections_needed(job.stages, job.inputs.info, (float(width), float(height)))
+    return lines("confirmation.txt", needed=needed, tried=_TRIED, slow=_SLOW)
+
+
+def detections_needed(stages: AnyStages, info: SequenceInfo, size: tuple[float, float]) -> int:
+    """Detections in a row of an object up to its first state; 0 for more than 25.
+
+    The ratio of the densities of births and of clutter decides it, which settings do not show. So it is tried: an object
+    of ``size`` (width, height in pixels) stands still in the middle of the frame and is detected in every frame.
+    """
+    centre, half = np.array([info.width, info.height]) / 2, np.array(size) / 2
+    box = Detections.of(np.concatenate([centre - half, centre + half]))
+    frames = ((number, number / info.fps, box) for number in range(1, _TRIED + 1))
+    steps = pipeline.run(stages, frames, np.random.default_rng(0))
+    return next((step.number for _, step in steps if len(step.estimates)), 0)
+
+
+def places(sensor: Sensor, xyxy: F8) -> F8:
+    """(2, M) metres: the ground under the middle of each box's (M, 4) lower edge, or its centre where the image is a plan;
+    NaN where there is none, or where the world of the sensor is the image."""
+    plane = isinstance(sensor, PlaneSensor)
+    return sensor.measure(Detections.of(xyxy))[:2] if plane else np.full((2, len(xyxy)), np.nan)
+
+
+def shown_particles(stages: AnyStages, intensity: object) -> Particles | None:
+    """The filter's particles where the image shows them: rows 0 and 1 the middle of their boxes in pixels. None where the
+    filter has none, or the world is a plan without an image."""
+    particles = intensity.intensity if isinstance(intensity, Cardinalised) else intensity
+    particles = particles.particles() if isinstance(particles, ParticleBlocks) else particles
+    if isinstance(stages.filter, NoFilter) or not isinstance(particles, Particles):
+        return None
+    sensor = stages.model.sensor
+    if not isinstance(sensor, PlaneSensor):
+        return particles
+    if sensor.camera is None:
+        return None
+    boxes = sensor.boxes(particles.state)
+    return Particles(np.vstack([(boxes[:, :2] + boxes[:, 2:]).T / 2, particles.state[2:]]), particles.weight)
+
+
+# Numba has no types.
+class _Announcement(event.Listener):  # type: ignore[misc]
+    """Says once that a kernel of ours is compiled."""
+
+    def __init__(self, out: Output) -> None:
+        self._out, self._said = out, False
+
+    def on_start(self, event: event.Event) -> None:
+        """A function begins to be compiled."""
+        if self._said or not event.data["dispatcher"].py_func.__module__.startswith("phdtrack."):
+            return
+        self._said = True
+        if not CACHE.lasting:
+            self._out.warn([_ALWAYS_COMPILING])
+        elif sys.stderr.isatty():
+            self._out.note(_COMPILING)
+
+    def on_end(self, event: event.Event) -> None:
+        """Nothing."""
+
+
+@contextmanager
+def announced(out: Output) -> Iterator[None]:
+    """While this lasts, say so when the first kernel is compiled, on a terminal only, so that the run does not look as if it
+    hung; that kernels cannot be kept is said in any case, because the user can change it."""
+    with event.install_listener("numba:compile", _Announcement(out)):
+        yield
