@@ -1,4 +1,4 @@
-"""``phdtrack label`` as a user starts and leaves it; the page itself is tested in tests/web."""
+"""``phdtrack label`` as a user starts and leaves it; the page itself is tested in tests/label."""
 
 import json
 import re

@@ -99,7 +99,7 @@ def consistent(directory: rundir.RunDirectory, outcome: Outcome, frames: int, *,
     """All files are there, complete, and of the same ``frames`` frames."""
     present = FILES - (set() if video else {rundir.VIDEO})
     assert {path.name for path in directory.path.iterdir()} == present
-    assert outcome.frames == frames
+    assert outcome.document["frames"] == frames
     tracks = read_tracks(directory.file(rundir.TRACKS))
     assert tracks.frame.tolist() == list(range(1, frames + 1))
     assert set(tracks.identity) == {1}
@@ -172,9 +172,9 @@ def test_an_interrupt_in_the_loop_stops_the_stages(job: Job, directory: rundir.R
     before = threading.active_count()
     outcome = run(replace(job, inputs=replace(job.inputs, detector=Signalling())), directory)
     assert isinstance(outcome.stop, KeyboardInterrupt)
-    assert 12 - 2 * DEPTH <= outcome.frames <= FRAMES
-    assert json.loads(directory.file(rundir.RUN).read_text())["frames"] == outcome.frames
-    assert len(list(open_source(directory.file(rundir.VIDEO)))) == outcome.frames
+    assert 12 - 2 * DEPTH <= outcome.document["frames"] <= FRAMES
+    assert json.loads(directory.file(rundir.RUN).read_text())["frames"] == outcome.document["frames"]
+    assert len(list(open_source(directory.file(rundir.VIDEO)))) == outcome.document["frames"]
     assert any("stopped by Ctrl-C after frame" in warning for warning in outcome.warnings)
     assert threading.active_count() == before
 
@@ -213,7 +213,7 @@ def test_stopped_while_drawing(job: Job, directory: rundir.RunDirectory, monkeyp
     monkeypatch.setattr(module, "Annotator", Interrupted)
     outcome = run(job, directory)
     assert isinstance(outcome.stop, KeyboardInterrupt)
-    assert outcome.frames == FRAMES
+    assert outcome.document["frames"] == FRAMES
     assert len(read_tracks(directory.file(rundir.TRACKS))) == FRAMES
     assert len(list(open_source(directory.file(rundir.VIDEO)))) == 4
     assert any("while the video was drawn" in warning for warning in outcome.warnings)

@@ -8,7 +8,6 @@ import pytest
 
 from phdtrack import config
 from phdtrack.arrays import iou
-from phdtrack.cli.label import tracked
 from phdtrack.label.suggestions import REASONS, SHOWN, TICKED, Background, Evidence, Suggestion, kept, suggest
 from phdtrack.simulate import NAMED, default_detector, make_scene
 from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks, Truth
@@ -18,7 +17,7 @@ FPS = 25.0
 
 def looked_over(table: DetectionTable, info: SequenceInfo) -> Evidence:
     stages = config.build(config.load(), info)
-    return tracked(table, info.fps, stages, range(1, info.frames + 1), 0, lambda count: None)
+    return Evidence.of(table, info.fps, range(1, info.frames + 1), stages)
 
 
 def false_rows(table: DetectionTable, truth: Truth) -> np.ndarray:

@@ -107,7 +107,7 @@ def compare(
     rundir.check(out, overwrite or ours, FILES)
     wanted = comparing.check_scores(listed(scores))
     made = options.plan(sequences)
-    directory = rundir.claim(out, "", True, FILES)
+    directory = rundir.claim(out, True, FILES)
     # Whatever ends this, the next one knows the folder for its own.
     write_run(directory.file(DOCUMENT), {"complete": False})
     # Once, before several processes would each compile them.

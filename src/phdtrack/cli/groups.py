@@ -83,7 +83,7 @@ def groups(
         job, delay = prepare(source, options, settings, video=video), settings.build("associate").output_delay
         stages, info, reach = job.stages, job.inputs.info, settings.build("camera").max_distance
         observer = GroupObserver(build_groups(settings, stages), info, _read_edges(edges), stages, delay, reach)
-        finish(output, replace(job, observers=(*job.observers, observer)), rundir.claim(out, info.name, overwrite))
+        finish(output, replace(job, observers=(*job.observers, observer)), rundir.claim(out, overwrite, name=info.name))
         return
     useless = {f"--{name.replace('_', '-')}": used for name, used in asdict(replace(source, source="", fps=0.0)).items()}
     useless |= {"SOURCE": source.source, "--camera": camera, "--filter": options.filter_name, "--truth": options.truth}
@@ -95,7 +95,7 @@ def groups(
     if not source.fps:
         cure = "Say --fps F, the rate of the video that the frames are numbered in."
         raise InputError("the rate of the frames is not known", where=positions, cure=cure)
-    directory = rundir.claim(out, positions.resolve().parent.name or positions.stem, overwrite)
+    directory = rundir.claim(out, overwrite, name=positions.resolve().parent.name or positions.stem)
     document, summary = _group_known(known, positions, source.fps, chosen(options), lines, directory, video=video)
     output.say(*summary, "", *directory.listing())
     output.document(document)

@@ -78,7 +78,7 @@ def check(path: Path | None, overwrite: bool, files: Mapping[str, str] = RUN_FIL
         raise InputError(problem, where=where, cure="Say --overwrite to replace these files, or choose another --out.")
 
 
-def claim(out: Path | None, name: str, overwrite: bool, files: Mapping[str, str] = RUN_FILES) -> RunDirectory:
+def claim(out: Path | None, overwrite: bool, files: Mapping[str, str] = RUN_FILES, *, name: str = "") -> RunDirectory:
     """``out``, or ``runs/NAME``, made ready: files of an earlier run are removed, so that none is taken for one of this run.
 
     Raises `InputError` as `check`, or where the directory cannot be made or written into.

@@ -56,7 +56,7 @@ def simulate(
     picture = replace(picture, **_assigned(look or [], picture, "--look"))
     changes = _assigned(sets or [], world, "--set") | ({"frames": frames} if frames else {})
     scene = make_scene(name, seed, replace(model, **said), **changes)
-    target, info = rundir.claim(out, name, overwrite, FILES), scene.info
+    target, info = rundir.claim(out, overwrite, FILES, name=name), scene.info
     write_truth(target.file(TRUTH), scene.truth)
     write_detections(target.file(DETECTIONS), scene.detections)
     lines = ["[Sequence]", f"name={info.name}", f"frameRate={info.fps:g}", f"seqLength={info.frames}"]
@@ -84,7 +84,7 @@ def demo(
     without.
     """
     rundir.check(out / WITHOUT, overwrite)
-    directory = rundir.claim(out, "", overwrite, {VIDEO: "", DEMO_TRUTH: ""} | rundir.RUN_FILES)
+    directory = rundir.claim(out, overwrite, {VIDEO: "", DEMO_TRUTH: ""} | rundir.RUN_FILES)
     movie, truth = directory.file(VIDEO), directory.file(DEMO_TRUTH)
     scene = make_scene("street", seed, frames=FRAMES, arrivals=0.6)
     write_truth(truth, scene.truth)
@@ -92,7 +92,7 @@ def demo(
     look = Look(flicker=0.05, plants=4, wave=0.06, blown=16.0, lamps=0)
     _render_video(scene, seed, movie, look)
     output.say(f"The scene: {movie}, {scene.info.frames} frames, flickering light, leaves in the wind.")
-    places = {"with filter": directory, "without": rundir.claim(out / WITHOUT, "", overwrite)}
+    places = {"with filter": directory, "without": rundir.claim(out / WITHOUT, overwrite)}
     outcomes = {}
     for (title, place), filter_name in zip(places.items(), ("pmb", "none"), strict=True):
         options = TrackingOptions(filter_name, seed=seed, truth=truth)

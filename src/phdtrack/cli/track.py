@@ -43,9 +43,8 @@ from phdtrack.kernels import CACHE
 from phdtrack.models import PlaneSensor
 from phdtrack.protocols import AnyStages, Sensor
 from phdtrack.report import About, Annotator, Recorder, report_html, run_document, sentences, write_run
-from phdtrack.report.pages import lines
+from phdtrack.report.pages import lines, write_text
 from phdtrack.report.record import LOW_EFFECTIVE
-from phdtrack.report.pages import write_text
 from phdtrack.tracker import Tracker
 from phdtrack.types import F8, Detections, Frame, Image, ParticleBlocks, Particles, SequenceInfo, Tracks, Truth
 from phdtrack.video import VideoWriter
@@ -87,7 +86,7 @@ def track(
     rundir.check(out, overwrite)
     settings = chosen(options, scene_settings(scene, camera_motion, learn_online=learn_online))
     job = prepare(source, options, settings, video=video)
-    finish(output, job, rundir.claim(out, job.inputs.info.name, overwrite))
+    finish(output, job, rundir.claim(out, overwrite, name=job.inputs.info.name))
 
 
 def detect(
@@ -109,7 +108,7 @@ def detect(
     looked = SourceOptions(source, detector=detector, fps=fps, max_width=max_width, mask=mask)
     inputs = open_inputs(looked, load(config, sets or ()).detector)
     files = {rundir.DETECTIONS: rundir.RUN_FILES[rundir.DETECTIONS]}
-    directory = rundir.claim(out, inputs.info.name, overwrite, files)
+    directory = rundir.claim(out, overwrite, files, name=inputs.info.name)
     counts, file, clock = list[int](), directory.file(rundir.DETECTIONS), time.perf_counter()
     try:
         counts.extend(write_detected(inputs, file))

@@ -27,7 +27,9 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
+from phdtrack import pipeline
 from phdtrack.arrays import iou, to_cxcywh
+from phdtrack.protocols import AnyStages
 from phdtrack.types import F8, I8, Bool, DetectionTable, Tracks
 
 Reason = Literal["place", "rejected", "short"]
@@ -64,6 +66,41 @@ class Evidence:
     last: int
     clutter: F8
     tracks: Tracks
+
+    @classmethod
+    def of(
+        cls,
+        table: DetectionTable,
+        fps: float,
+        frames: range,
+        stages: AnyStages,
+        seed: int = 0,
+        advance: Callable[[int], object] = id,
+    ) -> Evidence:
+        """What a tracker makes of the detections of some frames.
+
+        A filter that says nothing of false alarms (`filters.none`) leaves all probabilities at 0.
+
+        Parameters
+        ----------
+        table, fps : of the whole sequence.
+        frames : the stretch.
+        stages, seed : how to track.
+        advance : is called with the number of frames done.
+
+        Returns
+        -------
+        The evidence.
+        """
+        rows = np.arange(*np.searchsorted(table.frame, [frames.start, frames.stop]))
+        rng, clutter = np.random.default_rng(seed), []
+        given = ((number, (number - 1) / fps, table.at(number)) for number in frames)
+        for after, step in pipeline.run(stages, given, rng):
+            state, found = after, step.info.clutter_probability
+            clutter.append(found if len(found) else np.zeros(len(step.detections)))
+            advance(len(clutter))
+        stretch = DetectionTable(table.frame[rows], table.detections.take(rows))
+        return cls(stretch, frames.start, frames.stop - 1, np.concatenate(clutter), pipeline.finish(stages, state))
 
 
 class Suggestion(NamedTuple):
