@@ -183,20 +183,17 @@ class ParticleBlocks:
     start : (B + 1,) int64 ascending from 0 to L: block b holds the columns start[b] … start[b + 1] − 1.
     unit : weight of a particle whose share is 1.
     share : (L,) of the state's type, weights in units; (0,) where all are 1, as after resampling.
-    extents : (B, 6) left, top, right, bottom of each block's positions, mean width and height of its neighbourhoods; (0, 6)
-        where they are not known.
     """
 
     state: Real
     start: I8
     unit: float
     share: Real = field(default_factory=lambda: np.zeros(0, np.float32))
-    extents: Real = field(default_factory=lambda: np.zeros((0, 6), np.float32))
 
     @classmethod
     def empty(cls, dim: int, dtype: DTypeLike = np.float32) -> ParticleBlocks:
         """No particles of dimension ``dim``."""
-        return cls(np.zeros((dim, 0), dtype), np.zeros(1, np.int64), 0.0, np.zeros(0, dtype), np.zeros((0, 6), dtype))
+        return cls(np.zeros((dim, 0), dtype), np.zeros(1, np.int64), 0.0, np.zeros(0, dtype))
 
     def __len__(self) -> int:
         return int(self.start[-1])

@@ -26,7 +26,7 @@ class UpdatedParticles:
     Attributes
     ----------
     blocks : the particles that were there, and the newborn, with their weights before the update.
-    parts, sums : these with the detections near them, and the sums over their blocks.
+    parts, sums : these as the kernels take them, with the detections near each block and sums over it.
     numbers : the sensor's.
     missed, detected : factors of the terms of missed targets and of each detection, see `particles.weigh`.
     threads : that share the work.
@@ -48,8 +48,8 @@ class UpdatedParticles:
         """(B,) of all blocks."""
         return np.concatenate(
             [
-                blocks.unit * masses(part, sums, self.missed, self.detected)
-                for blocks, part, sums in zip(self.blocks, self.parts, self.sums, strict=True)
+                blocks.unit * masses(sums, self.missed, self.detected)
+                for blocks, sums in zip(self.blocks, self.sums, strict=True)
             ]
         )
 
@@ -71,9 +71,9 @@ class UpdatedParticles:
     def weighed(self) -> list[ParticleBlocks]:
         """The blocks with their weights after the update."""
         out = []
-        for blocks, part in zip(self.blocks, self.parts, strict=True):
+        for blocks, part, sums in zip(self.blocks, self.parts, self.sums, strict=True):
             share = np.empty(len(blocks), blocks.state.dtype)
-            given = (part, self.numbers.model, self.numbers.table, self.missed, self.detected, share)
+            given = (part, sums, self.numbers.model, self.numbers.table, self.missed, self.detected, share)
             in_ranges(weigh, given, len(part.start) - 1, self.threads)
             out.append(replace(blocks, share=share))
         return out
@@ -152,9 +152,8 @@ def joined(a: ParticleBlocks, b: ParticleBlocks) -> ParticleBlocks:
         * part.state.dtype.type(part.unit / (unit or 1.0))
         for part in (a, b)
     ]
-    extents = np.concatenate([a.extents, b.extents]) if len(a.extents) and len(b.extents) else np.zeros((0, 6))
     state, start = np.concatenate([a.state, b.state], axis=1), np.concatenate([a.start, len(a) + b.start[1:]])
-    return ParticleBlocks(state, start, unit, np.concatenate(share), extents)
+    return ParticleBlocks(state, start, unit, np.concatenate(share))
 
 
 @lru_cache(maxsize=4)

@@ -360,11 +360,14 @@ def kept(peaks: Gaussians, which: I8 | Bool) -> Gaussians:
 
 def union(peaks: Gaussians, group: I8) -> Gaussians:
     """One peak for each group of peaks, with their mass, mean and covariance; ``group`` (k,) numbers them from 0."""
+    if len(group) == 0:
+        return peaks
     mass = np.bincount(group, peaks.weight).astype(np.float64)
     mean = np.array([np.bincount(group, peaks.weight * row) for row in peaks.mean]) / mass
-    apart, cov = peaks.mean - mean[:, group], np.zeros((len(mass), len(mean), len(mean)))
-    np.add.at(cov, group, peaks.weight[:, None, None] * (peaks.covariance + np.einsum("ik,jk->kij", apart, apart)))
-    return Gaussians(mass, mean, cov / mass[:, None, None])
+    apart = peaks.mean - mean[:, group]
+    cov = peaks.weight[:, None, None] * (peaks.covariance + np.einsum("ik,jk->kij", apart, apart))
+    order, first = np.argsort(group, kind="stable"), np.concatenate([[0], np.cumsum(np.bincount(group))[:-1]])
+    return Gaussians(mass, mean, np.add.reduceat(cov[order], first) / mass[:, None, None])
 
 
 def join_unresolved(peaks: Gaussians, sensor: Sensor, overlap: float) -> tuple[Gaussians, I8]:

@@ -12,7 +12,7 @@ linearly with the number of targets; what the gate drops is bounded by the senso
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,9 +23,9 @@ from phdtrack.filters.terms import TINY, UpdateTerms
 from phdtrack.kernels import particles as sweeps
 from phdtrack.kernels.grid import Grid, make_grid
 from phdtrack.kernels.particle_models import GivenSize, SensorNumbers, precision
-from phdtrack.kernels.resampling import comb, pick
+from phdtrack.kernels.resampling import Comb, comb, pick
 from phdtrack.protocols import Filter, Model
-from phdtrack.types import F8, GaussianMixture, ParticleBlocks, Particles, Real, UpdateInfo
+from phdtrack.types import F8, GaussianMixture, ParticleBlocks, Particles, UpdateInfo
 
 # κ + C below this counts as 0 where likelihoods are in single precision: they have no tail below 1e-38.
 FAINT = 1e-30
@@ -132,13 +132,13 @@ class ParticlePHD(Filter[Intensity]):
             numbers = numbers._replace(detection=np.zeros(1, dtype))
         gates = make_grid(*model.sensor.gate(z), 0.0, 0.0)
         old = self._part(in_blocks(state, dtype), numbers, gates, region, model)
-        covered: F8 = old[0].unit * sum_by(old[1].which, old[2].near, count)
+        covered: F8 = old[0].unit * sum_by(old[2].which, old[2].near, count)
         newborn = in_blocks(model.birth.sample(z, covered, model.sensor, dt / model.rate, rng), dtype)
         new = self._part(newborn, numbers, gates, region, model)
         blocks, parts, sums = (old[0], new[0]), (old[1], new[1]), (old[2], new[2])
         unit, evidence = np.array([of.unit for of in blocks]), np.zeros(count)
-        for of, part, known in zip(blocks, parts, sums, strict=True):
-            evidence += of.unit * sum_by(part.which, known.evidence, count)
+        for of, known in zip(blocks, sums, strict=True):
+            evidence += of.unit * sum_by(known.which, known.evidence, count)
         mass = unit * np.array([known.mass.sum() for known in sums])
         missed = unit * np.array([known.missed.sum() for known in sums])
 
@@ -153,17 +153,20 @@ class ParticlePHD(Filter[Intensity]):
     def _part(
         self, blocks: ParticleBlocks, numbers: SensorNumbers, gates: Grid, region: float, model: Model
     ) -> tuple[ParticleBlocks, sweeps.Part, sweeps.Sums]:
-        """Blocks with their extents, the detections near them, and sums of likelihoods."""
-        dtype, count, detect = blocks.state.dtype, len(blocks.start) - 1, numbers.detection
+        """Blocks, as the kernels take them, and what the detections say of them."""
+        detect = numbers.detection
         if len(detect) == 0:
             detect = model.sensor.p_detect(blocks.state.astype(np.float64))
-        extents = sweeps.bound(numbers.model, blocks.state, blocks.start)
-        first, which = sweeps.pair_up(extents, blocks.start, gates)
-        part = sweeps.Part(blocks.state, blocks.share, np.asarray(detect, dtype), blocks.start, first, which)
-        sums = sweeps.Sums(np.empty(len(which)), np.empty(len(which)), np.empty(count), np.empty(count))
-        given = (part, numbers.model, numbers.table, region, sums)
-        in_ranges(sweeps.likelihoods, given, count, self.threads)
-        return replace(blocks, extents=extents), part, sums
+        part = sweeps.Part(blocks.state, blocks.share, np.asarray(detect, blocks.state.dtype), blocks.start)
+        given = (part, numbers.model, numbers.table, gates, region)
+        found = in_ranges(sweeps.likelihoods, given, len(blocks.start) - 1, self.threads)
+        sums = found[0]
+        if len(found) > 1:
+            before = np.cumsum([0, *(len(one.which) for one in found)])
+            first = [one.first[:-1] + begin for one, begin in zip(found, before, strict=False)]
+            sums = sweeps.Sums(*(np.concatenate(column) for column in zip(*found, strict=True)))
+            sums = sums._replace(first=np.concatenate([*first, before[-1:]]))
+        return blocks, part, sums
 
     def reduce(self, state: Intensity, rng: np.random.Generator) -> ParticleBlocks:
         """Systematic resampling to ρ particles per expected target, which keeps the mass exactly [M07 §2]."""
@@ -174,12 +177,14 @@ class ParticlePHD(Filter[Intensity]):
         count = self.particles(mass)
         if count == 0:
             return ParticleBlocks.empty(len(first), first.dtype)
-        teeth, start = comb(masses, np.concatenate([blocks.extents for blocks in updated.blocks]), count, offset)
-        out, shift = reused((len(first), count), first.dtype), 0
-        for part in updated.parts:
-            given = (part, model, table, updated.missed, updated.detected, teeth, shift, out)
-            in_ranges(pick, given, len(part.start) - 1, self.threads)
-            shift += len(part.start) - 1
+        teeth, start = comb(masses, np.concatenate([sums.extents for sums in updated.sums]), count, offset)
+        out, begin = reused((len(first), count), first.dtype), 0
+        for part, sums in zip(updated.parts, updated.sums, strict=True):
+            end = begin + len(part.start) - 1
+            own = Comb(*(column[begin:end] for column in teeth))
+            given = (part, sums, model, table, updated.missed, updated.detected, own, out)
+            in_ranges(pick, given, end - begin, self.threads)
+            begin = end
         return ParticleBlocks(out, start, mass / count)
 
     def particles(self, mass: float) -> int:
@@ -193,20 +198,10 @@ class ParticlePHD(Filter[Intensity]):
 
 def _not_updated(blocks: ParticleBlocks) -> UpdatedParticles:
     """The intensity as if a sensor had looked that sees nothing."""
-    count, none = len(blocks.start) - 1, np.zeros(0, np.int64)
-    blind, first = np.zeros(1, blocks.state.dtype), np.zeros(count + 1, np.int64)
-    part = sweeps.Part(blocks.state, blocks.share, blind, blocks.start, first, none)
-    sums = sweeps.Sums(np.zeros(0), np.zeros(0), np.empty(count), np.empty(count))
-    sweeps.likelihoods(0, count, part, BLIND.model, BLIND.table, 0.0, sums)
-    if len(blocks.extents) == 0:
-        blocks = replace(blocks, extents=_extents(blocks))
+    blind, nothing = np.zeros(1, blocks.state.dtype), np.zeros((2, 0))
+    part = sweeps.Part(blocks.state, blocks.share, blind, blocks.start)
+    sums = sweeps.likelihoods(0, len(blocks.start) - 1, part, BLIND.model, BLIND.table, make_grid(nothing, nothing), 0.0)
+    low, high = sums.extents[:, :2], sums.extents[:, 2:4]
+    # The neighbourhood is what the block is itself.
+    sums = sums._replace(extents=np.concatenate([low, high, high - low], axis=1))
     return UpdatedParticles((blocks,), (part,), (sums,), BLIND, 1.0, np.zeros(0))
-
-
-def _extents(blocks: ParticleBlocks) -> Real:
-    """(B, 6) bounds of positions, and as the neighbourhood what the block is itself."""
-    if len(blocks) == 0:
-        return np.zeros((0, 6), blocks.state.dtype)
-    x, begin = blocks.state[:2], blocks.start[:-1]
-    low, high = np.minimum.reduceat(x, begin, axis=1), np.maximum.reduceat(x, begin, axis=1)
-    return np.ascontiguousarray(np.concatenate([low, high, high - low]).T)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.em import Candidates
-from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR, extent
+from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, LANES, VECTOR, extent, whole
 from phdtrack.kernels.grid import Grid, make_grid, overlapping, overlapping_pairs
 from phdtrack.kernels.mixtures import Gaussians
 
@@ -32,7 +32,7 @@ class Blocks(NamedTuple):
 
     ``state`` (d, L), ``weight`` (L,) of each or (1,) of all; ``start`` (B + 1,): block b holds the columns start[b] …
     start[b + 1] − 1. ``mass`` (B,) Σw; ``low``, ``high`` (B, d) corners of the box that holds the particles; ``middle``
-    (B, d) a point among them, exact in the state's precision; ``first`` (B, d), ``second`` (B, d, d) Σw·(x − middle) and
+    (B, d) of that box, exact in the state's precision; ``first`` (B, d), ``second`` (B, d, d) Σw·(x − middle) and
     Σw·(x − middle)(x − middle)ᵀ, its lower triangle; zeros for an empty block. ``grid`` over the
     boxes of positions.
     """
@@ -55,25 +55,26 @@ def summarise(state: Real, weight: Real, start: I8) -> Blocks:
     d, blocks, unit = state.shape[0], start.size - 1, float(weight[0]) if weight.size == 1 else 1.0
     mass, low, high = np.zeros(blocks), np.zeros((blocks, d)), np.zeros((blocks, d))
     middle, first, second = np.zeros((blocks, d)), np.zeros((blocks, d)), np.zeros((blocks, d, d))
-    even, widest = d + d % 2, max(np.max(np.diff(start)), 1) if blocks > 0 else 1
-    row = np.zeros((2 * even + 1, widest), state.dtype)
+    even, widest = d + d % 2, whole(max(np.max(np.diff(start)), 1)) if blocks > 0 else LANES
+    row, zero = np.zeros((2 * even + 1, widest), state.dtype), np.zeros(d)
     for b in range(blocks):
         begin, n = start[b], start[b + 1] - start[b]
         if n == 0:
             continue
+        full = load_steps(state, begin, n, zero, row)
         for r in range(d):
-            low[b, r], high[b, r] = extent(state, r, begin, n)
-            middle[b, r] = mean_of(state, r, begin, n)
-        load_steps(state, begin, n, middle[b], row)
+            low[b, r], high[b, r] = extent(row, r, 0, full)
+            middle[b, r] = state.dtype.type(0.5 * (low[b, r] + high[b, r]))
+            shift(row, r, n, full, state.dtype.type(middle[b, r]))
         mass[b], by = n * unit, 0
         if weight.size > 1:
             by = even + 1
-            row[even, :n] = weight[begin : begin + n]
-            mass[b] = row_sum(row, even, n)
-            weigh(row, even, n, d)
+            load_row(row, even, n, weight, begin)
+            mass[b] = row_sum(row, even, full)
+            weigh(row, even, full, d)
         for r in range(d):
-            first[b, r] = unit * row_sum(row, by + r, n)
-        add_products(row, by, n, second[b])
+            first[b, r] = unit * row_sum(row, by + r, full)
+        add_products(row, by, full, second[b])
         for r in range(d):
             for q in range(r + 1):
                 second[b, r, q] *= unit
@@ -84,13 +85,22 @@ def summarise(state: Real, weight: Real, start: I8) -> Blocks:
 
 
 @njit(**VECTOR)
-def mean_of(state: Real, r: int, begin: int, n: int) -> Any:
-    """The mean of n > 0 numbers of a row, from column ``begin`` on, in their precision."""
-    at, one = U(begin), state[r, begin]
-    total = one - one
-    for i in range(U(n)):
-        total += state[r, at + i] - one
-    return one + total / state.dtype.type(n)
+def shift(row: Real, r: int, n: int, full: int, by: Real) -> None:
+    """Subtract a number from the first n of a row; zeros follow."""
+    for i in range(U(full)):
+        row[r, i] -= by
+    for i in range(U(n), U(full)):
+        row[r, i] = row.dtype.type(0)
+
+
+@njit(**VECTOR)
+def load_row(row: Real, r: int, n: int, values: Real, begin: int) -> None:
+    """Write n of the values, from number ``begin`` on, into a row; zeros follow to fill the vector registers."""
+    at = U(begin)
+    for i in range(U(min(whole(n), values.size - begin))):
+        row[r, i] = values[at + i]
+    for i in range(U(n), U(whole(n))):
+        row[r, i] = row.dtype.type(0)
 
 
 @njit(**VECTOR)
@@ -103,13 +113,19 @@ def row_sum(row: Real, r: int, n: int) -> float:
 
 
 @njit(**VECTOR)
-def load_steps(state: Real, begin: int, n: int, middle: F8, row: Real) -> None:
-    """Write n states, from column ``begin`` on, less ``middle`` (d,) into the first rows of ``row``."""
-    at = U(begin)
+def load_steps(state: Real, begin: int, n: int, middle: F8, row: Real) -> int:
+    """Write n states, from column ``begin`` on, less ``middle`` (d,) into the first rows of ``row``.
+
+    Copies of the last fill the vector registers; gives how many there are then.
+    """
+    at, full = U(begin), whole(n)
     for r in range(state.shape[0]):
         zero = state.dtype.type(middle[r])
-        for i in range(U(n)):
+        for i in range(U(min(full, state.shape[1] - begin))):
             row[r, i] = state[r, at + i] - zero
+        for i in range(U(n), U(full)):
+            row[r, i] = row[r, U(n - 1)]
+    return full
 
 
 @njit(**VECTOR)

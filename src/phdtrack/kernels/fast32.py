@@ -30,6 +30,9 @@ INNER = LEAN | {"no_cpython_wrapper": True}
 VECTOR = INNER | {"fastmath": FAST}
 
 Real = NDArray[np.floating[Any]]
+# Numbers in the widest vector register; narrower ones divide it. Loops over whole registers leave nothing over, which would
+# be done one by one.
+LANES = 16
 F = np.float32
 INT = np.int32
 W = np.uint32
@@ -58,6 +61,12 @@ HIGH, LOW = D(32), D(0xFFFFFFFF)
 TO_23_BITS, STEP, HALF_STEP = W(9), F(2.0**-23), F(2.0**-24)
 STAR = D(0x9E3779BB)
 TURN_A, BACK_A, SHIFT, TURN_B, BACK_B = W(26), W(6), W(9), W(13), W(19)
+
+
+@njit(**INNER)
+def whole(n: int) -> int:
+    """The least multiple of `LANES` that is not below n."""
+    return (n + LANES - 1) // LANES * LANES
 
 
 @njit(**VECTOR)

@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phdtrack.kernels.blocks import F8, I8, Blocks, Real, U, add_products, load_steps, reaching, weigh
+from phdtrack.kernels.blocks import F8, I8, Blocks, Real, U, add_products, load_row, load_steps, reaching, weigh
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.em import Candidates
-from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR
+from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR, whole
 from phdtrack.kernels.mixtures import Gaussians
 
 I4 = NDArray[np.int32]
@@ -48,7 +48,7 @@ class Centres(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Of one block: ``row`` (2e + 4, n), e = d or d + 1 even: steps from the block's middle, distance², the least of them,
+    """Of one block, in whole registers: ``row`` (2e + 4, n), e = d or d + 1 even: steps from the block's middle, distance², the least of them,
     weights, weights of one cluster, and these times the steps; ``which`` (n,) the place in ``among`` of each particle's
     cluster; ``among`` (2, ≥ k): entries of candidates and their centres."""
 
@@ -74,15 +74,15 @@ def _least_excess(at: F8, per: F8, a: int, b: int, box: F8, block: int) -> float
         pa, pb = per[a, r] * per[a, r], per[b, r] * per[b, r]
         ca, cb = at[a, r], at[b, r]
         left, right = box[block, 0, r], box[block, 1, r]
-        least = pb * (left - cb) * (left - cb) - pa * (left - ca) * (left - ca)
+        # Without a branch, which would be missed; one that is no number, or outside, becomes an end.
+        vertex = (pb * cb - pa * ca) / (pb - pa)
+        vertex = vertex if vertex > left else left
+        vertex = vertex if vertex < right else right
+        at_left = pb * (left - cb) * (left - cb) - pa * (left - ca) * (left - ca)
         at_right = pb * (right - cb) * (right - cb) - pa * (right - ca) * (right - ca)
-        least = at_right if at_right < least else least
-        if pb > pa:
-            vertex = (pb * cb - pa * ca) / (pb - pa)
-            if left < vertex < right:
-                at_vertex = pb * (vertex - cb) * (vertex - cb) - pa * (vertex - ca) * (vertex - ca)
-                least = at_vertex if at_vertex < least else least
-        total += least
+        at_vertex = pb * (vertex - cb) * (vertex - cb) - pa * (vertex - ca) * (vertex - ca)
+        least = at_right if at_right < at_left else at_left
+        total += at_vertex if at_vertex < least else least
     return total
 
 
@@ -105,12 +105,12 @@ def _contenders(
     if end == begin:
         return 0, False
     owner = component[best]
-    whole = _holds(window, owner, box, b)
+    held = _holds(window, owner, box, b)
     for e in range(begin, end):
-        if not whole or e == best or not (_least_excess(at, per, owner, component[e], box, b) > 0.0):
+        if not held or e == best or not (_least_excess(at, per, owner, component[e], box, b) > 0.0):
             among[0, kept], among[1, kept] = e, component[e]
             kept += 1
-    return kept, whole and kept == 1
+    return kept, held and kept == 1
 
 
 @njit(**VECTOR)
@@ -123,17 +123,18 @@ def _holds(window: F8, j: int, box: F8, b: int) -> bool:
 
 @njit(**VECTOR)
 def _load(state: Real, weight: Real, start: I8, box: F8, b: int, row: Real) -> int:
-    """Write the steps of the particles of block b from its middle, and their weights; gives their number."""
+    """Write the steps of the particles of block b from its middle, and their weights, in whole registers: how many."""
     begin: int = start[b]
-    n: int = start[b + 1] - begin
-    at, w = U(begin), even(state.shape[0]) + 2
-    load_steps(state, begin, n, box[b, 2], row)
-    for i in range(U(n)):
-        row[w, i] = weight[0]
+    n, w = start[b + 1] - begin, even(state.shape[0]) + 2
+    full: int = load_steps(state, begin, n, box[b, 2], row)
     if weight.size > 1:
+        load_row(row, w, n, weight, begin)
+    else:
         for i in range(U(n)):
-            row[w, i] = weight[at + i]
-    return n
+            row[w, i] = weight[0]
+        for i in range(U(n), U(full)):
+            row[w, i] = row.dtype.type(0)
+    return full
 
 
 @njit(**VECTOR)
@@ -191,6 +192,16 @@ def _nearest(
             left, right = real(window[0, j] - x), real(window[2, j] - x)
             _only_inside(row, e, n, left, real(window[1, j] - y), right, real(window[3, j] - y))
         _keep_closer(row, which, e, n, c)
+
+
+@njit(**VECTOR)
+def _all_equal(which: I4, n: int) -> bool:
+    """Whether n particles have the same cluster."""
+    differs, first = np.int32(0), which[0]
+    for i in range(U(n)):
+        differs |= which[i] ^ first
+    equal: bool = differs == 0
+    return equal
 
 
 @njit(**VECTOR)
@@ -261,19 +272,24 @@ def _settle(
             begin, end, changed = first[b], first[b + 1], 0
             for e in range(begin, end):
                 changed |= moved[component[e]]
-            if changed == 0:
+            # Windows do not move: what lies in the only one that reaches a block is its centre's for good.
+            if changed == 0 or (end == begin + 1 and sums[begin, 0] > 0.0):
                 continue
-            some, whole = _contenders(at, per, window, box, component, begin, end, b, among)
+            some, owned = _contenders(at, per, window, box, component, begin, end, b, among)
+            owner, n = 0, 0
+            if not owned:
+                n = _load(state, weight, start, box, b, row)
+                _nearest(row, which, n, at, per, window, box, among, some, b)
+                owner, owned = which[0], which[0] >= 0 and _all_equal(which, n)
             for e in range(begin, end):
                 for r in range(1 + d):
                     sums[e, r] = 0.0
-            if whole:
-                sums[among[0, 0], 0] = known[b]
+            if owned:
+                entry = among[0, owner]
+                sums[entry, 0] = known[b]
                 for r in range(d):
-                    sums[among[0, 0], 1 + r] = known_first[b, r]
+                    sums[entry, 1 + r] = known_first[b, r]
                 continue
-            n = _load(state, weight, start, box, b, row)
-            _nearest(row, which, n, at, per, window, box, among, some, b)
             for c in range(some):
                 _share(row, which, even(d), n, c)
                 _sums(row, n, sums, among[0, c])
@@ -294,9 +310,8 @@ def _farthest(blocks: Blocks, box: F8, near: Candidates, centres: Centres, heavy
         if not concerned:
             continue
         some, _ = _contenders(at, per, window, box, component, first[b], first[b + 1], b, among)
-        n = _load(blocks.state, blocks.weight, start, box, b, row)
-        _nearest(row, which, n, at, per, window, box, among, some, b)
-        for i in range(n):
+        _nearest(row, which, _load(blocks.state, blocks.weight, start, box, b, row), at, per, window, box, among, some, b)
+        for i in range(start[b + 1] - start[b]):
             j = among[1, which[i]] if which[i] >= 0 else -1
             if j >= 0 and heavy[j] and row[least, i] > apart[j]:
                 apart[j], far[j] = row[least, i], start[b] + i
@@ -353,9 +368,14 @@ def _moments(blocks: Blocks, box: F8, near: Candidates, centres: Centres, scratc
     mean, mass, first, cov = at.T.copy(), np.zeros(k), np.zeros((k, d)), np.zeros((k, d, d))
     e, part, shift = even(d), np.empty((d, d)), np.empty(d)
     for b in range(near_first.size - 1):
-        some, whole = _contenders(at, per, window, box, component, near_first[b], near_first[b + 1], b, among)
-        n = 0
-        if some > 0 and not whole:
+        begin, end, some, n = near_first[b], near_first[b + 1], 0, 0
+        for entry in range(begin, end):
+            if sums[entry, 0] > 0.0:
+                among[0, some], among[1, some] = entry, component[entry]
+                some += 1
+        owned = some == 1 and sums[among[0, 0], 0] == blocks.mass[b]
+        if some > 0 and not owned:
+            some, _ = _contenders(at, per, window, box, component, begin, end, b, among)
             n = _load(blocks.state, blocks.weight, start, box, b, row)
             _nearest(row, which, n, at, per, window, box, among, some, b)
         for c in range(some):
@@ -363,7 +383,7 @@ def _moments(blocks: Blocks, box: F8, near: Candidates, centres: Centres, scratc
             m = sums[entry, 0]
             if not m > 0.0:
                 continue
-            if not whole:
+            if not owned:
                 second = part
                 part[:] = 0.0
                 _share(row, which, e, n, c)
@@ -396,7 +416,7 @@ def kmeans(blocks: Blocks, centres: F8, scales: F8, rule: Rule) -> Gaussians:
     centres, scales : (k, d) where clusters start, and the deviations for distances from them.
     rule : windows, division and number of iterations.
     """
-    widest, k, d = max(np.max(np.diff(blocks.start)), 1), centres.shape[0], centres.shape[1]
+    widest, k, d = whole(max(np.max(np.diff(blocks.start)), 1)), centres.shape[0], centres.shape[1]
     row, which = np.zeros((2 * even(d) + 4, widest), blocks.state.dtype), np.empty(widest, np.int32)
     box = np.empty((blocks.mass.size, 3, d))
     box[:, 0], box[:, 1], box[:, 2] = blocks.low, blocks.high, blocks.middle

@@ -1,7 +1,7 @@
 """What the particle sweeps ask of a model: small compiled functions of one particle, chosen by the model's record.
 
 A motion and a sensor hand over a record of their numbers (`BoxWalk`, `OwnSize`, …). The functions `move`, `survives`,
-`prepare`, `seen`, `distance` and `neighbourhood` have one implementation for each type of record. The sweeps
+`sees_velocity`, `prepare`, `seen`, `distance` and `neighbourhood` have one implementation for each type of record. The sweeps
 (`kernels.particles`) call them, and Numba compiles the sweeps for the types that they are given. To add a model, write a
 record and register its functions with `implements`.
 
@@ -76,6 +76,11 @@ def survives(model: Number, s: Real, i: int) -> Number:
 @_by_record
 def move(model: Number, s: Real, i: int) -> Number:
     """Replace the state of particle i by a draw of f(·|x), from the normal numbers in the rows N0, N1, …"""
+
+
+@_by_record
+def sees_velocity(model: Number) -> Number:
+    """Whether `prepare` and `distance` read rows 2 and 3 of the state; only then are these there."""
 
 
 @_by_record
@@ -299,6 +304,16 @@ def _distance_box(model: Number, z: Number, s: Real, i: int) -> Number:
     iw, ih = s[N0 + i], s[N1 + i]
     dx, dy, dw, dh = (z[0] - s[X + i]) * iw, (z[1] - s[Y + i]) * ih, (z[2] - s[W + i]) * iw, (z[3] - s[H + i]) * ih
     return FOUR * (dx * dx + dy * dy) + (dw * dw + dh * dh), s[N2 + i]
+
+
+@implements(sees_velocity, object)
+def _always(model: Number) -> bool:
+    return True
+
+
+@implements(sees_velocity, OwnSize, SizeBefore, GivenSize, PlanePoint)
+def _never(model: Number) -> bool:
+    return False
 
 
 @implements(prepare, object)

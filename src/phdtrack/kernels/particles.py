@@ -20,14 +20,17 @@ from phdtrack.kernels.fast32 import (
     ENTRY,
     FAST,
     INNER,
+    LANES,
     ROUNDS,
     VECTOR,
     cos_sin_turn,
     exp_of,
-    extent,
     log32,
     philox,
+    sortable,
+    sorted_number,
     unit,
+    whole,
     xoroshiro,
 )
 from phdtrack.kernels.fast32 import D as U
@@ -40,8 +43,12 @@ from phdtrack.kernels.particle_models import (
     N2,
     N3,
     N4,
+    VX,
+    VY,
     Number,
     Real,
+    X,
+    Y,
     distance,
     move,
     neighbourhood,
@@ -49,6 +56,7 @@ from phdtrack.kernels.particle_models import (
     number,
     prepare,
     seen,
+    sees_velocity,
     survives,
     word,
 )
@@ -57,8 +65,6 @@ F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 F = np.float32
 # Columns are counted without a sign (U): the check of one that might be negative keeps loops from being vectorised.
-# Numbers in the widest vector register; narrower ones divide it. Loops run over whole registers.
-LANES = 16
 # Rows of the scratch array behind the state and the normal numbers: weights, these times p_D, sums; states of generators.
 WEIGHT, SEEN, SUM = (BLOCK * row for row in range(16, 19))
 S0, S1, S2, S3 = (BLOCK * row for row in range(18, 22))
@@ -70,60 +76,63 @@ FAR, VERY_FAR = F(100.0), F(1400.0)
 
 
 class Part(NamedTuple):
-    """Particles in B blocks, and the measurements near each block.
+    """Particles in B blocks.
 
     ``state`` (d, L); ``share`` (L,) or (0,): 1 each; ``detect`` p_D, (L,) of each or (1,) of all; ``start`` (B + 1,).
-    ``first`` (B + 1,): block b has the pairs first[b] … first[b + 1] − 1; ``which`` (P,): the measurement of each.
     """
 
     state: Real
     share: Real
     detect: Real
     start: I8
-    first: I8
-    which: I8
 
 
 class Sums(NamedTuple):
-    """``evidence`` (P,) Σ p_D·share·g(z|x) of each pair, ``near`` (P,) Σ share of the particles inside the region; ``mass``,
-    ``missed`` (B,) Σ share, Σ (1 − p_D)·share of each block."""
+    """The measurements near each block, and what they say of it.
 
-    evidence: F8
-    near: F8
+    ``extents`` (B, 6) left, top, right, bottom of its positions, mean width and height of a few neighbourhoods in it;
+    ``mass``, ``missed`` (B,) Σ share, Σ (1 − p_D)·share. ``first`` (B + 1,): block b has the pairs first[b] …
+    first[b + 1] − 1; ``which`` (P,): the measurement of each; ``evidence`` (P,) Σ p_D·share·g(z|x) of each, ``near`` (P,)
+    Σ share of the particles inside the region.
+    """
+
+    extents: Real
     mass: F8
     missed: F8
-
-
-@njit(**INNER)
-def whole(n: int) -> int:
-    """The least multiple of `LANES` that is not below n."""
-    return (n + LANES - 1) // LANES * LANES
+    first: I8
+    which: I8
+    evidence: F8
+    near: F8
 
 
 @njit(**VECTOR)
-def load(s: Real, n: int, state: Real, at: int) -> None:
+def load(s: Real, n: int, state: Real, at: int, velocity: bool) -> None:
     """Copy the columns at … at + n − 1 of ``state`` (d, L) into the block; copies of the last fill the vector registers."""
+    full = min(whole(n), state.shape[1] - at)
     for r in range(state.shape[0]):
-        row, begin = r * BLOCK, U(at)
-        for i in range(U(n)):
+        row, begin = U(r * BLOCK), U(at)
+        if not velocity and (r * BLOCK == VX or r * BLOCK == VY):
+            continue
+        # Whole registers, what lies behind the block with them: numbers that are left over are copied one by one.
+        for i in range(U(full)):
             s[row + i] = state[r, begin + i]
-        for i in range(n, whole(n)):
-            s[row + i] = s[row + n - 1]
+        for i in range(U(n), U(whole(n))):
+            s[row + i] = s[row + U(n - 1)]
 
 
 @njit(**VECTOR)
 def load_row(s: Real, row: int, n: int, values: Real, at: int) -> None:
     """Copy values[at] … into a row of the block: of an empty array ones, of one number that number; zeros follow."""
-    begin, one, nothing = U(at), s.dtype.type(1), s.dtype.type(0)
+    to, begin = U(row), U(at)
     if values.size > 1:
-        for i in range(U(n)):
-            s[row + i] = values[begin + i]
+        for i in range(U(min(whole(n), values.size - at))):
+            s[to + i] = values[begin + i]
     else:
-        value = values[0] if values.size == 1 else one
-        for i in range(U(n)):
-            s[row + i] = value
-    for i in range(n, whole(n)):
-        s[row + i] = nothing
+        value = values[0] if values.size == 1 else s.dtype.type(1)
+        for i in range(U(whole(n))):
+            s[to + i] = value
+    for i in range(U(n), U(whole(n))):
+        s[to + i] = s.dtype.type(0)
 
 
 @njit(**VECTOR)
@@ -178,7 +187,7 @@ def predict(lo: int, hi: int, motion: Number, state: Real, share: Real, start: I
         if n == 0:
             continue
         full = whole(n)
-        load(s, n, state, at)
+        load(s, n, state, at, True)
         load_row(s, WEIGHT, n, share, at)
         if normals(motion) > 4:
             fill_normals(s, full, WORD(b), WORD(1), k0, k1)
@@ -186,58 +195,37 @@ def predict(lo: int, hi: int, motion: Number, state: Real, share: Real, start: I
                 s[N4 + i] = s[N0 + i]
         fill_normals(s, full, WORD(b), WORD(0), k0, k1)
         move_block(motion, s, full)
-        begin = U(at)
+        # Whole registers: what is too much the next block overwrites.
+        begin, full = U(at), min(full, start[hi] - at)
         for r in range(d):
-            for i in range(U(n)):
+            for i in range(U(full)):
                 moved[r, begin + i] = s[r * BLOCK + i]
-        for i in range(U(n)):
+        for i in range(U(full)):
             kept[begin + i] = s[WEIGHT + i]
 
 
-@njit(**(ENTRY | {"fastmath": FAST}))
-def bound(sensor: Number, state: Real, start: I8) -> Real:
-    """(B, 6) left, top, right, bottom of each block's positions, mean width and height of a few neighbourhoods in it."""
-    out, s = np.zeros((start.size - 1, 6), state.dtype), np.empty(ROWS * BLOCK, state.dtype)
-    for b in range(start.size - 1):
-        at, n = start[b], start[b + 1] - start[b]
-        if n == 0:
-            continue
-        out[b, 0], out[b, 2] = extent(state, 0, at, n)
-        out[b, 1], out[b, 3] = extent(state, 1, at, n)
-        load(s, min(n, LANES), state, at)
-        for i in range(LANES):
-            w, h = neighbourhood(sensor, s, i)
-            out[b, 4] += w / LANES
-            out[b, 5] += h / LANES
-    return out
-
-
-@njit(**ENTRY)
-def pair_up(extents: Real, start: I8, gates: Grid) -> tuple[I8, I8]:
-    """The measurements whose ``gates`` overlap each block's ``extents`` (B, 6): ``first`` and ``which`` of `Part`."""
-    blocks, used = start.size - 1, 0
-    first, found = np.empty(blocks + 1, np.int64), np.empty(gates.lower.shape[1] + 1, np.int64)
-    which = np.empty(2 * blocks + 64, np.int64)
-    for b in range(blocks):
-        first[b], near = used, 0
-        if start[b + 1] > start[b]:
-            left, top, right, bottom = extents[b, 0], extents[b, 1], extents[b, 2], extents[b, 3]
-            near = overlapping(float(left), float(top), float(right), float(bottom), gates, found)
-        if used + near > which.size:
-            longer = np.empty(2 * (used + near), np.int64)
-            longer[:used] = which[:used]
-            which = longer
-        for m in range(near):
-            which[used + m] = found[m]
-        used += near
-    first[blocks] = used
-    return first, which[:used]
+@njit(**VECTOR)
+def outline(sensor: Number, s: Real, n: int, out: Real) -> None:
+    """Write left, top, right, bottom of n positions, and mean width and height of a few neighbourhoods, into ``out`` (6,)."""
+    left = right = sortable(s[X])
+    top = bottom = sortable(s[Y])
+    for i in range(n):
+        x, y = sortable(s[X + i]), sortable(s[Y + i])
+        left, right = min(left, x), max(right, x)
+        top, bottom = min(top, y), max(bottom, y)
+    out[0], out[1], out[2], out[3] = sorted_number(left), sorted_number(top), sorted_number(right), sorted_number(bottom)
+    wide = high = s.dtype.type(0)
+    for i in range(LANES):
+        w, h = neighbourhood(sensor, s, i)
+        wide += w
+        high += h
+    out[4], out[5] = wide / LANES, high / LANES
 
 
 @njit(**VECTOR)
 def load_part(sensor: Number, s: Real, n: int, state: Real, share: Real, detect: Real, at: int) -> None:
     """Copy a block's states and weights, write its weights times p_D, and what likelihoods need."""
-    load(s, n, state, at)
+    load(s, n, state, at, sees_velocity(sensor))
     load_row(s, WEIGHT, n, share, at)
     load_row(s, SEEN, n, detect, at)
     for i in range(whole(n)):
@@ -280,26 +268,46 @@ def add_detected(sensor: Number, table: Real, j: int, s: Real, n: int, by: Numbe
         s[SUM + i] += by * factor * value * s[SEEN + i]
 
 
+@njit(**INNER)
+def longer(which: I8, sums: F8, used: int, size: int) -> tuple[I8, F8]:
+    """The first ``used`` pairs in lists of ``size``."""
+    wide, deep = np.empty(size, np.int64), np.empty((2, size))
+    for e in range(used):
+        wide[e], deep[0, e], deep[1, e] = which[e], sums[0, e], sums[1, e]
+    return wide, deep
+
+
 @njit(**(ENTRY | {"fastmath": FAST}))
-def likelihoods(lo: int, hi: int, part: Part, sensor: Number, table: Real, region: float, out: Sums) -> None:
-    """Fill ``out`` for the blocks lo … hi − 1.
+def likelihoods(lo: int, hi: int, part: Part, sensor: Number, table: Real, gates: Grid, region: float) -> Sums:
+    """What the measurements say of the blocks lo … hi − 1.
 
     Parameters
     ----------
     sensor, table : record of the sensor, and the measurements' columns.
+    gates : a block and the measurements whose gates its extent overlaps are a pair.
     region : the squared radius within which mass counts as explaining a measurement.
     """
-    state, share, detect, start, first, which = part
-    evidence, nearby, mass, missed = out
-    s, limit = np.empty(ROWS * BLOCK, state.dtype), state.dtype.type(region)
-    for b in range(lo, hi):
-        n = start[b + 1] - start[b]
-        load_part(sensor, s, n, state, share, detect, start[b])
-        known, lost = add_up(s, whole(n))
-        mass[b], missed[b] = float(known), float(lost)
-        for e in range(first[b], first[b + 1]):
-            total, near = evaluate(sensor, table, which[e], s, whole(n), limit)
-            evidence[e], nearby[e] = float(total), float(near)
+    (state, share, detect, start), blocks, used = part, hi - lo, 0
+    extents, mass, missed = np.zeros((blocks, 6), state.dtype), np.zeros(blocks), np.zeros(blocks)
+    s, found, limit = np.empty(ROWS * BLOCK, state.dtype), np.empty(table.shape[1] + 1, np.int64), state.dtype.type(region)
+    first, which, sums = np.zeros(blocks + 1, np.int64), np.empty(2 * blocks + 64, np.int64), np.empty((2, 2 * blocks + 64))
+    for b in range(blocks):
+        at, n, near = start[lo + b], start[lo + b + 1] - start[lo + b], 0
+        if n > 0:
+            load_part(sensor, s, n, state, share, detect, at)
+            outline(sensor, s, whole(n), extents[b])
+            left, top, right, bottom, _, _ = extents[b]
+            near = overlapping(float(left), float(top), float(right), float(bottom), gates, found)
+            known, lost = add_up(s, whole(n))
+            mass[b], missed[b] = float(known), float(lost)
+        if used + near > which.size:
+            which, sums = longer(which, sums, used, 2 * (used + near))
+        for m in range(near):
+            total, inside = evaluate(sensor, table, found[m], s, whole(n), limit)
+            which[used + m], sums[0, used + m], sums[1, used + m] = found[m], float(total), float(inside)
+        used += near
+        first[b + 1] = used
+    return Sums(extents, mass, missed, first, which[:used], sums[0, :used], sums[1, :used])
 
 
 @njit(**VECTOR)
@@ -320,24 +328,25 @@ def update_weights(
 
 
 @njit(**(ENTRY | {"fastmath": FAST}))
-def weigh(lo: int, hi: int, part: Part, sensor: Number, table: Real, missed: float, factor: F8, result: Real) -> None:
+def weigh(
+    lo: int, hi: int, part: Part, sums: Sums, sensor: Number, table: Real, missed: float, factor: F8, result: Real
+) -> None:
     """Shares after the update of the blocks lo … hi − 1 into ``result`` (L,), see `update_weights`."""
-    state, share, detect, start, first, which = part
+    state, share, detect, start = part
     s = np.empty(ROWS * BLOCK, state.dtype)
     for b in range(lo, hi):
         begin, n = U(start[b]), start[b + 1] - start[b]
         load_part(sensor, s, n, state, share, detect, start[b])
-        update_weights(sensor, table, s, whole(n), which, first[b], first[b + 1], missed, factor)
+        update_weights(sensor, table, s, whole(n), sums.which, sums.first[b], sums.first[b + 1], missed, factor)
         for i in range(U(n)):
             result[begin + i] = s[WEIGHT + i]
 
 
 @njit(**ENTRY)
-def masses(part: Part, sums: Sums, missed: float, factor: F8) -> F8:
+def masses(sums: Sums, missed: float, factor: F8) -> F8:
     """(B,) the sums of the blocks' shares after the update; ``missed``, ``factor`` as in `weigh`."""
-    first, which, evidence = part.first, part.which, sums.evidence
     out = missed * sums.missed
     for b in range(out.size):
-        for e in range(first[b], first[b + 1]):
-            out[b] += factor[which[e]] * evidence[e]
+        for e in range(sums.first[b], sums.first[b + 1]):
+            out[b] += factor[sums.which[e]] * sums.evidence[e]
     return out

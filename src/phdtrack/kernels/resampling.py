@@ -12,16 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phdtrack.kernels.cache import njit
-from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR
+from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR, whole
 from phdtrack.kernels.fast32 import D as U
 from phdtrack.kernels.fast32 import W as WORD
 from phdtrack.kernels.grid import cell_of
 from phdtrack.kernels.particle_models import BLOCK, Number, Real, X, Y
-from phdtrack.kernels.particles import F8, I8, ROWS, SUM, WEIGHT, Part, load_part, update_weights, whole
+from phdtrack.kernels.particles import F8, I8, ROWS, SUM, WEIGHT, Part, Sums, load_part, update_weights
 
 I4 = NDArray[np.int32]
 U4 = NDArray[np.uint32]
 QUARTER = BLOCK // 4
+# Offspring that are written of every particle, whether it has them or not.
+COPIES = 4
 FIXED = 2.0**32
 SMALL, MOST_CELLS = 1e-9, 2048.0
 
@@ -135,80 +137,69 @@ def offspring_blocks(order: I8, teeth: I8, divided: I8, extents: Real) -> I8:
 
 @njit(**(ENTRY | {"fastmath": FAST}))
 def pick(
-    lo: int, hi: int, part: Part, sensor: Number, table: Real, missed: float, factor: F8, teeth: Comb, shift: int, out: Real
+    lo: int, hi: int, part: Part, sums: Sums, sensor: Number, table: Real, missed: float, factor: F8, teeth: Comb, out: Real
 ) -> None:
-    """The offspring of the blocks lo … hi − 1, weighed as by `weigh`, into their columns of ``out``.
-
-    The blocks are ``shift`` further in the comb.
-    """
-    state, share, detect, start, first, which = part
+    """The offspring of the blocks lo … hi − 1, weighed as by `weigh`, into their columns of ``out``."""
+    state, share, detect, start = part
     many, place, phase, width, divided = teeth
-    s, parted = np.empty(ROWS * BLOCK, state.dtype), np.empty(ROWS * BLOCK, state.dtype)
-    upto, owner, d = np.empty(BLOCK, np.int32), np.empty(many.max() + 2, np.uint32), state.shape[0]
+    s, upto, order = np.empty(ROWS * BLOCK, state.dtype), np.empty(BLOCK, np.int32), np.empty(BLOCK, np.uint32)
+    owner = np.empty(out.shape[1] + COPIES, np.uint32)
     for b in range(lo, hi):
-        c, n = b + shift, start[b + 1] - start[b]
-        if many[c] == 0:
+        n = start[b + 1] - start[b]
+        if many[b] == 0:
             continue
         load_part(sensor, s, n, state, share, detect, start[b])
-        update_weights(sensor, table, s, whole(n), which, first[b], first[b + 1], missed, factor)
-        if divided[c] > 0:
-            divide(s, n, d, X if divided[c] == 1 else Y, upto, parted)
-            write_offspring(parted, n, d, many[c], place[c], phase[c], width[c], upto, owner, out)
-        else:
-            write_offspring(s, n, d, many[c], place[c], phase[c], width[c], upto, owner, out)
+        update_weights(sensor, table, s, whole(n), sums.which, sums.first[b], sums.first[b + 1], missed, factor)
+        if divided[b] > 0:
+            divide(s, n, X if divided[b] == 1 else Y, order)
+        own_teeth(s, n, many[b], phase[b], width[b], upto, owner)
+        if divided[b] > 0:
+            for t in range(many[b]):
+                owner[t] = order[owner[t]]
+        begin, to = U(start[b]), U(place[b])
+        for r in range(state.shape[0]):
+            for t in range(U(many[b])):
+                out[r, to + t] = state[r, begin + owner[t]]
 
 
 @njit(**INNER)
-def divide(s: Real, n: int, d: int, row: int, target: I4, parted: Real) -> None:
-    """Copy the block to ``parted``: first the particles before the middle of its extent along a row, then the others."""
-    least, most, right = s[row], s[row], 0
+def divide(s: Real, n: int, row: int, order: U4) -> None:
+    """Write the order in which the particles before the middle of their extent along a row come first; put weights in it."""
+    least, most, count = s[row], s[row], 0
     for i in range(n):
         least, most = min(least, s[row + i]), max(most, s[row + i])
     middle = s.dtype.type(0.5) * (least + most)
-    for i in range(n):
-        right += 1 if s[row + i] < middle else 0
-    left = 0
-    for i in range(n):
-        before = s[row + i] < middle
-        target[i] = left if before else right
-        left, right = left + (1 if before else 0), right + (0 if before else 1)
-    for r in range(d + 1):
-        line = r * BLOCK if r < d else WEIGHT
+    for before in (True, False):
         for i in range(n):
-            parted[line + target[i]] = s[line + i]
+            if (s[row + i] < middle) == before:
+                order[count], s[SUM + count] = i, s[WEIGHT + i]
+                count += 1
+    for i in range(n):
+        s[WEIGHT + i] = s[SUM + i]
 
 
 @njit(**INNER)
-def write_offspring(
-    s: Real, n: int, d: int, count: int, at: int, phase: float, width: float, upto: I4, owner: U4, out: Real
-) -> None:  # fmt: skip
-    """Write the particles of a block on whose stretch of the weights a tooth of the comb falls, from column ``at`` on.
+def own_teeth(s: Real, n: int, count: int, phase: float, width: float, upto: I4, owner: U4) -> None:
+    """Write the particle on whose stretch of the weights each tooth of the comb falls.
 
     In steps of the comb the block is ``width`` wide and its ``count`` teeth stand at phase, phase + 1, …
-    Rounding can leave the last tooth beyond the last sum: it belongs to the last particle that has a weight.
+    Rounding can leave the last teeth beyond the last sum: they belong to the last particle that has a weight.
     """
-    total, last = running_sum(s, n), n
+    total, last, begin = running_sum(s, n), n - 1, U(0)
     # Below 1, or a tooth at the very beginning would fall on particles without weight there.
     shift = min(1.0 - phase, 1.0 - 2.0**-24)
     teeth_before(s, n, width / total if total > 0.0 else 0.0, shift, count, upto)
-    while last > 1 and not s[WEIGHT + last - 1] > 0.0:
+    for i in range(U(n)):
+        # So many without asking, or a branch is missed: what is too much the next particle overwrites.
+        for t in range(U(COPIES)):
+            owner[begin + t] = i
+        for t in range(begin + U(COPIES), U(upto[i])):
+            owner[t] = i
+        begin = U(upto[i])
+    while last > 0 and not s[WEIGHT + last] > 0.0:
         last -= 1
-    # Where its teeth begin each particle puts its number; a later one overwrites those without any. The running maximum
-    # then is the owner of each tooth: no branch to miss.
-    begin = 0
-    for t in range(count):
-        owner[t] = WORD(0)
-    for i in range(last):
-        owner[begin] = i
-        begin = upto[i]
-    mine = WORD(0)
-    for t in range(count):
-        mine = owner[t] if owner[t] > mine else mine
-        owner[t] = mine
-    for r in range(d):
-        row, to = WORD(r * BLOCK), U(at)
-        for t in range(U(count)):
-            out[r, to + t] = s[row + owner[t]]
+    for t in range(begin, U(count)):
+        owner[t] = last
 
 
 @njit(**INNER)

@@ -90,7 +90,7 @@ def particles_about(
     points = standard_points(normal, rng.random(many + 1), _radii(len(observed)))
     state, density = reused((len(mean), int(first[-1])), dtype), reused((int(first[-1]),), dtype)
     place_newborn(about, points, begin, first, limit, state, density)
-    weight = np.divide(gamma(state, first), density, out=density)
+    weight = np.divide(gamma(state, first).astype(dtype), density, out=density)
     # Of a small box the noise's region reaches sizes below 0, where nothing is born.
     if not weight.min() > 0:
         possible = weight > 0
