@@ -48,9 +48,12 @@ class Centres(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Of one block, in whole registers: ``row`` (2e + 4, n), e = d or d + 1 even: steps from the block's middle, distance², the least of them,
-    weights, weights of one cluster, and these times the steps; ``which`` (n,) the place in ``among`` of each particle's
-    cluster; ``among`` (2, ≥ k): entries of candidates and their centres."""
+    """Of one block, in whole registers.
+
+    ``row`` (2e + 4, n), e = d or d + 1 even: steps from the block's middle, distance², the least of them, weights, weights
+    of one cluster, and these times the steps; ``which`` (n,) the place in ``among`` of each particle's cluster; ``among``
+    (2, ≥ k): entries of candidates and their centres.
+    """
 
     row: Real
     which: I4
@@ -69,11 +72,10 @@ def _least_excess(at: F8, per: F8, a: int, b: int, box: F8, block: int) -> float
 
     A sum over components of parabolas, each of which is least at an end of its side or at its vertex.
     """
-    total = 0.0
-    for r in range(at.shape[1]):
-        pa, pb = per[a, r] * per[a, r], per[b, r] * per[b, r]
-        ca, cb = at[a, r], at[b, r]
-        left, right = box[block, 0, r], box[block, 1, r]
+    total, i, j, p = 0.0, U(a), U(b), U(block)
+    for r in range(U(at.shape[1])):
+        pa, pb, ca, cb = per[i, r] * per[i, r], per[j, r] * per[j, r], at[i, r], at[j, r]
+        left, right = box[p, U(0), r], box[p, U(1), r]
         # Without a branch, which would be missed; one that is no number, or outside, becomes an end.
         vertex = (pb * cb - pa * ca) / (pb - pa)
         vertex = vertex if vertex > left else left
@@ -96,9 +98,9 @@ def _contenders(
     """
     best, least, kept = begin, np.inf, 0
     for e in range(begin, end if end > begin + 1 else begin):
-        j, distance2 = component[e], 0.0
-        for r in range(at.shape[1]):
-            step = (box[b, 2, r] - at[j, r]) * per[j, r]
+        j, distance2 = U(component[e]), 0.0
+        for r in range(U(at.shape[1])):
+            step = (box[U(b), U(2), r] - at[j, r]) * per[j, r]
             distance2 += step * step
         if distance2 < least:
             best, least = e, distance2

@@ -1,9 +1,9 @@
 """What the particle sweeps ask of a model: small compiled functions of one particle, chosen by the model's record.
 
 A motion and a sensor hand over a record of their numbers (`BoxWalk`, `OwnSize`, …). The functions `move`, `survives`,
-`sees_velocity`, `prepare`, `seen`, `distance` and `neighbourhood` have one implementation for each type of record. The sweeps
-(`kernels.particles`) call them, and Numba compiles the sweeps for the types that they are given. To add a model, write a
-record and register its functions with `implements`.
+`sees_velocity`, `prepare`, `seen`, `distance` and `neighbourhood` have one implementation for each type of record. The
+sweeps (`kernels.particles`) call them, and Numba compiles the sweeps for the types that they are given. To add a model,
+write a record and register its functions with `implements`.
 
 Particles lie in a scratch array: row r of particle i is ``s[r * BLOCK + i]``. Rows 0 to 7 are the state, rows 8 to 15 hold
 standard normal numbers while particles are moved.

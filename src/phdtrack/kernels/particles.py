@@ -206,7 +206,7 @@ def predict(lo: int, hi: int, motion: Number, state: Real, share: Real, start: I
 
 @njit(**VECTOR)
 def outline(sensor: Number, s: Real, n: int, out: Real) -> None:
-    """Write left, top, right, bottom of n positions, and mean width and height of a few neighbourhoods, into ``out`` (6,)."""
+    """Write left, top, right, bottom of n positions, mean width and height of a few neighbourhoods, into ``out`` (6,)."""
     left = right = sortable(s[X])
     top = bottom = sortable(s[Y])
     for i in range(n):

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR, whole
 from phdtrack.kernels.fast32 import D as U
-from phdtrack.kernels.fast32 import W as WORD
 from phdtrack.kernels.grid import cell_of
 from phdtrack.kernels.particle_models import BLOCK, Number, Real, X, Y
 from phdtrack.kernels.particles import F8, I8, ROWS, SUM, WEIGHT, Part, Sums, load_part, update_weights
