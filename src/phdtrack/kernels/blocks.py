@@ -118,7 +118,8 @@ def load_steps(state: Real, begin: int, n: int, middle: F8, row: Real) -> int:
 
     Copies of the last fill the vector registers; gives how many there are then.
     """
-    at, full = U(begin), (n + LANES - 1) // LANES * LANES
+    at = U(begin)
+    full: int = whole(n)
     for r in range(state.shape[0]):
         zero = state.dtype.type(middle[r])
         for i in range(U(min(full, state.shape[1] - begin))):
