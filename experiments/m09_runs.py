@@ -14,7 +14,7 @@ from experiments.m09_scenes import Halves, detector_seconds, stretch
 from phdtrack import config, pipeline
 from phdtrack.metrics import Scores, evaluate
 from phdtrack.models import MeasurementBirth
-from phdtrack.models.clutter import LocalClutter, UniformClutter
+from phdtrack.models.clutter import BoxClutter, UniformClutter
 from phdtrack.models.volumes import image_volume
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.types import F8, SequenceInfo, Tracks, Truth
@@ -117,7 +117,7 @@ def uniform_of(run: str, model: Model, scene: LearnedScene, train: Case) -> Mode
     each detection with those that were learned."""
     birth, clutter = model.birth, model.clutter
     assert isinstance(birth, MeasurementBirth)
-    assert isinstance(clutter, LocalClutter)
+    assert isinstance(clutter, BoxClutter)
     if run in (IMAGE, GM_IMAGE):
         size = float(train.info.width), float(train.info.height)
         everywhere = MeasurementBirth(birth.births_per_detection, particles=birth.particles, frame_size=size)
@@ -130,7 +130,7 @@ def uniform_of(run: str, model: Model, scene: LearnedScene, train: Case) -> Mode
             births_per_detection=each * (model.rate * scene.births.rate if scene.births else birth.births_per_detection),
         )
     if run in ("A3", "A4"):
-        clutter = LocalClutter(each * scene.clutter.rate)
+        clutter = BoxClutter(each * scene.clutter.rate)
     return replace(model, birth=birth, clutter=clutter)
 
 

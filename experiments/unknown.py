@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from experiments.scans import FilterRun, Realisation, SetErrors, Stages, apart, 
 from phdtrack import pipeline
 from phdtrack.associate import GraphMatching, Labelled
 from phdtrack.models import UniformClutter
-from phdtrack.models.learning import RateLearning, priors_of, with_clutter, with_detection
+from phdtrack.models.learning import RateLearning, priors_of, with_rate
 from phdtrack.protocols import AnyStages, Learning, Model
 from phdtrack.protocols import Stages as Whole
 from phdtrack.scene.rates import RatesLearning, RatesSettings
@@ -66,10 +66,10 @@ KNOWN, UNKNOWN = "known", "unknown, learned"
 def begun(model: Model, start: Start) -> Model:
     """The model that the filter begins with."""
     if start.p_detect:
-        model = with_detection(model, start.p_detect)
+        model = replace(model, sensor=with_rate(model.sensor, start.p_detect))
     if isinstance(model.clutter, UniformClutter):
         rate = start.clutter or start.multiple * model.clutter.clutter_per_frame
-        model = with_clutter(model, rate)
+        model = replace(model, clutter=with_rate(model.clutter, rate))
     return model
 
 

@@ -26,7 +26,7 @@ NEEDED = {
     ("motion", "plane"): PLANE[1:],
     ("sensor", "plane"): PLANE,
     ("clutter", "ground"): PLANE,
-    ("birth", "uniform"): PARTICLES,
+    ("birth", "uniform"): ["motion.kind='point'", *PARTICLES],
     ("extract", "kmeans"): PARTICLES,
     ("extract", "mixture"): PARTICLES,
     ("sensor", "point"): ["motion.kind='point'"],
@@ -222,6 +222,7 @@ def test_of_two_rates_the_one_that_is_named_last_holds():
 
 def test_another_kind_does_not_inherit_settings():
     """The preset's birth rate is per detection; that of uniform births is per frame."""
-    other, same = (config.load(sets=[f"birth.kind={kind}"], preset="m07").as_dict() for kind in ("uniform", "measurement"))
+    kinds = ["motion.kind=point", "birth.kind=uniform"], ["birth.kind=measurement"]
+    other, same = (config.load(sets=sets, preset="m07").as_dict() for sets in kinds)
     assert other["birth"]["births_per_second"] == UniformBirth((1, 1)).births_per_second
     assert same["birth"]["births_per_detection"] == PRESETS["m07"]["birth"]["births_per_detection"]

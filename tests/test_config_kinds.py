@@ -11,7 +11,7 @@ from phdtrack.config.presets import PRESETS
 from phdtrack.errors import InputError
 from phdtrack.filters import MHT, BestHypothesis
 from phdtrack.filters.extract import Components
-from phdtrack.models import LocalPlaneClutter, PlaneBirth, PlaneMotion, PlaneSensor
+from phdtrack.models import PlaneBirth, PlaneClutter, PlaneMotion, PlaneSensor
 from phdtrack.types import SequenceInfo
 
 INFO = SequenceInfo(640, 480, 25.0)
@@ -38,8 +38,12 @@ def test_a_filter_brings_an_extraction_that_fits_it(preset: str, tmp_path):
     (["filter.kind=particle-phd", "extract.kind=components"], "kmeans or mixture"),
     (["filter.kind=particle-phd", "associate.kind=labelled"], "use graph; it goes with filter.kind=.*pmb"),
     (["extract.kind=kmeans"], "use bernoullis; it goes with filter.kind=particle-phd"),
-    (["birth.kind=uniform"], "birth.kind=measurement"),
-    (["filter.kind=gm-cphd", "birth.kind=uniform"], "birth.kind=measurement"),
+    (["motion.kind=point", "birth.kind=measurement"], "does not fit"),
+    (["sensor.kind=point"], "does not fit"),
+    (["birth.kind=point"], "does not fit"),
+    (["birth.kind=uniform"], "use measurement or scene; it goes with motion.kind=point"),
+    (["motion.kind=point", "birth.kind=uniform"], "birth.kind=.*point"),
+    (["motion.kind=point", "filter.kind=gm-cphd", "birth.kind=uniform"], "birth.kind=.*point"),
     (["filter.kind=particle-cphd", "extract.kind=components"], "use mixture or kmeans"),
 ])  # fmt: skip
 def test_kinds_that_do_not_go_together(sets: list[str], says: str):
@@ -58,7 +62,7 @@ def test_the_ground_plane_brings_what_fits_it(filter_: str, order: int):
     assert (type(model.motion), type(model.sensor), type(model.birth)) == (PlaneMotion, PlaneSensor, PlaneBirth)
     assert (model.rate, model.first) == (1.0, 0.1)
     assert model.motion.borders == model.sensor.borders == model.birth.borders == (-10.0, 0.0, 10.0, 40.0)
-    assert type(model.clutter) is LocalPlaneClutter
+    assert type(model.clutter) is PlaneClutter
     if filter_ != "pmb":
         assert settings.as_dict()["associate"]["gap_cost"] == 1.609
     # What was asked for stays, also over a filter named later.

@@ -103,5 +103,5 @@ def test_settings_of_the_detector_go_through_unchecked(tmp_path):
     """They depend on the detector, which checks them itself."""
     path = tmp_path / "settings.toml"
     path.write_text("[detector]\nthreshold = 12\n", encoding="utf-8")
-    assert config.load(path, ["detector.mask=a.png"]).detector == {"threshold": 12, "mask": "a.png"}
-    assert config.load().detector == {}
+    assert config.load(path, ["detector.mask=a.png"]).values("detector") == {"threshold": 12, "mask": "a.png"}
+    assert config.load().values("detector") == {}

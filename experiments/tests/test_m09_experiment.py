@@ -11,7 +11,7 @@ from experiments.m09_runs import GM, GM_IMAGE, IMAGE, UM, SceneRun
 from phdtrack.arrays import iou
 from phdtrack.associate.rejection import FalseTrackRejection
 from phdtrack.label.samples import REACH, Marks
-from phdtrack.models import LocalClutter, MeasurementBirth, UniformClutter
+from phdtrack.models import BoxClutter, MeasurementBirth, UniformClutter
 from phdtrack.models.scene import SceneBirth, SceneClutter
 from phdtrack.protocols import Birth, Clutter
 from phdtrack.scene import LearnedDensity, TrackedObjects, marginal, uniform_density
@@ -82,7 +82,7 @@ def test_every_run_has_its_births_and_its_clutter(street) -> None:
         "A3": estimated, "A4": learned, "A5": estimated, "A6": by_hand,
     }  # fmt: skip
     clutter = {run: rate_and_kind(one.model.clutter) for run, one in stages.items()}
-    usual, rated = (LocalClutter, 1.5, None), (LocalClutter, 2.5 * each, None)
+    usual, rated = (BoxClutter, 1.5, None), (BoxClutter, 2.5 * each, None)
     false, bare = (SceneClutter, 2.5, 1.5), (SceneClutter, 2.5, 0.0)
     assert clutter == {
         UM: usual, IMAGE: (UniformClutter, 1.5, None), GM: false, GM_IMAGE: bare, "A1": usual, "A2": false, "A3": rated,

@@ -6,11 +6,8 @@ sentences. The command line prints it without a traceback and exits with status 
 Bounds are stated once, in the annotation of a field, and checked wherever a record of settings is made:
 
     @dataclass(frozen=True)
-    class Sensor:
+    class Sensor(Checked):
         detection: Probability = 0.95
-
-        def __post_init__(self) -> None:
-            check(self)
 """
 
 from __future__ import annotations
@@ -79,6 +76,15 @@ def bounds(kind: type[Any]) -> tuple[tuple[str, tuple[Any, ...]], ...]:
         if get_origin(hint) is Annotated:
             found.append((field.name, get_args(hint)[1:]))
     return tuple(found)
+
+
+class Checked:
+    """A dataclass whose fields are within the bounds of their annotations."""
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        check(self)
 
 
 def check(settings: Any) -> None:

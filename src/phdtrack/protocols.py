@@ -423,7 +423,7 @@ class Learning(Protocol[C]):
         """``model`` with what was learned so far."""
 
     def with_scores(self, state: C, model: Model, detections: Detections) -> Model:
-        """A model with what the scores of a frame's detections say.
+        """A model with what the scores of a frame's detections say; the same where they are not learned.
 
         Parameters
         ----------
@@ -435,6 +435,7 @@ class Learning(Protocol[C]):
         -------
         model : with the likelihood ratios of the scores.
         """
+        return model
 
     def advance(self, state: C, step: Step) -> C:
         """Take in what one frame brought."""

@@ -21,7 +21,7 @@ from phdtrack.errors import InputError
 from phdtrack.filters import NoFilter
 from phdtrack.filters.none import Raw
 from phdtrack.formats import DetectionsWriter, read_detections, read_tracks
-from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth
+from phdtrack.models import BoxClutter, BoxMotion, BoxSensor, MeasurementBirth
 from phdtrack.protocols import Model, Stages
 from phdtrack.report import About
 from phdtrack.types import Detections, Frame, SequenceInfo, Truth
@@ -73,7 +73,7 @@ class Looker:
 
 @pytest.fixture
 def job() -> Job:
-    model = Model(BoxMotion(), BoxSensor(), MeasurementBirth(births_per_detection=0.25), LocalClutter(1.0))
+    model = Model(BoxMotion(), BoxSensor(), MeasurementBirth(births_per_detection=0.25), BoxClutter(1.0))
     stages = Stages(model, NoFilter(), Raw(), GraphMatching())
     clip = Clip()
     return Job(

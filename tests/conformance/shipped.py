@@ -32,13 +32,13 @@ from phdtrack.filters.hypotheses import Cluster, Nodes
 from phdtrack.filters.mcmc import JointSamples
 from phdtrack.kernels.pmb import Layer
 from phdtrack.models import (
+    BoxClutter,
     BoxMotion,
     BoxSensor,
     FixedBirth,
-    LocalClutter,
-    LocalPlaneClutter,
     MeasurementBirth,
     PlaneBirth,
+    PlaneClutter,
     PlaneMotion,
     PlaneSensor,
     PointBirth,
@@ -94,7 +94,6 @@ def learned(low: list[float], high: list[float]) -> SceneDensity:
 BIRTHS = {
     "measurement, image": MeasurementBirth(births_per_second=0.02, particles=200, frame_size=SIZE),
     "measurement, local": MeasurementBirth(births_per_detection=0.02, particles=200),
-    "uniform": UniformBirth(SIZE, particles=40),
     "fixed": FixedBirth(mixture(6), particles=100),
     "learned": SceneBirth(0.05, learned([0, 0, -9, -9, 0, 0], [640, 480, 9, 9, 640, 480]), particles=200),
 }
@@ -117,10 +116,10 @@ POINT_BIRTHS = {
     "point": PointBirth(births_per_second=0.02, particles=200, frame_size=SIZE),
     "point, uniform": UniformBirth(SIZE, particles=40),
 }
-CLUTTERS = {"uniform": UniformClutter(2.0, (640.0 * 480) ** 2), "local": LocalClutter(2.0), "none": UniformClutter(0.0, 1.0)}
+CLUTTERS = {"uniform": UniformClutter(2.0, (640.0 * 480) ** 2), "local": BoxClutter(2.0), "none": UniformClutter(0.0, 1.0)}
 CLUTTERS["learned"] = SceneClutter(2.0, PEOPLE)
 CLUTTERS["laid over"] = SceneClutter(2.0, PEOPLE, clutter_per_detection=0.5)
-PLANE_CLUTTERS = {"plane, region": UniformClutter(2.0, 800.0), "plane, local": LocalPlaneClutter(2.0)}
+PLANE_CLUTTERS = {"plane, region": UniformClutter(2.0, 800.0), "plane, local": PlaneClutter(2.0)}
 FILTERS = {
     "particle-phd": ParticlePHD(particles_per_target=200),
     "bounded": ParticlePHD(particles_per_target=200, max_particles=150),

@@ -108,8 +108,8 @@ def test_newborn_gaussians_have_the_density_of_gamma_at_their_detection(birth, s
 
 
 def test_uniform_births_have_no_mixture_and_say_what_has():
-    with pytest.raises(InputError, match="measurement"):
-        BIRTHS["uniform"].gaussians(np.zeros((4, 0)), SENSOR, 1.0)
+    with pytest.raises(InputError, match=r"birth\.kind=point"):
+        POINT_BIRTHS["point, uniform"].gaussians(np.zeros((2, 0)), SENSORS["point"], 1.0)
 
 
 @births

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phdtrack.kernels.gaussian import Births
-from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth, UniformClutter
+from phdtrack.models import BoxClutter, BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
 from phdtrack.models.births import births_around
 from phdtrack.models.volumes import image_volume
 from phdtrack.protocols import Model
@@ -42,7 +42,7 @@ def with_births(model: Model, rate: float = 0.05, most: int = 300) -> Model:
     return replace(
         model,
         birth=MeasurementBirth(births_per_detection=25 * rate, particles=most, frame_size=FRAME),
-        clutter=LocalClutter(0.5),
+        clutter=BoxClutter(0.5),
     )
 
 

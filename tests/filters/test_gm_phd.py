@@ -13,10 +13,10 @@ from composed import composed_step
 from phdtrack.errors import InputError
 from phdtrack.filters import GMCPHD, GMPHD, ParticlePHD
 from phdtrack.models import (
+    BoxClutter,
     BoxMotion,
     BoxSensor,
     FixedBirth,
-    LocalClutter,
     MeasurementBirth,
     UniformBirth,
     UniformClutter,
@@ -145,7 +145,7 @@ def with_no_births(model: Model) -> Model:
 
 
 def test_births_stop_where_mass_explains_the_detection(rng):
-    model = world(birth=MeasurementBirth(births_per_detection=25 * 0.05), clutter=LocalClutter(0.5))
+    model = world(birth=MeasurementBirth(births_per_detection=25 * 0.05), clutter=BoxClutter(0.5))
     z = MEAN[ROWS, None]
     for weight, born in ((1.2, False), (0.5, True)):
         state = GaussianMixture(np.array([weight]), MEAN[:, None], COV[None])
@@ -195,7 +195,7 @@ def test_a_target_keeps_its_tag(general: bool, rng):
         BoxMotion(frame_size=FRAME),
         BoxSensor(detection_probability=0.9),
         MeasurementBirth(births_per_detection=0.25),
-        LocalClutter(0.3),
+        BoxClutter(0.3),
     )
     recursion, known = GMPHD(), []
     state = recursion.start(model, rng)
@@ -246,5 +246,5 @@ def test_what_comes_without_tags_is_given_some(rng):
 
 def test_what_has_no_gaussian_form_is_an_error_with_its_cure(rng):
     state, z = nearby(rng, 2), MEAN[ROWS, None]
-    with pytest.raises(InputError, match=r"birth\.kind=measurement"):
+    with pytest.raises(InputError, match=r"birth\.kind=point"):
         GMPHD().step(state, z, replace(LINEAR, birth=UniformBirth(FRAME)), 1.0, rng)

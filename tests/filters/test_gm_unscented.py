@@ -12,7 +12,7 @@ from composed import composed_step
 from experiments.bearing import BearingSensor, TurningMotion
 from phdtrack.errors import InputError
 from phdtrack.filters import GMPHD
-from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth, UniformClutter
+from phdtrack.models import BoxClutter, BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
 from phdtrack.models.gaussian import sigma_points
 from phdtrack.protocols import Model
 from phdtrack.types import GaussianMixture
@@ -55,7 +55,7 @@ def test_it_is_the_linear_one_where_the_model_is_linear(scaling: str, rng):
     """Along a run, every Gaussian to 1e-9; and its step is the composition, though the model is the shipped one."""
     sensor = BoxSensor(detection_probability=0.9, scaling=scaling)
     motion = BoxMotion(frame_size=FRAME, remember_size=scaling == "previous")
-    model = Model(motion, sensor, MeasurementBirth(births_per_detection=0.25), LocalClutter(0.5))
+    model = Model(motion, sensor, MeasurementBirth(births_per_detection=0.25), BoxClutter(0.5))
     linear, unscented = GMPHD(), GMPHD(transform="unscented")
     state = linear.start(model, rng)
     at = mixture(rng, 4).mean

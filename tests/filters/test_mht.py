@@ -10,7 +10,7 @@ from mht_cases import FRAME, RNG, boxes, histories, run, scene, told, walk, worl
 
 from phdtrack import config
 from phdtrack.filters import MHT
-from phdtrack.models import LocalClutter, MeasurementBirth, UniformClutter
+from phdtrack.models import BoxClutter, MeasurementBirth, UniformClutter
 from phdtrack.types import SequenceInfo
 from reference.gm_twin import corrected
 
@@ -30,7 +30,7 @@ def test_on_clean_data_it_is_a_kalman_filter_for_each_target(transform: str, dt:
     assert len(found) == 3
     assert info.mass == pytest.approx(3, abs=1e-3)
     assert found.detection.tolist() == [0, 1, 2]
-    h, births = np.eye(6)[[0, 1, 4, 5]], model.birth.mixture
+    h, births = np.eye(6)[[0, 1, 4, 5]], model.birth.places
     for j in range(3):
         mean, cov, means = births.mean[:, 0], births.covariance[0], []
         for k, z in enumerate(scans):
@@ -184,7 +184,7 @@ def test_limits_hold_where_everything_competes():
 def test_overlapping_targets_are_told_of_once():
     """A detector that fires twice on one object: the track that began first is its."""
     birth = MeasurementBirth(births_per_detection=25 * 0.1, particles=100)
-    model = replace(world(detection=0.95, survival=0.99), birth=birth, clutter=LocalClutter(0.1))
+    model = replace(world(detection=0.95, survival=0.99), birth=birth, clutter=BoxClutter(0.1))
     scans = [boxes((200 + k, 200)) if k < 5 else boxes((206 + k, 203), (200 + k, 200)) for k in range(15)]
     state, _ = run(MHT(), scans, model)
     assert len(told(state, model)) == 2

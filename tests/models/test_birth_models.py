@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import kstest
 
 from phdtrack.errors import InputError
-from phdtrack.models import BoxSensor, FixedBirth, MeasurementBirth, UniformBirth
+from phdtrack.models import BoxSensor, FixedBirth, MeasurementBirth
 from phdtrack.types import GaussianMixture
 from reference import birth_twin as twin
 
@@ -91,26 +91,6 @@ def test_births_over_the_image_need_the_size_of_the_frame_and_are_not_also_aroun
         MeasurementBirth(0.25).sample(columns(ALONE), np.zeros(1), BoxSensor(), 1.0, rng)
     with pytest.raises(InputError, match="not both"):
         MeasurementBirth(0.25, 0.25)
-
-
-@pytest.mark.parametrize("scaling", ["particle", "previous", "given"])
-def test_uniform_births(scaling: str, rng):
-    z = np.vstack([columns(APART), np.ones((4, 3))]) if scaling == "given" else columns(APART)
-    birth = UniformBirth(FRAME, births_per_second=0.3, particles=500, min_size=0.1, max_size=0.4)
-    born = birth.sample(z, np.zeros(3), BoxSensor(scaling=scaling), 2.5, rng)
-    assert born.mass == pytest.approx(0.75)
-    assert len(set(born.weight)) == 1
-    assert born.state.shape == (8 if scaling == "previous" else 6, 500)
-    for row, low, high in ((0, 0, 640), (1, 0, 480), (4, 64, 256), (5, 48, 192)):
-        assert kstest(born.state[row], "uniform", (low, high - low)).pvalue > 1e-3
-    if scaling == "previous":
-        np.testing.assert_array_equal(born.state[6:8], born.state[4:6])
-
-
-@pytest.mark.parametrize("wrong", [{"min_size": 0.0}, {"min_size": 0.6}, {"max_size": 0.01}])
-def test_uniform_births_have_a_range_of_sizes_above_zero(wrong):
-    with pytest.raises(InputError, match="min_size"):
-        UniformBirth((640.0, 480.0), **wrong)
 
 
 def test_fixed_births(rng):

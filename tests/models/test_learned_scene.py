@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth, UniformClutter
+from phdtrack.models import BoxClutter, BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
 from phdtrack.models.scene import SceneBirth, SceneClutter, with_scene
 from phdtrack.models.volumes import image_volume, local_volume
 from phdtrack.protocols import Model
@@ -18,7 +18,7 @@ LOW, HIGH = np.array([0.0, 0, -30, -30, 0, 0]), np.array([640.0, 480, 30, 30, 64
 SHOWN = [0, 1, 4, 5]
 SENSOR, FIXED = BoxSensor(), BoxSensor(scaling="fixed", fixed_noise=(3.0, 6.0))
 MODEL = Model(
-    BoxMotion(frame_size=SIZE), SENSOR, MeasurementBirth(births_per_detection=0.05, particles=300), LocalClutter(0.4)
+    BoxMotion(frame_size=SIZE), SENSOR, MeasurementBirth(births_per_detection=0.05, particles=300), BoxClutter(0.4)
 )
 ANYWHERE, ANY_BOX = uniform_density(LOW, HIGH), uniform_density(LOW[SHOWN], HIGH[SHOWN])
 # Of which nothing is known but that objects and births are detected anywhere.

@@ -20,11 +20,6 @@ def measured(rng, n: int, **settings):
     return sensor, x, sensor.measure(Detections.of(sensor.boxes(x)))
 
 
-def test_a_foot_point_is_where_its_person_stands(rng):
-    _, x, z = measured(rng, 20)
-    np.testing.assert_allclose(z[:2], x[:2])
-
-
 def test_the_covariance_is_that_of_jittered_boxes(rng):
     """Deviations are fractions of the box's size: 40 000 draws of the foot point, through the camera."""
     sensor, _, z = measured(rng, 4, box_noise=(0.06, 0.01), min_noise=0.5)
@@ -52,11 +47,8 @@ def test_the_fixed_noise_is_the_same_everywhere(rng):
     np.testing.assert_allclose(z[2:], np.repeat([[0.5], [0], [0.5]], 6, axis=1))
     noise = PlaneSensor(camera=CAMERA, scaling="fixed").noise(x)
     np.testing.assert_allclose(noise, np.repeat([[0.5**0.5], [0.5**0.5], [1], [1]], 6, axis=1))
-
-
-def test_the_noise_of_a_person_is_that_of_his_detection(rng):
-    sensor, x, z = measured(rng, 6)
-    np.testing.assert_allclose(sensor.noise(x)[:2] ** 2, z[[2, 4]])
+    given, x, z = measured(rng, 6)
+    np.testing.assert_allclose(given.noise(x)[:2] ** 2, z[[2, 4]])
 
 
 def test_feet_above_the_horizon_are_columns_of_nan(rng):

@@ -9,7 +9,7 @@ from phdtrack import pipeline
 from phdtrack.associate import GraphMatching
 from phdtrack.filters import GMPHD
 from phdtrack.filters.extract import Components
-from phdtrack.models import LocalPlaneClutter, PlaneBirth, PlaneMotion, PlaneSensor
+from phdtrack.models import PlaneBirth, PlaneClutter, PlaneMotion, PlaneSensor
 from phdtrack.models.volumes import local_density
 from phdtrack.protocols import Model, Stages
 from phdtrack.types import Detections
@@ -28,14 +28,14 @@ def test_the_density_adds_up_to_the_rate(rng):
 def test_a_detection_gives_itself_the_clutter_of_its_own_ellipse():
     z = np.array([[0.0, 50], [0, 0], [0.25, 4], [0, 1], [1, 4]])
     want = 0.3 / (np.pi * 36 * np.sqrt([0.25, 15]))
-    np.testing.assert_allclose(LocalPlaneClutter(0.3).intensity(z), want)
+    np.testing.assert_allclose(PlaneClutter(0.3).intensity(z), want)
 
 
 def believed_after(depth: float) -> int:
     """Coherent detections of somebody standing there up to his first state."""
     sensor = PlaneSensor(camera=LevelCamera(), frame_size=FRAME)
     world = Stages(
-        Model(PlaneMotion(), sensor, PlaneBirth(), LocalPlaneClutter(0.3), rate=1.0, first=0.1),
+        Model(PlaneMotion(), sensor, PlaneBirth(), PlaneClutter(0.3), rate=1.0, first=0.1),
         GMPHD(), Components(), GraphMatching(gap_cost=1.609),
     )  # fmt: skip
     box = Detections.of(sensor.boxes(np.array([[0.0], [depth], [0], [0]])))

@@ -87,12 +87,3 @@ def test_every_filter_can_do_with_points(filter_name: str, rng):
     distance = np.hypot(*(found.state[:2, :, None] - true[:, None, :]))
     assert (distance.min(axis=0) < 4).all()
     assert len(found) == (3 if filter_name == "none" else 2)
-
-
-def test_kinds_of_points_and_of_boxes_are_not_mixed():
-    for sets in (["motion.kind=point", "birth.kind=measurement"], ["sensor.kind=point"], ["birth.kind=point"]):
-        with pytest.raises(InputError, match="does not fit"):
-            config.load(sets=sets)
-    with pytest.raises(InputError, match="or point"):
-        config.load(preset="d14", sets=["filter.kind=gm-phd"])
-    config.load(preset="d14", sets=["filter.kind=gm-phd", "birth.kind=point"])

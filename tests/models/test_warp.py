@@ -38,10 +38,14 @@ def test_velocity_is_that_of_the_moving_point_and_size_that_of_areas(rng):
     """By moving the point on, and by the area of a small square about it."""
     x, h = some(rng), 1e-4
     moved = warp_of.warp_states(x, STEEP)
-    later = warp_of.points(STEEP, x[:2] + h * x[2:4])
+
+    def place(p):
+        return warp_of.warp_states(np.vstack([p, np.zeros((4, 20))]), STEEP)[:2]
+
+    later = place(x[:2] + h * x[2:4])
     np.testing.assert_allclose(moved[2:4], (later - moved[:2]) / h, rtol=1e-3, atol=1e-5)
     aside, below = h * np.eye(2)[:, :, None].repeat(20, axis=2)
-    a, b = ((warp_of.points(STEEP, x[:2] + step) - moved[:2]) / h for step in (aside, below))
+    a, b = ((place(x[:2] + step) - moved[:2]) / h for step in (aside, below))
     np.testing.assert_allclose(moved[4:6] / x[4:6], np.tile(np.sqrt(a[0] * b[1] - a[1] * b[0]), (2, 1)), rtol=1e-5)
 
 

@@ -10,7 +10,7 @@ from phdtrack import config, pipeline
 from phdtrack.arrays import to_cxcywh
 from phdtrack.associate.rejection import FalseTrackRejection
 from phdtrack.formats import read_detections, read_truth
-from phdtrack.models.clutter import LocalClutter
+from phdtrack.models.clutter import BoxClutter
 from phdtrack.scene import read_scene, write_scene
 from phdtrack.types import SequenceInfo
 
@@ -52,7 +52,7 @@ def test_false_alarms_come_to_those_that_are_shipped(followed):
     scene, built, found = followed
     learned = found[-1][0].learned
     model = built.learning.model(learned, built.model)
-    assert isinstance(built.model.clutter, LocalClutter)
+    assert isinstance(built.model.clutter, BoxClutter)
     assert model.clutter.clutter_per_detection == built.model.clutter.clutter_per_detection
     z = built.model.sensor.measure(scene.detections.at(1500))
     alone, shipped = model.clutter.clutter_per_frame * model.clutter.density(z[:4]), built.model.clutter.intensity(z)

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.associate.history import History, Moment, Path, measurements, open_links, rows_of
-from phdtrack.errors import Count, InputError, NonNegative, Positive, PositiveCount, Probability, check
+from phdtrack.errors import Checked, Count, InputError, NonNegative, Positive, PositiveCount, Probability
 from phdtrack.kernels.gaussian import gaussian_parts
 from phdtrack.kernels.linking import Fresh, Links, Terms, Window, link_states
 from phdtrack.models import warp as warp_of
@@ -104,7 +104,7 @@ class GraphState:
 
 
 @dataclass(frozen=True, slots=True)
-class GraphMatching:
+class GraphMatching(Checked):
     """Settings of the association.
 
     Parameters
@@ -137,9 +137,6 @@ class GraphMatching:
     bridge_gaps: bool = True
     back_dating: Count = 5
     history: NonNegative = 0.0
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def start(self) -> GraphState:
         """Nothing seen."""

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.associate.history import NO_LINKS, History, Moment, measurements, rows_of
-from phdtrack.errors import Count, InputError, NonNegative, PositiveCount, check
+from phdtrack.errors import Checked, Count, InputError, NonNegative, PositiveCount
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, Bool, Estimates, MeasurementHistory, Tracks
 
@@ -96,7 +96,7 @@ class LabelledState:
 
 
 @dataclass(frozen=True, slots=True)
-class Labelled:
+class Labelled(Checked):
     """Settings of identities by label.
 
     Parameters
@@ -116,9 +116,6 @@ class Labelled:
     max_coast: NonNegative = 0.2
     bridge_gaps: bool = True
     history: NonNegative = 0.0
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def start(self) -> LabelledState:
         """Nothing seen."""

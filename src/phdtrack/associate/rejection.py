@@ -17,7 +17,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from phdtrack.arrays import to_cxcywh
-from phdtrack.errors import NonNegative, PositiveCount, check
+from phdtrack.errors import Checked, NonNegative, PositiveCount
 from phdtrack.models.scene import FalseAlarmRatio
 from phdtrack.protocols import Associator, Model
 from phdtrack.types import F8, I8, Bool, Estimates, MeasurementHistory, Tracks
@@ -37,7 +37,7 @@ class RejectionState(Generic[A]):
 
 
 @dataclass(frozen=True, slots=True)
-class FalseTrackRejection(Generic[A]):
+class FalseTrackRejection(Checked, Generic[A]):
     """An associator whose tracks are withheld where a scene's false alarms are.
 
     Parameters
@@ -52,9 +52,6 @@ class FalseTrackRejection(Generic[A]):
     ratio: FalseAlarmRatio
     immediate_confirmation: NonNegative = 0.0
     min_track_length: PositiveCount = 1
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def start(self) -> RejectionState[A]:
         """Nothing seen."""

@@ -63,7 +63,7 @@ def label(
         raise InputError(problem, where="phdtrack label", cure="pip install 'phdtrack[web]'") from error
     output, settings = Output(), load(config, sets or ())
     file = labels or labels_file(source)
-    found = to_label(source, settings.detector, file, output)
+    found = to_label(source, settings.values("detector"), file, output)
     store = LabelStore.open(file, found.name, found.digest, sampled(found.info.frames, frames, seed))
     numbers = [number for number, _ in store.frames()]
     pictures = _stills(source, numbers, {frame for number in numbers for frame in clip(number, found.info.frames)})
@@ -197,7 +197,7 @@ def learn(
     if target.exists() and not overwrite:
         raise InputError("this file is there already", where=target, cure="Say --overwrite, or choose another --out")
     settings = load(config, sets or (), preset)
-    found = to_label(source, settings.detector, file, output)
+    found = to_label(source, settings.values("detector"), file, output)
     stretch = range(first, min(last or found.info.frames, found.info.frames) + 1)
     if not stretch:
         raise InputError(f"there are no frames from {first} to {stretch.stop - 1}", where="--first", cure="Begin earlier")

@@ -106,7 +106,7 @@ def detect(
     What was detected is written frame by frame, so that Ctrl-C loses nothing.
     """
     looked = SourceOptions(source, detector=detector, fps=fps, max_width=max_width, mask=mask)
-    inputs = open_inputs(looked, load(config, sets or ()).detector)
+    inputs = open_inputs(looked, load(config, sets or ()).values("detector"))
     files = {rundir.DETECTIONS: rundir.RUN_FILES[rundir.DETECTIONS]}
     directory = rundir.claim(out, overwrite, files, name=inputs.info.name)
     counts, file, clock = list[int](), directory.file(rundir.DETECTIONS), time.perf_counter()
@@ -132,7 +132,7 @@ def prepare(source: SourceOptions, options: TrackingOptions, settings: Settings,
     truth = None if options.truth is None else read_truth(options.truth)
     if source.detections is None:
         settings = config.for_detector(settings, source.detector or DEFAULT_DETECTOR)
-    inputs = open_inputs(source, settings.detector, 0 if truth is None else int(truth.frame.max(initial=0)))
+    inputs = open_inputs(source, settings.values("detector"), 0 if truth is None else int(truth.frame.max(initial=0)))
     stages = config.build(settings, inputs.info, moving=True)
     read: dict[str, object] = {"detections": str(source.detections)}
     if source.detections is None:

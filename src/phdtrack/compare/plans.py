@@ -188,7 +188,7 @@ def plan(wanted: Request) -> Plan:
                 cure = "Write {} where the name of the sequence stands in the names of the files."
                 raise InputError(f"{name} cannot belong to {len(wanted.sequences)} sequences", where=option, cure=cure)
     methods = _methods(wanted)
-    parameters = wanted.load([text for text in wanted.sets if _section(text) == "detector"]).detector
+    parameters = wanted.load([text for text in wanted.sets if _section(text) == "detector"]).values("detector")
     _detector_parameters(wanted.detectors, wanted.max_width, parameters)  # raises where one does not exist
     cases = tuple(case for word in wanted.sequences for case in _cases(word, wanted, parameters))
     for case in cases:

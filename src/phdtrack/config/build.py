@@ -11,16 +11,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from phdtrack.config.kinds import CameraSettings, LearnSettings, Places, SceneClutterSettings
+from phdtrack.config.kinds import CameraSettings, LearnSettings, SceneClutterSettings
 from phdtrack.config.settings import Settings, overlay
 from phdtrack.errors import InputError
-from phdtrack.models.births import FixedBirth
-from phdtrack.models.clutter import LocalClutter, LocalPlaneClutter, UniformClutter
-from phdtrack.models.volumes import EVERYWHERE, Region, area, image_area, image_volume
+from phdtrack.models.volumes import EVERYWHERE, Region, area, image_area
 from phdtrack.protocols import AnyStages, Associator, Birth, Clutter, Learning, Model, Stages
-from phdtrack.types import GaussianMixture, SequenceInfo
+from phdtrack.types import SequenceInfo
 
 if TYPE_CHECKING:
     from phdtrack.groups.pipeline import GroupStages
@@ -64,8 +60,7 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
         from phdtrack.filters.none import Raw
 
         return Stages(model, settings.build("filter"), Raw(), associator, smoother=smoother)
-    initial = settings.values("filter").get("initial")
-    filter_ = settings.build("filter", initial=_places(initial) if initial else None, frame_size=size)
+    filter_ = settings.build("filter", frame_size=size)
     rates, explainer = _rates(settings, model, None, info), settings.build("merged_measurements")
     stages = Stages(model, filter_, settings.build("extract"), associator, rates, explainer, smoother=smoother)
     if settings.kind("learn") == "none":
@@ -143,17 +138,15 @@ def _ground(ground: CameraSettings, size: Size) -> tuple[Camera | None, Region]:
 def _birth(settings: Settings, sensor: Any, size: Size, region: Region) -> Birth:
     """Where targets appear. Raises `InputError` where births were not learned, or for another rate or sensor."""
     kind, birth = settings.kind("birth"), settings.build("birth", frame_size=size, borders=region)
-    if kind == "places":
-        return FixedBirth(_places(birth.places), birth.particles)
     if kind != "scene":
         made: Birth = birth
         return made
     from phdtrack.models.scene import SceneBirth, objects_of
 
-    scene, rate, observed = _scene(birth.file, size), settings.build("time").units_per_second, sensor.observed
+    rate, observed = settings.build("time").units_per_second, sensor.observed
+    scene = _scene(birth.file, size, rate)
     if scene.births is None:
         raise InputError("births were not learned in this scene", where=birth.file, cure="Leave birth.kind out")
-    _check_rate(scene, birth.file, rate)
     # What is not shown are the two velocities.
     if scene.births.density.dim != len(observed) + 2:
         problem = f"expected births of {len(observed) + 2} components, got {scene.births.density.dim}"
@@ -167,22 +160,20 @@ def _birth(settings: Settings, sensor: Any, size: Size, region: Region) -> Birth
 
 def _clutter(settings: Settings, size: Size, region: Region) -> Clutter:
     """Where false alarms are: in an image of this size, or on the ground in ``region``."""
-    kind, given = settings.kind("clutter"), settings.build("clutter")
-    if kind == "scene":
-        from phdtrack.models.scene import SceneClutter
+    kind = settings.kind("clutter")
+    volume = image_area(size) if kind == "point" else 1.0
+    given = settings.build("clutter", frame_size=size, borders=region, volume=volume)
+    if kind != "scene":
+        if kind == "ground" and given.clutter_per_frame and not given.density:
+            area(region, "clutter.clutter_per_frame on the ground")
+        made: Clutter = given
+        return made
+    from phdtrack.models.scene import SceneClutter
 
-        scene = _scene(given.file, size)
-        if scene.clutter is None:
-            raise InputError("false alarms were not learned in this scene", where=given.file, cure="Leave clutter.kind out")
-        return SceneClutter(scene.clutter.rate, scene.clutter.density, given.clutter_per_detection)
-    if kind == "point":
-        return UniformClutter(given.clutter_per_frame, image_area(size))
-    if kind == "ground" and given.density > 0:
-        return UniformClutter(given.density, 1.0)
-    if given.clutter_per_detection > 0:
-        return (LocalClutter if kind == "image" else LocalPlaneClutter)(given.clutter_per_detection)
-    where = "clutter.clutter_per_frame on the ground"
-    return UniformClutter(given.clutter_per_frame, image_volume(size) if kind == "image" else area(region, where))
+    scene = _scene(given.file, size)
+    if scene.clutter is None:
+        raise InputError("false alarms were not learned in this scene", where=given.file, cure="Leave clutter.kind out")
+    return SceneClutter(scene.clutter.rate, scene.clutter.density, given.clutter_per_detection)
 
 
 def _associator(settings: Settings, size: Size) -> Associator[Any]:
@@ -217,10 +208,7 @@ def _learning(settings: Settings, stages: AnyStages, info: SequenceInfo) -> Lear
         files = sorted(str(file) for file in Path(given.file).glob("scene*.json"))
         if not files:
             raise InputError("there is no scene*.json in this folder", where=given.file, cure="Name a run that has learned")
-    scenes = tuple(_scene(file, size) for file in files)
-    for file, scene in zip(files, scenes, strict=True):
-        if scene.births is not None:
-            _check_rate(scene, file, rate)
+    scenes = tuple(_scene(file, size, rate) for file in files)
     return SceneLearning(rule, stages.model, ShadowTracker(stages), given.particles, scenes)
 
 
@@ -236,32 +224,16 @@ def _rates(settings: Settings, model: Model, other: Learning[Any] | None, info: 
     return RateLearning(RatesLearning(given, priors_of(model), model.rate, delay), other)
 
 
-def _scene(file: str, size: Size) -> Scene:
-    """What was learned of a scene whose frames have this size."""
+def _scene(file: str, size: Size, rate: float = 0.0) -> Scene:
+    """What was learned of a scene whose frames have this size, and its births at ``rate``, if given."""
     from phdtrack.scene import read_scene
 
     scene = read_scene(Path(file))
     if (float(scene.width), float(scene.height)) != size:
         problem = f"the scene was learned on frames of {scene.width}x{scene.height}, and these are {size[0]:g}x{size[1]:g}"
         raise InputError(problem, where=file, cure="Learn it on this video: phdtrack learn")
-    return scene
-
-
-def _check_rate(scene: Scene, file: str, rate: float) -> None:
-    """Raise `InputError` where births were learned in other units of time."""
-    if scene.rate != rate:
+    if rate and scene.births is not None and scene.rate != rate:
         problem = f"births were learned with {scene.rate:g} time units a second, and there are {rate:g}"
         cure = f"Say --set time.units_per_second={scene.rate:g}, or learn again"
         raise InputError(problem, where=file, cure=cure)
-
-
-def _places(places: Places) -> GaussianMixture:
-    """Gaussians at rest at given places of the ground."""
-    x, y, weight, position, velocity = np.array(places, dtype=np.float64).reshape(-1, 5).T
-    whole = np.isfinite(x + y + weight + position + velocity) & (weight >= 0) & (position > 0) & (velocity > 0)
-    if not whole.all():
-        problem = "expected places as x, y, a weight from 0, deviations of position and of velocity above 0"
-        raise InputError(problem, where="places")
-    nothing = np.zeros(len(x))
-    cov = np.square(np.stack([position, position, velocity, velocity], axis=1))[:, :, None] * np.eye(4)
-    return GaussianMixture(weight.copy(), np.stack([x, y, nothing, nothing]), cov)
+    return scene

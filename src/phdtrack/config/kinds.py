@@ -15,38 +15,39 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any, get_type_hints
 
-from phdtrack.errors import NonNegative, Positive, PositiveCount, check
+import numpy as np
+
+from phdtrack.errors import Checked, InputError, NonNegative, Positive, PositiveCount, check
 from phdtrack.files import read_toml
-from phdtrack.models.volumes import EVERYWHERE, Region, check_region, one_rate
+from phdtrack.models.volumes import EVERYWHERE, Region, check_region
+from phdtrack.types import GaussianMixture
 
 Places = list[tuple[float, float, float, float, float]]
 """Of each: x, y in metres, weight, standard deviations of position (m) and of velocity (m/s)."""
 
 
-class _Checked:
-    """Settings within the bounds of their annotations."""
-
-    __slots__ = ()
-
-    def __post_init__(self) -> None:
-        check(self)
+def gaussians_at(places: Places) -> GaussianMixture:
+    """Gaussians at rest at given places of the ground."""
+    x, y, weight, position, velocity = np.array(places, dtype=np.float64).reshape(-1, 5).T
+    whole = np.isfinite(x + y + weight + position + velocity) & (weight >= 0) & (position > 0) & (velocity > 0)
+    if not whole.all():
+        problem = "expected places as x, y, a weight from 0, deviations of position and of velocity above 0"
+        raise InputError(problem, where="places")
+    nothing = np.zeros(len(x))
+    cov = np.square(np.stack([position, position, velocity, velocity], axis=1))[:, :, None] * np.eye(4)
+    return GaussianMixture(weight.copy(), np.stack([x, y, nothing, nothing]), cov)
 
 
 @dataclass(frozen=True, slots=True)
-class TimeSettings(_Checked):
+class TimeSettings(Checked):
     """``units_per_second``: time units per second in which noises are stated, the papers' are per frame at 25 Hz."""
 
     units_per_second: Positive = 25.0
 
 
 @dataclass(frozen=True, slots=True)
-class DetectorSettings:
-    """Settings of a detector, checked by the detector itself."""
-
-
-@dataclass(frozen=True, slots=True)
 class Nothing:
-    """A part that is left out."""
+    """A part that is left out, or that checks its settings itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,51 +74,7 @@ class CameraSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class PointClutterSettings(_Checked):
-    """``clutter_per_frame``: expected false alarms per frame, points anywhere in the image."""
-
-    clutter_per_frame: NonNegative = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class ClutterSettings(_Checked):
-    """False alarms of boxes. ``clutter_per_frame``: expected false alarms per frame, anywhere in the image.
-    ``clutter_per_detection``: instead, expected false alarms around each detection."""
-
-    clutter_per_frame: NonNegative = 0.0
-    clutter_per_detection: NonNegative = 0.0
-
-    def __post_init__(self) -> None:
-        check(self)
-        one_rate("clutter", self.clutter_per_frame, self.clutter_per_detection, "[clutter]")
-
-
-@dataclass(frozen=True, slots=True)
-class GroundClutterSettings(_Checked):
-    """False alarms on the ground. ``clutter_per_frame``: expected false alarms per frame, anywhere in the region.
-    ``clutter_per_detection``: instead, expected false alarms around each detection. ``density``: false alarms per frame and
-    m², which replaces the other two where it is not 0."""
-
-    clutter_per_frame: NonNegative = 0.0
-    clutter_per_detection: NonNegative = 0.3
-    density: NonNegative = 0.0
-
-    def __post_init__(self) -> None:
-        check(self)
-        one_rate("clutter", self.clutter_per_frame, self.clutter_per_detection, "[clutter]")
-
-
-@dataclass(frozen=True, slots=True)
-class PlacesBirthSettings(_Checked):
-    """``places``: where people appear on the ground, as x, y (m), births per second, deviations of position (m) and of
-    velocity (m/s). ``particles``: newborn particles per frame."""
-
-    places: Places
-    particles: PositiveCount = 300
-
-
-@dataclass(frozen=True, slots=True)
-class SceneBirthSettings(_Checked):
+class SceneBirthSettings(Checked):
     """Births as `phdtrack learn` has learned them in this scene.
 
     Parameters
@@ -133,7 +90,7 @@ class SceneBirthSettings(_Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class SceneClutterSettings(_Checked):
+class SceneClutterSettings(Checked):
     """False alarms as `phdtrack learn` has learned them in this scene.
 
     Parameters
@@ -152,7 +109,7 @@ class SceneClutterSettings(_Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class LearnSettings(_Checked):
+class LearnSettings(Checked):
     """Learning births and false alarms while tracking, see `scene.online`.
 
     Parameters
@@ -186,7 +143,9 @@ FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
 # The sections whose kinds decide others', in the order to lay them over.
 DECIDING = ("motion", "filter")
 # Fields that come from the sequence.
-FROM_SEQUENCE = {"frame_size", "initial", "remember_size", "camera", "hiders", "borders"}
+FROM_SEQUENCE = {"frame_size", "initial", "remember_size", "camera", "hiders", "borders", "volume"}
+# Fields that are mixtures of Gaussians, which a user gives as `Places`.
+MIXTURES = ("places", "initial")
 
 
 @cache
@@ -216,10 +175,10 @@ def settable(section: str, kind: str, motion: str) -> Mapping[str, Any]:
     """
     chosen = record(section, kind)
     hints = get_type_hints(chosen, include_extras=True)
-    known = {field.name: hints[field.name] for field in fields(chosen) if field.name not in FROM_SEQUENCE}
+    names = [field.name for field in fields(chosen) if field.name not in FROM_SEQUENCE]
     if section == "filter" and kind != "none" and motion == "plane":
-        known["initial"] = Places
-    return known
+        names.append("initial")
+    return {name: Places if name in MIXTURES else hints[name] for name in names}
 
 
 @cache

@@ -24,7 +24,18 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from phdtrack.config.kinds import DECIDING, FITTING, SECTIONS, Nothing, constructor_defaults, first_kind, record, settable
+from phdtrack.config.kinds import (
+    DECIDING,
+    FITTING,
+    MIXTURES,
+    SECTIONS,
+    Nothing,
+    constructor_defaults,
+    first_kind,
+    gaussians_at,
+    record,
+    settable,
+)
 from phdtrack.config.presets import PRESETS, values_of
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.files import read_toml
@@ -52,10 +63,11 @@ class Settings:
     def values(self, section: str) -> Values:
         """What the preset and the user say of a section, without its kind: the constructor's defaults complete it.
 
-        What was said for another filter or kind of motion, and has no meaning with this one, is left out.
+        What was said for another filter or kind of motion, and has no meaning with this one, is left out. A detector checks
+        its settings itself.
         """
         if section == "detector":
-            return self.detector
+            return dict(self.given.get(section, {}))
         kind, preset = self.kind(section), self._preset()
         usual = preset.get(section, {})
         fits = usual.get("kind", first_kind(section)) == kind
@@ -65,9 +77,10 @@ class Settings:
 
     def build(self, section: str, **more: Any) -> Any:
         """The object that a section makes; of ``more``, which depends on the sequence, it takes what its class knows."""
-        chosen, values = record(section, self.kind(section)), self.values(section) | {"initial": None} | more
+        chosen, values = record(section, self.kind(section)), {"initial": None} | self.values(section) | more
         if chosen is Nothing:
             return None
+        values |= {name: gaussians_at(values[name]) for name in MIXTURES if values.get(name)}
         return chosen(**{field.name: values[field.name] for field in fields(chosen) if field.name in values})
 
     def as_dict(self) -> dict[str, Any]:
@@ -78,11 +91,6 @@ class Settings:
             values = {**constructor_defaults(section, kind), **self.values(section)}
             out[section] = {"kind": kind, **values} if kind else values
         return out
-
-    @property
-    def detector(self) -> Values:
-        """Parameters for the detector, which checks them itself."""
-        return dict(self.given.get("detector", {}))
 
     def _preset(self) -> dict[str, Values]:
         """The preset's values with the user's filter and kind of motion."""

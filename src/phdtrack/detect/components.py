@@ -21,7 +21,7 @@ import numpy as np
 from annotated_types import Ge, Lt
 from numpy.typing import NDArray
 
-from phdtrack.errors import InputError, check
+from phdtrack.errors import Checked, InputError
 from phdtrack.types import F8, Detections, Frame, Image
 
 Contour = NDArray[np.int32]
@@ -48,7 +48,7 @@ def check_same_size(frame: Frame, shape: tuple[int, ...]) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class BlobSettings:
+class BlobSettings(Checked):
     """How a mask becomes boxes.
 
     Attributes
@@ -66,9 +66,6 @@ class BlobSettings:
     min_area: FrameShare = 0.0006
     split: FrameShare = 0.7
     join: FrameShare = 0.15
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def clean(self, mask: Image) -> Image:
         """(H, W) uint8, 255 where ``mask`` (H, W) still is foreground after peeling and closing."""

@@ -25,7 +25,7 @@ from functools import cache, cached_property
 import numpy as np
 
 from phdtrack.arrays import area, intersection, to_xyxy
-from phdtrack.errors import NonNegative, Probability, check
+from phdtrack.errors import Checked, NonNegative, Probability
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, Bool, Detections, Estimates, Explanation
 
@@ -78,7 +78,7 @@ class ExpectedTargets:
 
 
 @dataclass(frozen=True, slots=True)
-class MergedMeasurements:
+class MergedMeasurements(Checked):
     """The merged-measurement model, for boxes in the image.
 
     Parameters
@@ -91,9 +91,6 @@ class MergedMeasurements:
     merge_probability: Probability = 0.5
     min_separate_time: NonNegative = 0.4
     max_hidden_time: NonNegative = 3.0
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def start(self) -> ExpectedTargets:
         """No targets are expected."""

@@ -36,7 +36,7 @@ from typing import Literal
 import numpy as np
 
 from phdtrack.arrays import chi2_quantile, draw, sum_by
-from phdtrack.errors import Count, InputError, NonNegative, Positive, PositiveCount, Probability, Share, check
+from phdtrack.errors import Checked, Count, InputError, NonNegative, Positive, PositiveCount, Probability, Share, check
 from phdtrack.filters.extract import finish, join_unresolved
 from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.kernels.mcmc import Chain, Options, jump_chain, option_tables
@@ -271,7 +271,7 @@ def effective_samples(series: F8) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Joint:
+class Joint(Checked):
     """Settings of the extraction from joint samples: which targets are there in most of them, and where on average [K05].
 
     Parameters
@@ -282,9 +282,6 @@ class Joint:
 
     min_weight: Positive = 0.5
     merge_iou: Share = 0.4
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def extract(self, state: JointSamples, z: F8, model: Model) -> Estimates:
         """Mean and covariance of the samples of every target that is there, with its label [K05].

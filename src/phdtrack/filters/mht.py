@@ -29,7 +29,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phdtrack.arrays import GATE, chi2_quantile, sum_by
-from phdtrack.errors import InputError, NonNegative, PositiveCount, Share, check
+from phdtrack.errors import Checked, InputError, NonNegative, PositiveCount, Share
 from phdtrack.filters.hypotheses import (
     Branches,
     Cluster,
@@ -53,7 +53,7 @@ from phdtrack.types import F8, I8, Estimates, GaussianMixture, UpdateInfo
 
 
 @dataclass(frozen=True, slots=True)
-class MHT(Filter[Hypotheses]):
+class MHT(Checked, Filter[Hypotheses]):
     """Settings of the multiple hypothesis tracker; history, threshold and number of hypotheses are M09's.
 
     Parameters
@@ -84,9 +84,6 @@ class MHT(Filter[Hypotheses]):
     termination_frames: NonNegative = 0.0
     frame_size: tuple[float, float] = (0.0, 0.0)
     initial: GaussianMixture | None = None
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def start(self, model: Model, rng: np.random.Generator) -> Hypotheses:
         """The initial targets, each a track of its own; none where none were given."""
@@ -224,7 +221,7 @@ def _info(
 
 
 @dataclass(frozen=True, slots=True)
-class BestHypothesis:
+class BestHypothesis(Checked):
     """Settings of the extraction from hypotheses.
 
     Parameters
@@ -236,9 +233,6 @@ class BestHypothesis:
 
     min_weight: Share = 0.5
     merge_iou: Share = 0.4
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def extract(self, state: Hypotheses, z: F8, model: Model) -> Estimates:
         """The targets of each cluster's best hypothesis, by label; their weight is the probability that they exist.

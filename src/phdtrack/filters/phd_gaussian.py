@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.arrays import GATE, chi2_quantile
-from phdtrack.errors import Count, NonNegative, Share, check
+from phdtrack.errors import Checked, Count, NonNegative, Share
 from phdtrack.filters.terms import UpdateTerms
 from phdtrack.kernels.gaussian import Expected, Measurements
 from phdtrack.kernels.gm_merge import Merging, Rows, merged_rows
@@ -63,7 +63,7 @@ class Frame(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class GMPHD(Filter[GaussianMixture]):
+class GMPHD(Checked, Filter[GaussianMixture]):
     """Settings of the GM-PHD filter; the defaults are E13's, without its cap.
 
     Parameters
@@ -92,9 +92,6 @@ class GMPHD(Filter[GaussianMixture]):
     transform: Transform = "linear"
     skip_empty_frames: bool = False
     initial: GaussianMixture | None = None
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def start(self, model: Model, rng: np.random.Generator) -> GaussianMixture:
         """The initial intensity, each Gaussian with a tag; empty where none was given."""

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.arrays import chi2_quantile, draw, reused, sum_by
-from phdtrack.errors import Count, PositiveCount, check
+from phdtrack.errors import Checked, Count, PositiveCount
 from phdtrack.filters.blocks import Intensity, UpdatedParticles, carried, in_blocks, in_ranges, joined
 from phdtrack.filters.terms import TINY, UpdateTerms
 from phdtrack.kernels import particles as sweeps
@@ -36,7 +36,7 @@ BLIND = SensorNumbers(GivenSize(np.float32(1.0)), np.zeros((8, 0), np.float32), 
 
 
 @dataclass(frozen=True, slots=True)
-class ParticlePHD(Filter[Intensity]):
+class ParticlePHD(Checked, Filter[Intensity]):
     """Settings of the particle PHD filter.
 
     Parameters
@@ -57,9 +57,6 @@ class ParticlePHD(Filter[Intensity]):
     skip_empty_frames: bool = False
     threads: Count = 1
     initial: Particles | GaussianMixture | None = None
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def start(self, model: Model, rng: np.random.Generator) -> Particles:
         """The initial intensity, a mixture as ρ particles per component; empty where none was given."""

@@ -37,7 +37,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.arrays import GATE, chi2_quantile
-from phdtrack.errors import NonNegative, Positive, PositiveCount, Probability, Share, check
+from phdtrack.errors import Checked, NonNegative, Positive, PositiveCount, Probability, Share
 from phdtrack.kernels.box import apart
 from phdtrack.kernels.pmb import HYPOTHESIS, TARGET, TRACE, Layer, Records, Settings, earlier, predicted_layer, updated_layer
 from phdtrack.models.gaussian import Transform, expected, measurements, moved, new_targets
@@ -87,7 +87,7 @@ class Bernoullis:
 
 
 @dataclass(frozen=True, slots=True)
-class PMB(Filter[Bernoullis]):
+class PMB(Checked, Filter[Bernoullis]):
     """Settings of the Poisson multi-Bernoulli filter.
 
     Parameters
@@ -119,9 +119,6 @@ class PMB(Filter[Bernoullis]):
     static_clutter_detection_probability: Probability = 0.5
     history: PositiveCount = 10
     initial: GaussianMixture | None = None
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def start(self, model: Model, rng: np.random.Generator) -> Bernoullis:
         """The initial targets, each with one hypothesis; none where none were given."""
@@ -200,7 +197,7 @@ class PMB(Filter[Bernoullis]):
 
 
 @dataclass(frozen=True, slots=True)
-class BestBernoullis:
+class BestBernoullis(Checked):
     """Settings of the extraction from Bernoulli targets.
 
     Parameters
@@ -211,9 +208,6 @@ class BestBernoullis:
 
     min_weight: Share = 0.5
     merge_iou: Share = 0.5
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def extract(self, state: Bernoullis, z: F8, model: Model) -> Estimates:
         """The best hypothesis of each target, by label; their weight is the probability that the target exists.

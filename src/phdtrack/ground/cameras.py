@@ -29,7 +29,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from phdtrack.errors import InputError, Positive, check
+from phdtrack.errors import Checked, InputError, Positive
 from phdtrack.ground.terrain import Flat, Surface
 from phdtrack.protocols import Camera
 from phdtrack.types import F8, Bool
@@ -125,7 +125,7 @@ def _side(h: F8, inside: tuple[float, float] | None) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class TsaiLens:
+class TsaiLens(Checked):
     """Tsai's radial lens.
 
     Attributes
@@ -148,9 +148,6 @@ class TsaiLens:
     cx: float
     cy: float
     sx: Positive = 1.0
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def rays(self, pixel: F8) -> F8:
         """(2, N) slopes (xu/f, yu/f) of the pixels (2, N); NaN beyond the fold [E13 §3.2]."""

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.errors import NonNegative, Positive, PositiveCount, check
+from phdtrack.errors import Checked, NonNegative, Positive, PositiveCount
 from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.types import F8, I8, GaussianMixture
 
@@ -46,7 +46,7 @@ class Groups:
 
 
 @dataclass(frozen=True, slots=True)
-class Grouping:
+class Grouping(Checked):
     """What makes components a group.
 
     Parameters
@@ -60,9 +60,6 @@ class Grouping:
     max_distance: Positive = 2.0
     max_speed_difference: Positive = 1.0
     min_weight: NonNegative = 0.25
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def groups(self, mixture: GaussianMixture) -> Groups:
         """The groups of a mixture over (px, py, vx, vy): connected components of the graph [E13 §5]."""
@@ -120,7 +117,7 @@ def group_moments(mixture: GaussianMixture, label: I8, number: int) -> Groups:
 
 
 @dataclass(frozen=True, slots=True)
-class Contours:
+class Contours(Checked):
     """How the level curves are drawn.
 
     Parameters
@@ -135,9 +132,6 @@ class Contours:
     grid_density: Positive = 4.0
     max_grid: PositiveCount = 160
     tolerance: NonNegative = 0.02
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def of(self, mixture: GaussianMixture, label: I8, group: int) -> tuple[F8, ...]:
         """Closed polygons (2, K), metres, first point = last, of one group; holes among them, if any.

@@ -26,7 +26,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from phdtrack.errors import NonNegative, Positive, Share, check
+from phdtrack.errors import Checked, NonNegative, Positive, Share
 from phdtrack.types import F8, I8
 
 Kind = Literal["appear", "vanish", "merge", "split"]
@@ -77,13 +77,10 @@ class _Move(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class GroupLifeCycle:
+class GroupLifeCycle(Checked):
     """``hold_time``: seconds for which something must last until it counts."""
 
     hold_time: NonNegative = 0.5
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def extend(
         self, state: LifeCycleState, member: I8, label: I8, weight: F8, frame: int, time: float
@@ -184,7 +181,7 @@ class Encounter:
 
 
 @dataclass(frozen=True, slots=True)
-class EncounterWarning:
+class EncounterWarning(Checked):
     """When to warn.
 
     Parameters
@@ -197,9 +194,6 @@ class EncounterWarning:
     horizon: Positive = 4.0
     max_distance: Positive = 2.0
     probability: Share = 0.5
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def expected(self, group: I8, mean: F8, covariance: F8) -> tuple[Encounter, ...]:
         """Warnings for members of groups; groups that are near already do not count.

@@ -9,18 +9,18 @@ from phdtrack.files import lazy
 if TYPE_CHECKING:
     from phdtrack.models.births import FixedBirth, MeasurementBirth, PlaneBirth, PointBirth, UniformBirth
     from phdtrack.models.box import BoxMotion, BoxSensor
-    from phdtrack.models.clutter import LocalClutter, LocalPlaneClutter, ScoredClutter, UniformClutter
+    from phdtrack.models.clutter import BoxClutter, PlaneClutter, ScoredClutter, UniformClutter
     from phdtrack.models.plane import PlaneMotion, PlaneSensor
     from phdtrack.models.point import PointMotion, PointSensor
 
 __all__ = [
+    "BoxClutter",
     "BoxMotion",
     "BoxSensor",
     "FixedBirth",
-    "LocalClutter",
-    "LocalPlaneClutter",
     "MeasurementBirth",
     "PlaneBirth",
+    "PlaneClutter",
     "PlaneMotion",
     "PlaneSensor",
     "PointBirth",

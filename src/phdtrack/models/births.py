@@ -7,6 +7,7 @@ Rates are expected births per second.
 
 from __future__ import annotations
 
+import abc
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from phdtrack.arrays import chi2_quantile, draw, reused
-from phdtrack.errors import InputError, NonNegative, PositiveCount, Probability, Share, check
+from phdtrack.errors import Checked, InputError, NonNegative, PositiveCount, check
 from phdtrack.kernels.gaussian import Births, NewTargets
 from phdtrack.kernels.newborn import density_within, place_newborn, proposals, standard_points
 from phdtrack.models.volumes import (
@@ -136,17 +137,7 @@ def _radii(dof: int) -> F8:
     return radii
 
 
-def _draw_velocity(state: F8, cov: F8, parent: I8, rng: np.random.Generator) -> None:
-    """Add to rows 2 and 3 velocities of uniform direction and Gaussian amplitude, with the covariance that is there."""
-    n = state.shape[1]
-    root = math.sqrt(2) * np.linalg.cholesky(cov[:, 2:4, 2:4])[parent]
-    amplitude, angle = rng.standard_normal(n), rng.uniform(0, 2 * math.pi, n)
-    x, y = amplitude * np.cos(angle), amplitude * np.sin(angle)
-    state[2] += root[:, 0, 0] * x
-    state[3] += root[:, 1, 0] * x + root[:, 1, 1] * y
-
-
-class _AroundDetections:
+class _AroundDetections(abc.ABC):
     """Births drawn around the detections [M07 §2]; a kind of birth has these fields and gives γ."""
 
     __slots__ = ()
@@ -155,16 +146,16 @@ class _AroundDetections:
 
     def __post_init__(self) -> None:
         check(self)
-        one_rate("births", self.births_per_second, self._each, type(self).__name__)
+        one_rate((self.births_per_second, self.births_per_detection), type(self).__name__)
 
     @property
-    def _each(self) -> float:
+    def births_per_detection(self) -> float:
         """Births per second around each detection."""
         return 0.0
 
+    @abc.abstractmethod
     def _gamma(self, x: F8, first: I8, z: F8) -> F8:
         """γ per second at states (d, L), in the runs ``first``, where ``z`` (m, N) was detected; (1,): the same at all."""
-        raise NotImplementedError
 
     def density(self, z: F8) -> F8:
         """(N,) γ per second at the detections themselves."""
@@ -183,7 +174,7 @@ class _AroundDetections:
 
     def expected(self, z: F8, seconds: float) -> float:
         """The mass of γT."""
-        rate: float = self.births_per_second + self._each * z.shape[1]
+        rate: float = self.births_per_second + self.births_per_detection * z.shape[1]
         return rate * seconds
 
 
@@ -203,10 +194,6 @@ class MeasurementBirth(_AroundDetections):
     births_per_detection: NonNegative = 0.0
     particles: PositiveCount = 1000
     frame_size: tuple[float, float] = (0.0, 0.0)
-
-    @property
-    def _each(self) -> float:
-        return self.births_per_detection
 
     def density(self, z: F8) -> F8:
         """(N,) γ per second at the detections themselves."""
@@ -270,10 +257,6 @@ class PlaneBirth(_AroundDetections):
         _AroundDetections.__post_init__(self)
         check_region(self.borders, "PlaneBirth.borders")
 
-    @property
-    def _each(self) -> float:
-        return self.births_per_detection
-
     def _gamma(self, x: F8, first: I8, z: F8) -> F8:
         """γ per second and m² at states (d, L)."""
         if self.births_per_detection:
@@ -283,32 +266,22 @@ class PlaneBirth(_AroundDetections):
 
 
 @dataclass(frozen=True, slots=True)
-class UniformBirth:
-    """γ uniform over positions in the frame and, of targets with a size, a range of it; drawn anywhere [D14 Alg. 2].
+class UniformBirth(Checked):
+    """γ of points uniform over the image, drawn anywhere [D14 Alg. 2].
 
     Parameters
     ----------
     frame_size : width and height of the image, pixels.
     births_per_second : expected births per second.
     particles : particles drawn per frame, D14's J = 10.
-    min_size, max_size : range of sizes as fractions of the frame's width and height.
     """
 
     frame_size: tuple[float, float]
     births_per_second: NonNegative = 2.5
     particles: PositiveCount = 10
-    min_size: Share = 0.02
-    max_size: Probability = 0.5
-
-    def __post_init__(self) -> None:
-        check(self)
-        if self.min_size > self.max_size:
-            raise InputError(
-                f"expected min_size ≤ max_size, got {self.min_size:g} and {self.max_size:g}", where="UniformBirth.min_size"
-            )
 
     def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
-        """Particles of equal mass anywhere, whatever was measured.
+        """Particles of equal mass anywhere, whatever was measured; velocities of uniform direction, Gaussian amplitude.
 
         Parameters
         ----------
@@ -318,13 +291,9 @@ class UniformBirth:
         -------
         Particles of total mass ∫γT.
         """
-        size = np.array(self.frame_size)[:, None]
-        drawn = size * rng.random((2, self.particles))
-        if len(sensor.observed) > 2:
-            drawn = np.vstack([drawn, size * rng.uniform(self.min_size, self.max_size, (2, self.particles))])
-        mean, cov = sensor.states(np.vstack([drawn, np.ones((max(0, len(z) - len(drawn)), self.particles))]))
-        state = mean.copy()
-        _draw_velocity(state, cov, np.arange(self.particles), rng)
+        state, cov = sensor.states(np.array(self.frame_size)[:, None] * rng.random((2, self.particles)))
+        amplitude, angle = rng.standard_normal(self.particles), rng.uniform(0, 2 * math.pi, self.particles)
+        state[2:4] = np.sqrt(2 * cov[:, 2, 2]) * amplitude * np.stack([np.cos(angle), np.sin(angle)])
         return Particles(state, np.full(self.particles, self.births_per_second * seconds / self.particles))
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
@@ -345,7 +314,7 @@ class UniformBirth:
         raise InputError(
             "births that are uniform over the image have no form as a Gaussian mixture",
             where="UniformBirth",
-            cure="Use births around the detections (birth.kind=measurement), at given places (fixed), or particles",
+            cure="Use births around the detections (birth.kind=point), or particles",
         )
 
     def expected(self, z: F8, seconds: float) -> float:
@@ -354,14 +323,17 @@ class UniformBirth:
 
 
 @dataclass(frozen=True, slots=True)
-class FixedBirth:
-    """γ a given mixture of Gaussians whose weights are births per second, ``particles`` each [E13 §4]."""
+class FixedBirth(Checked):
+    """γ a given mixture of Gaussians [E13 §4].
 
-    mixture: GaussianMixture
+    Parameters
+    ----------
+    places : Gaussians whose weights are births per second.
+    particles : newborn particles of each.
+    """
+
+    places: GaussianMixture
     particles: PositiveCount = 300
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
         """Particles from each Gaussian, of total mass weight·seconds, whatever was measured.
@@ -374,7 +346,7 @@ class FixedBirth:
         -------
         Particles of total mass ∫γT.
         """
-        return draw(self.mixture, self.particles, seconds, rng)
+        return draw(self.places, self.particles, seconds, rng)
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
         """The given Gaussians, of total mass weight·seconds, whatever was measured [V06 (22)].
@@ -387,8 +359,8 @@ class FixedBirth:
         -------
         The Gaussians, and no births around detections.
         """
-        return births_around(sensor.states(z), np.zeros(z.shape[1]), self.mixture, seconds)
+        return births_around(sensor.states(z), np.zeros(z.shape[1]), self.places, seconds)
 
     def expected(self, z: F8, seconds: float) -> float:
         """The mixture's mass, over seconds."""
-        return self.mixture.mass * seconds
+        return self.places.mass * seconds

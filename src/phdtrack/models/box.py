@@ -39,7 +39,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from phdtrack.arrays import GATE, chi2_quantile, to_cxcywh
-from phdtrack.errors import InputError, NonNegative, Positive, Probability, Share, check
+from phdtrack.errors import Checked, InputError, NonNegative, Positive, Probability, Share, check
 from phdtrack.kernels.box import (
     DETECTION,
     FIXED,
@@ -53,8 +53,8 @@ from phdtrack.kernels.box import (
     states_of_boxes,
 )
 from phdtrack.kernels.particle_models import BoxWalk, GivenSize, OwnSize, SensorNumbers, SizeBefore
+from phdtrack.models import warp
 from phdtrack.models.occlusion import Hiders
-from phdtrack.models.warp import warp_jacobian, warp_states
 from phdtrack.types import F8, Detections
 
 _SCALINGS = {"particle": PARTICLE, "detection": DETECTION, "fixed": FIXED, "given": GIVEN, "previous": PREVIOUS}
@@ -280,7 +280,7 @@ class BoxSensor:
 
 
 @dataclass(frozen=True, slots=True)
-class BoxMotion:
+class BoxMotion(Checked):
     """f and p_S for boxes [M09 (11)].
 
     Parameters
@@ -306,9 +306,6 @@ class BoxMotion:
     min_size: Positive = 1.0
     frame_size: tuple[float, float] = (0.0, 0.0)
     roughening: NonNegative = 0.0
-
-    def __post_init__(self) -> None:
-        check(self)
 
     @property
     def dim(self) -> int:
@@ -400,10 +397,5 @@ class BoxMotion:
             self.min_size, self.scaled_noise, self.survival_probability**seconds, *self.frame_size,
         )  # fmt: skip
 
-    def warp_states(self, x: F8, warp: F8) -> F8:
-        """States in the pixels of the next frame: centre, velocity and sizes carried by the homography ``warp``."""
-        return warp_states(x, warp)
-
-    def warp_jacobian(self, x: F8, warp: F8) -> F8:
-        """(L, d, d) Jacobians of `warp_states`."""
-        return warp_jacobian(x, warp)
+    warp_states = staticmethod(warp.warp_states)
+    warp_jacobian = staticmethod(warp.warp_jacobian)

@@ -6,22 +6,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.errors import InputError, NonNegative, Positive, check
-from phdtrack.models.volumes import local_box_density, local_density
+from phdtrack.errors import Checked, NonNegative, Positive, check
+from phdtrack.models.volumes import EVERYWHERE, Region, area, image_volume, local_box_density, local_density, one_rate
 from phdtrack.protocols import Clutter
 from phdtrack.types import F8
 
 
 @dataclass(frozen=True, slots=True)
-class UniformClutter:
-    """``clutter_per_frame`` expected clutter points per frame, uniform over a volume of measurement space (pixel⁴ for
-    boxes)."""
+class UniformClutter(Checked):
+    """κ the same everywhere.
 
-    clutter_per_frame: NonNegative
-    volume: Positive
+    Parameters
+    ----------
+    clutter_per_frame : expected false alarms per frame.
+    volume : of measurement space, pixel² for points, pixel⁴ for boxes.
+    """
 
-    def __post_init__(self) -> None:
-        check(self)
+    clutter_per_frame: NonNegative = 1.0
+    volume: Positive = 1.0
 
     def intensity(self, z: F8) -> F8:
         """κ = rate / volume, the same everywhere."""
@@ -29,35 +31,61 @@ class UniformClutter:
 
 
 @dataclass(frozen=True, slots=True)
-class LocalClutter:
-    """``clutter_per_detection`` expected clutter points around each detection: ±1 box in position, 0.5 to 1.5 in size
-    [M07 §2].
+class BoxClutter:
+    """False alarms of boxes, uniform over the image or around each detection [M07 §2].
 
-    Where neighbourhoods overlap their densities add up, as those of the births do: where a detector reports much, more of it
-    is taken for clutter, and the ratio of the two densities stays what the rates say.
+    Around a detection is ±1 box in position, 0.5 to 1.5 in size. Where neighbourhoods overlap their densities add up, as
+    those of the births do, so that the ratio of the two densities stays what the rates say.
+
+    Parameters
+    ----------
+    clutter_per_detection : expected false alarms around each detection.
+    clutter_per_frame : instead, expected false alarms per frame, anywhere in the image.
+    frame_size : the image's width and height in pixels, needed for false alarms anywhere.
     """
 
-    clutter_per_detection: NonNegative
+    clutter_per_detection: NonNegative = 0.0
+    clutter_per_frame: NonNegative = 0.0
+    frame_size: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         check(self)
+        one_rate((self.clutter_per_frame, self.clutter_per_detection), "BoxClutter")
 
     def intensity(self, z: F8) -> F8:
-        """κ(z) = Σ_j rate / V(z_j) over the detections z_j in whose neighbourhood z lies, its own included."""
+        """κ(z): uniform, or Σ_j rate / V(z_j) over the detections z_j in whose neighbourhood z lies, its own included."""
+        if self.clutter_per_frame:
+            return np.full(z.shape[1], self.clutter_per_frame / image_volume(self.frame_size))
         return local_box_density(z, self.clutter_per_detection)
 
 
 @dataclass(frozen=True, slots=True)
-class LocalPlaneClutter:
-    """``clutter_per_detection`` expected clutter points around each detection on the ground (see `models.volumes`)."""
+class PlaneClutter:
+    """False alarms on the ground, uniform over a region or around each detection (see `models.volumes`).
 
-    clutter_per_detection: NonNegative
+    Parameters
+    ----------
+    clutter_per_detection : expected false alarms around each detection.
+    clutter_per_frame : instead, expected false alarms per frame, anywhere in the region.
+    density : false alarms per frame and m², which replaces the other two where it is not 0.
+    borders : left, low, right and high border of the region in metres, needed for false alarms anywhere in it.
+    """
+
+    clutter_per_detection: NonNegative = 0.3
+    clutter_per_frame: NonNegative = 0.0
+    density: NonNegative = 0.0
+    borders: Region = EVERYWHERE
 
     def __post_init__(self) -> None:
         check(self)
+        one_rate((self.clutter_per_frame, self.clutter_per_detection), "PlaneClutter")
 
     def intensity(self, z: F8) -> F8:
-        """κ(z), per m²: the sum of what all detections near z bring, its own included."""
+        """κ(z), per m²: of detections near z the sum of what each brings, its own included."""
+        if self.density:
+            return np.full(z.shape[1], self.density)
+        if self.clutter_per_frame:
+            return np.full(z.shape[1], self.clutter_per_frame / area(self.borders, "PlaneClutter.borders"))
         return local_density(z, z, self.clutter_per_detection)
 
 
@@ -79,7 +107,5 @@ class ScoredClutter:
     odds: F8
 
     def intensity(self, z: F8) -> F8:
-        """κ(z)/odds. Raises `InputError` for other detections than those with the odds."""
-        if z.shape[1] != len(self.odds):
-            raise InputError(f"expected the {len(self.odds)} detections that the odds are of, got {z.shape[1]}")
+        """κ(z)/odds."""
         return self.base.intensity(z) / self.odds

@@ -33,14 +33,7 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.kernels.box import predicted_boxes
-from phdtrack.kernels.gaussian import (
-    Expected,
-    Measurements,
-    NewTargets,
-    Predicted,
-    first_states,
-    predicted_covariance,
-)
+from phdtrack.kernels.gaussian import Expected, Measurements, NewTargets, Predicted, first_states, predicted_covariance
 from phdtrack.models.box import BoxMotion
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, I8

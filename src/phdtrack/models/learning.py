@@ -17,7 +17,7 @@ from typing import Any
 
 from phdtrack.models.births import MeasurementBirth, PlaneBirth, PointBirth
 from phdtrack.models.box import BoxSensor
-from phdtrack.models.clutter import LocalClutter, LocalPlaneClutter, ScoredClutter, UniformClutter
+from phdtrack.models.clutter import BoxClutter, PlaneClutter, ScoredClutter, UniformClutter
 from phdtrack.models.plane import PlaneSensor
 from phdtrack.models.point import PointSensor
 from phdtrack.models.scene import not_standing, with_scene
@@ -33,7 +33,8 @@ DETECTION_STEP, RATE_RATIO = 0.01, 1.05
 LEARNABLE: dict[type[Any], tuple[str, ...]] = {
     **dict.fromkeys((BoxSensor, PlaneSensor, PointSensor), ("detection_probability",)),
     UniformClutter: ("clutter_per_frame",),
-    **dict.fromkeys((LocalClutter, LocalPlaneClutter), ("clutter_per_detection",)),
+    BoxClutter: ("clutter_per_detection", "clutter_per_frame"),
+    PlaneClutter: ("density", "clutter_per_detection", "clutter_per_frame"),
     **dict.fromkeys((MeasurementBirth, PlaneBirth), ("births_per_detection", "births_per_second")),
     PointBirth: ("births_per_second",),
 }
@@ -50,7 +51,7 @@ class SceneState:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SceneLearning:
+class SceneLearning(Learning[SceneState]):
     """Learning births and false alarms while tracking.
 
     Attributes
@@ -77,19 +78,6 @@ class SceneLearning:
         if state.birth is None and state.clutter is None:
             return model
         return replace(model, birth=state.birth or model.birth, clutter=state.clutter or model.clutter)
-
-    def with_scores(self, state: SceneState, model: Model, detections: Detections) -> Model:
-        """The same model: scores are not learned here.
-
-        Parameters
-        ----------
-        state, model, detections : as of `protocols.Learning.with_scores`.
-
-        Returns
-        -------
-        The model.
-        """
-        return model
 
     def advance(self, state: SceneState, step: Step) -> SceneState:
         """Take in one frame."""
@@ -143,12 +131,11 @@ class RateLearning:
             detection, clutter = min(detection, priors.detection), max(clutter, priors.clutter)
             births = max(births, priors.births)
         if used.detection:
-            model = with_detection(model, DETECTION_STEP * round(detection / DETECTION_STEP))
+            model = replace(model, sensor=with_rate(model.sensor, DETECTION_STEP * round(detection / DETECTION_STEP)))
         if used.clutter:
-            model = with_clutter(model, _rounded(clutter, priors.clutter))
+            model = replace(model, clutter=with_rate(model.clutter, _rounded(clutter, priors.clutter)))
         if used.birth:
-            rate = model.rate * _rounded(births, priors.births)
-            model = replace(model, birth=_with(model.birth, rate))
+            model = replace(model, birth=with_rate(model.birth, model.rate * _rounded(births, priors.births)))
         return self.other.model(state.other, model) if self.other else model
 
     def with_scores(self, state: RatesState, model: Model, detections: Detections) -> Model:
@@ -169,7 +156,7 @@ class RateLearning:
         if used.clutter and not (used.cautious or priors.clutter_each):
             # At first the number of detections is all that is known.
             rate = min(learned.rates.clutter, learned.detections_per_frame(len(detections)))
-            model = with_clutter(model, _rounded(rate, priors.clutter))
+            model = replace(model, clutter=with_rate(model.clutter, _rounded(rate, priors.clutter)))
         if not used.scores or len(learned.scale.at) < 2:
             return model
         return replace(model, clutter=ScoredClutter(model.clutter, learned.scale.ratio(detections.confidence)))
@@ -197,23 +184,13 @@ def priors_of(model: Model) -> Priors:
     )
 
 
-def with_detection(model: Model, detection: float) -> Model:
-    """The model with this p_D; a sensor that has none stays as it is."""
-    return replace(model, sensor=_with(model.sensor, detection))
-
-
-def with_clutter(model: Model, rate: float) -> Model:
-    """The model with this rate of false alarms; learned ones and those without a rate stay as they are."""
-    return replace(model, clutter=_with(model.clutter, rate))
-
-
 def _name(part: Any) -> str:
     """The name of the number of a part of a model that can be learned; empty for none."""
     names = next((names for kind, names in LEARNABLE.items() if isinstance(part, kind)), ("",))
     return next((name for name in names[:-1] if getattr(part, name)), names[-1])
 
 
-def _with(part: Any, value: float) -> Any:
+def with_rate(part: Any, value: float) -> Any:
     """A part of a model with its number changed; itself where it cannot be learned."""
     name = _name(part)
     return _changed(part, name, value) if name else part

@@ -7,8 +7,7 @@ of one single other covers [E13 §6],
     p_D(x) = p_D · max(1 − c^1.5, least)
 
 The exponent was measured: of boxes that are covered to 5, 22, 45, 65 and 87 %, detectors find .98, .86, .72, .50 and .18 of
-what they find of free ones. The union of several hiders would be more exact where two hide different parts of a third,
-and would cost a sweep over their edges for every particle.
+what they find of free ones.
 
 The targets that hide are those that the last frame showed, where the motion expects them now, and not the boxes of this
 frame: a box does not say which target is seen. And if p_D fell for people whom this frame shows, the weight that remains of

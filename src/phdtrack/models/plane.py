@@ -30,7 +30,6 @@ import numpy as np
 from phdtrack.arrays import GATE, share_inside, to_cxcywh
 from phdtrack.errors import InputError, NonNegative, Positive, Probability, Share, check
 from phdtrack.ground import ground_covariance
-from phdtrack.kernels.particle_models import SensorNumbers, position_numbers
 from phdtrack.models.occlusion import Hiders
 from phdtrack.models.positions import Form, PositionMotion, PositionSensor
 from phdtrack.models.volumes import EVERYWHERE, Region, check_region, inside
@@ -121,44 +120,31 @@ class PlaneSensor(PositionSensor):
         """(5, N) ground points and their covariances; columns of NaN for feet that do not stand on the ground."""
         if len(detections) == 0:
             return np.zeros((5, 0))
-        if self.camera is None:
-            return _packed(to_cxcywh(detections.xyxy)[:2], self._plan_covariance(detections))
-        if self.scaling == "given":
-            return self._feet(self.camera, detections)
-        point = self.camera.ground(_FOOT @ to_cxcywh(detections.xyxy))
-        return _packed(point, np.tile(self.fixed_noise**2 * np.eye(2), (len(detections), 1, 1)))
-
-    def _feet(self, camera: Camera, detections: Detections) -> F8:
-        """(5, N) ground points with the covariances of the foot points in the image."""
         box = to_cxcywh(detections.xyxy)
-        foot = _FOOT @ box
-        point = camera.ground(foot)
-        if detections.covariance is not None:
-            pixel = _FOOT @ detections.covariance @ _FOOT.T
-        else:
-            pixel = self._pixel_covariance(box[2:])
-        return _packed(point, ground_covariance(camera, foot, pixel))
-
-    def _plan_covariance(self, detections: Detections) -> F8:
-        """(N, 2, 2) of detections that come in metres."""
+        foot, cov = _FOOT @ box, detections.covariance
         if self.scaling == "fixed":
-            return np.tile(self.fixed_noise**2 * np.eye(2), (len(detections), 1, 1))
-        if detections.covariance is None:
+            noise = np.tile(self.fixed_noise**2 * np.eye(2), (len(detections), 1, 1))
+        elif self.camera is not None:
+            pixel = self._pixel_covariance(box[2:]) if cov is None else _FOOT @ cov @ _FOOT.T
+            noise = ground_covariance(self.camera, foot, pixel)
+        elif cov is not None:
+            noise = cov[:, :2, :2]
+        else:
             raise InputError(
                 "the sensor's scaling is 'given' and it has no camera, but the detections bring no covariance",
                 cure="Use sensor.scaling=fixed, or give a camera",
             )
-        return detections.covariance[:, :2, :2]
+        point = box[:2] if self.camera is None else self.camera.ground(foot)
+        z = np.stack([*point, noise[:, 0, 0], noise[:, 0, 1], noise[:, 1, 1]])
+        usable = np.isfinite(z).all(axis=0) & (z[2] * z[4] > z[3] ** 2)
+        packed: F8 = np.where(usable, z, np.nan)
+        return packed
 
     def _pixel_covariance(self, size: F8) -> F8:
         """(N, 2, 2) of the foot points of boxes of ``size`` (2, N), pixels²."""
         variance = np.maximum(np.array(self.box_noise)[:, None] * size, self.min_noise) ** 2
         out: F8 = variance.T[:, :, None] * np.eye(2)
         return out
-
-    def _noise(self, z: F8) -> tuple[F8, F8, F8]:
-        """The covariance that z brings."""
-        return z[2], z[3], z[4]
 
     def p_detect(self, x: F8) -> F8:
         """p_D · visible · max(1 − c^1.5, least)."""
@@ -175,10 +161,6 @@ class PlaneSensor(PositionSensor):
         if self.hiders is not None:
             out *= self.hiders.seen_part(x[:2], boxes, self.camera.depth(np.ascontiguousarray(x[:2])))
         return out
-
-    def particle_model(self, z: F8) -> SensorNumbers:
-        """The numbers of g and p_D for the particle filters, and a column for each measurement."""
-        return SensorNumbers(*position_numbers(z, self.covariance(z, z)), np.zeros(0))
 
     def watching(self, targets: F8) -> PlaneSensor:
         """The sensor where people are expected at these states; itself without them, or where occlusion is not asked for."""
@@ -220,11 +202,3 @@ class PlaneSensor(PositionSensor):
         out = np.stack([foot[0] - half, foot[1] - height, foot[0] + half, foot[1]], axis=1)
         shown: F8 = np.where(np.isfinite(out).all(axis=1)[:, None], out, OUTSIDE)
         return shown
-
-
-def _packed(point: F8, cov: F8) -> F8:
-    """(5, N) measurement vectors; columns of NaN where anything in them is none."""
-    z = np.stack([*point, cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]])
-    usable = np.isfinite(z).all(axis=0) & (z[2] * z[4] > z[3] ** 2)
-    packed: F8 = np.where(usable, z, np.nan)
-    return packed

@@ -25,9 +25,9 @@ import numpy as np
 from phdtrack.arrays import GATE, to_cxcywh
 from phdtrack.errors import InputError, NonNegative, Positive, Probability, Share, check
 from phdtrack.kernels.particle_models import SensorNumbers, position_numbers
+from phdtrack.models import warp
 from phdtrack.models.positions import PositionMotion, PositionSensor, Variances
 from phdtrack.models.volumes import EVERYWHERE, Region
-from phdtrack.models.warp import warp_jacobian, warp_states
 from phdtrack.types import F8, Detections
 
 
@@ -51,13 +51,8 @@ class PointMotion(PositionMotion):
         place = dt**3 / 3 - dt**2 / 2 + 7 * dt / 6
         return self.noise_variance * place, self.noise_variance * (dt**2 - dt) / 2, self.noise_variance * dt
 
-    def warp_states(self, x: F8, warp: F8) -> F8:
-        """States in the pixels of the next frame, to which the homography ``warp`` leads."""
-        return warp_states(x, warp)
-
-    def warp_jacobian(self, x: F8, warp: F8) -> F8:
-        """(L, 4, 4) Jacobians of `warp_states`."""
-        return warp_jacobian(x, warp)
+    warp_states = staticmethod(warp.warp_states)
+    warp_jacobian = staticmethod(warp.warp_jacobian)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ import numpy as np
 
 from phdtrack.arrays import chi2_quantile
 from phdtrack.errors import InputError, check
-from phdtrack.kernels.particle_models import walk
+from phdtrack.kernels.particle_models import SensorNumbers, position_numbers, walk
 from phdtrack.models.volumes import Region, check_region, inside
 from phdtrack.types import F8
 
@@ -113,9 +113,7 @@ class PositionMotion:
             cure="Compensate the camera's motion with motion.kind=box or point; on the ground, let it stand still",
         )
 
-    def warp_jacobian(self, x: F8, warp: F8) -> F8:
-        """Raises `InputError`."""
-        return self.warp_states(x, warp)
+    warp_jacobian = warp_states
 
 
 class PositionSensor:
@@ -139,8 +137,8 @@ class PositionSensor:
         return math.sqrt(chi2_quantile(2, self.gate_probability))
 
     def _noise(self, z: F8) -> tuple[F8, F8, F8]:
-        """R at measurements, as R_xx, R_xy, R_yy of the shape of ``z[0]``."""
-        raise NotImplementedError
+        """R as R_xx, R_xy, R_yy of the shape of ``z[0]``: what z brings, where R is not the same for all."""
+        return z[2], z[3], z[4]
 
     def expected(self, x: F8) -> F8:
         """(2, …) the positions."""
@@ -174,6 +172,10 @@ class PositionSensor:
     def measurement_noise(self, z: F8) -> F8:
         """(N, 2, 2) R where it comes with the measurements, else (0, 2, 2)."""
         return self.covariance(z[:, :0] if self.constant_noise else z, z)
+
+    def particle_model(self, z: F8) -> SensorNumbers:
+        """The numbers of g and p_D for the particle filters, and a column for each measurement; p_D is asked for."""
+        return SensorNumbers(*position_numbers(z, self.covariance(z, z)), np.zeros(0))
 
     def gate(self, z: F8) -> tuple[F8, F8]:
         """Rectangles that reach G deviations along each axis from z; they hold the ellipse d ≤ G."""

@@ -30,11 +30,12 @@ from functools import cached_property
 
 import numpy as np
 
-from phdtrack.errors import InputError, NonNegative, PositiveCount, check
+from phdtrack.errors import Checked, InputError, NonNegative, PositiveCount
 from phdtrack.kernels.gaussian import Births
 from phdtrack.kernels.mixtures import Gaussians, states_given, whitened
 from phdtrack.models.births import FixedBirth, MeasurementBirth, births_around, particles_about
-from phdtrack.models.clutter import LocalClutter
+from phdtrack.models.clutter import BoxClutter
+from phdtrack.models.volumes import local_box_density
 from phdtrack.protocols import Model, Sensor
 from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, marginal
 from phdtrack.scene.mixture import OBSERVED
@@ -43,12 +44,10 @@ from phdtrack.types import F8, I8, GaussianMixture, Particles
 TINY = float(np.finfo(np.float64).tiny)
 # At detections, what of a Gaussian adds less than e^-16, 1e-7, of the uniform part is left out.
 NEGLIGIBLE = 16.0
-# l(z) of one false alarm, or birth, around each detection.
-LOCAL = LocalClutter(1.0)
 
 
 @dataclass(frozen=True, eq=False)
-class SceneBirth:
+class SceneBirth(Checked):
     """γ(x) = s̄ p(x|b) on states [M09 (12), (14)].
 
     Parameters
@@ -67,9 +66,6 @@ class SceneBirth:
     particles: PositiveCount = 1000
     births_per_detection: NonNegative = 0.0
     among: SceneDensity | None = None
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
         """Particles around the detections with the evidence and the velocities of γT there [M07 §2, M09 (12)].
@@ -131,7 +127,7 @@ class SceneBirth:
             return self.births_per_second * seconds * density, (mean, covariance)
         z = state[order[: shown.dim]]
         objects = 1 / shown.volume if self.among is None else self.among(z, outside=self.among.flat)
-        local = self.births_per_detection * seconds * LOCAL.intensity(z)
+        local = self.births_per_detection * seconds * local_box_density(z, 1.0)
         return local * np.maximum(density, shown.flat) / objects, (mean, covariance)
 
     @cached_property
@@ -152,7 +148,7 @@ class SceneBirth:
 
 
 @dataclass(frozen=True, eq=False)
-class SceneClutter:
+class SceneClutter(Checked):
     """κ(z) = r̄ p(z|c) on measurements [M09 (13), (15)].
 
     Parameters
@@ -167,13 +163,10 @@ class SceneClutter:
     density: SceneDensity
     clutter_per_detection: NonNegative = 0.0
 
-    def __post_init__(self) -> None:
-        check(self)
-
     def intensity(self, z: F8) -> F8:
         """(N,) κ per frame and unit of measurement space."""
         learned = self.clutter_per_frame * self.density(z[: self.density.dim], outside=self.density.flat)
-        return learned + self.clutter_per_detection * LOCAL.intensity(z) if self.clutter_per_detection else learned
+        return learned + self.clutter_per_detection * local_box_density(z, 1.0) if self.clutter_per_detection else learned
 
 
 def with_scene(
@@ -202,7 +195,7 @@ def with_scene(
         rate, among = births.rate * model.rate, objects_of(followed)
         birth = SceneBirth(rate, births.density, particles=particles, births_per_detection=own, among=among)
     if clutter is not None:
-        own = false.clutter_per_detection if isinstance(false, LocalClutter) else 0.0
+        own = false.clutter_per_detection if isinstance(false, BoxClutter) else 0.0
         false = SceneClutter(clutter.rate, clutter.density, own)
     return replace(model, birth=birth, clutter=false)
 

@@ -27,24 +27,12 @@ REACH = 1.0
 SIZES = (0.5, 1.5)
 
 
-def one_rate(what: str, everywhere: float, each: float, where: str) -> None:
-    """Check that one of two rates is 0: density is uniform or around the detections.
-
-    Parameters
-    ----------
-    what, where : of what, and the setting's place, for the message.
-    everywhere, each : the rate over the whole volume, and around each detection.
-
-    Raises
-    ------
-    InputError : both are above 0.
-    """
+def one_rate(rates: tuple[float, float], where: str) -> None:
+    """Raise `InputError` where both rates are above 0: density is uniform or around the detections."""
+    everywhere, each = rates
     if everywhere > 0 and each > 0:
-        raise InputError(
-            f"expected {what} uniform or around each detection, not both, got rates of {everywhere:g} and {each:g}",
-            where=where,
-            cure="Set one of the two to 0",
-        )
+        problem = f"expected a rate everywhere or around each detection, not both, got {everywhere:g} and {each:g}"
+        raise InputError(problem, where=where, cure="Set one of the two to 0")
 
 
 def image_area(frame_size: tuple[float, float]) -> float:

@@ -55,11 +55,6 @@ def as_warp(matrix: ArrayLike, where: str) -> F8:
     return warp
 
 
-def points(warp: F8, p: F8) -> F8:
-    """(2, n) where the pixels ``p`` (2, n) of the frame before are in this one."""
-    return _local(warp, p)[0]
-
-
 def warp_states(x: F8, warp: F8) -> F8:
     """(d, n) states ``x`` in the pixels that ``warp`` leads to; rows behind (px, py, vx, vy) are lengths."""
     place, slope, depth = _local(warp, x[:2])

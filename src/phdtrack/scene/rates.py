@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.errors import NonNegative, Positive, check
+from phdtrack.errors import Checked, NonNegative, Positive
 from phdtrack.scene.labelling import PendingFrames, TrackEvidence, label
 from phdtrack.types import F8, I8, Step, Tracks
 
@@ -40,7 +40,7 @@ PRIOR_PAIRS, MAX_LOG_RATIO = 30.0, math.log(30.0)
 
 
 @dataclass(frozen=True, slots=True)
-class RatesSettings:
+class RatesSettings(Checked):
     """Rates that are learned while tracking, beginning with the other settings. All are reported; see which are used.
 
     Parameters
@@ -63,9 +63,6 @@ class RatesSettings:
     memory: Positive = 120.0
     verdict_delay: NonNegative = 1.0
     update_interval: NonNegative = 1.0
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True, slots=True)

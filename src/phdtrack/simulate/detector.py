@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.arrays import to_cxcywh, to_xyxy
-from phdtrack.errors import Count, InputError, NonNegative, Probability, check
+from phdtrack.errors import Checked, Count, InputError, NonNegative, Probability
 from phdtrack.types import F8, I8, Detections, DetectionTable, SequenceInfo, Truth
 
 HEIGHTS, ASPECTS = (0.08, 0.5), (1 / 3, 1.0)
@@ -24,7 +24,7 @@ _GRID = 9
 
 
 @dataclass(frozen=True, slots=True)
-class DetectorModel:
+class DetectorModel(Checked):
     """Settings of a simulated detector. The defaults are those of the clutter cases: p_D 0.9, jitter 5 %.
 
     Attributes
@@ -49,9 +49,6 @@ class DetectorModel:
     place_fire: Probability = 0.5
     place_jitter: NonNegative = 0.1
     informative_scores: bool = False
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

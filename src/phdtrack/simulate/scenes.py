@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from phdtrack.errors import Count, InputError, NonNegative, Probability, check, did_you_mean
+from phdtrack.errors import Checked, Count, InputError, NonNegative, Probability, did_you_mean
 from phdtrack.simulate.detector import DetectorModel, detect
 from phdtrack.simulate.scenario import Entrance, Scenario, Walk
 from phdtrack.types import F8, I8, DetectionTable, SequenceInfo, Truth
@@ -41,7 +41,7 @@ class Scene:
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class Look(Checked):
     """What the picture looks like, and how hard it is to see change in it.
 
     Attributes
@@ -62,9 +62,6 @@ class Look:
     lamps: Count = 3
     shadow: Probability = 0.35
     blown: NonNegative = 0.0
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 _PAIRS = (

@@ -16,7 +16,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from phdtrack.errors import InputError, Positive, PositiveCount, Share, check
+from phdtrack.errors import Checked, InputError, Positive, PositiveCount, Share
 from phdtrack.models import warp as warp_of
 from phdtrack.types import F8, Image
 
@@ -46,7 +46,7 @@ class GivenWarps:
 
 
 @dataclass(frozen=True, slots=True)
-class SparseFlow:
+class SparseFlow(Checked):
     """Motion measured by points that are followed from one picture to the next.
 
     Most of what is seen must belong to the background.
@@ -68,9 +68,6 @@ class SparseFlow:
     max_error: Positive = 1.0
     min_points: PositiveCount = 20
     min_inlier_share: Share = 0.4
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 class CameraMotion:

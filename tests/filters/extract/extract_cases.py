@@ -7,7 +7,7 @@ from functools import reduce
 import numpy as np
 
 from phdtrack.filters.extract import KMeans, Mixture
-from phdtrack.models import BoxMotion, BoxSensor, LocalClutter, MeasurementBirth
+from phdtrack.models import BoxClutter, BoxMotion, BoxSensor, MeasurementBirth
 from phdtrack.protocols import Model
 from phdtrack.types import Particles
 
@@ -24,7 +24,7 @@ def world(p_detect: float = 0.9, clutter: float = 1e-4) -> Model:
         BoxMotion(0.03, 0.07, frame_size=FRAME),
         BoxSensor(detection_probability=p_detect),
         MeasurementBirth(births_per_detection=25 * 0.05, particles=300, frame_size=FRAME),
-        LocalClutter(clutter),
+        BoxClutter(clutter),
     )
 
 
