@@ -76,19 +76,6 @@ def test_again_and_with_another_setting(folder: Path, tmp_path: Path) -> None:
     assert anew.object["reused"] == 0
 
 
-def test_a_run_is_what_track_does(folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    settings = ("--set", "filter.particles_per_target=80", "--preset", "m09")
-    words = ("--filters", "particle-phd", "--seeds", 2, *settings, "--out", out, "--jobs", 1)
-    assert phdtrack("compare", folder, *words).status == 0
-    given = ("--detections", folder / "det" / "det.txt", "--truth", folder / "gt" / "gt.txt")
-    tracked = phdtrack("track", *given, *settings, "--seed", 2, "--out", tmp_path / "track", "--json")
-    kept = out / "runs" / "yard" / "det" / "clutter-0" / "particle-phd" / "seed-2"
-    assert (kept / "tracks.csv").read_text() == (tmp_path / "track" / "tracks.csv").read_text()
-    scores = json.loads((kept / "run.json").read_text())["scores"]
-    assert scores == {name: tracked.object["scores"][name] for name in scores}
-
-
 def test_a_detector_looks_once_and_its_runs_are_what_track_does(tmp_path: Path) -> None:
     scene = tmp_path / "street"
     assert phdtrack("simulate", "street", "--seed", 1, "--frames", 25, "--set", "lead_in=-6", "--out", scene).status == 0

@@ -22,6 +22,11 @@ def test_json_is_one_object_with_all_keys(truth: Path) -> None:
     assert said.status == 0
     assert list(said.object)[: len(KEYS)] == KEYS
     assert (said.object["MOTA"], said.object["OSPA"], said.object["misses"], said.object["frames"]) == (1, 0, 0, 40)
+    # Without --json a table for people.
+    table = phdtrack("evaluate", "--truth", truth, "--tracks", truth).out
+    lines = {line.split()[0]: line.split()[1] for line in table.splitlines() if line[:1].isalpha()}
+    assert set(KEYS) <= set(lines)
+    assert (lines["MOTA"], lines["frames"]) == ("1.000", "40")
 
 
 def changed(truth: Path, row: Callable[[list[str]], list[str] | None]) -> Path:
@@ -42,16 +47,6 @@ def test_the_threshold_is_used(truth: Path) -> None:
     low, high = (phdtrack(*asked, iou).object for iou in (0.5, 0.7))
     assert (low["MOTA"], low["MOTP"]) == (1, pytest.approx(0.6))
     assert (high["MOTA"], high["MOTP"]) == (-1, None)
-
-
-def test_the_table_is_for_people(truth: Path) -> None:
-    said = phdtrack("evaluate", "--truth", truth, "--tracks", truth)
-    assert said.status == 0
-    assert said.err == ""
-    lines = {line.split()[0]: line.split()[1] for line in said.out.splitlines() if line[:1].isalpha()}
-    assert set(KEYS) <= set(lines)
-    assert lines["MOTA"] == "1.000"
-    assert lines["frames"] == "40"
 
 
 def test_t_gospa_is_asked_for(truth: Path) -> None:

@@ -6,19 +6,15 @@ import csv
 import json
 from collections import Counter, defaultdict
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from cli_runner import phdtrack, refused
 
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.track import shown_particles
 from phdtrack.formats import read_tracks
-from phdtrack.models import BoxSensor, PlaneSensor
-from phdtrack.types import Particles, Step
+from phdtrack.types import Step
 from phdtrack.video import VideoWriter, open_source
-from plane_cases import LevelCamera
 
 # Ten pixels are a metre, x to the right and y up, the origin in the lower left corner.
 CAMERA = 'homography = [[0.1, 0.0, 0.0], [0.0, -0.1, 24.0], [0.0, 0.0, 1.0]]\nmaps = "pixel-to-ground"\nunit = "m"\n'
@@ -208,20 +204,3 @@ def test_ctrl_c_leaves_the_groups_up_to_there(street: Path, tmp_path: Path, monk
     assert said.object["complete"] is False
     assert max(int(row["frame"]) for row in table(tmp_path / "run" / rundir.GROUPS)) == 14
     assert sum(1 for _ in open_source(tmp_path / "run" / rundir.PLAN)) == 14
-
-
-def test_particles_are_shown_in_the_middle_of_their_boxes_and_those_behind_the_camera_far_outside() -> None:
-    state, camera = np.array([[0.0, 1, 0], [10, 20, -5], [0, 0, 0], [0, 0, 0]]), LevelCamera()
-    particles = Particles(state, np.array([0.2, 0.3, 0.4]))
-
-    def shown(sensor: object) -> Particles | None:
-        stages = SimpleNamespace(filter=None, model=SimpleNamespace(sensor=sensor))
-        return shown_particles(stages, particles)  # type: ignore[arg-type]
-
-    seen = shown(PlaneSensor(camera=camera, size=(0.6, 1.8)))
-    assert seen is not None
-    assert seen.state[0, :2] == pytest.approx(camera.pixels(state[:2, :2])[0])
-    assert seen.state[1, :2] == pytest.approx(camera.pixels(np.vstack([state[:2, :2], [0.9, 0.9]]))[1])
-    assert (seen.state[:2, 2] < -1000).all()
-    assert shown(PlaneSensor()) is None
-    assert shown(BoxSensor()) is particles

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 
 import numba
@@ -23,7 +24,7 @@ from phdtrack.filters.none import Raw
 from phdtrack.formats import DetectionsWriter, read_detections, read_tracks
 from phdtrack.models import BoxClutter, BoxMotion, BoxSensor, MeasurementBirth
 from phdtrack.protocols import Model, Stages
-from phdtrack.report import About
+from phdtrack.report import About, Annotator
 from phdtrack.types import Detections, Frame, SequenceInfo, Truth
 from phdtrack.video import open_source
 
@@ -196,21 +197,14 @@ def test_an_interrupt_while_a_frame_is_written_waits_for_its_end(
 
 
 def test_stopped_while_drawing(job: Job, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch) -> None:
-    from phdtrack.cli import track as module
+    real, drawn = Annotator.__call__, count(1)
 
-    real: Callable[..., object] = module.Annotator
+    def interrupted(self: Annotator, *args: object, **kwargs: object) -> object:
+        if next(drawn) == 5:
+            raise KeyboardInterrupt
+        return real(self, *args, **kwargs)  # type: ignore[arg-type]
 
-    class Interrupted:
-        def __init__(self, info: SequenceInfo) -> None:
-            self.drawn, self.annotate = 0, real(info)
-
-        def __call__(self, *args: object, **kwargs: object) -> object:
-            self.drawn += 1
-            if self.drawn == 5:
-                raise KeyboardInterrupt
-            return self.annotate(*args, **kwargs)  # type: ignore[operator]
-
-    monkeypatch.setattr(module, "Annotator", Interrupted)
+    monkeypatch.setattr(Annotator, "__call__", interrupted)
     outcome = run(job, directory)
     assert isinstance(outcome.stop, KeyboardInterrupt)
     assert outcome.document["frames"] == FRAMES
