@@ -6,7 +6,8 @@ for all targets at once.
 
 Shapes: states x are (d, L), measurements z are (m, N); both are columns, so that each component is contiguous. Functions
 of (z, x) work elementwise and broadcast over everything behind the first axis: ``z[:, pair_z], x[:, pair_x]`` gives one
-value per pair, ``z[:, :, None], x[:, None, :]`` the dense table. ``dt`` is in the model's time unit.
+value per pair, ``z[:, :, None], x[:, None, :]`` the dense table. ``dt`` is in the model's time unit. What goes in and out of
+a method is described here; what implements it says only what is its own.
 """
 
 from __future__ import annotations

@@ -148,17 +148,7 @@ class GraphMatching(Checked):
     ) -> tuple[GraphState, Tracks]:
         """The state with the states of frame ``number`` linked, and the online rows that are now due [M07 §3].
 
-        Parameters
-        ----------
-        state, estimates, z, number, dt, model : as in `protocols.Associator`.
-
-        Returns
-        -------
-        state, rows : the new state, and the online rows.
-
-        Raises
-        ------
-        InputError : a position is not finite.
+        Raises `InputError` where a position is not finite.
         """
         before = state.window if state.vertices else empty_window(len(estimates.state))
         window, final = self._linked(before, estimates, dt, model)

@@ -126,17 +126,7 @@ class Labelled(Checked):
     ) -> tuple[LabelledState, Tracks]:
         """The state with those of frame ``number`` and what they revise, and the online rows that are now due.
 
-        Parameters
-        ----------
-        state, estimates, z, number, dt, model : as in `protocols.Associator`; of the states their past counts, too.
-
-        Returns
-        -------
-        state, rows : the new state, and the online rows.
-
-        Raises
-        ------
-        InputError : states have no label.
+        The past of the estimates counts, too. Raises `InputError` where states have no label.
         """
         time, settled = state.time + dt, max(0, len(state.recent) - len(estimates.past))
         now = Moment(number, time, 0, _one_each(estimates), NO_LINKS, z, model.warp)

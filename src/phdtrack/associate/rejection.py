@@ -60,16 +60,7 @@ class FalseTrackRejection(Checked, Generic[A]):
     def extend(
         self, state: RejectionState[A], estimates: Estimates, z: F8, number: int, dt: float, model: Model
     ) -> tuple[RejectionState[A], Tracks]:
-        """The associator's online rows, with what is confirmed.
-
-        Parameters
-        ----------
-        state, estimates, z, number, dt, model : as in `protocols.Associator`.
-
-        Returns
-        -------
-        state, rows : the new state, and the online rows.
-        """
+        """The associator's online rows, with what is confirmed."""
         inner, rows = self.associator.extend(state.inner, estimates, z, number, dt, model)
         return self._judged(replace(state, inner=inner), rows)
 

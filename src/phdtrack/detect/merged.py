@@ -99,19 +99,7 @@ class MergedMeasurements(Checked):
     def explain(
         self, state: ExpectedTargets, detections: Detections, model: Model, dt: float
     ) -> tuple[ExpectedTargets, Explanation]:
-        """The targets expected in this frame, and the detections that the filter gets for them.
-
-        Parameters
-        ----------
-        state : the targets after the last frame.
-        detections : N boxes of this frame.
-        model : the model of boxes.
-        dt : interval since the last frame, time units.
-
-        Returns
-        -------
-        The targets, and the explanation.
-        """
+        """The targets expected in this frame, and the detections that the filter gets for them."""
         targets = _predicted(state, model, dt)
         if not (detections.observed and len(targets) and len(detections)):
             return targets, Explanation.unchanged(detections)
@@ -125,27 +113,15 @@ class MergedMeasurements(Checked):
         return _timed(targets, members, boxes, dt / model.rate), _divided(detections, members, boxes)
 
     def advance(
-        self, targets: ExpectedTargets, explanation: Explanation, estimates: Estimates, model: Model, dt: float
+        self, state: ExpectedTargets, explanation: Explanation, estimates: Estimates, model: Model, dt: float
     ) -> ExpectedTargets:
         """The targets after the frame: the estimates, and expected targets that these do not show but that may be there.
 
         A target that was missed stays with probability r ← r (1 − p_D)/(1 − r p_D).
-
-        Parameters
-        ----------
-        targets : those expected in this frame.
-        explanation : what `explain` made of the detections.
-        estimates : the states that the filter shows.
-        model : the model of boxes.
-        dt : interval since the last frame, time units.
-
-        Returns
-        -------
-        The targets.
         """
         if not explanation.detections.observed:
-            return targets
-        target, seconds = explanation.target, dt / model.rate
+            return state
+        targets, target, seconds = state, explanation.target, dt / model.rate
         of = _continued(targets, target, estimates, model)
         numbers = np.arange(len(targets))
         p = model.sensor.p_detect(targets.state) if len(targets) else np.zeros(0)

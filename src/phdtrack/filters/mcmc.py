@@ -146,16 +146,7 @@ class MCMC(Filter[JointSamples]):
         return JointSamples(state, chance, np.arange(n), n)
 
     def predict(self, state: JointSamples, model: Model, dt: float, rng: np.random.Generator) -> JointSamples:
-        """Every target of every sample moved by f, and there with the probability p_S of what it had [K05].
-
-        Parameters
-        ----------
-        state, model, dt, rng : as in `protocols.Filter`.
-
-        Returns
-        -------
-        state : predicted.
-        """
+        """Every target of every sample moved by f, and there with the probability p_S of what it had [K05]."""
         if len(state) == 0:
             return state
         origin = model.warp_states(state.state)
@@ -166,16 +157,7 @@ class MCMC(Filter[JointSamples]):
     def update(
         self, state: JointSamples, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[JointSamples, UpdateInfo]:
-        """N samples of the posterior by the chain [K05].
-
-        Parameters
-        ----------
-        state, z, model, dt, rng : as in `protocols.Filter`.
-
-        Returns
-        -------
-        state, info : the samples, and with what was learned how the chain moved.
-        """
+        """N samples of the posterior by the chain [K05]. What was learned says how the chain moved, too."""
         old = len(state.label)
         kappa = model.clutter.intensity(z)
         against = np.maximum(kappa, LEAST_CLUTTER)
@@ -286,13 +268,7 @@ class Joint(Checked):
     def extract(self, state: JointSamples, z: F8, model: Model) -> Estimates:
         """Mean and covariance of the samples of every target that is there, with its label [K05].
 
-        Parameters
-        ----------
-        state, z, model : as in `protocols.Extractor`.
-
-        Returns
-        -------
-        states : in the order of the labels.
+        They are in the order of the labels.
         """
         there = np.flatnonzero(state.existence >= self.min_weight)
         peaks, part = join_unresolved(_moments(state, there), model.sensor, self.merge_iou)

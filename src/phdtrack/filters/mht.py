@@ -96,17 +96,7 @@ class MHT(Checked, Filter[Hypotheses]):
     def predict(self, state: Hypotheses, model: Model, dt: float, rng: np.random.Generator) -> Hypotheses:
         """A further layer: every leaf through f, with p_S of its probability to exist.
 
-        Parameters
-        ----------
-        state, model, dt, rng : as in `protocols.Filter`.
-
-        Returns
-        -------
-        state : predicted.
-
-        Raises
-        ------
-        InputError : the motion spawns targets, which have no Gaussian form.
+        Raises `InputError` where the motion spawns targets, which have no Gaussian form.
         """
         model.refuse_spawning("MHT")
         leaves, n = state.leaves, len(state)
@@ -123,13 +113,7 @@ class MHT(Checked, Filter[Hypotheses]):
     ) -> tuple[Hypotheses, UpdateInfo]:
         """The best assignments of the measurements, and the decision about the frame ``history`` frames back.
 
-        Parameters
-        ----------
-        state, z, model, dt, rng : as in `protocols.Filter`.
-
-        Returns
-        -------
-        state, info : `UpdateInfo.clutter_probability` is that of a false alarm over all hypotheses.
+        `UpdateInfo.clutter_probability` is that of a false alarm over all hypotheses.
         """
         leaves, sensor = state.leaves, model.sensor
         seen = measurements(model, z)
@@ -238,14 +222,6 @@ class BestHypothesis(Checked):
         """The targets of each cluster's best hypothesis, by label; their weight is the probability that they exist.
 
         `Estimates.past` are the same targets, and those that have ended since, in the frames before.
-
-        Parameters
-        ----------
-        state, z, model : as in `protocols.Extractor`.
-
-        Returns
-        -------
-        states : those of the frame, with their past.
         """
         at: I8 = state.best()
         weight, frames = np.zeros(len(at)), []

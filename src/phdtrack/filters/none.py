@@ -19,31 +19,13 @@ class NoFilter(Filter[Particles]):
         return Particles(np.zeros((model.motion.dim, 0)), np.zeros(0))
 
     def predict(self, state: Particles, model: Model, dt: float, rng: np.random.Generator) -> Particles:
-        """Nothing outlives its frame.
-
-        Parameters
-        ----------
-        state, model, dt, rng : as in `protocols.Filter`.
-
-        Returns
-        -------
-        state : empty.
-        """
+        """Nothing outlives its frame."""
         return self.start(model, rng)
 
     def update(
         self, state: Particles, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[Particles, UpdateInfo]:
-        """The states that would give the detections, weight 1 each.
-
-        Parameters
-        ----------
-        state, z, model, dt, rng : as in `protocols.Filter`.
-
-        Returns
-        -------
-        state, info : as many targets as detections.
-        """
+        """The states that would give the detections, weight 1 each."""
         n = z.shape[1]
         seen, _ = model.sensor.states(z)
         return Particles(seen, np.ones(n)), UpdateInfo(float(n), float(n), float(n), np.ones(n), np.zeros(n))
@@ -54,15 +36,6 @@ class Raw:
     """One state per detection, with the covariance of what one detection shows."""
 
     def extract(self, state: Particles, z: F8, model: Model) -> Estimates:
-        """The detections as states at rest.
-
-        Parameters
-        ----------
-        state, z, model : as in `protocols.Extractor`.
-
-        Returns
-        -------
-        states : in the order of the detections.
-        """
+        """The detections as states at rest."""
         x, cov = model.sensor.states(z)
         return Estimates(x, cov, np.ones(len(cov)), model.sensor.boxes(x), np.arange(len(cov)))

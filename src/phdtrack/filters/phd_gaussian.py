@@ -100,17 +100,7 @@ class GMPHD(Checked, Filter[GaussianMixture]):
     def predict(self, state: GaussianMixture, model: Model, dt: float, rng: np.random.Generator) -> GaussianMixture:
         """Every Gaussian through f, weighed with p_S [V06 (24)–(29)].
 
-        Parameters
-        ----------
-        state, model, dt, rng : as in `protocols.Filter`.
-
-        Returns
-        -------
-        state : predicted.
-
-        Raises
-        ------
-        InputError : the motion spawns: spawned targets are drawn as particles and have no Gaussian form.
+        Raises `InputError` where the motion spawns: spawned targets are drawn as particles and have no Gaussian form.
         """
         if len(state) == 0:
             return state
@@ -125,14 +115,7 @@ class GMPHD(Checked, Filter[GaussianMixture]):
 
         The mass that explains a detection, which decides where targets are born, is that of the Gaussians within the 99 %
         region of it. Where κ(z) + C(z) = 0 the detection's term is 0 and counted in ``info.vanished``.
-
-        Parameters
-        ----------
-        state, z, model, dt, rng : as in `protocols.Filter`.
-
-        Returns
-        -------
-        state, info : the updated mixture, not reduced.
+        The mixture is not reduced.
         """
         return self.terms(state, z, model, dt, rng).phd()
 
@@ -171,16 +154,7 @@ class GMPHD(Checked, Filter[GaussianMixture]):
     def step(
         self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[GaussianMixture, UpdateInfo]:
-        """Predict, update and reduce; Gaussians that pruning would drop are not made.
-
-        Parameters
-        ----------
-        state, z, model, dt, rng : as in `protocols.Filter`.
-
-        Returns
-        -------
-        state, info : after the frame.
-        """
+        """Predict, update and reduce; Gaussians that pruning would drop are not made."""
         state = tagged(state)
         frame = self._frame(self._predicted(state, model, dt), state.fresh, z, model, dt)
         axes = tuple(range(frame.rows.mean.shape[1]))

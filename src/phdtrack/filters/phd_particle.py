@@ -69,14 +69,7 @@ class ParticlePHD(Checked, Filter[Intensity]):
     def predict(self, state: Intensity, model: Model, dt: float, rng: np.random.Generator) -> ParticleBlocks:
         """The particles moved by f and weighed with p_S, and those that are spawned [M07 (4), D14 Alg. 2].
 
-        Parameters
-        ----------
-        state, model, dt : as in `protocols.Filter`.
-        rng : a frame takes two words of it for the key of all draws.
-
-        Returns
-        -------
-        state : predicted.
+        A frame takes two words of ``rng`` for the key of all draws.
         """
         motion = model.motion.particle_model(dt, dt / model.rate)
         blocks = carried(in_blocks(state, precision(motion)), model)
@@ -98,15 +91,7 @@ class ParticlePHD(Checked, Filter[Intensity]):
         """The intensity after births and the measurements [M07 (5), M09 (10)].
 
         Where κ(z) + C(z) = 0 (no clutter and nothing to explain the detection), the detection's term is 0 and counted in
-        ``info.vanished``.
-
-        Parameters
-        ----------
-        state, z, model, dt, rng : as in `protocols.Filter`.
-
-        Returns
-        -------
-        state, info : the updated intensity, not resampled.
+        ``info.vanished``. The intensity is not resampled.
         """
         return self.terms(state, z, model, dt, rng).phd()
 

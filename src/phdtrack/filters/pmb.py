@@ -135,17 +135,7 @@ class PMB(Checked, Filter[Bernoullis]):
     def predict(self, state: Bernoullis, model: Model, dt: float, rng: np.random.Generator) -> Bernoullis:
         """A further layer: every hypothesis through f, with p_S of its probability; static clutter stays where it is.
 
-        Parameters
-        ----------
-        state, model, dt, rng : as in `protocols.Filter`.
-
-        Returns
-        -------
-        state : predicted.
-
-        Raises
-        ------
-        InputError : the motion spawns targets, which have no Gaussian form.
+        Raises `InputError` where the motion spawns targets, which have no Gaussian form.
         """
         model.refuse_spawning("PMB filter")
         now = state.present
@@ -167,13 +157,7 @@ class PMB(Checked, Filter[Bernoullis]):
     ) -> tuple[Bernoullis, UpdateInfo]:
         """Every target with the probabilities of the measurements that it may have, and new targets.
 
-        Parameters
-        ----------
-        state, z, model, dt, rng : as in `protocols.Filter`.
-
-        Returns
-        -------
-        state, info : `UpdateInfo.clutter_probability` is that of a false alarm, static clutter included.
+        `UpdateInfo.clutter_probability` is that of a false alarm, static clutter included.
         """
         now, label, seen = state.present, state.next_label, measurements(model, z)
         gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
@@ -214,14 +198,6 @@ class BestBernoullis(Checked):
 
         `Estimates.past` are the same targets, and those that have ended since, in the frames before; None for frames of
         which the same is reported as a frame ago.
-
-        Parameters
-        ----------
-        state, z, model : as in `protocols.Extractor`.
-
-        Returns
-        -------
-        states : those of the frame, with their past.
         """
         layers, frames = state.layers, list[Estimates | None]()
         present = now = _best(layers[-1])

@@ -281,36 +281,14 @@ class UniformBirth(Checked):
     particles: PositiveCount = 10
 
     def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
-        """Particles of equal mass anywhere, whatever was measured; velocities of uniform direction, Gaussian amplitude.
-
-        Parameters
-        ----------
-        z, covered, sensor, seconds, rng : as of `protocols.Birth.sample`.
-
-        Returns
-        -------
-        Particles of total mass ∫γT.
-        """
+        """Particles of equal mass anywhere, whatever was measured; velocities of uniform direction, Gaussian amplitude."""
         state, cov = sensor.states(np.array(self.frame_size)[:, None] * rng.random((2, self.particles)))
         amplitude, angle = rng.standard_normal(self.particles), rng.uniform(0, 2 * math.pi, self.particles)
         state[2:4] = np.sqrt(2 * cov[:, 2, 2]) * amplitude * np.stack([np.cos(angle), np.sin(angle)])
         return Particles(state, np.full(self.particles, self.births_per_second * seconds / self.particles))
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
-        """There are none.
-
-        Parameters
-        ----------
-        z, sensor, seconds : as of `protocols.Birth.gaussians`.
-
-        Returns
-        -------
-        Never.
-
-        Raises
-        ------
-        InputError : always.
-        """
+        """There are none. Raises `InputError` always."""
         raise InputError(
             "births that are uniform over the image have no form as a Gaussian mixture",
             where="UniformBirth",
@@ -336,29 +314,11 @@ class FixedBirth(Checked):
     particles: PositiveCount = 300
 
     def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
-        """Particles from each Gaussian, of total mass weight·seconds, whatever was measured.
-
-        Parameters
-        ----------
-        z, covered, sensor, seconds, rng : as of `protocols.Birth.sample`.
-
-        Returns
-        -------
-        Particles of total mass ∫γT.
-        """
+        """Particles from each Gaussian, of total mass weight·seconds, whatever was measured."""
         return draw(self.places, self.particles, seconds, rng)
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
-        """The given Gaussians, of total mass weight·seconds, whatever was measured [V06 (22)].
-
-        Parameters
-        ----------
-        z, sensor, seconds : as of `protocols.Birth.gaussians`.
-
-        Returns
-        -------
-        The Gaussians, and no births around detections.
-        """
+        """The given Gaussians, of total mass weight·seconds, whatever was measured [V06 (22)]."""
         return births_around(sensor.states(z), np.zeros(z.shape[1]), self.places, seconds)
 
     def expected(self, z: F8, seconds: float) -> float:

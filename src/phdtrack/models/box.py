@@ -318,18 +318,7 @@ class BoxMotion(Checked):
         return math.hypot(self.acceleration, self.roughening)
 
     def sample(self, x: F8, dt: float, rng: np.random.Generator) -> F8:
-        """One draw of f(·|ξ) for each column ξ of ``x`` [M09 (11)], roughened.
-
-        Parameters
-        ----------
-        x : array (d, n), states.
-        dt : interval in the model's time unit.
-        rng : random numbers.
-
-        Returns
-        -------
-        Array (d, n), the states after the interval.
-        """
+        """One draw of f(·|ξ) for each column ξ of ``x`` [M09 (11)], roughened."""
         unit: F8 = np.maximum(x[4:6], self.min_size) if self.scaled_noise else np.ones((2, x.shape[1]))
         noise = rng.standard_normal((4, x.shape[1]))
         kick = self._drawn * np.sqrt(dt) * unit * noise[:2]

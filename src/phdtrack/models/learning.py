@@ -139,16 +139,7 @@ class RateLearning:
         return self.other.model(state.other, model) if self.other else model
 
     def with_scores(self, state: RatesState, model: Model, detections: Detections) -> Model:
-        """The model with the false alarms of a frame by the number and the scores of its detections.
-
-        Parameters
-        ----------
-        state, model, detections : as of `protocols.Learning.with_scores`.
-
-        Returns
-        -------
-        The model.
-        """
+        """The model with the false alarms of a frame by the number and the scores of its detections."""
         model = self.other.with_scores(state.other, model, detections) if self.other else model
         if len(detections) == 0:
             return model

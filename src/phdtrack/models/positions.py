@@ -66,18 +66,7 @@ class PositionMotion:
         return q
 
     def sample(self, x: F8, dt: float, rng: np.random.Generator) -> F8:
-        """One draw of f(·|ξ) for each column ξ of ``x`` [E13 §4, D14].
-
-        Parameters
-        ----------
-        x : array (d, n), states.
-        dt : interval in the model's time unit.
-        rng : random numbers.
-
-        Returns
-        -------
-        Array (d, n), the states after the interval.
-        """
+        """One draw of f(·|ξ) for each column ξ of ``x`` [E13 §4, D14]."""
         moved, (place, both, speed) = self._moved(x, dt), self._variances(dt)
         kick = math.sqrt(speed) * rng.standard_normal((2, x.shape[1]))
         moved[2:4] += kick

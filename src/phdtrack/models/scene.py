@@ -68,16 +68,7 @@ class SceneBirth(Checked):
     among: SceneDensity | None = None
 
     def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
-        """Particles around the detections with the evidence and the velocities of γT there [M07 §2, M09 (12)].
-
-        Parameters
-        ----------
-        z, covered, sensor, seconds, rng : as of `protocols.Birth.sample`.
-
-        Returns
-        -------
-        Particles of total mass ∫γT.
-        """
+        """Particles around the detections with the evidence and the velocities of γT there [M07 §2, M09 (12)]."""
         density, seen = self.around(sensor.states(z), seconds)
 
         def gamma(x: F8, first: I8) -> F8:
@@ -90,14 +81,6 @@ class SceneBirth(Checked):
         """γT around the detections, and the learned Gaussians where there are no births around detections.
 
         What of a learned Gaussian lies beyond the volume is not cut off; the part inside has the mass of γT.
-
-        Parameters
-        ----------
-        z, sensor, seconds : as of `protocols.Birth.gaussians`.
-
-        Returns
-        -------
-        The births.
         """
         seen = sensor.states(z)
         if self.births_per_detection > 0:

@@ -73,16 +73,7 @@ class Smoothing:
             raise InputError("expected a probability below 1, as some tracks end for good", where=where)
 
     def smooth(self, tracks: Tracks, measurements: MeasurementHistory, model: Model) -> Tracks:
-        """The tracks joined and smoothed.
-
-        Parameters
-        ----------
-        tracks, measurements, model : as in `protocols.Smoother`.
-
-        Returns
-        -------
-        tracks : identities from 1 in order of appearance.
-        """
+        """The tracks joined and smoothed."""
         paths = paths_of(tracks, measurements) if self.stitching or self.smoothing else None
         if paths is None or len(paths) == 0:
             return tracks
