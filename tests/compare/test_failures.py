@@ -22,10 +22,10 @@ def comparison(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
 
 def test_mistakes_of_all_frames_are_those_of_the_scores(comparison: Comparison) -> None:
     found = list(conditions(comparison, "a"))
-    assert [condition.rate for condition in found] == [0.0, 4.0]
-    for condition in found:
-        for method, rows in zip(comparison.plan.methods, condition.mistakes.values(), strict=True):
-            result = comparison.result(Run(condition.case, condition.rate, method, 1))
+    assert [rate for _, rate, _, _ in found] == [0.0, 4.0]
+    for case, rate, _, mistakes in found:
+        for method, rows in zip(comparison.plan.methods, mistakes.values(), strict=True):
+            result = comparison.result(Run(case, rate, method, 1))
             assert isinstance(result, RunResult)
             scores = result.scores
             assert scores is not None
@@ -39,8 +39,8 @@ def test_mistakes_of_all_frames_are_those_of_the_scores(comparison: Comparison) 
 def test_pictures_are_written_and_show_something(comparison: Comparison, tmp_path: Path) -> None:
     frames = list(worst_frames(comparison, 1))
     assert {frame.name.split("-")[0] for frame in frames} == {"a", "b"}
-    files = write_frames(tmp_path / "worst", frames)
-    assert all(file.read_bytes().startswith(b"\x89PNG") for file in files)
+    write_frames(tmp_path / "worst", frames)
+    assert all((tmp_path / "worst" / frame.name).read_bytes().startswith(b"\x89PNG") for frame in frames)
     for frame in frames:
         assert frame.image.std() > 5
         assert "gm-phd: " in frame.caption

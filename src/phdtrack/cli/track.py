@@ -261,10 +261,9 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
         warnings=(*_problems(job, done), *(warning for each in doubts for warning in each[1:])),
         notes=(*(note for each in doubts for note in each[:1]), _WHICH),
     )
-    record, stop = replace(record, about=said), done.stop or done.cut
-    reports = [observer.report() for observer in job.observers]
-    sections = "\n".join(report.section for report in reports)
-    write_text(directory.file(rundir.REPORT), report_html(record, job.configuration | {"input": job.read}, sections))
+    reports, stop = [observer.report() for observer in job.observers], done.stop or done.cut
+    record = replace(record, about=replace(said, sections="\n".join(report.section for report in reports)))
+    write_text(directory.file(rundir.REPORT), report_html(record, job.configuration | {"input": job.read}))
     document = run_document(record, job.configuration) | {"complete": stop is None, "input": job.read}
     document = finish_document(document, directory, *(report.document for report in reports))
     summary = (*sentences(record), *(sentence for report in reports for sentence in report.sentences))

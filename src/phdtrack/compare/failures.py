@@ -23,13 +23,8 @@ from phdtrack.video import open_source
 _MIN_SECONDS_BETWEEN = 1.0
 
 
-class Condition(NamedTuple):
-    """A case at a rate of clutter, at the first seed: what was given, and every method's mistakes in all frames."""
-
-    case: Case
-    rate: float
-    given: RunInput
-    mistakes: Mapping[str, Mistakes]
+Condition = tuple[Case, float, RunInput, Mapping[str, Mistakes]]
+"""A case, a rate of clutter, what was given at the first seed, and every method's mistakes in all frames."""
 
 
 class WorstFrame(NamedTuple):
@@ -45,7 +40,7 @@ def worst_frames(comparison: Comparison, number: int) -> Iterator[WorstFrame]:
     for sequence in dict.fromkeys(case.sequence for case in comparison.plan.cases) if number > 0 else ():
         found = list(conditions(comparison, sequence))
         chosen = _chosen(found, number)
-        pictures = _pictures(found[0].case.source if found else "", {frame for _, frame, _ in chosen})
+        pictures = _pictures(found[0][0].source if found else "", {frame for _, frame, _ in chosen})
         for (case, rate, given, mistakes), frame, why in chosen:
             clutter = f", clutter {rate:g}, seed {comparison.plan.seeds[0]}" if rate else ""
             heading = f"{case.name}{clutter}, frame {frame}"
@@ -67,7 +62,7 @@ def conditions(comparison: Comparison, sequence: str) -> Iterator[Condition]:
                 given = run_input(runs[0], folder)
                 tracks = {run.method.name: read_tracks(folder / run.place / TRACKS) for run in runs}
                 mistakes = {name: _mistakes(given, rows, plan.iou) for name, rows in tracks.items()}
-                yield Condition(case, rate, given, mistakes)
+                yield case, rate, given, mistakes
 
 
 def _mistakes(given: RunInput, tracks: Tracks, iou: float) -> Mistakes:
@@ -102,7 +97,8 @@ def _chosen(found: Sequence[Condition], number: int) -> list[tuple[Condition, in
     Of frames with as many mistakes one that is shown already comes first.
     """
     reasons: dict[tuple[int, int], list[str]] = {}
-    counts = [np.array([rows.counts(one.given.info.frames) for rows in one.mistakes.values()]) for one in found]
+    apart = [_MIN_SECONDS_BETWEEN * given.info.fps for _, _, given, _ in found]
+    counts = [np.array([rows.counts(given.info.frames) for rows in each.values()]) for _, _, given, each in found]
     for why, values in (
         ("differ most", [np.ptp(count, axis=0) for count in counts]),
         ("most mistakes", [count.sum(axis=0) for count in counts]),
@@ -111,8 +107,7 @@ def _chosen(found: Sequence[Condition], number: int) -> list[tuple[Condition, in
         places.sort(key=lambda place: (-values[place[0]][place[1]], place not in reasons, place))
         taken: list[tuple[int, int]] = []
         for i, frame in places:
-            apart = _MIN_SECONDS_BETWEEN * found[i].given.info.fps
-            if len(taken) < number and all(abs(frame - other) >= apart for _, other in taken):
+            if len(taken) < number and all(abs(frame - other) >= apart[i] for _, other in taken):
                 taken.append((i, frame))
         for place in taken:
             reasons.setdefault(place, []).append(why)
@@ -132,10 +127,9 @@ def _pictures(source: str, numbers: set[int]) -> dict[int, Image]:
     return found
 
 
-def write_frames(folder: Path, frames: Sequence[WorstFrame]) -> list[Path]:
-    """Write the pictures as PNG; where they lie."""
+def write_frames(folder: Path, frames: Sequence[WorstFrame]) -> None:
+    """Write the pictures as PNG."""
     for frame in frames:
         folder.mkdir(parents=True, exist_ok=True)
         _, data = cv2.imencode(".png", frame.image)
         (folder / frame.name).write_bytes(data.tobytes())
-    return [folder / frame.name for frame in frames]

@@ -12,8 +12,9 @@ import re
 from collections.abc import Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from phdtrack import config
 from phdtrack.config import Settings
@@ -66,8 +67,7 @@ class Case:
         return Path(_file_name(self.sequence), _file_name(self.detections))
 
 
-@dataclass(frozen=True, slots=True)
-class Method:
+class Method(NamedTuple):
     """Settings under a name: a filter's, or that of a variant."""
 
     name: str
@@ -128,13 +128,7 @@ class Plan:
     @property
     def runs(self) -> tuple[Run, ...]:
         """Every combination, sequence by sequence."""
-        return tuple(
-            Run(case, rate, method, seed)
-            for case in self.cases
-            for rate in self.rates
-            for method in self.methods
-            for seed in self.seeds
-        )
+        return tuple(Run(*each) for each in product(self.cases, self.rates, self.methods, self.seeds))
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,10 +248,9 @@ def _cases(word: str, wanted: Request, parameters: Mapping[str, Any]) -> list[Ca
     if not path.exists():
         open_source(word)  # says which name is near
         raise InputError("expected a folder or a video file", where=word)
-    name, source, sets = path.stem, word, dict[str, Path]()
-    truth = Path(wanted.truth.replace("{}", path.absolute().name if path.is_dir() else name)) if wanted.truth else None
+    name, source, sets = path.absolute().name if path.is_dir() else path.stem, word, dict[str, Path]()
+    truth = Path(wanted.truth.replace("{}", name)) if wanted.truth else None
     if path.is_dir():
-        name = path.absolute().name
         annotated, images = path / "gt" / "gt.txt", path / "img1"
         truth = annotated if truth is None and annotated.is_file() else truth
         folders = [folder for folder in sorted(path.glob("det*")) if folder.name == "det" or folder.name.startswith("det_")]
@@ -325,9 +318,8 @@ def _detector_parameters(
         known = detector_parameters(name)
         out[name] = {key: value for key, value in parameters.items() if key in known}
         make_detector(name, max_width=max_width, **out[name])
-    for key in parameters:
-        if names and not any(key in values for values in out.values()):
-            make_detector(names[0], **parameters)  # raises, and says which name is near
+    if names and parameters.keys() - {key for values in out.values() for key in values}:
+        make_detector(names[0], **parameters)  # raises, and says which name is near
     return out
 
 

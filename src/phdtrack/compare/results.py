@@ -57,7 +57,7 @@ class Results:
             cells = [f"{values.get(name, UNKNOWN):{sign}.{_DIGITS.get(name, 3)}f}" for name in self.names]
             if row.failed:
                 cells = ["failed", *[""] * (len(cells) - 1)]
-            where = (f"{row.sequence} ({row.cases})" if row.pooled else row.sequence, row.detections, f"{row.rate:g}")
+            where = (f"{row.sequence} ({row.cases})" if row.cases > 1 else row.sequence, row.detections, f"{row.rate:g}")
             same = next((i for i in range(3) if where[i] != before[i]), 3)
             out.append((*([""] * same), *where[same:], row.method, *cells))
             before = where
@@ -126,9 +126,9 @@ class Results:
             lead=" ".join(self.sentences()),
             about=about,
             first=plan.methods[0].name,
-            pooled=self.table(row for row in rows if row.pooled),
+            pooled=self.table(row for row in rows if row.cases > 1),
             charts=list(self._charts()),
-            each=self.table(row for row in rows if not row.pooled),
+            each=self.table(row for row in rows if row.cases == 1),
             differences=self.table((row for row in rows if row.ahead), ahead=True),
             frames=[(jpeg(frame.image), frame.caption) for frame in frames],
             settings=flattened(settings | more),
@@ -140,11 +140,11 @@ class Results:
         plan, top = self.comparison.plan, widest(self.rows)
         if len(plan.rates) > 1:
             rates, by_rate = sorted(plan.rates), {(row.method, row.rate): row for row in top}
-            over = ", pooled over everything" if top[0].pooled else ""
+            over = ", pooled over everything" if top[0].cases > 1 else ""
             rows = {method.name: [by_rate[method.name, rate] for rate in rates] for method in plan.methods}
             yield f"By added clutter{over}", self._each(np.array(rates), "added clutter, boxes per frame", rows)
         for rate in plan.rates:
-            single = [row for row in self.rows if row.rate == rate and not row.pooled]
+            single = [row for row in self.rows if row.rate == rate and row.cases == 1]
             rows = {method.name: [row for row in single if row.method == method.name] for method in plan.methods}
             places = [f"{case.sequence} {case.detections}" for case in plan.cases]
             title = f"By sequence, {rate:g} added boxes per frame" if rate else "By sequence, as detected"

@@ -21,11 +21,12 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import count as count_from
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -226,10 +227,9 @@ def steps(plan: Plan) -> int:
 
 def read_about(folder: Path) -> dict[str, Any]:
     """The ``run.json`` of a run or a set of detections; empty where it cannot be read."""
-    try:
+    with suppress(OSError, ValueError, TypeError):
         return dict(json.loads((folder / RUN).read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError):
-        return {}
+    return {}
 
 
 def _result(outcome: Mapping[str, Any]) -> RunResult:
@@ -288,8 +288,7 @@ def _track(run: Run, iou: float, kept: Path, folder: Path) -> dict[str, object]:
     return {"run": str(run), "scores": scores, "configuration": run.method.settings.as_dict(), "outcome": result}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RunInput:
+class RunInput(NamedTuple):
     """What a run works on: detections with the added clutter, ``numbers`` and ``times`` (F,) of the frames, truth if any."""
 
     info: SequenceInfo
@@ -348,8 +347,7 @@ def outcomes(work: Sequence[Callable[[], T]], jobs: int) -> Iterator[tuple[int, 
     own: one that dies fails its own piece, and another takes its place.
     """
     if min(jobs, len(work)) <= 1:
-        for number, piece in enumerate(work):
-            yield number, _tried(piece)
+        yield from enumerate(map(_tried, work))
         return
     # Ctrl-C is for the parent, which ends its processes.
     ignore, context = (signal.SIGINT, signal.SIG_IGN), multiprocessing.get_context("spawn")

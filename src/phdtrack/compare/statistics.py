@@ -80,11 +80,6 @@ class Row:
     each: Sequence[Mapping[str, float]] = ()
     failed: str = ""
 
-    @property
-    def pooled(self) -> bool:
-        """Over more than one sequence."""
-        return self.cases > 1
-
     def differs(self, other: Row, name: str) -> bool:
         """Whether the two differ in a score by more than chance between seeds, at 95 %; where nothing is random, at all."""
         found = interval([mine[name] - theirs[name] for mine, theirs in zip(self.each, other.each, strict=True)])
@@ -95,13 +90,10 @@ def summary(comparison: Comparison) -> tuple[Row, ...]:
     """Rows of the cases, then those pooled over the sequences of each set of detections, then over everything."""
     cases = comparison.plan.cases
     groups: list[tuple[str, str, Sequence[Case]]] = [(case.sequence, case.detections, [case]) for case in cases]
-    names = list(dict.fromkeys(case.detections for case in cases))
-    for name in names:
-        own = tuple(case for case in cases if case.detections == name)
-        if 1 < len(own) < len(cases):
-            groups.append((POOLED, name, own))
-    if len(cases) > 1:
-        groups.append((POOLED, names[0] if len(names) == 1 else POOLED, cases))
+    sets = {name: [case for case in cases if case.detections == name] for _, name, _ in groups}
+    groups += [(POOLED, name, own) for name, own in sets.items() if len(own) > 1]
+    if len(sets) > 1:
+        groups.append((POOLED, POOLED, cases))
     return tuple(row for group in groups for row in _rows(comparison, *group))
 
 
@@ -150,8 +142,7 @@ def values_of(parts: Sequence[RunResult]) -> dict[str, float]:
     out, frames = dict[str, float](), sum(part.frames for part in parts)
     scores = [part.scores for part in parts if part.scores is not None]
     if scores:
-        pooled = scores[0] if len(scores) == 1 else pool(scores)
-        out = {name: float(value) for name, value in pooled.as_dict().items() if value is not None}
+        out = {name: float(value) for name, value in pool(scores).as_dict().items() if value is not None}
     out["tracks"] = sum(part.tracks for part in parts)
     if frames:
         out["boxes_per_frame"] = sum(part.rows for part in parts) / frames

@@ -11,8 +11,7 @@ import base64
 import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -47,8 +46,7 @@ _BAND: Any = {"color": _BLUE, "alpha": 0.18, "linewidth": 0}
 _MIN_WEIGHT = 0.02
 
 
-@dataclass(frozen=True, slots=True)
-class Picture:
+class Picture(NamedTuple):
     """An encoded figure: ``data`` of type ``mime``, ``width`` × ``height`` in CSS pixels."""
 
     mime: str

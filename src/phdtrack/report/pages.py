@@ -75,22 +75,10 @@ def sentences(record: RunRecord) -> tuple[str, ...]:
     return lines("summary.txt", record=record)
 
 
-def report_html(record: RunRecord, config: Mapping[str, object], more: str = "") -> str:
-    """The report of a run.
-
-    Parameters
-    ----------
-    record : what is shown.
-    config : the settings, listed at the end.
-    more : sections, as markup, that come after the key figures.
-
-    Returns
-    -------
-    The whole page.
-    """
+def report_html(record: RunRecord, config: Mapping[str, object]) -> str:
+    """The report of a run, the whole page; ``config`` are the settings, listed at the end."""
     title, lead = record.about.title or record.info.name or "Tracking run", " ".join(sentences(record))
-    known = {"record": record, "more": Markup(more), "settings": flattened(config)}
-    return str(render("run.html", title=title, lead=lead, **known))
+    return str(render("run.html", title=title, lead=lead, record=record, settings=flattened(config)))
 
 
 def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, object]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -36,6 +37,7 @@ class About:
     warnings, notes : sentences to show.
     tracking_seconds : wall time of detection and tracking, which overlap; 0 where not measured.
     left_out : frames in which kernels were compiled or loaded; ``tracking_seconds`` is without them.
+    sections : of the report, as markup, that come after the key figures.
     """
 
     title: str = ""
@@ -49,10 +51,10 @@ class About:
     notes: tuple[str, ...] = ()
     tracking_seconds: float = 0.0
     left_out: int = 0
+    sections: str = ""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class HeatMap:
+class HeatMap(NamedTuple):
     """The intensity over one frame.
 
     Attributes
