@@ -73,6 +73,8 @@ def bounds(kind: type[Any]) -> tuple[tuple[str, tuple[Any, ...]], ...]:
     found = []
     for field in fields(kind):
         hint = hints[field.name]
+        # Of a tuple all elements have the bounds of the first.
+        hint = get_args(hint)[0] if get_origin(hint) is tuple else hint
         if get_origin(hint) is Annotated:
             found.append((field.name, get_args(hint)[1:]))
     return tuple(found)
@@ -91,15 +93,20 @@ def check(settings: Any) -> None:
     """Raise `InputError` where a field of the dataclass ``settings`` breaks its annotation's bounds or is not finite."""
     kind: Any = type(settings)
     for name, limits in bounds(kind):
-        value = getattr(settings, name)
-        where = f"{kind.__name__}.{name}"
-        if isinstance(value, bool) or not isinstance(value, Real):
-            raise InputError(f"expected a number, got {value!r}", where=where)
-        if not math.isfinite(value):
-            raise InputError(f"expected a number that is finite, got {value:g}", where=where)
-        for limit in limits:
-            words, attribute = _TESTS[type(limit)]
-            bound = getattr(limit, attribute)
-            kept = {"ge": value >= bound, "gt": value > bound, "le": value <= bound, "lt": value < bound}[attribute]
-            if not kept:
-                raise InputError(f"expected a value {words} {bound:g}, got {value:g}", where=where)
+        given = getattr(settings, name)
+        for value in given if isinstance(given, tuple) else (given,):
+            _check_number(value, limits, f"{kind.__name__}.{name}")
+
+
+def _check_number(value: Any, limits: tuple[Any, ...], where: str) -> None:
+    """Raise `InputError` where the value is no finite number within the limits."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise InputError(f"expected a number, got {value!r}", where=where)
+    if not math.isfinite(value):
+        raise InputError(f"expected a number that is finite, got {value:g}", where=where)
+    for limit in limits:
+        words, attribute = _TESTS[type(limit)]
+        bound = getattr(limit, attribute)
+        kept = {"ge": value >= bound, "gt": value > bound, "le": value <= bound, "lt": value < bound}[attribute]
+        if not kept:
+            raise InputError(f"expected a value {words} {bound:g}, got {value:g}", where=where)

@@ -140,9 +140,3 @@ def test_a_given_covariance_needs_variances_above_zero(variance: float):
     found = Detections(boxes, np.ones(1), np.zeros(1, np.int64), np.diag([1.0, 1, variance, 1])[None])
     with pytest.raises(InputError, match="variances above 0"):
         BoxSensor(scaling="given").measure(found)
-
-
-@pytest.mark.parametrize("wrong", [(0.0, 1.0), (1.0, np.nan)])
-def test_fixed_noise_out_of_bounds(wrong):
-    with pytest.raises(InputError, match="fixed_noise"):
-        BoxSensor(fixed_noise=wrong)

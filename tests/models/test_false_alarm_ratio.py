@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from phdtrack.models.scene import FalseAlarmRatio
-from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, uniform_density
+from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects
 from phdtrack.scene.mixture import OBSERVED, marginal
 
 LOW, HIGH = np.zeros(4), np.array([640.0, 480, 640, 480])
@@ -61,14 +61,6 @@ def test_the_odds_are_numbers_anywhere_and_fewer_are_followed_than_there_are(x, 
         followed(z, FalseAlarmRatio(LearnedDensity(rate, FLAGS.density), TrackedObjects(share / 2, objects)))[0]
         <= some + 1e-12
     )
-
-
-def test_a_scene_of_which_only_uniform_parts_are_known_holds_nobody_back():
-    odds = FalseAlarmRatio(
-        LearnedDensity(3.0, uniform_density(LOW, HIGH)),
-        TrackedObjects(1.0, LearnedDensity(1e-3, uniform_density(LOW, HIGH))),
-    )
-    assert (followed(np.hstack([FLAG, STREET, BEYOND]), odds) < 0).all()
 
 
 @pytest.mark.parametrize("births", [None, LearnedDensity(0.02, ENTRY)], ids=["people", "people who enter"])

@@ -116,24 +116,6 @@ def test_the_evidence_of_newborn_is_that_of_gamma():
     assert np.mean(found) == pytest.approx(0.99 * each.mean(), rel=0.02)
 
 
-def test_velocities_are_those_of_the_place():
-    """Against drawing γ and weighing with the likelihood: mean and spread of the velocities given the detection."""
-    birth = SceneBirth(1.0, entrance(uniform=1e-3))
-    drawn = birth.density.sample(1_000_000, np.random.default_rng(3))
-    for y in (200.0, 240.0):
-        z = np.array([[105.0], [y], [40.0], [80.0]])
-        weight = np.exp(FIXED.log_likelihood(z, drawn))
-        weight /= weight.sum()
-        mean = drawn[2:4] @ weight
-        spread = (drawn[2:4] - mean[:, None]) * weight @ (drawn[2:4] - mean[:, None]).T
-        parts = [birth.sample(z, np.zeros(1), FIXED, 1.0, np.random.default_rng(k)) for k in range(30)]
-        velocity, share = np.hstack([part.state[2:4] for part in parts]), np.concatenate([part.weight for part in parts])
-        share /= share.sum()
-        ours = velocity @ share
-        assert ours == pytest.approx(mean, abs=0.03)
-        assert (velocity - ours[:, None]) * share @ (velocity - ours[:, None]).T == pytest.approx(spread, abs=0.03)
-
-
 def test_gaussian_newborn_are_the_learned_ones_and_the_uniform_part_about_detections():
     birth, flat = SceneBirth(0.5, entrance(uniform=0.2)), MeasurementBirth(0.5 * 0.2, particles=1000, frame_size=SIZE)
     found, uniform = (one.gaussians(Z, SENSOR, 2.0) for one in (birth, flat))

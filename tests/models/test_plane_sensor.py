@@ -99,7 +99,7 @@ def test_a_plan_in_metres(rng):
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"size": (0.0, 1.0)}, {"box_noise": (0.1, -1.0)}, {"borders": (0.0, 0, 0, 1)}, {"min_detection_probability": 2.0}],
+    [{"size": (0.0, 1.0)}, {"box_noise": (0.1, -1.0)}, {"borders": (0.0, 0, 0, 1)}],
 )
 def test_settings_out_of_bounds(wrong):
     with pytest.raises(InputError, match="PlaneSensor"):

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from phdtrack import config
-from phdtrack.errors import InputError
 from phdtrack.models import PointBirth, PointMotion, PointSensor, UniformBirth
 from phdtrack.types import Detections, SequenceInfo
 
@@ -26,12 +25,6 @@ def test_the_measurement_is_the_centroid_and_further_rows_are_not_compared():
     np.testing.assert_array_equal(sensor.innovation(labelled, x[:2]), [[1.0], [-2.0]])
     np.testing.assert_array_equal(sensor.states(labelled)[0], [[15.0], [40.0], [0.0], [0.0]])
     np.testing.assert_array_equal(sensor.boxes(x), [[10.0, 36, 18, 48]])
-
-
-@pytest.mark.parametrize("wrong", [(20.0, 0.0), (math.nan, 5.0)])
-def test_sizes_out_of_bounds(wrong):
-    with pytest.raises(InputError, match="size"):
-        PointSensor(size=wrong)
 
 
 def test_uniform_births_of_points_have_no_size(rng):

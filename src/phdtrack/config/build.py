@@ -141,7 +141,7 @@ def _birth(settings: Settings, sensor: Any, size: Size, region: Region) -> Birth
     if kind != "scene":
         made: Birth = birth
         return made
-    from phdtrack.models.scene import SceneBirth, objects_of
+    from phdtrack.models.scene import SceneBirth
 
     rate, observed = settings.build("time").units_per_second, sensor.observed
     scene = _scene(birth.file, size, rate)
@@ -154,7 +154,7 @@ def _birth(settings: Settings, sensor: Any, size: Size, region: Region) -> Birth
     if birth.births_per_detection > 0 and len(observed) != 4:
         where = "birth.births_per_detection"
         raise InputError("births around detections are of boxes only", where=where, cure="Leave it out")
-    among, per_second = objects_of(scene.followed), scene.births.rate * rate
+    among, per_second = None if scene.followed is None else scene.followed.objects.density, scene.births.rate * rate
     return SceneBirth(per_second, scene.births.density, observed, birth.particles, birth.births_per_detection, among)
 
 

@@ -9,7 +9,7 @@ from phdtrack.files import lazy
 if TYPE_CHECKING:
     from phdtrack.models.births import FixedBirth, MeasurementBirth, PlaneBirth, PointBirth, UniformBirth
     from phdtrack.models.box import BoxMotion, BoxSensor
-    from phdtrack.models.clutter import BoxClutter, PlaneClutter, ScoredClutter, UniformClutter
+    from phdtrack.models.clutter import BoxClutter, PlaneClutter, UniformClutter
     from phdtrack.models.plane import PlaneMotion, PlaneSensor
     from phdtrack.models.point import PointMotion, PointSensor
 
@@ -26,7 +26,6 @@ __all__ = [
     "PointBirth",
     "PointMotion",
     "PointSensor",
-    "ScoredClutter",
     "UniformBirth",
     "UniformClutter",
 ]

@@ -26,7 +26,6 @@ from phdtrack.models.volumes import (
     SIZES,
     Region,
     area,
-    check_region,
     image_area,
     image_volume,
     inside,
@@ -252,10 +251,6 @@ class PlaneBirth(_AroundDetections):
     births_per_detection: NonNegative = 0.25
     particles: PositiveCount = 500
     borders: Region = EVERYWHERE
-
-    def __post_init__(self) -> None:
-        _AroundDetections.__post_init__(self)
-        check_region(self.borders, "PlaneBirth.borders")
 
     def _gamma(self, x: F8, first: I8, z: F8) -> F8:
         """γ per second and m² at states (d, L)."""

@@ -39,7 +39,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from phdtrack.arrays import GATE, chi2_quantile, to_cxcywh
-from phdtrack.errors import Checked, InputError, NonNegative, Positive, Probability, Share, check
+from phdtrack.errors import Checked, InputError, NonNegative, Positive, Probability, Share
 from phdtrack.kernels.box import (
     DETECTION,
     FIXED,
@@ -74,7 +74,7 @@ def _box_noise(scaling: Scaling, share: float, floor: float, fixed: tuple[float,
 
 
 @dataclass(frozen=True, slots=True)
-class BoxSensor:
+class BoxSensor(Checked):
     """g and p_D for boxes.
 
     Parameters
@@ -114,11 +114,6 @@ class BoxSensor:
     def _gate(self) -> float:
         """G, the gate's half-width in deviations."""
         return math.sqrt(chi2_quantile(4, self.gate_probability))
-
-    def __post_init__(self) -> None:
-        check(self)
-        if not all(deviation > 0 for deviation in self.fixed_noise):
-            raise InputError(f"expected deviations above 0 pixels, got {self.fixed_noise}", where="BoxSensor.fixed_noise")
 
     def expected(self, x: F8) -> F8:
         """(4, L) centre and size of the boxes."""

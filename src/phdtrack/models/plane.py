@@ -111,10 +111,6 @@ class PlaneSensor(PositionSensor):
     def __post_init__(self) -> None:
         check(self)
         check_region(self.borders, "PlaneSensor.borders")
-        if not all(value > 0 for value in (*self.box_noise, *self.size)):
-            raise InputError(
-                f"expected lengths above 0, got {self.box_noise} and {self.size}", where="PlaneSensor.box_noise, size"
-            )
 
     def measure(self, detections: Detections) -> F8:
         """(5, N) ground points and their covariances; columns of NaN for feet that do not stand on the ground."""

@@ -23,7 +23,7 @@ from typing import ClassVar
 import numpy as np
 
 from phdtrack.arrays import GATE, to_cxcywh
-from phdtrack.errors import InputError, NonNegative, Positive, Probability, Share, check
+from phdtrack.errors import NonNegative, Positive, Probability, Share
 from phdtrack.kernels.particle_models import SensorNumbers, position_numbers
 from phdtrack.models import warp
 from phdtrack.models.positions import PositionMotion, PositionSensor, Variances
@@ -75,11 +75,6 @@ class PointSensor(PositionSensor):
     size: tuple[Positive, Positive] = (20.0, 50.0)
     gate_probability: Share = GATE
     occlusion: ClassVar[bool] = False
-
-    def __post_init__(self) -> None:
-        check(self)
-        if not all(math.isfinite(side) and side > 0 for side in self.size):
-            raise InputError(f"expected a width and a height above 0, got {self.size}", where="PointSensor.size")
 
     def _noise(self, z: F8) -> tuple[F8, F8, F8]:
         """r I."""

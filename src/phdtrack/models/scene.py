@@ -175,17 +175,12 @@ def with_scene(
     birth, false = model.birth, model.clutter
     if births is not None:
         own = birth.births_per_detection if isinstance(birth, MeasurementBirth) else 0.0
-        rate, among = births.rate * model.rate, objects_of(followed)
+        rate, among = births.rate * model.rate, None if followed is None else followed.objects.density
         birth = SceneBirth(rate, births.density, particles=particles, births_per_detection=own, among=among)
     if clutter is not None:
         own = false.clutter_per_detection if isinstance(false, BoxClutter) else 0.0
         false = SceneClutter(clutter.rate, clutter.density, own)
     return replace(model, birth=birth, clutter=false)
-
-
-def objects_of(followed: TrackedObjects | None) -> SceneDensity | None:
-    """p(z|o), None where it is not known."""
-    return None if followed is None else followed.objects.density
 
 
 @dataclass(frozen=True, eq=False)
