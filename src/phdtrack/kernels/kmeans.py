@@ -231,29 +231,34 @@ def _sums(row: Real, n: int, out: F8, at: int) -> None:
 
 
 @njit(**INNER)
-def _move(box: F8, near: Candidates, sums: F8, centres: Centres, mass: F8, steps: I8, moved: I8, limit: int) -> bool:
-    """Put the centres that may still move on their means; whether any has. Writes ``mass`` and ``moved`` (k,)."""
+def _move(
+    box: F8, near: Candidates, sums: F8, centres: Centres, mass: F8, steps: I8, moved: I8, stale: I8, limit: int
+) -> bool:  # fmt: skip
+    """Put the ``stale`` centres that may still move on their means; whether any has. Writes ``mass``, ``moved`` (k,)."""
     at, per, first, component = centres.at, centres.per, near.first, near.component
     k, d = at.shape
-    mean, total, going = np.zeros((k, d)), 0.0, False
-    mass[:] = 0.0
+    mean, going = np.zeros((k, d)), False
+    for j in range(k):
+        mass[j] = 0.0 if stale[j] else mass[j]
     for b in range(first.size - 1):
         for e in range(first[b], first[b + 1]):
             j, m = component[e], sums[e, 0]
-            mass[j] += m
-            total += m
-            for r in range(d):
-                mean[j, r] += sums[e, 1 + r] + m * (box[b, 2, r] - at[j, r])
+            if stale[j]:
+                mass[j] += m
+                for r in range(d):
+                    mean[j, r] += sums[e, 1 + r] + m * (box[b, 2, r] - at[j, r])
+    least = DUST * mass.sum()
     for j in range(k):
         away = False
         for r in range(d):
-            mean[j, r] = mean[j, r] / mass[j] if mass[j] > DUST * total else 0.0
+            mean[j, r] = mean[j, r] / mass[j] if mass[j] > least else 0.0
             away |= abs(mean[j, r]) * per[j, r] > STILL
         moved[j] = 1 if away and steps[j] < limit else 0
         steps[j] += moved[j]
         for r in range(d if moved[j] else 0):
             at[j, r] += mean[j, r]
         going |= moved[j] == 1
+        stale[j] = 0
     return going
 
 
@@ -268,7 +273,7 @@ def _settle(
     """
     (at, per, window), (row, which, among), first, component = centres, scratch, near.first, near.component
     state, weight, start, known, known_first = blocks.state, blocks.weight, blocks.start, blocks.mass, blocks.first
-    mass, going, d = np.empty(moved.size), True, state.shape[0]
+    mass, stale, going, d = np.empty(moved.size), np.ones(moved.size, np.int64), True, state.shape[0]
     while going:
         for b in range(first.size - 1):
             begin, end, changed = first[b], first[b + 1], 0
@@ -284,6 +289,7 @@ def _settle(
                 _nearest(row, which, n, at, per, window, box, among, some, b)
                 owner, owned = which[0], which[0] >= 0 and _all_equal(which, n)
             for e in range(begin, end):
+                stale[component[e]] = 1
                 for r in range(1 + d):
                     sums[e, r] = 0.0
             if owned:
@@ -295,7 +301,7 @@ def _settle(
             for c in range(some):
                 _share(row, which, even(d), n, c)
                 _sums(row, n, sums, among[0, c])
-        going = _move(box, near, sums, centres, mass, steps, moved, limit)
+        going = _move(box, near, sums, centres, mass, steps, moved, stale, limit)
     return mass
 
 
@@ -331,27 +337,29 @@ def _begun(at: F8, per: F8, reach: float) -> Centres:
 
 @njit(**INNER)
 def _divided(blocks: Blocks, centres: Centres, far: I8, parent: I8, reach: float) -> Centres:
-    """The centres, and new ones on the particles ``far`` of the clusters ``parent``."""
+    """New centres on the particles ``far`` of the clusters ``parent``."""
     at = np.empty((parent.size, centres.at.shape[1]))
     for c in range(parent.size):
         for r in range(at.shape[1]):
             at[c, r] = blocks.state[r, far[parent[c]]]
-    new = _begun(at, centres.per[parent], reach)
-    return Centres(
-        np.concatenate((centres.at, at)),
-        np.concatenate((centres.per, new.per)),
-        np.concatenate((centres.window, new.window), axis=1),
-    )
+    out: Centres = _begun(at, centres.per[parent], reach)
+    return out
 
 
 @njit(**INNER)
-def _grown(sums: F8, old: Candidates, new: Candidates) -> F8:
-    """The sums of entries where new centres stand behind the old ones of each block."""
-    out = np.zeros((new.component.size, sums.shape[1]))
-    for b in range(old.first.size - 1):
-        for e in range(old.first[b + 1] - old.first[b]):
-            out[new.first[b] + e] = sums[old.first[b] + e]
-    return out
+def _grown(old: Candidates, sums: F8, new: Candidates, k: int) -> tuple[Candidates, F8]:
+    """The entries of each block and their sums, with those of new centres, from number k on, behind them."""
+    first = old.first + new.first
+    component, out = np.empty(first[-1], np.int64), np.zeros((first[-1], sums.shape[1]))
+    for b in range(first.size - 1):
+        at = first[b]
+        for e in range(old.first[b], old.first[b + 1]):
+            component[at], out[at] = old.component[e], sums[e]
+            at += 1
+        for e in range(new.first[b], new.first[b + 1]):
+            component[at] = k + new.component[e]
+            at += 1
+    return Candidates(old.start, first, component), out
 
 
 @njit(**INNER)
@@ -428,9 +436,15 @@ def kmeans(blocks: Blocks, centres: F8, scales: F8, rule: Rule) -> Gaussians:
     far = parent
     for turn in range(1 + int(np.ceil(2.0 * blocks.mass.sum() / rule.split))):
         if turn > 0:
-            now, before = _divided(blocks, now, far, parent, rule.reach), near
-            near, k = reaching(blocks, now.window[:2], now.window[2:]), now.at.shape[0]
-            sums, strays, steps = _grown(sums, before, near), _with_zeros(strays, k), _with_zeros(steps, k)
+            new = _divided(blocks, now, far, parent, rule.reach)
+            near, sums = _grown(near, sums, reaching(blocks, new.window[:2], new.window[2:]), k)
+            now = Centres(
+                np.concatenate((now.at, new.at)),
+                np.concatenate((now.per, new.per)),
+                np.concatenate((now.window, new.window), axis=1),
+            )
+            k += parent.size
+            strays, steps = _with_zeros(strays, k), _with_zeros(steps, k)
             steps[parent], moved = 0, _with_zeros(moved, k)
             moved[k - parent.size :] = 1
         scratch = Scratch(row, which, np.empty((2, k), np.int64))
