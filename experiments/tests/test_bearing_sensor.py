@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from experiments.bearing import BearingSensor, TurningMotion
 from phdtrack.filters import GMPHD
-from phdtrack.kernels.gaussian import PAIR, Measurements, write_posteriors
+from phdtrack.kernels.gaussian import PAIR, Measurements, all_posteriors
 from phdtrack.models import FixedBirth, UniformClutter
 from phdtrack.models.gaussian import expected
 from phdtrack.protocols import Model
@@ -93,7 +93,7 @@ def corrected(state: GaussianMixture, z: np.ndarray, sensor: BearingSensor) -> t
     mean, after, cov = state.mean.T.copy(), np.empty(state.mean.T.shape), np.empty(state.covariance.shape)
     seen = expected(sensor, mean, state.covariance, "unscented")
     measured = Measurements(z.T.copy(), np.zeros((0, 2, 2)), np.zeros(1), (2 * math.pi, 0.0))
-    write_posteriors(mean, state.covariance, seen, measured, np.zeros(1, PAIR), after, cov)
+    all_posteriors(mean, state.covariance, seen, measured, np.zeros(1, PAIR), after, cov)
     return after.T, cov
 
 
