@@ -42,6 +42,11 @@ def seen(path: np.ndarray, frame: np.ndarray, xyxy: np.ndarray) -> np.ndarray:
     return out
 
 
+def points(warp: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """(2, n) where the pixels ``p`` (2, n) of the frame before are in this one."""
+    return cv2.perspectiveTransform(p.T[:, None], warp)[:, 0].T
+
+
 def moving(scene: Scene, path: np.ndarray) -> Scene:
     """The scene's detections and truth in the pixels of the camera that moves."""
     truth, table = scene.truth, scene.detections

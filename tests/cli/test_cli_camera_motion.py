@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from cli_runner import phdtrack, refused
 
-from moving_cases import filmed, handheld, moving, step
+from moving_cases import filmed, handheld, moving, points, step
 from phdtrack.formats import read_warps, write_detections, write_truth
-from phdtrack.models import warp as warp_of
 from phdtrack.simulate import DetectorModel, make_scene, render
 from phdtrack.video import VideoWriter
 
@@ -48,10 +47,10 @@ def test_the_motion_is_measured_told_and_read_back(walk, tmp_path):
     warps, corners = read_warps(tmp_path / "flow" / "camera_motion.csv"), np.array([[0.0, 640, 640, 0], [0, 0, 360, 360]])
     np.testing.assert_array_equal(warps.frame, np.arange(2, FRAMES + 1))
     for k, warp in zip(warps.frame, warps.matrix, strict=True):
-        wanted = warp_of.points(true[k - 1], corners)
-        np.testing.assert_allclose(warp_of.points(warp, corners), wanted, atol=1.5)
+        wanted = points(true[k - 1], corners)
+        np.testing.assert_allclose(points(warp, corners), wanted, atol=1.5)
     told, middle = flow["camera_motion"], np.array([[320.0], [180.0]])
-    steps = [float(np.linalg.norm(warp_of.points(warp, middle) - middle)) for warp in true[1:]]
+    steps = [float(np.linalg.norm(points(warp, middle) - middle)) for warp in true[1:]]
     assert (told["kind"], told["frames"], told["frames_unmeasured"]) == ("flow", FRAMES - 1, 0)
     assert told["pixels"] == pytest.approx(sum(steps), rel=0.02)
     assert told["largest_step_pixels"] == pytest.approx(max(steps), abs=0.5)

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from moving_cases import filmed, handheld, moving, step
+from moving_cases import filmed, handheld, moving, points, step
 from phdtrack.models import warp as warp_of
 from phdtrack.simulate import DetectorModel, make_scene, render
 from phdtrack.video.ego_motion import CameraMotion, SparseFlow
@@ -32,7 +32,7 @@ def test_the_path_of_a_filmed_street_is_found(clip, form: str, worst: float, typ
     for frame, wanted in zip(frames, true, strict=True):
         warp = motion(frame.image, table.at(frame.number).xyxy if told else NOBODY)
         assert motion.measured
-        errors.append(np.abs(warp_of.points(warp, CORNERS) - warp_of.points(wanted, CORNERS)).max())
+        errors.append(np.abs(points(warp, CORNERS) - points(wanted, CORNERS)).max())
     assert max(errors[1:]) < worst
     assert np.median(errors[1:]) < typical
 
@@ -56,8 +56,8 @@ def test_a_large_picture_is_measured_small_and_told_in_its_own_pixels(rng):
     motion(before, NOBODY)
     warp = motion(after, NOBODY)
     corners = np.array([[0.0, 1280, 1280, 0, 640], [0, 0, 720, 720, 360]])
-    np.testing.assert_allclose(warp_of.points(warp, corners), warp_of.points(turn, corners), atol=0.25)
-    np.testing.assert_allclose(warp_of.points(warp, corners[:, 4:]), warp_of.points(turn, corners[:, 4:]), atol=0.1)
+    np.testing.assert_allclose(points(warp, corners), points(turn, corners), atol=0.25)
+    np.testing.assert_allclose(points(warp, corners[:, 4:]), points(turn, corners[:, 4:]), atol=0.1)
     again = CameraMotion()
     again(before, NOBODY)
     np.testing.assert_array_equal(again(after, NOBODY), warp)

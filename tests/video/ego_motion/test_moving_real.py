@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from moving_cases import filmed, handheld, seen, step
+from moving_cases import filmed, handheld, points, seen, step
 from phdtrack import CameraMotion, Tracker
 from phdtrack.formats import read_detections, read_truth
 from phdtrack.metrics import evaluate
-from phdtrack.models import warp as warp_of
 from phdtrack.types import DetectionTable
 from phdtrack.video import open_source
 
@@ -38,7 +37,7 @@ def test_a_street_by_a_camera_in_a_hand(data):
         warp = motion(picture, moved.at(frame.number).xyxy)
         assert motion.measured
         wanted = step(path, frame.number) if frame.number > 1 else np.eye(3)
-        errors.append(np.abs(warp_of.points(warp, corners) - warp_of.points(wanted, corners)).max())
+        errors.append(np.abs(points(warp, corners) - points(wanted, corners)).max())
         measured.append(warp)
     stands = identified(table, truth, frames, [None] * len(frames))
     told, untold = identified(moved, judged, frames, measured), identified(moved, judged, frames, [None] * len(frames))
