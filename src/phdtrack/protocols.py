@@ -154,8 +154,7 @@ class Birth(Protocol):
         Parameters
         ----------
         z, covered : (m, N) measurements, and (N,) the mass predicted at each.
-        sensor : that gave them.
-        seconds, rng : the interval T, and of the draws.
+        sensor, seconds, rng : that gave them; the interval T; of the draws.
 
         Returns
         -------
@@ -198,8 +197,7 @@ class Spawn(Protocol):
         Parameters
         ----------
         parents : the intensity D.
-        dt : interval in the model's time unit.
-        rng : random numbers.
+        dt, rng : interval in the model's time unit; random numbers.
 
         Returns
         -------
@@ -315,9 +313,7 @@ class Extractor(Protocol[S_contra]):
 
         Parameters
         ----------
-        state : the filter's.
-        z : (m, N) measurements of the frame.
-        model : of the frame.
+        state, z, model : the filter's state, the (m, N) measurements and the model of the frame.
 
         Returns
         -------
@@ -340,11 +336,8 @@ class Associator(Protocol[A]):
 
         Parameters
         ----------
-        state : after the frame before.
-        estimates : the extracted states.
-        z : (m, N) the measurements.
-        number : frame number.
-        dt : model time since the frame before.
+        state, dt : of the frame before, and the model time since then.
+        estimates, z, number : the extracted states, the (m, N) measurements and the frame number.
         model : of this frame; states of earlier frames are warped where the camera has moved (`Model.warp`).
 
         Returns
@@ -370,8 +363,7 @@ class Smoother(Protocol):
 
         Parameters
         ----------
-        tracks : corrected ones.
-        measurements : that their rows rest on.
+        tracks, measurements : corrected tracks, and what their rows rest on.
         model : of the last frame.
 
         Returns
@@ -428,9 +420,7 @@ class Learning(Protocol[C]):
 
         Parameters
         ----------
-        state : what was learned.
-        model : as `model` gave it.
-        detections : of the frame.
+        state, model, detections : what was learned, the model as `model` gave it, and the frame's detections.
 
         Returns
         -------
