@@ -17,7 +17,6 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from phdtrack.errors import InputError
 from phdtrack.kernels.gaussian import Births
 from phdtrack.kernels.particle_models import SensorNumbers
 from phdtrack.types import (
@@ -28,7 +27,6 @@ from phdtrack.types import (
     Explanation,
     Frame,
     MeasurementHistory,
-    ParticleBlocks,
     Particles,
     Step,
     Tracks,
@@ -188,23 +186,6 @@ class Clutter(Protocol):
         """(N,) expected clutter points per frame and unit of measurement volume at ``z`` (m, N)."""
 
 
-class Spawn(Protocol):
-    """β(x|ξ): targets that come out of targets. The papers leave it out."""
-
-    def sample(self, parents: Particles | ParticleBlocks, dt: float, rng: np.random.Generator) -> Particles:
-        """Draws of ∫ β(x|ξ) D(ξ) dξ for an intensity.
-
-        Parameters
-        ----------
-        parents : the intensity D.
-        dt, rng : interval in the model's time unit; random numbers.
-
-        Returns
-        -------
-        Particles; an empty set where nothing is spawned.
-        """
-
-
 @dataclass(frozen=True, slots=True)
 class Model:
     """The four parts of a model of the world, and ``rate``: its time units per second.
@@ -215,7 +196,7 @@ class Model:
 
     ``warp`` (3, 3) is how the camera has moved since the frame before: the homography that takes pixels of that frame to
     this one's; `types.STILL` where it stands still. States are warped before they are predicted (`warp_states`,
-    `warp_gaussians`). ``spawn`` is β, None for none.
+    `warp_gaussians`).
     """
 
     motion: Motion
@@ -225,12 +206,6 @@ class Model:
     rate: float = 25.0
     first: float = 1.0
     warp: F8 = field(default_factory=lambda: STILL, compare=False)
-    spawn: Spawn | None = None
-
-    def refuse_spawning(self, filter_name: str) -> None:
-        """Raise `InputError` where targets spawn others: only the particle PHD filter has that term."""
-        if self.spawn is not None:
-            raise InputError(f"the {filter_name} has no spawning", where="Model.spawn", cure="Use the particle PHD filter")
 
     def warp_states(self, x: F8) -> F8:
         """(d, L) states of the frame before, in the pixels of this one."""

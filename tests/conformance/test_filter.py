@@ -9,14 +9,12 @@ import pytest
 from shipped import BIRTHS, CLUTTERS, FILTERS, SENSORS, detections, fixed, frozen, keeps, mixture, model_of, often
 
 from composed import composed_step
-from phdtrack.errors import InputError
 from phdtrack.filters import GMCPHD, GMPHD, MCMC, MHT, PMB, ParticleCPHD, ParticlePHD
 from phdtrack.filters.cardinality import Cardinalised
 from phdtrack.filters.hypotheses import Hypotheses
 from phdtrack.filters.pmb import Bernoullis
 from phdtrack.protocols import Filter
 from phdtrack.types import GaussianMixture, ParticleBlocks
-from spawning import Splitting
 
 STARTED = ParticlePHD | GMPHD | ParticleCPHD | GMCPHD | MCMC | MHT | PMB
 pytestmark = pytest.mark.parametrize("filter_", FILTERS.values(), ids=FILTERS)
@@ -129,14 +127,6 @@ def test_two_steady_targets_count_as_two(filter_, rng):
     for _ in range(12):
         state, info = composed_step(filter_, state, z, model, 1.0, rng)
     assert info.mass == pytest.approx(2, abs=0.35)
-
-
-def test_spawning_is_refused_but_by_the_particle_phd_filter(filter_, rng):
-    model = model_of()
-    state = filter_.step(filter_.start(model, rng), scans(rng, 2)[1], model, 1.0, rng)[0]
-    if isinstance(filter_, GMPHD | GMCPHD | ParticleCPHD | MHT | PMB):
-        with pytest.raises(InputError, match="no spawning"):
-            filter_.predict(state, replace(model, spawn=Splitting(0.1)), 1.0, rng)
 
 
 def test_nothing_comes_of_nothing(filter_, rng):

@@ -26,7 +26,6 @@ from phdtrack.models import (
 from phdtrack.models.volumes import image_volume
 from phdtrack.protocols import Model
 from phdtrack.types import GaussianMixture, ParticleBlocks, Particles
-from spawning import Splitting
 
 seeds = st.integers(0, 2**32 - 1)
 NOTHING = Particles(np.zeros((6, 0)), np.zeros(0))
@@ -181,8 +180,6 @@ def test_predicting_multiplies_the_mass_with_survival(seed: int, dt: float, surv
     model = replace(world(), motion=BoxMotion(survival_probability=survival**25))
     predicted = ParticlePHD().predict(state, model, dt, rng)
     assert predicted.mass == pytest.approx(state.mass * survival**dt, rel=1e-6)
-    predicted = ParticlePHD().predict(state, replace(model, spawn=Splitting(0.1)), dt, rng)
-    assert predicted.mass == pytest.approx(state.mass * (survival**dt + 0.1 * dt), rel=1e-5)
 
 
 @pytest.mark.parametrize("dt", [0.5, 1.0, 3.0])

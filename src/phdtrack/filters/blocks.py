@@ -142,20 +142,6 @@ def carried(state: ParticleBlocks, model: Model) -> ParticleBlocks:
     return ParticleBlocks(moved, state.start, state.unit, state.share)
 
 
-def joined(a: ParticleBlocks, b: ParticleBlocks) -> ParticleBlocks:
-    """The sum of two intensities."""
-    if len(b) == 0 or len(a) == 0:
-        return a if len(b) == 0 else b
-    unit = a.unit or b.unit
-    share = [
-        (part.share if len(part.share) else np.ones(len(part), part.state.dtype))
-        * part.state.dtype.type(part.unit / (unit or 1.0))
-        for part in (a, b)
-    ]
-    state, start = np.concatenate([a.state, b.state], axis=1), np.concatenate([a.start, len(a) + b.start[1:]])
-    return ParticleBlocks(state, start, unit, np.concatenate(share))
-
-
 @lru_cache(maxsize=4)
 def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="phdtrack")

@@ -37,13 +37,9 @@ class _CPHD(Filter[Cardinalised[Any]]):
         return Cardinalised(intensity, poisson(intensity.mass))
 
     def predict(self, state: Cardinalised[Any], model: Model, dt: float, rng: np.random.Generator) -> Cardinalised[Any]:
-        """The intensity moved and weighed with p_S; the number thinned by the mean of p_S [V07].
-
-        Raises `InputError` where the motion spawns: the recursion of the number has no spawning.
-        """
+        """The intensity moved and weighed with p_S; the number thinned by the mean of p_S [V07]."""
         if len(state) == 0:
             return state
-        model.refuse_spawning("cardinalised PHD filter")
         intensity = _intensity(self).predict(state.intensity, model, dt, rng)
         return Cardinalised(intensity, survived(state.cardinality, intensity.mass / state.mass))
 

@@ -94,11 +94,7 @@ class MHT(Checked, Filter[Hypotheses]):
         return Hypotheses((nodes,), np.arange(n), (), n)
 
     def predict(self, state: Hypotheses, model: Model, dt: float, rng: np.random.Generator) -> Hypotheses:
-        """A further layer: every leaf through f, with p_S of its probability to exist.
-
-        Raises `InputError` where the motion spawns targets, which have no Gaussian form.
-        """
-        model.refuse_spawning("MHT")
+        """A further layer: every leaf through f, with p_S of its probability to exist."""
         leaves, n = state.leaves, len(state)
         _, _, after = moved(model, leaves.mean, leaves.covariance, dt, self.transform)
         survive, missed = after.p_survive, leaves.missed + 1

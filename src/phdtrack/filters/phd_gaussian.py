@@ -98,10 +98,7 @@ class GMPHD(Checked, Filter[GaussianMixture]):
         return tagged(self.initial or GaussianMixture.empty(model.motion.dim))
 
     def predict(self, state: GaussianMixture, model: Model, dt: float, rng: np.random.Generator) -> GaussianMixture:
-        """Every Gaussian through f, weighed with p_S [V06 (24)–(29)].
-
-        Raises `InputError` where the motion spawns: spawned targets are drawn as particles and have no Gaussian form.
-        """
+        """Every Gaussian through f, weighed with p_S [V06 (24)–(29)]."""
         if len(state) == 0:
             return state
         rows = self._predicted(tagged(state), model, dt)
@@ -170,7 +167,6 @@ class GMPHD(Checked, Filter[GaussianMixture]):
 
     def _predicted(self, state: GaussianMixture, model: Model, dt: float) -> Rows:
         """The predicted Gaussians, of weight 0 where none survives."""
-        model.refuse_spawning("GM-PHD filter")
         rows = _rows_of(state)
         _, _, after = moved(model, rows.mean, rows.covariance, dt, self.transform)
         return Rows(rows.weight * after.p_survive, after.mean, after.covariance, rows.tag)

@@ -18,7 +18,7 @@ import numpy as np
 
 from phdtrack.arrays import chi2_quantile, draw, reused, sum_by
 from phdtrack.errors import Checked, Count, PositiveCount
-from phdtrack.filters.blocks import Intensity, UpdatedParticles, carried, in_blocks, in_ranges, joined
+from phdtrack.filters.blocks import Intensity, UpdatedParticles, carried, in_blocks, in_ranges
 from phdtrack.filters.terms import TINY, UpdateTerms
 from phdtrack.kernels import particles as sweeps
 from phdtrack.kernels.grid import Grid, make_grid
@@ -67,7 +67,7 @@ class ParticlePHD(Checked, Filter[Intensity]):
         return Particles(np.zeros((model.motion.dim, 0)), np.zeros(0))
 
     def predict(self, state: Intensity, model: Model, dt: float, rng: np.random.Generator) -> ParticleBlocks:
-        """The particles moved by f and weighed with p_S, and those that are spawned [M07 (4), D14 Alg. 2].
+        """The particles moved by f and weighed with p_S [M07 (4), D14 Alg. 2].
 
         A frame takes two words of ``rng`` for the key of all draws.
         """
@@ -80,10 +80,7 @@ class ParticlePHD(Checked, Filter[Intensity]):
         moved, share = reused(blocks.state.shape, blocks.state.dtype), reused((len(blocks),), blocks.state.dtype)
         given = (motion, blocks.state, blocks.share, blocks.start, key, moved, share)
         in_ranges(sweeps.predict, given, len(blocks.start) - 1, self.threads)
-        predicted = ParticleBlocks(moved, blocks.start, blocks.unit, share)
-        if model.spawn is None:
-            return predicted
-        return joined(predicted, in_blocks(model.spawn.sample(blocks, dt, rng), moved.dtype))
+        return ParticleBlocks(moved, blocks.start, blocks.unit, share)
 
     def update(
         self, state: Intensity, z: F8, model: Model, dt: float, rng: np.random.Generator

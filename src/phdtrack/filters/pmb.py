@@ -133,11 +133,7 @@ class PMB(Checked, Filter[Bernoullis]):
         return Bernoullis((layer,), np.zeros((0, 2), np.int64), n)
 
     def predict(self, state: Bernoullis, model: Model, dt: float, rng: np.random.Generator) -> Bernoullis:
-        """A further layer: every hypothesis through f, with p_S of its probability; static clutter stays where it is.
-
-        Raises `InputError` where the motion spawns targets, which have no Gaussian form.
-        """
-        model.refuse_spawning("PMB filter")
+        """A further layer: every hypothesis through f, with p_S of its probability; static clutter stays where it is."""
         now = state.present
         mean, covariance, after = moved(model, now.mean, now.covariance, dt, self.transform)
         now, noise = Layer(now.targets, now.hypotheses, mean, covariance), model.sensor.noise(np.ascontiguousarray(mean.T))
