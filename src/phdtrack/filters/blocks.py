@@ -117,7 +117,7 @@ def in_blocks(state: Intensity, dtype: np.dtype[np.floating]) -> ParticleBlocks:
     if isinstance(state, ParticleBlocks):
         return state
     if isinstance(state, UpdatedParticles):
-        return reduce(joined, state.weighed())
+        return reduce(_joined, state.weighed())
     if len(state) == 0:
         return ParticleBlocks.empty(len(state.state), dtype)
     x, weight = state.state, state.weight
@@ -140,6 +140,20 @@ def carried(state: ParticleBlocks, model: Model) -> ParticleBlocks:
         return state
     moved = np.ascontiguousarray(model.warp_states(state.state.astype(np.float64)), state.state.dtype)
     return ParticleBlocks(moved, state.start, state.unit, state.share)
+
+
+def _joined(a: ParticleBlocks, b: ParticleBlocks) -> ParticleBlocks:
+    """The sum of two intensities."""
+    if len(b) == 0 or len(a) == 0:
+        return a if len(b) == 0 else b
+    unit = a.unit or b.unit
+    share = [
+        (part.share if len(part.share) else np.ones(len(part), part.state.dtype))
+        * part.state.dtype.type(part.unit / (unit or 1.0))
+        for part in (a, b)
+    ]
+    state, start = np.concatenate([a.state, b.state], axis=1), np.concatenate([a.start, len(a) + b.start[1:]])
+    return ParticleBlocks(state, start, unit, np.concatenate(share))
 
 
 @lru_cache(maxsize=4)
