@@ -60,10 +60,6 @@ class MatrixForm:
     pixel : ``xy`` (usual) or ``row-column`` (usual for an H.txt that lies beside an obsmat.txt, the layout of ETH and UCY).
     unit : of lengths on the ground: ``m`` (usual in text), ``cm`` or ``mm``; must be said for MATLAB's files.
     variable : name of the variable in a MATLAB file; must be said where there are several.
-
-    Raises
-    ------
-    InputError : a value that is none of these.
     """
 
     maps: Literal["", "pixel-to-ground", "ground-to-pixel"] = ""

@@ -6,9 +6,8 @@ missing from ``000001.jpg 000002.jpg 000004.jpg`` is a dropped frame, and the ti
 Names without numbers, names whose numbers do not increase, and names in which more than nine frames in ten would be missing
 (time stamps) are only counted.
 
-A video is opened twice: once for its first frame, which settles size, orientation and rate (headers are often wrong), and
-once for each iteration. Packets that cannot be decoded are skipped and reported in `VideoSource.problem`; a file cut short
-gives the frames that it has. Portrait recordings of telephones are turned upright, as players do.
+A video is opened once for its first frame, which settles size, orientation and rate (headers are often wrong), and once for
+each iteration. Packets that cannot be decoded are skipped; a file cut short gives the frames that it has.
 """
 
 from __future__ import annotations
