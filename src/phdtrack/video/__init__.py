@@ -4,7 +4,6 @@
 OpenCV are imported when the first file is opened.
 """
 
-from phdtrack.video.sources import VideoSource, open_source
-from phdtrack.video.writer import VideoWriter
+from phdtrack.video.files import VideoSource, VideoWriter, open_source
 
 __all__ = ["VideoSource", "VideoWriter", "open_source"]
