@@ -1,10 +1,26 @@
-"""Covariances of ground points: a Kalman filter that uses them is consistent."""
+"""Covariances of ground points: the transforms against sampling, and a Kalman filter that uses them is consistent."""
 
 import numpy as np
+import pytest
 from scipy.stats import chi2
 
-from camera_cases import posed, tsai
+from camera_cases import CAMERAS, posed, tsai
 from phdtrack.ground import ground_covariance
+
+
+def repeated(cov: np.ndarray, n: int) -> np.ndarray:
+    return np.tile(cov, (n, 1, 1))
+
+
+@pytest.mark.parametrize("name", ["tsai", "opencv, five", "homography"])
+def test_it_is_the_covariance_of_sampled_pixels(name: str, rng: np.random.Generator) -> None:
+    camera, cov = CAMERAS[name], np.array([[4.0, 1.5], [1.5, 9.0]])
+    pixel = np.array([[100.0, 400, 700], [350, 420, 560]])
+    found = ground_covariance(camera, pixel, repeated(cov, 3))
+    for i in range(3):
+        cloud = pixel[:, i, None] + np.linalg.cholesky(cov) @ rng.standard_normal((2, 40_000))
+        sampled = np.cov(camera.ground(cloud))
+        np.testing.assert_allclose(found[i], sampled, atol=0.05 * np.trace(sampled))
 
 
 def nees(distance: float, rng: np.random.Generator, n: int) -> np.ndarray:
@@ -14,7 +30,7 @@ def nees(distance: float, rng: np.random.Generator, n: int) -> np.ndarray:
     expected = (camera.position[:2] + distance * direction)[:, None]
     true = expected + 0.5 * rng.standard_normal((2, n))
     pixel = camera.pixels(true) + deviation * rng.standard_normal((2, n))
-    z, noise = camera.ground(pixel), ground_covariance(camera, pixel, np.tile(deviation**2 * np.eye(2), (n, 1, 1)))
+    z, noise = camera.ground(pixel), ground_covariance(camera, pixel, repeated(deviation**2 * np.eye(2), n))
     gain = prior @ np.linalg.inv(prior + noise)
     error = expected + np.einsum("nij,jn->in", gain, z - expected) - true
     return np.einsum("in,nij,jn->n", error, np.linalg.inv(prior - gain @ prior), error)
