@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.timing import Spread, seconds
 from phdtrack.detect import make_detector
-from phdtrack.simulate import make_scene, render
+from phdtrack.simulate import Rendered, make_scene
 from phdtrack.types import Frame, Image
 
 SIZES = {"QCIF": (176, 144), "768x576": (768, 576), "1080p": (1920, 1080)}
@@ -33,7 +33,7 @@ def rendered(size: tuple[int, int], seed: int) -> tuple[Image, ...]:
     """`RENDERED` frames of the street, (H, W, 3) BGR."""
     width, height = size
     scene = make_scene("street", seed, frames=RENDERED, width=width, height=height, fps=FPS)
-    return tuple(frame.image for frame in render(scene, np.random.default_rng(seed)))
+    return tuple(frame.image for frame in Rendered(scene, np.random.default_rng(seed)))
 
 
 def endless(images: tuple[Image, ...]) -> Iterator[Frame]:

@@ -11,7 +11,7 @@ import numpy as np
 from experiments import e13
 from experiments.common import Case, detections_in, mot15, need_data
 from phdtrack.formats import read_truth
-from phdtrack.simulate import DetectorModel, add_clutter, detect, make_scene, render
+from phdtrack.simulate import DetectorModel, Rendered, add_clutter, detect, make_scene
 from phdtrack.types import SequenceInfo
 
 # A sequence, and which detections of it: public or frcnn; made; of a simulated scene; of one with places that fire;
@@ -58,7 +58,7 @@ def given(sequence: str, kind: str) -> Case:
 def rendered(name: str, seed: int) -> Case:
     """The video of a scene, and what the change detector finds in it, both as shipped; kept, as it takes seconds."""
     scene = make_scene(name, seed, frames=SCENE_FRAMES)
-    return Case(name, scene.info, scene.truth, detections_in(render(scene, np.random.default_rng(seed))))
+    return Case(name, scene.info, scene.truth, detections_in(Rendered(scene, np.random.default_rng(seed))))
 
 
 def drawn(name: Named, seed: int) -> Case:

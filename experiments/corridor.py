@@ -18,8 +18,7 @@ import numpy as np
 from phdtrack.arrays import to_cxcywh, to_xyxy
 from phdtrack.errors import InputError
 from phdtrack.protocols import Motion
-from phdtrack.simulate.scenario import Walk, truth_rows
-from phdtrack.simulate.scenes import CORRIDOR
+from phdtrack.simulate.scenes import CORRIDOR, Walk, truth_rows
 from phdtrack.types import F8, Truth
 
 SIZE = (20.0, 50.0)

@@ -15,7 +15,7 @@ import numpy as np
 from phdtrack.arrays import to_xyxy
 from phdtrack.errors import InputError
 from phdtrack.simulate.detector import DetectorModel
-from phdtrack.simulate.scenario import truth_rows
+from phdtrack.simulate.scenes import truth_rows
 from phdtrack.types import F8, SequenceInfo, Truth
 
 PAPER_DETECTOR = DetectorModel(p_detect=0.95, jitter=0.075, jitter_size=0.15, clutter_rate=1.0)

@@ -26,7 +26,7 @@ from experiments.d14_runs import (
     track,
 )
 from phdtrack.arrays import to_cxcywh
-from phdtrack.simulate import DetectorModel, Look, build_scene, render
+from phdtrack.simulate import DetectorModel, Look, Rendered, make_scene
 from phdtrack.types import F8, Frame
 
 SHOWN = (100, 200, 265, 350)
@@ -37,8 +37,8 @@ def pictures(results: Mapping[CorridorRun, RunErrors], numbers: Sequence[int], s
     """Errors, and frames and trajectories of the simulated corridor, as PNG files in ``out``."""
     errors_by_number(results, numbers, seeds, out / "d14-errors.png")
     found = _tracked("corridor", numbers[-1])
-    rendered = render(
-        build_scene(PATHS, 1, DetectorModel()), np.random.default_rng(1), Look(noise=0.0, plants=0, flicker=0.0)
+    rendered = Rendered(
+        make_scene(PATHS, 1, DetectorModel()), np.random.default_rng(1), Look(noise=0.0, plants=0, flicker=0.0)
     )
     ellipses("corridor", found, rendered, out / "d14-frames.png")
     trajectories("corridor", found, out / "d14-trajectories.png")

@@ -12,7 +12,7 @@ import numpy as np
 
 from experiments.common import Case, detections_in, mot15, need_data
 from phdtrack.detect import make_detector
-from phdtrack.simulate import NAMED, Scene, build_scene, default_detector, default_look, render
+from phdtrack.simulate import NAMED, Rendered, Scene, default_detector, default_look, make_scene
 from phdtrack.types import F8, DetectionTable, Frame, Image, SequenceInfo, Truth
 from phdtrack.video import open_source
 
@@ -55,7 +55,7 @@ def halves(job: tuple[str, int]) -> Halves:
 def simulated(name: str, frames: int) -> Scene:
     """A named scene of so many frames."""
     world = replace(NAMED[name], frames=frames)
-    return build_scene(world, SEED, default_detector(world))
+    return make_scene(world, SEED, default_detector(world))
 
 
 def rendered(name: str, frames: int) -> tuple[Case, F8]:
@@ -119,6 +119,6 @@ def detector_seconds(scene: Halves) -> float:
 def frames_of(name: str, frames: int) -> Iterable[Frame]:
     """The pictures of a rendered scene, or of a real sequence's video."""
     if name in RENDERED:
-        return render(simulated(name, frames), np.random.default_rng(SEED), default_look(name))
+        return Rendered(simulated(name, frames), np.random.default_rng(SEED), default_look(name))
     sequence = name.rpartition(" ")[0]
     return open_source(Path(need_data(), "mot15", sequence, f"{sequence}.mp4"))

@@ -9,8 +9,8 @@ import numpy as np
 
 from experiments.common import Case, detections_in
 from phdtrack.arrays import iou
-from phdtrack.simulate import DetectorModel, Look, Scene, detect, render
-from phdtrack.simulate.scenario import truth_rows
+from phdtrack.simulate import DetectorModel, Look, Rendered, Scene, detect
+from phdtrack.simulate.scenes import truth_rows
 from phdtrack.types import F8, I8, Detections, DetectionTable, SequenceInfo, Tracks, Truth
 
 Parting = Literal["crossing", "turning back"]
@@ -118,7 +118,7 @@ def filmed(job: tuple[Parting, int], *, detector: bool = True) -> Case:
     scene = met(parting, seed)
     table = DetectionTable(np.zeros(0, np.int64), Detections.empty())
     if detector:
-        table = detections_in(render(scene, np.random.default_rng(seed), Look(plants=0, lamps=0)))
+        table = detections_in(Rendered(scene, np.random.default_rng(seed), Look(plants=0, lamps=0)))
     return Case(f"{parting} {seed}", scene.info, scene.truth, table)
 
 

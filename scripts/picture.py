@@ -12,7 +12,7 @@ import numpy as np
 
 from phdtrack import Detections, Tracker, Tracks
 from phdtrack.report import Annotator, density_map
-from phdtrack.simulate import DetectorModel, Look, make_scene, render
+from phdtrack.simulate import DetectorModel, Look, Rendered, make_scene
 
 OUT = Path(__file__).resolve().parent.parent / "docs" / "picture.jpg"
 FRAME, SEED, CLUTTER = 280, 7, 8.0
@@ -27,7 +27,7 @@ def main() -> None:
     annotate, none = Annotator(info), Tracks.empty()
     heat = np.zeros((1, 1))
     pictures = []
-    for frame in render(scene, np.random.default_rng(SEED), Look(lamps=0)):
+    for frame in Rendered(scene, np.random.default_rng(SEED), Look(lamps=0)):
         tracker.update(scene.detections.at(frame.number), frame=frame.number, timestamp=frame.time)
         pictures.append(frame.image)
         if frame.number == FRAME:

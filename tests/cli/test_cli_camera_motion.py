@@ -10,7 +10,7 @@ from cli_runner import phdtrack, refused
 
 from moving_cases import filmed, handheld, moving, points, step
 from phdtrack.formats import read_warps, write_detections, write_truth
-from phdtrack.simulate import DetectorModel, make_scene, render
+from phdtrack.simulate import DetectorModel, Rendered, make_scene
 from phdtrack.video import VideoWriter
 
 FRAMES = 60
@@ -26,7 +26,7 @@ def walk(tmp_path_factory):
     write_detections(folder / "det.txt", scene.detections)
     write_truth(folder / "gt.txt", scene.truth)
     with VideoWriter(folder / "walk.mp4", *size, still.info.fps) as video:
-        for frame in render(still, np.random.default_rng(1)):
+        for frame in Rendered(still, np.random.default_rng(1)):
             video.write(filmed(frame, path, size).image)
     return folder, [step(path, k) for k in range(1, FRAMES + 1)]
 

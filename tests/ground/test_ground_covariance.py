@@ -44,10 +44,3 @@ def test_a_kalman_filter_that_uses_it_is_consistent() -> None:
     assert low < np.mean(each) < high
     low, high = chi2.ppf([0.0005, 0.9995], 2 * n) / n
     assert all(low < values.mean() < high for values in each)
-
-
-def test_the_sky_has_no_covariance_and_spoils_no_other() -> None:
-    camera, pixel = posed(tsai(5e-3)), np.array([[380.0, 380.0], [500.0, -500.0]])
-    cov = ground_covariance(camera, pixel, repeated(4 * np.eye(2), 2))
-    assert np.isfinite(cov[0]).all()
-    assert np.isnan(cov[1]).all()

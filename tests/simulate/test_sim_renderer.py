@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 
 from phdtrack.errors import InputError
-from phdtrack.simulate import NAMED, DetectorModel, Look, Scenario, Scene, Walk, build_scene, make_scene, render
+from phdtrack.simulate import NAMED, DetectorModel, Look, Rendered, Scenario, Scene, Walk, make_scene
 
 STILL = Look(noise=0.0, flicker=0.0, plants=0, wave=0.0, lamps=0)
 NOTHING = DetectorModel(clutter_rate=0.0)
 
 
 def video(scene: Scene, look: Look | None = None, seed: int = 7):
-    return render(scene, np.random.default_rng(seed), look)
+    return Rendered(scene, np.random.default_rng(seed), look)
 
 
 def difference(scene: Scene, look: Look, number: int) -> np.ndarray:
@@ -68,7 +68,7 @@ def test_figures_are_visible_where_the_truth_says() -> None:
 def test_figure_fills_its_box() -> None:
     """Head at the top, a foot at the bottom, limbs near both sides at some time of the step."""
     world = Scenario("one", frames=200, arrivals=0.0, walks=(Walk(((0.1, 0.8), (0.9, 0.8))),))
-    scene = build_scene(world, 0, NOTHING)
+    scene = make_scene(world, 0, NOTHING)
     extents = []
     for number in range(20, 60, 2):
         box = scene.figures.xyxy[scene.figures.frame == number][0]
@@ -86,7 +86,7 @@ def test_figure_fills_its_box() -> None:
 def test_obstacles_hide_who_is_behind_and_not_who_is_before() -> None:
     for row, hidden in ((0.70, True), (0.95, False)):
         walks, obstacles = (Walk(((0.5, row), (0.51, row)), speed=1e-6),), ((0.4, 0.2, 0.6, 0.85),)
-        scene = build_scene(Scenario("one", frames=1, arrivals=0.0, walks=walks, obstacles=obstacles), 0, NOTHING)
+        scene = make_scene(Scenario("one", frames=1, arrivals=0.0, walks=walks, obstacles=obstacles), 0, NOTHING)
         assert (difference(scene, replace(STILL, shadow=0.0), 1) == 0).all() == hidden
 
 
@@ -115,7 +115,7 @@ def test_waving_plants_are_seen_as_change_often_but_not_always() -> None:
 
 def test_blown_leaves_are_elsewhere_in_every_frame_and_change_nothing_else() -> None:
     scene = make_scene("empty", 1, frames=30)
-    calm, windy = (list(render(scene, np.random.default_rng(2), look)) for look in (STILL, replace(STILL, blown=3.0)))
+    calm, windy = (list(Rendered(scene, np.random.default_rng(2), look)) for look in (STILL, replace(STILL, blown=3.0)))
     changed = [np.any(a.image != b.image, axis=2) for a, b in zip(calm, windy, strict=True)]
     assert sum(mask.any() for mask in changed) > 20
     share = np.mean(changed, axis=0)

@@ -5,7 +5,7 @@ from phdtrack.arrays import iou
 from phdtrack.errors import InputError
 from phdtrack.simulate import NAMED, DetectorModel, Entrance, Scenario, Walk, make_scene
 from phdtrack.simulate.detector import covered
-from phdtrack.simulate.scenario import truth_rows
+from phdtrack.simulate.scenes import truth_rows
 from phdtrack.types import Truth
 
 PEOPLE = [name for name in NAMED if name != "empty"]

@@ -10,7 +10,7 @@ from video_clips import picture
 
 from phdtrack.errors import InputError
 from phdtrack.video import open_source
-from phdtrack.video.sources import frame_numbers
+from phdtrack.video.files import frame_numbers
 
 
 def save(folder: Path, names: list[str]) -> None:

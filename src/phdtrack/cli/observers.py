@@ -93,7 +93,7 @@ class CameraObserver(RunObserver):
 
     def report(self) -> Report:
         """How far the camera went, and how often that is not known."""
-        path = CameraPath.of(self._warps[1:], self._info.width, self._info.height)
+        path = CameraPath.of(self._warps[1:], self._info)
         said, document = lines("camera_motion.txt", path=path), {"kind": self._kind} | asdict(path)
         return Report({"camera_motion": document}, said, render("camera_motion.html", sentences=said))
 

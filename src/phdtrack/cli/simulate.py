@@ -20,7 +20,7 @@ from phdtrack.cli.settings import chosen
 from phdtrack.cli.track import announced, prepare, run
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.formats import write_detections, write_truth
-from phdtrack.simulate import NAMED, Look, Scene, default_detector, default_look, make_scene, render
+from phdtrack.simulate import NAMED, Look, Rendered, Scene, default_detector, default_look, make_scene
 from phdtrack.video import VideoWriter
 
 TRUTH, DETECTIONS, SEQINFO, VIDEO = "gt/gt.txt", "det/det.txt", "seqinfo.ini", "scene.mp4"
@@ -116,7 +116,7 @@ def _render_video(scene: Scene, seed: int, path: Path, look: Look) -> None:
     with (
         VideoWriter(path, info.width, info.height, info.fps) as writer,
         progress("rendering", info.frames) as advance,
-        ahead(render(scene, rng, look)) as frames,
+        ahead(Rendered(scene, rng, look)) as frames,
     ):
         for frame in frames:
             writer.write(frame.image)

@@ -46,7 +46,7 @@ from phdtrack.report.pages import write_run, write_text
 from phdtrack.simulate import add_clutter
 from phdtrack.types import F8, I8, DetectionTable, SequenceInfo, Tracks, Truth
 from phdtrack.video import open_source
-from phdtrack.video.sources import SUFFIXES
+from phdtrack.video.files import SUFFIXES
 
 Advance = Callable[[int], object]
 T = TypeVar("T")

@@ -7,20 +7,13 @@ small window W is the statistic, compared with a χ² quantile of 3 degrees:
 
     T(p) = (1/|W|) Σ_{q∈W} (1/s(q)) Σ_c d_c(q)² / σ_c²   >   χ²₃(1 − false alarm rate)
 
-The noise has three parts: the camera's, σ_c, estimated in every frame from the quartile of the differences of successive
-frames; local light (shadows, reflections), which is relative, hence the logarithm, stronger towards dark, and the same all
-over a window; and the scene's, s(q) ≥ 1, learned for each pixel (leaves, edges that tremble).
+The noise has three parts: the camera's, σ_c; local light (shadows, reflections), which is relative, hence the logarithm,
+and stronger towards dark; and the scene's, s(q) ≥ 1, learned for each pixel (leaves, edges that tremble). Global
+illumination changes all pixels of a channel by about a gain and an offset, which are fitted to the background.
 
-*Global illumination* (clouds, flicker, exposure) changes all pixels of a channel by about a gain and an offset. They are
-fitted robustly on a sparse grid of background pixels, and the reference is brought into the light of the frame.
-
-*The reference* is at the start the per-pixel median of samples spread over the first seconds, which shows the background
-wherever it was seen more than half of the time. Then it adapts exponentially, on foreground with a much longer time
-constant, so that an object that stops stays an object for a while.
-
-What remains is cleaned and made boxes by `components`. A component whose outline is a stronger edge in the reference than in
-the frame is where an object stood when the reference was learned and has left since; it is not reported, and when it lasts
-the reference takes it in.
+The reference is at first the median of samples of the first seconds. Then it adapts exponentially, on foreground with a much
+longer time constant. A component whose outline is a stronger edge in the reference than in the frame is where an object
+stood when the reference was learned and has left since; it is not reported, and when it lasts the reference takes it in.
 
 **mean-background**: the fixed background is the mean of the first n grey frames, or of frames given beforehand. Its
 difference to a frame is smoothed by a Gaussian low-pass and thresholded; connected components give the boxes.

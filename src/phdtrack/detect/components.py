@@ -1,13 +1,9 @@
 """From a foreground mask to boxes: clean-up, connected components, parting of what touches, joining of fragments.
 
-All background detectors share this. Sizes are fractions of the frame, so that one setting serves every resolution:
-
 1. *Clean*: peel the foreground's border (bridges between neighbours and specks go), then close gaps, higher than wide.
-2. *Components*: outer contours with enough area (a fortieth of the time of labelling every pixel).
-3. *Split*: objects side by side make one component. Its column profile (foreground pixels per column) has a peak for each
-   and a valley between; a valley deep enough, with enough of the component on either side, is where it is cut.
-4. *Join*: fragments one above the other become one box, unless it would be much higher than wide, as one person behind
-   another is.
+2. *Components*: outer contours with enough area.
+3. *Split*: a component is cut where its column profile (foreground pixels per column) has a deep valley.
+4. *Join*: fragments one above the other become one box, unless it would be much higher than wide.
 """
 
 from __future__ import annotations

@@ -79,7 +79,7 @@ class Rescaled:
                 cure=f"At least {_SMALLEST} pixels must be left on either side; 320 is a usual width.",
             )
         image = np.asarray(cv2.resize(frame.image, small, interpolation=cv2.INTER_AREA), np.uint8)
-        found = self.detector(Frame(frame.number, frame.time, image))
+        found = self.detector(replace(frame, image=image))
         factor = np.tile([width / small[0], height / small[1]], 2)
         covariance = None if found.covariance is None else found.covariance * np.outer(factor, factor)
         return replace(found, xyxy=found.xyxy * factor, covariance=covariance)

@@ -1,6 +1,5 @@
 """Between pixels and the ground: Tsai, OpenCV and homography cameras, terrain, covariances, calibration from points."""
 
-from phdtrack.ground.calibrate import Calibration, fit_homography
 from phdtrack.ground.cameras import (
     CountedFrom,
     HomographyCamera,
@@ -11,7 +10,7 @@ from phdtrack.ground.cameras import (
     footprint,
     ground_covariance,
 )
-from phdtrack.ground.read import MatrixForm, read_camera
+from phdtrack.ground.read import Calibration, MatrixForm, fit_homography, read_camera
 from phdtrack.ground.terrain import Flat, Surface, Terrain, read_terrain
 
 __all__ = [

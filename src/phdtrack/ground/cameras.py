@@ -1,9 +1,8 @@
 """Lenses and cameras: from pixels to the ground and back [E13 §3.2, §3.3].
 
 A camera known by the homography between its image and flat ground, w [X, Y, 1]ᵀ = H [u, v, 1]ᵀ: the horizon is the line w =
-0, and what lies on its other side is no ground. The sign of H is arbitrary, so one pixel must be known to show ground.
-Along the ground 1/w grows in proportion to the distance from the line below the camera, which is as much depth as there is
-without a lens.
+0. The sign of H is arbitrary, so one pixel must be known to show ground. Along the ground 1/w grows in proportion to the
+distance from the line below the camera, which is as much depth as there is without a lens.
 
 A camera with a lens and a pose, over flat ground or terrain: a lens turns a pixel into a ray (xu/f, yu/f, 1) in the camera's
 axes (x to the right, y down, z along the viewing direction), which meets the ground where
@@ -53,10 +52,6 @@ class HomographyCamera:
     ----------
     matrix : (3, 3) H, from pixels to metres, for columns [u, v, 1]ᵀ; any scale and sign.
     inside : (u, v) of one pixel that shows ground; None: the camera stands upright, and the lower pixels show ground.
-
-    Raises
-    ------
-    InputError : the matrix is no homography (not finite, not invertible), or ``inside`` lies on its horizon.
     """
 
     matrix: F8
@@ -135,10 +130,6 @@ class TsaiLens(Checked):
     kappa : κ, per square metre (a value per square millimetre times 10⁶).
     cx, cy : where the optical axis meets the image, pixels.
     sx : Tsai's scale of the horizontal axis.
-
-    Raises
-    ------
-    InputError : a length or a scale is not above 0, or something is not finite.
     """
 
     focal: Positive
@@ -198,10 +189,6 @@ class OpenCVLens:
     matrix : (3, 3) the camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], pixels.
     distortion : none, or 4, 5, 8 or 12 coefficients in OpenCV's order (k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4).
     fold : slope of the rays at which the radial part of the distortion stops to grow; infinite where it never does.
-
-    Raises
-    ------
-    InputError : a matrix of another form, another number of coefficients, or something is not finite.
     """
 
     matrix: F8
@@ -298,10 +285,6 @@ class PosedCamera:
     rotation : (3, 3) R, from the world's axes to the camera's.
     translation : (3,) T, metres: a world point w is R w + T in the camera's axes.
     surface : the ground; flat at height 0 where nothing is said.
-
-    Raises
-    ------
-    InputError : the rotation is none, or something is not finite.
     """
 
     lens: Lens

@@ -61,10 +61,6 @@ class Terrain:
     origin : (2,) x and y of the first grid point, metres.
     step : (2,) spacing of the grid along x and y, metres, above 0.
     heights : (ny, nx) elevation in metres, row by row in growing y, at least 2 x 2; NaN where unknown.
-
-    Raises
-    ------
-    InputError : another shape, a step that is not above 0, or no known height at all.
     """
 
     origin: F8

@@ -1,13 +1,22 @@
 """Scenes with truth, as detections and as video.
 
-`make_scene` gives one of the scenes in `NAMED`; `detect` and `add_clutter` work on any truth or detections; `render` turns a
-scene into a video.
+`make_scene` gives one of the scenes in `NAMED`; `detect` and `add_clutter` work on any truth or detections; `Rendered` is
+a scene as a video.
 """
 
 from phdtrack.simulate.detector import Detected, DetectorModel, add_clutter, detect
-from phdtrack.simulate.render import Rendered, render
-from phdtrack.simulate.scenario import Entrance, Scenario, Walk
-from phdtrack.simulate.scenes import NAMED, Look, Scene, build_scene, default_detector, default_look, make_scene
+from phdtrack.simulate.render import Rendered
+from phdtrack.simulate.scenes import (
+    NAMED,
+    Entrance,
+    Look,
+    Scenario,
+    Scene,
+    Walk,
+    default_detector,
+    default_look,
+    make_scene,
+)
 
 __all__ = [
     "NAMED",
@@ -20,10 +29,8 @@ __all__ = [
     "Scene",
     "Walk",
     "add_clutter",
-    "build_scene",
     "default_detector",
     "default_look",
     "detect",
     "make_scene",
-    "render",
 ]

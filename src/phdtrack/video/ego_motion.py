@@ -18,7 +18,7 @@ import numpy as np
 
 from phdtrack.errors import Checked, InputError, Positive, PositiveCount, Share
 from phdtrack.models import warp as warp_of
-from phdtrack.types import F8, Image
+from phdtrack.types import F8, Image, SequenceInfo
 
 # Corners weaker than this share of the best are none; they keep this share of the width apart.
 _QUALITY, _APART = 0.01, 0.012
@@ -121,23 +121,14 @@ class CameraPath:
     zoomed: float
 
     @classmethod
-    def of(cls, warps: Sequence[F8], width: float, height: float) -> CameraPath:
-        """The path of a camera.
-
-        Parameters
-        ----------
-        warps : maps (3, 3) from each frame to the next, `types.STILL` where not known.
-        width, height : of the pictures, pixels.
-
-        Returns
-        -------
-        The path.
-        """
+    def of(cls, warps: Sequence[F8], info: SequenceInfo) -> CameraPath:
+        """The path of a camera whose maps (3, 3) from frame to frame are ``warps``, `types.STILL` where not known."""
         # A unit step to the right, as a state's velocity, in the middle of the picture.
-        unit = np.array([[width / 2, height / 2, 1.0, 0.0, 1.0]]).T
+        middle = info.width / 2, info.height / 2
+        unit = np.array([[*middle, 1.0, 0.0, 1.0]]).T
         known = [warp_of.warp_states(unit, warp)[:, 0] for warp in warps if len(warp)]
         x, y, right, down, size = np.array(known).reshape(-1, 5).T
-        step, turned = np.hypot(x - width / 2, y - height / 2), np.abs(np.degrees(np.arctan2(down, right)))
+        step, turned = np.hypot(x - middle[0], y - middle[1]), np.abs(np.degrees(np.arctan2(down, right)))
         sums = float(step.sum()), float(step.max(initial=0.0)), float(turned.sum()), float(size.prod())
         return cls(len(warps), len(warps) - len(known), *sums)
 

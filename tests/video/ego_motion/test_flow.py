@@ -6,7 +6,7 @@ import pytest
 
 from moving_cases import filmed, handheld, moving, points, step
 from phdtrack.models import warp as warp_of
-from phdtrack.simulate import DetectorModel, make_scene, render
+from phdtrack.simulate import DetectorModel, Rendered, make_scene
 from phdtrack.video.ego_motion import CameraMotion, SparseFlow
 
 WINDOW = (440, 260)
@@ -19,7 +19,7 @@ def clip():
     """Pictures of a street by a camera in a hand, the boxes in them, and the true maps between them."""
     scene = make_scene("street", 1, DetectorModel(p_detect=0.9, clutter_rate=1.0), frames=40, lead_in=-6.0)
     path = np.array([[1.0, 0, -100], [0, 1.0, -50], [0, 0, 1.0]]) @ handheld(40, np.random.default_rng(3))
-    frames = [filmed(frame, path, WINDOW) for frame in render(scene, np.random.default_rng(1))]
+    frames = [filmed(frame, path, WINDOW) for frame in Rendered(scene, np.random.default_rng(1))]
     return frames, moving(scene, path).detections, [step(path, frame.number) for frame in frames]
 
 
