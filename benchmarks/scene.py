@@ -91,7 +91,7 @@ def _learned(stages: AnyStages, size: tuple[float, float], places: Places) -> An
 
 def _density(size: tuple[float, float], count: int, counts: tuple[int, int], wide: float = 30.0) -> SceneDensity:
     """Of states: ``count`` places about so many pixels ``wide``, or the grid."""
-    low, high = state_volume(*size, 20.0)
+    low, high = state_volume(size, 20.0)
     usual, spread = np.array([0.0, 0, 0, 0, 35, 70]), np.array([wide, wide, 2, 2, 9, 18])
     if not count:
         return grid(low, high, counts, usual, spread, uniform=0.5)

@@ -21,7 +21,7 @@ from phdtrack.arrays import iou, to_cxcywh
 from phdtrack.associate.rejection import FalseTrackRejection, without_false_tracks
 from phdtrack.errors import InputError
 from phdtrack.label import Label, LabelStore
-from phdtrack.label.samples import REACH, Marks, sampled
+from phdtrack.label.samples import REACH, Marks, shuffled
 from phdtrack.models.scene import FalseAlarmRatio, with_scene
 from phdtrack.protocols import AnyStages
 from phdtrack.scene import LearnedDensity, TrackedObjects
@@ -136,7 +136,7 @@ def _with_prior(lesson: Training, case: Case) -> Training:
 
 def marked_false(case: Case, path: Path, seed: int, count: int = MARKED) -> LabelStore:
     """Labels in which every detection without an object is marked as false, on ``count`` frames drawn at random."""
-    store = LabelStore.open(path, case.name, "truth", sampled(case.info.frames, count, seed))
+    store = LabelStore.open(path, case.name, "truth", shuffled(case.info.frames, seed)[:count])
     for number, _ in store.frames():
         boxes = case.table.at(number).xyxy
         people = case.truth.xyxy[case.truth.frame == number]

@@ -11,14 +11,14 @@ from phdtrack.cli.options import SourceOptions
 from phdtrack.cli.output import Output
 from phdtrack.formats import read_truth
 from phdtrack.label import Label, LabelStore
-from phdtrack.label.samples import sampled
+from phdtrack.label.samples import shuffled
 
 
 def marked(folder: Path, detections: Path, last: int) -> Path:
     """Labels of what is on no annotated person, on 40 of the first ``last`` frames drawn at random."""
     labels, wanted = folder / "labels.sqlite", SourceOptions(detections=detections)
     found, truth = to_label(wanted, {}, labels, Output()), read_truth(folder / "gt" / "gt.txt")
-    store = LabelStore.open(labels, str(detections), found.digest, sampled(last, 40, seed=0))
+    store = LabelStore.open(labels, str(detections), found.digest, shuffled(last, seed=0)[:40])
     for number, _ in store.frames():
         boxes, people = found.table.at(number).xyxy, truth.xyxy[truth.frame == number]
         false = [k for k, box in enumerate(boxes) if iou(box[None], people).max(initial=0) < 0.3]

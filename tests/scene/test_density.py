@@ -3,7 +3,7 @@ import pytest
 
 from phdtrack.errors import InputError
 from phdtrack.scene import SceneDensity
-from phdtrack.scene.mixture import mass_inside
+from phdtrack.scene.mixture import _mass_inside
 
 LOW, HIGH = np.array([0.0, 0.0, -2.0]), np.array([10.0, 6.0, 2.0])
 
@@ -43,7 +43,7 @@ def test_mass_inside_is_exact_for_independent_components():
 
     mean, deviation = np.array([[1.0], [2.0], [0.5]]), np.array([3.0, 1.0, 2.0])
     expected = np.prod(norm.cdf(HIGH, mean[:, 0], deviation) - norm.cdf(LOW, mean[:, 0], deviation))
-    assert mass_inside(mean, np.diag(deviation**2)[None], LOW, HIGH)[0] == pytest.approx(expected, rel=1e-12)
+    assert _mass_inside(mean, np.diag(deviation**2)[None], LOW, HIGH)[0] == pytest.approx(expected, rel=1e-12)
 
 
 def test_draws_follow_the_density():

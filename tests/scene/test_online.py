@@ -217,7 +217,7 @@ def states(box):
 def lived(entered, rounds, rng):
     """A regime after so many batches of 40 boxes of people and 4 births where ``entered`` says."""
     unknown = (
-        OnlineMixture.unknown(*state_volume(640, 360, 20)),
+        OnlineMixture.unknown(*state_volume((640, 360), 20)),
         OnlineMixture.unknown(LOW, HIGH),
         OnlineMixture.unknown(LOW, HIGH),
     )
@@ -250,7 +250,8 @@ def after(rng, n):
     part = OnlineMixture.unknown(LOW, HIGH)
     for _ in range(2):
         part = part.updated(batch(boxes(PLACES[0], n, rng)), 60.0)
-    return Regime("day", OnlineMixture.unknown(*state_volume(640, 360, 20)), part, OnlineMixture.unknown(LOW, HIGH)).known[1]
+    births = OnlineMixture.unknown(*state_volume((640, 360), 20))
+    return Regime("day", births, part, OnlineMixture.unknown(LOW, HIGH)).known[1]
 
 
 def test_what_is_used_is_no_surer_than_its_samples():

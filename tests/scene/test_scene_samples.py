@@ -39,7 +39,7 @@ def test_first_states_of_straight_tracks():
 def test_noise_on_single_boxes_is_averaged():
     rng = np.random.default_rng(0)
     box, seconds = to_cxcywh(track(1, 2, 12, (100, 100), (3, 0)).xyxy), np.arange(12) / 25
-    found = np.array([first_state(box + rng.normal(size=(1, 12)), seconds, 25)[2] for _ in range(200)])
+    found = np.array([first_state(box + rng.normal(size=(1, 12)), seconds)[2] / 25 for _ in range(200)])
     # A slope through eleven points, steps of one: deviation 1/√110.
     assert found.std() == pytest.approx(1 / np.sqrt(110), rel=0.2)
     assert found.mean() == pytest.approx(3, abs=4 / np.sqrt(110 * 200))
@@ -48,7 +48,7 @@ def test_noise_on_single_boxes_is_averaged():
 def test_volumes_are_those_that_uniform_models_use():
     low, high = measurement_volume(640, 480)
     assert np.prod(high - low) == image_volume((640.0, 480.0))
-    low, high = state_volume(640, 480, 30)
+    low, high = state_volume((640, 480), 30)
     assert np.prod(high - low) == image_volume((640.0, 480.0)) * 60**2
 
 
@@ -59,7 +59,7 @@ def test_rows_may_show_less_than_a_box():
 
 
 def test_light_that_trembles_teaches_no_births():
-    """In one place for long, and one that moves but is distance_gone within a second: nobody has entered."""
+    """In one place for long, and one that moves but is gone within a second: no target has entered."""
     rng = np.random.default_rng(1)
     light = track(1, 5, 200, (300, 200), (0, 0))
     shaken = light.xyxy + np.tile(rng.normal(size=(200, 2)) * 8, 2)

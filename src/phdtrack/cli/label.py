@@ -29,7 +29,7 @@ from phdtrack.config import Settings, build, load
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections
 from phdtrack.label import LabelStore
-from phdtrack.label.samples import Marks, clip, last_frame, sampled
+from phdtrack.label.samples import Marks, clip, last_frame, shuffled
 from phdtrack.label.suggestions import Background, Evidence, Suggestion, kept, suggest
 from phdtrack.label.training import SceneTraining
 from phdtrack.report.pages import render, write_text
@@ -64,7 +64,7 @@ def label(
     output, settings = Output(), load(config, sets or ())
     file = labels or labels_file(source)
     found = to_label(source, settings.values("detector"), file, output)
-    store = LabelStore.open(file, found.name, found.digest, sampled(found.info.frames, frames, seed))
+    store = LabelStore.open(file, found.name, found.digest, shuffled(found.info.frames, seed)[:frames])
     numbers = [number for number, _ in store.frames()]
     pictures = _stills(source, numbers, {frame for number in numbers for frame in clip(number, found.info.frames)})
     address = listen(host, port)

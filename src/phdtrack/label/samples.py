@@ -26,20 +26,10 @@ _LINKS, _MIN_LINKS = 3, 2
 _SPEED, _ERROR, _GROWTH = 6.0, 0.3, 1.5
 
 
-def sampled(last: int, count: int, seed: int) -> list[int]:
-    """Frames drawn at random from 1 … ``last``, in random order.
-
-    Parameters
-    ----------
-    last : the last frame.
-    count : how many; all where there are fewer.
-    seed : the same seed gives the same frames.
-
-    Returns
-    -------
-    Frame numbers.
-    """
-    return [int(number) for number in np.random.default_rng(seed).permutation(last)[:count] + 1]
+def shuffled(last: int, seed: int) -> list[int]:
+    """The frames 1 … ``last`` in random order: the first n of them are n frames drawn at random."""
+    out: list[int] = (np.random.default_rng(seed).permutation(last) + 1).tolist()
+    return out
 
 
 def clip(number: int, last: int) -> range:

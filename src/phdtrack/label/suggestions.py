@@ -21,6 +21,7 @@ import json
 import math
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple, get_args
@@ -258,12 +259,11 @@ def kept(path: Path, key: str, make: Callable[[], list[Suggestion]]) -> list[Sug
     -------
     The suggestions.
     """
-    try:
+    # There may be none yet, or another program's: they are made anew.
+    with suppress(OSError, ValueError, KeyError, TypeError):
         document = json.loads(path.read_text(encoding="utf-8"))
         if document["key"] == key:
             return [Suggestion(*row) for row in document["rows"]]
-    except (OSError, ValueError, KeyError, TypeError):
-        pass  # There is none yet, or another program's: made anew.
     found = make()
     part = path.with_name(path.name + ".part")
     part.write_text(json.dumps({"key": key, "rows": found}) + "\n", encoding="utf-8")

@@ -20,7 +20,7 @@ import numpy as np
 from phdtrack.arrays import to_cxcywh
 from phdtrack.associate.rejection import without_false_tracks
 from phdtrack.errors import InputError
-from phdtrack.label.samples import Marks, sampled
+from phdtrack.label.samples import Marks, shuffled
 from phdtrack.label.suggestions import TICKED, Evidence, suggest
 from phdtrack.models import PlaneSensor
 from phdtrack.models.scene import FalseAlarmRatio, with_scene
@@ -131,7 +131,7 @@ class SceneTraining:
         """False alarms from what would be suggested to a person."""
         if not self._of_boxes:
             raise InputError(_ONLY_BOXES)
-        frames = [self.stretch.start + k - 1 for k in sampled(len(self.stretch), UNATTENDED, self.seed)]
+        frames = [self.stretch.start + k - 1 for k in shuffled(len(self.stretch), self.seed)[:UNATTENDED]]
         taken = [one for one in suggest(self._tracked(), frames, self.info.fps) if one.score >= TICKED]
         table = self.table
         rows = np.searchsorted(table.frame, [one.frame for one in taken]) + np.array([one.box for one in taken], np.int64)

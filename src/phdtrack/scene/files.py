@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from phdtrack.errors import InputError
+from phdtrack.files import load, read_json
 from phdtrack.scene.mixture import SceneDensity
 
 FORMAT = 1
@@ -73,11 +74,14 @@ class Scene:
 
 def write_scene(path: Path, scene: Scene) -> None:
     """Write a scene, whole or not at all."""
-    document: dict[str, Any] = {"format": FORMAT}
-    document |= {name: getattr(scene, name) for name in ("width", "height", "rate", "source")}
-    document |= {"births": scene.births and _plain(scene.births), "clutter": scene.clutter and _plain(scene.clutter)}
-    document["followed"] = scene.followed and {"share": scene.followed.share, "objects": _plain(scene.followed.objects)}
-    document["notes"] = dict(scene.notes)
+    document = {
+        "format": FORMAT,
+        **{name: getattr(scene, name) for name in ("width", "height", "rate", "source")},
+        "births": scene.births and _plain(scene.births),
+        "clutter": scene.clutter and _plain(scene.clutter),
+        "followed": scene.followed and {"share": scene.followed.share, "objects": _plain(scene.followed.objects)},
+        "notes": dict(scene.notes),
+    }
     part = path.with_name(path.name + ".part")
     part.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     part.replace(path)
@@ -85,13 +89,7 @@ def write_scene(path: Path, scene: Scene) -> None:
 
 def read_scene(path: Path) -> Scene:
     """The scene in a file. Raises `InputError` where there is none, or it is no scene."""
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", where=path) from None
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        problem = f"expected a learned scene as JSON ({error})"
-        raise InputError(problem, where=path, cure="Make one: phdtrack learn") from None
+    document = read_json(path, load(path))
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         found = document.get("format") if isinstance(document, dict) else type(document).__name__
         raise InputError(f"expected a learned scene of format {FORMAT}, got {found!r}", where=path, cure="Learn it again")

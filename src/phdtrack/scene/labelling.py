@@ -197,11 +197,12 @@ def _led_back(rows: Tracks, begun: I8, number: I8, time: F8, rate: float) -> tup
         its = np.flatnonzero((rows.identity == identity) & (rows.detection >= 0))
         place = np.searchsorted(number, rows.frame[its])
         box, seconds = to_cxcywh(rows.xyxy[its]), time[place] - time[place[0]]
-        states[:, b] = first_state(box, seconds, rate) if len(its) > 2 else np.insert(box[:, 0], 2, [0, 0])
+        states[:, b] = first_state(box, seconds) if len(its) > 2 else np.insert(box[:, 0], 2, [0, 0])
         earlier = np.arange(max(0, place[0] - BACK), place[0])
-        back = np.outer(states[2:4, b], (time[earlier] - time[place[0]]) * rate)
+        back = np.outer(states[2:4, b], time[earlier] - time[place[0]])
         frames.append(number[earlier])
         boxes.append(to_xyxy(np.concatenate([box[:2, :1] + back, np.tile(box[2:, :1], len(earlier))])))
+    states[2:4] /= rate
     return states, np.concatenate(frames), np.concatenate(boxes)
 
 

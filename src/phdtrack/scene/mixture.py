@@ -74,7 +74,7 @@ class SceneDensity:
     @cached_property
     def truncated_mass(self) -> F8:
         """(M,) Z_m, the mass of each Gaussian inside the volume."""
-        return mass_inside(self.mean, self.covariance, self.low, self.high)
+        return _mass_inside(self.mean, self.covariance, self.low, self.high)
 
     @cached_property
     def flat(self) -> float:
@@ -173,19 +173,8 @@ def marginal(p: SceneDensity, rows: tuple[int, ...]) -> SceneDensity:
     return SceneDensity(p.low[keep], p.high[keep], p.uniform, p.weight, p.mean[keep], p.covariance[:, keep][:, :, keep])
 
 
-def mass_inside(mean: F8, covariance: F8, low: F8, high: F8) -> F8:
-    """(M,) masses of Gaussians in the box from ``low`` to ``high``, accurate to about 1e-3 for covariances of states.
-
-    Parameters
-    ----------
-    mean : array (d, M), d at most 8.
-    covariance : array (M, d, d), positive definite.
-    low, high : arrays (d,).
-
-    Returns
-    -------
-    Array (M,).
-    """
+def _mass_inside(mean: F8, covariance: F8, low: F8, high: F8) -> F8:
+    """(M,) masses of Gaussians, d ≤ 8, in the box from ``low`` to ``high``, accurate to about 1e-3 for states."""
     from scipy.special import ndtr, ndtri
 
     d, count = mean.shape

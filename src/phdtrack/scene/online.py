@@ -203,7 +203,7 @@ class OnlineLearning:
         """A regime that knows nothing. Births may be as fast as the image is wide in a second."""
         speed = max(self.width, self.height) / self.rate
         boxes = OnlineMixture.unknown(*measurement_volume(self.width, self.height))
-        return Regime(name, OnlineMixture.unknown(*state_volume(self.width, self.height, speed)), boxes, boxes)
+        return Regime(name, OnlineMixture.unknown(*state_volume((self.width, self.height), speed)), boxes, boxes)
 
     def _of_scene(self, scene: Scene) -> Regime:
         """What was learned before; any size may come."""

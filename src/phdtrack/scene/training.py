@@ -74,7 +74,9 @@ def learn_births(
     speeds = np.abs(states[2:4][np.isfinite(states[2:4])])
     if len(speeds) == 0:
         raise InputError("no birth's velocity is known", where="learning births", cure="Mark where detections follow")
-    low, high = state_volume(*frame_size, 2 * float(speeds.max()) + 1e-6, corner, sized=len(states) == 6)
+    low, high = (bound[: len(states)] for bound in state_volume(frame_size, 2 * float(speeds.max()) + 1e-6))
+    for bound in (low, high):
+        bound[:2] += corner
     return _trained(_start(states, low, high, BIRTH_GRID), states, states.shape[1] / time_units)
 
 
@@ -156,59 +158,35 @@ def births_in(tracks: Tracks, fps: float, rate: float, shown: F8 | None = None) 
     states = []
     for rows in np.split(order, start[1:]) if len(order) else []:
         lasting = len(rows) >= max(5, round(MIN_DURATION * fps)) and tracks.frame[rows[0]] > opening
-        if lasting and distance_gone(boxes[:, rows]) >= MIN_DISTANCE:
-            states.append(first_state(box[:, rows], (tracks.frame[rows] - tracks.frame[rows[0]]) / fps, rate))
-    return np.array(states).reshape(-1, len(box) + 2).T.copy()
+        if lasting and _distance_gone(boxes[:, rows]) >= MIN_DISTANCE:
+            states.append(first_state(box[:, rows], (tracks.frame[rows] - tracks.frame[rows[0]]) / fps))
+    out = np.array(states).reshape(-1, len(box) + 2).T.copy()
+    out[2:4] /= rate
+    return out
 
 
-def distance_gone(box: F8) -> float:
+def _distance_gone(box: F8) -> float:
     """Distance between the medians of the first and last fifth of boxes (4, n) of a track, in its sizes √(wh)."""
     fifth = max(1, box.shape[1] // 5)
     step = np.median(box[:2, -fifth:], axis=1) - np.median(box[:2, :fifth], axis=1)
     return float(np.linalg.norm(step) / np.sqrt(np.median(box[2] * box[3])))
 
 
-def first_state(box: F8, seconds: F8, rate: float) -> F8:
-    """(r + 2,) the first state of one track; its velocity is the slope of a line through the first `LEAD` seconds.
+def first_state(box: F8, seconds: F8) -> F8:
+    """(r + 2,) the first position, the velocity per second, and the other components of a track that shows ``box`` (r, n).
 
-    Parameters
-    ----------
-    box : (r, n) what the track shows, position first.
-    seconds : (n,) after the first.
-    rate : time units per second of the velocity.
-
-    Returns
-    -------
-    Position, velocity, and the other components.
+    The velocity is the slope of a line through the first `LEAD` seconds; ``seconds`` (n,) begin at 0.
     """
     lead = max(3, int((seconds <= LEAD).sum()))
-    time = seconds[:lead] * rate
-    centred = time - time.mean()
+    centred = seconds[:lead] - seconds[:lead].mean()
     velocity = (box[:2, :lead] * centred).sum(axis=1) / (centred**2).sum()
     return np.concatenate([box[:2, 0], velocity, box[2:, 0]])
 
 
-def state_volume(
-    width: float, height: float, max_speed: float, corner: tuple[float, float] = (0.0, 0.0), *, sized: bool = True
-) -> tuple[F8, F8]:
-    """Bounds (6,) of the states of births: centre in the frame, any size in it; (4,) where states have no size.
-
-    Parameters
-    ----------
-    width, height : of the image, pixels, or of the region of the ground, metres.
-    max_speed : largest velocity along an axis.
-    corner : left and lower end of the region.
-    sized : whether states have a size.
-
-    Returns
-    -------
-    The lower and the upper bounds.
-    """
-    left, top = corner
-    low = [left, top, -max_speed, -max_speed, 0.0, 0.0]
-    high = [left + width, top + height, max_speed, max_speed, width, height]
-    dim = 6 if sized else 4
-    return np.array(low[:dim]), np.array(high[:dim])
+def state_volume(size: tuple[float, float], max_speed: float) -> tuple[F8, F8]:
+    """Bounds (6,) of the states of births: centre in the frame, speed along each axis, any size in the frame."""
+    low = np.array([0.0, 0.0, -max_speed, -max_speed, 0.0, 0.0])
+    return low, np.array([*size, max_speed, max_speed, *size], np.float64)
 
 
 def measurement_volume(width: float, height: float) -> tuple[F8, F8]:
