@@ -23,10 +23,10 @@ from typing import Literal
 
 import numpy as np
 
+from experiments.given_chain import Ancestors, Chain, given_chain
 from phdtrack.arrays import draw
 from phdtrack.errors import Count, InputError, PositiveCount, Probability, check
 from phdtrack.filters.mcmc import JointSamples, effective_samples
-from phdtrack.kernels.mcmc import Ancestors, Chain, given_chain
 from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, I8, ChainInfo, GaussianMixture, UpdateInfo
 
@@ -104,7 +104,7 @@ class GivenMCMC(Filter[JointSamples]):
         ancestors = Ancestors(flat, np.cumsum(law, axis=1), np.log(law))
         motion, sensor = model.motion.particle_model(dt, dt / model.rate), model.sensor.particle_model(z)
         kept, moves = np.empty((len(origin), z.shape[1] * self.samples)), float(self.ancestor_move_probability)
-        chain = Chain(self.burn_in, self.thin, self.samples, moves, 0.0, True, joint, self.greedy)
+        chain = Chain(self.burn_in, self.thin, self.samples, moves, joint, self.greedy)
         counts = given_chain(motion, sensor.model, sensor.table, ancestors, chain, rng, kept)[: 1 + joint]
         effective = effective_samples(kept[:2].reshape(-1, self.samples))
         info = ChainInfo(MOVES[: len(counts)], counts[:, 0], counts[:, 1], effective)

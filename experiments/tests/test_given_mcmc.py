@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from experiments.given_chain import Ancestors, Chain, given_chain
 from experiments.given_mcmc import GivenMCMC
 from phdtrack.errors import InputError
 from phdtrack.filters.mcmc import JointSamples
-from phdtrack.kernels.mcmc import Ancestors, Chain, given_chain
 from phdtrack.kernels.particle_models import BLOCK, move
 from phdtrack.models import PlaneMotion, PlaneSensor, PointBirth, PointMotion, PointSensor, UniformClutter
 from phdtrack.protocols import Model
@@ -23,7 +23,7 @@ def test_the_greedy_chain_is_the_papers(seed: int):
     running = np.tile(np.arange(1.0, many + 1), (n, 1)) / many
     ancestors = Ancestors(origin, running, np.full((n, many), -np.log(many)))
     motion, sensor = model.motion.particle_model(1.0, 1.0), model.sensor.particle_model(z)
-    kept, chain = np.empty((4, n * steps)), Chain(burn, 1, steps, 0.25, 0.0, True, False, True)
+    kept, chain = np.empty((4, n * steps)), Chain(burn, 1, steps, 0.25, False, True)
     counts = given_chain(motion, sensor.model, sensor.table, ancestors, chain, np.random.default_rng([seed, 1]), kept)
     rng, scratch = np.random.default_rng([seed, 1]), np.zeros(16 * BLOCK)
 

@@ -22,8 +22,10 @@ pytestmark = pytest.mark.parametrize("filter_", FILTERS.values(), ids=FILTERS)
 
 def intensity(state):
     """The intensity alone of what a filter carries."""
-    if isinstance(state, Hypotheses | Bernoullis):
+    if isinstance(state, Bernoullis):
         return state.mixture()
+    if isinstance(state, Hypotheses):
+        return GaussianMixture(state.probability * state.leaves.r, state.leaves.mean.T.copy(), state.leaves.covariance)
     return state.intensity if isinstance(state, Cardinalised) else state
 
 

@@ -34,7 +34,7 @@ class RingMotion:
 
 @dataclass(frozen=True)
 class RingSensor:
-    """A measurement is a position, wrong by so many cells with these likelihoods; who is at 0 is seen less often."""
+    """A measurement is a position, wrong by so many cells with these likelihoods; a target at 0 is seen less often."""
 
     table: tuple[float, ...] = (0.6, 0.25, 0.15, 0.25)
     linear: bool = False
@@ -52,6 +52,9 @@ class RingSensor:
 
     def gate(self, z):
         return z[:2] - CELLS, z[:2] + CELLS
+
+    def boxes(self, x):
+        return np.vstack([x[:2] - 1, x[:2] + 1]).T
 
     def states(self, z):
         return z[:2].copy(), np.tile(np.eye(2), (z.shape[1], 1, 1))
@@ -75,7 +78,7 @@ def ring() -> Model:
 def joint_law(candidates, log_psi) -> dict[tuple, float]:
     """The law over all that candidates may be together, from lists of (measurement or −1, state or −1, weight).
 
-    ``log_psi`` gives the interaction's logarithm for a tuple of states, −1 for who is not there.
+    ``log_psi`` gives the interaction's logarithm for a tuple of states, −1: the target does not exist.
     """
     law: dict[tuple, float] = {}
     for choice in itertools.product(*candidates):
@@ -88,21 +91,17 @@ def joint_law(candidates, log_psi) -> dict[tuple, float]:
     return {key: weight / total for key, weight in law.items()}
 
 
-def total_penalty(place: np.ndarray, boxes: bool) -> float:
-    """Of all pairs of rows: overlap of boxes, or exp(−½ distance²)."""
+def apart(box: np.ndarray, strength: float):
+    """``log_psi`` of states whose boxes (L, 4) are known: −strength times the overlaps of all pairs."""
 
-    def penalty(a: np.ndarray, b: np.ndarray) -> float:
-        if not boxes:
-            return float(np.exp(-0.5 * ((a[:2] - b[:2]) ** 2).sum()))
+    def overlap(a: np.ndarray, b: np.ndarray) -> float:
         shared = np.maximum(np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]), 0).prod()
         return float(shared / ((a[2:] - a[:2]).prod() + (b[2:] - b[:2]).prod() - shared))
 
-    return sum(penalty(a, b) for a, b in itertools.combinations(place, 2))
+    def log_psi(states):
+        return -strength * sum(overlap(box[i], box[k]) for i, k in itertools.combinations([i for i in states if i >= 0], 2))
 
-
-def apart(place: np.ndarray, strength: float, boxes: bool):
-    """``log_psi`` of states that are rows of ``place``."""
-    return lambda states: -strength * total_penalty(place[[i for i in states if i >= 0]], boxes)
+    return log_psi
 
 
 def variation(law: dict, samples) -> float:

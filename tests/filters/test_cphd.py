@@ -49,14 +49,14 @@ def test_a_poisson_number_gives_the_phd_update(kind: str, detection: float, rng)
     model = with_births(world(detection_probability=detection), rate=0.05)
     ours, plain, intensity, z = case(kind, rng, model)
     state = Cardinalised(intensity, poisson(intensity.mass))
-    (found, info), (wanted, told) = (
+    (found, info), (wanted, plain_info) = (
         filter_.update(s, z, model, 1.0, np.random.default_rng(3)) for filter_, s in ((ours, state), (plain, intensity))
     )
     np.testing.assert_allclose(found.intensity.weight, wanted.weight, rtol=NEAR[kind], atol=1e-8)
     assert len(wanted) > 30
-    assert info.mass == pytest.approx(told.mass, rel=NEAR[kind])
-    np.testing.assert_array_equal(info.evidence, told.evidence)
-    assert told.cardinality.shape == (0,)
+    assert info.mass == pytest.approx(plain_info.mass, rel=NEAR[kind])
+    np.testing.assert_array_equal(info.evidence, plain_info.evidence)
+    assert plain_info.cardinality.shape == (0,)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -104,15 +104,15 @@ def test_the_order_of_detections_is_irrelevant(kind: str, counted: bool, rng):
             results.append((after.intensity, info))
         else:
             results.append(plain.update(intensity, scan, model, 1.0, rng))
-    (a, told), (b, turned) = results
-    np.testing.assert_allclose(turned.cardinality, told.cardinality, rtol=10 * NEAR[kind], atol=1e-9)
-    np.testing.assert_allclose(turned.evidence, told.evidence[order], rtol=NEAR[kind])
+    (a, first), (b, turned) = results
+    np.testing.assert_allclose(turned.cardinality, first.cardinality, rtol=10 * NEAR[kind], atol=1e-9)
+    np.testing.assert_allclose(turned.evidence, first.evidence[order], rtol=NEAR[kind])
     np.testing.assert_allclose(np.sort(a.weight), np.sort(b.weight), rtol=10 * NEAR[kind], atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_known_number_outlives_a_miss(kind: str, rng):
-    """Seven targets for certain, nobody seen: seven are still expected, where the PHD filter expects a tenth of them."""
+    """Seven targets for certain, no detections: seven are still expected, where the PHD filter expects a tenth of them."""
     model = world(detection_probability=0.9)
     ours, plain, intensity, _ = case(kind, rng, model)
     number = np.eye(8)[7]

@@ -11,9 +11,9 @@ from mcmc_cases import apart, joint_law, ring, variation
 
 from phdtrack.filters import MCMC
 from phdtrack.filters.mcmc import JointSamples
-from phdtrack.kernels.mcmc import Chain, Options, jump_chain, option_tables
+from phdtrack.kernels.mcmc import Chain, jump_chain, make_options
 
-# Two targets that were there, and a newborn one, at two measurements; each has two states of his own.
+# Two targets that were there, and a newborn one, at two measurements; each has two states of its own.
 CANDIDATE = np.array([0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 2, 2])
 WHICH = np.array([-1, -1, 0, 0, 1, 1, -1, -1, 0, 0, 1, 1, 0, 0])
 MEMBER = np.array([0, 1, 0, 1, 0, 1, 2, 3, 2, 3, 2, 3, 4, 5])
@@ -30,15 +30,15 @@ def law_of(strength: float) -> dict[tuple, float]:
         + [(int(j), int(i), w) for d, j, i, w in zip(CANDIDATE, WHICH, MEMBER, WEIGHT, strict=True) if d == c]
         for c in range(3)
     ]
-    return joint_law(candidates, apart(PLACE, strength, True))
+    return joint_law(candidates, apart(PLACE, strength))
 
 
 @interactions
 @pytest.mark.parametrize("exchange", [0.0, 0.4])
 def test_the_chain_samples_the_posterior(strength: float, exchange: float, rng):
     """Numbers 0 to 3, births, deaths, clutter and associations at once; total variation below 0.02."""
-    law, can = law_of(strength), Options(*option_tables(CANDIDATE, WHICH, WEIGHT, ABSENT), MEMBER, PLACE)
-    chain = Chain(50, 1, 100_000, exchange, strength, True, False, False)
+    law, can = law_of(strength), make_options(CANDIDATE, WHICH, MEMBER, WEIGHT, ABSENT, PLACE)
+    chain = Chain(50, 1, 100_000, exchange, strength)
     options, states, chance, counts = jump_chain(2, 2, can, np.array([(0, 1), (0, 2), (1, 2)]), chain, rng)
     assert (counts[:6, 1] > 0).all()
     assert (counts[6, 1] > 0) == (exchange > 0)
@@ -47,7 +47,7 @@ def test_the_chain_samples_the_posterior(strength: float, exchange: float, rng):
     now = np.stack([can.seen_by[options], np.where(there, states, -1)], axis=2).transpose(1, 0, 2)
     assert len(law) > 60
     assert variation(law, now) < 0.02
-    # The probabilities beside the samples tell the same of each, with less noise: existence, and where he is.
+    # The probabilities of the samples say the same of each candidate, with less noise: existence and state.
     for c in range(3):
         exact = defaultdict(float)
         for key, p in law.items():
@@ -82,8 +82,7 @@ def exact(z: np.ndarray, strength: float):
         candidates.append(options + [seen(i, j, w) for i, w in own for j in range(z.shape[1])])
     for j in range(z.shape[1]):
         candidates.append([(-1, -1, 1.0)] + [seen(6 + k, j, w) for k, w in enumerate(born.weight)])
-    place = np.vstack([x, np.zeros((2, x.shape[1]))]).T
-    return joint_law(candidates, apart(place, strength, False)), x
+    return joint_law(candidates, apart(model.sensor.boxes(x), strength)), x
 
 
 @interactions
@@ -91,7 +90,7 @@ def exact(z: np.ndarray, strength: float):
 def test_the_filter_samples_what_the_model_says(seen: tuple[float, ...], strength: float, rng):
     """Tables, labels and information from the model's own functions: everything against enumeration."""
     z = np.array([seen, np.zeros(len(seen))]).reshape(2, -1)
-    filter_ = MCMC(samples=40_000, interaction_strength=strength, interaction="distance", min_weight=0.0)
+    filter_ = MCMC(samples=40_000, interaction_strength=strength, min_weight=0.0)
     state, info = filter_.update(predicted(), z, ring(), 1.0, rng)
     law, x = exact(z, strength)
     number = np.zeros(len(info.cardinality))
@@ -111,11 +110,10 @@ def test_the_filter_samples_what_the_model_says(seen: tuple[float, ...], strengt
         np.testing.assert_allclose(ours, place, atol=0.01, err_msg=f"label {label}")
 
 
-def test_nobody_and_nothing(rng):
-    """An empty scan of an empty scene, and a scan that no model explains."""
-    nobody = JointSamples.empty(2, 3)
+def test_an_empty_scene(rng):
+    empty = JointSamples.empty(2, 3)
     filter_ = MCMC(samples=100, burn_in=5, interaction_strength=0.0)
-    state, info = filter_.update(nobody, np.zeros((2, 0)), ring(), 1.0, rng)
+    state, info = filter_.update(empty, np.zeros((2, 0)), ring(), 1.0, rng)
     assert len(state.label) == 0
     assert info.mass == 0
     np.testing.assert_array_equal(info.cardinality, [1.0])

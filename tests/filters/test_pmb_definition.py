@@ -11,7 +11,7 @@ from pmb_cases import world
 
 from phdtrack.filters import PMB
 from phdtrack.filters.pmb import Bernoullis
-from phdtrack.kernels.marginals import ROUNDS, SETTLED
+from phdtrack.kernels.association import ROUNDS, SETTLED
 from phdtrack.kernels.pmb import HYPOTHESIS, TARGET, Layer
 from reference import pmb_twin as twin
 

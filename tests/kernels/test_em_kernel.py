@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from phdtrack.kernels.em import Candidates, em_step, nothing_known, one_block
-from phdtrack.kernels.mixtures import Gaussians
+from phdtrack.kernels.mixtures import Candidates, Gaussians, em_step, nothing_known, one_block
 from phdtrack.types import F8
 from reference import em as defined
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phdtrack.kernels.esf import log_add, log_products, log_sums_without, thinned
+from phdtrack.kernels.esf import log_products, log_sums_without, thinned
 from reference import esf_twin as twin
 
 
@@ -48,15 +48,6 @@ def test_no_factors():
     products = log_products(none, none, 5)
     np.testing.assert_array_equal(products, [[0.0]])
     assert log_sums_without(none, none, products, np.zeros(3)).shape == (0,)
-
-
-@pytest.mark.parametrize(("a", "b"), [(0.0, 0.0), (-700.0, 700.0), (-np.inf, 2.0), (2.0, -np.inf), (5.0, 4.0), (0.0, -39.0)])
-def test_adding_logarithms(a: float, b: float):
-    assert log_add(a, b) == pytest.approx(np.logaddexp(a, b), rel=1e-15)
-
-
-def test_adding_zeros():
-    assert np.isneginf(log_add(-np.inf, -np.inf))
 
 
 @pytest.mark.parametrize("keep", [0.0, 0.3, 0.99, 1.0])

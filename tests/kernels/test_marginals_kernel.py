@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from inner_kernels import from_python
-from phdtrack.kernels.marginals import EDGE, ROUNDS, SETTLED, beliefs
+from phdtrack.kernels.association import EDGE, ROUNDS, SETTLED, beliefs
 from reference import pmb_twin as twin
 
 [beliefs_of] = from_python(beliefs)

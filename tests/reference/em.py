@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from phdtrack.kernels.em import Moments
-from phdtrack.kernels.mixtures import Gaussians
+from phdtrack.kernels.mixtures import Gaussians, Moments
 from phdtrack.types import F8
 
 

@@ -13,9 +13,8 @@ number is Poisson distributed, where everything but κ(z) drops out of the clutt
 multiplied with Πκ, so that κ = 0 needs no rule of its own. The mean of p is the mass of D after every update.
 
 Births that are driven by measurements are drawn around the detections only: D⁺ lacks the part of γT that is born where
-nothing was detected. It counts all the same, in p⁺ and in M, as seen by no detection and missed like the others: a number
-that knows of no births takes what a newborn target shows for views of those who were there, and lags behind a scene that
-people enter. The mean of p is larger than the mass of D then, by what was born unseen.
+nothing was detected. In p⁺ and in M it counts, as seen by no detection and missed like the others: a number without births
+would take newborn targets for those that existed. The mean of p is then larger than the mass of D by what was born unseen.
 
 Everything is summed in logarithms of positive terms (`kernels.esf`). Detections that nothing in the intensity explains
 (C = 0: outside of every gate) change no ratio and are left out: the cost is O(m² + m n), m the number of the others.
@@ -31,7 +30,7 @@ import numpy as np
 
 from phdtrack.filters.blocks import UpdatedParticles
 from phdtrack.filters.terms import TINY, UpdateTerms
-from phdtrack.kernels.esf import log_products, log_sums_without, thinned
+from phdtrack.kernels.esf import log_products, log_sums_without
 from phdtrack.types import F8, GaussianMixture, ParticleBlocks, Particles
 
 # Of the distribution's upper end, as much is cut as it adds to the mean.
@@ -65,11 +64,8 @@ class Cardinalised(Generic[Points]):
 class Weighing:
     """Factors of the update of the intensity, and the distribution of the number of targets after it.
 
-    Attributes
-    ----------
-    missed : what weighs (1 − p_D) D⁺.
-    detected : (N,) what weighs p_D g(z|·) D⁺ of each detection.
-    cardinality : (n,) probabilities of 0, 1, 2, … targets.
+    ``missed`` is the factor of (1 − p_D) D⁺, ``detected`` (N,) that of p_D g(z|·) D⁺ of each detection, and ``cardinality``
+    (n,) the probabilities of 0, 1, 2, … targets.
     """
 
     missed: float
@@ -77,23 +73,10 @@ class Weighing:
     cardinality: F8
 
 
-def log_poisson(mean: float, count: int) -> F8:
-    """(count,) logarithms of the Poisson probabilities of 0 … count − 1."""
-    if mean <= 0:
-        return np.where(np.arange(count) == 0, 0.0, -np.inf)
-    out: F8 = np.arange(count) * math.log(mean) - mean - log_factorials(count)
-    return out
-
-
-def poisson(mean: float) -> F8:
-    """Poisson probabilities of 0, 1, 2, … as far as they count."""
-    return trimmed(np.exp(log_poisson(mean, _enough(mean))))
-
-
-def survived(cardinality: F8, share: float) -> F8:
-    """The number that is left where each target stays with probability ``share`` [V07]."""
-    out: F8 = thinned(cardinality, min(max(share, 0.0), 1.0))
-    return out
+def poisson(mean: float, more: int = 0) -> F8:
+    """Poisson probabilities of 0, 1, 2, … as far as they count, and of ``more``."""
+    number = np.arange(math.ceil(mean + 10 * math.sqrt(mean) + 20) + more)
+    return np.exp(number * math.log(mean) - mean - log_factorials(len(number))) if mean > 0 else np.ones(1)
 
 
 def with_births(cardinality: F8, mass: float, detections: int) -> F8:
@@ -109,9 +92,7 @@ def with_births(cardinality: F8, mass: float, detections: int) -> F8:
     -------
     cardinality : with the births.
     """
-    if mass <= 0:
-        return cardinality
-    return np.convolve(cardinality, np.exp(log_poisson(mass, _enough(mass) + detections)))
+    return np.convolve(cardinality, poisson(mass, detections)) if mass > 0 else cardinality
 
 
 def weigh(cardinality: F8, terms: UpdateTerms[Any], births: float) -> Weighing:
@@ -161,7 +142,7 @@ def factors(cardinality: F8, mass: float, missed: float, evidence: F8, clutter: 
     likelihood = _log_sum(scan[:, None] + _terms(len(scan), len(prior), 0, phi), axis=0)
     total = float(_log_sum(prior + likelihood, axis=0))
     if total == -math.inf:
-        return factors(np.exp(log_poisson(mass, _enough(mass) + len(scan))), mass, missed, evidence, clutter)
+        return factors(poisson(mass, len(scan)), mass, missed, evidence, clutter)
     after = _log_sum(prior + _terms(len(scan), len(prior), 1, phi), axis=1)
     factor = math.exp(float(_log_sum(after + scan, axis=0)) - total) / mass
     without = log_sums_without(log_clutter, log_evidence, products, after)
@@ -180,18 +161,12 @@ def trimmed(cardinality: F8) -> F8:
 
 def log_factorials(count: int) -> F8:
     """(count,) log 0! … log (count − 1)!"""
-    out = np.zeros(count)
-    out[1:] = np.cumsum(np.log(np.arange(1, count)))
+    out: F8 = np.cumsum(np.log(np.maximum(np.arange(count), 1)))
     return out
 
 
-def _enough(mean: float) -> int:
-    """How many entries of a Poisson distribution hold all of it but less than 1e-17."""
-    return math.ceil(mean + 10 * math.sqrt(mean) + 20)
-
-
 def _shares(evidence: F8, clutter: F8) -> tuple[F8, F8]:
-    """(m,) each: log of κ/(κ + c) and of c/(κ + c), exact however small the one is beside the other."""
+    """(m,) each: log of κ/(κ + c) and of c/(κ + c), exact however much smaller one is."""
     with np.errstate(divide="ignore"):
         low, high = np.log(clutter), np.log(evidence)
     both = np.logaddexp(low, high)

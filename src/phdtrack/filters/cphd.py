@@ -15,9 +15,10 @@ import numpy as np
 
 from phdtrack.arrays import GATE
 from phdtrack.errors import Count, NonNegative, PositiveCount, Share, check
-from phdtrack.filters.cardinality import Cardinalised, poisson, survived, weigh
+from phdtrack.filters.cardinality import Cardinalised, poisson, trimmed, weigh
 from phdtrack.filters.phd_gaussian import GMPHD
 from phdtrack.filters.phd_particle import ParticlePHD
+from phdtrack.kernels.esf import thinned
 from phdtrack.models.gaussian import Transform
 from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, GaussianMixture, Particles, UpdateInfo
@@ -34,14 +35,14 @@ class _CPHD(Filter[Cardinalised[Any]]):
     def start(self, model: Model, rng: np.random.Generator) -> Cardinalised[Any]:
         """The initial intensity and a Poisson distributed number; nothing where none was given."""
         intensity = _intensity(self).start(model, rng)
-        return Cardinalised(intensity, poisson(intensity.mass))
+        return Cardinalised(intensity, trimmed(poisson(intensity.mass)))
 
     def predict(self, state: Cardinalised[Any], model: Model, dt: float, rng: np.random.Generator) -> Cardinalised[Any]:
         """The intensity moved and weighed with p_S; the number thinned by the mean of p_S [V07]."""
         if len(state) == 0:
             return state
         intensity = _intensity(self).predict(state.intensity, model, dt, rng)
-        return Cardinalised(intensity, survived(state.cardinality, intensity.mass / state.mass))
+        return Cardinalised(intensity, thinned(state.cardinality, min(max(intensity.mass / state.mass, 0.0), 1.0)))
 
     def update(
         self, state: Cardinalised[Any], z: F8, model: Model, dt: float, rng: np.random.Generator

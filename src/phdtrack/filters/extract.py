@@ -31,10 +31,9 @@ from phdtrack.errors import Positive, PositiveCount, Share, check
 from phdtrack.filters.blocks import cut
 from phdtrack.filters.cardinality import Cardinalised
 from phdtrack.kernels.blocks import Blocks, block_moments, claim, reaching, summarise, unreached
-from phdtrack.kernels.em import em_step
 from phdtrack.kernels.grid import make_grid, overlapping_pairs
 from phdtrack.kernels.kmeans import Rule, kmeans
-from phdtrack.kernels.mixtures import Gaussians
+from phdtrack.kernels.mixtures import Gaussians, em_step
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, I8, Bool, Estimates, GaussianMixture, ParticleBlocks, Particles
 

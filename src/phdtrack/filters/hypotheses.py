@@ -14,9 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phdtrack.arrays import sum_by
-from phdtrack.kernels.linkage import competing, components
-from phdtrack.kernels.murty import best_assignments
-from phdtrack.types import F8, I8, Bool, GaussianMixture
+from phdtrack.kernels.association import best_assignments, competing, components
+from phdtrack.types import F8, I8, Bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,16 +106,7 @@ class Hypotheses:
         """(n,) leaves of the most probable hypothesis, by label."""
         leaves = np.concatenate([self.lone, *(cluster.leaf[0] for cluster in self.clusters)])
         leaves = leaves[leaves >= 0]
-        out: I8 = leaves[np.argsort(self.leaves.label[leaves])]
-        return out
-
-    def mixture(self) -> GaussianMixture:
-        """The intensity: every leaf weighed with the probability that it is true and its target exists."""
-        weight = self.probability * self.leaves.r
-        there = np.flatnonzero(weight > 0)
-        leaves = self.leaves.take(there)
-        mean = np.ascontiguousarray(leaves.mean.T)
-        return GaussianMixture(weight[there], mean, leaves.covariance, leaves.label, self.next_label)
+        return np.asarray(leaves[np.argsort(self.leaves.label[leaves])])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,14 +222,12 @@ def _product(clusters: list[Cluster], limits: Limits) -> Cluster:
 def _best(weight: F8, limits: Limits) -> I8:
     """Which hypotheses are kept, the most probable first."""
     order = np.argsort(-weight, kind="stable")[: limits.max_hypotheses]
-    out: I8 = order[weight[order] >= limits.hypothesis_threshold * weight[order[0]]]
-    return out
+    return np.asarray(order[weight[order] >= limits.hypothesis_threshold * weight[order[0]]])
 
 
 def _all_missed(leaf: I8, missed: F8) -> F8:
     """(H,) log-weights of all tracks being missed."""
-    out: F8 = np.where(leaf >= 0, missed[leaf], 0.0).sum(axis=1)
-    return out
+    return np.asarray(np.where(leaf >= 0, missed[leaf], 0.0).sum(axis=1))
 
 
 def _missed(cluster: Cluster, scores: Scores, limits: Limits) -> Cluster:
@@ -335,26 +323,17 @@ def parted(state: Hypotheses) -> Hypotheses:
     lone, clusters = [state.lone], []
     trace = _trace(state) if any(c.leaf.shape[1] > 1 and len(c.weight) > 1 for c in state.clusters) else None
     for cluster in state.clusters:
-        hypotheses, tracks = cluster.leaf.shape
-        if hypotheses == 1:
-            lone.append(_present(cluster.leaf[0]))
-        elif tracks == 1 or trace is None:
-            clusters.append(cluster)
-        else:
+        parts = [cluster]
+        if trace is not None and cluster.leaf.shape[1] > 1 and len(cluster.weight) > 1:
             part = competing(cluster.leaf, *trace)
-            for number in range(int(part.max()) + 1):
-                one = cluster if part.max() == 0 else _summed(cluster.leaf[:, part == number], cluster.weight)
-                if one.leaf.shape[0] == 1:
-                    lone.append(_present(one.leaf[0]))
-                else:
-                    clusters.append(one)
+            if part.max() > 0:
+                parts = [_summed(cluster.leaf[:, part == k], cluster.weight) for k in range(int(part.max()) + 1)]
+        for one in parts:
+            if len(one.weight) > 1:
+                clusters.append(one)
+            else:
+                lone.append(one.leaf[0][one.leaf[0] >= 0])
     return replace(state, lone=np.concatenate(lone), clusters=tuple(clusters))
-
-
-def _present(leaf: I8) -> I8:
-    """The leaves that there are, without the −1 of tracks that a hypothesis has not."""
-    present: I8 = leaf[leaf >= 0]
-    return present
 
 
 def _trace(state: Hypotheses) -> tuple[I8, int]:

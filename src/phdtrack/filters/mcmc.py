@@ -7,31 +7,28 @@ The posterior of a frame is that of all targets at once, given what the frame be
 A Markov chain draws samples of it (`kernels.mcmc`). Unlike the PHD filters this one knows its targets one by one: a label is
 one for a target's life.
 
-Sampled are which targets exist, which gave which measurement, and where each is, (E, a,
-X). Every target gives one measurement at most, with probability p_D, every measurement comes of one target at most, and the
-rest is Poisson clutter of density κ. With ψ = exp(−strength · penalty) for every pair of targets, the interaction that
-keeps them apart [K05], and in units of the scan's being all clutter,
+Sampled are which targets exist, which measurement each gave, and where each is, (E, a, X). Every target gives at most one
+measurement, with probability p_D, every measurement comes of at most one target, and the rest is Poisson clutter of density
+κ. In units of the scan's being all clutter, with ψ = exp(−strength · overlap of the boxes) for every pair of targets [K05],
 
-    p(E, a, X | Z) ∝ Π_there [1 − p_D(x)  or  p_D(x) g(z_a|x) / κ(z_a)] p_t(x) · Π_not there (1 − e_t) · Π ψ(x_s, x_t)
+    p(E, a, X | Z) ∝ Π_exists [1 − p_D(x)  or  p_D(x) g(z_a|x) / κ(z_a)] p_t(x) · Π_exists not (1 − e_t) · Π ψ(x_s, x_t)
 
-* For a target of the frame before, p_t is what `predict` left: N weighted states, together e_t, the probability that it is
-  there still. Targets come and go and move independently of each other until the scan couples them [K05].
+* For a target of the frame before, p_t is what `predict` left: N weighted states, together e_t, the probability that it
+  still exists. Targets come and go and move independently of each other until the scan couples them [K05].
 * A newborn target is one that this scan shows: one at most at each measurement, p_t = γ(x) as drawn by the birth model. All
   samples that add it there give it the same label.
 
-So the law is discrete: every candidate has a table of states for each measurement that may be his and for none, and of it a
-total weight. That makes the moves of the reversible-jump form exact without any tuning: a step draws an option of a
-candidate from the free ones by weight, and then a state from its table (add, delete, leave, come back, update, reassign),
-or options of two candidates at once (exchange). This is their conditional law but for the interaction, whose ratio is what
-is left of Hastings' [K05]: α = min(1, Π ψ' / Π ψ). Adding and deleting need no Jacobian: each draws what the other drops.
-Of each kept sample a target's state and its ``chance`` are kept, the probability that it is there given the rest of the
-sample.
+The law is discrete: every candidate has a table of states for each measurement that it may have given and for none. So the
+moves of the reversible-jump form need no tuning: a step draws a free option of a candidate by weight, and then a state from
+its table (add, delete, leave, come back, update, reassign), or options of two candidates at once (exchange). This is the
+conditional law but for the interaction, whose ratio is what is left of Hastings' [K05]: α = min(1, Π ψ' / Π ψ). Adding and
+deleting need no Jacobian: each draws what the other drops. Of each kept sample a target's state is kept, and its ``chance``,
+the probability that it exists given the rest of the sample.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -39,29 +36,26 @@ from phdtrack.arrays import chi2_quantile, draw, sum_by
 from phdtrack.errors import Checked, Count, InputError, NonNegative, Positive, PositiveCount, Probability, Share, check
 from phdtrack.filters.extract import finish, join_unresolved
 from phdtrack.kernels.grid import points_in_rectangles
-from phdtrack.kernels.mcmc import Chain, Options, jump_chain, option_tables
+from phdtrack.kernels.mcmc import Chain, jump_chain, make_options
 from phdtrack.kernels.mixtures import Gaussians
 from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, I8, ChainInfo, Estimates, GaussianMixture, Particles, UpdateInfo
 
 MOVES = ("add", "delete", "leave", "come back", "update", "reassign", "exchange")
-# Density of clutter below which it is taken for this: where there is none, everything else that explains a measurement wins.
+# The least density of clutter: where there is none, everything else that explains a measurement wins.
 LEAST_CLUTTER = 1e-100
-# Weight of a target's not being there where it surely is: the chain passes through it.
+# The least weight of a target's absence: the chain passes through it.
 SURELY = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointSamples:
-    """Samples of the joint state of labelled targets: what the MCMC filter carries.
-
-    Sample s of the joint state is the s-th state of every target, of those that are there in it. The states of the others
-    are where they would be; ``chance`` weighs all of them.
+    """Samples of the joint state of labelled targets; sample s is the s-th state of every target.
 
     Attributes
     ----------
-    state : (d, n·N) the N states of each of n targets, those of a target beside each other.
-    chance : (n, N) the probability that the target is there, given its state and the others' in that sample.
+    state : (d, n·N) the N states of each of n targets, those of a target side by side.
+    chance : (n, N) the probability that the target exists, given its state and the others' in that sample.
     label : (n,) int64 ascending, one for a target's life.
     fresh : the next new target's label: none that was ever given is as large.
     """
@@ -82,20 +76,17 @@ class JointSamples:
     @property
     def weight(self) -> F8:
         """(n·N,) weights with which the states are the intensity."""
-        weight: F8 = self.chance.ravel() / self.chance.shape[1]
-        return weight
+        return np.asarray(self.chance.ravel() / self.chance.shape[1])
 
     @property
     def existence(self) -> F8:
-        """(n,) the probability that each target is there."""
-        mean: F8 = self.chance.mean(axis=1)
-        return mean
+        """(n,) the probability that each target exists."""
+        return np.asarray(self.chance.mean(axis=1))
 
     @property
     def mass(self) -> float:
         """The expected number of targets."""
-        mass: float = self.chance.sum() / self.chance.shape[1]
-        return mass
+        return float(self.existence.sum())
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,12 +100,10 @@ class MCMC(Filter[JointSamples]):
         frame and measurements.
     thin : sweeps for each kept sample.
     swap_probability : the share of steps that move two candidates that compete for a measurement.
-    interaction_strength : of the interaction; 0: there is none, which is faster. Where the detector fires twice on one
-        person it keeps the two apart.
-    interaction : what targets keep apart by: ``overlap`` of their boxes (intersection over union), or ``distance``.
-    interaction_distance : for ``distance``, the distance that counts as one, in units of the position.
+    interaction_strength : how much boxes that overlap keep apart; 0: not at all, which is faster. Where the detector fires
+        twice on one person it keeps the two apart.
     min_weight : targets less probable than that are dropped.
-    initial : targets before the first frame, one a Gaussian, there with the probability that is its weight.
+    initial : targets before the first frame, one a Gaussian, its weight the probability that it exists.
     """
 
     samples: PositiveCount = 1000
@@ -122,8 +111,6 @@ class MCMC(Filter[JointSamples]):
     thin: PositiveCount = 1
     swap_probability: Probability = 0.2
     interaction_strength: NonNegative = 4.0
-    interaction: Literal["overlap", "distance"] = "overlap"
-    interaction_distance: Positive = 1.0
     min_weight: NonNegative = 1e-3
     initial: GaussianMixture | None = None
 
@@ -146,7 +133,7 @@ class MCMC(Filter[JointSamples]):
         return JointSamples(state, chance, np.arange(n), n)
 
     def predict(self, state: JointSamples, model: Model, dt: float, rng: np.random.Generator) -> JointSamples:
-        """Every target of every sample moved by f, and there with the probability p_S of what it had [K05]."""
+        """Every target of every sample moved by f, its probability to exist multiplied by p_S [K05]."""
         if len(state) == 0:
             return state
         origin = model.warp_states(state.state)
@@ -168,16 +155,16 @@ class MCMC(Filter[JointSamples]):
         candidate = np.where(candidate < old, candidate, old + np.searchsorted(seen, candidate))
         label = np.concatenate([state.label, state.fresh + seen - old])
         absent = np.concatenate([np.maximum(1 - state.existence, SURELY), np.ones(len(seen))])
-        first, seen_by, total, start, running = option_tables(candidate, which, weight, absent)
-        can = Options(first, seen_by, total, start, running, member, _places(self, x, model))
+        box = model.sensor.boxes(x) if self.interaction_strength > 0 else np.zeros((0, 4))
+        can = make_options(candidate, which, member, weight, absent, np.ascontiguousarray(box))
         pairs = _rivals(can.first, can.seen_by)
-        overlap, strength = self.interaction == "overlap", float(self.interaction_strength)
-        chain = Chain(self.burn_in, self.thin, self.samples, float(self.swap_probability), strength, overlap, False, False)
+        strength, share = float(self.interaction_strength), float(self.swap_probability)
+        chain = Chain(self.burn_in, self.thin, self.samples, share, strength)
         options, states, chance, counts = jump_chain(old, z.shape[1], can, pairs, chain, rng)
         kept = np.flatnonzero(chance.mean(axis=1) >= self.min_weight)
         x = np.ascontiguousarray(x[:, states[kept].ravel()])
         samples = JointSamples(x, chance[kept], label[kept], state.fresh + z.shape[1])
-        # How well the chain moved shows in targets that are there more often than not.
+        # How well the chain moved shows in targets that probably exist.
         likely = x[:2].reshape(2, *chance[kept].shape)[:, samples.existence >= 0.5]
         info = ChainInfo(MOVES, counts[:, 0], counts[:, 1], effective_samples(likely.reshape(-1, self.samples)))
         vanished = int(np.count_nonzero(evidence + kappa == 0))
@@ -226,20 +213,11 @@ def _rivals(first: I8, seen_by: I8) -> I8:
     return np.unique(np.stack([candidate[one], candidate[two]], axis=1), axis=0)
 
 
-def _places(settings: MCMC, x: F8, model: Model) -> F8:
-    """(L, 4) where states (d, L) are, for the interaction: boxes, or positions in units of its range."""
-    if settings.interaction_strength == 0:
-        return np.zeros((0, 4))
-    if settings.interaction == "overlap":
-        return np.ascontiguousarray(model.sensor.boxes(x))
-    return np.ascontiguousarray(np.vstack([x[:2] / settings.interaction_distance, np.zeros((2, x.shape[1]))]).T)
-
-
 def effective_samples(series: F8) -> float:
-    """How many independent draws would tell the means of ``series`` (k, N) as well: least over its rows, by batch means.
+    """How many independent draws would give the means of ``series`` (k, N) as well: the least of its rows, by √N batches.
 
-    With b = √N batches the variance of a batch's mean, times its length, is that of the chain's asymptotic error; NaN for
-    no rows or fewer than four samples, N where a row is constant.
+    The variance of a batch's mean, times its length, is that of the chain's asymptotic error. NaN for no rows or fewer than
+    four samples, N where a row is constant.
     """
     count = series.shape[1]
     length = int(np.sqrt(count))
@@ -254,11 +232,11 @@ def effective_samples(series: F8) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Joint(Checked):
-    """Settings of the extraction from joint samples: which targets are there in most of them, and where on average [K05].
+    """Settings of the extraction from joint samples: the targets that exist in most of them, at their mean states [K05].
 
     Parameters
     ----------
-    min_weight : targets that are there with less probability are not reported.
+    min_weight : targets that exist with less probability are not reported.
     merge_iou : states whose boxes overlap by more (IoU) are one object that the detector saw twice; 1 for never.
     """
 
@@ -266,7 +244,7 @@ class Joint(Checked):
     merge_iou: Share = 0.4
 
     def extract(self, state: JointSamples, z: F8, model: Model) -> Estimates:
-        """Mean and covariance of the samples of every target that is there, with its label [K05].
+        """Mean and covariance of the samples of every target that probably exists, with its label [K05].
 
         They are in the order of the labels.
         """

@@ -14,7 +14,7 @@ probabilities are the same, but 50 false alarms make 50 short tracks of little w
 
 Tracks that compete for no measurement stand in different clusters, whose hypotheses are independent. Where a measurement is
 near tracks of several, they become one; where the tracks of one no longer share a measurement of the window, it falls apart.
-In each cluster the best assignments over all its hypotheses are found in order (`kernels.murty`), up to ``max_hypotheses``
+In each cluster the best assignments over all hypotheses are found in order (`kernels.association`), up to ``max_hypotheses``
 and down to ``hypothesis_threshold`` of the best. What the best hypothesis says of the frame ``history`` frames back is then
 decided: others are dropped.
 
@@ -133,7 +133,7 @@ class MHT(Checked, Filter[Hypotheses]):
         return grown, _info(state, grown, branches, scores, seen.clutter, new)
 
     def _sizes(self, model: Model) -> float:
-        """The volume of what a measurement shows beside a position."""
+        """The volume of what a measurement shows besides a position."""
         if len(model.sensor.observed) == 2:
             return 1.0
         width, height = self.frame_size

@@ -10,7 +10,7 @@ filter and measurements of its own. With p_i the probability that hypothesis i i
     new or false   κ(z) + γ̂(z),  γ̂ = ∫ p_D g(z|x) γ(x) dx:  a new target with r = γ̂/(κ + γ̂)
 
 The probability of each pair over all ways to give every target at most one measurement, and every measurement to at most
-one target, is found by loopy belief propagation (`kernels.marginals`). Then r is the probability of all hypotheses of the
+one target, is found by loopy belief propagation (`kernels.association`). Then r is the probability of all hypotheses of the
 target that are left, which are weighed by theirs: the product of Bernoulli densities that is nearest to the posterior
 [W15], but the hypotheses of a target are kept with their pasts instead of being replaced by their mean. So targets that
 cannot be separated for some frames are not blurred, and the past is read from the hypothesis that wins.

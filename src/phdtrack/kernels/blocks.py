@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phdtrack.kernels.cache import njit
-from phdtrack.kernels.em import Candidates
 from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, LANES, VECTOR, extent, whole
 from phdtrack.kernels.grid import Grid, make_grid, overlapping, overlapping_pairs
-from phdtrack.kernels.mixtures import Gaussians
+from phdtrack.kernels.mixtures import Candidates, Gaussians
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]

@@ -1,14 +1,12 @@
 """Where compiled kernels are kept between runs, and that what is kept there is what the sources say.
 
-Numba looks for a folder when a kernel is defined: ``$NUMBA_CACHE_DIR``, ``__pycache__`` beside the sources, the user's own
-cache, the first of them that can be written into. Two things it leaves to us:
+Numba keeps them in the first folder that it can write into: ``$NUMBA_CACHE_DIR``, ``__pycache__`` beside the sources, the
+user's own cache. To that is added here:
 
-* Where none can be written into (a read-only installation, a user without a home), it refuses to define the kernel. Then a
-  folder is made that lives as long as the process.
-* It keeps a kernel until the *file* of that kernel changes. A kernel that calls another one, of another file, would stay as
-  it was compiled after an upgrade. So the folder carries a digest of all sources, and is emptied where that is another one.
-* It also keeps a kernel compiled for a record of the user's program. Another program, which cannot import that record, could
-  then not read the list of kept kernels. So `njit` keeps kernels of this package's own records only.
+* Where it can write into none, a folder is made that lives as long as the process.
+* Numba compiles a kernel anew only where the file of that kernel changes, not of those that it calls. So the folder carries
+  a digest of all sources, and is emptied where that is another one.
+* A kernel compiled for a record of the user's program is not kept: another program could not read the list of kernels then.
 """
 
 from __future__ import annotations
@@ -30,7 +28,6 @@ import numba
 from numba.core import codegen
 
 SOURCES = Path(__file__).parent
-STAMP = "phdtrack-kernels.sha256"
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,11 +68,10 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def _compiling(compile_for: Callable[..., Any], inner: bool) -> Callable[..., Any]:
-    """The same, faster; ``inner`` says that only kernels call the function.
+    """The same, faster: without a search for garbage, of which Numba makes hardly any.
 
-    Such a function is optimised in each kernel that calls it. Numba would optimise it by itself, too, which nobody sees and
-    which takes an eighth of all the time to compile. And there is no search for garbage: Numba makes many objects and
-    hardly any garbage.
+    An ``inner`` function, which only kernels call, is optimised in each of them. It is not also optimised by itself, which
+    saves an eighth of the time.
     """
 
     def compiled(*signature: Any) -> Any:
@@ -92,20 +88,11 @@ def _compiling(compile_for: Callable[..., Any], inner: bool) -> Callable[..., An
     return compiled
 
 
-def _optimise_kernels_only() -> None:
-    """Let Numba leave out the optimisation of what is compiled as ``inner``; a Numba built otherwise keeps it."""
-    optimise: Any = getattr(codegen.CPUCodeLibrary, "_optimize_final_module", None)
-
-    def optimised(library: Any) -> None:
-        if not getattr(_now, "inner", False):
-            optimise(library)
-
-    if optimise is not None:
-        codegen.CPUCodeLibrary._optimize_final_module = optimised
-
-
 _now = threading.local()
-_optimise_kernels_only()
+# A Numba built otherwise optimises everything.
+_optimise: Any = getattr(codegen.CPUCodeLibrary, "_optimize_final_module", None)
+if _optimise is not None:
+    codegen.CPUCodeLibrary._optimize_final_module = lambda library: getattr(_now, "inner", False) or _optimise(library)
 
 
 def _from_outside(kind: Any) -> bool:
@@ -119,53 +106,32 @@ def prepare() -> Cache:
     """Find the folder as Numba will, make one where there is none, empty it where it is of other sources."""
     if numba.config.DISABLE_JIT:
         return Cache(SOURCES / "__pycache__", lasting=True)
+    lasting = True
     try:
-        folder = _somewhere()
+        folder = _numbas_folder()
     except RuntimeError:
-        return _passing()
-    _freshen(folder, digest(SOURCES))
-    return Cache(folder, lasting=True)
-
-
-def digest(sources: Path) -> str:
-    """Of the names and contents of the Python files in a folder."""
+        lasting, numba.config.CACHE_DIR = False, tempfile.mkdtemp(prefix="phdtrack-kernels-")
+        atexit.register(shutil.rmtree, numba.config.CACHE_DIR, ignore_errors=True)
+        folder = _numbas_folder()
     total = hashlib.sha256()
-    for file in sorted(sources.glob("*.py")):
+    for file in sorted(SOURCES.glob("*.py")):
         total.update(file.name.encode() + hashlib.sha256(file.read_bytes()).digest())
-    return total.hexdigest()
-
-
-def _somewhere() -> Path:
-    """The folder that Numba takes for functions of this package; RuntimeError where it finds none."""
-    if os.path.expanduser("~") == "~" and not (numba.config.CACHE_DIR or os.access(SOURCES, os.W_OK)):
-        # A user without a home folder: Numba would make a folder called "~" where the process happens to be.
-        raise RuntimeError("no home")
-    probe: Any = njit(cache=True)(_probe)
-    return Path(probe.stats.cache_path)
-
-
-def _probe() -> None:
-    """Defined, never compiled: it is enough to learn the folder."""
-
-
-def _passing() -> Cache:
-    """A folder for this process."""
-    folder = tempfile.mkdtemp(prefix="phdtrack-kernels-")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    numba.config.CACHE_DIR = folder
-    inside = _somewhere()
-    # Processes that help to compile find the stamp, and do not empty the folder.
-    _freshen(inside, digest(SOURCES))
-    return Cache(inside, lasting=False)
-
-
-def _freshen(folder: Path, now: str) -> None:
-    """Empty ``folder`` where its kernels are not of the sources with the digest ``now``."""
-    stamp = folder / STAMP
+    stamp, now = folder / "phdtrack-kernels.sha256", total.hexdigest()
     with suppress(OSError):
         if stamp.read_text() == now:
-            return
+            return Cache(folder, lasting)
     for index in folder.glob("*.nb[ic]"):
         # Another process may be doing the same.
         index.unlink(missing_ok=True)
     stamp.write_text(now)
+    return Cache(folder, lasting)
+
+
+def _numbas_folder() -> Path:
+    """The folder that Numba takes for functions of this package; RuntimeError where it finds none."""
+    if os.path.expanduser("~") == "~" and not (numba.config.CACHE_DIR or os.access(SOURCES, os.W_OK)):
+        # A user without a home folder: Numba would make a folder called "~" where the process happens to be.
+        raise RuntimeError("no home")
+    # Defined, never compiled: it is enough to learn the folder.
+    probe: Any = njit(cache=True)(_from_outside)
+    return Path(probe.stats.cache_path)

@@ -1,14 +1,11 @@
 """Elementary symmetric functions in logarithms, and sums over all but one of their arguments.
 
-The coefficients of Π_i (a_i + b_i t) are what the cardinalised PHD filter needs of a scan: with a = 1 the coefficient of t^j
-is the elementary symmetric function e_j(b); with a = κ(z) and b = C(z) no division by the clutter is needed. They span
-hundreds of orders of magnitude, so everything is a logarithm (−∞ for zero), and nothing is ever subtracted: each result is
-a sum of positive terms, exact to rounding whatever their size.
+The cardinalised PHD filter needs the coefficients of Π_i (a_i + b_i t) of a scan, with a = κ(z) and b = C(z). They span
+hundreds of orders of magnitude, so everything is a logarithm (−∞ for zero), and nothing is ever subtracted.
 
-For each detection z the filter needs the same without z. Dividing (a_z + b_z t) out again would subtract, and loses every
-digit when b_z/a_z is large; multiplying anew for each z costs O(m³). But it needs these polynomials only through one sum
-Σ_j w_j [t^j], and that is the derivative of the whole sum by a_z: one sweep backwards through the products gives it for
-all z in O(m²), again by additions alone.
+For each detection z it needs the same without z, through one sum Σ_j w_j [t^j]. That is the derivative of the whole sum by
+a_z: one sweep backwards through the products gives it for all z in O(m²), by additions only. Dividing (a_z + b_z t) out
+would lose every digit where b_z/a_z is large, and multiplying anew for each z would cost O(m³).
 """
 
 from __future__ import annotations
@@ -17,24 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phdtrack.kernels.cache import njit
+from phdtrack.kernels.fast32 import ENTRY, INNER
 
 F8 = NDArray[np.float64]
-# exp(-40) is below the last digit of 1.
-_NOTHING = -40.0
 
 
-@njit(cache=True)
-def log_add(a: float, b: float) -> float:
+@njit(**INNER)
+def _log_add(a: float, b: float) -> float:
     """log(eᵃ + eᵇ); −∞ stands for zero."""
     if a < b:
         a, b = b, a
-    if b == -np.inf or b - a < _NOTHING:
-        return a
-    total: float = a + np.log1p(np.exp(b - a))
+    # exp(-40) is below the last digit of 1.
+    total: float = a if b == -np.inf or b - a < -40.0 else a + np.log1p(np.exp(b - a))
     return total
 
 
-@njit(cache=True)
+@njit(**ENTRY)
 def log_products(log_a: F8, log_b: F8, most: int) -> F8:
     """(m + 1, J + 1) row k: the logarithms of the coefficients of Π_{i<k} (a_i + b_i t), up to t^J, J = min(m, most)."""
     m = log_a.size
@@ -44,11 +39,11 @@ def log_products(log_a: F8, log_b: F8, most: int) -> F8:
     for k in range(m):
         out[k + 1, 0] = out[k, 0] + log_a[k]
         for j in range(1, min(k + 1, top) + 1):
-            out[k + 1, j] = log_add(out[k, j] + log_a[k], out[k, j - 1] + log_b[k])
+            out[k + 1, j] = _log_add(out[k, j] + log_a[k], out[k, j - 1] + log_b[k])
     return out
 
 
-@njit(cache=True)
+@njit(**ENTRY)
 def log_sums_without(log_a: F8, log_b: F8, products: F8, log_w: F8) -> F8:
     """(m,) for each k the logarithm of Σ_j w_j [t^j] Π_{i≠k} (a_i + b_i t).
 
@@ -70,11 +65,11 @@ def log_sums_without(log_a: F8, log_b: F8, products: F8, log_w: F8) -> F8:
             out[k] += np.log(total)
         # What the factors behind k make of w: the coefficient j before k is led on to j or, by b_k t, to j + 1.
         for j in range(top):
-            after[j] = log_add(log_a[k] + after[j], log_b[k] + after[j + 1])
+            after[j] = _log_add(log_a[k] + after[j], log_b[k] + after[j + 1])
     return out
 
 
-@njit(cache=True)
+@njit(**ENTRY)
 def thinned(probability: F8, keep: float) -> F8:
     """(n,) distribution of how many are left of a number with distribution ``probability`` (n,), each kept with ``keep``.
 

@@ -98,7 +98,7 @@ def descending(weight: F8) -> I8:
 
 @njit(**INNER)
 def _apart(step: F8, cov: F8, i: int, limit: float, axes: Axes) -> bool:
-    """Whether one component alone says that stepᵀ cov_i⁻¹ step is above ``limit``: it is at least step_r² / cov_rr."""
+    """Whether a single component shows that stepᵀ cov_i⁻¹ step is above ``limit``: it is at least step_r² / cov_rr."""
     far = False
     for r in range(len(axes)):
         far |= step[r] * step[r] > limit * cov[i, r, r]
@@ -234,13 +234,13 @@ def _united(
         i = head[g]
         out_mass[k], out_tag[k] = scale * mass[g], tag[i]
         # A head without weight has members without weight: it stands for them.
-        alone = members[g] == 1 or not mass[g] > 0.0
-        share = 0.0 if alone else 1.0 / mass[g]
+        single = members[g] == 1 or not mass[g] > 0.0
+        share = 0.0 if single else 1.0 / mass[g]
         for r in range(d):
-            step[r] = 0.0 if alone else about[g, r] * share
+            step[r] = 0.0 if single else about[g, r] * share
             out_mean[r, k] = x[i, r] + step[r]
             for s in range(r + 1):
-                value = cov[i, r, s] if alone else spread[g, r, s] * share - step[r] * step[s]
+                value = cov[i, r, s] if single else spread[g, r, s] * share - step[r] * step[s]
                 out_cov[k, r, s] = value
                 out_cov[k, s, r] = value
     return out_mass, out_mean, out_cov, out_tag

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from phdtrack.kernels.blocks import F8, I8, Blocks, Real, U, add_products, load_row, load_steps, reaching, weigh
 from phdtrack.kernels.cache import njit
-from phdtrack.kernels.em import Candidates
 from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR, whole
-from phdtrack.kernels.mixtures import Gaussians
+from phdtrack.kernels.mixtures import Candidates, Gaussians
 
 I4 = NDArray[np.int32]
 # A centre that has moved by less than this many deviations has not moved.

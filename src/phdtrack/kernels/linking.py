@@ -2,9 +2,8 @@
 
 A vertex is an extracted state; vertices are numbered through. Its out-side is a column of the assignment problem, its
 in-side a row. Rows younger than the window are open; a column stays open while the row that it is matched to is. The
-matching of maximum total gain is extended by one shortest augmenting path per new row (Jonker and Volgenant). Rows may stay
-unmatched at gain 0. The dual variables are kept between frames: u_r + v_c ≤ −gain on every edge, with equality on matched
-ones, v_c = 0 on free columns and u_r ≤ 0 with equality on unmatched rows certify that the total gain is the maximum.
+matching of maximum total gain is extended by one augmenting path per new row, and its dual variables are kept between frames
+(`kernels.association`).
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from phdtrack.kernels.association import CLOSED, UNUSED, Edges, Matching, augment, gain_of, new_paths
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.gaussian import factor, norm2
@@ -22,11 +22,6 @@ from phdtrack.kernels.grid import make_grid, overlapping
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 
-# A column without a row, and one that no row may take any more.
-FREE, CLOSED = -1, -2
-# What a search has seen of a column: nothing, that an edge leads to it, the shortest way to it.
-UNSEEN, TOUCHED, DONE = 0, 1, 2
-
 
 class Window(NamedTuple):
     """Open vertices, the edges between them and their matching.
@@ -34,10 +29,9 @@ class Window(NamedTuple):
     Attributes
     ----------
     column, row : numbers of the first vertex whose out-side and of the first whose in-side is held.
-    next, column_price : (C,) the vertex matched to each out-side (or FREE, CLOSED), and its dual variable.
+    next, column_price : (C,) the vertex matched to each out-side (or UNUSED, CLOSED), and its dual variable.
     since, previous, gain, row_price : (R,) of each in-side the model time since its frame, the vertex matched (−1: none),
-    that
-        link's gain, and the dual variable.
+        that link's gain, and the dual variable.
     start, target, edge_gain : (R + 1,), (E,), (E,) row r has edges to the vertices target[start[r]:start[r + 1]].
     mean, covariance : (R, d), (R, d, d) of the rows' vertices, predicted for the present frame.
     """
@@ -197,7 +191,7 @@ def link_states(window: Window, predicted: F8, covariance: F8, fresh: Fresh, ter
     n, d, closed = fresh.mean.shape[0], fresh.mean.shape[1], 0
     while closed < window.since.size and window.since[closed] + dt > terms.window:
         closed += 1
-    onward = _kept(window.next, 0, n, FREE)
+    onward = _kept(window.next, 0, n, UNUSED)
     # A closed row takes its matched column with it, and a closed column without a row ends its track.
     for r in range(closed):
         if window.previous[r] >= 0:
@@ -224,7 +218,7 @@ def link_states(window: Window, predicted: F8, covariance: F8, fresh: Fresh, ter
     target, value = _kept(window.target, first, room, 0), _kept(window.edge_gain, first, room, 0.0)
     target, value = _add_edges(mean, cov, since[:old], fresh, terms, dt, window.row + closed, start, target, value)
     target, value = target[: start[old + n]].copy(), value[: start[old + n]].copy()
-    onward, previous = _kept(onward, gone, 0, FREE), _kept(window.previous, closed, n, -1)
+    onward, previous = _kept(onward, gone, 0, UNUSED), _kept(window.previous, closed, n, -1)
     gain, row_price = _kept(window.gain, closed, n, 0.0), _kept(window.row_price, closed, n, 0.0)
     prices, column = _kept(window.column_price, gone, n, 0.0), window.column + gone
     row = window.row + closed
@@ -236,55 +230,18 @@ def link_states(window: Window, predicted: F8, covariance: F8, fresh: Fresh, ter
 @njit(**INNER)
 def _match_rows(w: Window, first: int) -> None:
     """Match the rows of a new window from place ``first`` on, in place; those before it are matched optimally."""
-    columns = w.next.size
-    seen, via, touched = np.zeros(columns, np.uint8), np.empty(columns, np.int64), np.empty(columns, np.int64)
-    distance, along_gain = np.empty(columns), np.empty(columns)
+    # In place of the vertices' numbers, places among the open ones; a column below 0 is no longer open.
+    edges = Edges(w.start, w.target - w.column, w.edge_gain)
+    x = Matching(w.previous, w.next, w.row_price, w.column_price)
+    for r in range(w.previous.size):
+        x.column[r] -= w.column if x.column[r] >= 0 else 0
+    for c in range(w.next.size):
+        x.row[c] -= w.row if x.row[c] >= 0 else 0
+    paths, none = new_paths(w.next.size), np.zeros(w.next.size + 1, np.bool_)
     for row in range(first, w.since.size):
-        w.row_price[row] = 0.0
-        for e in range(w.start[row], w.start[row + 1]):
-            c = w.target[e] - w.column
-            if c >= 0 and w.next[c] != CLOSED and -w.edge_gain[e] - w.column_price[c] < w.row_price[row]:
-                w.row_price[row] = -w.edge_gain[e] - w.column_price[c]
-        here, reached, count = row, 0.0, 0
-        shortest, loser, end = np.inf, -1, -1  # the best end so far: the row that it leaves unmatched, or a free column
-        while True:
-            if reached - w.row_price[here] < shortest:
-                shortest, loser = reached - w.row_price[here], here
-            for e in range(w.start[here], w.start[here + 1]):
-                c = w.target[e] - w.column
-                if c < 0 or seen[c] == DONE or w.next[c] == CLOSED:
-                    continue
-                along = reached - w.edge_gain[e] - w.row_price[here] - w.column_price[c]
-                if seen[c] == UNSEEN:
-                    seen[c], touched[count], distance[c] = TOUCHED, c, np.inf
-                    count += 1
-                if along < distance[c]:
-                    distance[c], via[c], along_gain[c] = along, here, w.edge_gain[e]
-            nearest, chosen = np.inf, -1
-            for t in range(count):
-                c = touched[t]
-                if seen[c] == TOUCHED and distance[c] < nearest:
-                    nearest, chosen = distance[c], c
-            if chosen < 0 or shortest <= nearest:
-                break
-            seen[chosen] = DONE
-            if w.next[chosen] < 0:
-                shortest, end = nearest, chosen
-                break
-            here, reached = w.next[chosen] - w.row, nearest
-        w.row_price[row] += shortest
-        for t in range(count):
-            c = touched[t]
-            if seen[c] == DONE and w.next[c] >= 0:
-                w.row_price[w.next[c] - w.row] += shortest - distance[c]
-                w.column_price[c] -= shortest - distance[c]
-            seen[c] = UNSEEN
-        if end < 0:
-            end = -1 if loser == row else w.previous[loser] - w.column
-            w.previous[loser], w.gain[loser] = -1, 0.0
-        # Flip the matching along the path, from its end back to the new row.
-        while end >= 0:
-            owner = via[end]
-            before = w.previous[owner] - w.column
-            w.previous[owner], w.next[end], w.gain[owner] = w.column + end, w.row + owner, along_gain[end]
-            end = -1 if owner == row else before
+        augment(edges, row, -1, none, x, paths)
+    for r in range(w.previous.size):
+        w.gain[r] = gain_of(edges, r, x.column[r])
+        x.column[r] += w.column if x.column[r] >= 0 else 0
+    for c in range(w.next.size):
+        x.row[c] += w.row if x.row[c] >= 0 else 0

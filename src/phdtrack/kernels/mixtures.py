@@ -1,7 +1,8 @@
-"""Gaussian mixtures: their densities at points, and Bayes' rule for a mixture as a prior.
+"""Gaussian mixtures: densities, expectation-maximisation [M09 §III-B], and its recursive form [M09 (16)-(20)].
 
-`log_densities` and `mixture_density` evaluate Gaussians that were `whitened` once. `states_given` gives the state that a
-measurement shows, of which the mixture is the prior [M09 (14)].
+`log_densities` and `mixture_density` evaluate Gaussians that were `whitened` once. `em_step` gives the mass, mean and
+covariance of each component's samples, from which the caller makes the next mixture. `recursive_em` takes one sample at a
+time.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phdtrack.kernels.cache import njit
-from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR
-from phdtrack.kernels.gaussian import LOG_2PI, factor
+from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR, exp_of, log_of
+from phdtrack.kernels.gaussian import LOG_2PI, factor, norm2
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -22,6 +23,14 @@ Real = NDArray[np.floating[Any]]
 
 # Points that are evaluated at a time.
 CHUNK = 128
+# Logarithms below this are those of a density that is 0; so is one that is LEAST nats below another one at the same place.
+NOTHING, LEAST = -1e30, -60.0
+# A component of less mass than this has no samples: its square must not vanish.
+NO_MASS = 1e-100
+# A share of a sample that moves nothing by more than rounding.
+NEGLIGIBLE = 1e-14
+# The largest value of M·τ·β: at 1 the recursive rule for the weights divides by 0.
+MAX_PRIOR = 0.5
 
 
 class Gaussians(NamedTuple):
@@ -107,7 +116,7 @@ def log_densities(x: F8, gaussians: Whitened) -> F8:
 def mixture_density(x: F8, low: F8, high: F8, flat: float, outside: float, gaussians: Whitened, limit2: F8) -> F8:
     """(n,) ``flat`` plus the Gaussians at points ``x`` (d, n) from ``low`` to ``high`` (d,), and ``outside`` elsewhere.
 
-    Beyond the squared distances ``limit2`` (k,) a Gaussian is left out; often one component alone shows that it is.
+    Beyond the squared distances ``limit2`` (k,) a Gaussian is left out; often a single component shows that it is.
     """
     (d, n), (mean, inverse, log_peak) = x.shape, gaussians
     out, step = np.empty(n), np.empty(d)
@@ -131,107 +140,266 @@ def mixture_density(x: F8, low: F8, high: F8, flat: float, outside: float, gauss
     return out
 
 
-@njit(**INNER)
-def _factor_shown(cov: F8, noise: F8, order: I8, step: F8, root: F8, y: F8) -> float:
-    """The density at ``step`` of a Gaussian's shown part with noise, but for 2π; y (r,) becomes L⁻¹ step.
+class Candidates(NamedTuple):
+    """The components that each of B blocks of samples may belong to.
 
-    ``root`` (d, r) becomes the factor L, with the inverse of its diagonal.
+    ``start`` (B + 1,): block b holds the samples from start[b] to start[b + 1]. ``first`` (B + 1,) and ``component`` (P,):
+    its components are component[first[b]:first[b + 1]].
     """
-    inverse, distance2 = 1.0, 0.0
-    for a in range(y.size):
-        value = step[a]
-        for b in range(a + 1):
-            total = cov[a, b] + noise[order[a], order[b]]
-            for t in range(b):
-                total -= root[a, t] * root[b, t]
-            if b == a:
-                root[a, a] = 1.0 / math.sqrt(total)
-            else:
-                root[a, b] = total * root[b, b]
-                value -= root[a, b] * y[b]
-        y[a] = value * root[a, a]
-        inverse *= root[a, a]
-        distance2 += y[a] * y[a]
-    return inverse * math.exp(-0.5 * distance2)
+
+    start: I8
+    first: I8
+    component: I8
+
+
+class Moments(NamedTuple):
+    """What one step of EM makes of the samples.
+
+    ``mass`` (k,): Σ of the samples' weights times responsibilities. ``mean`` (d, k), ``covariance`` (k, d, d): of each
+    component's samples; as before without mass. ``background``: mass of the background density. ``log_likelihood``:
+    Σ weight · log density, nats.
+    """
+
+    mass: F8
+    mean: F8
+    covariance: F8
+    background: float
+    log_likelihood: float
+
+
+class Recursion(NamedTuple):
+    """How the recursive form learns.
+
+    ``prior``: τ, half the number of parameters of a component. ``memory``: samples 1/β that are remembered at most.
+    ``min_uniform``: smallest share of the uniform density. ``log_volume``: logarithm of the volume of the uniform density.
+    ``steady``: number of samples taken at the constant rate; later ones have a rate that falls like 1/k, without the prior.
+    ``floor`` (d,): variances added to every sample's scatter, so that no covariance vanishes.
+    """
+
+    prior: float
+    memory: float
+    min_uniform: float
+    log_volume: float
+    steady: int
+    floor: F8
+
+
+def nothing_known(dim: int) -> Gaussians:
+    """The moments of no blocks."""
+    return Gaussians(np.zeros(0), np.zeros((dim, 0)), np.zeros((0, dim, dim)))
+
+
+def one_block(samples: int, components: int) -> Candidates:
+    """Candidates where every sample may belong to every component."""
+    return Candidates(np.array([0, samples]), np.array([0, components]), np.arange(components))
+
+
+@njit(**VECTOR)
+def _responsibilities(table: Real, count: int, size: int, weight: Real, background: Real, top: Real, total: Real) -> float:
+    """Turn log densities in ``table`` (≥ count, ≥ size) into weight times responsibility; gives Σ weight · log density.
+
+    The logarithm in ``background`` becomes the weight times the responsibility of the background; ``top``, ``total`` are
+    scratch.
+    """
+    real = table.dtype.type
+    log_likelihood: Any = 0.0
+    nothing, least, zero = real(NOTHING), real(LEAST), real(0)
+    for i in range(size):
+        top[i] = background[i]
+    for c in range(count):
+        for i in range(size):
+            top[i] = table[c, i] if table[c, i] > top[i] else top[i]
+    for i in range(size):
+        top[i] = top[i] if top[i] > nothing else zero
+        background[i] = exp_of(background[i] - top[i]) if background[i] - top[i] > least else zero
+    for c in range(count):
+        for i in range(size):
+            # No numbers below the smallest normal one: they are slow.
+            table[c, i] = exp_of(table[c, i] - top[i]) if table[c, i] - top[i] > least else zero
+    for i in range(size):
+        total[i] = background[i]
+    for c in range(count):
+        for i in range(size):
+            total[i] += table[c, i]
+    for i in range(size):
+        log_likelihood += weight[i] * (top[i] + log_of(total[i])) if total[i] > zero else zero
+        top[i] = weight[i] / total[i] if total[i] > zero else zero
+    for i in range(size):
+        background[i] *= top[i]
+    for c in range(count):
+        for i in range(size):
+            table[c, i] *= top[i]
+    return float(log_likelihood)
+
+
+@njit(**VECTOR)
+def _add_moments(step: Real, share: Real, size: int, j: int, mass: F8, first: F8, second: F8) -> None:
+    """Add the sums over samples of share, share · step and share · step · stepᵀ to component ``j``'s."""
+    zero = step.dtype.type(0)
+    total = zero
+    for i in range(size):
+        total += share[i]
+    mass[j] += total
+    for r in range(step.shape[0]):
+        row = step[r]
+        total = zero
+        for i in range(size):
+            total += share[i] * row[i]
+        first[j, r] += total
+        for s in range(r + 1):
+            other = step[s]
+            total = zero
+            for i in range(size):
+                total += share[i] * row[i] * other[i]
+            second[j, r, s] += total
 
 
 @njit(**INNER)
-def _add_hidden(cov: F8, step: F8, root: F8, y: F8, weight: float, first: F8, second: F8) -> None:
-    """Add the moments of what a measurement does not show of one Gaussian, given it.
-
-    ``step`` (d − r,) is the mean before, less the point about which the moments are; it becomes that given the measurement.
-    """
-    shown = y.size
-    for i in range(step.size):
-        a = shown + i
-        for b in range(shown):
-            total = cov[a, b]
-            for t in range(b):
-                total -= root[a, t] * root[b, t]
-            root[a, b] = total * root[b, b]
-            step[i] += root[a, b] * y[b]
-        first[i] += weight * step[i]
-        for k in range(i + 1):
-            value = cov[a, shown + k] + step[i] * step[k]
-            for t in range(shown):
-                value -= root[a, t] * root[shown + k, t]
-            second[i, k] += weight * value
+def _add_known(known: Gaussians, b: int, j: int, mean: F8, mass: F8, first: F8, second: F8) -> None:
+    """Add the sums of all samples of block ``b`` to component ``j``'s."""
+    total = known.weight[b]
+    mass[j] += total
+    for r in range(mean.shape[0]):
+        step = known.mean[r, b] - mean[r, j]
+        first[j, r] += total * step
+        for s in range(r + 1):
+            second[j, r, s] += total * (known.covariance[b, r, s] + step * (known.mean[s, b] - mean[s, j]))
 
 
-@njit(**ENTRY)
-def states_given(
-    state: F8, noise: F8, order: I8, low: F8, high: F8, flat: float, mixture: Gaussians, limit2: F8
-) -> tuple[F8, F8, F8]:
-    """The density of measurements of a state from a uniform part and Gaussians, and the state given each measurement.
+@njit(**INNER)
+def _from_sums(mixture: Gaussians, mass: F8, first: F8, second: F8) -> tuple[F8, F8]:
+    """Means (d, k) and covariances (k, d, d) from sums of steps from the old means."""
+    mean, cov = mixture.mean.copy(), mixture.covariance.copy()
+    for j in range(mass.size):
+        if mass[j] < NO_MASS:
+            continue
+        for r in range(mean.shape[0]):
+            mean[r, j] += first[j, r] / mass[j]
+            for s in range(r + 1):
+                cov[j, r, s] = second[j, r, s] / mass[j] - first[j, r] * first[j, s] / (mass[j] * mass[j])
+                cov[j, s, r] = cov[j, r, s]
+    return mean, cov
+
+
+@njit(**(ENTRY | {"fastmath": FAST}))
+def em_step(
+    x: Real, weight: F8, log_background: F8, mixture: Gaussians, candidates: Candidates, known: Gaussians
+) -> Moments:
+    """Expectation and the sums of maximisation for weighted samples [M09 §III-B].
+
+    The new weights, a floor under covariances and a prior are left to the caller. Samples of blocks without candidates count
+    for no component. Those of a block with one candidate and no background are all that component's: their densities are not
+    computed and not in ``log_likelihood``.
 
     Parameters
     ----------
-    state, noise : (d, n), (n, d, d) states that the measurements show, and their covariances. Of what measurements do not
-        show they are mean and covariance under the uniform part.
-    order : (d,) the components of the state, those that are shown first.
-    low, high : (r,) bounds of what is shown; the density is 0 beyond.
-    flat : the uniform part.
-    mixture : the Gaussians, in that order of components.
-    limit2 : (k,) squared distances beyond which a Gaussian is left out.
-
-    Returns
-    -------
-    (n,) densities; (d, n), (n, d, d) the states and covariances with mean and covariance of what is not shown.
+    x : (d, n) samples, in float32 or float64.
+    weight : (n,) of the samples, or (1,) for all of them.
+    log_background : (n,) logarithm of a further density, of the background, at each sample; (0,) for none.
+    mixture : the Gaussians, whose weights count the background in: density = background + Σ weight · N(x).
+    candidates : the components that each block of samples may belong to (`one_block` for all).
+    known : mass, mean and covariance of each block, so that no sample of one with one candidate is looked at; or of none.
     """
-    (d, n), shown, (weight, mean, cov) = state.shape, low.size, mixture
-    total, out, out_cov = np.empty(n), state.copy(), noise.copy()
-    hidden, scale = d - shown, (2.0 * math.pi) ** (-0.5 * shown)
-    step, y, root = np.empty(d), np.empty(shown), np.empty((d, shown))
-    first, second = np.empty(hidden), np.empty((hidden, hidden))
-    for j in range(n):
-        total[j], inside = flat, True
-        for a in range(shown):
-            inside = inside and low[a] <= state[order[a], j] <= high[a]
-        for a in range(hidden):
-            first[a] = 0.0
-            for c in range(a + 1):
-                second[a, c] = flat * noise[j, order[shown + a], order[shown + c]]
-        for m in range(limit2.size):
-            near = True
-            for a in range(shown):
-                step[a] = state[order[a], j] - mean[a, m]
-                near = step[a] * step[a] <= limit2[m] * (cov[m, a, a] + noise[j, order[a], order[a]])
-                if not near:
-                    break
-            if not near:
+    d, (start, first_of, component) = x.shape[0], candidates
+    _, inverse, log_peak = whitened(mixture)
+    count = mixture.weight.size
+    mass, first, second = np.zeros(count), np.zeros((count, d)), np.zeros((count, d, d))
+    widest = np.max(np.diff(first_of)) if first_of.size > 1 else 0
+    step, table = np.empty((d, CHUNK), x.dtype), np.empty((widest, CHUNK), x.dtype)
+    part, total = np.empty(CHUNK, x.dtype), np.empty(CHUNK, x.dtype)
+    own, other = np.empty(CHUNK, x.dtype), np.empty(CHUNK, x.dtype)
+    background, log_likelihood = 0.0, 0.0
+    for b in range(start.size - 1):
+        near = component[first_of[b] : first_of[b + 1]]
+        if near.size == 1 and log_background.size == 0 and known.weight.size > 0:
+            _add_known(known, b, near[0], mixture.mean, mass, first, second)
+            continue
+        for begin in range(start[b], start[b + 1], CHUNK):
+            size = min(CHUNK, start[b + 1] - begin)
+            for i in range(size):
+                own[i] = weight[begin + i] if weight.size > 1 else weight[0]
+                other[i] = log_background[begin + i] if log_background.size else -np.inf
+            if near.size == 1 and log_background.size == 0:
+                steps_from(x, begin, size, mixture.mean, near[0], step)
+                _add_moments(step, own, size, near[0], mass, first, second)
                 continue
-            for a in range(shown, d):
-                step[a] = mean[a, m] - state[order[a], j]
-            part = weight[m] * scale * _factor_shown(cov[m], noise[j], order, step, root, y)
-            total[j] += part
-            _add_hidden(cov[m], step[shown:], root, y, part, first, second)
-        for a in range(hidden):
-            i = order[shown + a]
-            out[i, j] += first[a] / total[j]
-            for c in range(a + 1):
-                k = order[shown + c]
-                out_cov[j, i, k] = second[a, c] / total[j] - first[a] * first[c] / (total[j] * total[j])
-                out_cov[j, k, i] = out_cov[j, i, k]
-        if not inside:
-            total[j] = 0.0
-    return total, out, out_cov
+            for c in range(near.size):
+                steps_from(x, begin, size, mixture.mean, near[c], step)
+                log_density_of(step, size, inverse[near[c]], log_peak[near[c]], part, table[c])
+            log_likelihood += _responsibilities(table, near.size, size, own, other, part, total)
+            for i in range(size):
+                background += other[i]
+            for c in range(near.size):
+                steps_from(x, begin, size, mixture.mean, near[c], step)
+                _add_moments(step, table[c], size, near[c], mass, first, second)
+    mean, cov = _from_sums(mixture, mass, first, second)
+    return Moments(mass, mean, cov, background, log_likelihood)
+
+
+@njit(**INNER)
+def _move(mean: F8, cov: F8, step: F8, floor: F8, rate: float) -> None:
+    """Move a component by a part ``rate`` of the way to a sample at mean + ``step``, in place [M09 (19), (20)]."""
+    for r in range(step.size):
+        for s in range(r + 1):
+            cov[r, s] += rate * (step[r] * step[s] + (floor[r] if r == s else 0.0) - cov[r, s])
+            cov[s, r] = cov[r, s]
+        mean[r] += rate * step[r]
+
+
+@njit(**ENTRY)
+def recursive_em(
+    mixture: Gaussians, uniform: float, samples: F8, weight: F8, order: I8, rule: Recursion
+) -> tuple[Gaussians, float]:
+    """The mixture and the share of a uniform density after one sample at a time [M09 (16)-(20)].
+
+    A component whose weight turns negative is removed. After the steady samples, each one counts for the Gaussians by the
+    probability that it did not come from the uniform density.
+
+    Parameters
+    ----------
+    mixture : weights of sum 1, that of the uniform density not among them.
+    uniform : share of the uniform density at first.
+    samples : (n, d), without gaps.
+    weight : (n,), by which β is multiplied for each sample.
+    order : (K,) indices of the samples in the order in which they are taken; they may repeat.
+    rule : rate, prior and limits.
+    """
+    left, mean, cov = mixture.weight.copy(), mixture.mean.T.copy(), mixture.covariance.copy()
+    d, late = mean.shape[1], 0.0
+    root, log_peak, step, y = np.zeros(cov.shape), np.empty(left.size), np.empty(d), np.empty(d)
+    for m in range(left.size):
+        log_peak[m] = -0.5 * (factor(cov[m], root[m]) + d * LOG_2PI)
+    for k in range(order.size):
+        x, w, alive = samples[order[k]], weight[order[k]], left.size
+        share = np.empty(alive)
+        for m in range(alive):
+            for r in range(d):
+                step[r] = x[r] - mean[m, r]
+            share[m] = log_peak[m] - 0.5 * norm2(step, root[m], y) + np.log(left[m])
+        # o_m = π_m N_m(x) / Σ_j π_j N_j(x)
+        top = share.max()
+        share = np.exp(share - top)
+        total = share.sum()
+        share /= total
+        ratio = math.exp(min(700.0, top + math.log(total) + rule.log_volume)) * (1.0 - uniform) / uniform
+        flat, settling = 1.0 / (1.0 + ratio), k >= rule.steady
+        rate = min(1.0 / rule.memory, MAX_PRIOR / (rule.prior * alive))
+        prior, beta = rule.prior * rate, min(1.0, rate * w)
+        if settling:
+            late += rate * w
+            prior, beta = 0.0, beta / (1.0 + late)
+        uniform = min(1.0 - rule.min_uniform, max(rule.min_uniform, uniform + beta * (flat - uniform)))
+        beta *= 1.0 - flat if settling else 1.0
+        for m in range(alive):
+            moved = min(1.0, beta * share[m] / left[m])
+            left[m] += beta * ((share[m] - prior) / (1.0 - alive * prior) - left[m])
+            if moved > NEGLIGIBLE:
+                for r in range(d):
+                    step[r] = x[r] - mean[m, r]
+                _move(mean[m], cov[m], step, rule.floor, moved)
+                log_peak[m] = -0.5 * (factor(cov[m], root[m]) + d * LOG_2PI)
+        if left.min() <= 0.0:
+            kept = np.flatnonzero(left > 0.0)
+            left, mean, cov, root, log_peak = left[kept], mean[kept], cov[kept], root[kept], log_peak[kept]
+        left /= left.sum()
+    return Gaussians(left, mean.T.copy(), cov), uniform

@@ -9,7 +9,7 @@ first detections and κ(z) that of false alarms,
     no earlier target κ(z) + γ̂(z):  a new target with r = γ̂/(κ + γ̂)
 
 The odds of a pair (target, measurement) are ψ = Σ_i r w_i p_i q_i(z) / (missed · (κ + γ̂)). Belief propagation
-(`kernels.marginals`) turns them into the probability of each pair over all one-to-one assignments. A hypothesis after the
+(`kernels.association`) turns them into the probability of each pair over all one-to-one assignments. A hypothesis after the
 update is a hypothesis before it with a measurement, or with none; r is the sum of the probabilities of all of a target.
 
 Arrays count targets (T), hypotheses (C), measurements (N) or pairs of a hypothesis and a measurement (P).
@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from phdtrack.kernels.association import EDGE, beliefs
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.gaussian import (
@@ -34,7 +35,6 @@ from phdtrack.kernels.gaussian import (
     records,
     write_posteriors,
 )
-from phdtrack.kernels.marginals import EDGE, beliefs
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]

@@ -31,8 +31,7 @@ from functools import cached_property
 import numpy as np
 
 from phdtrack.errors import Checked, InputError, NonNegative, PositiveCount
-from phdtrack.kernels.gaussian import Births
-from phdtrack.kernels.mixtures import Gaussians, states_given, whitened
+from phdtrack.kernels.gaussian import Births, Expected, Measurements, NewTargets, first_states
 from phdtrack.models.births import FixedBirth, MeasurementBirth, births_around, particles_about
 from phdtrack.models.clutter import BoxClutter
 from phdtrack.models.volumes import local_box_density
@@ -103,12 +102,20 @@ class SceneBirth(Checked):
 
         ``seen`` are the states that the detections show, as `Sensor.states` gives them; velocities are those learned.
         """
-        state, shown = np.ascontiguousarray(seen[0]), self._shown
-        mixture, order, limit2 = self._learned
-        density, mean, covariance = states_given(state, seen[1], order, shown.low, shown.high, shown.flat, mixture, limit2)
+        (state, noise), shown, (weight, given, gate) = seen, self._shown, self._learned
+        rows, n = np.array(self.observed), state.shape[1]
+        z, nothing = np.ascontiguousarray(state[rows]), np.zeros(n)
+        flat = NewTargets(np.full(n, shown.flat), np.ascontiguousarray(state.T), np.ascontiguousarray(noise))
+        measured = Measurements(np.ascontiguousarray(z.T), noise[:, rows[:, None], rows], nothing, (0.0,) * len(rows))
+        found = first_states(Births(flat, weight, given.z, given.covariance), nothing + 1.0, given, measured, gate)
+        density = np.where(shown.contains(z), found.density, 0.0)
+        # What a detection shows stays as it shows it.
+        hidden = np.setdiff1d(np.arange(len(state)), rows)
+        mean, covariance = state.copy(), noise.copy()
+        mean[hidden], block = found.mean.T[hidden], (slice(None), hidden[:, None], hidden)
+        covariance[block] = found.covariance[block]
         if not self.births_per_detection:
             return self.births_per_second * seconds * density, (mean, covariance)
-        z = state[order[: shown.dim]]
         objects = 1 / shown.volume if self.among is None else self.among(z, outside=self.among.flat)
         local = self.births_per_detection * seconds * local_box_density(z, 1.0)
         return local * np.maximum(density, shown.flat) / objects, (mean, covariance)
@@ -119,15 +126,14 @@ class SceneBirth(Checked):
         return marginal(self.density, self.observed)
 
     @cached_property
-    def _learned(self) -> tuple[Gaussians, I8, F8]:
-        """The Gaussians of p with what is shown first, the order of the components, and (M,) squared distances beyond which
-        Gaussians do not count."""
-        order = np.array([*self.observed, *(row for row in range(self.density.dim) if row not in self.observed)])
-        weight, mean, covariance = self.density.gaussians
-        covariance, r = np.ascontiguousarray(covariance[:, order[:, None], order]), len(self.observed)
-        shown = whitened(Gaussians(weight, mean[order[:r]], np.ascontiguousarray(covariance[:, :r, :r])))
-        limit2 = 2 * (shown.log_peak - math.log(self._shown.flat) + NEGLIGIBLE)
-        return Gaussians(weight, mean[order], covariance), order, limit2
+    def _learned(self) -> tuple[F8, Expected, float]:
+        """The weights of the Gaussians of p, what they say of measurements, and the distance beyond which none counts."""
+        weight, columns, covariance = self.density.gaussians
+        mean, rows, k, r = np.ascontiguousarray(columns.T), np.array(self.observed), len(weight), len(self.observed)
+        log_det = np.linalg.slogdet(2 * np.pi * covariance[:, rows[:, None], rows])[1]
+        peak = float(np.max(np.log(np.maximum(weight, TINY)) - 0.5 * log_det, initial=-math.inf))
+        gate = math.sqrt(max(0.0, 2 * (peak - math.log(self._shown.flat) + NEGLIGIBLE)))
+        return weight, Expected(rows, mean, covariance, covariance, np.zeros((0, r, r)), np.ones(k)), gate
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,8 +36,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.kernels.em import Moments, Recursion, em_step, nothing_known, one_block, recursive_em
-from phdtrack.kernels.mixtures import Gaussians
+from phdtrack.kernels.mixtures import Gaussians, Moments, Recursion, em_step, nothing_known, one_block, recursive_em
 from phdtrack.scene.mixture import SceneDensity, marginal
 from phdtrack.types import F8, I8
 

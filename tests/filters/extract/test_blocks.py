@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 from phdtrack.filters.blocks import cut
 from phdtrack.filters.extract import REACH, KMeans, known_blocks, seeds
 from phdtrack.kernels.blocks import block_moments, reaching
-from phdtrack.kernels.em import em_step, nothing_known
 from phdtrack.kernels.kmeans import PATIENCE, Rule, kmeans
-from phdtrack.kernels.mixtures import Gaussians
+from phdtrack.kernels.mixtures import Gaussians, em_step, nothing_known
 from phdtrack.types import ParticleBlocks, Particles
 from reference import clustering_twin as twin
 
