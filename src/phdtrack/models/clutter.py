@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.errors import Checked, NonNegative, Positive, check
+from phdtrack.errors import Checked, InputError, NonNegative, Positive, check
 from phdtrack.models.volumes import EVERYWHERE, Region, area, image_volume, local_box_density, local_density, one_rate
 from phdtrack.protocols import Clutter
 from phdtrack.types import F8
@@ -107,5 +107,7 @@ class ScoredClutter:
     odds: F8
 
     def intensity(self, z: F8) -> F8:
-        """κ(z)/odds."""
+        """κ(z)/odds. Raises `InputError` for other detections than those with the odds."""
+        if z.shape[1] != len(self.odds):
+            raise InputError(f"expected the {len(self.odds)} detections that the odds are of, got {z.shape[1]}")
         return self.base.intensity(z) / self.odds

@@ -84,6 +84,7 @@ def check_region(region: Region, where: str) -> None:
 
 def area(region: Region, where: str) -> float:
     """Its area in m²; `InputError` where it has no border."""
+    check_region(region, where)
     if region == EVERYWHERE:
         raise InputError("a uniform density over the ground needs the region's borders", where=where, cure="Give its region")
     return (region[2] - region[0]) * (region[3] - region[1])
