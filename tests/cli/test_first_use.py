@@ -163,3 +163,27 @@ for kernel in (outer, own):
 def test_what_only_kernels_call_is_optimised_in_them_and_a_users_own_functions_are_as_ever() -> None:
     done = subprocess.run([sys.executable, "-c", VECTORS], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
+
+
+TWICE = """
+import numpy as np
+from phdtrack import Tracker
+
+tracker, rng = Tracker((640, 480), filter={"kind": "particle-phd", "particles_per_target": 60}), np.random.default_rng(0)
+for k in range(20):
+    corner = np.arange(3)[:, None] * 80.0 + [100 + 5 * k, 100] + rng.normal(size=(3, 2))
+    rows = tracker.update(np.hstack([corner, corner + [24, 60]]))
+    print(rows.xyxy.tobytes().hex(), rows.confidence.tobytes().hex())
+"""
+
+
+@pytest.mark.slow
+def test_particles_have_the_same_digits_where_their_kernels_are_compiled_and_where_they_are_loaded(tmp_path: Path) -> None:
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    first, later = (
+        subprocess.run(
+            [sys.executable, "-c", TWICE], env=environment, capture_output=True, text=True, check=True, timeout=300
+        )
+        for _ in range(2)
+    )
+    assert first.stdout == later.stdout != ""
