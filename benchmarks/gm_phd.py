@@ -16,8 +16,8 @@ import numpy as np
 from benchmarks.loops import CUTOFF, TURN
 from benchmarks.timing import Spread, clock, took
 from benchmarks.workload import Crowd, Stream, draw, stages
+from experiments.scans import ospa
 from phdtrack.filters import GMPHD
-from phdtrack.metrics import ospa
 from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, GaussianMixture
 

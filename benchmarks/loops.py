@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.timing import Took, clock, took
 from benchmarks.workload import RATE, Stream
-from phdtrack.metrics import ospa
+from experiments.scans import ospa
 from phdtrack.protocols import AnyStages
 from phdtrack.types import F8, Detections
 

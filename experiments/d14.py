@@ -117,7 +117,7 @@ def located_mean(values: F8) -> F8:
 def spread(values: F8) -> str:
     """Mean and confidence interval as a cell; a single value without an interval."""
     found = interval(values.tolist())
-    return f"{found.mean:.2f} ± {found.half:.2f}" if found.count > 1 else f"{found.mean:.2f}"
+    return f"{found.mean:.2f} ± {found.half:.2f}" if found.seeds > 1 else f"{found.mean:.2f}"
 
 
 def whole(found: CorridorErrors, of: Measure, shares: bool = False) -> str:

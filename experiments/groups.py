@@ -19,7 +19,7 @@ from experiments.common import Options, in_parallel, need_data, table, with_erro
 from experiments.group_scores import GroupScores, LabelledFrame, nearest, score_groups
 from phdtrack import config, pipeline
 from phdtrack.config import build_groups
-from phdtrack.formats.positions import Positions, read_positions
+from phdtrack.formats.columns import Positions, read_positions
 from phdtrack.groups import Grouping, GroupLifeCycle, LifeCycleState
 from phdtrack.groups.pipeline import carriers, known_people
 from phdtrack.protocols import AnyStages

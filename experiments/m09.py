@@ -85,7 +85,7 @@ class SceneResults:
         whole = [pool([one.scores for scene in scenes for one in self.runs(scene, name)]) for name in (run, UM)]
         seeds = self.seeds(scenes[0]) if score == "false_tracks" else 1
         difference = float(getattr(whole[0], score) - getattr(whole[1], score)) / seeds
-        return Interval(difference, spread.half, spread.count)
+        return Interval(difference, spread.half, spread.seeds)
 
     def mean(self, scene: str, run: str, score: str) -> float:
         """A score's mean over the seeds."""

@@ -20,7 +20,7 @@ from experiments.groups import (
     over_time,
     read_groups,
 )
-from phdtrack.formats.positions import Positions
+from phdtrack.formats.columns import Positions
 from phdtrack.groups import Grouping
 
 

@@ -79,7 +79,7 @@ def _inside(path: Path) -> str:
 
 
 def json_value(value: object) -> Any:
-    """``value`` in the types that JSON knows; NaN and infinity become None, what is unknown its text."""
+    """``value`` in the types that JSON knows: NaN is None, what is unknown its text; ``repr=False`` leaves fields out."""
     match value:
         case None | bool() | str() | int():
             return value
@@ -90,7 +90,7 @@ def json_value(value: object) -> Any:
         case list() | tuple() | set() | frozenset():
             return [json_value(v) for v in value]
         case _ if is_dataclass(value) and not isinstance(value, type):
-            return {f.name: json_value(getattr(value, f.name)) for f in fields(value)}
+            return {f.name: json_value(getattr(value, f.name)) for f in fields(value) if f.repr}
         case _:
             # Only here, so that `phdtrack doctor` can say that NumPy does not work.
             import numpy as np

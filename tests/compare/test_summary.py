@@ -26,7 +26,7 @@ def comparison(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
 
 
 def row(found: Sequence[Row], sequence: str, rate: float, method: str) -> Row:
-    (one,) = [r for r in found if (r.sequence, r.rate, r.method) == (sequence, rate, method)]
+    (one,) = [r for r in found if (r.sequence, r.clutter, r.filter) == (sequence, rate, method)]
     return one
 
 
@@ -43,7 +43,7 @@ def test_pooled_rows_add_up_the_sums_seed_by_seed(comparison: Comparison) -> Non
         one = row(found, "all", 3.0, method)
         assert (one.cases, one.detections, one.random) == (2, "det", True)
         for name in ("MOTA", "IDF1", "HOTA", "id_switches"):
-            assert one.values[name] == interval([float(getattr(each, name)) for each in pools])
+            assert one.scores[name] == interval([float(getattr(each, name)) for each in pools])
 
 
 def test_differences_are_paired_by_seed(comparison: Comparison) -> None:
@@ -53,7 +53,7 @@ def test_differences_are_paired_by_seed(comparison: Comparison) -> None:
     assert row(found, "a", 3.0, "particle-phd").ahead == {}
     # One run of none beside three of the filter: the difference is random by one side alone.
     still = row(found, "a", 0.0, "none")
-    assert (still.random, still.values["MOTA"].count, still.ahead["MOTA"].count) == (False, 1, 3)
+    assert (still.random, still.scores["MOTA"].seeds, still.ahead["MOTA"].seeds) == (False, 1, 3)
 
 
 def test_a_failed_run_leaves_its_rows_empty(comparison: Comparison) -> None:
@@ -63,8 +63,8 @@ def test_a_failed_run_leaves_its_rows_empty(comparison: Comparison) -> None:
     found = summary(broken)
     for sequence in ("a", "all"):
         one = row(found, sequence, 3.0, "none")
-        assert (one.values, one.failed) == ({}, "no luck")
-    assert row(found, "b", 3.0, "none").values
+        assert (one.scores, one.failed) == ({}, "no luck")
+    assert row(found, "b", 3.0, "none").scores
     (line,) = Results.of(broken, ("MOTA", "ms")).table([row(found, "a", 3.0, "none")]).rows
     assert line == ("a", "det", "3", "none", "failed", "")
 
@@ -81,7 +81,7 @@ def test_numbers_as_people_read_them(comparison: Comparison) -> None:
 def made_up(method: str, values: list[float], random: bool = True) -> Row:
     """One method's MOTA at each seed."""
     own = {"MOTA": interval(values if random else values[:1])}
-    return Row("a", "det", 1, 0.0, method, random, own, each=tuple({"MOTA": value} for value in values))
+    return Row("a", "det", 1, 0.0, method, random, scores=own, each=tuple({"MOTA": value} for value in values))
 
 
 def test_a_best_is_named_only_where_it_is_more_than_chance(comparison: Comparison) -> None:

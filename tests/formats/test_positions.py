@@ -5,7 +5,7 @@ import pytest
 from format_cases import put
 
 from phdtrack.errors import InputError
-from phdtrack.formats.positions import read_positions
+from phdtrack.formats.columns import read_positions
 
 LINE = "{} {} 1.5 0 2.5 0.1 0 -0.2\n"
 

@@ -8,7 +8,7 @@ import pytest
 
 from phdtrack import config
 from phdtrack.arrays import iou
-from phdtrack.label.suggestions import REASONS, SHOWN, TICKED, Background, Evidence, Suggestion, kept, suggest
+from phdtrack.label.suggestions import REASONS, SHOWN, TICKED, Background, Evidence, Suggestion, suggest
 from phdtrack.simulate import NAMED, default_detector, make_scene
 from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks, Truth
 
@@ -131,19 +131,3 @@ def test_what_goes_wrong_is_known():
     while not background.problem and time.monotonic() < end:
         time.sleep(0.01)
     assert background.problem == "the disk is full"
-
-
-def test_suggestions_are_made_once(tmp_path):
-    made, path = [], tmp_path / "suggestions.json"
-    some = [Suggestion(1, 0, "place", 0.97, 3), Suggestion(4, 2, "short", 0.25, -1)]
-
-    def make():
-        made.append(1)
-        return some
-
-    assert kept(path, "key", make) == kept(path, "key", make) == some
-    assert len(made) == 1
-    kept(path, "another key", make)
-    path.write_text("not mine")
-    kept(path, "another key", make)
-    assert len(made) == 3

@@ -17,7 +17,6 @@ from phdtrack.scene.rates import (
     RateSums,
     ScoreScale,
     SuccessiveScores,
-    with_newest,
 )
 from phdtrack.types import Tracks
 
@@ -127,8 +126,8 @@ def test_constant_scores_say_nothing_exactly():
 def test_scores_without_bounds_and_without_value():
     rng = np.random.default_rng(3)
     labelled = labelled_scores(rng)
-    wild = np.array([[np.inf, np.inf, -np.inf, np.nan], [0.0, 0.0, 1.0, 0.0]])
-    found = ScoreScale.learned(with_newest(labelled, wild))
+    wild = np.array([[np.inf, np.inf, -np.inf], [0.0, 0.0, 1.0]])
+    found = ScoreScale.learned(np.hstack([labelled, wild]))
     assert np.isfinite(found.at).all()
     assert np.isfinite(found.log_ratio).all()
     odds = found.ratio(np.array([-np.inf, 0.5, np.inf, np.nan]))

@@ -23,7 +23,7 @@ from phdtrack.cli.settings import scene_settings
 from phdtrack.cli.track import about, announced, detections_needed
 from phdtrack.compare import Comparison, Plan
 from phdtrack.compare.failures import worst_frames, write_frames
-from phdtrack.compare.results import Results, document_of
+from phdtrack.compare.results import Results
 from phdtrack.compare.runs import RunResult
 from phdtrack.config import build
 from phdtrack.errors import InputError
@@ -159,7 +159,7 @@ def finish(
         "failed": [{"run": str(run), "reason": reason} for run, reason in comparison.failed],
         "seconds": begun.seconds,
         "warnings": warnings,
-        "rows": [document_of(row) for row in found.rows],
+        "rows": found.rows,
         "directory": str(comparison.folder),
     }
     write_run(directory.file(DOCUMENT), document)

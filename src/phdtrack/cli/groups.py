@@ -30,7 +30,7 @@ from phdtrack.cli.track import about, finish, finish_document, places, prepare
 from phdtrack.config import Settings, build_groups
 from phdtrack.errors import InputError
 from phdtrack.files import load
-from phdtrack.formats.positions import Positions, read_positions
+from phdtrack.formats.columns import Positions, read_positions
 from phdtrack.formats.write import Lines
 from phdtrack.ground import footprint
 from phdtrack.groups import LifeCycleState, polygon_area

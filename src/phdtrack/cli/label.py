@@ -11,6 +11,7 @@ import hashlib
 import json
 import webbrowser
 from collections.abc import Callable, Collection
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -30,7 +31,7 @@ from phdtrack.errors import InputError
 from phdtrack.formats import read_detections
 from phdtrack.label import LabelStore
 from phdtrack.label.samples import Marks, clip, last_frame, shuffled
-from phdtrack.label.suggestions import Background, Evidence, Suggestion, kept, suggest
+from phdtrack.label.suggestions import Background, Evidence, Suggestion, suggest
 from phdtrack.label.training import SceneTraining
 from phdtrack.report.pages import render, write_text
 from phdtrack.scene import write_scene
@@ -151,15 +152,19 @@ def _suggestions(
     found: Labelled, settings: Settings, frames: list[int], file: Path, advance: Callable[[float], None]
 ) -> list[Suggestion]:
     """What may be false on these frames, by a tracker's run over everything; kept in ``file`` for the next time."""
-
-    def made() -> list[Suggestion]:
-        stages, last = build(settings, found.info), found.info.frames
-        whole = range(1, last + 1)
-        evidence = Evidence.of(found.table, found.info.fps, whole, stages, advance=lambda count: advance(count / last))
-        return suggest(evidence, frames, found.info.fps)
-
-    decides = [__version__, found.digest, found.info.fps, found.info.frames, sorted(frames), settings.as_dict()]
-    return kept(file, hashlib.sha256(json.dumps(decides, default=str).encode()).hexdigest(), made)
+    fps, last = found.info.fps, found.info.frames
+    decides = [__version__, found.digest, fps, last, sorted(frames), settings.as_dict()]
+    key = hashlib.sha256(json.dumps(decides, default=str).encode()).hexdigest()
+    # There may be no such file, or another program's: they are made anew.
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        kept = json.loads(file.read_text(encoding="utf-8"))
+        if kept["key"] == key:
+            return [Suggestion(*row) for row in kept["rows"]]
+    stages, whole = build(settings, found.info), range(1, last + 1)
+    evidence = Evidence.of(found.table, fps, whole, stages, advance=lambda count: advance(count / last))
+    made = suggest(evidence, frames, fps)
+    file.write_text(json.dumps({"key": key, "rows": made}) + "\n", encoding="utf-8")
+    return made
 
 
 def labels_file(source: SourceOptions) -> Path:

@@ -12,7 +12,7 @@ from phdtrack.cli.inputs import Inputs, Mover
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.config import Settings
 from phdtrack.errors import InputError
-from phdtrack.formats.warps import WarpsWriter, read_warps
+from phdtrack.formats.columns import WarpsWriter, read_warps
 from phdtrack.models.learning import RateLearning, RatesState, SceneLearning
 from phdtrack.models.scene import not_standing, refuse_standing
 from phdtrack.pipeline import TrackingState

@@ -44,7 +44,7 @@ class Results:
     def of(cls, comparison: Comparison, wanted: Sequence[str]) -> Results:
         """With the scores wanted, or the usual ones where there is truth, as far as the comparison has them."""
         rows = summary(comparison)
-        known = {name for row in rows for name in row.values}
+        known = {name for row in rows for name in row.scores}
         names = tuple(name for name in wanted or (_SHOWN if "MOTA" in known else OTHERS) if name in known)
         return cls(comparison, rows, names or OTHERS)
 
@@ -53,25 +53,25 @@ class Results:
         out: list[tuple[str, ...]] = []
         before: tuple[str, ...] = ("", "", "")
         for row in rows:
-            values, sign = (row.ahead, "+") if ahead else (row.values, "")
+            values, sign = (row.ahead, "+") if ahead else (row.scores, "")
             cells = [f"{values.get(name, UNKNOWN):{sign}.{_DIGITS.get(name, 3)}f}" for name in self.names]
             if row.failed:
                 cells = ["failed", *[""] * (len(cells) - 1)]
-            where = (f"{row.sequence} ({row.cases})" if row.cases > 1 else row.sequence, row.detections, f"{row.rate:g}")
+            where = (f"{row.sequence} ({row.cases})" if row.cases > 1 else row.sequence, row.detections, f"{row.clutter:g}")
             same = next((i for i in range(3) if where[i] != before[i]), 3)
-            out.append((*([""] * same), *where[same:], row.method, *cells))
+            out.append((*([""] * same), *where[same:], row.filter, *cells))
             before = where
         return Table(("sequence", "detections", "clutter", "filter", *map(_label, self.names)), out)
 
     def write_cells(self, path: Path) -> None:
         """One line for each row: every score's mean, half its interval, the difference to the first method."""
-        names = [name for name in (*SCORES, *OTHERS) if any(name in row.values for row in self.rows)]
+        names = [name for name in (*SCORES, *OTHERS) if any(name in row.scores for row in self.rows)]
         head = ["sequence", "detections", "cases", "clutter", "filter", "seeds", "failed"]
         table = [[*head, *(f"{name}{part}" for name in names for part in ("", "_half", "_ahead", "_ahead_half"))]]
         for row in self.rows:
-            seeds = max((value.count for value in row.values.values()), default=0)
-            where = (row.sequence, row.detections, row.cases, f"{row.rate:g}", row.method, seeds, row.failed)
-            intervals = [part.get(name, UNKNOWN) for name in names for part in (row.values, row.ahead)]
+            seeds = max((value.seeds for value in row.scores.values()), default=0)
+            where = (row.sequence, row.detections, row.cases, f"{row.clutter:g}", row.filter, seeds, row.failed)
+            intervals = [part.get(name, UNKNOWN) for name in names for part in (row.scores, row.ahead)]
             table.append([*map(str, where), *(_number(number) for one in intervals for number in (one.mean, one.half))])
         _write(path, table)
 
@@ -96,21 +96,21 @@ class Results:
         """Which method has the highest MOTA over everything, for each rate of clutter, where that is more than chance."""
         out: list[str] = []
         for rate in self.comparison.plan.rates:
-            rows = [row for row in widest(self.rows) if row.rate == rate and "MOTA" in row.values]
+            rows = [row for row in widest(self.rows) if row.clutter == rate and "MOTA" in row.scores]
             if len(rows) < 2:
                 continue
-            best, *others = sorted(rows, key=lambda row: -row.values["MOTA"].mean)
-            name = {row.method: f"{row.method} {row.values['MOTA']:.3f}" for row in rows}
-            alike = [name[row.method] for row in others if not row.differs(best, "MOTA")]
-            behind = [name[row.method] for row in others if row.differs(best, "MOTA")]
-            highest = best.method, f"{best.values['MOTA']:.3f}"
-            out += lines("comparison_rate.txt", rate=rate, best=highest, alike=[name[best.method], *alike], behind=behind)
+            best, *others = sorted(rows, key=lambda row: -row.scores["MOTA"].mean)
+            name = {row.filter: f"{row.filter} {row.scores['MOTA']:.3f}" for row in rows}
+            alike = [name[row.filter] for row in others if not row.differs(best, "MOTA")]
+            behind = [name[row.filter] for row in others if row.differs(best, "MOTA")]
+            highest = best.filter, f"{best.scores['MOTA']:.3f}"
+            out += lines("comparison_rate.txt", rate=rate, best=highest, alike=[name[best.filter], *alike], behind=behind)
         return tuple(out)
 
     def notes(self, *, in_turn: bool) -> tuple[str, ...]:
         """What a reader should know of the numbers; ``in_turn``: the runs of this time ran one after the other."""
         many = len(self.comparison.plan.seeds) > 1
-        still = dict.fromkeys(row.method for row in self.rows if many and not row.random and not row.failed)
+        still = dict.fromkeys(row.filter for row in self.rows if many and not row.random and not row.failed)
         return lines("comparison_notes.txt", still=list(still), in_turn=in_turn, kept=self.comparison.reused > 0)
 
     def page(self, frames: Sequence[WorstFrame], about: About) -> str:
@@ -139,13 +139,13 @@ class Results:
         """Titles, and charts of each score with captions."""
         plan, top = self.comparison.plan, widest(self.rows)
         if len(plan.rates) > 1:
-            rates, by_rate = sorted(plan.rates), {(row.method, row.rate): row for row in top}
+            rates, by_rate = sorted(plan.rates), {(row.filter, row.clutter): row for row in top}
             over = ", pooled over everything" if top[0].cases > 1 else ""
             rows = {method.name: [by_rate[method.name, rate] for rate in rates] for method in plan.methods}
             yield f"By added clutter{over}", self._each(np.array(rates), "added clutter, boxes per frame", rows)
         for rate in plan.rates:
-            single = [row for row in self.rows if row.rate == rate and row.cases == 1]
-            rows = {method.name: [row for row in single if row.method == method.name] for method in plan.methods}
+            single = [row for row in self.rows if row.clutter == rate and row.cases == 1]
+            rows = {method.name: [row for row in single if row.filter == method.name] for method in plan.methods}
             places = [f"{case.sequence} {case.detections}" for case in plan.cases]
             title = f"By sequence, {rate:g} added boxes per frame" if rate else "By sequence, as detected"
             yield title, self._each(places, "", rows)
@@ -154,23 +154,12 @@ class Results:
         """A chart of each score, and its caption, which is its alternative text too; ``rows`` are each method's."""
         out = []
         for name in self.names:
-            each = {method: [row.values.get(name, UNKNOWN) for row in own] for method, own in rows.items()}
+            each = {method: [row.scores.get(name, UNKNOWN) for row in own] for method, own in rows.items()}
             methods = {method: np.array([(one.mean, one.half) for one in found]).T for method, found in each.items()}
             _, lower, _ = score_meanings().get(name, "").partition("; lower is better")
             caption = f"{_label(name)}, mean over the seeds with 95 % confidence intervals{lower}."
             out.append((score_chart(places, label, _label(name), methods), caption))
         return out
-
-
-def document_of(row: Row) -> dict[str, object]:
-    """A row for programs."""
-    scores, ahead = (
-        {name: {"mean": one.mean, "half": one.half, "seeds": one.count} for name, one in part.items()}
-        for part in (row.values, row.ahead)
-    )
-    where = {"sequence": row.sequence, "detections": row.detections, "cases": row.cases, "clutter": row.rate}
-    run = {"filter": row.method, "random": row.random, "failed": row.failed}
-    return {**where, **run, "scores": scores, "ahead": ahead}
 
 
 def _label(name: str) -> str:

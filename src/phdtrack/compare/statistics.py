@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from scipy.special import stdtrit
@@ -16,7 +16,7 @@ from phdtrack.errors import InputError, did_you_mean
 from phdtrack.metrics import Scores, pool
 
 LEVEL = 0.95
-SCORES = tuple(entry.name for entry in fields(Scores) if entry.name not in ("counts", "settings"))
+SCORES = tuple(entry.name for entry in fields(Scores) if entry.repr)
 # What there is without truth too.
 OTHERS = ("tracks", "boxes_per_frame", "ms")
 POOLED = "all"
@@ -24,11 +24,11 @@ POOLED = "all"
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A mean over ``count`` values, and half the width of its 95 % confidence interval; NaN where there is none."""
+    """A mean over so many ``seeds``, and half the width of its 95 % confidence interval; NaN where there is none."""
 
     mean: float
     half: float
-    count: int
+    seeds: int
 
     @property
     def clear(self) -> bool:
@@ -55,30 +55,30 @@ def interval(values: Sequence[float]) -> Interval:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Row:
-    """One method at one rate of clutter, on one case or pooled over several.
+    """One method at one rate of clutter, on one case or pooled over several; in JSON by these names.
 
     Attributes
     ----------
     sequence, detections : of the case; `POOLED` where pooled over more than one.
     cases : over how many.
-    rate, method : of the added clutter, in boxes per frame; the method's name.
+    clutter, filter : rate of the added clutter in boxes per frame; the method's name.
     random : whether the seeds matter. Where not, one run was enough and there is no interval.
-    values : means over the seeds with their intervals, by the names of scores; ``ms`` is milliseconds per frame.
+    failed : why there are no scores; empty where there are.
+    scores : means over the seeds with their intervals, by name; ``ms`` is milliseconds per frame.
     ahead : the same for the differences to the first method, seed by seed; empty for that method itself.
     each : the scores at every seed, in the order of the seeds.
-    failed : why there are no values; empty where there are.
     """
 
     sequence: str
     detections: str
     cases: int
-    rate: float
-    method: str
+    clutter: float
+    filter: str
     random: bool = False
-    values: Mapping[str, Interval] = field(default_factory=dict)
-    ahead: Mapping[str, Interval] = field(default_factory=dict)
-    each: Sequence[Mapping[str, float]] = ()
     failed: str = ""
+    scores: Mapping[str, Interval] = field(default_factory=dict)
+    ahead: Mapping[str, Interval] = field(default_factory=dict)
+    each: Sequence[Mapping[str, float]] = field(default=(), repr=False)
 
     def differs(self, other: Row, name: str) -> bool:
         """Whether the two differ in a score by more than chance between seeds, at 95 %; where nothing is random, at all."""
@@ -113,12 +113,12 @@ def _rows(comparison: Comparison, sequence: str, detections: str, cases: Sequenc
             random = rate > 0 or any(isinstance(one, RunResult) and one.drawn for one in found[0])
             failed = next((one.reason for results in found for one in results if isinstance(one, Failed)), "")
             each = [] if failed else [values_of([one for one in r if isinstance(one, RunResult)]) for r in found]
-            values = _intervals(each, random)
-            row = Row(sequence, detections, len(cases), rate, method.name, random, values, each=each, failed=failed)
             pairs = zip(each, first.each if first else (), strict=False)
             apart = [{name: mine[name] - theirs[name] for name in mine if name in theirs} for mine, theirs in pairs]
+            parts = _intervals(each, random), _intervals(apart, random or (first is not None and first.random)), each
+            row = Row(sequence, detections, len(cases), rate, method.name, random, failed, *parts)
             first = first or row
-            yield replace(row, ahead=_intervals(apart, random or first.random))
+            yield row
 
 
 def _intervals(each: Sequence[Mapping[str, float]], random: bool) -> dict[str, Interval]:

@@ -1,8 +1,8 @@
 """Files of detections, truth, tracks and states: MOTChallenge, CSV, Parquet, COCO JSON, CVML (CAVIAR, PETS); seqinfo.ini."""
 
+from phdtrack.formats.columns import Warps, WarpsWriter, read_warps
 from phdtrack.formats.read import read_detections, read_tracks, read_truth
 from phdtrack.formats.seqinfo import find_seqinfo, read_seqinfo
-from phdtrack.formats.warps import Warps, WarpsWriter, read_warps
 from phdtrack.formats.write import (
     DetectionsWriter,
     StatesWriter,

@@ -17,13 +17,10 @@ the time, in a crowd, is rejected.
 
 from __future__ import annotations
 
-import json
 import math
 import threading
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -244,28 +241,3 @@ class Background:
 
         # A daemon: the page can be closed before there are suggestions.
         threading.Thread(target=run, name="suggestions", daemon=True).start()
-
-
-def kept(path: Path, key: str, make: Callable[[], list[Suggestion]]) -> list[Suggestion]:
-    """Suggestions from a file, or made and kept there.
-
-    Parameters
-    ----------
-    path : of the file.
-    key : those in the file count if they were made for the same.
-    make : makes them otherwise.
-
-    Returns
-    -------
-    The suggestions.
-    """
-    # There may be none yet, or another program's: they are made anew.
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        document = json.loads(path.read_text(encoding="utf-8"))
-        if document["key"] == key:
-            return [Suggestion(*row) for row in document["rows"]]
-    found = make()
-    part = path.with_name(path.name + ".part")
-    part.write_text(json.dumps({"key": key, "rows": found}) + "\n", encoding="utf-8")
-    part.replace(path)
-    return found

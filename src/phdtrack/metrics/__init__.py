@@ -1,14 +1,13 @@
 """How good are tracks: VACE and CLEAR scores, IDF1, HOTA, OSPA, GOSPA, T-GOSPA, RMSE, lives of tracks."""
 
 from phdtrack.metrics.scores import Scores, evaluate, pool
-from phdtrack.metrics.trajectories import TargetErrors, TGospaParts, ospa, rmse_per_target, tgospa_boxes, tgospa_of
+from phdtrack.metrics.trajectories import TargetErrors, TGospaParts, rmse_per_target, tgospa_boxes, tgospa_of
 
 __all__ = [
     "Scores",
     "TGospaParts",
     "TargetErrors",
     "evaluate",
-    "ospa",
     "pool",
     "rmse_per_target",
     "tgospa_boxes",

@@ -41,9 +41,9 @@ rewards identities that agree over the whole sequence; it is one mapping for all
 
     J(i, j) = Σ_k a / (|i| + |j| − Σ_k a)        a = IoU / (Σ_row IoU + Σ_column IoU − IoU)
 
-OSPA (`trajectories.py`) and GOSPA (Rahmathullah et al. 2017: not divided by the larger number of boxes, with c^p/α for a box
-too many) have the base distance 1 − IoU, c = 1, p = 1, α = 2. They are averaged over all frames of the sequence, in which a
-frame that is empty on both sides counts 0.
+OSPA (Schuhmacher, Vo, Vo 2008) and GOSPA (Rahmathullah et al. 2017: not divided by the larger number of boxes, with c^p/α
+for a box too many) have the base distance 1 − IoU, c = 1, p = 1, α = 2. They are averaged over all frames of the sequence,
+in which a frame that is empty on both sides counts 0.
 """
 
 from __future__ import annotations

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 
 from phdtrack.errors import InputError
+from phdtrack.files import json_value
 from phdtrack.metrics.counts import Counts, count
 from phdtrack.metrics.matching import build, check_threshold, ratio
 from phdtrack.types import F8, Tracks, Truth
@@ -70,8 +71,7 @@ class Scores:
 
     def as_dict(self) -> dict[str, float | int | None]:
         """The scores by name, for JSON: None in place of NaN."""
-        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("counts", "iou")}
-        return {name: None if math.isnan(value) else value for name, value in values.items()}
+        return dict(json_value(self))
 
 
 def evaluate(truth: Truth, tracks: Tracks, *, frames: int = 0, iou: float = 0.5) -> Scores:

@@ -18,13 +18,6 @@ target i is mapped
     RMSE_i = √( mean ‖estimate − truth_i‖² )        and per axis √( mean (estimate − truth_i)² )
 
 It says how well targets are located that are located at all.
-
-OSPA: one distance between two sets of points, for where they are and how many (Schuhmacher, Vo, Vo 2008):
-
-    OSPA(x, y) = [ 1/max(n, m) ( min_π Σ min(d(x_i, y_π(i)), c)^p + c^p |n − m| ) ]^(1/p)
-
-where π maps the smaller set into the larger; c is the price of a point too many. Two empty sets are at distance 0. (Stone
-Soup maps for the least Σ min(d, c) whatever p is, and so gives more than the least for p > 1 at times.)
 """
 
 from __future__ import annotations
@@ -99,7 +92,10 @@ def tgospa_of(
     ------
     InputError : for shapes that do not fit, or settings out of range.
     """
-    check_order(c, p)
+    if not (0 < c < math.inf):
+        raise InputError(f"expected a cut-off distance c > 0, got {c}", where="c")
+    if not (1 <= p < math.inf):
+        raise InputError(f"expected an order 1 ≤ p < ∞, got {p}", where="p")
     if not gamma >= 0:
         raise InputError(f"expected a switching penalty ≥ 0, got {gamma}", where="gamma")
     if distance.shape != (len(there), there.shape[-1], given.shape[-1]) or len(there) != len(given):
@@ -194,11 +190,13 @@ def rmse_per_target(truth_frame: I8, truth_identity: I8, truth_point: F8, frame:
             f"{len(truth_identity)}, {truth_point.shape} and {len(frame)}, {point.shape}",
             cure="Points are columns: (d, M) and (d, N).",
         )
+    if not (np.isfinite(truth_point).all() and np.isfinite(point).all()):
+        raise InputError("expected finite coordinates, got NaN or infinity")
     identity, target = np.unique(truth_identity, return_inverse=True)
     squares, mapped = np.zeros((len(truth_point), len(identity))), np.zeros(len(identity), np.int64)
     for number in np.unique(truth_frame):
         t, e = np.flatnonzero(truth_frame == number), np.flatnonzero(frame == number)
-        distance = euclidean(truth_point[:, t], point[:, e])
+        distance = np.sqrt(((truth_point[:, t][:, :, None] - point[:, e][:, None]) ** 2).sum(axis=0))
         rows, columns = cheapest(np.minimum(distance, gate))
         near = distance[rows, columns] < gate
         rows, columns = t[rows[near]], e[columns[near]]
@@ -206,47 +204,3 @@ def rmse_per_target(truth_frame: I8, truth_identity: I8, truth_point: F8, frame:
         np.add.at(mapped, target[rows], 1)
     mean = np.divide(squares, mapped, out=np.full_like(squares, np.nan), where=mapped > 0)
     return TargetErrors(identity, np.bincount(target, minlength=len(identity)).astype(np.int64), mapped, np.sqrt(mean))
-
-
-def ospa(x: F8, y: F8, c: float, p: float = 1.0) -> float:
-    """OSPA between points under the Euclidean distance.
-
-    Parameters
-    ----------
-    x, y : (d, n), (d, m) points, columns.
-    c : cut-off distance, in the unit of the points.
-    p : order, from 1.
-
-    Returns
-    -------
-    The distance, in the unit of the points.
-
-    Raises
-    ------
-    InputError : for points that do not fit or are not finite, c ≤ 0, or p outside [1, ∞).
-    """
-    check_order(c, p)
-    cost = np.minimum(euclidean(x, y), c) ** p
-    n, m = cost.shape
-    return float(((cost[cheapest(cost)].sum() + c**p * abs(n - m)) / max(n, m, 1)) ** (1 / p))
-
-
-def euclidean(x: F8, y: F8) -> F8:
-    """(n, m) distances between the columns of ``x`` (d, n) and of ``y`` (d, m)."""
-    if x.ndim != 2 or y.ndim != 2 or len(x) != len(y):
-        raise InputError(
-            f"expected two sets of points as columns, (d, n) and (d, m), got {x.shape} and {y.shape}",
-            cure="An array with a point in each row needs .T.",
-        )
-    if not (np.isfinite(x).all() and np.isfinite(y).all()):
-        raise InputError("expected finite coordinates, got NaN or infinity")
-    distance: F8 = np.sqrt(((x[:, :, None] - y[:, None, :]) ** 2).sum(axis=0))
-    return distance
-
-
-def check_order(c: float, p: float) -> None:
-    """Raise `InputError` unless 0 < c < ∞ and 1 ≤ p < ∞."""
-    if not (0 < c < math.inf):
-        raise InputError(f"expected a cut-off distance c > 0, got {c}", where="c")
-    if not (1 <= p < math.inf):
-        raise InputError(f"expected an order 1 ≤ p < ∞, got {p}", where="p")

@@ -291,17 +291,13 @@ class RatesLearning:
         labelled, scale = state.labelled, state.scale
         if frames:
             score = np.concatenate([frame.score for frame in before[:frames]])
-            labelled = with_newest(labelled, np.stack([score, labels.false]))
+            known = np.stack([score, labels.false])[:, ~np.isnan(score)]
+            labelled = np.hstack([labelled, known])[:, -MAX_SCORES:]
             scale = ScoreScale.learned(labelled, successive.share)
         lowest, highest = np.exp(scale.log_ratio[[0, -1]]).tolist() if len(scale.at) > 1 else (1.0, 1.0)
         rates = sums.plus(_waiting(pending)).rates(self.priors)
         rates = replace(rates, number=step.number, time=step.time, lowest=lowest, highest=highest)
         return LearnedRates(rates, sums, counted, pending, labelled, successive, scale, step.time)
-
-
-def with_newest(labelled: F8, new: F8) -> F8:
-    """Labelled scores (2, n) with newer ones; only the newest are kept, and no NaN."""
-    return np.hstack([labelled, new[:, ~np.isnan(new[0])]])[:, -MAX_SCORES:]
 
 
 def _with_successive(state: LearnedRates) -> SuccessiveScores:
