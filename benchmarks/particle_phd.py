@@ -18,6 +18,7 @@ from benchmarks.timing import Spread, exponent
 from benchmarks.workload import Crowd, draw, stages
 from phdtrack.filters import ParticlePHD
 from phdtrack.kernels.grid import points_in_rectangles
+from phdtrack.kernels.mcmc import pair_likelihoods
 from phdtrack.protocols import AnyStages
 from phdtrack.types import ParticleBlocks, Particles
 
@@ -76,10 +77,11 @@ def pairs_per_target(crowd: Crowd) -> dict[str, float]:
         loop.frame(number, detections)
     z, rng = built.model.sensor.measure(stream[-1]), np.random.default_rng(1)
     old = plain(loop.state)
-    moved = Particles(built.model.motion.sample(old.state, 1.0, rng), old.weight)
+    moved = ParticlePHD().predict(old, built.model, 1.0, rng).particles()
     lower, upper = built.model.sensor.gate(z)
     point, which = points_in_rectangles(moved.state[0], moved.state[1], lower, upper)
-    near = built.model.sensor.distance2(z[:, which], moved.state[:, point]) <= 13.28
+    numbers = built.model.sensor.particle_model(z)
+    near = pair_likelihoods(moved.state, numbers.model, numbers.table, point, which)[0] <= 13.28
     covered = np.bincount(which[near], moved.weight[point[near]], z.shape[1])
     out = {}
     for form, mass in (("worst", np.zeros_like(covered)), ("specified", covered)):

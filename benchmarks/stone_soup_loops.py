@@ -28,7 +28,7 @@ from stonesoup.updater.particle import SMCPHDUpdater
 from stonesoup.updater.pointprocess import PHDUpdater
 
 from benchmarks.timing import Took, clock, took
-from phdtrack.filters import GMPHD
+from phdtrack.filters import GMPHD, ParticlePHD
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.types import F8, Detections, Particles
 
@@ -175,9 +175,13 @@ class Sampled:
         sensor = self.model.sensor
         covered = np.zeros(z.shape[1])
         if self.state is not None:
-            moved = self.model.motion.sample(_plain(self.state.state_vector), 1.0, self.rng)
-            near = sensor.distance2(z[:, :, None], moved[:, None, :]) <= REGION
-            covered = near @ (_stays(self.model) * np.exp(np.asarray(self.state.log_weight, float)))
+            weight = np.exp(np.asarray(self.state.log_weight, float))
+            old = Particles(_plain(self.state.state_vector), weight, np.array([0, len(weight)]))
+            moved = ParticlePHD().predict(old, self.model, 1.0, self.rng).particles()
+            apart = z[:, :, None] - sensor.expected(moved.state)[:, None, :]
+            variance = np.diag(sensor.covariance(z[:, :1], moved.state[:, :1])[0])
+            near = (apart**2 / variance[:, None, None]).sum(axis=0) <= REGION
+            covered = near @ moved.weight
         born = self.model.birth.sample(z, covered, sensor, 1 / self.model.rate, self.rng)
         return born if len(born) else self.model.birth.sample(z, np.zeros_like(covered), sensor, 1.0, self.rng)
 

@@ -91,25 +91,6 @@ class TurningMotion(PositionMotion):
         """Of the turn rate, over ``dt`` seconds."""
         return self.turning**2 * dt * (dt if self.form == "piecewise" else 1.0)
 
-    def _moved(self, x: F8, dt: float) -> F8:
-        """The states after ``dt`` seconds on their circles, without noise."""
-        return turned(x, dt)
-
-    def sample(self, x: F8, dt: float, rng: np.random.Generator) -> F8:
-        """One draw of f(·|ξ) for each column ξ of ``x`` [V06 §IV-C].
-
-        Parameters
-        ----------
-        x, dt, rng : as of `PositionMotion.sample`.
-
-        Returns
-        -------
-        Array (5, n), the states after ``dt`` seconds.
-        """
-        moved = PositionMotion.sample(self, x, dt, rng)
-        moved[4] += math.sqrt(self._turn_variance(dt)) * rng.standard_normal(x.shape[1])
-        return moved
-
     def particle_model(self, dt: float, seconds: float) -> TurningWalk:
         """The numbers of f over ``dt`` and p_S over ``seconds`` for the particle filters [V06 §IV-C]."""
         straight = walk(dt, self._variances(dt), self.survival_probability**seconds, self.borders)

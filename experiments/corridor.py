@@ -58,12 +58,19 @@ def wandering(motion: Motion, speed: float, rng: np.random.Generator) -> Truth:
         state = np.concatenate([place[:, mine[0]], speed * rng.standard_normal(2)])[:, None]
         way = [state]
         for _ in mine[1:]:
-            way.append(state := motion.sample(state, 1.0, rng))
+            way.append(state := _drawn(motion, state, rng))
         found.append(np.hstack(way)[:2])
     who = np.concatenate([np.flatnonzero(truth.identity == one) for one in np.unique(truth.identity)])
     everybody = np.hstack(found)
     boxes = to_xyxy(np.vstack([everybody, np.tile(np.array(SIZE)[:, None], len(who))]))
     return truth_rows(truth.frame[who], truth.identity[who], boxes)
+
+
+def _drawn(motion: Motion, state: F8, rng: np.random.Generator) -> F8:
+    """The state (4, 1) a frame later, where ``motion`` disturbs position and velocity of each axis independently."""
+    (moved, _, noise), push = motion.transition(state, 1.0), rng.standard_normal((2, 1))
+    place, speed = np.sqrt(np.diag(noise[0])[[0, 2]])
+    return moved + np.concatenate([place * rng.standard_normal((2, 1)), speed * push])
 
 
 def centroids(truth: Truth) -> F8:

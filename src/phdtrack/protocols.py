@@ -41,18 +41,6 @@ class Motion(Protocol):
     def dim(self) -> int:
         """Number d of state components."""
 
-    def sample(self, x: F8, dt: float, rng: np.random.Generator) -> F8:
-        """One draw of f(·|ξ) for each state.
-
-        Parameters
-        ----------
-        x : (d, L) states ξ.      dt : interval.      rng : of the draws.
-
-        Returns
-        -------
-        (d, L) states.
-        """
-
     def particle_model(self, dt: float, seconds: float) -> Any:
         """The numbers of f over ``dt`` and p_S over ``seconds``: a record of `kernels.particle_models`."""
 
@@ -95,16 +83,10 @@ class Sensor(Protocol):
         Of the rows of ``z`` the first r count: it may be something expected, too.
         """
 
-    def log_likelihood(self, z: F8, x: F8) -> F8:
-        """log g(z|x), elementwise with broadcasting behind the first axis."""
-
-    def distance2(self, z: F8, x: F8) -> F8:
-        """Squared Mahalanobis distance between z and its prediction from x, elementwise like `log_likelihood`."""
-
     def covariance(self, z: F8, x: F8) -> F8:
         """(P, r, r) noise covariance R of what `expected` gives, for pairs of columns of ``z`` (m, P) and ``x`` (d, P).
 
-        With `innovation` it is the Gaussian view of g. It is the sum of `target_noise` and `measurement_noise`.
+        With `innovation` it is the Gaussian view of g: d² = εᵀR⁻¹ε. It is the sum of `target_noise` and `measurement_noise`.
         """
 
     @property

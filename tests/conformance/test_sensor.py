@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from shipped import SENSORS, detections, fixed, frozen, keeps
 
+from composed import gaussian_view
+from phdtrack.kernels.mcmc import pair_likelihoods
 from phdtrack.protocols import Sensor
 from phdtrack.types import Detections
 
@@ -44,7 +46,7 @@ def test_a_state_made_of_a_measurement_predicts_it(sensor, z, found, rng):
     assert x.shape == (d, 30)
     assert cov.shape == (30, d, d)
     assert np.linalg.eigvalsh(cov).min() > 0
-    np.testing.assert_allclose(sensor.distance2(z, x), 0, atol=1e-18)
+    np.testing.assert_allclose(gaussian_view(sensor, z, x)[0], 0, atol=1e-18)
     if sensor.linear:
         np.testing.assert_allclose(x[list(sensor.observed)], z[: len(sensor.observed)])
     np.testing.assert_allclose(sensor.measure(detections(rng, 0)), np.zeros((len(z), 0)))
@@ -65,18 +67,6 @@ def test_what_is_expected_of_a_state_made_of_a_measurement_is_the_measurement(se
         np.testing.assert_array_equal(seen, x[list(sensor.observed)])
 
 
-def test_likelihoods_are_elementwise_with_broadcasting(sensor, z):
-    x, _ = sensor.states(z)
-    x = fixed(x + 0.5)
-    for function in (sensor.log_likelihood, sensor.distance2):
-        table = function(z[:, :, None], x[:, None, :])
-        assert table.shape == (30, 30)
-        np.testing.assert_allclose(np.diagonal(table), function(z, x))
-        pairs = (np.array([3, 3, 7]), np.array([1, 3, 20]))
-        np.testing.assert_allclose(table[pairs], function(z[:, pairs[0]], x[:, pairs[1]]))
-    assert (sensor.distance2(z, x) >= 0).all()
-
-
 def test_the_likelihood_is_a_density(sensor, z, rng):
     """Its integral over measurements about one state is 1, by importance sampling with twice the noise."""
     x, _ = sensor.states(z[:, :1])
@@ -86,7 +76,7 @@ def test_the_likelihood_is_a_density(sensor, z, rng):
     step = rng.standard_normal((r, n))
     drawn = np.vstack([centre + wide @ step, np.repeat(z[r:, :1], n, axis=1)])
     proposal = -0.5 * (step**2).sum(0) - np.linalg.slogdet(wide)[1] - 0.5 * r * np.log(2 * np.pi)
-    weight = np.exp(sensor.log_likelihood(drawn, np.repeat(x, n, axis=1)) - proposal)
+    weight = np.exp(gaussian_view(sensor, drawn, np.repeat(x, n, axis=1))[1] - proposal)
     # The detection's own size scales the noise of one sensor: as a function of z it is no density then.
     if sensor is not SENSORS["detection"]:
         assert weight.mean() == pytest.approx(1, abs=0.05)
@@ -106,17 +96,17 @@ def test_the_gate_holds_what_is_likely(sensor, z, rng):
 
 
 def test_the_gaussian_view_has_the_likelihood_of_a_known_state(sensor, z, rng):
-    """N(z; h(x), R) is g(z|x)."""
+    """N(z; h(x), R) is the g(z|x) of the particle filters, which for boxes have single precision."""
     x, _ = sensor.states(z)
     x = fixed(x + rng.normal(0, 1, x.shape))
     r, seen = sensor.covariance(z, x), sensor.expected(x)
     many = len(seen)
     assert r.shape == (30, many, many)
-    step = sensor.innovation(z, seen)
-    distance2 = np.einsum("rp,prs,sp->p", step, np.linalg.inv(r), step)
-    np.testing.assert_allclose(distance2, sensor.distance2(z, x))
-    log_norm = np.linalg.slogdet(2 * np.pi * r)[1]
-    np.testing.assert_allclose(-0.5 * (distance2 + log_norm), sensor.log_likelihood(z, x))
+    numbers, column = sensor.particle_model(z), np.arange(30)
+    distance2, likelihood = pair_likelihoods(x, numbers.model, numbers.table, column, column)
+    wanted, log = gaussian_view(sensor, z, x)
+    np.testing.assert_allclose(distance2, wanted, rtol=1e-3)
+    np.testing.assert_allclose(likelihood, np.exp(log), rtol=1e-3, atol=1e-300)
     assert sensor.covariance(z[:, :0], x[:, :0]).shape == (0, many, many)
 
 
@@ -137,7 +127,7 @@ def test_watching_lowers_the_detection_probability_and_nothing_else(sensor, z, f
     fewer = watching.p_detect(x)
     assert ((fewer >= 0) & (fewer <= sensor.p_detect(x) + 1e-15)).all()
     np.testing.assert_array_equal(watching.measure(found), z)
-    np.testing.assert_array_equal(watching.log_likelihood(z, x), sensor.log_likelihood(z, x))
+    np.testing.assert_array_equal(watching.covariance(z, x), sensor.covariance(z, x))
     np.testing.assert_array_equal(sensor.watching(x[:, :0]).p_detect(x), sensor.p_detect(x))
     order = np.random.default_rng(1).permutation(30)
     np.testing.assert_array_equal(sensor.watching(x[:, order]).p_detect(x), fewer)
@@ -148,6 +138,5 @@ def test_nothing_is_measured_of_nothing(sensor, z):
     none = z[:, :0]
     x, cov = sensor.states(none)
     assert x.shape[1] == len(cov) == len(sensor.p_detect(x)) == len(sensor.boxes(x)) == 0
-    assert sensor.log_likelihood(none, x).shape == (0,)
     assert sensor.gate(none)[0].shape == (2, 0)
     assert sensor.noise(x).shape == x.shape

@@ -5,9 +5,11 @@ from __future__ import annotations
 import itertools
 from collections import defaultdict
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from phdtrack.kernels.particle_models import Number, Real, SensorNumbers, X, distance, implements, seen
 from phdtrack.models import UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.types import Particles
@@ -15,21 +17,21 @@ from phdtrack.types import Particles
 CELLS = 4
 
 
-@dataclass(frozen=True)
-class RingMotion:
-    """Positions 0 … CELLS − 1 on a ring; a step stays or goes on by one."""
+class RingTable(NamedTuple):
+    """`RingSensor` for the kernels: its likelihoods."""
 
-    stays: float = 0.6
-    survival: float = 0.9
-    dim: int = 2
+    table: tuple[float, ...]
 
-    def sample(self, x, dt, rng):
-        moved = x.copy()
-        moved[0] = (x[0] + (rng.random(x.shape[1]) >= self.stays)) % CELLS
-        return moved
 
-    def p_survive(self, x, dt):
-        return np.full(x.shape[1], self.survival)
+@implements(seen, RingTable)
+def _seen_ring(model: Number, table: Real, j: int) -> Number:
+    return (table[0, j],)
+
+
+@implements(distance, RingTable)
+def _distance_ring(model: Number, z: Number, s: Real, i: int) -> Number:
+    step = z[0] - s[X + i]
+    return step * step, model.table[int(abs(step)) % CELLS] * np.exp(0.5 * step * step)
 
 
 @dataclass(frozen=True)
@@ -40,12 +42,11 @@ class RingSensor:
     linear: bool = False
     observed: tuple[int, ...] = (0, 1)
 
-    def log_likelihood(self, z, x):
-        apart = np.abs(z[0] - x[0]).astype(int) % CELLS
-        return np.log(np.array(self.table)[apart])
+    def likelihood(self, z, x):
+        return np.array(self.table)[np.abs(z[0] - x[0]).astype(int) % CELLS]
 
-    def distance2(self, z, x):
-        return (z[0] - x[0]) ** 2
+    def particle_model(self, z):
+        return SensorNumbers(RingTable(self.table), z, np.zeros(0))
 
     def p_detect(self, x):
         return np.where(x[0] == 0, 0.5, 0.8)
@@ -72,7 +73,7 @@ class RingBirth:
 
 
 def ring() -> Model:
-    return Model(RingMotion(), RingSensor(), RingBirth(), UniformClutter(0.5, CELLS))
+    return Model(None, RingSensor(), RingBirth(), UniformClutter(0.5, CELLS))
 
 
 def joint_law(candidates, log_psi) -> dict[tuple, float]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from phd_cases import FRAME, NoBirth, world
 
-from composed import composed_step
+from composed import composed_step, drawn
 from phdtrack.errors import InputError
 from phdtrack.filters import GMCPHD, GMPHD, ParticlePHD
 from phdtrack.models import (
@@ -57,7 +57,7 @@ def test_one_target_is_the_kalman_filter(rng):
     _, (f,), (q,) = LINEAR.motion.transition(MEAN[:, None], 1.0)
     x, measured = rng.multivariate_normal(MEAN, COV)[:, None], []
     for _ in range(30):
-        x = LINEAR.motion.sample(x, 1.0, rng)
+        x = drawn(LINEAR.motion, x, 1.0, rng)
         measured.append(x[ROWS, 0] + rng.normal(0, np.sqrt([3.0, 3, 6, 6])))
     means, covs = gm_twin.kalman(MEAN, COV, np.array(measured), f, q, H, np.diag([3.0, 3, 6, 6]))
     # The fused path knows births that are given: here none.
@@ -161,7 +161,7 @@ def test_a_linear_scene_is_the_particle_filters(rng):
     initial = GaussianMixture(np.ones(2), start, np.stack([COV, COV]))
     scans, x = [], start
     for k in range(12):
-        x = model.motion.sample(x, 1.0, rng)
+        x = drawn(model.motion, x, 1.0, rng)
         seen = x[ROWS] + rng.normal(0, 1, (4, 2)) * np.sqrt([[3.0], [3], [6], [6]])
         clutter = rng.uniform([0, 0, 20, 40], [*FRAME, 90, 150], (2, 4)).T
         scans.append(np.hstack([seen[:, : 1 if k == 5 else 2], clutter]))

@@ -72,7 +72,7 @@ def exact(z: np.ndarray, strength: float):
     kappa, shown = model.clutter.intensity(z), model.sensor.p_detect(x)
 
     def seen(i: int, j: int, w: float) -> tuple[int, int, float]:
-        g = np.exp(model.sensor.log_likelihood(z[:, [j]], x[:, [i]]))[0]
+        g = model.sensor.likelihood(z[:, j], x[:, i])
         return j, i, w * shown[i] * g / kappa[j]
 
     candidates = []

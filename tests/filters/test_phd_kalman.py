@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from phd_cases import NoBirth
 
+from composed import drawn
 from phdtrack.filters import ParticlePHD
 from phdtrack.models import BoxMotion, BoxSensor, UniformClutter
 from phdtrack.protocols import Model
@@ -37,7 +38,7 @@ def measurements() -> np.ndarray:
     x = rng.multivariate_normal(MEAN, COV)[:, None]
     out = []
     for _ in range(STEPS):
-        x = MODEL.motion.sample(x, 1.0, rng)
+        x = drawn(MODEL.motion, x, 1.0, rng)
         out.append(x[ROWS, 0] + rng.normal(0, np.sqrt([3.0, 3, 6, 6])))
     return np.array(out)
 

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from composed import gaussian_view
 from phdtrack import config
 from phdtrack.models import PointBirth, PointMotion, PointSensor, UniformBirth
 from phdtrack.types import Detections, SequenceInfo
@@ -20,8 +21,7 @@ def test_the_measurement_is_the_centroid_and_further_rows_are_not_compared():
     np.testing.assert_array_equal(z, [[15.0], [40.0]])
     labelled = np.vstack([z, [[7.0]]])
     x = np.array([[14.0], [42.0], [3.0], [1.0]])
-    np.testing.assert_allclose(sensor.distance2(labelled, x), [(1 + 4) / 2])
-    np.testing.assert_allclose(sensor.log_likelihood(labelled, x), [-1.25 - math.log(4 * math.pi)])
+    np.testing.assert_allclose(gaussian_view(sensor, labelled, x), [[(1 + 4) / 2], [-1.25 - math.log(4 * math.pi)]])
     np.testing.assert_array_equal(sensor.innovation(labelled, x[:2]), [[1.0], [-2.0]])
     np.testing.assert_array_equal(sensor.states(labelled)[0], [[15.0], [40.0], [0.0], [0.0]])
     np.testing.assert_array_equal(sensor.boxes(x), [[10.0, 36, 18, 48]])

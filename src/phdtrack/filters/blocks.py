@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from functools import lru_cache, reduce
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -66,17 +66,13 @@ class UpdatedParticles:
     @property
     def weight(self) -> F8:
         """(L,) weights."""
-        return np.concatenate([blocks.weight for blocks in self.weighed()])
-
-    def weighed(self) -> list[ParticleBlocks]:
-        """The blocks with their weights after the update."""
         out = []
         for blocks, part, sums in zip(self.blocks, self.parts, self.sums, strict=True):
             share = np.empty(len(blocks), blocks.state.dtype)
             given = (part, sums, self.numbers.model, self.numbers.table, self.missed, self.detected, share)
             in_ranges(weigh, given, len(part.start) - 1, self.threads)
-            out.append(replace(blocks, share=share))
-        return out
+            out.append(blocks.unit * share.astype(np.float64))
+        return np.concatenate(out)
 
 
 Intensity = Particles | ParticleBlocks | UpdatedParticles
@@ -117,7 +113,7 @@ def in_blocks(state: Intensity, dtype: np.dtype[np.floating]) -> ParticleBlocks:
     if isinstance(state, ParticleBlocks):
         return state
     if isinstance(state, UpdatedParticles):
-        return reduce(_joined, state.weighed())
+        state = Particles(state.state.astype(np.float64), state.weight)
     if len(state) == 0:
         return ParticleBlocks.empty(len(state.state), dtype)
     x, weight = state.state, state.weight
@@ -140,20 +136,6 @@ def carried(state: ParticleBlocks, model: Model) -> ParticleBlocks:
         return state
     moved = np.ascontiguousarray(model.warp_states(state.state.astype(np.float64)), state.state.dtype)
     return ParticleBlocks(moved, state.start, state.unit, state.share)
-
-
-def _joined(a: ParticleBlocks, b: ParticleBlocks) -> ParticleBlocks:
-    """The sum of two intensities."""
-    if len(b) == 0 or len(a) == 0:
-        return a if len(b) == 0 else b
-    unit = a.unit or b.unit
-    share = [
-        (part.share if len(part.share) else np.ones(len(part), part.state.dtype))
-        * part.state.dtype.type(part.unit / (unit or 1.0))
-        for part in (a, b)
-    ]
-    state, start = np.concatenate([a.state, b.state], axis=1), np.concatenate([a.start, len(a) + b.start[1:]])
-    return ParticleBlocks(state, start, unit, np.concatenate(share))
 
 
 @lru_cache(maxsize=4)

@@ -31,6 +31,7 @@ from phdtrack.errors import Positive, PositiveCount, Share, check
 from phdtrack.filters.blocks import cut
 from phdtrack.filters.cardinality import Cardinalised
 from phdtrack.kernels.blocks import Blocks, block_moments, claim, reaching, summarise, unreached
+from phdtrack.kernels.gaussian import gaussian_parts
 from phdtrack.kernels.grid import make_grid, overlapping_pairs
 from phdtrack.kernels.kmeans import Rule, kmeans
 from phdtrack.kernels.mixtures import Gaussians, em_step
@@ -332,7 +333,8 @@ def finish(peaks: Gaussians, z: F8, model: Model) -> Estimates:
     sensor, mean = model.sensor, peaks.mean
     at = np.ascontiguousarray(mean[:2])
     z_of, state_of = overlapping_pairs(*sensor.gate(z), make_grid(at, at))
-    distance2 = sensor.distance2(z.take(z_of, axis=1), mean.take(state_of, axis=1))
+    of, seen = z.take(z_of, axis=1), mean.take(state_of, axis=1)
+    distance2, _ = gaussian_parts(sensor.innovation(of, sensor.expected(seen)), sensor.covariance(of, seen))
     region, free = chi2_quantile(len(sensor.observed), 0.99), np.ones(z.shape[1], np.bool_)
     detection = np.full(mean.shape[1], -1)
     for pair in distance2.argsort(kind="stable"):

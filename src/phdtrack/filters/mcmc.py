@@ -35,10 +35,11 @@ import numpy as np
 from phdtrack.arrays import chi2_quantile, draw, sum_by
 from phdtrack.errors import Checked, Count, InputError, NonNegative, Positive, PositiveCount, Probability, Share, check
 from phdtrack.filters.extract import finish, join_unresolved
+from phdtrack.filters.phd_particle import ParticlePHD
 from phdtrack.kernels.grid import points_in_rectangles
-from phdtrack.kernels.mcmc import Chain, jump_chain, make_options
+from phdtrack.kernels.mcmc import Chain, jump_chain, make_options, pair_likelihoods
 from phdtrack.kernels.mixtures import Gaussians
-from phdtrack.protocols import Filter, Model
+from phdtrack.protocols import Filter, Model, Sensor
 from phdtrack.types import F8, I8, ChainInfo, Estimates, GaussianMixture, Particles, UpdateInfo
 
 MOVES = ("add", "delete", "leave", "come back", "update", "reassign", "exchange")
@@ -133,13 +134,10 @@ class MCMC(Filter[JointSamples]):
         return JointSamples(state, chance, np.arange(n), n)
 
     def predict(self, state: JointSamples, model: Model, dt: float, rng: np.random.Generator) -> JointSamples:
-        """Every target of every sample moved by f, its probability to exist multiplied by p_S [K05]."""
-        if len(state) == 0:
-            return state
-        origin = model.warp_states(state.state)
-        stays = model.motion.p_survive(origin, dt / model.rate).reshape(state.chance.shape)
-        moved = model.motion.sample(origin, dt, rng)
-        return replace(state, state=moved, chance=state.chance * stays)
+        """Every target of every sample moved by f, its probability to exist multiplied by p_S [K05], as of a PHD."""
+        particles = Particles(state.state, state.chance.ravel(), np.array([0, len(state)]))
+        moved = ParticlePHD().predict(particles, model, dt, rng).particles()
+        return replace(state, state=moved.state, chance=moved.weight.reshape(state.chance.shape))
 
     def update(
         self, state: JointSamples, z: F8, model: Model, dt: float, rng: np.random.Generator
@@ -148,8 +146,11 @@ class MCMC(Filter[JointSamples]):
         old = len(state.label)
         kappa = model.clutter.intensity(z)
         against = np.maximum(kappa, LEAST_CLUTTER)
-        born = model.birth.sample(z, _covered(state, z, model), model.sensor, dt / model.rate, rng)
-        candidate, which, member, weight, x = _entries(state, born, z, against, model)
+        near = member, which, distance2, _ = _pairs(state.state, z, model.sensor)
+        inside = distance2 <= chi2_quantile(len(model.sensor.observed), 0.99)
+        covered = sum_by(which[inside], state.weight[member[inside]], z.shape[1])
+        born = model.birth.sample(z, covered, model.sensor, dt / model.rate, rng)
+        candidate, which, member, weight, x = _entries(state, born, near, z, against, model)
         evidence = sum_by(which + 1, weight, z.shape[1] + 1)[1:] * against
         seen = np.unique(candidate[candidate >= old])
         candidate = np.where(candidate < old, candidate, old + np.searchsorted(seen, candidate))
@@ -174,14 +175,16 @@ class MCMC(Filter[JointSamples]):
         return samples, UpdateInfo(mass, born.mass, samples.mass, evidence, kappa, vanished, histogram, info)
 
 
-def _covered(state: JointSamples, z: F8, model: Model) -> F8:
-    """(M,) the predicted mass in the region around each measurement."""
-    point, which = points_in_rectangles(state.state[0], state.state[1], *model.sensor.gate(z))
-    near = model.sensor.distance2(z[:, which], state.state[:, point]) <= chi2_quantile(len(model.sensor.observed), 0.99)
-    return sum_by(which[near], state.weight[point[near]], z.shape[1])
+def _pairs(x: F8, z: F8, sensor: Sensor) -> tuple[I8, I8, F8, F8]:
+    """State, measurement, d² and g(z|x) (P,) of the pairs of states (d, L) and measurements within the gates."""
+    x, numbers = np.ascontiguousarray(x, np.float64), sensor.particle_model(z)
+    member, which = points_in_rectangles(x[0], x[1], *sensor.gate(z))
+    return member, which, *pair_likelihoods(x, numbers.model, numbers.table, member, which)
 
 
-def _entries(state: JointSamples, born: Particles, z: F8, kappa: F8, model: Model) -> tuple[I8, I8, I8, F8, F8]:
+def _entries(
+    state: JointSamples, born: Particles, near: tuple[I8, I8, F8, F8], z: F8, kappa: F8, model: Model
+) -> tuple[I8, I8, I8, F8, F8]:
     """Entries (T,), sorted by candidate and measurement, of what every candidate may be, and the states (d, L).
 
     Whose state, seen in which measurement (−1: in none), which column of the states, and how likely. Newborn candidate n + j
@@ -192,8 +195,9 @@ def _entries(state: JointSamples, born: Particles, z: F8, kappa: F8, model: Mode
     weight = np.concatenate([state.weight, born.weight])
     shown = model.sensor.p_detect(x)
     unseen = np.arange(n * count)
-    member, which = points_in_rectangles(x[0], x[1], *model.sensor.gate(z))
-    ratio = np.exp(model.sensor.log_likelihood(z[:, which], x[:, member]) - np.log(kappa[which]))
+    new = _pairs(born.state, z, model.sensor)
+    member, which, _, g = (np.concatenate(parts) for parts in zip(near, (new[0] + n * count, *new[1:]), strict=True))
+    ratio = g / kappa[which]
     candidate = np.where(member < n * count, member // max(1, count), n + which)
     entry = np.concatenate([(weight * (1 - shown))[unseen], (weight * shown)[member] * ratio])
     candidate = np.concatenate([unseen // max(1, count), candidate])

@@ -22,17 +22,13 @@ from phdtrack.filters.blocks import Intensity, UpdatedParticles, carried, in_blo
 from phdtrack.filters.terms import TINY, UpdateTerms
 from phdtrack.kernels import particles as sweeps
 from phdtrack.kernels.grid import Grid, make_grid
-from phdtrack.kernels.particle_models import GivenSize, SensorNumbers, precision
+from phdtrack.kernels.particle_models import SensorNumbers, precision
 from phdtrack.kernels.resampling import Comb, comb, pick
 from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, GaussianMixture, ParticleBlocks, Particles, UpdateInfo
 
 # κ + C below this counts as 0 where likelihoods are in single precision: they have no tail below 1e-38.
 FAINT = 1e-30
-
-
-# A sensor that sees nothing.
-BLIND = SensorNumbers(GivenSize(np.float32(1.0)), np.zeros((8, 0), np.float32), np.zeros(1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,20 +144,24 @@ class ParticlePHD(Checked, Filter[Intensity]):
         return blocks, part, sums
 
     def reduce(self, state: Intensity, rng: np.random.Generator) -> ParticleBlocks:
-        """Systematic resampling to ρ particles per expected target, which keeps the mass exactly [M07 §2]."""
-        updated = state if isinstance(state, UpdatedParticles) else _not_updated(in_blocks(state, np.dtype(np.float64)))
-        first, (model, table, _) = updated.blocks[0].state, updated.numbers
-        masses, offset = updated.masses, rng.random()
+        """Systematic resampling to ρ particles per expected target, which keeps the mass exactly [M07 §2].
+
+        An intensity that was not updated stays as it is.
+        """
+        if not isinstance(state, UpdatedParticles):
+            return in_blocks(state, np.dtype(np.float64))
+        first, (model, table, _) = state.blocks[0].state, state.numbers
+        masses, offset = state.masses, rng.random()
         mass = float(masses.sum())
         count = self.particles(mass)
         if count == 0:
             return ParticleBlocks.empty(len(first), first.dtype)
-        teeth, start = comb(masses, np.concatenate([sums.extents for sums in updated.sums]), count, offset)
+        teeth, start = comb(masses, np.concatenate([sums.extents for sums in state.sums]), count, offset)
         out, begin = reused((len(first), count), first.dtype), 0
-        for part, sums in zip(updated.parts, updated.sums, strict=True):
+        for part, sums in zip(state.parts, state.sums, strict=True):
             end = begin + len(part.start) - 1
             own = Comb(*(column[begin:end] for column in teeth))
-            given = (part, sums, model, table, updated.missed, updated.detected, own, out)
+            given = (part, sums, model, table, state.missed, state.detected, own, out)
             in_ranges(pick, given, end - begin, self.threads)
             begin = end
         return ParticleBlocks(out, start, mass / count)
@@ -173,14 +173,3 @@ class ParticlePHD(Checked, Filter[Intensity]):
             return 0
         count = max(count, self.min_particles)
         return min(count, self.max_particles) if self.max_particles else count
-
-
-def _not_updated(blocks: ParticleBlocks) -> UpdatedParticles:
-    """The intensity as if a sensor had looked that sees nothing."""
-    blind, nothing = np.zeros(1, blocks.state.dtype), np.zeros((2, 0))
-    part = sweeps.Part(blocks.state, blocks.share, blind, blocks.start)
-    sums = sweeps.likelihoods(0, len(blocks.start) - 1, part, BLIND.model, BLIND.table, make_grid(nothing, nothing), 0.0)
-    low, high = sums.extents[:, :2], sums.extents[:, 2:4]
-    # The neighbourhood is what the block is itself.
-    sums = sums._replace(extents=np.concatenate([low, high, high - low], axis=1))
-    return UpdatedParticles((blocks,), (part,), (sums,), BLIND, 1.0, np.zeros(0))

@@ -182,10 +182,10 @@ def _nearest(
     row: Real, which: I4, n: int, at: F8, per: F8, window: F8, box: F8, among: I8, some: int, b: int
 ) -> None:  # fmt: skip
     """Write the nearest of the first ``some`` contenders in whose window each of n loaded particles is (−1: none)."""
-    e, real, nobody = even(at.shape[1]), row.dtype.type, np.int32(-1)
+    e, real, none = even(at.shape[1]), row.dtype.type, np.int32(-1)
     x, y = box[b, 2, 0], box[b, 2, 1]
     for i in range(U(n)):
-        row[e + 1, i], which[i] = real(np.inf), nobody
+        row[e + 1, i], which[i] = real(np.inf), none
     for c in range(some):
         j = among[1, c]
         _distances2(row, n, box, b, at, per, j)

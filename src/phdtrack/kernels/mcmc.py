@@ -6,13 +6,15 @@ intersection over union of their boxes.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from phdtrack.kernels.box import overlap_of
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.particle_models import BLOCK, distance, prepare, seen
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -64,6 +66,19 @@ class Sample(NamedTuple):
 
 
 @njit(**ENTRY)
+def pair_likelihoods(x: F8, sensor: Any, table: Any, member: I8, which: I8) -> tuple[F8, F8]:
+    """(P,) squared distances and g(z|x) of pairs of states, columns of ``x`` (d, L), and measurements of ``table``."""
+    distance2, likelihood, s = np.empty(member.size), np.empty(member.size), np.empty(16 * BLOCK)
+    for p in range(member.size):
+        for r in range(x.shape[0]):
+            s[r * BLOCK] = x[r, member[p]]
+        prepare(sensor, s, 0)
+        distance2[p], factor = distance(sensor, seen(sensor, table, which[p]), s, 0)
+        likelihood[p] = factor * np.exp(-0.5 * distance2[p])
+    return distance2, likelihood
+
+
+@njit(**ENTRY)
 def make_options(candidate: I8, which: I8, member: I8, weight: F8, absent: F8, box: F8) -> Options:
     """The options of entries, which ascend in their candidate and measurement.
 
@@ -90,19 +105,6 @@ def make_options(candidate: I8, which: I8, member: I8, weight: F8, absent: F8, b
             o += 1
     first[count], start[o] = o, e
     return Options(first, seen_by[:o].copy(), total[:o].copy(), start[: o + 1].copy(), running, member, box)
-
-
-@njit(**INNER)
-def _overlap(box: F8, a: int, b: int) -> float:
-    """Intersection over union of boxes a and b."""
-    wide = min(box[a, 2], box[b, 2]) - max(box[a, 0], box[b, 0])
-    tall = min(box[a, 3], box[b, 3]) - max(box[a, 1], box[b, 1])
-    if wide <= 0.0 or tall <= 0.0:
-        return 0.0
-    own = (box[a, 2] - box[a, 0]) * (box[a, 3] - box[a, 1])
-    other = (box[b, 2] - box[b, 0]) * (box[b, 3] - box[b, 1])
-    overlap: float = wide * tall / (own + other - wide * tall)
-    return overlap
 
 
 @njit(**INNER)
@@ -162,11 +164,11 @@ def _kind(was: int, becomes: int, absence: int, newborn: bool, can: Options) -> 
 @njit(**INNER)
 def _crowd(a: int, b: int, i: int, k: int, can: Options, now: Sample) -> float:
     """Overlaps of ``a`` in state ``i`` and ``b`` in state ``k`` (−1: none) with all other targets and each other."""
-    total = _overlap(can.box, i, k) if i >= 0 and k >= 0 else 0.0
+    total = overlap_of(can.box, i, k) if i >= 0 and k >= 0 else 0.0
     for c in range(now.state.size):
         if now.state[c] >= 0 and c != a and c != b:
-            total += _overlap(can.box, i, now.state[c]) if i >= 0 else 0.0
-            total += _overlap(can.box, k, now.state[c]) if k >= 0 else 0.0
+            total += overlap_of(can.box, i, now.state[c]) if i >= 0 else 0.0
+            total += overlap_of(can.box, k, now.state[c]) if k >= 0 else 0.0
     return total
 
 

@@ -146,31 +146,13 @@ class BoxSensor(Checked):
             )
         return np.vstack([z, variance])
 
-    def _sigmas(self, z: F8, x: F8) -> tuple[F8, F8, F8, F8]:
-        """Deviations of the four components of z."""
-        if self.scaling == "fixed":
-            position, size = (np.asarray(s) for s in self.fixed_noise)
-            return position, position, size, size
+    def _deviations(self, z: F8) -> F8:
+        """(4, N) deviations of the components of z, by its own size where they are not given or fixed."""
         if self.scaling == "given":
-            a, b, c, d = np.sqrt(z[4:8])
-            return a, b, c, d
-        w, h = z[2:4] if self.scaling == "detection" else x[6:8] if self.scaling == "previous" else x[4:6]
-        sw, sh = np.maximum(self.box_noise * w, self.min_noise), np.maximum(self.box_noise * h, self.min_noise)
-        return sw / 2, sh / 2, sw, sh
-
-    def distance2(self, z: F8, x: F8) -> F8:
-        """Squared Mahalanobis distance of z from (px, py, w, h) of x."""
-        sx, sy, sw, sh = self._sigmas(z, x)
-        out: F8 = ((z[0] - x[0]) / sx) ** 2 + ((z[1] - x[1]) / sy) ** 2
-        out += ((z[2] - x[4]) / sw) ** 2
-        out += ((z[3] - x[5]) / sh) ** 2
-        return out
-
-    def log_likelihood(self, z: F8, x: F8) -> F8:
-        """log g(z|x), density per pixel⁴ [M07 §2]."""
-        sx, sy, sw, sh = self._sigmas(z, x)
-        product: F8 = sx * sy * sw * sh
-        return -0.5 * self.distance2(z, x) - np.log(product) - 2 * math.log(2 * math.pi)
+            return np.sqrt(z[4:8])
+        sides = np.maximum(self.box_noise * z[2:4], self.min_noise)
+        position, size = self.fixed_noise if self.scaling == "fixed" else (sides / 2, sides)
+        return np.concatenate([np.broadcast_to(position, sides.shape), np.broadcast_to(size, sides.shape)])
 
     def covariance(self, z: F8, x: F8) -> F8:
         """(P, 4, 4) diagonal noise covariance of (px, py, w, h) for pairs of columns; sizes are those of the mean state."""
@@ -211,8 +193,7 @@ class BoxSensor(Checked):
             # A floor of zero would let the deviation of a vanishing box vanish.
             model = own(np.float32(self.box_noise), np.float32(max(self.min_noise, 1e-3)))
             return SensorNumbers(model, np.ascontiguousarray(z[:4], np.float32), detection)
-        per = np.stack([np.broadcast_to(1 / sigma, z.shape[1]) for sigma in self._sigmas(z, z)])
-        table = np.concatenate([z[:4], per]).astype(np.float32)
+        table = np.concatenate([z[:4], 1 / self._deviations(z)]).astype(np.float32)
         return SensorNumbers(GivenSize(np.float32((2 * math.pi) ** -2)), table, detection)
 
     def watching(self, targets: F8) -> BoxSensor:
@@ -230,17 +211,14 @@ class BoxSensor(Checked):
         max(sG/2 · w_z/√(1 − G²s²), G·floor/2) from it, for G·s < 1.
         """
         g = self._gate
-        if self.scaling in ("fixed", "given"):
-            sx, sy, _, _ = self._sigmas(z, z)
-            half = g * np.stack([np.broadcast_to(sx, z.shape[1]), np.broadcast_to(sy, z.shape[1])])
-            return z[:2] - half, z[:2] + half
-        reach = g * self.box_noise / 2
+        half = g * self._deviations(z)[:2]
         if self.scaling == "particle":
             # G·s ≥ 1 would let every larger box in: the size alone no longer bounds the distance.
-            reach /= math.sqrt(max(1 - (g * self.box_noise) ** 2, 0.05))
+            reach = g * self.box_noise / 2 / math.sqrt(max(1 - (g * self.box_noise) ** 2, 0.05))
+            half = np.maximum(reach * z[2:4], g * self.min_noise / 2)
         elif self.scaling == "previous":
-            reach *= 2.0  # the size before the last prediction is not known from z
-        half = np.maximum(reach * z[2:4], g * self.min_noise / 2)
+            # The size before the last prediction is not known from z.
+            half = np.maximum(g * self.box_noise * z[2:4], g * self.min_noise / 2)
         return z[:2] - half, z[:2] + half
 
     def states(self, z: F8) -> tuple[F8, F8]:
@@ -289,8 +267,8 @@ class BoxMotion(Checked):
     min_size : widths and heights are reflected at this many pixels: no particle takes w ≤ 0.
     frame_size : width and height of the image in pixels; a target whose box has left it does not survive. (0, 0): no such
         border.
-    roughening : what is added to the acceleration of draws (`sample`), and to them alone, as its deviation: few particles
-        that move by little noise soon come from one ancestor, which need not have had the right velocity [G93].
+    roughening : what is added to the acceleration of particles, and to theirs alone, as its deviation: few particles that
+        move by little noise soon come from one ancestor, which need not have had the right velocity [G93].
     """
 
     acceleration: NonNegative = 0.03
@@ -311,24 +289,6 @@ class BoxMotion(Checked):
     def _drawn(self) -> float:
         """Deviation of the acceleration that draws have: the motion's own, roughened."""
         return math.hypot(self.acceleration, self.roughening)
-
-    def sample(self, x: F8, dt: float, rng: np.random.Generator) -> F8:
-        """One draw of f(·|ξ) for each column ξ of ``x`` [M09 (11)], roughened."""
-        unit: F8 = np.maximum(x[4:6], self.min_size) if self.scaled_noise else np.ones((2, x.shape[1]))
-        noise = rng.standard_normal((4, x.shape[1]))
-        kick = self._drawn * np.sqrt(dt) * unit * noise[:2]
-        moved = np.empty_like(x)
-        moved[0:2] = x[0:2] + dt * (x[2:4] + 0.5 * kick)
-        moved[2:4] = x[2:4] + kick
-        moved[4:6] = x[4:6] + self.size_noise * np.sqrt(dt) * unit * noise[2:4]
-        moved[4:6] = self.min_size + np.abs(moved[4:6] - self.min_size)
-        if dt > 1:
-            # What is left of the position's variance beside the part that the velocity's noise explains.
-            rest = self._drawn * np.sqrt((dt**3 - dt) / 12)
-            moved[0:2] += rest * unit * rng.standard_normal((2, x.shape[1]))
-        if self.remember_size:
-            moved[6:8] = x[4:6]
-        return moved
 
     def p_survive(self, x: F8, seconds: float) -> F8:
         """p_S^seconds inside the image, 0 where the whole box has left it."""

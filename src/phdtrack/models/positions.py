@@ -51,12 +51,6 @@ class PositionMotion:
             return a2 * dt**4 / 4, a2 * dt**3 / 2, a2 * dt**2
         return a2 * dt**3 / 3, a2 * dt**2 / 2, a2 * dt
 
-    def _moved(self, x: F8, dt: float) -> F8:
-        """The states after the interval ``dt``, without noise."""
-        moved = x.copy()
-        moved[0:2] += dt * x[2:4]
-        return moved
-
     def _noise_covariance(self, dt: float, n: int) -> F8:
         """(d, d, n) covariances of the noise over the interval ``dt``."""
         q = np.zeros((self.dim, self.dim, n))
@@ -64,19 +58,6 @@ class PositionMotion:
             q[axis, axis], q[axis, axis + 2], q[axis + 2, axis + 2] = self._variances(dt)
             q[axis + 2, axis] = q[axis, axis + 2]
         return q
-
-    def sample(self, x: F8, dt: float, rng: np.random.Generator) -> F8:
-        """One draw of f(·|ξ) for each column ξ of ``x`` [E13 §4, D14]."""
-        moved, (place, both, speed) = self._moved(x, dt), self._variances(dt)
-        kick = math.sqrt(speed) * rng.standard_normal((2, x.shape[1]))
-        moved[2:4] += kick
-        if speed > 0:
-            moved[0:2] += both / speed * kick
-            # What is left of the position's variance beside the part that the velocity's noise explains.
-            rest = place - both**2 / speed
-            if rest > 1e-12 * place:
-                moved[0:2] += math.sqrt(rest) * rng.standard_normal((2, x.shape[1]))
-        return moved
 
     def p_survive(self, x: F8, seconds: float) -> F8:
         """p_S^seconds inside the borders, 0 outside."""
@@ -92,7 +73,9 @@ class PositionMotion:
         f[0, 2] = f[1, 3] = dt
         # Laid out in memory as `BoxMotion` does, for which the kernels are compiled.
         jacobian = np.ndarray((n, 4, 4), np.float64, f, 0, (0, *f.strides))
-        return self._moved(x, dt), jacobian, self._noise_covariance(dt, n).transpose(2, 0, 1)
+        mean = x.copy()
+        mean[0:2] += dt * x[2:4]
+        return mean, jacobian, self._noise_covariance(dt, n).transpose(2, 0, 1)
 
     def warp_states(self, x: F8, warp: F8) -> F8:
         """Raises `InputError`: the ground does not move with the image."""
@@ -136,18 +119,6 @@ class PositionSensor:
     def innovation(self, z: F8, seen: F8) -> F8:
         """(2, …) z − ``seen``."""
         return z[:2] - seen
-
-    def distance2(self, z: F8, x: F8) -> F8:
-        """Squared Mahalanobis distance of z from what is expected of x."""
-        (dx, dy), (xx, xy, yy) = self.innovation(z, self.expected(x)), self._noise(z)
-        out: F8 = (yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy)
-        return out
-
-    def log_likelihood(self, z: F8, x: F8) -> F8:
-        """log g(z|x), density per unit of both components [E13 §4, D14]."""
-        xx, xy, yy = self._noise(z)
-        out: F8 = -0.5 * (self.distance2(z, x) + np.log(xx * yy - xy * xy)) - math.log(2 * math.pi)
-        return out
 
     def covariance(self, z: F8, x: F8) -> F8:
         """(P, 2, 2) R for pairs of columns."""

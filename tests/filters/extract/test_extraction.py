@@ -10,6 +10,7 @@ from extract_cases import EXTRACTORS, HERE, MODEL, NAMES, ROWS, THERE, cloud, mo
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from composed import drawn
 from phdtrack.errors import InputError
 from phdtrack.filters import KMeans, Mixture, ParticlePHD, Raw
 from phdtrack.filters.extract import finish
@@ -29,7 +30,7 @@ def test_one_target_is_always_one_state(extractor, p_detect: float):
         rng = np.random.default_rng(seed)
         state, x = recursion.start(model, rng), np.append([2000.0, 2000, 2, 1], HERE[4:])[:, None]
         for _ in range(30):
-            x = model.motion.sample(x, 1.0, rng)
+            x = drawn(model.motion, x, 1.0, rng)
             x[4:6] = np.clip(x[4:6], [[25], [60]], [[60], [150]])
             z = x[ROWS] + model.sensor.noise(x)[ROWS] * rng.standard_normal((4, 1))
             z = z[:, : int(rng.random() < p_detect)]
