@@ -8,7 +8,9 @@ from shipped import MOTIONS, fixed, keeps, states
 
 from composed import drawn
 from phdtrack.errors import InputError
-from phdtrack.protocols import Motion
+from phdtrack.filters import ParticlePHD
+from phdtrack.protocols import Model, Motion
+from phdtrack.types import Particles
 
 pytestmark = pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
 INTERVALS = (0.3, 1.0, 25 / 7)
@@ -59,11 +61,17 @@ def test_noise_is_a_covariance_and_the_jacobian_a_derivative(motion, rng):
 
 
 def test_survival_is_a_probability_that_falls_with_time(motion, rng):
-    x = fixed(states(rng, 40, motion.dim))
+    """Also as the particle filters weigh particles; half of these left what is watched."""
+    x = states(rng, 40, motion.dim)
+    x[0, ::2] = -1e4
+    fixed(x)
     shares = [motion.p_survive(x, dt) for dt in INTERVALS]
-    for share in shares:
+    for dt, share in zip(INTERVALS, shares, strict=True):
         assert share.shape == (40,)
         assert ((share >= 0) & (share <= 1)).all()
+        particles = Particles(x, np.ones(40), np.array([0, 40]))
+        moved = ParticlePHD().predict(particles, Model(motion, None, None, None, rate=1.0), dt, rng)
+        np.testing.assert_allclose(moved.weight, share, rtol=1e-6)
     assert (np.diff(shares, axis=0) <= 0).all()
 
 

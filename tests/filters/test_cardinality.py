@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import poisson as scipy_poisson
 
-from phdtrack.filters.cardinality import factors, poisson, trimmed, with_births
+from phdtrack.filters.cardinality import factors, poisson, trimmed
 from phdtrack.kernels.esf import thinned
 from reference import cphd_twin as twin
 
@@ -48,7 +48,7 @@ def test_a_poisson_number_gives_the_factors_of_the_phd_filter(mass: float, rng):
 def test_the_mean_is_the_mass_and_the_sum_is_one(rng):
     p = np.ones(1)
     for _ in range(40):
-        p = with_births(thinned(p, 0.97), rng.uniform(0, 0.5), 8)
+        p = np.convolve(thinned(p, 0.97), poisson(rng.uniform(0, 0.5), 8))
         mass, seen = mean(p), rng.uniform(0, 1)
         share = rng.dirichlet(np.ones(8)) * seen * mass * rng.uniform(0.1, 30, 8)
         found = factors(p, mass, (1 - seen) * mass, share, rng.uniform(0.01, 2, 8))
@@ -90,7 +90,7 @@ def test_detections_that_nothing_explains_change_nothing():
 @pytest.mark.parametrize("births", [0.0, 1e-3, 2.0, 300.0])
 def test_poisson_numbers_add_and_thin_to_poisson_numbers(births: float):
     before = poisson(7.0)
-    after = with_births(thinned(before, 0.9), births, 5)
+    after = np.convolve(thinned(before, 0.9), poisson(births, 5))
     expected = scipy_poisson.pmf(np.arange(len(after)), 6.3 + births)
     np.testing.assert_allclose(after, expected, atol=1e-13)
     assert mean(after) == pytest.approx(6.3 + births, rel=1e-11)

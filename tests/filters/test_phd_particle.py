@@ -182,25 +182,6 @@ def test_bounds_on_the_number_of_particles(rng):
     assert len(ParticlePHD(100, min_particles=700).reduce(unseen(nothing), rng)) == 0
 
 
-@given(seeds, st.floats(0.1, 5), st.floats(0.01, 1))
-@settings(max_examples=30, deadline=None)
-def test_predicting_multiplies_the_mass_with_survival(seed: int, dt: float, survival: float):
-    rng = np.random.default_rng(seed)
-    state = crowd(rng, 3, 40)
-    model = replace(world(), motion=BoxMotion(survival_probability=survival**25))
-    predicted = ParticlePHD().predict(state, model, dt, rng)
-    assert predicted.mass == pytest.approx(state.mass * survival**dt, rel=1e-6)
-
-
-def test_targets_that_left_the_frame_are_no_more(rng):
-    state = crowd(rng, 6, 50)
-    moved = state.state.copy()
-    moved[0, :100] = -1e4
-    predicted = ParticlePHD().predict(Particles(moved, state.weight), world(), 1.0, rng)
-    assert predicted.mass == pytest.approx(0.99 * state.weight[100:].sum(), rel=1e-6)
-    assert ParticlePHD(200).reduce(unseen(predicted), rng).state[0].min() > -1000
-
-
 @pytest.mark.parametrize("p_detect", [0.0, 0.7, 1.0])
 def test_an_empty_scan_leaves_what_is_missed(p_detect: float, rng):
     state = crowd(rng, 3, 50)

@@ -13,7 +13,6 @@ import numpy as np
 
 from phdtrack.kernels.particle_models import BLOCK, SensorNumbers
 from phdtrack.kernels.particles import Part, Sums, masses, weigh
-from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, ParticleBlocks, Particles, Real
 
 T = TypeVar("T")
@@ -128,14 +127,6 @@ def in_blocks(state: Intensity, dtype: np.dtype[np.floating]) -> ParticleBlocks:
     unit = float(weight.max())
     equal = bool((weight == unit).all())
     return ParticleBlocks(x, start, unit, np.zeros(0, dtype) if equal else (weight / (unit or 1.0)).astype(dtype))
-
-
-def carried(state: ParticleBlocks, model: Model) -> ParticleBlocks:
-    """The same weights at the states carried into the present frame's pixels (`Model.warp`)."""
-    if len(model.warp) == 0 or len(state) == 0:
-        return state
-    moved = np.ascontiguousarray(model.warp_states(state.state.astype(np.float64)), state.state.dtype)
-    return ParticleBlocks(moved, state.start, state.unit, state.share)
 
 
 @lru_cache(maxsize=4)

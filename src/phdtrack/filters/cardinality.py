@@ -24,31 +24,27 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from phdtrack.filters.blocks import UpdatedParticles
+from phdtrack.filters.blocks import Intensity
 from phdtrack.filters.terms import TINY, UpdateTerms
 from phdtrack.kernels.esf import log_products, log_sums_without
-from phdtrack.types import F8, GaussianMixture, ParticleBlocks, Particles
+from phdtrack.types import F8, GaussianMixture
 
 # Of the distribution's upper end, as much is cut as it adds to the mean.
 CUT = 1e-14
 
 
-Points = TypeVar("Points", Particles, ParticleBlocks, UpdatedParticles, GaussianMixture)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class Cardinalised(Generic[Points]):
+class Cardinalised:
     """An intensity with the distribution of the number of targets: what the cardinalised PHD filters carry.
 
     ``cardinality`` (n,) holds the probabilities of 0, 1, 2, … targets; its mean is the mass of ``intensity`` and of what may
     have been born where nothing was detected.
     """
 
-    intensity: Points
+    intensity: Intensity | GaussianMixture
     cardinality: F8
 
     def __len__(self) -> int:
@@ -79,23 +75,7 @@ def poisson(mean: float, more: int = 0) -> F8:
     return np.exp(number * math.log(mean) - mean - log_factorials(len(number))) if mean > 0 else np.ones(1)
 
 
-def with_births(cardinality: F8, mass: float, detections: int) -> F8:
-    """The number with Poisson births [V07].
-
-    Parameters
-    ----------
-    cardinality : (n,) probabilities of 0, 1, 2, … targets.
-    mass : mean of the births.
-    detections : how far births reach beyond what is likely: what a scan shows may be very unlikely before it is seen.
-
-    Returns
-    -------
-    cardinality : with the births.
-    """
-    return np.convolve(cardinality, poisson(mass, detections)) if mass > 0 else cardinality
-
-
-def weigh(cardinality: F8, terms: UpdateTerms[Any], births: float) -> Weighing:
+def weigh(cardinality: F8, terms: UpdateTerms, births: float) -> Weighing:
     """The number with births and after the scan.
 
     Parameters
@@ -109,7 +89,8 @@ def weigh(cardinality: F8, terms: UpdateTerms[Any], births: float) -> Weighing:
     weighing : of the number and the intensity.
     """
     known, evidence = terms.mass, terms.evidence
-    grown, whole = with_births(cardinality, births, len(evidence)), known + max(births - terms.born, 0.0)
+    # Births reach beyond what is likely: what a scan shows may be very unlikely before it is seen.
+    grown, whole = np.convolve(cardinality, poisson(births, len(evidence))), known + max(births - terms.born, 0.0)
     return factors(grown, whole, terms.missed * whole / known if known > 0 else whole, evidence, terms.clutter)
 
 

@@ -24,7 +24,7 @@ from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, GaussianMixture, Particles, UpdateInfo
 
 
-class _CPHD(Filter[Cardinalised[Any]]):
+class _CPHD(Filter[Cardinalised]):
     """The recursion, whose settings are those of a PHD filter."""
 
     __slots__ = ()
@@ -32,12 +32,12 @@ class _CPHD(Filter[Cardinalised[Any]]):
     def __post_init__(self) -> None:
         check(self)
 
-    def start(self, model: Model, rng: np.random.Generator) -> Cardinalised[Any]:
+    def start(self, model: Model, rng: np.random.Generator) -> Cardinalised:
         """The initial intensity and a Poisson distributed number; nothing where none was given."""
         intensity = _intensity(self).start(model, rng)
         return Cardinalised(intensity, trimmed(poisson(intensity.mass)))
 
-    def predict(self, state: Cardinalised[Any], model: Model, dt: float, rng: np.random.Generator) -> Cardinalised[Any]:
+    def predict(self, state: Cardinalised, model: Model, dt: float, rng: np.random.Generator) -> Cardinalised:
         """The intensity moved and weighed with p_S; the number thinned by the mean of p_S [V07]."""
         if len(state) == 0:
             return state
@@ -45,8 +45,8 @@ class _CPHD(Filter[Cardinalised[Any]]):
         return Cardinalised(intensity, thinned(state.cardinality, min(max(intensity.mass / state.mass, 0.0), 1.0)))
 
     def update(
-        self, state: Cardinalised[Any], z: F8, model: Model, dt: float, rng: np.random.Generator
-    ) -> tuple[Cardinalised[Any], UpdateInfo]:
+        self, state: Cardinalised, z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> tuple[Cardinalised, UpdateInfo]:
         """Add the births, then update the number and the intensity [V07]."""
         terms = _intensity(self).terms(state.intensity, z, model, dt, rng)
         weighing = weigh(state.cardinality, terms, model.birth.expected(z, dt / model.rate))
@@ -54,7 +54,7 @@ class _CPHD(Filter[Cardinalised[Any]]):
         info = replace(terms.info(intensity.mass), cardinality=weighing.cardinality)
         return Cardinalised(intensity, weighing.cardinality), info
 
-    def reduce(self, state: Cardinalised[Any], rng: np.random.Generator) -> Cardinalised[Any]:
+    def reduce(self, state: Cardinalised, rng: np.random.Generator) -> Cardinalised:
         """The intensity reduced; the number stays, unless nothing is left."""
         intensity = _intensity(self).reduce(state.intensity, rng)
         return Cardinalised(intensity, state.cardinality if len(intensity) else np.ones(1))

@@ -28,7 +28,7 @@ import numpy as np
 
 from phdtrack.arrays import chi2_quantile, iou
 from phdtrack.errors import Positive, PositiveCount, Share, check
-from phdtrack.filters.blocks import cut
+from phdtrack.filters.blocks import in_blocks
 from phdtrack.filters.cardinality import Cardinalised
 from phdtrack.kernels.blocks import Blocks, block_moments, claim, reaching, summarise, unreached
 from phdtrack.kernels.gaussian import gaussian_parts
@@ -62,13 +62,10 @@ class _Extraction:
     def extract(self, state: Any, z: F8, model: Model) -> Estimates:
         """The peaks heavy enough to be targets, or as many as there are targets; see `protocols.Extractor`."""
         settings: Any = self
-        if not isinstance(state, Cardinalised):
-            found: Estimates = settings._peaks(state, z, model, counting=False)
-        elif settings.counted:
-            found = heaviest(settings._peaks(state.intensity, z, model, counting=True), state.cardinality)
-        else:
-            found = settings._peaks(state.intensity, z, model, counting=False)
-        return found
+        known = isinstance(state, Cardinalised)
+        counting = known and settings.counted
+        found: Estimates = settings._peaks(state.intensity if known else state, z, model, counting=counting)
+        return heaviest(found, state.cardinality) if counting else found
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,16 +191,14 @@ class Components(_Extraction):
 
 def known_blocks(intensity: Intensity) -> Blocks:
     """The particles of an intensity that is not empty in blocks; `ValueError` where a state is NaN or infinite."""
-    if isinstance(intensity, ParticleBlocks):
-        state, start, weight = intensity.state, intensity.start, np.array([intensity.unit], intensity.state.dtype)
-        if len(intensity.share):
-            weight = weight * intensity.share
-    else:
+    if not isinstance(intensity, ParticleBlocks):
         if not np.isfinite(intensity.state).all():
             raise ValueError("states must be finite")
-        order, start = cut(intensity.state)
-        state, weight = np.ascontiguousarray(intensity.state[:, order]), intensity.weight[order]
-    blocks: Blocks = summarise(state, weight, start)
+        intensity = in_blocks(intensity, np.dtype(np.float64))
+    weight = np.array([intensity.unit], intensity.state.dtype)
+    if len(intensity.share):
+        weight = weight * intensity.share
+    blocks: Blocks = summarise(intensity.state, weight, intensity.start)
     return blocks
 
 

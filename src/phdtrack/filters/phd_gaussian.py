@@ -116,9 +116,7 @@ class GMPHD(Checked, Filter[GaussianMixture]):
         """
         return self.terms(state, z, model, dt, rng).phd()
 
-    def terms(
-        self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator
-    ) -> UpdateTerms[GaussianMixture]:
+    def terms(self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator) -> UpdateTerms:
         """The terms of the update with the births.
 
         Parameters

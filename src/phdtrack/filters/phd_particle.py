@@ -12,13 +12,13 @@ linearly with the number of targets; what the gate drops is bounded by the senso
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from phdtrack.arrays import chi2_quantile, draw, reused, sum_by
 from phdtrack.errors import Checked, Count, PositiveCount
-from phdtrack.filters.blocks import Intensity, UpdatedParticles, carried, in_blocks, in_ranges
+from phdtrack.filters.blocks import Intensity, UpdatedParticles, in_blocks, in_ranges
 from phdtrack.filters.terms import TINY, UpdateTerms
 from phdtrack.kernels import particles as sweeps
 from phdtrack.kernels.grid import Grid, make_grid
@@ -68,7 +68,10 @@ class ParticlePHD(Checked, Filter[Intensity]):
         A frame takes two words of ``rng`` for the key of all draws.
         """
         motion = model.motion.particle_model(dt, dt / model.rate)
-        blocks = carried(in_blocks(state, precision(motion)), model)
+        blocks = in_blocks(state, precision(motion))
+        if len(model.warp) and len(blocks):
+            warped = model.warp_states(blocks.state.astype(np.float64))
+            blocks = replace(blocks, state=np.ascontiguousarray(warped, blocks.state.dtype))
         # Words of 32 bits from `random`: `integers` takes ten times as long for so few.
         key = (rng.random(2) * 2.0**32).astype(np.int64)
         if len(blocks) == 0:
@@ -88,9 +91,7 @@ class ParticlePHD(Checked, Filter[Intensity]):
         """
         return self.terms(state, z, model, dt, rng).phd()
 
-    def terms(
-        self, state: Intensity, z: F8, model: Model, dt: float, rng: np.random.Generator
-    ) -> UpdateTerms[UpdatedParticles]:
+    def terms(self, state: Intensity, z: F8, model: Model, dt: float, rng: np.random.Generator) -> UpdateTerms:
         """The terms of the update: newborn particles are drawn, and all likelihoods computed.
 
         Parameters

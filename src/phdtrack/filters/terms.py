@@ -4,27 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Any
 
 import numpy as np
 
 from phdtrack.types import F8, UpdateInfo
 
-
-class Weighed(Protocol):
-    """An intensity after the update."""
-
-    @property
-    def mass(self) -> float:
-        """The expected number of targets."""
-
-
-S = TypeVar("S", bound=Weighed)
 TINY = float(np.finfo(np.float64).tiny)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class UpdateTerms(Generic[S]):
+class UpdateTerms:
     """D = a (1 − p_D) D⁺ + Σ_z b_z p_D g(z|·) D⁺: for the PHD filter a = 1, b_z = 1/(κ(z) + C(z)); else see `cardinality`.
 
     Attributes
@@ -40,14 +30,14 @@ class UpdateTerms(Generic[S]):
     missed: float
     evidence: F8
     clutter: F8
-    weighed: Callable[[float, F8], S]
+    weighed: Callable[[float, F8], Any]
     least: float = TINY
 
     def info(self, mass: float, vanished: int = 0) -> UpdateInfo:
         """What the update learned, ``mass`` being that after it."""
         return UpdateInfo(self.mass, self.born, mass, self.evidence, self.clutter, vanished)
 
-    def phd(self) -> tuple[S, UpdateInfo]:
+    def phd(self) -> tuple[Any, UpdateInfo]:
         """The intensity after the update of a PHD filter, and what it learned."""
         factor, vanished = self.factors()
         after = self.weighed(1.0, factor)

@@ -116,15 +116,9 @@ def births_around(seen: tuple[F8, F8], density: F8, given: GaussianMixture | Non
     (mean, covariance), d = seen, len(seen[0])
     around = NewTargets(density, np.ascontiguousarray(mean.T), covariance)
     if given is None:
-        return Births(around, *_none_given(d))
+        return Births(around, np.zeros(0), np.zeros((0, d)), np.zeros((0, d, d)))
     given_mean, given_covariance = np.ascontiguousarray(given.mean.T), np.ascontiguousarray(given.covariance)
     return Births(around, given.weight * seconds, given_mean, given_covariance)
-
-
-@lru_cache(maxsize=8)
-def _none_given(d: int) -> tuple[F8, F8, F8]:
-    """Weights, means and covariances of no Gaussians."""
-    return np.zeros(0), np.zeros((0, d)), np.zeros((0, d, d))
 
 
 @lru_cache(maxsize=8)
