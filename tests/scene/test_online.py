@@ -47,7 +47,7 @@ def test_evidence_fades():
 
 def follow(samples, rounds=12):
     """A density that learns samples in as many batches."""
-    part = OnlineMixture.unknown(LOW, HIGH)
+    part = OnlineMixture.unknown((LOW, HIGH), 60.0)
     density, parts = part.density, np.array_split(samples, rounds, axis=1)
     for k in range(rounds):
         age = np.repeat(np.arange(k, -1, -1), [each.shape[1] for each in parts[: k + 1]])
@@ -78,38 +78,37 @@ def batch(samples, seconds=1.0):
 
 
 def test_the_rate_follows_within_the_memory():
-    rng, part = np.random.default_rng(4), OnlineMixture.unknown(LOW, HIGH)
-    memory = 60.0
+    rng, part = np.random.default_rng(4), OnlineMixture.unknown((LOW, HIGH), 60.0)
     for _ in range(120):
-        part = part.updated(batch(boxes(PLACES[0], 50, rng)), memory)
+        part = part.updated(batch(boxes(PLACES[0], 50, rng)))
     assert part.rate == pytest.approx(2.0, rel=1e-6)
     for _ in range(60):
-        part = part.updated(batch(boxes(PLACES[0], 25, rng)), memory)
+        part = part.updated(batch(boxes(PLACES[0], 25, rng)))
     assert part.rate == pytest.approx(1 + np.exp(-1) * (1 - np.exp(-2)) / (1 - np.exp(-3)), abs=0.02)
-    assert len(part.weight) <= 2 * memory * KEPT_PER_BATCH + KEPT_PER_BATCH
+    assert len(part.weight) <= 2 * part.memory * KEPT_PER_BATCH + KEPT_PER_BATCH
 
 
 def test_what_is_learned_is_used_after_it_has_explained_what_it_had_not_learned():
-    rng, part, memory = np.random.default_rng(5), OnlineMixture.unknown(LOW, HIGH), 60.0
+    rng, part = np.random.default_rng(5), OnlineMixture.unknown((LOW, HIGH), 60.0)
     used = []
     for _ in range(12):
         new = batch(boxes(PLACES[0], 20, rng))
-        part = part.scored(new, memory).updated(new, memory)
+        part = part.scored(new).updated(new)
         used.append(part.trusted)
     assert not used[0]
     assert used[-1]
     # Now false alarms come from elsewhere.
     uniform = batch(rng.uniform(0, 1, (4, 40)) * HIGH[:, None])
-    assert not part.scored(uniform, memory).scored(uniform, memory).trusted
+    assert not part.scored(uniform).scored(uniform).trusted
 
 
 def test_what_was_learned_before_counts_as_if_it_had_just_been_seen():
     covariance = np.diag((0.1 * np.tile(PLACES[0, 2:], 2)) ** 2)
     density = SceneDensity(LOW, HIGH, 0.1, np.ones(1), PLACES[0][:, None], covariance[None])
-    part = OnlineMixture.unknown(LOW, HIGH).known(LearnedDensity(2.0, density, 500), 60.0, 25.0)
+    part = OnlineMixture.unknown((LOW, HIGH), 60.0).known(LearnedDensity(2.0, density, 500), 25.0)
     assert part.trusted
     assert part.rate == 2.0
-    after = part.updated(batch(boxes(PLACES[0], 50, np.random.default_rng(6))), 60.0)
+    after = part.updated(batch(boxes(PLACES[0], 50, np.random.default_rng(6))))
     unseen = boxes(PLACES[0], 500, np.random.default_rng(7))
     assert after.density.log(unseen).mean() == pytest.approx(density.log(unseen).mean(), abs=0.15)
     assert after.rate == pytest.approx(2.0, abs=1e-9)
@@ -217,14 +216,14 @@ def states(box):
 def lived(entered, rounds, rng):
     """A regime after so many batches of 40 boxes of people and 4 births where ``entered`` says."""
     unknown = (
-        OnlineMixture.unknown(*state_volume((640, 360), 20)),
-        OnlineMixture.unknown(LOW, HIGH),
-        OnlineMixture.unknown(LOW, HIGH),
+        OnlineMixture.unknown(state_volume((640, 360), 20), 60.0),
+        OnlineMixture.unknown((LOW, HIGH), 60.0),
+        OnlineMixture.unknown((LOW, HIGH), 60.0),
     )
     now, nothing = Regime("day", *unknown), Batch(np.zeros((4, 0)), np.zeros(0), 25, 25.0)
     for _ in range(rounds):
         new = batch(states(entered(4, rng))), nothing, batch(walkers(40, rng))
-        now = now.scored(new, 60.0).updated(new, 60.0)
+        now = now.updated(new)
     return now
 
 
@@ -242,16 +241,16 @@ def test_births_are_used_where_people_come_in_otherwise_than_they_are():
     assert anywhere.births.evidence.mean < 0.2
     # The door is closed, and a dozen people come in anywhere.
     nothing = Batch(np.zeros((4, 0)), np.zeros(0), 25, 25.0)
-    assert not at_door.scored((batch(states(walkers(12, rng))), nothing, nothing), 60.0).births_used
+    assert not at_door.updated((batch(states(walkers(12, rng))), nothing, nothing)).births_used
 
 
 def after(rng, n):
     """What is used of false alarms after two lessons of ``n`` boxes of a place."""
-    part = OnlineMixture.unknown(LOW, HIGH)
+    part = OnlineMixture.unknown((LOW, HIGH), 60.0)
     for _ in range(2):
-        part = part.updated(batch(boxes(PLACES[0], n, rng)), 60.0)
-    births = OnlineMixture.unknown(*state_volume((640, 360), 20))
-    return Regime("day", births, part, OnlineMixture.unknown(LOW, HIGH)).known[1]
+        part = part.updated(batch(boxes(PLACES[0], n, rng)))
+    births = OnlineMixture.unknown(state_volume((640, 360), 20), 60.0)
+    return Regime("day", births, part, OnlineMixture.unknown((LOW, HIGH), 60.0)).known[1]
 
 
 def test_what_is_used_is_no_surer_than_its_samples():

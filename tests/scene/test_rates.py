@@ -136,14 +136,19 @@ def test_scores_without_bounds_and_without_value():
 
 
 def series(rng, tracks, frames, correlation):
-    """Autoregressive scores of so many tracks, rows in random order: identities, frames, scores."""
+    """Rows of so many tracks in random order, and their scores, which are autoregressive."""
     value = np.empty((tracks, frames))
     value[:, 0] = rng.normal(size=tracks)
     for k in range(1, frames):
         value[:, k] = correlation * value[:, k - 1] + (1 - correlation**2) ** 0.5 * rng.normal(size=tracks)
     identity, frame = np.repeat(np.arange(1, tracks + 1), frames), np.tile(np.arange(1, frames + 1), tracks)
     order = rng.permutation(len(frame))
-    return identity[order], frame[order], value.ravel()[order]
+    return rows_of(identity[order], frame[order]), value.ravel()[order]
+
+
+def rows_of(identity, frame):
+    n = len(frame)
+    return Tracks(frame, identity, np.zeros((n, 4)), np.ones(n), np.zeros(n, np.int64), np.ones(n, bool))
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.5, 0.9])
@@ -156,10 +161,10 @@ def test_scores_that_are_alike_from_frame_to_frame_count_less(correlation):
 
 
 def test_pairs_are_the_same_whether_frames_come_at_once_or_one_by_one():
-    identity, frame, score = series(np.random.default_rng(1), 6, 15, 0.5)
-    at_once, one_by_one = SuccessiveScores().joined(identity, frame, score), SuccessiveScores()
+    rows, score = series(np.random.default_rng(1), 6, 15, 0.5)
+    at_once, one_by_one = SuccessiveScores().joined(rows, score), SuccessiveScores()
     for k in range(1, 16):
-        one_by_one = one_by_one.joined(identity[frame == k], frame[frame == k], score[frame == k])
+        one_by_one = one_by_one.joined(rows.take(rows.frame == k), score[rows.frame == k])
     assert sorted(zip(at_once.first, at_once.second, strict=True)) == sorted(
         zip(one_by_one.first, one_by_one.second, strict=True)
     )
@@ -168,7 +173,8 @@ def test_pairs_are_the_same_whether_frames_come_at_once_or_one_by_one():
 
 def test_without_pairs_or_with_constant_ones_a_frame_says_nothing_new():
     assert SuccessiveScores().share == 0
-    ones = SuccessiveScores().joined(np.ones(9, np.int64), np.arange(9), np.full(9, 0.5))
+    rows = rows_of(np.ones(9, np.int64), np.arange(9))
+    ones = SuccessiveScores().joined(rows, np.full(9, 0.5))
     assert ones.share == 0
-    unknown = SuccessiveScores().joined(np.ones(9, np.int64), np.arange(9), np.full(9, np.nan))
+    unknown = SuccessiveScores().joined(rows, np.full(9, np.nan))
     assert len(unknown.first) == 0

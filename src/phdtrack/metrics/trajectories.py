@@ -2,14 +2,14 @@
 
 T-GOSPA (García-Fernández, Rahmathullah, Svensson 2020; LP relaxation) [G20]:
 
-    d^p = min_W Σ_k [ Σ_mapped min(d, c)^p + c^p/2 (missed + false) ] + γ^p/2 Σ_k Σ_ij |W_k+1(i, j) − W_k(i, j)|
+    min_W Σ_k [ Σ_mapped (1 − IoU) + 1/2 (missed + false) ] + γ/2 Σ_k Σ_ij |W_k+1(i, j) − W_k(i, j)|
 
-over weights W_k(i, j) ∈ [0, 1] with row and column sums ≤ 1: GOSPA with α = 2 in every frame, and γ^p/2 for each mapping of
-trajectories that begins or ends between two frames. Two trajectories may stay mapped while one is absent, at c^p/2 like a
-miss. With γ = 0 it is the sum of GOSPA^p over the frames. At the optimum the weights are mostly 0 or 1. It takes seconds
-(800 frames, 19 people, 190 tracks: 8 s), so `evaluate` does not include it.
+over weights W_k(i, j) ∈ [0, 1] with row and column sums ≤ 1: GOSPA with c = p = 1, α = 2 in every frame, and γ/2 for each
+mapping of trajectories that begins or ends between two frames. Two trajectories may stay mapped while one is absent, at 1/2
+like a miss. With γ = 0 it is the sum of GOSPA over the frames. At the optimum the weights are mostly 0 or 1. It takes
+seconds (800 frames, 19 people, 190 tracks: 8 s), so `evaluate` does not include it.
 
-Notation: K frames, n true and m output trajectories, Q pairs of them that come nearer than c at some time.
+Notation: K frames, n true and m output trajectories, Q pairs of them whose boxes overlap at some time.
 
 RMSE per target after association with the truth [D14 Tables I–III]: in each frame true and estimated points are mapped one
 to one for the least Σ min(d, gate), d the Euclidean distance; pairs at a distance ≥ gate are apart. Over the frames in which
@@ -22,7 +22,6 @@ It says how well targets are located that are located at all.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,7 +35,7 @@ from phdtrack.types import F8, I8, Bool, Tracks, Truth
 
 @dataclass(frozen=True, slots=True)
 class TGospaParts:
-    """``distance``^p = ``localisation`` + ``missed`` + ``false`` + ``switching``."""
+    """``distance`` = ``localisation`` + ``missed`` + ``false`` + ``switching``."""
 
     distance: float
     localisation: float
@@ -62,6 +61,8 @@ def tgospa_boxes(truth: Truth, tracks: Tracks, *, frames: int = 0, gamma: float 
     ------
     InputError : for rows that `evaluate` would refuse, or gamma < 0.
     """
+    if not gamma >= 0:
+        raise InputError(f"expected a switching penalty ≥ 0, got {gamma}", where="gamma")
     scene = build(truth, tracks, frames)
     shape = len(scene.pairs), len(scene.truth_identity), len(scene.output_identity)
     there, given = np.zeros(shape[:2], np.bool_), np.zeros((shape[0], shape[2]), np.bool_)
@@ -69,48 +70,22 @@ def tgospa_boxes(truth: Truth, tracks: Tracks, *, frames: int = 0, gamma: float 
     for k, pair in enumerate(scene.pairs):
         there[k, pair.truth], given[k, pair.output] = True, True
         distance[k][np.ix_(pair.truth, pair.output)] = 1 - pair.iou
-    return tgospa_of(distance, there, given, 1.0, 1.0, gamma)
+    return _tgospa(distance, there, given, gamma)
 
 
-def tgospa_of(
-    distance: NDArray[np.floating], there: Bool, given: Bool, c: float, p: float = 1.0, gamma: float = 1.0
-) -> TGospaParts:
-    """T-GOSPA between trajectories.
-
-    Parameters
-    ----------
-    distance : (K, n, m) distance of each true from each output trajectory in each frame; read only where both are present.
-    there, given : (K, n), (K, m) whether the true, the output trajectory is present.
-    c, gamma : cut-off distance and switching penalty ≥ 0, in the unit of ``distance``.
-    p : order in [1, ∞).
-
-    Returns
-    -------
-    The distance and its parts, summed over the frames.
-
-    Raises
-    ------
-    InputError : for shapes that do not fit, or settings out of range.
-    """
-    if not (0 < c < math.inf):
-        raise InputError(f"expected a cut-off distance c > 0, got {c}", where="c")
-    if not (1 <= p < math.inf):
-        raise InputError(f"expected an order 1 ≤ p < ∞, got {p}", where="p")
-    if not gamma >= 0:
-        raise InputError(f"expected a switching penalty ≥ 0, got {gamma}", where="gamma")
-    if distance.shape != (len(there), there.shape[-1], given.shape[-1]) or len(there) != len(given):
-        raise InputError(f"expected shapes (K, n, m), (K, n), (K, m), got {distance.shape}, {there.shape}, {given.shape}")
-    close = there[:, :, None] & given[:, None, :] & (distance < c)
+def _tgospa(distance: NDArray[np.floating], there: Bool, given: Bool, gamma: float) -> TGospaParts:
+    """T-GOSPA from (K, n, m) distances, and where the true (K, n) and the output trajectories (K, m) are present."""
+    close = there[:, :, None] & given[:, None, :] & (distance < 1)
     rows, columns = np.nonzero(close.any(axis=0))
     near = close[:, rows, columns]
-    cost = np.where(near, distance[:, rows, columns].astype(np.float64), c) ** p
-    weight = _weights(cost - c**p, rows, columns, gamma**p / 2) if len(rows) else np.zeros_like(cost)
+    cost = np.where(near, distance[:, rows, columns].astype(np.float64), 1.0)
+    weight = _weights(cost - 1, rows, columns, gamma / 2) if len(rows) else np.zeros_like(cost)
     localisation, mapped = float((weight * cost)[near].sum()), float(weight[near].sum())
-    missed = c**p / 2 * (float(there.sum()) - mapped)
-    false = c**p / 2 * (float(given.sum()) - mapped)
-    switching = gamma**p / 2 * float(np.abs(np.diff(weight, axis=0)).sum())
+    missed = 0.5 * (float(there.sum()) - mapped)
+    false = 0.5 * (float(given.sum()) - mapped)
+    switching = gamma / 2 * float(np.abs(np.diff(weight, axis=0)).sum())
     whole = localisation + missed + false + switching
-    return TGospaParts(max(whole, 0.0) ** (1 / p), localisation, missed, false, switching)
+    return TGospaParts(max(whole, 0.0), localisation, missed, false, switching)
 
 
 def _weights(gain: F8, rows: I8, columns: I8, price: float) -> F8:

@@ -2,14 +2,13 @@
 
 from phdtrack.report.drawing import Annotator
 from phdtrack.report.pages import report_html, run_document, sentences, write_run
-from phdtrack.report.record import About, Recorder, RunRecord, density_map
+from phdtrack.report.record import About, Recorder, RunRecord
 
 __all__ = [
     "About",
     "Annotator",
     "Recorder",
     "RunRecord",
-    "density_map",
     "report_html",
     "run_document",
     "sentences",

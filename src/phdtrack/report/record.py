@@ -214,7 +214,7 @@ class Recorder:
         small, heat = NO_IMAGE if image is None else shrunk(image, _PICTURE_WIDTH).copy(), None
         if particles is not None:
             cell = max(1.0, round(max(size.width, size.height) / _CELLS_ACROSS))
-            density = density_map(particles, size, cell)
+            density = _density_map(particles, size, cell)
             heat = HeatMap(step.number, small, density, cell, step.detections.xyxy, step.estimates.xyxy)
         self._kept.append((index, small, heat))
         if len(self._kept) > 3 * _HEAT_MAPS:
@@ -247,20 +247,10 @@ class Recorder:
         )
 
 
-def density_map(particles: Particles, info: SequenceInfo, cell: float) -> F8:
-    """The expected number of objects in each cell of the frame [M07 Fig. 1], smoothed against the grain of few particles.
+def _density_map(particles: Particles, info: SequenceInfo, cell: float) -> F8:
+    """(gh, gw) expected number of objects in each cell of the frame [M07 Fig. 1], smoothed as particles are few.
 
-    Its sum is the mass of the particles inside the frame.
-
-    Parameters
-    ----------
-    particles : (d, N) states with x and y, pixels, in rows 0 and 1, and their weights.
-    info : the size of the frame.
-    cell : side of a cell, pixels.
-
-    Returns
-    -------
-    (gh, gw) numbers; row 0 is the top of the frame, the last row and column may reach beyond its edge.
+    Its sum is the mass of the particles inside the frame; the last row and column may reach beyond its edge.
     """
     shape = math.ceil(info.height / cell), math.ceil(info.width / cell)
     x, y = particles.state[:2]

@@ -65,10 +65,10 @@ class Regime:
         """Whether anything is in use."""
         return self.births_used or self.clutter.trusted
 
-    def scored(self, new: Batches, memory: float) -> Regime:
-        """With births and false alarms in use or not by the evidence of new samples; ``memory`` in seconds."""
+    def updated(self, new: Batches) -> Regime:
+        """After learning from new samples, with births and false alarms in use or not by how well they explained them."""
         births, _, objects = self.known
-        scored = self.births.decided()
+        scored = self.births
         if births is not None and objects is not None:
             there, anywhere = marginal(births.density, OBSERVED), objects.density
 
@@ -77,13 +77,9 @@ class Regime:
                 z = x[list(OBSERVED)]
                 return np.asarray(np.log(there(z, there.flat)) - np.log(anywhere(z, anywhere.flat)))
 
-            scored = self.births.scored(new[0], memory, gain)
-        return replace(self, births=scored, clutter=self.clutter.scored(new[1], memory))
-
-    def updated(self, new: Batches, memory: float) -> Regime:
-        """After learning from new births, false alarms and objects; ``memory`` in seconds."""
-        parts = zip((self.births, self.clutter, self.objects), new, strict=True)
-        return Regime(self.name, *(part.updated(batch, memory) for part, batch in parts))
+            scored = self.births.scored(new[0], gain)
+        parts = zip((scored, self.clutter.scored(new[1]), self.objects), new, strict=True)
+        return Regime(self.name, *(part.updated(batch) for part, batch in parts))
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,9 +169,7 @@ class OnlineLearning:
         state = replace(state, pending=pending, learned=step.time)
         if not labels.frames:
             return state
-        new = _batches(labels, self.rate)
-        scored = before.scored(new, self.memory)
-        regime = scored.updated(new, self.memory)
+        regime = before.updated(_batches(labels, self.rate))
         last = SceneUpdate(
             step.number,
             step.time,
@@ -186,7 +180,7 @@ class OnlineLearning:
             regime.clutter.evidence.mean,
             regime.births_used,
             regime.clutter.trusted,
-            _changes(before, scored),
+            _changes(before, regime),
         )
         regimes = (*state.regimes[: state.active], regime, *state.regimes[state.active + 1 :])
         return replace(state, regimes=regimes, last=last)
@@ -202,8 +196,9 @@ class OnlineLearning:
     def _unknown(self, name: str) -> Regime:
         """A regime that knows nothing. Births may be as fast as the image is wide in a second."""
         speed = max(self.width, self.height) / self.rate
-        boxes = OnlineMixture.unknown(*measurement_volume(self.width, self.height))
-        return Regime(name, OnlineMixture.unknown(*state_volume((self.width, self.height), speed)), boxes, boxes)
+        boxes = OnlineMixture.unknown(measurement_volume(self.width, self.height), self.memory)
+        births = OnlineMixture.unknown(state_volume((self.width, self.height), speed), self.memory)
+        return Regime(name, births, boxes, boxes)
 
     def _of_scene(self, scene: Scene) -> Regime:
         """What was learned before; any size may come."""
@@ -211,9 +206,9 @@ class OnlineLearning:
         objects = scene.followed.objects if scene.followed is not None else None
         return Regime(
             new.name,
-            new.births.known(scene.births, self.memory, self.rate),
-            new.clutter.known(scene.clutter, self.memory, FRAMES_PER_SECOND),
-            new.objects.known(objects, self.memory, FRAMES_PER_SECOND),
+            new.births.known(scene.births, self.rate),
+            new.clutter.known(scene.clutter, FRAMES_PER_SECOND),
+            new.objects.known(objects, FRAMES_PER_SECOND),
         )
 
 

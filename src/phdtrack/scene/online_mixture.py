@@ -37,34 +37,34 @@ NEAR_BOX, NEAR_ENTRANCE = 0.15, 1.0
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """Gains of recent samples: their number (older ones count for less), mean and mean square."""
+    """Gains of recent samples: their number (older ones count for less), sum and sum of squares."""
 
     count: float = 0.0
-    mean: float = 0.0
-    square: float = 0.0
+    total: float = 0.0
+    squares: float = 0.0
 
     @classmethod
     def of(cls, gain: F8, weight: F8) -> Evidence:
         """The gains (k,) of samples of weight (k,)."""
-        count = float(weight.sum())
-        if not count > 0:
-            return cls()
-        return cls(count, float((weight * gain).sum()) / count, float((weight * np.square(gain)).sum()) / count)
+        return cls(float(weight.sum()), float(weight @ gain), float(weight @ np.square(gain)))
 
     def joined(self, new: Evidence, fading: float) -> Evidence:
         """With newer gains; older ones fade over ``fading`` samples."""
-        if not new.count:
-            return self
-        old = self.count * math.exp(-new.count / fading)
-        count = old + new.count
-        mean = (old * self.mean + new.count * new.mean) / count
-        return Evidence(count, mean, (old * self.square + new.count * new.square) / count)
+        fade = math.exp(-new.count / fading)
+        return Evidence(fade * self.count + new.count, fade * self.total + new.total, fade * self.squares + new.squares)
+
+    @property
+    def mean(self) -> float:
+        """The mean gain; 0 without samples."""
+        return self.total / self.count if self.count else 0.0
 
     @property
     def sign(self) -> int:
         """1 where the density explains new samples better than the other one, −1 where worse, 0 while that is not sure."""
-        error = math.sqrt(max(self.square - self.mean**2, 0.0) / max(self.count, 1.0))
-        if self.count < MIN_EVIDENCE or abs(self.mean) <= STANDARD_ERRORS * error:
+        if self.count < MIN_EVIDENCE:
+            return 0
+        error = math.sqrt(max(self.squares / self.count - self.mean**2, 0.0) / self.count)
+        if abs(self.mean) <= STANDARD_ERRORS * error:
             return 0
         return 1 if self.mean > 0 else -1
 
@@ -93,6 +93,7 @@ class OnlineMixture:
     Attributes
     ----------
     density : what was learned, the uniform one at first.
+    memory : seconds after which a sample counts for 37 %.
     samples, weight, time : (d, n), (n,), (n,) recent samples, their weights when they came, and that time, seconds.
     amount, exposure : sum of weights and time in which they came, both fading: their ratio is the rate.
     clock : seconds for which it was learned.
@@ -101,6 +102,7 @@ class OnlineMixture:
     """
 
     density: SceneDensity
+    memory: float
     samples: F8
     weight: F8
     time: F8
@@ -112,79 +114,57 @@ class OnlineMixture:
     trusted: bool = False
 
     @classmethod
-    def unknown(cls, low: F8, high: F8) -> OnlineMixture:
-        """Nothing learned of a volume."""
-        return cls(uniform_density(low, high), np.zeros((len(low), 0)), np.zeros(0), np.zeros(0))
+    def unknown(cls, volume: tuple[F8, F8], memory: float) -> OnlineMixture:
+        """Nothing learned of a volume with these bounds."""
+        return cls(uniform_density(*volume), memory, np.zeros((len(volume[0]), 0)), np.zeros(0), np.zeros(0))
 
-    def known(self, learned: LearnedDensity | None, memory: float, rate: float) -> OnlineMixture:
+    def known(self, learned: LearnedDensity | None, rate: float) -> OnlineMixture:
         """What was learned before, as if it had come within the memory before now, in the volume of this one.
 
-        Draws of its Gaussians stand for the samples; the uniform part is mostly the prior.
-
-        Parameters
-        ----------
-        learned : what is known; None for nothing.
-        memory : seconds.
-        rate : as of `Batch`.
-
-        Returns
-        -------
-        The mixture; this one where nothing was learned.
+        Draws of its Gaussians stand for the samples; the uniform part is mostly the prior. ``rate`` as of `Batch`.
         """
         if learned is None:
             return self
         count = max(1, min(MAX_PRIOR_SAMPLES, learned.samples))
         seen = replace(learned.density, uniform=MIN_UNIFORM) if len(learned.density) else learned.density
-        amount, drawn = learned.rate * memory * rate, seen.sample(count, np.random.default_rng(0))
-        density = replace(learned.density, low=self.density.low, high=self.density.high)
+        exposure, drawn = self.memory * rate, seen.sample(count, np.random.default_rng(0))
+        amount, density = learned.rate * exposure, replace(learned.density, low=self.density.low, high=self.density.high)
         weight = np.full(count, amount / count)
-        return OnlineMixture(density, drawn, weight, np.zeros(count), amount, memory * rate, trusted=True)
+        return OnlineMixture(density, self.memory, drawn, weight, np.zeros(count), amount, exposure, trusted=True)
 
     @property
     def rate(self) -> float:
         """s̄ or r̄, 0 before anything was seen."""
         return self.amount / self.exposure if self.exposure > 0 else 0.0
 
-    def scored(self, batch: Batch, memory: float, gain: Callable[[F8], F8] | None = None) -> OnlineMixture:
+    def scored(self, batch: Batch, gain: Callable[[F8], F8] | None = None) -> OnlineMixture:
         """In use or not after the evidence of a batch that it has not learned yet.
 
         It comes into use where the evidence is for it, and out of use where that, or that of the batch alone, is against it.
-
-        Parameters
-        ----------
-        batch : the new samples.
-        memory : seconds.
-        gain : gives the gains of samples (d, k); None for those over the uniform density.
-
-        Returns
-        -------
-        The mixture with its evidence.
+        ``gain`` gives the gains of samples (d, k); None for those over the uniform density.
         """
         inside = self.density.contains(batch.samples)
         samples, weight = batch.samples[:, inside], batch.weight[inside]
         gains = self.density.log(samples) + math.log(self.density.volume) if gain is None else gain(samples)
-        fading = max(MIN_FADING, FADING_SHARE * memory * batch.rate * self.rate)
+        fading = max(MIN_FADING, FADING_SHARE * self.memory * batch.rate * self.rate)
         newest = Evidence.of(gains, weight)
-        return replace(self, evidence=self.evidence.joined(newest, fading), newest=newest).decided()
+        evidence = self.evidence.joined(newest, fading)
+        trusted = evidence.sign >= 0 and newest.sign >= 0 and (self.trusted or evidence.sign > 0)
+        return replace(self, evidence=evidence, newest=newest, trusted=trusted)
 
-    def decided(self) -> OnlineMixture:
-        """In use or not by the evidence that there is."""
-        against = self.evidence.sign < 0 or self.newest.sign < 0
-        return replace(self, trusted=not against and (self.trusted or self.evidence.sign > 0))
-
-    def updated(self, batch: Batch, memory: float) -> OnlineMixture:
-        """After learning from a batch, with forgetting; ``memory`` in seconds."""
-        now, fade = self.clock + batch.seconds, math.exp(-batch.seconds / memory)
+    def updated(self, batch: Batch) -> OnlineMixture:
+        """After learning from a batch, with forgetting."""
+        now, fade = self.clock + batch.seconds, math.exp(-batch.seconds / self.memory)
         amount, exposure = fade * self.amount + float(batch.weight.sum()), fade * self.exposure + batch.exposure
         known = replace(self, amount=amount, exposure=exposure, clock=now)
         inside = self.density.contains(batch.samples) & (batch.weight > 0)
         samples, weight = _thinned(batch.samples[:, inside], batch.weight[inside], KEPT_PER_BATCH)
         if not len(weight):
             return known
-        kept = self.time > now - MAX_AGE * memory
+        kept = self.time > now - MAX_AGE * self.memory
         samples, weight = np.hstack([self.samples[:, kept], samples]), np.concatenate([self.weight[kept], weight])
         time = np.append(self.time[kept], np.full(len(weight) - int(kept.sum()), now))
-        density = _relearned(self.density, samples, _faded(weight, now - time, memory))
+        density = _relearned(self.density, samples, _faded(weight, now - time, self.memory))
         return replace(known, density=density, samples=samples, weight=weight, time=time)
 
     def learned(self, sizes: F8) -> LearnedDensity | None:

@@ -202,24 +202,15 @@ class SuccessiveScores:
     identity: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
     last: F8 = field(default_factory=lambda: np.zeros(0))
 
-    def joined(self, identity: I8, frame: I8, score: F8) -> SuccessiveScores:
-        """With more detections of tracks. Only the newest pairs are kept.
-
-        Parameters
-        ----------
-        identity, frame, score : arrays (n,), of the detections.
-
-        Returns
-        -------
-        The pairs.
-        """
-        order = np.lexsort((frame, identity))
-        track, value = np.append(self.identity, identity[order]), np.append(self.last, score[order])
+    def joined(self, rows: Tracks, score: F8) -> SuccessiveScores:
+        """With more rows of tracks and the scores (n,) of their detections. Only the newest pairs are kept."""
+        order = np.lexsort((rows.frame, rows.identity))
+        track, value = np.append(self.identity, rows.identity[order]), np.append(self.last, score[order])
         order = np.argsort(track, kind="stable")
         track, value = track[order], value[order]
         ends = np.diff(track, append=-1) != 0
         known = ~ends[:-1] & ~np.isnan(value[1:]) & ~np.isnan(value[:-1])
-        kept = ends & np.isin(track, identity) if len(identity) else ends
+        kept = ends & np.isin(track, rows.identity) if len(rows) else ends
         first = np.append(self.first, value[:-1][known])[-MAX_SCORES:]
         second = np.append(self.second, value[1:][known])[-MAX_SCORES:]
         return SuccessiveScores(first, second, track[kept], value[kept])
@@ -308,7 +299,7 @@ def _with_successive(state: LearnedRates) -> SuccessiveScores:
     rows = rows.take((rows.detection >= 0) & rows.confirmed & np.isin(rows.frame, number))
     start = np.cumsum([0, *(len(frame.score) for frame in frames)])
     score = np.concatenate([frame.score for frame in frames])[start[np.searchsorted(number, rows.frame)] + rows.detection]
-    return state.successive.joined(rows.identity, rows.frame, score)
+    return state.successive.joined(rows, score)
 
 
 def _waiting(pending: PendingFrames) -> RateSums:
