@@ -150,7 +150,7 @@ def test_both_ways_through_a_file_agree(rows: list[tuple[float, float, float]], 
     got = []
     for cells in (plain, quoted):
         text = scan(Path("t"), "\n".join(delimiter.join(row) for row in cells).encode())
-        got.append(numbers(text, [2, 0], ["a", "b"]))
+        got.append(numbers(text, {2: "a", 0: "b"}))
     np.testing.assert_array_equal(got[0], np.array(rows)[:, [2, 0]])
     np.testing.assert_array_equal(got[1], got[0])
 

@@ -20,7 +20,7 @@ from phdtrack.formats import (
     write_tracks,
     write_truth,
 )
-from phdtrack.types import F8, Detections, DetectionTable, Estimates, Tracks, Truth
+from phdtrack.types import F8, Detections, DetectionTable, Estimates, Step, Tracks, Truth, UpdateInfo
 
 
 def boxes(draw: st.DrawFn, n: int) -> F8:
@@ -63,7 +63,8 @@ def test_tracks_and_truth_come_back(tmp_path_factory: pytest.TempPathFactory, or
     path, n = tmp_path_factory.getbasetemp() / "tracks.csv", len(original)
     place = np.arange(2.0 * n).reshape(2, n) - 3
     place[1, ::3] = np.nan
-    write_tracks(path, original, place if placed else None)
+    with TracksWriter(path) as file:
+        file.append(original, place if placed else None)
     again = read_tracks(path)
     for name in ("frame", "identity", "detection", "confirmed"):
         np.testing.assert_array_equal(getattr(again, name), getattr(original, name))
@@ -118,6 +119,7 @@ def test_a_covariance_must_be_one(tmp_path: Path) -> None:
 
 def test_every_frame_is_on_disk_before_the_writer_is_closed(tmp_path: Path) -> None:
     found = Detections.of([[0, 0, 1, 1], [2, 2, 4, 4]], [0.5, -7])
+    info = UpdateInfo(0.0, 0.0, 0.0, np.zeros(0), np.zeros(0))
     state = Estimates(np.arange(12.0).reshape(6, 2), np.zeros((2, 6, 6)), np.array([1, 0.5]), found.xyxy, np.array([0, -1]))
     with (
         DetectionsWriter(tmp_path / "d.csv") as detections,
@@ -127,7 +129,7 @@ def test_every_frame_is_on_disk_before_the_writer_is_closed(tmp_path: Path) -> N
         for frame in (1, 2, 3):
             detections.append(frame, found if frame != 2 else Detections.empty())
             written.append(one_row() if frame == 1 else Tracks.empty())
-            states.append(frame, frame / 25, state if frame != 2 else Estimates.empty(6))
+            states.append(Step(frame, frame / 25, found, info, state if frame != 2 else Estimates.empty(6), Tracks.empty()))
         assert read_detections(tmp_path / "d.csv").frame.tolist() == [1, 1, 3, 3]
         assert read_detections(tmp_path / "s.csv").frame.tolist() == [1, 1, 3, 3]
         assert (tmp_path / "new" / "t.csv").read_bytes() == b"3,8,1.5,2,9.75,40,1.25,-1,-1,-1,-1,0\n"

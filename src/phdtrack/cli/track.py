@@ -38,7 +38,7 @@ from phdtrack.config import Settings, load
 from phdtrack.errors import InputError, interrupted
 from phdtrack.filters import NoFilter
 from phdtrack.filters.cardinality import Cardinalised
-from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter, read_truth, write_tracks
+from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter, read_truth
 from phdtrack.kernels import CACHE
 from phdtrack.models import PlaneSensor
 from phdtrack.protocols import AnyStages, Sensor
@@ -240,7 +240,8 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
             directory.clear()
             raise done.stop
         tracks = pipeline.finish(job.stages, done.tracker.state)
-        write_tracks(directory.file(rundir.TRACKS), tracks, places(job.stages.model.sensor, tracks.xyxy))
+        with TracksWriter(directory.file(rundir.TRACKS)) as file:
+            file.append(tracks, places(job.stages.model.sensor, tracks.xyxy))
         for observer in job.observers:
             observer.finish(directory, tracks)
         if job.truth is not None:
@@ -303,7 +304,7 @@ def _track(job: Job, source: Iterable[Frame], directory: RunDirectory) -> _Progr
                     assert step is not None
                     with _uninterrupted():  # no frame stands in one file and not in another
                         detections.append(frame.number, found)
-                        states.append(frame.number, frame.time, step.estimates)
+                        states.append(step)
                         online.append(rows, places(sensor, rows.xyxy))
                         for observer in job.observers:
                             observer.take(step, tracker.state)

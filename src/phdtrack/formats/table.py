@@ -124,7 +124,7 @@ def table_of_text(source: Source) -> Table:
         raise InputError(problem, where=text.origin.at(0), cure=cure)
     header = text.header or _by_position(source.kind, text.width or 6)
     layout = _layout(source, header, text.empty)
-    return _table(source, text.origin, layout, numbers(text, layout.at, [header[i] for i in layout.at]))
+    return _table(source, text.origin, layout, numbers(text, {i: header[i] for i in layout.at}))
 
 
 def table_of_parquet(source: Source) -> Table:

@@ -11,7 +11,7 @@ either the reason is found and reported with its line, or it was harmless (quote
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -75,18 +75,8 @@ def normalise(name: str) -> str:
     return name.strip(" '").lower().replace(" ", "_").replace("-", "_")
 
 
-def numbers(text: Text, columns: Sequence[int], labels: Sequence[str]) -> F8:
-    """(M, k) the values of the k ``columns`` (0-based), which messages call by ``labels``.
-
-    Parameters
-    ----------
-    text : the lines.
-    columns : the k columns, 0-based.
-    labels : what messages call them.
-
-    Returns
-    -------
-    The values.
+def numbers(text: Text, columns: Mapping[int, str]) -> F8:
+    """(M, k) the values of the k ``columns``, by place from 0, with the names that messages call them by.
 
     Raises
     ------
@@ -100,7 +90,7 @@ def numbers(text: Text, columns: Sequence[int], labels: Sequence[str]) -> F8:
             return table[:, list(columns)]
     except ValueError:
         pass  # the slow way finds the line
-    return np.array([_parse(text, row, columns, labels) for row in range(len(text))])
+    return np.array([_parse(text, row, columns) for row in range(len(text))])
 
 
 def read_columns(path: AnyPath, names: Sequence[str], widths: Sequence[int]) -> tuple[Origin, F8]:
@@ -129,10 +119,10 @@ def read_columns(path: AnyPath, names: Sequence[str], widths: Sequence[int]) -> 
         where = text.origin.at(0) if len(text) else str(path)
         raise InputError(f"expected {wanted} columns, {', '.join(names)}; came {came}", where=where)
     at = [text.header.index(name) for name in found] if text.header else range(width)
-    return text.origin, numbers(text, at, found)
+    return text.origin, numbers(text, dict(zip(at, found, strict=True)))
 
 
-def _parse(text: Text, row: int, columns: Sequence[int], labels: Sequence[str]) -> list[float]:
+def _parse(text: Text, row: int, columns: Mapping[int, str]) -> list[float]:
     """The values of one line."""
     cells = text.cells(row)
     if len(cells) != text.width:
@@ -141,7 +131,7 @@ def _parse(text: Text, row: int, columns: Sequence[int], labels: Sequence[str]) 
             where=text.origin.at(row),
             cure="A line cut short is what an interrupted program leaves: mend or remove it.",
         )
-    for column, label in zip(columns, labels, strict=True):
+    for column, label in columns.items():
         if not _is_number(cells[column]):
             came = f"'{cells[column][:40]}'" if cells[column] else "nothing"
             raise InputError(

@@ -23,7 +23,7 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.files import AnyPath
-from phdtrack.types import F8, I8, Bool, Detections, DetectionTable, Estimates, Tracks, Truth
+from phdtrack.types import F8, I8, Bool, Detections, DetectionTable, Step, Tracks, Truth
 
 # Seven digits: a thousandth of a pixel in the largest pictures, and boxes in other units do not collapse.
 _BOX = "%.7g,%.7g,%.7g,%.7g"
@@ -110,22 +110,16 @@ class StatesWriter(Lines):
 
     _header = ""
 
-    def append(self, frame: int, time: float, estimates: Estimates) -> None:
-        """Write the states of a frame.
-
-        Parameters
-        ----------
-        frame, time : number from 1; seconds.
-        estimates : its states.
-        """
-        dim, n = estimates.state.shape
+    def append(self, step: Step) -> None:
+        """Write the states of a frame."""
+        estimates, (dim, n) = step.estimates, step.estimates.state.shape
         if not self._header:
             self._header = ",".join(["frame,time,weight,detection,left,top,width,height", *(f"s{i}" for i in range(dim))])
             self.write(self._header)
         self.write(
             f"%d,%.6f,%.7g,%d,{_BOX}" + ",%.9g" * dim,
-            np.full(n, frame),
-            np.full(n, time),
+            np.full(n, step.number),
+            np.full(n, step.time),
             estimates.weight,
             estimates.detection,
             _ltwh(estimates.xyxy),
@@ -133,21 +127,10 @@ class StatesWriter(Lines):
         )
 
 
-def write_tracks(path: AnyPath, tracks: Tracks, place: F8 | None = None) -> None:
-    """Write the tracks of a sequence; an existing file is replaced.
-
-    Parameters
-    ----------
-    path : the file.
-    tracks : its rows.
-    place : (2, M) metres on the ground, NaN where not known.
-
-    Raises
-    ------
-    InputError : the file cannot be written.
-    """
+def write_tracks(path: AnyPath, tracks: Tracks) -> None:
+    """Write the tracks of a sequence; an existing file is replaced. `InputError` where it cannot be written."""
     with TracksWriter(path) as writer:
-        writer.append(tracks, place)
+        writer.append(tracks)
 
 
 def write_detections(path: AnyPath, table: DetectionTable) -> None:
