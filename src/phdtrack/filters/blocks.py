@@ -45,12 +45,8 @@ class UpdatedParticles:
     @property
     def masses(self) -> F8:
         """(B,) of all blocks."""
-        return np.concatenate(
-            [
-                blocks.unit * masses(sums, self.missed, self.detected)
-                for blocks, sums in zip(self.blocks, self.sums, strict=True)
-            ]
-        )
+        pairs = zip(self.blocks, self.sums, strict=True)
+        return np.concatenate([blocks.unit * masses(sums, self.missed, self.detected) for blocks, sums in pairs])
 
     @property
     def mass(self) -> float:

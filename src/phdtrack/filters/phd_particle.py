@@ -12,6 +12,7 @@ linearly with the number of targets; what the gate drops is bounded by the senso
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -145,7 +146,7 @@ class ParticlePHD(Checked, Filter[Intensity]):
         return blocks, part, sums
 
     def reduce(self, state: Intensity, rng: np.random.Generator) -> ParticleBlocks:
-        """Systematic resampling to ρ particles per expected target, which keeps the mass exactly [M07 §2].
+        """Systematic resampling to round(ρ·M̂) particles within the bounds, which keeps the mass exactly [M07 §2].
 
         An intensity that was not updated stays as it is.
         """
@@ -154,9 +155,10 @@ class ParticlePHD(Checked, Filter[Intensity]):
         first, (model, table, _) = state.blocks[0].state, state.numbers
         masses, offset = state.masses, rng.random()
         mass = float(masses.sum())
-        count = self.particles(mass)
+        count = round(self.particles_per_target * mass)
         if count == 0:
             return ParticleBlocks.empty(len(first), first.dtype)
+        count = min(max(count, self.min_particles), self.max_particles or sys.maxsize)
         teeth, start = comb(masses, np.concatenate([sums.extents for sums in state.sums]), count, offset)
         out, begin = reused((len(first), count), first.dtype), 0
         for part, sums in zip(state.parts, state.sums, strict=True):
@@ -166,11 +168,3 @@ class ParticlePHD(Checked, Filter[Intensity]):
             in_ranges(pick, given, end - begin, self.threads)
             begin = end
         return ParticleBlocks(out, start, mass / count)
-
-    def particles(self, mass: float) -> int:
-        """How many particles carry this mass: round(ρ·M̂) [M07 §2] within the bounds, 0 where that is 0."""
-        count = round(self.particles_per_target * mass)
-        if count == 0:
-            return 0
-        count = max(count, self.min_particles)
-        return min(count, self.max_particles) if self.max_particles else count

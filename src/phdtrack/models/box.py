@@ -292,13 +292,9 @@ class BoxMotion(Checked):
 
     def p_survive(self, x: F8, seconds: float) -> F8:
         """p_S^seconds inside the image, 0 where the whole box has left it."""
-        stays = np.full(x.shape[1], self.survival_probability**seconds)
-        width, height = self.frame_size
-        if width > 0 and height > 0:
-            half = 0.5 * x[4:6]
-            inside = (x[0] > -half[0]) & (x[0] < width + half[0]) & (x[1] > -half[1]) & (x[1] < height + half[1])
-            stays[~inside] = 0.0
-        return stays
+        half, size = 0.5 * x[4:6], np.array(self.frame_size)[:, None]
+        inside = ((x[:2] > -half) & (x[:2] < size + half)).all(axis=0) | (size.min() <= 0)
+        return np.where(inside, self.survival_probability**seconds, 0.0)
 
     def particle_model(self, dt: float, seconds: float) -> BoxWalk:
         """The numbers of f over ``dt`` and p_S over ``seconds`` for the particle filters [M09 (11)]."""
