@@ -20,7 +20,8 @@ from experiments.group_scores import GroupScores, LabelledFrame, nearest, score_
 from phdtrack import config, pipeline
 from phdtrack.config import build_groups
 from phdtrack.formats.columns import Positions, read_positions
-from phdtrack.groups import Grouping, GroupLifeCycle, LifeCycleState
+from phdtrack.groups.clusters import Grouping
+from phdtrack.groups.life_cycle import GroupLifeCycle, LifeCycleState
 from phdtrack.groups.pipeline import carriers, known_people
 from phdtrack.protocols import AnyStages
 from phdtrack.types import F8, I8, Detections, GaussianMixture, SequenceInfo, Step, Tracks

@@ -18,7 +18,8 @@ from experiments import standard
 from experiments.common import Options, filled, table
 from experiments.scans import FilterRun, Realisation, SetErrors, Stages, apart, measure, measured
 from phdtrack import pipeline
-from phdtrack.associate import GraphMatching, Labelled
+from phdtrack.associate.graph import GraphMatching
+from phdtrack.associate.labels import Labelled
 from phdtrack.models import UniformClutter
 from phdtrack.models.learning import RateLearning, priors_of, with_rate
 from phdtrack.protocols import AnyStages, Learning, Model

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from phdtrack import config
-from phdtrack.associate import GraphMatching, Labelled
+from phdtrack.associate.graph import GraphMatching
+from phdtrack.associate.labels import Labelled
 from phdtrack.config.presets import PRESETS
 from phdtrack.errors import InputError
 from phdtrack.filters import MHT, BestHypothesis

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from phdtrack import config
-from phdtrack.associate import GraphMatching, Labelled
+from phdtrack.associate.graph import GraphMatching
+from phdtrack.associate.labels import Labelled
 from phdtrack.associate.rejection import FalseTrackRejection
 from phdtrack.cli.options import TrackingOptions
 from phdtrack.cli.settings import chosen, scene_settings

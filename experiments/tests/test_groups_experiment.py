@@ -21,7 +21,7 @@ from experiments.groups import (
     read_groups,
 )
 from phdtrack.formats.columns import Positions
-from phdtrack.groups import Grouping
+from phdtrack.groups.clusters import Grouping
 
 
 def two_walks() -> WalkedScene:

@@ -97,14 +97,14 @@ def advance(
     given = _Given.of(explanation, detections.observed, model)
     # Predict and update
     if detections.observed:
-        weighted = learning.with_scores(learned, model, given.detections) if learning else model
+        weighted = learning.with_scores(learned, model, explanation.detections.take(given.usable)) if learning else model
         intensity, info = stages.filter.step(state.intensity, given.z, _watching(weighted, state.targets, dt), dt, rng)
     else:
         intensity = stages.filter.predict(state.intensity, model, dt, rng)
         info = UpdateInfo(intensity.mass, 0.0, intensity.mass, np.zeros(0), np.zeros(0))
     filtered = clock.perf_counter()
     # Extract
-    estimates = given.numbered(stages.extractor.extract(intensity, given.z, model))
+    estimates = _renumbered(stages.extractor.extract(intensity, given.z, model), given.usable)
     expected = explainer and explainer.advance(expected, explanation, estimates, model, dt)
     numbers = (*state.given, given.numbers)[-1 - len(estimates.past) :]
     z, info, estimates = given.in_terms_of_detections(info, estimates, numbers[:-1])
@@ -192,19 +192,10 @@ class _Given:
         return np.ascontiguousarray(self.measured[:, self.usable]) if self.unusable else self.measured
 
     @property
-    def detections(self) -> Detections:
-        """The detections that the filter is given."""
-        return self.explanation.detections.take(self.usable) if self.unusable else self.explanation.detections
-
-    @property
     def numbers(self) -> I8:
         """(n,) the frame's detection that each of them rests on; (0,) where it is given all as they are."""
         changed = self.unusable or self.explanation.changed
         return self.explanation.source[self.usable] if changed else ALL
-
-    def numbered(self, estimates: Estimates) -> Estimates:
-        """The states with detections numbered among the N′."""
-        return _renumbered(estimates, self.usable) if self.unusable else estimates
 
     def in_terms_of_detections(
         self, info: UpdateInfo, estimates: Estimates, past: tuple[I8, ...]

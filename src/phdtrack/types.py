@@ -30,11 +30,6 @@ Image = NDArray[np.uint8]
 STILL: F8 = np.zeros((0, 3))  # stands for a (3, 3) homography between the pixels of two frames: there is none
 
 
-def _none() -> I8:
-    """(0,) for columns that a record need not have."""
-    return np.zeros(0, np.int64)
-
-
 @dataclass(frozen=True, slots=True)
 class SequenceInfo:
     """What is known about a sequence before its frames are read.
@@ -160,7 +155,7 @@ class Particles:
 
     state: F8
     weight: F8
-    start: I8 = field(default_factory=_none)
+    start: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def __len__(self) -> int:
         return len(self.weight)
@@ -229,7 +224,7 @@ class GaussianMixture:
     weight: F8
     mean: F8
     covariance: F8
-    tag: I8 = field(default_factory=_none)
+    tag: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
     fresh: int = 0
 
     @classmethod
@@ -346,7 +341,7 @@ class Estimates:
     weight: F8
     xyxy: F8
     detection: I8
-    tag: I8 = field(default_factory=_none)
+    tag: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
     past: tuple[Estimates | None, ...] = ()
 
     @classmethod
@@ -415,12 +410,20 @@ class Tracks:
         return cls(none, none, np.zeros((0, 4)), np.zeros(0), none, np.zeros(0, np.bool_))
 
     @classmethod
-    def certain(cls, frame: I8 | int, identity: I8 | int, xyxy: F8, confidence: F8 | float, detection: I8 | int) -> Tracks:
-        """Confirmed rows; a number stands for all.
+    def of(
+        cls,
+        frame: I8 | int,
+        identity: I8 | int,
+        xyxy: F8,
+        confidence: F8 | float,
+        detection: I8 | int,
+        confirmed: Bool | bool = True,
+    ) -> Tracks:
+        """Rows of which a number stands for all.
 
         Parameters
         ----------
-        frame, identity, xyxy, detection : as above.
+        frame, identity, xyxy, detection, confirmed : as above.
         confidence : more than 1 counts as 1.
 
         Returns
@@ -429,7 +432,7 @@ class Tracks:
         """
         n = len(xyxy)
         number, name, found = (np.full(n, column, np.int64) for column in (frame, identity, detection))
-        return cls(number, name, xyxy, np.minimum(1.0, np.full(n, confidence)), found, np.ones(n, np.bool_))
+        return cls(number, name, xyxy, np.minimum(1.0, np.full(n, confidence)), found, np.full(n, confirmed))
 
     @classmethod
     def concatenate(cls, parts: list[Tracks]) -> Tracks:

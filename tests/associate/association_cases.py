@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phdtrack.associate import GraphMatching, GraphState
+from phdtrack.associate.graph import GraphMatching, GraphState
 from phdtrack.associate.history import open_links
 from phdtrack.kernels.linking import Window
 from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutter

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from association_cases import model_of, run, same, states, table
 
-from phdtrack.associate import Labelled
+from phdtrack.associate.labels import Labelled
 from phdtrack.errors import InputError
 from phdtrack.tracker import pack, unpack
 from phdtrack.types import Estimates

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from association_cases import matching_of, model_of, states
 
-from phdtrack.associate import Labelled
 from phdtrack.associate.history import CHUNK
+from phdtrack.associate.labels import Labelled
 
 MODEL = model_of()
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from phdtrack.arrays import to_xyxy
-from phdtrack.associate import Labelled
+from phdtrack.associate.labels import Labelled
 from phdtrack.associate.rejection import FalseTrackRejection, without_false_tracks
 from phdtrack.types import Estimates, Tracks
 

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 import pytest
 
-from phdtrack.associate import GraphMatching
+from phdtrack.associate.graph import GraphMatching
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.inputs import DEPTH, Inputs
 from phdtrack.cli.track import Job, Outcome, run

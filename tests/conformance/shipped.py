@@ -9,7 +9,8 @@ import numpy as np
 
 from experiments.bearing import BearingSensor, TurningMotion
 from phdtrack.arrays import to_cxcywh
-from phdtrack.associate import GraphMatching, Labelled
+from phdtrack.associate.graph import GraphMatching
+from phdtrack.associate.labels import Labelled
 from phdtrack.associate.rejection import FalseTrackRejection
 from phdtrack.filters import (
     GMCPHD,

@@ -7,7 +7,7 @@ import pytest
 from phdtrack.errors import InputError
 from phdtrack.filters import GMCPHD, GMPHD, PMB, ParticleCPHD, ParticlePHD
 from phdtrack.filters.extract import Components, KMeans, Mixture
-from phdtrack.smooth import Smoothing
+from phdtrack.smooth.smoothing import Smoothing
 
 WRONG = {
     GMPHD: {"weight_threshold": -1.0, "merge_distance": -1.0, "max_components": -1, "gate_probability": 0.0},

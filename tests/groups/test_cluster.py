@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phdtrack.errors import InputError
-from phdtrack.groups import Grouping
+from phdtrack.groups.clusters import Grouping
 
 
 def brute_force(mean, near, slow):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from group_cases import people
 
-from phdtrack.groups import Contours, polygon_area
+from phdtrack.groups.clusters import Contours, polygon_area
 
 
 def test_a_lone_person_has_a_circle_whose_radius_is_known():

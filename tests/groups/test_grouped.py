@@ -8,7 +8,7 @@ from group_cases import people
 
 from phdtrack import pipeline
 from phdtrack.config import build, build_groups, load, overlay
-from phdtrack.groups import GroupLifeCycle, LifeCycleState
+from phdtrack.groups.life_cycle import GroupLifeCycle, LifeCycleState
 from phdtrack.groups.pipeline import REACH, GroupStages, carriers, mixture_of
 from phdtrack.types import Detections, SequenceInfo
 

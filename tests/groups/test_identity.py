@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phdtrack.groups import Event, GroupLifeCycle, LifeCycleState
+from phdtrack.groups.life_cycle import Event, GroupLifeCycle, LifeCycleState
 
 T = 0.1
 

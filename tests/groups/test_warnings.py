@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phdtrack.groups import EncounterWarning
+from phdtrack.groups.life_cycle import EncounterWarning
 
 SURE = np.zeros((2, 4, 4))
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from phdtrack import pipeline
-from phdtrack.associate import GraphMatching
+from phdtrack.associate.graph import GraphMatching
 from phdtrack.filters import GMPHD
 from phdtrack.filters.extract import Components
 from phdtrack.models import PlaneBirth, PlaneClutter, PlaneMotion, PlaneSensor

@@ -9,7 +9,8 @@ from experiments.bearing import BearingSensor, TurningMotion
 from experiments.standard_scenes import TURNING_FIRST, TURNING_LAST, turning
 from phdtrack import pipeline
 from phdtrack.arrays import to_cxcywh
-from phdtrack.associate import GraphMatching, Labelled
+from phdtrack.associate.graph import GraphMatching
+from phdtrack.associate.labels import Labelled
 from phdtrack.filters import GMPHD, MHT, BestHypothesis, ParticlePHD
 from phdtrack.filters.extract import Components, KMeans
 from phdtrack.models import FixedBirth, UniformClutter

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from phdtrack import pipeline
-from phdtrack.associate import GraphMatching, Labelled
+from phdtrack.associate.graph import GraphMatching
+from phdtrack.associate.labels import Labelled
 from phdtrack.filters import GMPHD, MHT, PMB, BestBernoullis, BestHypothesis, Components, KMeans, NoFilter, ParticlePHD, Raw
 from phdtrack.models import PlaneBirth, PlaneMotion, PlaneSensor, UniformClutter
 from phdtrack.protocols import Model, Stages

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phdtrack.groups import Encounter, Event, Groups
+from phdtrack.groups.clusters import Groups
+from phdtrack.groups.life_cycle import Encounter, Event
 from phdtrack.groups.pipeline import GroupFrame
 from phdtrack.report.drawing import Plan, PlanScene, extent_of, identity_colour
 from phdtrack.report.pages import render

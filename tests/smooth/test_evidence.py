@@ -5,7 +5,7 @@ import pytest
 from smoothing_cases import model_of, piece, sequence, walk
 
 from phdtrack.smooth.paths import paths_of
-from phdtrack.smooth.smoothing import Sequence, Terms, _candidates, _matched
+from phdtrack.smooth.smoothing import Sequence, Smoothing, _candidates, _matched
 from reference import smoothing_twin as twin
 
 
@@ -15,10 +15,10 @@ def test_it_is_the_ratio_of_one_trajectorys_density_to_two(seed: int):
     walked = walk(rng, n, (200, 200), rng.normal(0, 2, 2), noise=2.0)
     walked[14:] += rng.normal(0, 6, 4)
     tracks, measured = sequence([piece(walked, 1, (1, 9)), piece(walked, 1, (15, n))], n, model)
-    seen = Sequence.of(measured, model.sensor, model.motion)
+    seen = Sequence.of(measured, model)
     paths = paths_of(tracks, measured)
-    terms = Terms(occluded=10.0, gap=50.0, overlap=0.0, reentry=0.25, rate=25.0)
-    before, after, odds = _candidates(paths, seen.smooth(paths), seen, terms)
+    settings = Smoothing(mean_occluded_time=0.4, max_gap=2.0, max_overlap_time=0.0, reentry_probability=0.25)
+    before, after, odds = _candidates(paths, seen.smooth(paths), seen, settings)
     assert (before.tolist(), after.tolist()) == ([0], [1])
     one = np.concatenate([np.arange(9), np.full(5, -1), np.arange(9, 19)])
     ratio = twin.log_density(model.motion, measured.time, seen, one)

@@ -13,7 +13,7 @@ from reference import smoothing_twin as twin
 
 
 def smoothed(tracks, measured, model):
-    seen, paths = Sequence.of(measured, model.sensor, model.motion), paths_of(tracks, measured)
+    seen, paths = Sequence.of(measured, model), paths_of(tracks, measured)
     return paths, seen.smooth(paths), seen
 
 

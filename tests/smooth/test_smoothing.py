@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from smoothing_cases import model_of, piece, sequence, walk
 
-from phdtrack.smooth import Smoothing
+from phdtrack.smooth.smoothing import Smoothing
 from phdtrack.types import MeasurementHistory, Tracks
 
 MODEL = model_of(scaled_noise=True, acceleration=0.005, size_noise=0.05)

@@ -188,7 +188,7 @@ class GraphMatching(Checked):
             if n:
                 numbers, detections = np.array([(moments[k].number, j) for k, j in before]).T
                 first = moments[path[0][0]].estimates.weight[path[0][1]]
-                parts.append(Tracks.certain(numbers, identity, boxes, first, detections))
+                parts.append(Tracks.of(numbers, identity, boxes, first, detections))
             identity += 1
         return Tracks.concatenate(parts)
 
@@ -252,7 +252,7 @@ class GraphMatching(Checked):
         known = known._replace(confirmed=self._confirmed(known, onward, gain, given.first, end))
         returned = _returned(given, known)
         e, confirmed = moment.estimates, known.confirmed[np.searchsorted(known.identity, identity)]
-        parts = [Tracks(np.full(len(e), moment.number), identity, e.xyxy, np.minimum(1.0, e.weight), e.detection, confirmed)]
+        parts = [Tracks.of(moment.number, identity, e.xyxy, e.weight, e.detection, confirmed)]
         after, missing = onward[known.last - given.first], known.last < moment.first
         absent = missing & known.confirmed & ((after >= end) | ((after < 0) & (known.missed < AGES)))
         state_of, missed, confidence = known.state.copy(), known.missed.copy(), np.where(missing, 0.0, known.confidence)
@@ -272,7 +272,7 @@ class GraphMatching(Checked):
             most = self._max_frames(state, place, probability, model)
             shown = there & (known.missed[going] <= most) & (after[going] < 0)
             boxes = model.sensor.boxes(moved[:, shown])
-            parts.append(Tracks.certain(moment.number, known.identity[going[shown]], boxes, sure[shown], -1))
+            parts.append(Tracks.of(moment.number, known.identity[going[shown]], boxes, sure[shown], -1))
         known = known._replace(state=state_of, confidence=confidence, missed=missed)
         # The first vertex whose identity a row still to be given may ask for.
         oldest = min([state.window.column, moment.first, *(int(m.final.earlier.min(initial=moment.first)) for m in held)])
@@ -399,7 +399,7 @@ def _bridged(known: Identities, after: I8, history: History, place: int, model: 
         ]
         ends = x.state[:, j], x.covariance[j], y.state[:, k], y.covariance[k]
         state = bridge(model.motion, ends, np.array([now.time - a.time, b.time - now.time]), warps)
-        parts.append(Tracks.certain(now.number, int(known.identity[i]), model.sensor.boxes(state), x.weight[j], -1))
+        parts.append(Tracks.of(now.number, int(known.identity[i]), model.sensor.boxes(state), x.weight[j], -1))
     return parts
 
 

@@ -119,7 +119,7 @@ def rows_of(moments: list[Moment], path: Path, identity: int, bridge_gaps: bool,
     held = [(moments[k], i) for k, i in path]
     numbers, boxes = np.array([m.number for m, _ in held]), np.array([m.estimates.xyxy[i] for m, i in held])
     weights, detections = (np.array([getattr(m.estimates, name)[i] for m, i in held]) for name in ("weight", "detection"))
-    parts = [Tracks.certain(numbers, identity, boxes, weights, detections)]
+    parts = [Tracks.of(numbers, identity, boxes, weights, detections)]
     for (k, i), (m, j) in itertools.pairwise(path) if bridge_gaps else ():
         if m == k + 1:
             continue
@@ -128,5 +128,5 @@ def rows_of(moments: list[Moment], path: Path, identity: int, bridge_gaps: bool,
         ends = a.state[:, i], a.covariance[i], b.state[:, j], b.covariance[j]
         between = bridge(model.motion, ends, steps, [x.warp for x in moments[k + 1 : m + 1]])
         numbers, sure = np.array([x.number for x in moments[k + 1 : m]]), min(float(a.weight[i]), float(b.weight[j]))
-        parts.append(Tracks.certain(numbers, identity, model.sensor.boxes(between), sure, -1))
+        parts.append(Tracks.of(numbers, identity, model.sensor.boxes(between), sure, -1))
     return parts

@@ -184,15 +184,8 @@ class Labelled(Checked):
         identity[fresh] = state.used + 1 + np.arange(len(fresh))
         sure[place] = confirmed
         order = np.argsort(identity[place])
-        shown = shown[order]
-        rows = Tracks(
-            np.full(len(shown), moment.number),
-            identity[place[order]],
-            estimates.xyxy[shown],
-            np.minimum(1.0, estimates.weight[shown]),
-            estimates.detection[shown],
-            confirmed[order],
-        )
+        e, name = estimates.take(shown[order]), identity[place[order]]
+        rows = Tracks.of(moment.number, name, e.xyxy, e.weight, e.detection, confirmed[order])
         table = state.table._replace(identity=identity, confirmed=sure)
         return LabelledState(state.history, state.recent, table, state.time, state.used + len(fresh)), rows
 

@@ -33,7 +33,8 @@ from phdtrack.files import load
 from phdtrack.formats.columns import Positions, read_positions
 from phdtrack.formats.write import Lines
 from phdtrack.ground import footprint
-from phdtrack.groups import LifeCycleState, polygon_area
+from phdtrack.groups.clusters import polygon_area
+from phdtrack.groups.life_cycle import LifeCycleState
 from phdtrack.groups.pipeline import GroupFrame, GroupStages, carriers, known_people, mixture_of
 from phdtrack.models import PlaneSensor
 from phdtrack.pipeline import TrackingState

@@ -89,7 +89,7 @@ def build_groups(settings: Settings, stages: AnyStages | None = None) -> GroupSt
     missed once, at E13's 7 frames a second, so that one miss drops no person whatever the detection probability. With E13's
     values that is the default.
     """
-    from phdtrack.groups import Grouping
+    from phdtrack.groups.clusters import Grouping
     from phdtrack.groups.pipeline import GroupStages
 
     if stages is not None and "min_weight" not in settings.given.get("groups", {}):

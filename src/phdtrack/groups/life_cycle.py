@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -68,14 +68,6 @@ class LifeCycleState:
     following: int = 1
 
 
-class _Move(NamedTuple):
-    """A member has left group ``source`` for ``target``, since when."""
-
-    source: int
-    target: int
-    since: When
-
-
 @dataclass(frozen=True, slots=True)
 class GroupLifeCycle(Checked):
     """``hold_time``: seconds for which something must last until it counts."""
@@ -100,13 +92,13 @@ class GroupLifeCycle(Checked):
         The new state, the group (n,) of each member, and the events that became certain with this frame.
         """
         proposed, following = _proposals(state, member, label, weight)
-        now, members, moves = (frame, time), dict(state.members), list[_Move]()
+        now, members, moves = (frame, time), dict(state.members), list[tuple[int, int, When]]()
         for person, group in zip(member.tolist(), proposed.tolist(), strict=True):
             old = members.get(person, Member(group, group, now, now))
             since = old.since if group == old.proposed else now
             accepted = group != old.group and time - since[1] >= self.hold_time
             if accepted:
-                moves.append(_Move(old.group, group, since))
+                moves.append((old.group, group, since))
             members[person] = Member(group if accepted else old.group, group, since, now)
         lost = [m for m in members.values() if time - m.seen[1] > self.hold_time]
         members = {person: m for person, m in members.items() if time - m.seen[1] <= self.hold_time}
@@ -115,7 +107,7 @@ class GroupLifeCycle(Checked):
             living[m.group] = max(m.seen[1], living.get(m.group, 0.0))
         born = {group: state.born.get(group, now) for group in living if group in state.born or group not in state.announced}
         announced, events = set(state.announced), list[Event]()
-        for source, target, since in dict.fromkeys(sorted(moves, key=lambda move: move.since[0])):
+        for source, target, since in dict.fromkeys(sorted(moves, key=lambda move: move[2][0])):
             if source in living and source in announced and target not in announced:
                 events.append(Event(*since, "split", target, source))
                 announced.add(target)

@@ -13,8 +13,8 @@ import numpy as np
 
 from phdtrack.filters.cardinality import Cardinalised
 from phdtrack.filters.extract import KMeans, Mixture
-from phdtrack.groups import Contours, Encounter, EncounterWarning, Event, Grouping, GroupLifeCycle, Groups, LifeCycleState
-from phdtrack.groups.clusters import group_moments
+from phdtrack.groups.clusters import Contours, Grouping, Groups, group_moments
+from phdtrack.groups.life_cycle import Encounter, EncounterWarning, Event, GroupLifeCycle, LifeCycleState
 from phdtrack.protocols import AnyStages
 from phdtrack.types import F8, I8, GaussianMixture, Step
 

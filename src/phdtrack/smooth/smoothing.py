@@ -33,7 +33,7 @@ import numpy as np
 
 from phdtrack.errors import InputError, NonNegative, Positive, Share, check
 from phdtrack.models.rts import Ahead, predict, smooth_back, update
-from phdtrack.protocols import Model, Motion, Sensor
+from phdtrack.protocols import Model, Motion
 from phdtrack.smooth.paths import Paths, joined, paths_of
 from phdtrack.types import F8, I8, STILL, Bool, MeasurementHistory, Tracks
 
@@ -77,12 +77,8 @@ class Smoothing:
         paths = paths_of(tracks, measurements) if self.stitching or self.smoothing else None
         if paths is None or len(paths) == 0:
             return tracks
-        sequence, rate = Sequence.of(measurements, model.sensor, model.motion), model.rate
-        if self.stitching:
-            times = self.mean_occluded_time * rate, self.max_gap * rate, self.max_overlap_time * rate
-            paths, states = _stitched(paths, sequence, Terms(*times, self.reentry_probability, rate))
-        else:
-            states = sequence.smooth(paths)
+        sequence = Sequence.of(measurements, model)
+        paths, states = _stitched(paths, sequence, self) if self.stitching else (paths, sequence.smooth(paths))
         return _rows(tracks, paths, states, measurements, model, self)
 
 
@@ -107,7 +103,7 @@ def _rows(
     gap = np.flatnonzero((count[after] == count[before + 1]) & between)
     ends = paths.row[np.stack([before, after])[:, gap]]
     sure, numbers = tracks.confidence[ends].min(axis=0), measurements.number[paths.frame[gap]]
-    filled, same = Tracks.certain(numbers, name[ends[0]], boxes[gap], sure, -1), replace(tracks, identity=name, xyxy=xyxy)
+    filled, same = Tracks.of(numbers, name[ends[0]], boxes[gap], sure, -1), replace(tracks, identity=name, xyxy=xyxy)
     return _numbered(Tracks.concatenate([same.take(~_doubled(tracks, paths, measurements, name)), filled]))
 
 
@@ -157,7 +153,7 @@ class Smoothed(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sequence:
-    """What is known of a whole sequence: its Z measurements, the same as states, and the motion.
+    """What is known of a whole sequence: its Z measurements, the same as states, the motion and its time units a second.
 
     ``state`` (d, Z), ``covariance`` (Z, d, d), of which a measurement shows the rows ``observed``. Rows that no measurement
     shows, as a velocity, have their prior mean and covariance.
@@ -168,25 +164,13 @@ class Sequence:
     covariance: F8
     observed: I8
     motion: Motion
+    rate: float
 
     @classmethod
-    def of(cls, measurements: MeasurementHistory, sensor: Sensor, motion: Motion) -> Sequence:
-        """The sequence of these measurements.
-
-        Parameters
-        ----------
-        measurements, sensor, motion : of the sequence, and of the model.
-
-        Returns
-        -------
-        sequence : with the measurements as states.
-        """
-        return cls(measurements, *sensor.states(measurements.z), np.array(sensor.observed, np.int64), motion)
-
-    def components(self) -> I8:
-        """The rows of the state that later states depend on; not a size that a transition forgets."""
-        _, jacobian, _ = self.motion.transition(np.ascontiguousarray(self.state[:, :1]), 1.0)
-        return np.flatnonzero(jacobian[0].any(axis=0)).astype(np.int64)
+    def of(cls, measurements: MeasurementHistory, model: Model) -> Sequence:
+        """The sequence of these measurements."""
+        states, shown = model.sensor.states(measurements.z), np.array(model.sensor.observed, np.int64)
+        return cls(measurements, *states, shown, model.motion, model.rate)
 
     def _ahead(self, mean: F8, covariance: F8, place: int) -> Ahead:
         """States (n, d), (n, d, d) of the frame before ``place``, predicted for that frame."""
@@ -223,16 +207,6 @@ class Sequence:
         return Smoothed(mean, cov)
 
 
-class Terms(NamedTuple):
-    """Mean time ``occluded``, longest ``gap`` and ``overlap`` in model time; P(``reentry``); time units a second."""
-
-    occluded: float
-    gap: float
-    overlap: float
-    reentry: float
-    rate: float
-
-
 class _Meeting(NamedTuple):
     """Paths of which ``after`` may continue ``before``, (P,) each, and where they are compared.
 
@@ -248,11 +222,11 @@ class _Meeting(NamedTuple):
     odds: F8
 
 
-def _stitched(paths: Paths, sequence: Sequence, terms: Terms) -> tuple[Paths, Smoothed]:
+def _stitched(paths: Paths, sequence: Sequence, settings: Smoothing) -> tuple[Paths, Smoothed]:
     """The paths, those of one target joined, and the states of their rows."""
     states = sequence.smooth(paths)
     while len(paths) > 1:
-        after = _matched(*_candidates(paths, states, sequence, terms), len(paths))
+        after = _matched(*_candidates(paths, states, sequence, settings), len(paths))
         if (after < 0).all():
             break
         chain = _chains(after)
@@ -267,26 +241,29 @@ def _stitched(paths: Paths, sequence: Sequence, terms: Terms) -> tuple[Paths, Sm
     return paths, states
 
 
-def _candidates(paths: Paths, states: Smoothed, sequence: Sequence, terms: Terms) -> tuple[I8, I8, F8]:
+def _candidates(paths: Paths, states: Smoothed, sequence: Sequence, settings: Smoothing) -> tuple[I8, I8, F8]:
     """All pairs that could be of one target: path ``after`` (P,) continues ``before`` (P,) with these log-odds (P,).
 
-    One begins within ``gap`` after the other's end, while the lost target may still be there; or they overlap (`_overlaps`).
+    One begins within ``max_gap`` after the other's end, while it may still be there; or they overlap (`_overlaps`).
     """
-    loose = math.log(_births(paths, sequence) * terms.occluded * (1 - terms.reentry) / terms.reentry)
+    reentry, occluded = settings.reentry_probability, settings.mean_occluded_time * sequence.rate
+    loose = math.log(_births(paths, sequence) * occluded * (1 - reentry) / reentry)
     found = list[tuple[I8, I8, F8]]()
-    for some in itertools.chain([_overlaps(paths, states, sequence, terms)], _returns(paths, states, sequence, terms)):
+    for some in itertools.chain([_overlaps(paths, states, sequence, settings)], _returns(paths, states, sequence, settings)):
         odds = _log_evidence(paths, states, sequence, some) + (some.odds - loose)
         found.append((some.before, some.after, odds))
     before, after, log_odds = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return before, after, log_odds
 
 
-def _returns(paths: Paths, states: Smoothed, sequence: Sequence, terms: Terms) -> Iterator[_Meeting]:
+def _returns(paths: Paths, states: Smoothed, sequence: Sequence, settings: Smoothing) -> Iterator[_Meeting]:
     """Pairs of which one begins after the other's end; those that have ended are carried on through the frames together."""
     time, last, end, begin = sequence.measurements.time, paths.last, paths.frame[paths.last], paths.frame[paths.first]
     # The last frame in which a path begins that each may go on in.
     beginning = np.unique(begin)
-    until = beginning[np.searchsorted(time[beginning], time[end] + terms.gap + 1e-9, side="right") - 1]
+    until = beginning[
+        np.searchsorted(time[beginning], time[end] + settings.max_gap * sequence.rate + 1e-9, side="right") - 1
+    ]
     lost, alive = np.zeros(0, np.int64), np.zeros(0)
     mean, cov = states.mean[:0], states.covariance[:0]
     for p in range(1, len(time)):
@@ -296,25 +273,25 @@ def _returns(paths: Paths, states: Smoothed, sequence: Sequence, terms: Terms) -
         if len(lost) == 0:
             continue
         now = sequence._ahead(mean, cov, p)
-        survive = sequence.motion.p_survive(np.ascontiguousarray(now.mean.T), float(time[p] - time[p - 1]) / terms.rate)
+        survive = sequence.motion.p_survive(np.ascontiguousarray(now.mean.T), float(time[p] - time[p - 1]) / sequence.rate)
         stay = (survive > 0) & (until[lost] >= p)
         lost, alive = lost[stay], alive[stay] + np.log(survive[stay])
         mean, cov = now.mean[stay], now.covariance[stay]
         come = np.flatnonzero(begin == p)
         if len(come) and len(lost):
             a, b = np.repeat(np.arange(len(lost)), len(come)), np.tile(come, len(lost))
-            odds = alive[a] - (time[p] - time[end[lost[a]]]) / terms.occluded
+            odds = alive[a] - (time[p] - time[end[lost[a]]]) / (settings.mean_occluded_time * sequence.rate)
             yield _Meeting(lost[a], b, mean[a], cov[a], paths.first[b], odds)
 
 
-def _overlaps(paths: Paths, states: Smoothed, sequence: Sequence, terms: Terms) -> _Meeting:
-    """Pairs of which one begins before the other ends, by ``overlap`` at most, and ends later.
+def _overlaps(paths: Paths, states: Smoothed, sequence: Sequence, settings: Smoothing) -> _Meeting:
+    """Pairs of which one begins before the other ends, by ``max_overlap_time`` at most, and ends later.
 
     They are compared in the middle of the time that they share, where both are known best.
     """
     begin, end, time = paths.frame[paths.first], paths.frame[paths.last], sequence.measurements.time
     order = np.argsort(end, kind="stable")
-    latest = np.searchsorted(time, time[begin] + terms.overlap + 1e-9, side="right")
+    latest = np.searchsorted(time, time[begin] + settings.max_overlap_time * sequence.rate + 1e-9, side="right")
     low, high = np.searchsorted(end[order], begin), np.searchsorted(end[order], np.minimum(latest, end))
     count = np.maximum(high - low, 0)
     b = np.repeat(np.arange(len(paths)), count)
@@ -323,17 +300,19 @@ def _overlaps(paths: Paths, states: Smoothed, sequence: Sequence, terms: Terms) 
     a, b = a[earlier], b[earlier]
     middle = (begin[b] + end[a] + 1) // 2
     here, row = paths.first[a] + middle - begin[a], paths.first[b] + middle - begin[b]
-    odds = -(time[end[a]] - time[begin[b]]) / terms.occluded
+    odds = -(time[end[a]] - time[begin[b]]) / (settings.mean_occluded_time * sequence.rate)
     return _Meeting(a, b, states.mean[here], states.covariance[here], row, odds)
 
 
 def _log_evidence(paths: Paths, states: Smoothed, sequence: Sequence, pairs: _Meeting) -> F8:
     """(P,) log p(B|A)/p(B), with all Gaussians in information form; the prior is flat in observed rows."""
-    kept = sequence.components()
+    _, jacobian, _ = sequence.motion.transition(np.ascontiguousarray(sequence.state[:, :1]), 1.0)
+    # Not a size that a transition forgets.
+    kept = np.flatnonzero(jacobian[0].any(axis=0))
     unseen = np.setdiff1d(kept, sequence.observed)
     at, column = np.searchsorted(kept, unseen), paths.measurement[paths.first[pairs.after]]
-    inverse, later = (_inverse(c[:, kept[:, None], kept]) for c in (pairs.covariance, states.covariance[pairs.row]))
-    block = _inverse(sequence.covariance[column][:, unseen[:, None], unseen])
+    inverse, later = (np.linalg.inv(c[:, kept[:, None], kept]) for c in (pairs.covariance, states.covariance[pairs.row]))
+    block = np.linalg.inv(sequence.covariance[column][:, unseen[:, None], unseen])
     mean, prior, centre = pairs.mean[:, kept], np.zeros_like(inverse), np.zeros((len(column), len(kept)))
     prior[:, at[:, None], at], centre[:, at] = block, sequence.state[unseen[:, None], column].T
     total = inverse + later - prior
@@ -342,8 +321,8 @@ def _log_evidence(paths: Paths, states: Smoothed, sequence: Sequence, pairs: _Me
     pull = later @ step - prior @ rest
     square = step.transpose(0, 2, 1) @ later @ step - rest.transpose(0, 2, 1) @ prior @ rest
     square -= pull.transpose(0, 2, 1) @ np.linalg.solve(total, pull)
-    logs = _log_det(inverse) + _log_det(later) - _log_det(block) - _log_det(total)
-    out: F8 = 0.5 * (logs - square[:, 0, 0] - (len(kept) - len(unseen)) * math.log(2 * math.pi))
+    first, second, third, last = (np.linalg.slogdet(a)[1] for a in (inverse, later, block, total))
+    out: F8 = 0.5 * (first + second - third - last - square[:, 0, 0] - (len(kept) - len(unseen)) * math.log(2 * math.pi))
     return out
 
 
@@ -394,12 +373,3 @@ def _chains(after: I8) -> I8:
             chain[here] = number
             here = int(after[here])
     return chain
-
-
-def _inverse(a: F8) -> F8:
-    return np.linalg.inv(a).astype(np.float64, copy=False)
-
-
-def _log_det(a: F8) -> F8:
-    out: F8 = np.linalg.slogdet(a)[1]
-    return out
