@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from association_cases import HEIGHT, WIDTH, links, matching_of, model_of, run, same, scattered, states, table, walkers
+from association_cases import HEIGHT, WIDTH, links, matching_of, model_of, run, scattered, states, table, walkers
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -103,13 +103,6 @@ def test_a_target_that_leaves_the_frame_is_not_continued():
     last = online.xyxy[online.detection < 0]
     assert (last[:, 0] < WIDTH).all()
     assert online.frame.max() == 15, "in the sixteenth its left edge would be at the border"
-
-
-def test_online_rows_do_not_depend_on_what_comes_later():
-    frames, _ = walkers(np.random.default_rng(2), 50, clutter=2.0)
-    whole = run(matching_of(output_delay=2), frames).given
-    for end in (1, 10, 33):
-        assert all(same(a, b) for a, b in zip(run(matching_of(output_delay=2), frames[:end]).given, whole, strict=False))
 
 
 def test_a_delay_bridges_the_gap_that_it_sees_the_end_of():

@@ -1,11 +1,13 @@
-"""The workload's scenes, and that the twins in NumPy do the job that they are compared on."""
+"""The workload's scenes, the twins in NumPy that the tracker is compared on, and the benchmark of a learned scene."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from benchmarks import scene
 from benchmarks.loops import Ours, race
+from benchmarks.parts import SMOKE
 from benchmarks.stone_soup import batch_error
 from benchmarks.twins import Twin, World
 from benchmarks.workload import Crowd, draw, stages
@@ -56,3 +58,11 @@ def test_the_twins_find_what_phdtrack_finds() -> None:
     assert abs(dense - ours) < 5.0
     masses = [loops[0].state.mass, loops[1].unit * loops[1].state.shape[1], loops[2].unit * loops[2].state.shape[1]]
     assert np.ptp(masses) < 0.6
+
+
+def test_ratios_of_a_filter(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scene, "FILTERS", ("gm-phd",))
+    outcome = scene.run(SMOKE, lambda _: None)
+    assert len(outcome.rows) == len(scene.CASES)
+    assert all(0 < row.value < np.inf for row in outcome.rows)
+    assert set(outcome.entries) == set(scene.KEYS)

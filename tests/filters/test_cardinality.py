@@ -45,20 +45,6 @@ def test_a_poisson_number_gives_the_factors_of_the_phd_filter(mass: float, rng):
     np.testing.assert_allclose(found.detected, 1 / (clutter + evidence), rtol=1e-10)
 
 
-def test_the_mean_is_the_mass_and_the_sum_is_one(rng):
-    p = np.ones(1)
-    for _ in range(40):
-        p = np.convolve(thinned(p, 0.97), poisson(rng.uniform(0, 0.5), 8))
-        mass, seen = mean(p), rng.uniform(0, 1)
-        share = rng.dirichlet(np.ones(8)) * seen * mass * rng.uniform(0.1, 30, 8)
-        found = factors(p, mass, (1 - seen) * mass, share, rng.uniform(0.01, 2, 8))
-        assert found.missed * (1 - seen) * mass + found.detected @ share == pytest.approx(mean(found.cardinality), rel=1e-10)
-        assert found.cardinality.sum() == pytest.approx(1, rel=1e-13)
-        assert (found.cardinality >= 0).all()
-        p = found.cardinality
-    assert len(p) < 60
-
-
 def test_an_impossible_scan_is_taken_as_the_phd_filter_takes_it():
     """Two targets at most, three detections, no clutter, no births."""
     evidence = np.array([3.0, 1.0, 0.5])

@@ -13,7 +13,7 @@ from phd_cases import FRAME, crowd, seen_by, with_births, world
 from composed import gaussian_view
 from phdtrack.arrays import reused
 from phdtrack.filters import NoFilter, ParticleCPHD, ParticlePHD
-from phdtrack.filters.blocks import in_blocks, in_ranges
+from phdtrack.filters.blocks import in_blocks
 from phdtrack.models import (
     BoxMotion,
     PlaneBirth,
@@ -301,13 +301,6 @@ def test_any_number_of_threads_and_the_same_seed_give_the_same_bits(recursion, r
         identical(state, one)
         assert other.mass == info.mass
     assert not np.array_equal(run(1, 6)[0].state[:, :100], one.state[:, :100])
-
-
-@pytest.mark.parametrize("count", [0, 1, 5, 97, 1000])
-def test_ranges_cover_the_work_in_order(count: int):
-    for threads in (0, 1, 3, 8):
-        parts = in_ranges(lambda lo, hi: list(range(lo, hi)), (), count, threads)
-        assert [i for part in parts for i in part] == list(range(count))
 
 
 def test_no_filter_takes_each_detection_for_a_target(rng):

@@ -27,6 +27,11 @@ TSAI = """<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
+def tsai_with(old: str, new: str) -> str:
+    assert old in TSAI
+    return TSAI.replace(old, new)
+
+
 def put(folder: Path, name: str, text: str) -> Path:
     path = folder / name
     path.write_text(text, encoding="utf-8")
@@ -51,30 +56,6 @@ def test_tsai_in_millimetres(tmp_path: Path) -> None:
     np.testing.assert_allclose(camera.rotation, turned, atol=1e-14)
     without = TSAI.replace('dpx="5.1e-3" dpy="4.6e-3"', "")
     same(read_camera(put(tmp_path, "b.xml", without)), camera, np.array([[100.0, 400, 700], [350, 420, 560]]))
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "line", "words"),
-    [
-        ('focal="5.5" ', "", 4, "<Intrinsic> with a value for focal"),
-        ('kappa1="5e-3"', 'kappa1="five"', 4, "number for kappa1 of <Intrinsic>, came 'five'"),
-        ('rx="2.04"', 'rx="nan"', 5, "finite number for rx"),
-        ("  <Extrinsic", "  <Outside", 0, "an element <Extrinsic>"),
-        ("</Camera>", "", 7, "XML, which breaks here"),
-        ('focal="5.5"', 'focal="-5.5"', 0, "TsaiLens.focal: expected a value above 0"),
-        ('encoding="UTF-8"', 'encoding="UTF-88"', 1, "XML in UTF-8"),
-        ("<Camera", "<dataset", 2, "XML with <dataset>|breaks"),
-        ("<Camera name", '<!DOCTYPE Camera [<!ENTITY a "b">]><Camera name', 2, "document type"),
-    ],
-)
-def test_tsai_mistakes(tmp_path: Path, old: str, new: str, line: int, words: str) -> None:
-    assert old in TSAI
-    path = put(tmp_path, "view.xml", TSAI.replace(old, new))
-    with pytest.raises(InputError, match=words) as caught:
-        read_camera(path)
-    if line:
-        assert caught.value.where.startswith(f"{path}, line ")
-    assert str(path) in str(caught.value)
 
 
 def test_a_homography_in_text_by_every_convention(tmp_path: Path) -> None:
@@ -175,6 +156,15 @@ HOMOGRAPHY = f"homography = {PLANE.tolist()}\n"
 @pytest.mark.parametrize(
     ("text", "where", "words"),
     [
+        (tsai_with('focal="5.5" ', ""), ", line 4", "<Intrinsic> with a value for focal"),
+        (tsai_with('kappa1="5e-3"', 'kappa1="five"'), ", line 4", "number for kappa1 of <Intrinsic>, came 'five'"),
+        (tsai_with('rx="2.04"', 'rx="nan"'), ", line 5", "finite number for rx"),
+        (tsai_with("  <Extrinsic", "  <Outside"), "", "an element <Extrinsic>"),
+        (tsai_with("</Camera>", ""), ", line ", "XML, which breaks here"),
+        (tsai_with('focal="5.5"', 'focal="-5.5"'), "", "TsaiLens.focal: expected a value above 0"),
+        (tsai_with('encoding="UTF-8"', 'encoding="UTF-88"'), ", line 1", "XML in UTF-8"),
+        (tsai_with("<Camera", "<dataset"), ", line ", "XML with <dataset>|breaks"),
+        (tsai_with("<Camera name", '<!DOCTYPE Camera [<!ENTITY a "b">]><Camera name'), ", line 2", "document type"),
         ("homografy = 3\n", "", "no setting homografy. Did you mean homography"),
         ("homography = [[1, 2], [3, 4]]\n", ", homography", "3 x 3 numbers, came 2 x 2"),
         (HOMOGRAPHY + 'maps = "sideways"\n', "", "maps = pixel-to-ground or ground-to-pixel"),

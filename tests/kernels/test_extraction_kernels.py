@@ -1,4 +1,4 @@
-"""Blocks and what is known of them, which particles windows reach, clusters that are joined: against plain loops."""
+"""Blocks, which particles windows reach, clusters that are joined, and steps of EM: against plain loops."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from hypothesis import strategies as st
 from phdtrack.filters.blocks import cut
 from phdtrack.filters.extract import heavy_enough
 from phdtrack.kernels.blocks import block_moments, claim, reaching, summarise, unreached
-from phdtrack.kernels.mixtures import Gaussians
+from phdtrack.kernels.mixtures import Candidates, Gaussians, em_step, nothing_known, one_block
 from phdtrack.models import BoxSensor
+from phdtrack.types import F8
 from reference import clustering_twin as twin
+from reference import em as defined
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -121,3 +123,34 @@ def test_box_states(d: int, rng):
     sigma = np.maximum(0.15 * z[2:], 6.0)
     np.testing.assert_allclose(noise[[0, 1, 4, 5]], np.vstack([sigma / 2, sigma]))
     np.testing.assert_allclose(noise[2], 0.06 * np.sqrt(z[2] * z[3]) / math.sqrt(2))
+
+
+def cloud(rng: np.random.Generator) -> tuple[F8, Gaussians]:
+    """500 samples in three dimensions, and four overlapping Gaussians."""
+    root = rng.normal(size=(4, 3, 3))
+    mixture = Gaussians(rng.uniform(0.1, 0.3, 4), 3 * rng.normal(size=(3, 4)), root @ root.transpose(0, 2, 1) + np.eye(3))
+    return 3 * rng.normal(size=(3, 500)), mixture
+
+
+@pytest.mark.parametrize(("dtype", "close"), [(np.float64, 1e-10), (np.float32, 1e-3)])
+def test_a_step_is_that_of_the_definition(dtype: type[np.floating], close: float) -> None:
+    rng = np.random.default_rng(1)
+    x, mixture = cloud(rng)
+    weight, background = rng.uniform(0.2, 2, 500), rng.normal(-8, 1, 500)
+    found = em_step(x.astype(dtype), weight, background, mixture, one_block(500, 4), nothing_known(3))
+    for mine, expected in zip(found, defined.em_step(x, weight, background, mixture), strict=True):
+        np.testing.assert_allclose(mine, expected, rtol=close, atol=close)
+
+
+def test_components_explain_only_the_blocks_that_name_them() -> None:
+    x, mixture = cloud(np.random.default_rng(2))
+    # The first 200 samples may belong to components 0 and 2, the next 200 to component 1 alone, the others to none.
+    candidates = Candidates(np.array([0, 200, 400, 500]), np.array([0, 2, 3, 3]), np.array([0, 2, 1]))
+    found = em_step(x, np.ones(1), np.zeros(0), mixture, candidates, nothing_known(3))
+    two = Gaussians(mixture.weight[[0, 2]], mixture.mean[:, [0, 2]], mixture.covariance[[0, 2]])
+    expected = defined.em_step(x[:, :200], np.ones(200), np.full(200, -np.inf), two)
+    np.testing.assert_allclose(found.mean[:, [0, 2]], expected.mean, rtol=1e-10)
+    np.testing.assert_allclose(found.covariance[[0, 2]], expected.covariance, rtol=1e-10)
+    np.testing.assert_allclose(found.covariance[1], np.cov(x[:, 200:400], bias=True), rtol=1e-10)
+    np.testing.assert_allclose(found.mass, [expected.mass[0], 200, expected.mass[1], 0], rtol=1e-10)
+    np.testing.assert_array_equal(found.mean[:, 3], mixture.mean[:, 3])

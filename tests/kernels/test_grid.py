@@ -1,4 +1,4 @@
-"""The spatial grid finds what looking everywhere finds, each pair once, with memory linear in what it holds."""
+"""The spatial grid finds what looking everywhere finds, each pair once; boxes that overlap others, against all pairs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from inner_kernels import from_python
-from phdtrack.arrays import share_inside
+from phdtrack.arrays import iou, share_inside
+from phdtrack.kernels.box import apart
 from phdtrack.kernels.grid import cell_of, make_grid, overlapping_pairs, points_in_rectangles
 from phdtrack.models.occlusion import Hiders
 
@@ -107,3 +108,35 @@ def test_shares_of_boxes_that_nearer_boxes_cover():
 def test_shares_of_boxes_inside_the_image():
     xyxy = np.array([[0.0, 0, 10, 20], [-5, 0, 5, 20], [60, 40, 80, 60], [90, 0, 99, 9], [-10, -10, 200, 200], [1, 1, 1, 5]])
     np.testing.assert_allclose(share_inside(xyxy, 70.0, 50.0), [1, 0.5, 0.25, 0, 3500 / 210**2, 0])
+
+
+def left_of(boxes: np.ndarray, overlap: float) -> list[int]:
+    """Each box in turn is left unless one left before it is in its place."""
+    table = iou(boxes, boxes)
+    left: list[int] = []
+    for j in range(len(boxes)):
+        if not (table[left, j] > overlap).any():
+            left.append(j)
+    return left
+
+
+def crowd(rng: np.random.Generator, count: int, room: float) -> np.ndarray:
+    """Boxes of many sizes, some of them twice, some without area, one as wide as the image."""
+    corner, size = rng.uniform(0, room, (count, 2)), rng.uniform(5, 60, (count, 2))
+    size[::7] *= [1.0, 0.0]
+    boxes = np.hstack([corner, corner + size])
+    boxes[1::5] = boxes[: len(boxes[1::5])]
+    boxes[count // 2, [0, 2]] = [-10, room + 10]
+    return boxes
+
+
+@pytest.mark.parametrize("overlap", [0.0, 0.2, 0.5, 0.9])
+@pytest.mark.parametrize("count", [1, 2, 17, 120])
+def test_they_are_those_of_the_definition(count: int, overlap: float):
+    went = 0
+    for seed in range(6):
+        boxes = crowd(np.random.default_rng(seed), count, 40.0 + 4 * count * (seed % 3))
+        found = apart(boxes, boxes[:, 0].argsort(), overlap).tolist()
+        assert found == left_of(boxes, overlap)
+        went += count - len(found)
+    assert went or count < 17

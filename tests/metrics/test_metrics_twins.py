@@ -1,12 +1,14 @@
-"""MODA, MODP, MOTA and its logarithm, delays: against twins that try every mapping."""
+"""MODA, MODP, MOTA and its logarithm, delays, OSPA(2), ATA: against twins that try every mapping, and pooled."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from metric_cases import close, random_case
+from metric_cases import close, random_case, tracks_of, truth_of
 
-from phdtrack.metrics import evaluate
+from phdtrack.arrays import iou
+from phdtrack.metrics import evaluate, pool
+from phdtrack.types import Tracks, Truth
 from reference import metrics_twins as twins
 
 seeds = st.integers(0, 2**32 - 1)
@@ -32,3 +34,42 @@ def test_tracking_scores(seed: int, threshold: float):
     close([ours.MOTA, ours.MOTA_log, ours.MOTP], [twin.mota, twin.mota_log, twin.motp], 1e-12)
     assert ours.objects_found == len(twin.delays)
     assert ours.delay_mean == pytest.approx(np.mean(list(twin.delays.values()) or [np.nan]), nan_ok=True)
+
+
+def laid(truth: Truth, tracks: Tracks) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(K, n, m) distances 1 − IoU, (K, n) and (K, m) whether each trajectory is present."""
+    numbers = np.union1d(truth.frame, tracks.frame)
+    names, found = np.unique(truth.identity), np.unique(tracks.identity)
+    distance = np.ones((len(numbers), len(names), len(found)))
+    there, given_ = np.zeros(distance.shape[:2], bool), np.zeros((len(numbers), len(found)), bool)
+    for k, number in enumerate(numbers):
+        t, o = np.flatnonzero(truth.frame == number), np.flatnonzero(tracks.frame == number)
+        i, j = np.searchsorted(names, truth.identity[t]), np.searchsorted(found, tracks.identity[o])
+        there[k, i], given_[k, j] = True, True
+        distance[k][np.ix_(i, j)] = 1 - iou(truth.xyxy[t], tracks.xyxy[o])
+    return distance, there, given_
+
+
+@given(seeds)
+@settings(max_examples=60, deadline=None)
+def test_scores_of_whole_tracks_agree_with_every_mapping_tried(seed: int):
+    truth, tracks = random_case(np.random.default_rng(seed), frames=6, objects=3, side=60)
+    tracks = tracks.take(tracks.identity < 1003)
+    if len(truth) or len(tracks):
+        ours = evaluate(truth, tracks)
+        close([ours.OSPA2, ours.ATA], [twins.ospa2(*laid(truth, tracks), 1.0, 1.0, 1.0), twins.ata(truth, tracks)])
+
+
+def test_pooled_tracks_are_those_of_the_sequences_one_after_the_other():
+    cases = [random_case(np.random.default_rng(i), objects=2 + i, frames=20) for i in range(3)]
+    ours = pool([evaluate(truth, tracks, frames=20) for truth, tracks in cases])
+    joined = [
+        (
+            np.concatenate([part.frame + 20 * i for i, part in enumerate(side)]),
+            np.concatenate([part.identity + 10**6 * i for i, part in enumerate(side)]),
+            np.concatenate([part.xyxy for part in side]),
+        )
+        for side in zip(*cases, strict=True)
+    ]
+    together = evaluate(truth_of(*joined[0]), tracks_of(*joined[1]), frames=60)
+    close([ours.OSPA2, ours.SFDA, ours.ATA], [together.OSPA2, together.SFDA, together.ATA])

@@ -104,14 +104,6 @@ def test_somebody_who_stands_still_is_not_learned_away(chance):
     assert learned.mota > 0.98
 
 
-def test_a_run_is_the_same_again():
-    scene = street(2, 400)
-    one, other = (tracked(scene.info, scene.detections, "memory=0.2") for _ in range(2))
-    np.testing.assert_array_equal(one.tracks.xyxy, other.tracks.xyxy)
-    assert one.course == other.course
-    assert len(one.course) > 8
-
-
 def test_frames_that_nobody_saw_teach_nothing():
     tracker = Tracker((640, 360), learn={"kind": "online", "memory": 0.2})
     for _ in range(200):

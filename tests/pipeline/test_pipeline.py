@@ -111,16 +111,6 @@ def test_an_empty_frame_is_not_an_unobserved_one(stages, rng):
     assert step.estimates.detection.tolist() == [-1]
 
 
-@pytest.mark.parametrize(("number", "time"), [(3, 1.0), (2, 1.0), (4, 0.12), (4, 0.11), (4, math.nan), (4, math.inf)])
-def test_numbers_and_times_must_grow(stages, rng, number: int, time: float):
-    state = pipeline.start(stages, rng)
-    state, _ = pipeline.advance(stages, state, BOX, 3, 0.12, rng)
-    drawn = rng.bit_generator.state
-    with pytest.raises(InputError, match=f"frame {number}"):
-        pipeline.advance(stages, state, BOX, number, time, rng)
-    assert rng.bit_generator.state == drawn, "nothing happened"
-
-
 @pytest.mark.parametrize(("number", "time", "says"), [(1, math.nan, "seconds"), (0, 0.0, "from 1, got 0")])
 def test_the_first_frame_is_1_at_some_time(stages, rng, number: int, time: float, says: str):
     with pytest.raises(InputError, match=says):

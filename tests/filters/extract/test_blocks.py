@@ -96,14 +96,6 @@ def test_float32_blocks_give_the_states_of_the_particles(extractor, seed: int, t
     assert b.weight.sum() == pytest.approx(state.mass, rel=1e-5)
 
 
-@both
-def test_the_same_blocks_give_the_same_states_bit_by_bit(extractor, rng):
-    state, z = scene(rng, 5, 3)
-    first, second = (extractor.extract(blocks(state), z, MODEL) for _ in range(2))
-    np.testing.assert_array_equal(first.state, second.state)
-    np.testing.assert_array_equal(first.covariance, second.covariance)
-
-
 @pytest.mark.parametrize("most", [1, 7, 256])
 def test_the_size_of_blocks_does_not_matter(most: int, rng):
     state, z = scene(rng, 6, 4, 500.0)
