@@ -168,7 +168,7 @@ def true_groups() -> tuple[F8, dict[int, Groups], dict[int, GaussianMixture]]:
         state = np.vstack([place[:, now], np.column_stack([_velocity(annotated, place, int(i)) for i in now])])
         mixture = GaussianMixture(np.ones(len(now)), state, np.tile(0.09 * np.eye(4), (len(now), 1, 1)))
         found = Grouping().groups(mixture)
-        counts[number - 1] = len(found)
+        counts[number - 1] = len(found.count)
         if number in PICTURED:
             groups[number], people[number] = found, mixture
     return counts, groups, people

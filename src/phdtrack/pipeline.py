@@ -72,8 +72,7 @@ def advance(
     stages : the tracker's parts.
     state : after the frame before.
     detections : of this frame; with ``observed`` False it is predicted and nothing more.
-    number, time : from 1; seconds.
-    rng : the filter's randomness.
+    number, time, rng : from 1; seconds; the filter's randomness.
     warp : (3, 3) homography from pixels of the frame before to this one's; `types.STILL` where the camera stands still.
 
     Returns
@@ -94,7 +93,8 @@ def advance(
     explanation = Explanation.unchanged(detections)
     if explainer:
         expected, explanation = explainer.explain(expected, detections, model, dt)
-    given = _Given.of(explanation, detections.observed, model)
+    measured = model.sensor.measure(explanation.detections if detections.observed else Detections.empty(observed=False))
+    given = _Given(explanation, measured, np.flatnonzero(np.isfinite(measured).all(axis=0)))
     # Predict and update
     if detections.observed:
         weighted = learning.with_scores(learned, model, explanation.detections.take(given.usable)) if learning else model
@@ -174,13 +174,6 @@ class _Given:
     measured: F8
     usable: I8
 
-    @classmethod
-    def of(cls, explanation: Explanation, observed: bool, model: Model) -> _Given:
-        """Of this explanation; nothing of a frame that was not observed."""
-        shown = explanation.detections if observed else Detections.empty(observed=False)
-        measured = model.sensor.measure(shown)
-        return cls(explanation, measured, np.flatnonzero(np.isfinite(measured).all(axis=0)))
-
     @property
     def unusable(self) -> int:
         """How many of the N′ the filter is not given."""
@@ -194,8 +187,7 @@ class _Given:
     @property
     def numbers(self) -> I8:
         """(n,) the frame's detection that each of them rests on; (0,) where it is given all as they are."""
-        changed = self.unusable or self.explanation.changed
-        return self.explanation.source[self.usable] if changed else ALL
+        return self.explanation.source[self.usable] if self.unusable or self.explanation.changed else ALL
 
     def in_terms_of_detections(
         self, info: UpdateInfo, estimates: Estimates, past: tuple[I8, ...]

@@ -31,7 +31,7 @@ def test_groups_are_the_connected_components(seed, n):
     mean = np.vstack([rng.uniform(0, 12, (2, n)), rng.normal(0, 0.7, (2, n))])
     found = Grouping().groups(people(list(map(tuple, mean.T))))
     truth = brute_force(mean, 2.0, 1.0)
-    assert len(found) == len(np.unique(truth))
+    assert len(found.count) == len(np.unique(truth))
     assert ((found.label[:, None] == found.label) == (truth[:, None] == truth)).all()
 
 

@@ -158,19 +158,18 @@ class GraphMatching(Checked):
         due = len(history) - 1 - self.output_delay
         if due < 0:
             return extended, Tracks.empty()
-        given, tracks = self._give(extended, due, model)
-        if self.history > 0:
-            # What open links and rows that are still due rest on stays.
-            needed = history[due].time - (2 * self.window + self.max_coast) * model.rate
-            history = history.since(min(time - self.history * model.rate, needed))
-        return GraphState(window, history, given, vertices, time), tracks
+        extended, tracks = self._give(extended, due, model)
+        if self.history == 0:
+            return extended, tracks
+        # What open links and rows that are still due rest on stays.
+        needed = history[due].time - (2 * self.window + self.max_coast) * model.rate
+        return replace(extended, history=history.since(min(time - self.history * model.rate, needed))), tracks
 
     def flush(self, state: GraphState, model: Model) -> Tracks:
         """The online rows of the last ``output_delay`` frames, under the final links."""
         parts = []
         for due in range(max(0, len(state.history) - self.output_delay), len(state.history)):
-            given, tracks = self._give(state, due, model)
-            state = replace(state, given=given)
+            state, tracks = self._give(state, due, model)
             parts.append(tracks)
         return Tracks.concatenate(parts)
 
@@ -242,8 +241,8 @@ class GraphMatching(Checked):
         enough: Bool = gain >= self.min_link_gain * 0.5 * self.loose_end_distance**2 * (states - 1)
         return enough
 
-    def _give(self, state: GraphState, place: int, model: Model) -> tuple[Given, Tracks]:
-        """The rows of the frame at ``place`` of the history under the present links, and the new record."""
+    def _give(self, state: GraphState, place: int, model: Model) -> tuple[GraphState, Tracks]:
+        """The state with what is given for the frame at ``place`` of the history under the present links, and its rows."""
         given, history, moment = state.given, state.history, state.history[place]
         held = [history[k] for k in range(place + 1, len(history))]
         end = moment.first + len(moment.estimates)
@@ -277,7 +276,8 @@ class GraphMatching(Checked):
         # The first vertex whose identity a row still to be given may ask for.
         oldest = min([state.window.column, moment.first, *(int(m.final.earlier.min(initial=moment.first)) for m in held)])
         track = np.concatenate((given.track, identity))[oldest - given.first :]
-        return Given(oldest, track, known.take(known.last >= oldest), returned, used), Tracks.concatenate(parts)
+        given = Given(oldest, track, known.take(known.last >= oldest), returned, used)
+        return replace(state, given=given), Tracks.concatenate(parts)
 
     def _confirmed(self, known: Identities, onward: I8, gain: F8, first: int, end: int) -> Bool:
         """(A,) whether each identity is confirmed by its states, or together with those that it is linked to later."""

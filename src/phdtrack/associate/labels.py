@@ -187,7 +187,7 @@ class Labelled(Checked):
         e, name = estimates.take(shown[order]), identity[place[order]]
         rows = Tracks.of(moment.number, name, e.xyxy, e.weight, e.detection, confirmed[order])
         table = state.table._replace(identity=identity, confirmed=sure)
-        return LabelledState(state.history, state.recent, table, state.time, state.used + len(fresh)), rows
+        return replace(state, table=table, used=state.used + len(fresh)), rows
 
     def _recent(self, state: LabelledState, due: int, model: Model) -> LabelledState:
         """The state without what is forgotten; rows still due stay."""
@@ -201,9 +201,8 @@ class Labelled(Checked):
         return replace(state, history=state.history.since(since), table=state.table.take(kept))
 
 
-def _one_each(estimates: Estimates) -> Estimates:
+def _one_each(e: Estimates) -> Estimates:
     """The states without their past; of those that share a label the heaviest."""
-    e = estimates
     if len(e.tag) != len(e):
         raise InputError(
             f"{len(e)} states bring no labels to identify them by",

@@ -41,9 +41,6 @@ class Groups:
     mean: F8
     covariance: F8
 
-    def __len__(self) -> int:
-        return len(self.count)
-
 
 @dataclass(frozen=True, slots=True)
 class Grouping(Checked):
