@@ -276,14 +276,14 @@ def pictures(
     for number, (mixture, step) in enumerate(run(other), 1):
         if number not in PICTURED:
             continue
-        axis, label = axes[PICTURED.index(number)], Grouping().groups(mixture)
-        for group in range(len(label)):
-            for line in Contours().of(mixture, label.label, group):
+        axis, groups = axes[PICTURED.index(number)], Grouping().groups(mixture)
+        for group in range(len(groups.count)):
+            for line in Contours().of(mixture, groups.label == group):
                 axis.plot(*line, color=f"C{group % 10}", lw=1.5)
-            axis.annotate(f"{label.count[group]:.1f}", label.mean[:2, group], color=f"C{group % 10}", fontsize=8)
+            axis.annotate(f"{groups.count[group]:.1f}", groups.mean[:2, group], color=f"C{group % 10}", fontsize=8)
         axis.plot(*camera.ground(feet(step.detections.xyxy)), "kx", ms=5, label="detections")
         axis.plot(*true[number].mean[:2], "o", ms=5, mfc="none", mec="0.5", label="truth")
-        axis.set(title=f"frame {number}: {len(found[number])} groups, {len(label)} found", xlabel="m", aspect="equal")
+        axis.set(title=f"frame {number}: {len(found[number])} groups, {len(groups.count)} found", xlabel="m", aspect="equal")
         axis.set(xlim=(-16, -2), ylim=(-18, 11))
     axes[0].legend(fontsize=8, loc="upper left")
     axes[0].set_ylabel("m")

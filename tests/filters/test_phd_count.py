@@ -9,7 +9,8 @@ from scipy.integrate import quad
 from experiments import count
 from experiments.counting_scene import Counting
 from phdtrack.arrays import to_cxcywh
-from phdtrack.simulate.detector import poisson_boxes
+from phdtrack.simulate import add_clutter
+from phdtrack.types import Detections, DetectionTable
 
 ASKED = 0.10
 
@@ -33,8 +34,8 @@ def test_every_combination(p_detect: float, clutter: float, laws: count.Laws):
 def test_the_clutter_of_the_scene_is_what_the_simulator_draws(rng):
     """λ over expected values: E[1/κ] over drawn false alarms is the volume they occur in, over the rate."""
     scene = Counting(10, frames=4000)
-    _, boxes = poisson_boxes(scene.info, 5.0, np.zeros((0, 2)), rng)
-    z = to_cxcywh(boxes)
+    nothing = DetectionTable(np.zeros(0, np.int64), Detections.empty())
+    z = to_cxcywh(add_clutter(nothing, scene.info, 5.0, rng, np.zeros((0, 2))).detections.xyxy)
     density = count.SceneClutter(scene, 5.0).intensity(z)
     assert np.all(density > 0)
     # ∫ h dh times the range of aspects, over the frame.

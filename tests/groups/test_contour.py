@@ -9,7 +9,7 @@ from phdtrack.groups.clusters import Contours, polygon_area
 
 def test_a_lone_person_has_a_circle_whose_radius_is_known():
     sd = 0.5
-    (circle,) = Contours(grid_density=8, tolerance=0).of(people([(3, -2, 1, 0)], sd=sd), np.zeros(1, np.int64), 0)
+    (circle,) = Contours(grid_density=8, tolerance=0).of(people([(3, -2, 1, 0)], sd=sd), np.ones(1, np.bool_))
     radius = sd * np.sqrt(2 * np.log(1 / (2 * np.pi * sd**2 * 0.1)))
     assert np.hypot(circle[0] - 3, circle[1] + 2) == pytest.approx(np.full(circle.shape[1], radius), rel=0.01)
     assert (circle[:, 0] == circle[:, -1]).all()
@@ -19,26 +19,26 @@ def test_a_lone_person_has_a_circle_whose_radius_is_known():
 def test_an_uncertain_person_has_none():
     # The peak is below the level where 2π sd² > 10.
     sd = np.sqrt(10 / (2 * np.pi))
-    assert Contours().of(people([(0, 0, 0, 0)], sd=1.01 * sd), np.zeros(1, np.int64), 0) == ()
-    assert len(Contours().of(people([(0, 0, 0, 0)], sd=0.97 * sd), np.zeros(1, np.int64), 0)) == 1
+    assert Contours().of(people([(0, 0, 0, 0)], sd=1.01 * sd), np.ones(1, np.bool_)) == ()
+    assert len(Contours().of(people([(0, 0, 0, 0)], sd=0.97 * sd), np.ones(1, np.bool_))) == 1
 
 
 def test_a_ring_of_people_has_a_hole_that_runs_the_other_way():
     angle = np.arange(12) * np.pi / 6
     mixture = people([(3 * np.cos(a), 3 * np.sin(a), 0, 0) for a in angle], sd=0.45)
-    areas = sorted(polygon_area(p) for p in Contours().of(mixture, np.zeros(12, np.int64), 0))
+    areas = sorted(polygon_area(p) for p in Contours().of(mixture, np.ones(12, np.bool_)))
     assert len(areas) == 2
     assert areas[0] < 0 < areas[1]
     # Of a group of one nobody else counts.
-    (one,) = Contours().of(mixture, np.arange(12), 3)
-    (wanted,) = Contours().of(people([(0, 3, 0, 0)], sd=0.45), np.zeros(1, np.int64), 0)
+    (one,) = Contours().of(mixture, np.arange(12) == 3)
+    (wanted,) = Contours().of(people([(0, 3, 0, 0)], sd=0.45), np.ones(1, np.bool_))
     assert one == pytest.approx(wanted)
 
 
 def test_the_area_is_that_of_the_points_above_the_level():
     rng = np.random.default_rng(3)
     mixture = people([(0, 0, 0, 0), (1, 0.5, 0, 0), (0.3, 1.4, 0, 0)], [1.0, 0.6, 1.4], sd=0.5)
-    area = sum(polygon_area(p) for p in Contours(grid_density=8).of(mixture, np.zeros(3, np.int64), 0))
+    area = sum(polygon_area(p) for p in Contours(grid_density=8).of(mixture, np.ones(3, np.bool_)))
     points = rng.uniform(-3, 5, (2, 400_000))
     density = sum(
         w * np.exp(-((points - m[:2, None]) ** 2).sum(0) / 0.5) / (np.pi * 0.5)
@@ -51,7 +51,7 @@ def test_the_area_is_that_of_the_points_above_the_level():
 
 def test_a_simpler_polygon_stays_within_the_tolerance():
     mixture = people([(0, 0, 0, 0), (1, 0.5, 0, 0)], sd=0.5)
-    (exact,), (simple,) = (Contours(tolerance=t).of(mixture, np.zeros(2, np.int64), 0) for t in (0.0, 0.05))
+    (exact,), (simple,) = (Contours(tolerance=t).of(mixture, np.ones(2, np.bool_)) for t in (0.0, 0.05))
     assert simple.shape[1] < exact.shape[1] / 3
     a, b = simple[:, :-1, None], simple[:, 1:, None]
     along = np.clip(((exact[:, None] - a) * (b - a)).sum(0) / ((b - a) ** 2).sum(0), 0, 1)
@@ -65,5 +65,5 @@ def test_every_curve_is_closed_whatever_the_grid(fineness):
         n = int(rng.integers(1, 8))
         states = [tuple(s) for s in rng.normal(0, 2, (n, 4))]
         mixture = people(states, rng.uniform(0.3, 2, n).tolist(), sd=float(rng.uniform(0.1, 1.2)))
-        for curve in Contours(grid_density=fineness).of(mixture, np.zeros(n, np.int64), 0):
+        for curve in Contours(grid_density=fineness).of(mixture, np.ones(n, np.bool_)):
             assert (curve[:, 0] == curve[:, -1]).all()

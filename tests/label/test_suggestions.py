@@ -31,7 +31,7 @@ def false_rows(table: DetectionTable, truth: Truth) -> np.ndarray:
 def measured(table: DetectionTable, truth: Truth, info: SequenceInfo):
     """(number, precision, recall) of what is ticked: for each reason and for all, on 200 drawn frames."""
     frames = (np.random.default_rng(0).permutation(info.frames)[:200] + 1).tolist()
-    found = suggest(looked_over(table, info), frames, info.fps)
+    found = suggest(looked_over(table, info), frames)
     false = false_rows(table, truth)
     every = false[np.isin(table.frame, frames)].sum()
     out = {}
@@ -86,11 +86,11 @@ def at_one_place(frames, jitter=2.0, seed=0):
     rng = np.random.default_rng(seed)
     box = np.array([100.0, 100, 140, 200]) + jitter * rng.standard_normal((len(frames), 4))
     table = DetectionTable(np.asarray(frames, np.int64), Detections.of(box))
-    return Evidence(table, 1, 1500, np.zeros(len(frames)), Tracks.empty())
+    return Evidence(table, FPS, 1, 1500, np.zeros(len(frames)), Tracks.empty())
 
 
 def place_score(evidence):
-    found = suggest(evidence, np.unique(evidence.table.frame)[:50].tolist(), FPS)
+    found = suggest(evidence, np.unique(evidence.table.frame)[:50].tolist())
     return max((one.score for one in found if one.reason == "place"), default=0)
 
 
@@ -116,9 +116,9 @@ def test_what_a_track_holds_that_goes_somewhere_is_never_suggested():
     ones = np.ones(100)
     rows = np.zeros(100, np.int64)
     tracks = Tracks(frames, rows + 7, box, ones, rows, ones > 0)
-    evidence = Evidence(table, 1, 100, 0.99 * ones, tracks)
-    assert len(suggest(evidence, range(1, 101), FPS)) == 0
-    without = suggest(replace(evidence, tracks=Tracks.empty()), [3, 50, 200], FPS)
+    evidence = Evidence(table, FPS, 1, 100, 0.99 * ones, tracks)
+    assert len(suggest(evidence, range(1, 101))) == 0
+    without = suggest(replace(evidence, tracks=Tracks.empty()), [3, 50, 200])
     assert without == [Suggestion(number, 0, "rejected", 0.99, -1) for number in (3, 50)]
 
 

@@ -162,7 +162,7 @@ def _suggestions(
             return [Suggestion(*row) for row in kept["rows"]]
     stages, whole = build(settings, found.info), range(1, last + 1)
     evidence = Evidence.of(found.table, fps, whole, stages, advance=lambda count: advance(count / last))
-    made = suggest(evidence, frames, fps)
+    made = suggest(evidence, frames)
     file.write_text(json.dumps({"key": key, "rows": made}) + "\n", encoding="utf-8")
     return made
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from phdtrack.errors import Checked, NonNegative, Positive, PositiveCount
 from phdtrack.kernels.grid import points_in_rectangles
-from phdtrack.types import F8, I8, GaussianMixture
+from phdtrack.types import F8, I8, Bool, GaussianMixture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,10 +67,9 @@ class Grouping(Checked):
         a, b = self.connected(mixture.mean[:, heavy])
         n = len(heavy)
         graph = coo_array((np.ones(len(a), np.int8), (a, b)), shape=(n, n))
-        number, of_heavy = connected_components(graph, directed=False) if n else (0, np.zeros(0, np.int64))
         label = np.full(len(mixture), -1, np.int64)
-        label[heavy] = of_heavy
-        return group_moments(mixture, label, int(number))
+        label[heavy] = connected_components(graph, directed=False)[1] if n else 0
+        return group_moments(mixture, label)
 
     def connected(self, mean: F8) -> tuple[I8, I8]:
         """Pairs (i, j), i < j, of columns of (4, n) states that are near and slow apart. Linear in n through a grid."""
@@ -82,24 +81,14 @@ class Grouping(Checked):
         return a[joined], b[joined]
 
 
-def group_moments(mixture: GaussianMixture, label: I8, number: int) -> Groups:
-    """The ``number`` groups that ``label`` (J,) makes of the mixture's components.
+def group_moments(mixture: GaussianMixture, label: I8) -> Groups:
+    """The groups that ``label`` (J,), from 0, −1 for none, makes of the components of a mixture over (px, py, vx, vy).
 
     A component of weight w is taken for a person who is there with probability w, independent of the others, and one above 1
     for its whole part of people and one more with the rest: the variance of the number is Σ r(1 − r), r the part behind the
     point. (A Poisson point process, as which the filter treats the posterior, would have Σ w.)
-
-    Parameters
-    ----------
-    mixture : over (px, py, vx, vy), metres and metres per second.
-    label : (J,) group of each component, −1 for none.
-    number : of groups.
-
-    Returns
-    -------
-    The groups.
     """
-    used = label >= 0
+    used, number = label >= 0, int(label.max(initial=-1)) + 1
     of, weight = label[used], mixture.weight[used]
     mean, cov = mixture.mean[:4, used], mixture.covariance[used][:, :4, :4]
     count: F8 = np.bincount(of, weight, number).astype(np.float64)
@@ -130,22 +119,12 @@ class Contours(Checked):
     max_grid: PositiveCount = 160
     tolerance: NonNegative = 0.02
 
-    def of(self, mixture: GaussianMixture, label: I8, group: int) -> tuple[F8, ...]:
-        """Closed polygons (2, K), metres, first point = last, of one group; holes among them, if any.
+    def of(self, mixture: GaussianMixture, members: Bool) -> tuple[F8, ...]:
+        """Closed polygons (2, K), metres, first point = last, of the group of the components ``members`` (J,).
 
-        They run counter-clockwise around what is inside (x to the right, y up) and clockwise around holes.
-
-        Parameters
-        ----------
-        mixture : over (px, py, vx, vy).
-        label : (J,) group of each component.
-        group : the one to draw.
-
-        Returns
-        -------
-        The polygons; none where the intensity stays below the level.
+        They run counter-clockwise around what is inside (x to the right, y up) and clockwise around holes. There are none
+        where the intensity stays below the level.
         """
-        members = label == group
         weight, mean, cov = mixture.weight[members], mixture.mean[:2, members], mixture.covariance[members][:, :2, :2]
         peak = weight / (2 * math.pi * np.sqrt(np.linalg.det(cov)))
         if peak.sum() <= self.level:

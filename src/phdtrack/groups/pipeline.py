@@ -60,14 +60,14 @@ class GroupFrame:
         return float(self.groups.count.sum())
 
     @property
-    def named(self) -> int:
-        """Number of groups with an identity."""
-        return int(np.count_nonzero(self.identity))
-
-    @property
     def deviation(self) -> float:
         """Standard deviation of that number."""
         return float(np.sqrt((self.groups.deviation**2).sum()))
+
+    @property
+    def named(self) -> int:
+        """Number of groups with an identity."""
+        return int(np.count_nonzero(self.identity))
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,8 +108,8 @@ class GroupStages:
             state, member, clusters.label[carrier], mixture.weight[carrier], number, time
         )
         label, identity = _groups(clusters.label, mixture.weight, carrier, membership)
-        groups = group_moments(mixture, label, len(identity))
-        contours = tuple(self.contours.of(mixture, label, group) for group in range(len(identity)))
+        groups = group_moments(mixture, label)
+        contours = tuple(self.contours.of(mixture, label == group) for group in range(len(identity)))
         known = label >= 0
         known[known] = identity[label[known]] > 0
         warned = self.encounters.expected(

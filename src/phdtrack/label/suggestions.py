@@ -53,13 +53,14 @@ class Evidence:
 
     Attributes
     ----------
-    table : the stretch's detections, M rows.
+    table, fps : the stretch's detections, M rows, and frames per second.
     first, last : its frames.
     clutter : (M,) the posterior probability that each is a false alarm.
     tracks : the corrected ones, whose ``detection`` counts within the frame.
     """
 
     table: DetectionTable
+    fps: float
     first: int
     last: int
     clutter: F8
@@ -98,7 +99,7 @@ class Evidence:
             clutter.append(found if len(found) else np.zeros(len(step.detections)))
             advance(len(clutter))
         stretch = DetectionTable(table.frame[rows], table.detections.take(rows))
-        return cls(stretch, frames.start, frames.stop - 1, np.concatenate(clutter), pipeline.finish(stages, state))
+        return cls(stretch, fps, frames.start, frames.stop - 1, np.concatenate(clutter), pipeline.finish(stages, state))
 
 
 class Suggestion(NamedTuple):
@@ -118,24 +119,13 @@ class Suggestion(NamedTuple):
     place: int
 
 
-def suggest(evidence: Evidence, frames: Sequence[int], fps: float) -> list[Suggestion]:
-    """What may be false among the detections of some frames.
-
-    Parameters
-    ----------
-    evidence : of the whole stretch.
-    frames : whose detections are asked about; those outside the stretch have nothing to suggest.
-    fps : frames per second.
-
-    Returns
-    -------
-    Worst first.
-    """
-    table = evidence.table
+def suggest(evidence: Evidence, frames: Sequence[int]) -> list[Suggestion]:
+    """What may be false among the detections of some frames, worst first; outside the stretch there is nothing."""
+    table, fps = evidence.table, evidence.fps
     own = _tracks_of(table, evidence.tracks)
     speed, span = _lives(table, own, fps)
     asked, goes = np.isin(table.frame, np.asarray(frames, np.int64)), speed >= SLOW
-    place, fires = _places(evidence, ~goes, asked & ~goes, fps)
+    place, fires = _places(evidence, ~goes, asked & ~goes)
     rejected = np.where(own >= 0, 0.0, evidence.clutter)
     short = np.where(~goes & (span < SHORT), _MAX_SHORT * 0.5**span * (1 - speed / SLOW), 0.0)
     scores = np.stack([fires, rejected, short])
@@ -175,13 +165,13 @@ def _lives(table: DetectionTable, own: I8, fps: float) -> tuple[F8, F8]:
     return speed, span
 
 
-def _places(evidence: Evidence, still: Bool, asked: Bool, fps: float) -> tuple[I8, F8]:
+def _places(evidence: Evidence, still: Bool, asked: Bool) -> tuple[I8, F8]:
     """(M,) which place each of the ``asked`` detections belongs to, −1 for none, and how surely it fires too often."""
     frame, xyxy = evidence.table.frame, evidence.table.detections.xyxy
     rows, candidates = np.flatnonzero(still), np.flatnonzero(asked)
     where, score = np.full(len(frame), -1), np.zeros(len(frame))
     fired = [frame[rows[_alike(xyxy[k], xyxy[rows])]] for k in candidates]
-    likely = np.array([_fires(hits, evidence, fps) for hits in fired])
+    likely = np.array([_fires(hits, evidence) for hits in fired])
     seeds, numbers = np.zeros((0, 4)), np.zeros(0, np.int64)
     # The middle of a place has the most around it.
     for seed in np.lexsort((-np.array([len(hits) for hits in fired]), -likely)):
@@ -200,12 +190,12 @@ def _places(evidence: Evidence, still: Bool, asked: Bool, fps: float) -> tuple[I
     return where, score
 
 
-def _fires(frame: I8, evidence: Evidence, fps: float) -> float:
+def _fires(frame: I8, evidence: Evidence) -> float:
     """How surely a place fires by itself that has still detections in these frames of the stretch."""
     from scipy.special import gammaincc
 
     hits, length = np.unique(frame) - evidence.first, evidence.last - evidence.first + 1
-    n, window = len(hits), STAY * fps
+    n, window = len(hits), STAY * evidence.fps
     if n < 2:
         return 0.0
     often = float(gammaincc(n, window))  # P(N < n)

@@ -132,7 +132,7 @@ class SceneTraining:
         if not self._of_boxes:
             raise InputError(_ONLY_BOXES)
         frames = [self.stretch.start + k - 1 for k in shuffled(len(self.stretch), self.seed)[:UNATTENDED]]
-        taken = [one for one in suggest(self._tracked(), frames, self.info.fps) if one.score >= TICKED]
+        taken = [one for one in suggest(self._tracked(), frames) if one.score >= TICKED]
         table = self.table
         rows = np.searchsorted(table.frame, [one.frame for one in taken]) + np.array([one.box for one in taken], np.int64)
         try:

@@ -6,17 +6,7 @@ a scene as a video.
 
 from phdtrack.simulate.detector import Detected, DetectorModel, add_clutter, detect
 from phdtrack.simulate.render import Rendered
-from phdtrack.simulate.scenes import (
-    NAMED,
-    Entrance,
-    Look,
-    Scenario,
-    Scene,
-    Walk,
-    default_detector,
-    default_look,
-    make_scene,
-)
+from phdtrack.simulate.scenes import NAMED, Entrance, Look, Scenario, Scene, Walk, default_detector, default_look, make_scene
 
 __all__ = [
     "NAMED",

@@ -7,7 +7,7 @@ the detections of the targets are the same whatever the clutter, and a higher p_
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -109,7 +109,7 @@ def detect(
     kept = np.flatnonzero((lot < p_detect) & ~truth.distractor)
 
     # Poisson clutter, and persistent places.
-    at, false = poisson_boxes(info, model.clutter_rate, sizes, clutter_rng)
+    at, false = _poisson_boxes(info, model.clutter_rate, sizes, clutter_rng)
     false_score = scores(len(at), (2, 4), clutter_rng)
     fired, place = np.nonzero(places_rng.random((info.frames, model.places)) < model.place_fire)
     place_box = _jittered(places[place], model.place_jitter, model.place_jitter, places_rng)
@@ -152,17 +152,11 @@ def add_clutter(
     if not 0 <= rate < np.inf:
         raise InputError(f"expected a clutter rate in boxes per frame, got {rate}", cure="Give 0 or more")
     boxes_rng, donor_rng, order_rng = rng.spawn(3)
-    frame, boxes = poisson_boxes(info, rate, truth_sizes, boxes_rng)
-    old, new = table.detections, Detections.of(boxes)
+    frame, boxes = _poisson_boxes(info, rate, truth_sizes, boxes_rng)
+    merged, frames = Detections.of(boxes), np.concatenate([table.frame, frame])
     if len(table):
-        donor = old.take(donor_rng.integers(len(table), size=len(frame)))
-        new = Detections(boxes, donor.confidence, donor.class_id, donor.covariance)
-    covariance = None
-    if old.covariance is not None and new.covariance is not None:
-        covariance = np.concatenate([old.covariance, new.covariance])
-    xyxy, confidence = np.concatenate([old.xyxy, new.xyxy]), np.concatenate([old.confidence, new.confidence])
-    merged = Detections(xyxy, confidence, np.concatenate([old.class_id, new.class_id]), covariance)
-    frames = np.concatenate([table.frame, frame])
+        rows = np.append(np.arange(len(table)), donor_rng.integers(len(table), size=len(frame)))
+        merged = replace(table.detections.take(rows), xyxy=np.concatenate([table.detections.xyxy, boxes]))
     order = _shuffled(frames, order_rng)
     return DetectionTable(frames[order], merged.take(order))
 
@@ -188,20 +182,8 @@ def covered(truth: Truth, obstacles: F8) -> F8:
     return hidden
 
 
-def poisson_boxes(info: SequenceInfo, rate: float, sizes: F8, rng: np.random.Generator) -> tuple[I8, F8]:
-    """False alarms uniform over the frame.
-
-    Parameters
-    ----------
-    info : size and number of frames of the sequence.
-    rate : expected false alarms per frame.
-    sizes : (S, 2) widths and heights to draw from, pixels; log-uniform where it has no rows.
-    rng : draws them.
-
-    Returns
-    -------
-    Frames (M,) ascending, and boxes (M, 4).
-    """
+def _poisson_boxes(info: SequenceInfo, rate: float, sizes: F8, rng: np.random.Generator) -> tuple[I8, F8]:
+    """Frames (M,), ascending, and boxes (M, 4) of false alarms uniform over the frame."""
     frame = np.repeat(np.arange(1, info.frames + 1), rng.poisson(rate, info.frames))
     centre = rng.random((len(frame), 2)) * np.array([info.width, info.height])
     size = _draw_sizes(info, len(frame), sizes, rng)
@@ -215,7 +197,8 @@ def place_boxes(info: SequenceInfo, n: int, sizes: F8, rng: np.random.Generator)
     ----------
     info : size of the frame.
     n : number of places.
-    sizes, rng : as `poisson_boxes` has them.
+    sizes : (S, 2) widths and heights to draw from, pixels; log-uniform where it has no rows.
+    rng : draws them.
 
     Returns
     -------

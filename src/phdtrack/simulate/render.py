@@ -13,7 +13,8 @@ drawn once and then bent: its picture is sampled at x − d, with d growing from
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import accumulate
 from typing import NamedTuple
 
 import cv2
@@ -25,7 +26,7 @@ from phdtrack.simulate.scenes import Look, Scene
 from phdtrack.types import F8, I8, Bool, Frame, Image, SequenceInfo, Truth
 
 F4 = NDArray[np.float32]
-Colour = tuple[int, int, int]
+Colour = tuple[int, ...]
 Spot = tuple[float, float]
 
 _PHASES = 12
@@ -89,11 +90,11 @@ def _scaled(levels: tuple[Image, ...], box: F8, *, mirrored: bool = False) -> _P
 
 def _walking(rng: np.random.Generator, aspect: float) -> tuple[tuple[Image, ...], ...]:
     """For each of the `_PHASES` the sprites of a person with looks drawn by chance; ``aspect`` is width over height."""
-    skin, hair, coat, trousers = (each[int(rng.integers(len(each)))] for each in (_SKIN, _HAIR, _COATS, _TROUSERS))
-    return tuple(_pyramid(_phase((skin, hair, coat, trousers), aspect, 2 * np.pi * k / _PHASES)) for k in range(_PHASES))
+    colours = [each[int(rng.integers(len(each)))] for each in (_SKIN, _HAIR, _COATS, _TROUSERS)]
+    return tuple(_pyramid(_phase(colours, aspect, 2 * np.pi * k / _PHASES)) for k in range(_PHASES))
 
 
-def _phase(colours: tuple[Colour, Colour, Colour, Colour], aspect: float, angle: float) -> Image:
+def _phase(colours: Sequence[Colour], aspect: float, angle: float) -> Image:
     """The sprite of one phase of the step; ``angle`` in radians, 0 where the legs pass each other."""
     skin, hair, coat, trousers = colours
     scale, width = _HEIGHT * _FINE, max(round(aspect * _HEIGHT), 8)
@@ -117,7 +118,8 @@ def _phase(colours: tuple[Colour, Colour, Colour, Colour], aspect: float, angle:
         cv2.ellipse(canvas, at(centre), axes, 0, start, end, (*colour, 255), -1, cv2.LINE_AA)
 
     limb(coat, 0.042, *far_arm)
-    for (hip, knee, ankle), colour in zip(legs, (_darker(trousers, 0.75), trousers), strict=True):
+    for (hip, knee, ankle), light in zip(legs, (0.75, 1.0), strict=True):
+        colour = tuple(int(light * part) for part in trousers)
         limb(colour, 0.085, hip, knee)
         limb(colour, 0.06, knee, ankle)
         limb((25, 25, 30), 0.035, (ankle[0] - 0.01, ankle[1] - 0.005), (ankle[0] + 0.055, ankle[1] - 0.003))
@@ -125,11 +127,11 @@ def _phase(colours: tuple[Colour, Colour, Colour, Colour], aspect: float, angle:
     limb(skin, 0.05, (0.0, 0.12), (0.0, 0.16))
     oval(skin, (0.008, 0.078), (0.05, 0.066))
     oval(hair, (-0.004, 0.066), (0.056, 0.064), 150, 330)
-    limb(_darker(coat, 0.8), 0.045, *near_arm)
+    limb(tuple(int(0.8 * part) for part in coat), 0.045, *near_arm)
     oval(skin, near_arm[-1], (0.024, 0.024))
     # Lit from the upper left.
-    light = np.linspace(1.12, 0.78, canvas.shape[1])[None, :, None] * np.linspace(1.08, 0.88, scale)[:, None, None]
-    canvas[:, :, :3] = np.clip(canvas[:, :, :3] * light, 0, 255)
+    lit = np.linspace(1.12, 0.78, canvas.shape[1])[None, :, None] * np.linspace(1.08, 0.88, scale)[:, None, None]
+    canvas[:, :, :3] = np.clip(canvas[:, :, :3] * lit, 0, 255)
     return _smaller(canvas)
 
 
@@ -137,11 +139,6 @@ def _smaller(canvas: Image, factor: int = _FINE) -> Image:
     """The canvas, reduced by the factor."""
     small: Image = cv2.resize(canvas, (canvas.shape[1] // factor, canvas.shape[0] // factor), interpolation=cv2.INTER_AREA)
     return small
-
-
-def _darker(colour: Colour, factor: float) -> Colour:
-    blue, green, red = (int(factor * part) for part in colour)
-    return blue, green, red
 
 
 def _bones(joint: Spot, lengths: Spot, angles: Spot) -> list[Spot]:
@@ -434,18 +431,14 @@ def _leaves(info: SequenceInfo, number: int, rng: np.random.Generator) -> list[_
 def _blinking(frames: int, fps: float, number: int, rng: np.random.Generator) -> F8:
     """(frames, number) levels 0 or 1 that change by chance about every second; the odd ones shimmer in between instead."""
     switches = rng.random((frames, number)) < 1 / fps
-    on = (np.cumsum(switches, axis=0) + rng.integers(0, 2, number)) % 2
-    shimmer = np.array([_wandering((frames,), 0.15 * fps, rng) for _ in range(number)]).reshape(number, frames).T
-    odd = np.arange(number) % 2 == 1
-    return np.where(odd, np.clip(0.4 + 0.4 * shimmer, 0, 1), on.astype(np.float64))
+    levels = ((np.cumsum(switches, axis=0) + rng.integers(0, 2, number)) % 2).astype(np.float64)
+    shimmer = [np.clip(0.4 + 0.4 * _wandering((frames,), 0.15 * fps, rng), 0, 1) for _ in range(number)]
+    levels[:, 1::2] = np.array(shimmer).reshape(number, frames)[1::2].T
+    return levels
 
 
 def _wandering(shape: tuple[int, ...], memory: float, rng: np.random.Generator) -> F8:
     """A stationary process of unit variance over the first axis, whose correlation falls to 1/e in ``memory`` frames."""
-    keep = np.exp(-1 / memory)
-    value = rng.normal(size=shape[1:])
-    out = np.empty(shape)
-    for k, kick in enumerate(rng.normal(size=shape) * np.sqrt(1 - keep**2)):
-        value = keep * value + kick
-        out[k] = value
-    return out
+    keep, before = np.exp(-1 / memory), rng.normal(size=shape[1:])
+    kicks = rng.normal(size=shape) * np.sqrt(1 - keep**2)
+    return np.array([*accumulate(kicks, lambda value, kick: keep * value + kick, initial=before)])[1:]

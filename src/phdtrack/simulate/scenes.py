@@ -19,17 +19,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from phdtrack.arrays import share_inside
-from phdtrack.errors import (
-    Checked,
-    Count,
-    InputError,
-    NonNegative,
-    Positive,
-    PositiveCount,
-    Probability,
-    check,
-    did_you_mean,
-)
+from phdtrack.errors import Checked, Count, InputError, NonNegative, Positive, PositiveCount, Probability, did_you_mean
 from phdtrack.simulate.detector import DetectorModel, detect
 from phdtrack.types import F8, I8, DetectionTable, SequenceInfo, Truth
 
@@ -111,7 +101,7 @@ class Entrance(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Scenario:
+class Scenario(Checked):
     """Settings of a scene with people; lengths in the picture are fractions of the frame's width or height.
 
     Attributes
@@ -150,7 +140,7 @@ class Scenario:
     obstacles: tuple[tuple[float, float, float, float], ...] = ()
 
     def __post_init__(self) -> None:
-        check(self)
+        Checked.__post_init__(self)
         low = min((y for walk in self.walks for _, y in walk.points), default=1.0)
         expected = {
             f"at least 16x16 pixels, got {self.width}x{self.height}": min(self.width, self.height) >= 16,
