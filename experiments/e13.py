@@ -149,7 +149,7 @@ def run(job: CrowdRun) -> Iterator[tuple[GaussianMixture, Step]]:
 def work(job: CrowdRun) -> CrowdCounts:
     """One run over the sequence."""
     rows = [
-        (step.info.mass, len(step.estimates), len(step.detections), len(Grouping().groups(mixture)))
+        (step.info.mass, len(step.estimates), len(step.detections), len(Grouping().groups(mixture).count))
         for mixture, step in run(job)
     ]
     return CrowdCounts(*np.array(rows, dtype=np.float64).T)
@@ -283,7 +283,9 @@ def pictures(
             axis.annotate(f"{groups.count[group]:.1f}", groups.mean[:2, group], color=f"C{group % 10}", fontsize=8)
         axis.plot(*camera.ground(feet(step.detections.xyxy)), "kx", ms=5, label="detections")
         axis.plot(*true[number].mean[:2], "o", ms=5, mfc="none", mec="0.5", label="truth")
-        axis.set(title=f"frame {number}: {len(found[number])} groups, {len(groups.count)} found", xlabel="m", aspect="equal")
+        axis.set(
+            title=f"frame {number}: {len(found[number].count)} groups, {len(groups.count)} found", xlabel="m", aspect="equal"
+        )
         axis.set(xlim=(-16, -2), ylim=(-18, 11))
     axes[0].legend(fontsize=8, loc="upper left")
     axes[0].set_ylabel("m")

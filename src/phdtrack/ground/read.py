@@ -24,6 +24,7 @@ import io
 import re
 import tomllib
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal, get_args, get_type_hints
@@ -34,7 +35,7 @@ import numpy as np
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.files import AnyPath, Element, load, read_json, read_xml
 from phdtrack.ground.cameras import HomographyCamera, OpenCVLens, PosedCamera, TsaiLens
-from phdtrack.ground.terrain import Flat, Line, Surface, read_terrain
+from phdtrack.ground.terrain import Line, read_terrain
 from phdtrack.protocols import Camera
 from phdtrack.types import F8
 
@@ -178,27 +179,15 @@ class MatrixForm:
                 raise InputError(expected, where="form of the homography")
 
 
-def read_camera(path: AnyPath, form: MatrixForm | None = None, surface: Surface | None = None) -> Camera:
-    """The camera of a file.
+def read_camera(path: AnyPath, form: MatrixForm | None = None) -> Camera:
+    """The camera of a file; ``form`` is what a bare matrix means, where it is not what is usual.
 
-    Parameters
-    ----------
-    path : a file of any of the kinds listed above.
-    form : what a bare matrix means, where it is not what is usual.
-    surface : terrain in place of flat ground, for Tsai and OpenCV cameras.
-
-    Returns
-    -------
-    The camera; a file that says nothing of the ground has it flat, at height 0.
-
-    Raises
-    ------
-    InputError : there is no such file, it is of no known kind, something in it is missing or wrong, or the surface does not
-        go with the camera.
+    A file that says nothing of the ground has it flat, at height 0. Raises `InputError` where there is no such file, it is
+    of no known kind, or something in it is missing or wrong.
     """
     path = Path(path)
     try:
-        return _read(path, form or MatrixForm(), surface)
+        return _read(path, form or MatrixForm())
     except InputError as error:
         if error.where.startswith(str(path)):
             raise
@@ -220,11 +209,11 @@ def calibration_text(fitted: Calibration, frame_size: tuple[int, int] | None = N
     )
 
 
-def _read(path: Path, form: MatrixForm, surface: Surface | None, *, nested: bool = False) -> Camera:
+def _read(path: Path, form: MatrixForm, *, nested: bool = False) -> Camera:
     """The camera of a file; ``nested``: a description has named it, so that it must not name another one."""
     content = load(path)
     if content.startswith((b"MATLAB 5.0", b"MATLAB 7.3")):
-        return _homography_camera(_matlab_matrix(path, content, form), replace(form, vectors=form.vectors or "row"), surface)
+        return _homography_camera(_matlab_matrix(path, content, form), replace(form, vectors=form.vectors or "row"))
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -233,20 +222,20 @@ def _read(path: Path, form: MatrixForm, surface: Surface | None, *, nested: bool
     if start.startswith("<"):
         elements = read_xml(path, content)
         if elements[0].name == "Camera":
-            return _tsai_camera({element.name: element for element in reversed(elements)}, surface or Flat())
+            return _tsai_camera({element.name: element for element in reversed(elements)})
         if elements[0].name != "opencv_storage":
             raise InputError(f"{_EXPECTED}, came XML with <{elements[0].name}> outermost")
     if start.startswith(("<", "%YAML")):
-        return _described(path, _storage(text), surface, nested)
+        return _described(path, _storage(text), nested)
     if start.startswith("{"):
-        return _described(path, read_json(path, content), surface, nested)
+        return _described(path, read_json(path, content), nested)
     if re.match(r"(\s*(#.*)?\n)*\s*[-+]?(\d|\.\d|nan\b|inf\b)", text, re.IGNORECASE):
         usual: Literal["xy", "row-column"] = "row-column" if (path.parent / "obsmat.txt").is_file() else "xy"
-        return _homography_camera(_text_matrix(text), replace(form, pixel=form.pixel or usual), surface)
-    return _described(path, _toml(text), surface, nested)
+        return _homography_camera(_text_matrix(text), replace(form, pixel=form.pixel or usual))
+    return _described(path, _toml(text), nested)
 
 
-def _described(path: Path, values: Description, surface: Surface | None, nested: bool) -> Camera:
+def _described(path: Path, values: Description, nested: bool) -> Camera:
     """The camera of a description."""
     kinds = [kind for kind in ("file", "homography") if kind in values]
     kinds += ["camera_matrix"] * any(name in values for name in _NAMES["camera_matrix"])
@@ -257,37 +246,35 @@ def _described(path: Path, values: Description, surface: Surface | None, nested:
     for key in ("file", "terrain"):
         if not isinstance(values.get(key, ""), str):
             raise InputError(f"expected the name of a file, came {values[key]!r}", where=key)
-    if surface is None and "terrain" in values:
-        surface = Flat() if kinds == ["homography"] else read_terrain(path.parent / values["terrain"])
+    form = {field.name: values[field.name] for field in fields(MatrixForm) if field.name in values}
     if kinds == ["camera_matrix"]:
-        return _opencv_camera(values, surface or Flat())
-    form = MatrixForm(**{field.name: values[field.name] for field in fields(MatrixForm) if field.name in values})
-    if kinds == ["file"]:
-        return _read(path.parent / values["file"], form, surface, nested=True)
-    inside = tuple(_array(values, "inside", (2,)).tolist()) if "inside" in values else None
-    return _homography_camera(_array(values, "homography", (3, 3)), form, surface, inside)
-
-
-def _homography_camera(
-    matrix: F8, form: MatrixForm, surface: Surface | None, inside: tuple[float, float] | None = None
-) -> HomographyCamera:
-    """The camera of a matrix in the given form."""
-    if surface is not None:
+        camera: Camera = _opencv_camera(values)
+    elif kinds == ["file"]:
+        camera = _read(path.parent / values["file"], MatrixForm(**form), nested=True)
+    else:
+        inside = tuple(_array(values, "inside", (2,)).tolist()) if "inside" in values else None
+        camera = _homography_camera(_array(values, "homography", (3, 3)), MatrixForm(**form), inside)
+    if "terrain" not in values:
+        return camera
+    if not isinstance(camera, PosedCamera):
         problem = "expected a Tsai or OpenCV camera for an elevation map, came a homography"
         raise InputError(problem, cure="A homography knows flat ground only.")
+    return replace(camera, surface=read_terrain(path.parent / values["terrain"]))
+
+
+def _homography_camera(matrix: F8, form: MatrixForm, inside: tuple[float, float] | None = None) -> HomographyCamera:
+    """The camera of a matrix in the given form, which refuses one that cannot be inverted."""
     h = matrix.T if form.vectors == "row" else matrix
     if form.maps == "ground-to-pixel":
-        try:
-            h = np.asarray(np.linalg.inv(h), dtype=np.float64)
-        except np.linalg.LinAlgError:
-            raise InputError("expected a matrix that can be inverted, came one that cannot", where="homography") from None
+        with suppress(np.linalg.LinAlgError):
+            h = np.linalg.inv(h).astype(np.float64)
     if form.pixel == "row-column":
         h = h[:, [1, 0, 2]]
     metres = _METRES[form.unit or "m"]
     return HomographyCamera(np.diag([metres, metres, 1.0]) @ h, inside)
 
 
-def _opencv_camera(values: Description, surface: Surface) -> PosedCamera:
+def _opencv_camera(values: Description) -> PosedCamera:
     """The camera of a description with a camera matrix."""
     named = {ours: next((name for name in names if name in values), "") for ours, names in _NAMES.items()}
     if not named["distortion_coefficients"]:
@@ -306,7 +293,7 @@ def _opencv_camera(values: Description, surface: Surface) -> PosedCamera:
         rotation = np.asarray(cv2.Rodrigues(_array(values, named["rvec"], (3,)))[0], np.float64)
     if len(distortion) == 14 and not distortion[12:].any():
         distortion = distortion[:12]
-    return PosedCamera(OpenCVLens(matrix, distortion), rotation, _METRES[unit] * translation, surface)
+    return PosedCamera(OpenCVLens(matrix, distortion), rotation, _METRES[unit] * translation)
 
 
 def _array(values: Description, name: str, shape: tuple[int, ...] | None = None) -> F8:
@@ -405,7 +392,7 @@ def _matlab_matrix(path: Path, content: bytes, form: MatrixForm) -> F8:
     raise InputError(problem, cure=f'{cure}file = "{path.name}", variable = "{name}", unit = "cm" (or "m", "mm").')
 
 
-def _tsai_camera(found: Mapping[str, Element], surface: Surface) -> PosedCamera:
+def _tsai_camera(found: Mapping[str, Element]) -> PosedCamera:
     """The camera of the elements of a calibration file, in millimetres and radians [E13 §3.2]."""
     for name in ("Geometry", "Intrinsic", "Extrinsic"):
         if name not in found:
@@ -421,4 +408,4 @@ def _tsai_camera(found: Mapping[str, Element], surface: Surface) -> PosedCamera:
     for axis, name in zip(np.eye(3), ("rx", "ry", "rz"), strict=True):
         rotation = cv2.Rodrigues(axis * extrinsic.number(name))[0] @ rotation
     translation = 1e-3 * np.array([extrinsic.number(name) for name in ("tx", "ty", "tz")])
-    return PosedCamera(lens, rotation, translation, surface)
+    return PosedCamera(lens, rotation, translation)
