@@ -4,13 +4,17 @@ import numpy as np
 import pytest
 
 from phdtrack.groups.life_cycle import EncounterWarning
+from phdtrack.types import GaussianMixture
 
-SURE = np.zeros((2, 4, 4))
+
+def walking(mean, cov=0.0):
+    n = mean.shape[1]
+    return GaussianMixture(np.ones(n), mean, np.zeros((n, 4, 4)) + cov)
 
 
 def test_two_who_walk_towards_each_other_are_warned_of_in_time():
     mean = np.array([[0, 0, 1, 0], [10, 1, -1, 0]], float).T
-    (warned,) = EncounterWarning(horizon=6).expected(np.array([4, 2]), mean, SURE)
+    (warned,) = EncounterWarning(horizon=6).expected(np.array([4, 2]), walking(mean))
     assert (warned.first, warned.second) == (2, 4)
     assert warned.seconds == pytest.approx(5.0)
     assert warned.distance == pytest.approx(1.0)
@@ -21,6 +25,7 @@ def test_two_who_walk_towards_each_other_are_warned_of_in_time():
 @pytest.mark.parametrize(
     ("first", "second", "group"),
     [
+        ((0, 0, 1, 0), (10, 1, -1, 0), 0),  # one of no group
         ((0, 0, -1, 0), (10, 0, 1, 0), 2),  # away from each other
         ((0, 0, 1, 0), (10, 5, -1, 0), 2),  # past each other, five metres apart
         ((0, 0, 1, 0), (40, 0, -1, 0), 2),  # beyond the horizon
@@ -31,13 +36,13 @@ def test_two_who_walk_towards_each_other_are_warned_of_in_time():
 )
 def test_no_warning_where_groups_do_not_meet(first, second, group):
     mean = np.array([first, second], float).T
-    assert EncounterWarning().expected(np.array([1, group]), mean, SURE) == ()
+    assert EncounterWarning().expected(np.array([1, group]), walking(mean)) == ()
 
 
 def test_the_deviation_and_the_probability_are_those_of_drawn_paths():
     cov = np.diag([0.04, 0.04, 0.01, 0.01])
     mean = np.array([[0, 0, 1, 0], [6, 1.8, -1, 0]], float).T
-    (warned,) = EncounterWarning().expected(np.array([1, 2]), mean, np.stack([cov, cov]))
+    (warned,) = EncounterWarning().expected(np.array([1, 2]), walking(mean, cov))
     rng = np.random.default_rng(1)
     a, b = (rng.multivariate_normal(m, cov, 100_000).T for m in mean.T)
     apart = (a - b)[:2] + (a - b)[2:] * warned.seconds
@@ -48,5 +53,5 @@ def test_the_deviation_and_the_probability_are_those_of_drawn_paths():
 
 def test_the_likeliest_pair_of_members_speaks_for_two_groups():
     mean = np.array([[0, 0, 1, 0], [0, 6, 1, 0], [6, 6.5, -1, 0]], float).T
-    (warned,) = EncounterWarning().expected(np.array([1, 1, 2]), mean, np.zeros((3, 4, 4)))
+    (warned,) = EncounterWarning().expected(np.array([1, 1, 2]), walking(mean))
     assert warned.distance == pytest.approx(0.5)

@@ -86,7 +86,7 @@ def at_one_place(frames, jitter=2.0, seed=0):
     rng = np.random.default_rng(seed)
     box = np.array([100.0, 100, 140, 200]) + jitter * rng.standard_normal((len(frames), 4))
     table = DetectionTable(np.asarray(frames, np.int64), Detections.of(box))
-    return Evidence(table, FPS, 1, 1500, np.zeros(len(frames)), Tracks.empty())
+    return Evidence(table, FPS, range(1, 1501), np.zeros(len(frames)), Tracks.empty())
 
 
 def place_score(evidence):
@@ -116,7 +116,7 @@ def test_what_a_track_holds_that_goes_somewhere_is_never_suggested():
     ones = np.ones(100)
     rows = np.zeros(100, np.int64)
     tracks = Tracks(frames, rows + 7, box, ones, rows, ones > 0)
-    evidence = Evidence(table, FPS, 1, 100, 0.99 * ones, tracks)
+    evidence = Evidence(table, FPS, range(1, 101), 0.99 * ones, tracks)
     assert len(suggest(evidence, range(1, 101))) == 0
     without = suggest(replace(evidence, tracks=Tracks.empty()), [3, 50, 200])
     assert without == [Suggestion(number, 0, "rejected", 0.99, -1) for number in (3, 50)]

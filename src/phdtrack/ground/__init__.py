@@ -3,7 +3,6 @@
 from phdtrack.ground.cameras import (
     CountedFrom,
     HomographyCamera,
-    Lens,
     OpenCVLens,
     PosedCamera,
     TsaiLens,
@@ -18,7 +17,6 @@ __all__ = [
     "CountedFrom",
     "Flat",
     "HomographyCamera",
-    "Lens",
     "MatrixForm",
     "OpenCVLens",
     "PosedCamera",

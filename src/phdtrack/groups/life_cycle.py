@@ -27,7 +27,7 @@ from typing import Literal
 import numpy as np
 
 from phdtrack.errors import Checked, NonNegative, Positive, Share
-from phdtrack.types import F8, I8
+from phdtrack.types import F8, I8, GaussianMixture
 
 Kind = Literal["appear", "vanish", "merge", "split"]
 # Frame number and time, seconds.
@@ -187,24 +187,16 @@ class EncounterWarning(Checked):
     max_distance: Positive = 2.0
     probability: Share = 0.5
 
-    def expected(self, group: I8, mean: F8, covariance: F8) -> tuple[Encounter, ...]:
-        """Warnings for members of groups; groups that are near already do not count.
+    def expected(self, group: I8, members: GaussianMixture) -> tuple[Encounter, ...]:
+        """Warnings, at most one for each pair of groups, in order; groups that are near already do not count.
 
-        The deviation is that of the distance along the line of closest approach, P_a + P_b carried on to that time.
-
-        Parameters
-        ----------
-        group : (n,) group of each member.
-        mean : (4, n) states, metres and metres per second.
-        covariance : (n, 4, 4).
-
-        Returns
-        -------
-        At most one for each pair of groups, in order.
+        ``group`` (J,) is that of each of the ``members`` over (px, py, vx, vy), 0 for none. The deviation is that of the
+        distance along the line of closest approach, P_a + P_b carried on to that time.
         """
         from scipy.special import ndtr
 
-        i, j = np.triu_indices(len(group), 1)
+        named, mean, covariance = np.flatnonzero(group), members.mean, members.covariance
+        i, j = named[np.stack(np.triu_indices(len(named), 1))]
         i, j = i[group[i] != group[j]], j[group[i] != group[j]]
         apart, drift = mean[:2, i] - mean[:2, j], mean[2:4, i] - mean[2:4, j]
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -110,11 +110,7 @@ class GroupStages:
         label, identity = _groups(clusters.label, mixture.weight, carrier, membership)
         groups = group_moments(mixture, label)
         contours = tuple(self.contours.of(mixture, label == group) for group in range(len(identity)))
-        known = label >= 0
-        known[known] = identity[label[known]] > 0
-        warned = self.encounters.expected(
-            identity[label[known]], np.ascontiguousarray(mixture.mean[:4, known]), mixture.covariance[known]
-        )
+        warned = self.encounters.expected(np.append(identity, 0)[label], mixture)
         return state, GroupFrame(number, time, identity, groups, contours, member, membership, events, warned)
 
 

@@ -19,7 +19,7 @@ import socket
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -272,11 +272,7 @@ def _encoded(image: Image, suffix: str = ".jpg") -> bytes:
 class Guard(BaseHTTPMiddleware):
     """Refuses who may not use the page, and puts the headers on every answer.
 
-    Parameters
-    ----------
-    app : the application inside.
-    hosts : the values of ``Host`` that are answered.
-    token : that every request must bring; empty for none.
+    ``hosts`` are the values of ``Host`` that are answered; every request must bring the ``token``, unless it is empty.
     """
 
     def __init__(self, app: ASGIApp, hosts: frozenset[str], token: str = "") -> None:
@@ -306,8 +302,7 @@ class Guard(BaseHTTPMiddleware):
         return None
 
 
-@dataclass(frozen=True, slots=True)
-class Address:
+class Address(NamedTuple):
     """Where a page is: the open socket, the address to open, and the token in it (empty on loopback)."""
 
     listening: socket.socket

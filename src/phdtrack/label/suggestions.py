@@ -53,16 +53,14 @@ class Evidence:
 
     Attributes
     ----------
-    table, fps : the stretch's detections, M rows, and frames per second.
-    first, last : its frames.
+    table, fps, frames : the stretch's detections, M rows, frames per second, and its frames.
     clutter : (M,) the posterior probability that each is a false alarm.
     tracks : the corrected ones, whose ``detection`` counts within the frame.
     """
 
     table: DetectionTable
     fps: float
-    first: int
-    last: int
+    frames: range
     clutter: F8
     tracks: Tracks
 
@@ -99,7 +97,7 @@ class Evidence:
             clutter.append(found if len(found) else np.zeros(len(step.detections)))
             advance(len(clutter))
         stretch = DetectionTable(table.frame[rows], table.detections.take(rows))
-        return cls(stretch, fps, frames.start, frames.stop - 1, np.concatenate(clutter), pipeline.finish(stages, state))
+        return cls(stretch, fps, frames, np.concatenate(clutter), pipeline.finish(stages, state))
 
 
 class Suggestion(NamedTuple):
@@ -194,7 +192,7 @@ def _fires(frame: I8, evidence: Evidence) -> float:
     """How surely a place fires by itself that has still detections in these frames of the stretch."""
     from scipy.special import gammaincc
 
-    hits, length = np.unique(frame) - evidence.first, evidence.last - evidence.first + 1
+    hits, length = np.unique(frame) - evidence.frames.start, len(evidence.frames)
     n, window = len(hits), STAY * evidence.fps
     if n < 2:
         return 0.0

@@ -160,13 +160,7 @@ class _Canvas:
 
 
 class Annotator:
-    """Draws frame after frame and remembers the trails.
-
-    Parameters
-    ----------
-    info : the sequence; its rate turns ``trail_seconds`` into frames.
-    trail_seconds : how far back trails reach.
-    """
+    """Draws frame after frame and remembers the trails, which reach ``trail_seconds`` back at the rate of ``info``."""
 
     def __init__(self, info: SequenceInfo, *, trail_seconds: float = 1.5) -> None:
         self._length = max(2, round(trail_seconds * (info.fps if info.fps > 0 else 25.0)))

@@ -99,7 +99,9 @@ class ChainSummary:
         means = {name: float(share[times > 0].mean()) for name, times, share in shares if times.any()}
         effective = np.array([frame.effective for frame in frames])
         known = effective[np.isfinite(effective)]
-        return cls(means, _mean(known), float((known < LOW_EFFECTIVE).sum()) / max(len(known), 1))
+        if not len(known):
+            return cls(means, math.nan, 0.0)
+        return cls(means, float(known.mean()), float((known < LOW_EFFECTIVE).mean()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,7 +146,8 @@ class RunRecord:
     @property
     def mean_mass(self) -> float:
         """The expected number of objects, mean over the frames in which the filter gives one; NaN without such frames."""
-        return _mean(self.mass[np.isfinite(self.mass)])
+        known = self.mass[np.isfinite(self.mass)]
+        return float(known.mean()) if len(known) else math.nan
 
     @property
     def track_count(self) -> I8:
@@ -270,11 +273,6 @@ def shrunk(image: Image, width: int) -> Image:
         return image
     small: Image = cv2.resize(image, (width, max(1, round(high * width / wide))), interpolation=cv2.INTER_AREA)
     return small
-
-
-def _mean(values: F8) -> float:
-    """Of no values NaN."""
-    return float(values.mean()) if len(values) else math.nan
 
 
 def _count(frame: I8, numbers: I8) -> I8:
