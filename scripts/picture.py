@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from phdtrack import Detections, Tracker, Tracks
-from phdtrack.report import Annotator, density_map
+from phdtrack.report import Annotator
 from phdtrack.simulate import DetectorModel, Look, Rendered, make_scene
 
 OUT = Path(__file__).resolve().parent.parent / "docs" / "picture.jpg"
@@ -31,7 +31,10 @@ def main() -> None:
         tracker.update(scene.detections.at(frame.number), frame=frame.number, timestamp=frame.time)
         pictures.append(frame.image)
         if frame.number == FRAME:
-            heat = density_map(tracker.state.intensity, info, 4)
+            particles, edges = tracker.state.intensity, ((0, info.height), (0, info.width))
+            cells = (info.height // 4, info.width // 4)
+            heat, _, _ = np.histogram2d(*particles.state[1::-1], cells, edges, weights=particles.weight)
+            heat = cv2.GaussianBlur(heat, (5, 5), 1.0)
     tracks = tracker.tracks()
     for number in range(FRAME - 60, FRAME + 1):
         drawn = annotate(pictures[number - 1], number, tracks, Detections.empty())
