@@ -60,12 +60,8 @@ class Calibration:
 def fit_homography(pixel: F8, world: F8) -> Calibration:
     """The homography with the least sum of squared distances in the image from four or more pairs, and how well it fits.
 
-    ``pixel`` (2, N) are clicked pixels, ``world`` (2, N) their places on the ground, metres.
-
-    Raises
-    ------
-    InputError : fewer than four pairs, shapes that differ, a layout that leaves the matrix open, or pairs that no camera
-        in front of a plane can show.
+    ``pixel`` (2, N) are clicked pixels, ``world`` (2, N) their places on the ground, metres. Raises `InputError` for fewer
+    than four pairs, a layout that leaves the matrix open, or pairs that no camera in front of a plane can show.
     """
     pixel, world = np.asarray(pixel, dtype=np.float64), np.asarray(world, dtype=np.float64)
     _check(pixel, world)

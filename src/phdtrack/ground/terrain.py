@@ -178,12 +178,7 @@ class Line(NamedTuple):
 
 
 def read_terrain(path: AnyPath) -> Terrain:
-    """The elevation map of a file; see the module for the two forms.
-
-    Raises
-    ------
-    InputError : there is no such file, or it is none of the two.
-    """
+    """The elevation map of a file in one of the module's two forms. Raises `InputError` where it is missing or neither."""
     path = Path(path)
     content = load(path)
     origin, step, heights = _arrays(path, content) if content.startswith(b"PK") else _grid(path, content)

@@ -101,8 +101,7 @@ class GroupStages:
         The new state, and the groups.
         """
         clusters = self.grouping.groups(mixture)
-        counted = carrier >= 0
-        counted[counted] = clusters.label[carrier[counted]] >= 0
+        counted = np.append(clusters.label, -1)[carrier] >= 0
         member, carrier = member[counted], carrier[counted]
         state, membership, events = self.life_cycle.extend(
             state, member, clusters.label[carrier], mixture.weight[carrier], number, time
