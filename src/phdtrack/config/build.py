@@ -213,9 +213,12 @@ def _learning(settings: Settings, stages: AnyStages, info: SequenceInfo) -> Lear
 
 
 def _rates(settings: Settings, model: Model, other: Learning[Any] | None, info: SequenceInfo) -> Learning[Any] | None:
-    """What learns the rates of ``model`` while tracking, with what ``other`` learns."""
+    """What learns the rates of ``model``, or what scores say, while tracking, with what ``other`` learns."""
     if settings.kind("rates") == "none":
         return other
+    if settings.kind("rates") == "scores":
+        scores: Learning[Any] = settings.build("rates", other=other)
+        return scores
     from phdtrack.models.learning import RateLearning, priors_of
     from phdtrack.scene.rates import RatesLearning
 

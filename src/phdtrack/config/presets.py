@@ -21,9 +21,15 @@ def _complete(tables: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     for name, sections in tables.items():
         found[name] = dict(found.get(sections.pop("based-on", ""), {}))
         for section, values in sections.items():
-            # Places are tuples, as they are where a user gives them.
-            found[name][section] = {k: list(map(tuple, v)) if isinstance(v, list) else v for k, v in values.items()}
+            found[name][section] = {key: _as_given(value) for key, value in values.items()}
     return found
+
+
+def _as_given(value: Any) -> Any:
+    """A value as the types of settings have it: numbers in a tuple, places as a list of tuples."""
+    if not isinstance(value, list):
+        return value
+    return [tuple(place) for place in value] if isinstance(value[0], list) else tuple(value)
 
 
 _FILE = read_toml(Path(__file__).with_name("presets.toml"))

@@ -45,7 +45,7 @@ from phdtrack.filters.hypotheses import (
     parted,
 )
 from phdtrack.filters.pmb import without_overlaps
-from phdtrack.kernels.gaussian import PAIR, Expected, Measurements, NewTargets, all_gated, all_posteriors
+from phdtrack.kernels.gaussian import GAUSSIAN, PAIR, Expected, Measurements, NewTargets, all_gated, all_posteriors
 from phdtrack.kernels.pmb import NEVER, TINY
 from phdtrack.models.gaussian import Transform, expected, measurements, moved, new_targets
 from phdtrack.protocols import Filter, Model
@@ -151,7 +151,7 @@ class MHT(Checked, Filter[Hypotheses]):
 
 def _scores(e: Expected, m: Measurements, new: NewTargets, p_detect: F8, gate: float) -> Scores:
     """What measurements, leaves, and pairs contribute to log-weights; ``p_detect`` (L,) is r p_D."""
-    pairs = all_gated(e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, gate, p_detect)
+    pairs = all_gated(e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, gate, p_detect, GAUSSIAN)
     leaf, measurement = np.ascontiguousarray(pairs["gaussian"]), np.ascontiguousarray(pairs["measurement"])
     missed = np.log1p(-p_detect)
     gain = np.log(p_detect[leaf]) + pairs["log_density"] - missed[leaf]

@@ -26,6 +26,20 @@ detection.
 ``static_clutter_detection_probability`` in each frame. What moves, or is detected more often, is soon known to be a target.
 Static clutter competes for measurements like targets do and is never reported.
 
+Two things that a model cannot know about every stream and target are hidden states, too, where the settings ask for them.
+
+*How noisy it is.* All variances of a hypothesis, of its motion and of its measurements, are c times the model's. About 1/c
+is known what n observations of a variance tell (a gamma distribution), so that innovations have a Student's t distribution,
+whose tails keep a target that jumps [WH97 §10.8]; every detection adds two observations, of centre and of size apart:
+
+    q(z) = |2πS|^(−½) c^(−1) (1 + d²/(nc))^(−n/2 − 1),   c ← (nc + d²)/(n + 2),   n ← n + 2
+
+for each two components, S and d² by the model's noises. Between frames what is known fades: n ← kn + (1 − k)n₀, with c drawn
+to 1, the model's noises; a new target has n₀. State and gain do not depend on c, their covariance is c times as large.
+
+*How agile it is.* A new target has a hypothesis for each factor of the acceleration, all equally probable; the innovations
+decide between them. A bank of filters, each with its motion for good [BL93 §4].
+
 The filter knows a model by the arrays that it answers (`models.gaussian`); `kernels.pmb` computes with them.
 """
 
@@ -37,10 +51,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.arrays import GATE, chi2_quantile
-from phdtrack.errors import Checked, NonNegative, Positive, PositiveCount, Probability, Share
+from phdtrack.errors import Checked, InputError, NonNegative, Positive, PositiveCount, Probability, Share
 from phdtrack.kernels.box import apart
 from phdtrack.kernels.pmb import HYPOTHESIS, TARGET, TRACE, Layer, Records, Settings, earlier, predicted_layer, updated_layer
-from phdtrack.models.gaussian import Transform, expected, measurements, moved, new_targets
+from phdtrack.models.gaussian import SAME, Transform, expected, measurements, moved, new_targets
 from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, I8, Estimates, GaussianMixture, UpdateInfo
 
@@ -78,12 +92,14 @@ class Bernoullis:
 
     def mixture(self) -> GaussianMixture:
         """The intensity of the targets: hypotheses with the probability that the target exists and is as they say."""
-        targets, hypotheses, means, cov = self.present
+        targets, hypotheses, means, _ = self.present
         target = hypotheses["target"]
         weight = np.where(hypotheses["static"], 0.0, targets["r"][target] * hypotheses["weight"])
         there = np.flatnonzero(weight > 0)
         mean = np.ascontiguousarray(means[there].T)
-        return GaussianMixture(weight[there], mean, cov[there], targets["label"][target[there]], self.next_label)
+        return GaussianMixture(
+            weight[there], mean, _scaled(self.present, there), targets["label"][target[there]], self.next_label
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +120,9 @@ class PMB(Checked, Filter[Bernoullis]):
     static_clutter_prior : probability that a first detection which is no single false alarm is static clutter.
     static_clutter_detection_probability : probability that static clutter is detected in a frame.
     history : frames for which the hypotheses of the past are kept: so far back the past is revised.
+    noise_freedom : degrees of freedom with which the noises of a new target are known, see above; 0: they are the model's.
+    noise_memory : frames after which what an innovation has shown of a target's noises counts for 37 %.
+    acceleration_factors : a target is followed with each of these multiples of the model's acceleration.
     initial : targets before the first frame; a weight is the probability that there is one.
     """
 
@@ -118,26 +137,47 @@ class PMB(Checked, Filter[Bernoullis]):
     static_clutter_prior: Probability = 0.05
     static_clutter_detection_probability: Probability = 0.5
     history: PositiveCount = 10
+    noise_freedom: NonNegative = 0.0
+    noise_memory: Positive = 4.5
+    acceleration_factors: tuple[Positive, ...] = (1.0,)
     initial: GaussianMixture | None = None
 
+    def __post_init__(self) -> None:
+        Checked.__post_init__(self)
+        if not self.acceleration_factors:
+            raise InputError(
+                "expected at least one factor", where="filter.acceleration_factors", cure="Leave it out, or (1,)"
+            )
+
     def start(self, model: Model, rng: np.random.Generator) -> Bernoullis:
-        """The initial targets, each with one hypothesis; none where none were given."""
+        """The initial targets, with one hypothesis for each factor of the acceleration; none where none were given."""
         given = self.initial or GaussianMixture.empty(model.motion.dim)
-        n, number = len(given), np.arange(len(given))
-        targets, hypotheses = np.zeros(n, TARGET), np.zeros(n, HYPOTHESIS)
+        n, motions = len(given), len(self.acceleration_factors)
+        number, place = np.arange(n), np.arange(n * motions) // motions
+        targets, hypotheses = np.zeros(n, TARGET), np.zeros(n * motions, HYPOTHESIS)
         targets["r"] = targets["presence"] = targets["max_presence"] = np.minimum(given.weight, 1.0)
-        targets["label"] = targets["begin"] = targets["best"] = hypotheses["target"] = number
-        targets["end"], hypotheses["weight"] = number + 1, 1.0
+        targets["label"], targets["begin"], targets["end"] = number, number * motions, (number + 1) * motions
+        targets["best"] = targets["begin"]
+        hypotheses["target"], hypotheses["motion"], hypotheses["weight"] = (
+            place,
+            np.arange(n * motions) % motions,
+            1 / motions,
+        )
+        hypotheses["position_scale"], hypotheses["size_scale"], hypotheses["freedom"] = 1.0, 1.0, self.noise_freedom
         hypotheses["detection"] = hypotheses["parent"] = -1
-        layer = Layer(targets, hypotheses, np.ascontiguousarray(given.mean.T), np.ascontiguousarray(given.covariance))
+        layer = Layer(targets, hypotheses, np.ascontiguousarray(given.mean.T[place]), given.covariance[place])
         return Bernoullis((layer,), np.zeros((0, 2), np.int64), n)
 
     def predict(self, state: Bernoullis, model: Model, dt: float, rng: np.random.Generator) -> Bernoullis:
         """A further layer: every hypothesis through f, with p_S of its probability; static clutter stays where it is."""
         now = state.present
-        mean, covariance, after = moved(model, now.mean, now.covariance, dt, self.transform)
+        factor = (
+            SAME if self.acceleration_factors == (1.0,) else np.square(self.acceleration_factors)[now.hypotheses["motion"]]
+        )
+        mean, covariance, after = moved(model, now.mean, now.covariance, dt, self.transform, factor)
         now, noise = Layer(now.targets, now.hypotheses, mean, covariance), model.sensor.noise(np.ascontiguousarray(mean.T))
-        layer = predicted_layer(now, after, noise, *self._changes(dt / model.rate))
+        changes, kept = self._changes(dt / model.rate), math.exp(-1 / self.noise_memory)
+        layer = predicted_layer(now, after, noise, *changes, self.noise_freedom, kept)
         return Bernoullis((*state.layers[-self.history :], layer), state.ended, state.next_label, state.frame + 1)
 
     def _changes(self, seconds: float) -> tuple[float, float]:
@@ -156,10 +196,14 @@ class PMB(Checked, Filter[Bernoullis]):
         `UpdateInfo.clutter_probability` is that of a false alarm, static clutter included.
         """
         now, label, seen = state.present, state.next_label, measurements(model, z)
+        if self.noise_freedom and len(seen.period) not in (2, 4):
+            problem = f"noises are learned of measurements with 2 or 4 components, these have {len(seen.period)}"
+            raise InputError(problem, where="filter.noise_freedom", cure="Use 0, the model's noises")
         gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
         settings = Settings(
             self.existence_threshold, self.hypothesis_threshold, float(self.max_hypotheses), self.merge_distance, gate,
-            self.static_clutter_prior, self.static_clutter_detection_probability,
+            self.static_clutter_prior, self.static_clutter_detection_probability, self.noise_freedom,
+            len(self.acceleration_factors),
         )  # fmt: skip
         said = expected(model.sensor, now.mean, now.covariance, self.transform)
         new = new_targets(model, z, seen, dt, gate, self.transform)
@@ -220,7 +264,16 @@ class BestBernoullis(Checked):
         if len(left) < len(at):
             target, at, boxes, mean = target[left], at[left], boxes[left], np.ascontiguousarray(mean[:, left])
         weight, label = trace["presence"][target], layer.targets["label"][target]
-        return Estimates(mean, layer.covariance[at], weight, boxes, layer.hypotheses["detection"][at], label, past)
+        return Estimates(mean, _scaled(layer, at), weight, boxes, layer.hypotheses["detection"][at], label, past)
+
+
+def _scaled(layer: Layer, at: I8) -> F8:
+    """(n, d, d) covariances of the hypotheses ``at`` (n,), with the noises that they have; sizes come last in a state."""
+    hypotheses, covariance = layer.hypotheses[at], layer.covariance[at]
+    if not (hypotheses["freedom"] > 0).any():
+        return covariance
+    root = np.sqrt([hypotheses["position_scale"]] * 4 + [hypotheses["size_scale"]] * (covariance.shape[1] - 4)).T
+    return root[:, :, None] * covariance * root[:, None, :]
 
 
 def _best(layer: Layer) -> Records:

@@ -98,8 +98,11 @@ class BoxNoise(NamedTuple):
 
 
 @njit(**ENTRY)
-def predicted_boxes(mean: F8, covariance: F8, motion: tuple[Any, ...]) -> Predicted:
-    """Boxes at constant velocity, (J, 6) and (J, 6, 6), after an interval: F P Fᵀ + Q [M09 (11)]."""
+def predicted_boxes(mean: F8, covariance: F8, motion: tuple[Any, ...], factor: F8) -> Predicted:
+    """Boxes at constant velocity, (J, 6) and (J, 6, 6), after an interval: F P Fᵀ + Q [M09 (11)].
+
+    ``factor`` (J,) multiplies the variance of each one's acceleration; (0,): none does.
+    """
     motion = BoxDynamics(*motion)
     n, d = mean.shape
     out_mean, out_cov, p_survive = np.empty((n, d)), np.empty((n, d, d)), np.empty(n)
@@ -122,10 +125,11 @@ def predicted_boxes(mean: F8, covariance: F8, motion: tuple[Any, ...]) -> Predic
             size = mean[i, a + 4]
             unit = size if size > motion.min_size else motion.min_size
             unit = unit * unit if motion.scaled else 1.0
-            out_cov[i, a, a] += motion.position * unit
-            out_cov[i, a, a + 2] += motion.mixed * unit
-            out_cov[i, a + 2, a] += motion.mixed * unit
-            out_cov[i, a + 2, a + 2] += motion.velocity * unit
+            agile = unit * factor[i] if len(factor) > 0 else unit
+            out_cov[i, a, a] += motion.position * agile
+            out_cov[i, a, a + 2] += motion.mixed * agile
+            out_cov[i, a + 2, a] += motion.mixed * agile
+            out_cov[i, a + 2, a + 2] += motion.velocity * agile
             out_cov[i, a + 4, a + 4] += motion.extent * unit
             half, end = 0.5 * size, motion.width if a == 0 else motion.height
             inside &= -half < mean[i, a] < end + half

@@ -132,8 +132,11 @@ def records(floats: str, integers: str) -> np.dtype[np.void]:
     return np.dtype((np.record, fields)) if config.DISABLE_JIT else np.dtype(fields)
 
 
-# A Gaussian and a measurement within the gate of each other: d², log N(z; ẑ, S), and what a filter weighs the pair with.
-PAIR = records("distance2 log_density weight", "gaussian measurement")
+# A Gaussian and a measurement within the gate of each other: d², the first two components' part of it, the log of the
+# measurement's density, and what a filter weighs the pair with.
+PAIR = records("distance2 first log_density weight", "gaussian measurement")
+# For those whose noises are as the model says.
+GAUSSIAN = np.zeros((0, 3))
 # A measurement in `Places`: its components along and across, and which one it is.
 SPOT = records("along across", "measurement")
 
@@ -305,7 +308,19 @@ def places_of(z: F8, period: Axes) -> Places:
 
 
 @njit(**INNER)
-def gated(rows: I8, seen: F8, spread: F8, noise: F8, z: F8, extra: F8, period: Axes, gate: float, active: F8) -> Records:
+def log_tail(distance2: float, scale: float, freedom: float) -> float:
+    """log of Student's t of two components, without the Gaussian's −log(2π√|S|) [WH97 §10.8].
+
+    −log c − (n/2 + 1) log(1 + d²/(nc)): noises whose variance is c times the model's, which n observations have shown.
+    """
+    value: float = -np.log(scale) - (0.5 * freedom + 1.0) * np.log1p(distance2 / (freedom * scale))
+    return value
+
+
+@njit(**INNER)
+def gated(
+    rows: I8, seen: F8, spread: F8, noise: F8, z: F8, extra: F8, period: Axes, gate: float, active: F8, tails: F8
+) -> Records:
     """(P,) of `PAIR`, the pairs (Gaussian, measurement) with d ≤ ``gate``, in time linear in Gaussians and pairs.
 
     They are ordered by Gaussian. Their weight is not written.
@@ -316,6 +331,8 @@ def gated(rows: I8, seen: F8, spread: F8, noise: F8, z: F8, extra: F8, period: A
     z, extra, period : the measurements, as `Measurements` has them.
     gate : in deviations of the innovation.
     active : (J,) Gaussians at which this is 0 are left out.
+    tails : (J, 3) how many times the model's the variances of noises are, of the first two components and of two others, and
+        the degrees of freedom of that, see `log_tail`; `GAUSSIAN` for none.
     """
     spots, begin, along, across, low, scale, near = places_of(z, period)
     s, y, wide, high = np.empty((rows.size, rows.size)), np.empty(rows.size), 0.0, 0.0
@@ -330,6 +347,8 @@ def gated(rows: I8, seen: F8, spread: F8, noise: F8, z: F8, extra: F8, period: A
         reach, width = spread[i, row, row] + wide, spread[i, other, other] + high
         if len(noise) > 0:
             reach, width = reach + noise[i, along, along], width + noise[i, across, across]
+        if len(tails) > 0:
+            reach, width = reach * tails[i, 0], width * tails[i, 0]
         reach, width = gate * np.sqrt(reach) if near else np.inf, gate * np.sqrt(width) if near else np.inf
         x, middle = seen[i, row], seen[i, other]
         log_det, known = 0.0, False
@@ -341,8 +360,16 @@ def gated(rows: I8, seen: F8, spread: F8, noise: F8, z: F8, extra: F8, period: A
             if len(extra) > 0 or not known:
                 log_det = np.log(innovation(spread, rows, noise, extra, i, j, period, s)) + len(period) * LOG_2PI
                 known = True
-            d2 = whitened(seen, rows, z, i, j, period, s, y)
-            if d2 <= limit:
+            d2 = first = whitened(seen, rows, z, i, j, period, s, y)
+            reached, value = d2, -0.5 * (d2 + log_det)
+            if len(tails) > 0:
+                if len(period) > 2:
+                    first = y[0] * y[0] * s[0, 0] + y[1] * y[1] * s[1, 1]
+                reached, value = first / tails[i, 0], -0.5 * log_det + log_tail(first, tails[i, 0], tails[i, 2])
+                if len(period) > 2:
+                    reached += (d2 - first) / tails[i, 1]
+                    value += log_tail(d2 - first, tails[i, 1], tails[i, 2])
+            if reached <= limit:
                 if found == pairs.size:
                     more = np.empty(2 * found, PAIR)
                     # In a loop: an assignment of a slice would compile Numba's code for its error messages.
@@ -350,7 +377,7 @@ def gated(rows: I8, seen: F8, spread: F8, noise: F8, z: F8, extra: F8, period: A
                         more[q] = pairs[q]
                     pairs = more
                 pair = pairs[found]
-                pair.gaussian, pair.measurement, pair.distance2, pair.log_density = i, j, d2, -0.5 * (d2 + log_det)
+                pair.gaussian, pair.measurement, pair.distance2, pair.first, pair.log_density = i, j, d2, first, value
                 found += 1
     return pairs[:found]
 
@@ -437,7 +464,7 @@ def first_states(births: Births, p_detect: F8, e: Expected, m: Measurements, gat
     gate : in deviations.
     """
     around, n, d = births.around, len(m.z), births.mean.shape[1]
-    pairs = gated(e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, gate, births.weight)
+    pairs = gated(e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, gate, births.weight, GAUSSIAN)
     states, covs = np.empty((pairs.size, d)), np.empty((pairs.size, d, d))
     write_posteriors(births.mean, births.covariance, e, m, pairs, states, covs)
     density = np.empty(n)

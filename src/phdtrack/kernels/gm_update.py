@@ -23,7 +23,17 @@ from numpy.typing import NDArray
 
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.gaussian import PAIR, Expected, Measurements, NewTargets, Records, factor, gated, write_posteriors
+from phdtrack.kernels.gaussian import (
+    GAUSSIAN,
+    PAIR,
+    Expected,
+    Measurements,
+    NewTargets,
+    Records,
+    factor,
+    gated,
+    write_posteriors,
+)
 from phdtrack.kernels.gm_merge import Axes, Merging, Rows, merged_rows
 
 F8 = NDArray[np.float64]
@@ -150,11 +160,11 @@ def terms_of(before: Rows, e: Expected, m: Measurements, new: Newborn, reach: Re
     """
     n, density = len(m.z), new.around.density
     z, extra, period, said = m.z, m.noise, m.period, new.expected
-    pairs = gated(e.rows, e.z, e.covariance, e.noise, z, extra, period, reach.gate, before.weight)
+    pairs = gated(e.rows, e.z, e.covariance, e.noise, z, extra, period, reach.gate, before.weight, GAUSSIAN)
     weight, covariance, noise = _newborn(before.weight, extra, new, pairs, reach)
     if len(said.covariance) == 0:
         said = Expected(said.rows, new.around.mean, covariance, covariance, noise, said.p_detect)
-    born_pairs = gated(said.rows, said.z, said.covariance, said.noise, z, extra, period, reach.gate, weight)
+    born_pairs = gated(said.rows, said.z, said.covariance, said.noise, z, extra, period, reach.gate, weight, GAUSSIAN)
     shared = np.zeros(n)
     for p in range(born_pairs.size):
         pair = born_pairs[p]

@@ -55,8 +55,10 @@ STATIC_SHARE = 0.5
 TARGET = records("r presence max_presence", "label begin end best")
 # A hypothesis: its weight, which sum to one for each target; the probability that the target cannot be detected at present;
 # its target; the measurement of the frame that it took, −1 for none; its hypothesis in the frame before, −1 where the target
-# begins; whether it is a source of static clutter: it stays where it is, and is no target.
-HYPOTHESIS = records("weight occluded", "target detection parent static")
+# begins; whether it is a source of static clutter: it stays where it is, and is no target. How many times the model's the
+# variances of its noises are, of the first two components of a measurement and of two others, and the degrees of freedom of
+# that; which of the factors its acceleration has.
+HYPOTHESIS = records("weight occluded position_scale size_scale freedom", "target detection parent static motion")
 # Of each target of a frame: the hypothesis that leads to the one that is best today, −1 for none; the greatest presence from
 # that frame on.
 TRACE = records("presence", "place")
@@ -88,10 +90,14 @@ class Settings(NamedTuple):
     gate: float
     static_clutter_prior: float
     static_detection_probability: float
+    noise_freedom: float
+    motions: int
 
 
 @njit(**ENTRY)
-def predicted_layer(layer: Layer, p: Predicted, noise: F8, occlude: float, reappear: float) -> Layer:
+def predicted_layer(
+    layer: Layer, p: Predicted, noise: F8, occlude: float, reappear: float, freedom: float, kept: float
+) -> Layer:
     """The targets after an interval; static clutter stays where it is.
 
     Parameters
@@ -100,6 +106,8 @@ def predicted_layer(layer: Layer, p: Predicted, noise: F8, occlude: float, reapp
     p : their hypotheses after the motion.
     noise : (d, C) deviations by which the sensor resolves them, `Sensor.noise`.
     occlude, reappear : probabilities that a visible target is occluded after the interval, and an occluded one visible.
+    freedom, kept : the degrees of freedom with which a target's noises begin, 0 where they are the model's; and the part of
+        what is known of them that is kept. In place of the rest they are the model's again.
     """
     before, old, old_mean, old_cov = layer
     moved_mean, moved_cov, p_survive = p
@@ -116,6 +124,11 @@ def predicted_layer(layer: Layer, p: Predicted, noise: F8, occlude: float, reapp
             hypotheses[c] = old[c]
             h = hypotheses[c]
             h.parent, h.detection = c, -1
+            if freedom > 0.0:
+                known = kept * h.freedom
+                h.freedom = known + (1.0 - kept) * freedom
+                h.position_scale = 1.0 + (h.position_scale - 1.0) * known / h.freedom
+                h.size_scale = 1.0 + (h.size_scale - 1.0) * known / h.freedom
             if stay > 0.0:
                 h.weight *= p_survive[c] / stay
             if h.static:
@@ -154,10 +167,13 @@ def updated_layer(
     layer, e, m, new, s = Layer(*layer), Expected(*e), Measurements(*m), NewTargets(*new), Settings(*s)
     targets, hypotheses, mean, covariance = layer
     count, n, prior, p_detect = len(targets), len(m.z), s.static_clutter_prior, np.empty(len(hypotheses))
+    tails = np.empty((len(hypotheses) if s.noise_freedom > 0.0 else 0, 3))
     for c in range(len(hypotheses)):
         h = hypotheses[c]
         p_detect[c] = s.static_detection_probability if h.static else (1.0 - h.occluded) * e.p_detect[c]
-    pairs = gated(e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, s.gate, p_detect)
+        if s.noise_freedom > 0.0:
+            tails[c, 0], tails[c, 1], tails[c, 2] = h.position_scale, h.size_scale, h.freedom
+    pairs = gated(e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, s.gate, p_detect, tails)
     exists, found = np.empty(count), np.empty((3, n))
     born, vanished, started, predicted = _associate(
         targets, hypotheses, p_detect, pairs, exists, m.clutter, new.density, found, s.existence_threshold, prior
@@ -167,12 +183,12 @@ def updated_layer(
         targets, hypotheses, p_detect, pairs, exists, s.existence_threshold, s.hypothesis_threshold, s.max_hypotheses,
         options, kept,
     )  # fmt: skip
-    options, room, d = options[:k], k + 2 * started, mean.shape[1]
+    options, room, d = options[:k], k + (1 + s.motions) * started, mean.shape[1]
     out = Layer(np.empty(count + started, TARGET), np.empty(room, HYPOTHESIS), np.empty((room, d)), np.empty((room, d, d)))
     write_posteriors(mean, covariance, e, m, options, out.mean, out.covariance)
     gone = np.empty(count, np.int64)
     t, k, lost, mass = _write_kept(layer, p_detect, exists, kept, options, s.merge_distance * s.merge_distance, out, gone)
-    k, mass = _write_new(found[2], new.mean, new.covariance, prior, fresh, t, k, mass, out)
+    k, mass = _write_new(found[2], new.mean, new.covariance, s, fresh, t, k, mass, out)
     after = Layer(out.targets[: t + started], out.hypotheses[:k], out.mean[:k], out.covariance[:k])
     return after, (born + predicted, born, mass, found[0], found[1], vanished), gone[:lost]
 
@@ -284,9 +300,10 @@ def _choose(
             continue
         # First those with a measurement, then those without, each sorted in, the heaviest first.
         for o in range(q - begun + target.end - target.begin):
-            i, j, value, place = begun + o, -1, 0.0, end
+            i, j, value, place, d2, first = begun + o, -1, 0.0, end, 0.0, 0.0
             if i < q:
-                i, j, value = pairs[i].gaussian, pairs[i].measurement, pairs[i].weight
+                pair = pairs[i]
+                i, j, value, d2, first = pair.gaussian, pair.measurement, pair.weight, pair.distance2, pair.first
             else:
                 i += target.begin - q
                 value = unseen * hypotheses[i].weight * (1.0 - p_detect[i])
@@ -295,7 +312,7 @@ def _choose(
                     options[place] = options[place - 1]
                     place -= 1
                 option = options[place]
-                option.gaussian, option.measurement, option.weight = i, j, value
+                option.gaussian, option.measurement, option.weight, option.distance2, option.first = i, j, value, d2, first
                 end += 1
         kept[t] = end - k if end - k < most else int(most)
         k += kept[t]
@@ -319,7 +336,8 @@ def heavier_like(hypotheses: Records, mean: F8, cov: F8, begin: int, k: int, lim
         for a in range(mean.shape[1]):
             step, variance = mean[i, a] - mean[k, a], cov[i, a, a]
             distance2 += step * step / (variance if variance > 1e-12 else 1e-12)
-        if hypotheses[i].static == hypotheses[k].static and distance2 < limit:
+        h, other = hypotheses[i], hypotheses[k]
+        if h.static == other.static and h.motion == other.motion and distance2 < limit:
             return i
     return k
 
@@ -343,8 +361,9 @@ def _write_kept(
             total += options[i].weight
         for i in range(option, end):
             c, h, weight = options[i].gaussian, hypotheses[k], options[i].weight / total
-            h.static, h.parent, h.target, h.occluded = old[c].static, old[c].parent, number, 0.0
-            h.detection = options[i].measurement
+            h.static, h.motion, h.parent, h.target, h.occluded = old[c].static, old[c].motion, old[c].parent, number, 0.0
+            h.detection, h.freedom = options[i].measurement, old[c].freedom
+            h.position_scale, h.size_scale = old[c].position_scale, old[c].size_scale
             if h.detection < 0:
                 copy_gaussian(old_mean, old_cov, c, mean, cov, k)
                 if not h.static:
@@ -352,6 +371,12 @@ def _write_kept(
                     h.occluded = old[c].occluded / seen if old[c].occluded < seen else 1.0
             elif k < i:
                 copy_gaussian(mean, cov, i, mean, cov, k)
+            if h.detection >= 0 and h.freedom > 0.0:
+                # Two components each, which are two observations of a variance.
+                n, first, d2 = h.freedom, options[i].first, options[i].distance2
+                h.position_scale = (n * h.position_scale + first) / (n + 2.0)
+                h.size_scale = (n * h.size_scale + d2 - first) / (n + 2.0)
+                h.freedom = n + 2.0
             heavier = heavier_like(hypotheses, mean, cov, begin, k, limit)
             if heavier < k:
                 hypotheses[heavier].weight += weight
@@ -386,19 +411,21 @@ def write_target(
 
 @njit(**INNER)
 def _write_new(
-    r_new: F8, new_mean: F8, new_cov: F8, prior: float, fresh: int, t: int, k: int, mass: float, out: Layer
+    r_new: F8, new_mean: F8, new_cov: F8, s: Settings, fresh: int, t: int, k: int, mass: float, out: Layer
 ) -> tuple[int, float]:
     """Write the new targets, of r above 0, from places t and k of ``out`` on; how many hypotheses there are, and the mass.
 
-    They come in the order of the measurements and are labelled from ``fresh`` on; ``prior`` is that of static clutter.
+    They come in the order of the measurements and are labelled from ``fresh`` on.
     """
     targets, hypotheses, mean, cov = out
+    prior = s.static_clutter_prior
     for j in range(r_new.size):
         if r_new[j] > 0.0:
             begin = k
-            for kind in range(2 if prior > 0.0 else 1):
-                h = hypotheses[k]
-                h.weight, h.static, h.occluded = prior if kind == 1 else 1.0 - prior, kind == 1, 0.0
+            for motion in range(s.motions + (prior > 0.0)):
+                h, static = hypotheses[k], motion == s.motions
+                h.weight, h.static, h.occluded = prior if static else (1.0 - prior) / s.motions, static, 0.0
+                h.motion, h.position_scale, h.size_scale, h.freedom = 0 if static else motion, 1.0, 1.0, s.noise_freedom
                 h.target, h.detection, h.parent = t, j, -1
                 copy_gaussian(new_mean, new_cov, j, mean, cov, k)
                 k += 1

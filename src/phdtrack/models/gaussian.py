@@ -41,9 +41,10 @@ from phdtrack.types import F8, I8
 Transform = Literal["linear", "unscented"]
 # c, and the weight of each point beside the centre.
 SCALE, WEIGHT = 2.0, 0.25
+SAME = np.zeros(0)
 
 
-def predicted(model: Model, mean: F8, covariance: F8, dt: float, transform: Transform) -> Predicted:
+def predicted(model: Model, mean: F8, covariance: F8, dt: float, transform: Transform, factor: F8 = SAME) -> Predicted:
     """Gaussians after an interval [V06 (24)–(29), §IV-B].
 
     Parameters
@@ -52,6 +53,7 @@ def predicted(model: Model, mean: F8, covariance: F8, dt: float, transform: Tran
     mean, covariance : arrays (J, d) and (J, d, d).
     dt : interval in the model's time unit.
     transform : ``linear`` or ``unscented``, see above.
+    factor : array (J,), multiplies the variance of each one's acceleration, or all of Q where it is no box's; (0,): none.
 
     Returns
     -------
@@ -59,11 +61,12 @@ def predicted(model: Model, mean: F8, covariance: F8, dt: float, transform: Tran
     """
     motion = model.motion
     if type(motion) is BoxMotion and transform == "linear" and not motion.remember_size:
-        boxes: Predicted = predicted_boxes(mean, covariance, tuple(motion.dynamics(dt, dt / model.rate)))
+        boxes: Predicted = predicted_boxes(mean, covariance, tuple(motion.dynamics(dt, dt / model.rate)), factor)
         return boxes
     columns = np.ascontiguousarray(mean.T)
     p_survive = motion.p_survive(columns, dt / model.rate)
     centre, f, q = motion.transition(columns, dt)
+    q = q * factor[:, None, None] if len(factor) else q
     if transform == "linear":
         return Predicted(np.ascontiguousarray(centre.T), predicted_covariance(covariance, f, q), p_survive)
     points = sigma_points(columns, covariance)
@@ -75,12 +78,14 @@ def predicted(model: Model, mean: F8, covariance: F8, dt: float, transform: Tran
     )
 
 
-def moved(model: Model, mean: F8, covariance: F8, dt: float, transform: Transform) -> tuple[F8, F8, Predicted]:
+def moved(
+    model: Model, mean: F8, covariance: F8, dt: float, transform: Transform, factor: F8 = SAME
+) -> tuple[F8, F8, Predicted]:
     """Gaussians of the frame before in the pixels of this one, and predicted for it.
 
     Parameters
     ----------
-    model, mean, covariance, dt, transform : as in `predicted`.
+    model, mean, covariance, dt, transform, factor : as in `predicted`.
 
     Returns
     -------
@@ -89,7 +94,7 @@ def moved(model: Model, mean: F8, covariance: F8, dt: float, transform: Transfor
     if len(model.warp):
         columns, covariance = model.warp_gaussians(np.ascontiguousarray(mean.T), covariance)
         mean = np.ascontiguousarray(columns.T)
-    return mean, covariance, predicted(model, mean, covariance, dt, transform)
+    return mean, covariance, predicted(model, mean, covariance, dt, transform, factor)
 
 
 def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> Expected:
