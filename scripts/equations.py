@@ -52,6 +52,8 @@ PAPERS = {
     "B20": "Beard, Vo, Vo: A solution for large-scale multi-object tracking. IEEE Trans. Signal Processing, 2020",
     "G20": "García-Fernández, Rahmathullah, Svensson: A metric on the space of finite sets of trajectories. IEEE TSP, 2020",
     "G17": "Rahmathullah, García-Fernández, Svensson: Generalized optimal sub-pattern assignment metric. FUSION 2017",
+    "WH97": "West, Harrison: Bayesian forecasting and dynamic models, second edition. Springer, 1997",
+    "B01": "Bar-Shalom, Li, Kirubarajan: Estimation with applications to tracking and navigation. Wiley, 2001",
 }
 Documented = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 BRACKET = re.compile(r"\[([A-Z]\d{2}(?![\w])[^\[\]]*)\](?!\()")

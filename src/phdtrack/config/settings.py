@@ -3,7 +3,7 @@
 A configuration has sections, one for each part of the model and of the tracker. A section has the settings of the class
 that it makes, which explains them, and, where there is a choice, ``kind``:
 
-    preset = "m09"                 # default, m07, m09, fv, m09-mht, e13, d14
+    preset = "m09"                 # default, adaptive, m07, m09, fv, m09-mht, e13, d14
     scene = "street.scene.json"    # what `phdtrack learn` has learned; optional
     [sensor]
     detection_probability = 0.9

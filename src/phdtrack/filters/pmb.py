@@ -38,7 +38,7 @@ for each two components, S and d² by the model's noises. Between frames what is
 to 1, the model's noises; a new target has n₀. State and gain do not depend on c, their covariance is c times as large.
 
 *How agile it is.* A new target has a hypothesis for each factor of the acceleration, all equally probable; the innovations
-decide between them. A bank of filters, each with its motion for good [BL93 §4].
+decide between them. A bank of filters, each with its motion for good [B01 §11.6].
 
 The filter knows a model by the arrays that it answers (`models.gaussian`); `kernels.pmb` computes with them.
 """
