@@ -43,8 +43,8 @@ class Tracker:
     seed : seed of the particle filter's randomness; the same seed and detections give the same tracks.
     filter : ``pmb``, ``gm-phd``, ``particle-phd``, ``gm-cphd``, ``particle-cphd``, ``mht``, ``mcmc``, or ``none`` for the
         association alone; or the settings of that section.
-    preset : ``default``, ``adaptive`` for any camera, ``m07``, ``m09``, ``fv``, ``m09-mht``, ``d14``, or ``e13`` on the ground
-        plane.
+    preset : ``default``, ``adaptive`` for any camera, ``m07``, ``m09``, ``fv``, ``m09-mht``, ``d14``, or on the ground plane
+        ``e13``.
     settings : a TOML file with settings.
     stages : one's own model, filter, extractor and associator, instead of all of the above but fps and seed.
     **sections : settings by section, as ``sensor={"detection": 0.9}``.

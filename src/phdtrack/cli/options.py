@@ -35,7 +35,7 @@ TruthFile = Annotated[Path | None, option("FILE", "Annotated objects to score ag
 Labels = Annotated[Path | None, option("FILE", "What was marked with `phdtrack label`; default: next to the video.")]
 Config = Annotated[Path | None, option("FILE", "Settings in a TOML file; an unknown name is an error.")]
 Sets = Annotated[list[str] | None, option("NAME=VALUE", "One setting, as sensor.box_noise=0.1; repeatable.", "--set")]
-Preset = Annotated[str, option("NAME", "Settings to start from: default, adaptive, or a paper's: m07, m09, fv, m09-mht, e13, d14.")]
+Preset = Annotated[str, option("NAME", "Settings to start from: default, adaptive, m07, m09, fv, m09-mht, e13, d14.")]
 DetectionsFile = Annotated[Path | None, option("FILE", "File of detections, used instead of a detector.")]
 Out = Annotated[Path | None, option("DIR", "Directory to write into; default: runs/ and the source's name.")]
 Threads = Annotated[int | None, option("N", "Threads of particle filters; same result (default: 1; 0: all cores).", min=0)]

@@ -308,13 +308,25 @@ def places_of(z: F8, period: Axes) -> Places:
 
 
 @njit(**INNER)
-def log_tail(distance2: float, scale: float, freedom: float) -> float:
-    """log of Student's t of two components, without the Gaussian's −log(2π√|S|) [WH97 §10.8].
+def with_tails(
+    first: float, rest: float, count: int, position_scale: float, size_scale: float, freedom: float
+) -> tuple[float, float]:
+    """d² by noises whose variances are c times the model's, and the log-density without −log(2π)^(m/2)√|S| [WH97 §10.8].
 
-    −log c − (n/2 + 1) log(1 + d²/(nc)): noises whose variance is c times the model's, which n observations have shown.
+    Each two components are Student's t: −log c − (n/2 + 1) log(1 + d²/(nc)).
+
+    Parameters
+    ----------
+    first, rest : d² by the model's noises, of the first two components and of the two others, if ``count`` is 4.
+    count : number of components, 2 or 4.
+    position_scale, size_scale, freedom : c of both, and n, the degrees of freedom with which they are known.
     """
-    value: float = -np.log(scale) - (0.5 * freedom + 1.0) * np.log1p(distance2 / (freedom * scale))
-    return value
+    own, power = first / position_scale, 0.5 * freedom + 1.0
+    value = -np.log(position_scale) - power * np.log1p(own / freedom)
+    if count > 2:
+        value -= np.log(size_scale) + power * np.log1p(rest / size_scale / freedom)
+        own += rest / size_scale
+    return own, value
 
 
 @njit(**INNER)
@@ -331,8 +343,7 @@ def gated(
     z, extra, period : the measurements, as `Measurements` has them.
     gate : in deviations of the innovation.
     active : (J,) Gaussians at which this is 0 are left out.
-    tails : (J, 3) how many times the model's the variances of noises are, of the first two components and of two others, and
-        the degrees of freedom of that, see `log_tail`; `GAUSSIAN` for none.
+    tails : (J, 3) c of the first two components and of two others, and n, see `with_tails`; `GAUSSIAN` for none.
     """
     spots, begin, along, across, low, scale, near = places_of(z, period)
     s, y, wide, high = np.empty((rows.size, rows.size)), np.empty(rows.size), 0.0, 0.0
@@ -363,12 +374,9 @@ def gated(
             d2 = first = whitened(seen, rows, z, i, j, period, s, y)
             reached, value = d2, -0.5 * (d2 + log_det)
             if len(tails) > 0:
-                if len(period) > 2:
-                    first = y[0] * y[0] * s[0, 0] + y[1] * y[1] * s[1, 1]
-                reached, value = first / tails[i, 0], -0.5 * log_det + log_tail(first, tails[i, 0], tails[i, 2])
-                if len(period) > 2:
-                    reached += (d2 - first) / tails[i, 1]
-                    value += log_tail(d2 - first, tails[i, 1], tails[i, 2])
+                first = y[0] * y[0] * s[0, 0] + y[1] * y[1] * s[1, 1] if len(period) > 2 else d2
+                reached, value = with_tails(first, d2 - first, len(period), tails[i, 0], tails[i, 1], tails[i, 2])
+                value -= 0.5 * log_det
             if reached <= limit:
                 if found == pairs.size:
                     more = np.empty(2 * found, PAIR)
