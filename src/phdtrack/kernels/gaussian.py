@@ -313,13 +313,8 @@ def with_tails(
 ) -> tuple[float, float]:
     """d² by noises whose variances are c times the model's, and the log-density without −log(2π)^(m/2)√|S| [WH97 §10.8].
 
-    Each two components are Student's t: −log c − (n/2 + 1) log(1 + d²/(nc)).
-
-    Parameters
-    ----------
-    first, rest : d² by the model's noises, of the first two components and of the two others, if ``count`` is 4.
-    count : number of components, 2 or 4.
-    position_scale, size_scale, freedom : c of both, and n, the degrees of freedom with which they are known.
+    Each two of the ``count`` components, 2 or 4, are Student's t: −log c − (n/2 + 1) log(1 + d²/(nc)), with d² by the
+    model's noises ``first`` and ``rest``, c the two scales, and n the ``freedom`` with which they are known.
     """
     own, power = first / position_scale, 0.5 * freedom + 1.0
     value = -np.log(position_scale) - power * np.log1p(own / freedom)
