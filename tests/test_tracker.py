@@ -293,6 +293,8 @@ def test_without_filter_detections_are_the_states():
         np.testing.assert_allclose(rows.xyxy[np.argsort(rows.detection)], boxes(k))
     assert isinstance(tracker.stages.filter, NoFilter)
     assert len(tracker.tracks()) == 16
+    assert tracker.step.info.mass == 2
+    assert not tracker.step.info.clutter_probability.any()
 
 
 FEW = {"filter": {"particles_per_target": 500}, "birth": {"particles": 500}}

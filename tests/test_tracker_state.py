@@ -29,6 +29,7 @@ RATES = {"rates": {"kind": "learned", "detection": True, "clutter": True}}
 
 @pytest.mark.parametrize("section", [
     {}, DELAY, PREVIOUS, LEARN, RATES, {"merged_measurements": {"kind": "explained"}},
+    {"preset": "adaptive"}, {"preset": "adaptive", **LEARN},
     *({"filter": {"kind": kind}} for kind in ("none", "gm-phd", "gm-cphd", "particle-cphd")),
     {"filter": {"kind": "mht"}, **DELAY},
     {"filter": {"kind": "mcmc", "samples": 50, "min_weight": 0.01}},
@@ -93,7 +94,7 @@ def test_a_saved_state_holds_plain_values_only(kind: str, scene):
 
 
 def test_the_state_of_an_earlier_version_is_told():
-    with pytest.raises(InputError, match=r"^load_state_dict: this state is of format 1, .* reads format 9"):
+    with pytest.raises(InputError, match=r"^load_state_dict: this state is of format 1, .* reads format 10"):
         tracker_of().load_state_dict(tracker_of().state_dict() | {"format": 1})
 
 

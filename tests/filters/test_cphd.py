@@ -1,4 +1,4 @@
-"""Laws of the cardinalised PHD filters: the PHD filter from a Poisson number, mass and mean, order, edges, one target."""
+"""Laws of the cardinalised PHD filters: the PHD filter from a Poisson number, mass and mean."""
 
 from __future__ import annotations
 
@@ -90,24 +90,6 @@ def test_the_mean_of_the_number_is_the_mass_with_what_was_born_unseen(kind: str,
         assert len(info.cardinality) < 60
         most = max(most, info.mass)
     assert 2 < most < 15
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("counted", [False, True], ids=["phd", "cphd"])
-def test_the_order_of_detections_is_irrelevant(kind: str, counted: bool, rng):
-    model = world(detection_probability=0.9)
-    cardinalised, plain, intensity, z = case(kind, rng, model)
-    order, results = rng.permutation(z.shape[1]), []
-    for scan in (z, np.ascontiguousarray(z[:, order])):
-        if counted:
-            after, info = cardinalised.update(Cardinalised(intensity, poisson(3.0)), scan, model, 1.0, rng)
-            results.append((after.intensity, info))
-        else:
-            results.append(plain.update(intensity, scan, model, 1.0, rng))
-    (a, first), (b, turned) = results
-    np.testing.assert_allclose(turned.cardinality, first.cardinality, rtol=10 * NEAR[kind], atol=1e-9)
-    np.testing.assert_allclose(turned.evidence, first.evidence[order], rtol=NEAR[kind])
-    np.testing.assert_allclose(np.sort(a.weight), np.sort(b.weight), rtol=10 * NEAR[kind], atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", KINDS)

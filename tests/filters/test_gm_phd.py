@@ -1,4 +1,4 @@
-"""Laws of the GM-PHD filter: the Kalman filter of one target, the printed update, mass, order, gates, particles."""
+"""Laws of the GM-PHD filter: the Kalman filter of one target, the printed update, mass, gates, tags."""
 
 from __future__ import annotations
 
@@ -10,15 +10,13 @@ import pytest
 from phd_cases import FRAME, NoBirth, world
 
 from composed import composed_step, drawn
-from phdtrack.errors import InputError
-from phdtrack.filters import GMCPHD, GMPHD, ParticlePHD
+from phdtrack.filters import GMCPHD, GMPHD
 from phdtrack.models import (
     BoxClutter,
     BoxMotion,
     BoxSensor,
     FixedBirth,
     MeasurementBirth,
-    UniformBirth,
     UniformClutter,
 )
 from phdtrack.protocols import Model
@@ -154,35 +152,6 @@ def test_births_stop_where_mass_explains_the_detection(rng):
             assert info.mass_born < 0.1
 
 
-def test_a_linear_scene_is_the_particle_filters(rng):
-    """Two targets of fixed variances, misses and clutter: masses and evidence of both filters along 12 frames."""
-    model = replace(LINEAR, sensor=BoxSensor(detection_probability=0.85, scaling="fixed"), clutter=UniformClutter(2.0, 1e6))
-    start = np.array([MEAN, MEAN + np.array([90, 20, -3, 1, 10, -20])]).T
-    initial = GaussianMixture(np.ones(2), start, np.stack([COV, COV]))
-    scans, x = [], start
-    for k in range(12):
-        x = drawn(model.motion, x, 1.0, rng)
-        seen = x[ROWS] + rng.normal(0, 1, (4, 2)) * np.sqrt([[3.0], [3], [6], [6]])
-        clutter = rng.uniform([0, 0, 20, 40], [*FRAME, 90, 150], (2, 4)).T
-        scans.append(np.hstack([seen[:, : 1 if k == 5 else 2], clutter]))
-    recursion, exact = GMPHD(initial=initial, merge_distance=0.05, weight_threshold=1e-7, max_components=0), []
-    state = recursion.start(model, rng)
-    for z in scans:
-        state, info = composed_step(recursion, state, z, model, 1.0, rng)
-        exact.append((info.mass, info.evidence[0]))
-    runs = []
-    for _ in range(10):
-        sampled = ParticlePHD(4000, initial=initial)
-        particles, here = sampled.start(model, rng), []
-        for z in scans:
-            particles, info = composed_step(sampled, particles, z, model, 1.0, rng)
-            here.append((info.mass, info.evidence[0]))
-        runs.append(here)
-    mean, error = np.mean(runs, axis=0), np.std(runs, axis=0, ddof=1) / np.sqrt(10)
-    # Ten runs know their own deviation poorly; merging within a twentieth of a deviation costs little.
-    assert (np.abs(np.array(exact) - mean) <= 5 * error + 0.01 * mean).all()
-
-
 def walking(k: int) -> np.ndarray:
     """(4, 2) two people who pass each other at some distance."""
     return np.array([[100 + 6.0 * k, 150, 40, 100], [520 - 6.0 * k, 330, 44, 110]]).T
@@ -242,9 +211,3 @@ def test_what_comes_without_tags_is_given_some(rng):
     for state in (recursion.predict(bare, model, 1.0, rng), recursion.update(bare, NOTHING, model, 1.0, rng)[0]):
         np.testing.assert_array_equal(np.sort(state.tag), range(5))
     assert recursion.reduce(bare, rng).fresh == 5
-
-
-def test_what_has_no_gaussian_form_is_an_error_with_its_cure(rng):
-    state, z = nearby(rng, 2), MEAN[ROWS, None]
-    with pytest.raises(InputError, match=r"birth\.kind=point"):
-        GMPHD().step(state, z, replace(LINEAR, birth=UniformBirth(FRAME)), 1.0, rng)

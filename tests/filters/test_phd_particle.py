@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from phd_cases import FRAME, crowd, seen_by, with_births, world
+from phd_cases import crowd, seen_by, with_births, world
 
 from composed import gaussian_view
 from phdtrack.arrays import reused
-from phdtrack.filters import NoFilter, ParticleCPHD, ParticlePHD
+from phdtrack.filters import ParticleCPHD, ParticlePHD
 from phdtrack.filters.blocks import in_blocks
 from phdtrack.models import (
     BoxMotion,
@@ -24,7 +24,6 @@ from phdtrack.models import (
     PointSensor,
     UniformClutter,
 )
-from phdtrack.models.volumes import image_volume
 from phdtrack.protocols import Model
 from phdtrack.types import GaussianMixture, ParticleBlocks, Particles
 
@@ -301,16 +300,6 @@ def test_any_number_of_threads_and_the_same_seed_give_the_same_bits(recursion, r
         identical(state, one)
         assert other.mass == info.mass
     assert not np.array_equal(run(1, 6)[0].state[:, :100], one.state[:, :100])
-
-
-def test_no_filter_takes_each_detection_for_a_target(rng):
-    model, z = world(), seen_by(rng, crowd(rng, 3, 10), 5)
-    state, info = NoFilter().step(NOTHING, z, model, 1.0, rng)
-    np.testing.assert_array_equal(state.state[[0, 1, 4, 5]], z)
-    assert info.mass == state.mass == 5
-    assert len(NoFilter().predict(state, model, 1.0, rng)) == 0
-    np.testing.assert_array_equal(info.clutter_probability, np.zeros(5))
-    assert image_volume(FRAME) == 640.0**2 * 480.0**2
 
 
 def test_memory_is_used_again_only_where_no_array_uses_it():

@@ -23,10 +23,12 @@ SETTINGS = {
         max_hypotheses=2, hypothesis_threshold=0.2, existence_threshold=0.05, gate_probability=0.9, merge_distance=0.0
     ),
     "merging": PMB(merge_distance=2.0),
+    "scales and motions": PMB(merge_distance=0.0, noise_freedom=5.0, acceleration_factors=(1.0, 3.0, 9.0)),
+    "scales merging": PMB(merge_distance=2.0, noise_freedom=2.0, acceleration_factors=(1.0, 4.0), static_clutter_prior=0.0),
 }
 
 
-def a_state(rng: np.random.Generator, targets: int) -> tuple[Bernoullis, list]:
+def a_state(rng: np.random.Generator, targets: int, settings: PMB) -> tuple[Bernoullis, list]:
     """Targets near each other with hypotheses of every kind, as the filter and as the definition take them."""
     several = rng.integers(1, 5, targets)
     offsets, count = np.concatenate([[0], np.cumsum(several)]), int(several.sum())
@@ -43,9 +45,15 @@ def a_state(rng: np.random.Generator, targets: int) -> tuple[Bernoullis, list]:
     hypotheses["weight"], hypotheses["occluded"], hypotheses["static"] = weight, occluded, static
     hypotheses["detection"], hypotheses["parent"] = -1, np.arange(count)
     hypotheses["target"] = np.repeat(np.arange(len(r)), several)
-    layer = Layer(targets, hypotheses, mean, cov)
+    # Far from 1 and few, so that both tails and what is learned of them differ from the Gaussian's.
+    scale, freedom = np.exp(rng.normal(0, 0.7, (count, 2))), rng.uniform(1, 30, count) * (settings.noise_freedom > 0)
+    scale[freedom == 0] = 1.0
+    motion = np.where(static, 0, rng.integers(0, len(settings.acceleration_factors), count))
+    hypotheses["position_scale"], hypotheses["size_scale"] = scale.T
+    hypotheses["freedom"], hypotheses["motion"] = freedom, motion
+    layer, known = Layer(targets, hypotheses, mean, cov), list(zip(map(tuple, scale), freedom, motion, strict=True))
     forms = [
-        [twin.Hypothesis(weight[c], mean[c], cov[c], bool(static[c]), occluded[c]) for c in range(a, b)]
+        [twin.Hypothesis(weight[c], mean[c], cov[c], bool(static[c]), occluded[c], -1, -1, *known[c]) for c in range(a, b)]
         for a, b in itertools.pairwise(offsets)
     ]
     return Bernoullis((layer, layer), np.zeros((0, 2), np.int64), len(r), 1), list(zip(r, forms, strict=True))
@@ -54,10 +62,10 @@ def a_state(rng: np.random.Generator, targets: int) -> tuple[Bernoullis, list]:
 @pytest.mark.parametrize("name", SETTINGS)
 @pytest.mark.parametrize("seed", range(6))
 def test_the_update_is_its_definition(seed: int, name: str):
-    """Existence, weights, states, measurements, order; false alarms and masses."""
+    """Existence, weights, states, noises, measurements, order; false alarms and masses."""
     rng, settings = np.random.default_rng(seed), SETTINGS[name]
     model = world(clutter=3e-7, birth=1e-7, detection=0.8)
-    state, targets = a_state(rng, int(rng.integers(0, 7)))
+    state, targets = a_state(rng, int(rng.integers(0, 7)), settings)
     z = np.vstack([rng.normal([[300], [200]], 15, (2, 6)), rng.normal([[40], [80]], 3, (2, 6))])
     first, spread = model.sensor.states(z)
     new = [(0.8 * 1e-7, first[:, j], spread[j]) for j in range(6)]
@@ -73,6 +81,10 @@ def test_the_update_is_its_definition(seed: int, name: str):
         np.testing.assert_allclose(now.hypotheses["weight"][at], [x.weight for x in forms], rtol=1e-8)
         np.testing.assert_allclose(now.mean[at], [x.mean for x in forms], rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(now.covariance[at], [x.cov for x in forms], rtol=1e-8, atol=1e-8)
+        scales = np.stack([now.hypotheses["position_scale"][at], now.hypotheses["size_scale"][at]], axis=1)
+        np.testing.assert_allclose(scales, [x.scale for x in forms], rtol=1e-8)
+        np.testing.assert_allclose(now.hypotheses["freedom"][at], [x.freedom for x in forms], rtol=1e-12)
+        assert now.hypotheses["motion"][at].tolist() == [x.motion for x in forms]
         np.testing.assert_allclose(now.hypotheses["occluded"][at], [x.occluded for x in forms], rtol=1e-9)
         assert now.hypotheses["static"][at].tolist() == [x.static for x in forms]
         assert now.hypotheses["detection"][at].tolist() == [x.taken for x in forms]

@@ -1,4 +1,4 @@
-"""Where the Poisson multi-Bernoulli filter is exact: one target; the first doubt between several."""
+"""Where the Poisson multi-Bernoulli filter is exact: one target; the first doubt between several; numbers on average."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from mht_cases import RNG, boxes, run, told, walk
 from pmb_cases import EVERYTHING, PLAIN, One, bernoulli, kalman, moved_on, pasts, without_births, world
 
 from phdtrack.filters import PMB
+from phdtrack.protocols import Model
 from phdtrack.types import GaussianMixture
 from reference.mht_twin import enumerate_histories, summed
 
@@ -167,3 +168,45 @@ def test_initial_targets_are_believed_as_given():
     np.testing.assert_allclose(state.present.targets["presence"], [1, r * 0.1 / (1 - r * 0.9)], rtol=1e-9)
     state, _ = filter_.step(state, boxes((201, 100), (399, 101)), model, 1.0, RNG)
     assert told(state, model).tag.tolist() == [0, 1]
+
+
+def simulated(rng, model: Model, frames: int, arrivals: float, alarms: float) -> tuple[list, np.ndarray]:
+    """Scans of a world that is as the model says, and how many were there in each frame."""
+    p_s, p_d = model.motion.survival_probability ** (1 / model.rate), model.sensor.detection_probability
+    x, scans, number = np.zeros((6, 0)), [], []
+    low, high = np.array([0.0, 0, 30, 60]), np.array([640.0, 480, 50, 100])
+    for _ in range(frames):
+        x = x[:, rng.random(x.shape[1]) < p_s]
+        if x.shape[1]:
+            mean, _, q = model.motion.transition(x, 1.0)
+            x = mean + np.stack([rng.multivariate_normal(np.zeros(6), c, method="eigh") for c in q]).T
+        new = rng.uniform(low, high, (rng.poisson(arrivals), 4)).T
+        speed = rng.normal(0, model.sensor.birth_speed_pixels / np.sqrt(2), new[:2].shape)
+        x = np.hstack([x, np.vstack([new[:2], speed, new[2:]])])
+        seen = x[:, rng.random(x.shape[1]) < p_d][[0, 1, 4, 5]]
+        seen = seen + 3 * rng.standard_normal(seen.shape)
+        scans.append(np.ascontiguousarray(np.hstack([seen, rng.uniform(low, high, (rng.poisson(alarms), 4)).T])))
+        number.append(x.shape[1])
+    return scans, np.array(number)
+
+
+def test_the_expected_number_is_the_number_on_average():
+    """Twenty runs of a world that is as the model says: the mean of mass − number is within three standard errors.
+
+    Those who have not been detected yet are not in the mass: 0.25 a frame arrive and 0.1 of them wait a frame, 0.01 two.
+    """
+    volume = 640.0 * 480 * 20 * 40
+    model = world(detection=0.9, survival=0.97, birth=0.25 / volume, clutter=2.0 / volume)
+    error, masses = [], []
+    for seed in range(20):
+        scans, number = simulated(np.random.default_rng(seed), model, 80, 0.25, 2.0)
+        state, mass = PLAIN.start(model, RNG), []
+        for z in scans:
+            state, info = PLAIN.step(state, z, model, 1.0, RNG)
+            mass.append(info.mass)
+        error.append(np.mean(np.array(mass)[10:] - number[10:]))
+        masses.append(np.mean(number[10:]))
+    unseen = 0.25 * 0.1 / (1 - 0.1 * 0.97)
+    bias, standard = np.mean(error) + unseen, np.std(error, ddof=1) / np.sqrt(20)
+    assert np.mean(masses) > 4
+    assert abs(bias) < 3 * standard + 0.02

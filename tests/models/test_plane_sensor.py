@@ -95,12 +95,3 @@ def test_a_plan_in_metres(rng):
     np.testing.assert_allclose(sensor.p_detect(np.array([[0.0, 5], [1, 1], [0, 0], [0, 0]])), [0.9, 0])
     with pytest.raises(InputError, match="fixed"):
         PlaneSensor().measure(Detections.of(sensor.boxes(x)))
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [{"size": (0.0, 1.0)}, {"box_noise": (0.1, -1.0)}, {"borders": (0.0, 0, 0, 1)}],
-)
-def test_settings_out_of_bounds(wrong):
-    with pytest.raises(InputError, match="PlaneSensor"):
-        PlaneSensor(**wrong)

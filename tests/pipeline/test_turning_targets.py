@@ -11,7 +11,7 @@ from phdtrack import pipeline
 from phdtrack.arrays import to_cxcywh
 from phdtrack.associate.graph import GraphMatching
 from phdtrack.associate.labels import Labelled
-from phdtrack.filters import GMPHD, MHT, BestHypothesis, ParticlePHD
+from phdtrack.filters import GMPHD, MHT, PMB, BestBernoullis, BestHypothesis, ParticlePHD
 from phdtrack.filters.extract import Components, KMeans
 from phdtrack.models import FixedBirth, UniformClutter
 from phdtrack.protocols import Model, Stages
@@ -54,8 +54,16 @@ def kept(tracks: Tracks) -> np.ndarray:
     return near.max(axis=1) / (TURNING_LAST - TURNING_FIRST + 1)
 
 
-def test_multiple_hypotheses_keep_the_identities_of_ten_targets():
-    tracks = tracked(Stages(MODEL, MHT(transform="unscented"), BestHypothesis(), Labelled()))
+@pytest.mark.parametrize(
+    ("recursion", "extractor"),
+    [
+        (MHT(transform="unscented"), BestHypothesis()),
+        (PMB(transform="unscented", mean_visible_time=0.0, static_clutter_prior=0.0), BestBernoullis(merge_iou=1.0)),
+    ],
+    ids=["mht", "pmb"],
+)
+def test_hypotheses_keep_the_identities_of_ten_targets(recursion, extractor):
+    tracks = tracked(Stages(MODEL, recursion, extractor, Labelled()))
     assert 9 <= len(np.unique(tracks.identity)) <= 12
     assert (kept(tracks) > 0.9).sum() >= 8
 

@@ -60,13 +60,14 @@ def tracked(tracker: Tracker, seed: int) -> tuple[Scores, np.ndarray]:
     ("filter_", "extract"),
     [
         ({"kind": "pmb"}, {}),
+        ({"kind": "pmb", "transform": "unscented"}, {}),
         ({"kind": "gm-phd"}, {}),
         ({"kind": "gm-cphd"}, {}),
         ({"kind": "particle-phd", "particles_per_target": 400}, {"kind": "kmeans"}),
         ({"kind": "particle-phd", "particles_per_target": 400}, {"kind": "mixture"}),
         ({"kind": "particle-cphd", "particles_per_target": 400}, {}),
     ],
-    ids=["pmb", "gm-phd", "gm-cphd", "kmeans", "mixture", "particle-cphd"],
+    ids=["pmb", "pmb, unscented", "gm-phd", "gm-cphd", "kmeans", "mixture", "particle-cphd"],
 )
 def test_walkers_are_followed(filter_, extract, camera_file):
     """Mean of two realisations: four people are found, and counted to 15 % on average."""

@@ -49,7 +49,11 @@ def enumerated(psi: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One of a target: its weight, mean (d,), covariance (d, d), what it is, what it took (−1: nothing), and whence."""
+    """One of a target: its weight, mean (d,), covariance (d, d), what it is, what it took (−1: nothing), and whence.
+
+    How many times the model's its variances are, of position and size, the degrees of freedom of that, and which factor its
+    acceleration has.
+    """
 
     weight: float
     mean: np.ndarray
@@ -58,6 +62,24 @@ class Hypothesis:
     occluded: float
     taken: int = -1
     source: int = -1
+    scale: tuple[float, float] = (1.0, 1.0)
+    freedom: float = 0.0
+    motion: int = 0
+
+
+def distances(x: Hypothesis, z, h, noise) -> np.ndarray:
+    """d² of the first two components, and of the others given these, by the model's noises."""
+    step, spread = z - h @ x.mean, h @ x.cov @ h.T + noise
+    first = step[:2] @ np.linalg.solve(spread[:2, :2], step[:2])
+    return np.array([first, step @ np.linalg.solve(spread, step) - first])
+
+
+def evidence(x: Hypothesis, z, h, noise) -> float:
+    """q(z): Gaussian, or for each two components Student's t, whose normalising constant is 1/2π for any freedom."""
+    step, spread, n, c = z - h @ x.mean, h @ x.cov @ h.T + noise, x.freedom, np.array(x.scale)
+    if not n:
+        return density(step, spread)
+    return density(0 * step, spread) * float(np.prod((1 + distances(x, z, h, noise) / (n * c)) ** (-n / 2 - 1) / c))
 
 
 def updated(targets, z, h, noise, p_d, clutter, new, s, rounds, settled):
@@ -78,9 +100,8 @@ def updated(targets, z, h, noise, p_d, clutter, new, s, rounds, settled):
     for t, (r, forms) in enumerate(targets):
         missed = 1 - r * sum(x.weight * p for x, p in zip(forms, seen[t], strict=True))
         for (c, x), j in itertools.product(enumerate(forms), range(n)):
-            step, spread = z[j] - h @ x.mean, h @ x.cov @ h.T + noise
-            if step @ np.linalg.solve(spread, step) <= radius:
-                share[t, c, j] = r * x.weight * seen[t][c] * density(step, spread) / (missed * alone[j])
+            if (distances(x, z[j], h, noise) / x.scale).sum() <= radius:
+                share[t, c, j] = r * x.weight * seen[t][c] * evidence(x, z[j], h, noise) / (missed * alone[j])
                 psi[t, j] += share[t, c, j]
     pair, nothing, p_new = propagated(psi, rounds, settled)
     out, false = [], [p * kappa / total for p, kappa, total in zip(p_new, clutter, alone, strict=True)]
@@ -99,7 +120,11 @@ def updated(targets, z, h, noise, p_d, clutter, new, s, rounds, settled):
                 probability = pair[t, j] * share[t, c, j] / psi[t, j]
                 false[j] += probability * x.static
                 mean, cov, _ = corrected(x.mean, x.cov, z[j], h, noise)
-                options.append(Hypothesis(probability, mean, cov, x.static, 0.0, j, c))
+                known, scale = x.freedom, x.scale
+                if known:
+                    scale = tuple((known * np.array(scale) + distances(x, z[j], h, noise)) / (known + 2))
+                    known += 2
+                options.append(Hypothesis(probability, mean, cov, x.static, 0.0, j, c, scale, known, x.motion))
         after = sum(x.weight for x in options)
         kept = sorted(
             (x for x in options if x.weight > 0 and x.weight >= s.hypothesis_threshold * after), key=lambda x: -x.weight
@@ -111,9 +136,11 @@ def updated(targets, z, h, noise, p_d, clutter, new, s, rounds, settled):
         exists, prior = p_new[j] * gamma / alone[j], s.static_clutter_prior
         false[j] += exists * prior
         if exists > 0 and exists >= min(s.existence_threshold, 0.5 * gamma / alone[j]):
-            out.append(
-                (-1, exists, [Hypothesis(w, mean, cov, k, 0.0, j) for w, k in ((1 - prior, False), (prior, True)) if w > 0])
-            )
+            motions = len(s.acceleration_factors)
+            kinds = [*(((1 - prior) / motions, False, k) for k in range(motions)), *([(prior, True, 0)] if prior else [])]
+            out.append((-1, exists, [
+                Hypothesis(w, mean, cov, static, 0.0, j, freedom=s.noise_freedom, motion=k) for w, static, k in kinds
+            ]))  # fmt: skip
     return out, false
 
 
@@ -122,7 +149,8 @@ def merged(forms: list[Hypothesis], distance: float) -> list[Hypothesis]:
     kept: list[Hypothesis] = []
     for x in forms:
         for i, y in enumerate(kept):
-            if x.static == y.static and ((x.mean - y.mean) ** 2 / np.diag(y.cov)).sum() < distance**2:
+            distance2 = ((x.mean - y.mean) ** 2 / np.diag(y.cov)).sum()
+            if (x.static, x.motion) == (y.static, y.motion) and distance2 < distance**2:
                 kept[i] = replace(y, weight=y.weight + x.weight)
                 break
         else:

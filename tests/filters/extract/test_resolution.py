@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
-from extract_cases import HERE, MODEL, THERE, moved
+from extract_cases import HERE, MODEL, moved
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -50,23 +49,3 @@ def test_the_most_overlapping_go_first():
     (mass, mean, _), _ = join_unresolved(Gaussians(np.ones(3), row, np.stack([np.eye(6)] * 3)), MODEL.sensor, 0.3)
     np.testing.assert_array_equal(mass, [2, 1])
     np.testing.assert_allclose(mean[0], [302, 324])
-
-
-def test_apart_and_none():
-    two = np.array([HERE, THERE]).T.copy()
-    peaks = Gaussians(np.array([1.0, 0.7]), two, np.stack([np.eye(6)] * 2))
-    (mass, mean, cov), _ = join_unresolved(peaks, MODEL.sensor, 0.01)
-    np.testing.assert_array_equal(mass, [1, 0.7])
-    np.testing.assert_array_equal(mean, two)
-    none, _ = join_unresolved(Gaussians(np.zeros(0), np.zeros((6, 0)), np.zeros((0, 6, 6))), MODEL.sensor, 0.4)
-    assert [a.shape for a in none] == [(0,), (6, 0), (0, 6, 6)]
-    assert cov.shape == (2, 6, 6)
-
-
-def test_a_union_weighs_its_parts():
-    pair = np.array([HERE, moved(4)]).T.copy()
-    peaks = Gaussians(np.array([3.0, 1.0]), pair, np.zeros((2, 6, 6)))
-    (mass, mean, cov), _ = join_unresolved(peaks, MODEL.sensor, 0.4)
-    assert mass[0] == 4
-    assert mean[0, 0] == pytest.approx(301)
-    assert cov[0, 0, 0] == pytest.approx(0.75 * 0.25 * 16)
