@@ -187,7 +187,9 @@ def updated_layer(
     out = Layer(np.empty(count + started, TARGET), np.empty(room, HYPOTHESIS), np.empty((room, d)), np.empty((room, d, d)))
     write_posteriors(mean, covariance, e, m, options, out.mean, out.covariance)
     gone = np.empty(count, np.int64)
-    t, k, lost, mass = _write_kept(layer, p_detect, exists, kept, options, s.merge_distance * s.merge_distance, out, gone)
+    t, k, lost, mass = _write_kept(
+        layer, p_detect, exists, kept, options, s.merge_distance * s.merge_distance, len(m.period) > 2, out, gone
+    )
     k, mass = _write_new(found[2], new.mean, new.covariance, s, fresh, t, k, mass, out)
     after = Layer(out.targets[: t + started], out.hypotheses[:k], out.mean[:k], out.covariance[:k])
     return after, (born + predicted, born, mass, found[0], found[1], vanished), gone[:lost]
@@ -283,7 +285,6 @@ def _choose(
 
     An option is a `PAIR` of the hypothesis before and its measurement, −1 for none; its weight is not normalised. ``kept``
     and ``exists`` (T,) as by `_associate`. The second becomes the probability that the target exists: it is kept from
-    and ``exists`` (T,) as by `_associate`. The second becomes the probability that the target exists: it is kept from
     ``least`` on, with ``most`` options of no less than the ``share`` of it.
     """
     q, k = 0 * pairs.size, 0 * pairs.size
@@ -344,13 +345,14 @@ def heavier_like(hypotheses: Records, mean: F8, cov: F8, begin: int, k: int, lim
 
 @njit(**INNER)
 def _write_kept(
-    layer: Layer, p_detect: F8, exists: F8, kept: I8, options: Records, limit: float, out: Layer, gone: I8
+    layer: Layer, p_detect: F8, exists: F8, kept: I8, options: Records, limit: float, sizes: bool, out: Layer, gone: I8
 ) -> tuple[int, int, int, float]:
     """Write the targets that are kept into the first places of ``out``; how many targets and hypotheses there are.
 
     ``out`` has the Gaussians of the options with a measurement. Hypotheses within √``limit`` deviations of a heavier one are
-    counted as that one. The others are as of `_choose`. Of deleted targets that were once confirmed the best hypothesis of
-    the frame before is written into ``gone`` (T,). Returns also how many these are, and the mass of the targets.
+    counted as that one. ``sizes``: measurements have four components; of two the noise of all is theirs. The others are as
+    of `_choose`. Of deleted targets that were once confirmed the best hypothesis of the frame before is written into
+    ``gone`` (T,). Returns also how many these are, and the mass of the targets.
     """
     targets, hypotheses, mean, cov = out
     old_targets, old, old_mean, old_cov = layer
@@ -375,7 +377,7 @@ def _write_kept(
                 # Two components each, which are two observations of a variance.
                 n, first, d2 = h.freedom, options[i].first, options[i].distance2
                 h.position_scale = (n * h.position_scale + first) / (n + 2.0)
-                h.size_scale = (n * h.size_scale + d2 - first) / (n + 2.0)
+                h.size_scale = (n * h.size_scale + (d2 - first if sizes else first)) / (n + 2.0)
                 h.freedom = n + 2.0
             heavier = heavier_like(hypotheses, mean, cov, begin, k, limit)
             if heavier < k:

@@ -53,7 +53,7 @@ def predicted(model: Model, mean: F8, covariance: F8, dt: float, transform: Tran
     mean, covariance : arrays (J, d) and (J, d, d).
     dt : interval in the model's time unit.
     transform : ``linear`` or ``unscented``, see above.
-    factor : array (J,), multiplies the variance of each one's acceleration, or all of Q where it is no box's; (0,): none.
+    factor : array (J,), multiplies the variances with which position and velocity change; (0,): none.
 
     Returns
     -------
@@ -66,7 +66,9 @@ def predicted(model: Model, mean: F8, covariance: F8, dt: float, transform: Tran
     columns = np.ascontiguousarray(mean.T)
     p_survive = motion.p_survive(columns, dt / model.rate)
     centre, f, q = motion.transition(columns, dt)
-    q = q * factor[:, None, None] if len(factor) else q
+    if len(factor):
+        q = q.copy()
+        q[:, :4, :4] *= factor[:, None, None]
     if transform == "linear":
         return Predicted(np.ascontiguousarray(centre.T), predicted_covariance(covariance, f, q), p_survive)
     points = sigma_points(columns, covariance)

@@ -6,8 +6,8 @@ that says nothing,
 
     p(s|target)/p(s|false alarm) = (s/(1 − s) · (1 − e)/e)^slope
 
-within limits. False alarms are as many fewer, or more, see `models.clutter.ScoredClutter`: low boxes continue tracks and
-start none. Where all scores are the same they say nothing.
+within limits. False alarms are as many fewer, or more, see `models.clutter.ScoredClutter`: a low box continues a track, and
+starts one only where low boxes come again and again. Where all scores are the same they say nothing.
 """
 
 from __future__ import annotations
