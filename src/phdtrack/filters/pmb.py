@@ -28,14 +28,15 @@ Static clutter competes for measurements like targets do and is never reported.
 
 Two things that a model cannot know about every stream and target are hidden states, too, where the settings ask for them.
 
-*How noisy it is.* All variances of a hypothesis, of its motion and of its measurements, are c times the model's. About 1/c
-is known what n observations of a variance tell (a gamma distribution), so that innovations have a Student's t distribution,
-whose tails keep a target that jumps [WH97 §10.8]; every detection adds two observations, of centre and of size apart:
+*How noisy it is.* All variances of a hypothesis, of its motion and of its measurements, are c times the model's. What is
+known of 1/c is what n observations of a variance tell, a gamma distribution. Innovations then follow Student's t, whose
+tails keep a target that jumps [WH97 §10.8]. Every detection adds two observations, of the centre and of the size apart:
 
     q(z) = |2πS|^(−½) c^(−1) (1 + d²/(nc))^(−n/2 − 1),   c ← (nc + d²)/(n + 2),   n ← n + 2
 
-for each two components, S and d² by the model's noises. Between frames what is known fades: n ← kn + (1 − k)n₀, with c drawn
-to 1, the model's noises; a new target has n₀. State and gain do not depend on c, their covariance is c times as large.
+for each two components, S and d² by the model's noises. Between frames what is known fades towards the model's noises,
+which count for n₀ observations: n ← kn + (1 − k)n₀. A new target has n₀ and c = 1. States and gains do not depend on c,
+covariances are c times as large.
 
 *How agile it is.* A new target has a hypothesis for each factor of the acceleration, all equally probable; the innovations
 decide between them. A bank of filters, each with its motion for good [B01 §11.6].
