@@ -215,7 +215,17 @@ def main(options: Options) -> Path:
         options,
         cases=len(cases),
         groups=table(
-            ["group", "best peer", "default", "adaptive", "adaptive, corrected", "default", "adaptive", "left out"], lines
+            [
+                "group",
+                "best peer",
+                "default",
+                "adaptive",
+                "adaptive, corrected",
+                "default away",
+                "adaptive away",
+                "variant left out",
+            ],
+            lines,
         ),
         won=table(["values", "rows", "new cameras", "MOT15", "mean distance"], won),
         variants=table(["variant", "mean", *chosen], compared),

@@ -28,6 +28,17 @@ def test_pairs_that_are_equal_count_as_won() -> None:
     assert cameras.pairs_won(rows, PEERS) == (2, 3)
 
 
+def test_a_group_is_left_out_of_the_choice_of_its_variant() -> None:
+    away = {"one": {"a": 9.0, "b": 0.0, "c": 1.0}, "other": {"a": 0.0, "b": 3.0, "c": 2.0}}
+    assert cameras.left_out(away) == {"a": "other", "b": "one", "c": "one"}
+
+
+def test_distances_are_means_over_cases_and_scores() -> None:
+    row = {"group": "g", "sequence": "a", "detector": "x", "HOTA": "48", "MOTA": "60", "IDF1": "47"}
+    whole = row | {"sequence": "ALL", "HOTA": "99"}
+    assert cameras.distances([row, row | {"IDF1": "53"}, whole], PEERS) == pytest.approx({"g": 1.0})
+
+
 @pytest.mark.data
 def test_the_short_form_writes_a_page(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if not (data / "more").is_dir() or not (data.parent / "bench" / "score_more.py").is_file():

@@ -15,6 +15,7 @@ from phdtrack.errors import InputError
 from phdtrack.formats.columns import WarpsWriter, read_warps
 from phdtrack.models.learning import RateLearning, RatesState, SceneLearning
 from phdtrack.models.scene import not_standing, refuse_standing
+from phdtrack.models.scores import ScoreOdds, ScoresSeen
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import Learning, Model
 from phdtrack.report.pages import lines, render
@@ -58,8 +59,8 @@ class RunObserver:
         return None
 
     def report(self) -> Report:
-        """What came of it."""
-        raise NotImplementedError
+        """What came of it; nothing."""
+        return Report({})
 
 
 def observers_of(settings: Settings, inputs: Inputs, learning: Learning[Any] | None) -> tuple[RunObserver, ...]:
@@ -69,6 +70,7 @@ def observers_of(settings: Settings, inputs: Inputs, learning: Learning[Any] | N
         found.append(CameraObserver(settings.kind("camera_motion"), inputs.info))
     if isinstance(learning, RateLearning):
         found.append(RatesObserver(learning))
+    if isinstance(learning, RateLearning | ScoreOdds):
         learning = learning.other
     if isinstance(learning, SceneLearning):
         found.append(SceneObserver(learning, inputs.name))
@@ -128,7 +130,7 @@ class SceneObserver(RunObserver):
     def take(self, step: Step, state: TrackingState) -> None:
         """Keep what this frame taught."""
         learned = state.learned
-        self._known: OnlineScene = (learned.other if isinstance(learned, RatesState) else learned).known
+        self._known: OnlineScene = (learned.other if isinstance(learned, RatesState | ScoresSeen) else learned).known
         if self._known.last is not None and self._known.last.number == step.number:
             self._course.append(self._known.last)
 
