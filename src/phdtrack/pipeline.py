@@ -36,6 +36,7 @@ class TrackingState:
     given : which detections the filter was given, of the frames that it may still revise; (0,) where it was given all.
     learned : what is known of the scene, None where nothing is learned.
     expected : the targets that merged measurements are divided by, None where they are not.
+    pace : how fast the filter's time runs, None where it is the clock's.
     """
 
     intensity: Any
@@ -46,6 +47,7 @@ class TrackingState:
     given: tuple[I8, ...] = ()
     learned: Any = None
     expected: Any = None
+    pace: Any = None
 
 
 def start(stages: AnyStages, rng: np.random.Generator) -> TrackingState:
@@ -87,7 +89,7 @@ def advance(
     learning, explainer, learned, expected = stages.learning, stages.explainer, state.learned, state.expected
     seen = replace(stages.model, warp=as_warp(warp, f"frame {number}")) if len(warp) and state.number else stages.model
     model = learning.model(learned, seen) if learning else seen
-    dt = (time - state.time) * model.rate if state.number else model.first
+    pace, dt = _paced(stages, state, detections, time, model)
     began = clock.perf_counter()
     # Measure
     explanation = Explanation.unchanged(detections)
@@ -115,7 +117,20 @@ def advance(
     step = Step(number, time, detections, info, estimates, tracks, seconds, given.unusable, seen.warp)
     learned = learning and learning.advance(learned, step)
     targets = estimates.state if model.sensor.occlusion else NO_STATES
-    return TrackingState(intensity, association, number, time, targets, numbers, learned, expected), step
+    return TrackingState(intensity, association, number, time, targets, numbers, learned, expected, pace), step
+
+
+def _paced(stages: AnyStages, state: TrackingState, detections: Detections, time: float, model: Model) -> tuple[Any, float]:
+    """How fast the filter's time runs, and the interval before this frame in the model's time units."""
+    seconds = time - state.time
+    if stages.clock is None:
+        return None, seconds * model.rate if state.number else model.first
+    z = model.sensor.measure(detections if detections.observed else Detections.empty(observed=False))
+    z = z[:, np.isfinite(z).all(axis=0)]
+    if state.number == 0:
+        return stages.clock.start(z), model.first
+    pace = stages.clock.advance(state.pace, z, seconds, model)
+    return pace, seconds * pace.factor * model.rate
 
 
 def run(

@@ -392,6 +392,28 @@ class Learning(Protocol[C]):
         """The state with the regime of the scene that has this name, as day or night; None where none is learned."""
 
 
+class Clock(Protocol[S]):
+    """How fast the time of the filter runs in a stream."""
+
+    def start(self, z: F8) -> S:
+        """After the first frame, of the measurements ``z`` (m, n)."""
+
+    def advance(self, state: S, z: F8, seconds: float, model: Model) -> S:
+        """The state after a frame, ``seconds`` later; its ``factor`` makes of seconds those of the filter.
+
+        Parameters
+        ----------
+        state : after the frame before.
+        z : (m, n) measurements of the frame.
+        seconds : since the frame before.
+        model : of the frame.
+
+        Returns
+        -------
+        state : after the frame.
+        """
+
+
 class Camera(Protocol):
     """Between the pixels of one camera and the ground, metres in a world of its own.
 
@@ -429,7 +451,7 @@ class Stages(Generic[S, A]):
     Attributes
     ----------
     learning : what is learned of the scene.      explainer : the merged-measurement model.
-    smoother : of corrected tracks.
+    smoother : of corrected tracks.      clock : of streams of few pictures.
     """
 
     model: Model
@@ -439,6 +461,7 @@ class Stages(Generic[S, A]):
     learning: Learning[Any] | None = None
     explainer: Explainer[Any] | None = None
     smoother: Smoother | None = None
+    clock: Clock[Any] | None = None
 
 
 AnyStages = Stages[Any, Any]

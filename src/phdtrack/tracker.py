@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from phdtrack.scene.rates import Rates
 
 # Of a saved state: it changes when a record of the state does.
-FORMAT = 10
+FORMAT = 11
 
 
 class Tracker:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from phdtrack.config.kinds import CameraSettings, LearnSettings, SceneClutterSettings
 from phdtrack.config.settings import Settings, overlay
 from phdtrack.errors import InputError
+from phdtrack.models.pace import Pace
 from phdtrack.models.volumes import EVERYWHERE, Region, area, image_area
 from phdtrack.protocols import AnyStages, Associator, Birth, Clutter, Learning, Model, Stages
 from phdtrack.types import SequenceInfo
@@ -62,7 +63,9 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
         return Stages(model, settings.build("filter"), Raw(), associator, smoother=smoother)
     filter_ = settings.build("filter", frame_size=size)
     rates, explainer = _rates(settings, model, None, info), settings.build("merged_measurements")
-    stages = Stages(model, filter_, settings.build("extract"), associator, rates, explainer, smoother=smoother)
+    slowest = settings.build("time").longest_interval
+    clock = Pace(slowest) if slowest else None
+    stages = Stages(model, filter_, settings.build("extract"), associator, rates, explainer, smoother, clock)
     if settings.kind("learn") == "none":
         return stages
     unlearned = replace(stages, associator=replace(settings.build("associate"), history=_KEPT))

@@ -40,9 +40,17 @@ def gaussians_at(places: Places) -> GaussianMixture:
 
 @dataclass(frozen=True, slots=True)
 class TimeSettings(Checked):
-    """``units_per_second``: time units per second in which noises are stated, the papers' are per frame at 25 Hz."""
+    """Settings of the time.
+
+    Parameters
+    ----------
+    units_per_second : time units per second in which noises are stated, the papers' are per frame at 25 Hz.
+    longest_interval : seconds between pictures up to which targets move as in videos. With longer ones the filter's time
+        runs slower, as the first links say (`models.pace`). 0: never.
+    """
 
     units_per_second: Positive = 25.0
+    longest_interval: NonNegative = 0.0
 
 
 @dataclass(frozen=True, slots=True)

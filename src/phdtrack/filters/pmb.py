@@ -124,6 +124,8 @@ class PMB(Checked, Filter[Bernoullis]):
     noise_freedom : degrees of freedom with which the noises of a new target are known, see above; 0: they are the model's.
     noise_memory : frames after which what an innovation has shown of a target's noises counts for 37 %.
     acceleration_factors : a target is followed with each of these multiples of the model's acceleration.
+    clutter_decay : false alarms are T^−clutter_decay times the model's where the interval T is longer than a time unit: of a
+        slow stream's, fewer come again in the next frame. 0: as the model says.
     initial : targets before the first frame; a weight is the probability that there is one.
     """
 
@@ -141,6 +143,7 @@ class PMB(Checked, Filter[Bernoullis]):
     noise_freedom: NonNegative = 0.0
     noise_memory: Positive = 4.5
     acceleration_factors: tuple[Positive, ...] = (1.0,)
+    clutter_decay: NonNegative = 0.0
     initial: GaussianMixture | None = None
 
     def __post_init__(self) -> None:
@@ -197,6 +200,8 @@ class PMB(Checked, Filter[Bernoullis]):
         `UpdateInfo.clutter_probability` is that of a false alarm, static clutter included.
         """
         now, label, seen = state.present, state.next_label, measurements(model, z)
+        if self.clutter_decay and dt > 1:
+            seen = seen._replace(clutter=seen.clutter * dt**-self.clutter_decay)
         if self.noise_freedom and len(seen.period) not in (2, 4):
             problem = f"noises are learned of measurements with 2 or 4 components, these have {len(seen.period)}"
             raise InputError(problem, where="filter.noise_freedom", cure="Use 0, the model's noises")
