@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from phdtrack.scene.rates import Rates
 
 # Of a saved state: it changes when a record of the state does.
-FORMAT = 11
+FORMAT = 12
 
 
 class Tracker:

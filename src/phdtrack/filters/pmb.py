@@ -26,6 +26,15 @@ detection.
 ``static_clutter_detection_probability`` in each frame. What moves, or is detected more often, is soon known to be a target.
 Static clutter competes for measurements like targets do and is never reported.
 
+*Lasting clutter*: what a detector takes for a target again and again moves and is detected like one. Only its scores give it
+away. With the odds of a score s against lasting false alarms, l(s) = p(s|target)/p(s|lasting), and against those of a single
+frame, o(s), a hypothesis that is genuine with probability ρ has the likelihood q(z)(ρ o(s) + 1 − ρ), and
+
+    log ρ/(1 − ρ) ← log ρ₀/(1 − ρ₀) + k (log ρ/(1 − ρ) − log ρ₀/(1 − ρ₀)) + log l(s)
+
+with ρ₀ = 1 − ``lasting_clutter_prior``; k forgets what scores have said, because those of one target are alike, and change
+when it comes nearer. Targets are present as far as they are genuine.
+
 Two things that a model cannot know about every stream and target are hidden states, too, where the settings ask for them.
 
 *How noisy it is.* All variances of a hypothesis, of its motion and of its measurements, are c times the model's. What is
@@ -54,7 +63,19 @@ import numpy as np
 from phdtrack.arrays import GATE, chi2_quantile
 from phdtrack.errors import Checked, InputError, NonNegative, Positive, PositiveCount, Probability, Share
 from phdtrack.kernels.box import apart
-from phdtrack.kernels.pmb import HYPOTHESIS, TARGET, TRACE, Layer, Records, Settings, earlier, predicted_layer, updated_layer
+from phdtrack.kernels.pmb import (
+    CERTAIN,
+    HYPOTHESIS,
+    TARGET,
+    Layer,
+    Records,
+    Scores,
+    Settings,
+    predicted_layer,
+    updated_layer,
+)
+from phdtrack.kernels.pmb_past import TRACE, earlier
+from phdtrack.models.clutter import ScoredClutter
 from phdtrack.models.gaussian import SAME, Transform, expected, measurements, moved, new_targets
 from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, I8, Estimates, GaussianMixture, UpdateInfo
@@ -95,7 +116,8 @@ class Bernoullis:
         """The intensity of the targets: hypotheses with the probability that the target exists and is as they say."""
         targets, hypotheses, means, _ = self.present
         target = hypotheses["target"]
-        weight = np.where(hypotheses["static"], 0.0, targets["r"][target] * hypotheses["weight"])
+        genuine = 1 / (1 + np.exp(-hypotheses["genuine"]))
+        weight = np.where(hypotheses["static"], 0.0, targets["r"][target] * hypotheses["weight"] * genuine)
         there = np.flatnonzero(weight > 0)
         mean = np.ascontiguousarray(means[there].T)
         return GaussianMixture(
@@ -120,6 +142,8 @@ class PMB(Checked, Filter[Bernoullis]):
     mean_occluded_time : seconds for which, on average, it then cannot.
     static_clutter_prior : probability that a first detection which is no single false alarm is static clutter.
     static_clutter_detection_probability : probability that static clutter is detected in a frame.
+    lasting_clutter_prior : probability that a target is a false alarm that lasts, before its scores are known; 0: none is.
+    score_memory : frames after which what a score has said of that counts for 37 %.
     history : frames for which the hypotheses of the past are kept: so far back the past is revised.
     noise_freedom : degrees of freedom with which the noises of a new target are known, see above; 0: they are the model's.
     noise_memory : frames after which what an innovation has shown of a target's noises counts for 37 %.
@@ -139,6 +163,8 @@ class PMB(Checked, Filter[Bernoullis]):
     mean_occluded_time: Positive = 0.4
     static_clutter_prior: Probability = 0.05
     static_clutter_detection_probability: Probability = 0.5
+    lasting_clutter_prior: Probability = 0.0
+    score_memory: Positive = 15.0
     history: PositiveCount = 10
     noise_freedom: NonNegative = 0.0
     noise_memory: Positive = 4.5
@@ -148,6 +174,8 @@ class PMB(Checked, Filter[Bernoullis]):
 
     def __post_init__(self) -> None:
         Checked.__post_init__(self)
+        if self.lasting_clutter_prior == 1:
+            raise InputError("expected a probability below 1, as some targets are genuine", where="filter.lasting_clutter_prior")
         if not self.acceleration_factors:
             raise InputError(
                 "expected at least one factor", where="filter.acceleration_factors", cure="Leave it out, or (1,)"
@@ -169,6 +197,7 @@ class PMB(Checked, Filter[Bernoullis]):
         )
         hypotheses["position_scale"], hypotheses["size_scale"], hypotheses["freedom"] = 1.0, 1.0, self.noise_freedom
         hypotheses["detection"] = hypotheses["parent"] = -1
+        hypotheses["genuine"] = CERTAIN
         layer = Layer(targets, hypotheses, np.ascontiguousarray(given.mean.T[place]), given.covariance[place])
         return Bernoullis((layer,), np.zeros((0, 2), np.int64), n)
 
@@ -180,9 +209,16 @@ class PMB(Checked, Filter[Bernoullis]):
         )
         mean, covariance, after = moved(model, now.mean, now.covariance, dt, self.transform, factor)
         now, noise = Layer(now.targets, now.hypotheses, mean, covariance), model.sensor.noise(np.ascontiguousarray(mean.T))
-        changes, kept = self._changes(dt / model.rate), math.exp(-1 / self.noise_memory)
-        layer = predicted_layer(now, after, noise, *changes, self.noise_freedom, kept)
+        freedom = self.noise_freedom, math.exp(-1 / self.noise_memory)
+        genuine = self._prior, math.exp(-1 / self.score_memory)
+        layer = predicted_layer(now, after, noise, *self._changes(dt / model.rate), freedom, genuine)
         return Bernoullis((*state.layers[-self.history :], layer), state.ended, state.next_label, state.frame + 1)
+
+    @property
+    def _prior(self) -> float:
+        """The log odds that a target is genuine, before its scores are known."""
+        lasting = self.lasting_clutter_prior
+        return math.log(1 / lasting - 1) if lasting > 0 else CERTAIN
 
     def _changes(self, seconds: float) -> tuple[float, float]:
         """Probabilities to be occluded ``seconds`` after being visible, and visible after being occluded."""
@@ -214,7 +250,10 @@ class PMB(Checked, Filter[Bernoullis]):
         said = expected(model.sensor, now.mean, now.covariance, self.transform)
         new = new_targets(model, z, seen, dt, gate, self.transform)
         # As plain tuples: Numba looks up the class of every named one, which takes as long as some kernels.
-        layer, learned, gone = updated_layer(*map(tuple, (now, said, seen, new, settings)), label)
+        nothing, clutter = np.zeros(len(seen.z)), model.clutter
+        scored = (clutter.odds, clutter.log_odds) if isinstance(clutter, ScoredClutter) else (nothing + 1, nothing)
+        scores = Scores(*scored, self._prior)
+        layer, learned, gone = updated_layer(*map(tuple, (now, said, seen, new, scores, settings)), label)
         if len(layer.targets):
             label = max(label, int(layer.targets[-1]["label"]) + 1)
         ended = state.ended

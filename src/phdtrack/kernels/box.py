@@ -44,7 +44,7 @@ def apart(boxes: F8, order: I8, overlap: float) -> I8:
             p -= 1
         while p < n and boxes[order[p], 0] < boxes[j, 2]:
             i = order[p]
-            if i < j and place[i] >= 0 and overlap_of(boxes, i, j) > overlap:
+            if i < j and place[i] >= 0 and overlap_of(boxes, i, boxes, j) > overlap:
                 place[j] = -1
                 break
             p += 1
@@ -54,10 +54,31 @@ def apart(boxes: F8, order: I8, overlap: float) -> I8:
     return left[:k].copy()
 
 
+@njit(**ENTRY)
+def following(before: F8, after: F8, overlap: float) -> I8:
+    """(m,) which of the boxes (n, 4) before each of those after (m, 4) follows, −1 for none.
+
+    Each is the one that overlaps the other most, by at least ``overlap`` (IoU).
+    """
+    m = len(after)
+    best, most, other, other_most = np.full(m, -1), np.zeros(m), np.full(len(before), -1), np.zeros(len(before))
+    for i in range(len(before)):
+        for j in range(m):
+            share = overlap_of(before, i, after, j)
+            if share >= overlap and share > most[j]:
+                best[j], most[j] = i, share
+            if share >= overlap and share > other_most[i]:
+                other[i], other_most[i] = j, share
+    for j in range(m):
+        if best[j] >= 0 and other[best[j]] != j:
+            best[j] = -1
+    return best
+
+
 @njit(**INNER)
-def overlap_of(boxes: F8, i: int, j: int) -> float:
-    """IoU of two of the boxes (n, 4); 0 of such as have no area."""
-    left, top, right, bottom = boxes[j, 0], boxes[j, 1], boxes[j, 2], boxes[j, 3]
+def overlap_of(boxes: F8, i: int, others: F8, j: int) -> float:
+    """IoU of box i of (n, 4) and j of ``others`` (m, 4); 0 of such as have no area."""
+    left, top, right, bottom = others[j, 0], others[j, 1], others[j, 2], others[j, 3]
     area = (right - left) * (bottom - top)
     # Conditionals and not min and max: they compile faster.
     wide = (boxes[i, 2] if boxes[i, 2] < right else right) - (boxes[i, 0] if boxes[i, 0] > left else left)

@@ -164,11 +164,11 @@ def _kind(was: int, becomes: int, absence: int, newborn: bool, can: Options) -> 
 @njit(**INNER)
 def _crowd(a: int, b: int, i: int, k: int, can: Options, now: Sample) -> float:
     """Overlaps of ``a`` in state ``i`` and ``b`` in state ``k`` (−1: none) with all other targets and each other."""
-    total = overlap_of(can.box, i, k) if i >= 0 and k >= 0 else 0.0
+    total = overlap_of(can.box, i, can.box, k) if i >= 0 and k >= 0 else 0.0
     for c in range(now.state.size):
         if now.state[c] >= 0 and c != a and c != b:
-            total += overlap_of(can.box, i, now.state[c]) if i >= 0 else 0.0
-            total += overlap_of(can.box, k, now.state[c]) if k >= 0 else 0.0
+            total += overlap_of(can.box, i, can.box, now.state[c]) if i >= 0 else 0.0
+            total += overlap_of(can.box, k, can.box, now.state[c]) if k >= 0 else 0.0
     return total
 
 

@@ -41,6 +41,10 @@ I8 = NDArray[np.int64]
 Records = NDArray[np.void]
 
 TINY = float(np.finfo(np.float64).tiny)
+# Log odds of what is certain, in double precision.
+CERTAIN = 40.0
+# Largest log odds that scores alone give: so much is forgotten again when they change.
+LIMIT = 8.0
 # A target that cannot be missed is missed with this probability: impossible, but comparable.
 NEVER = 1e-15
 # Deleted targets whose probability to exist was never as large are not kept for the past.
@@ -54,14 +58,12 @@ STATIC_SHARE = 0.5
 # them that is not static, −1 where there is none.
 TARGET = records("r presence max_presence", "label begin end best")
 # A hypothesis: its weight, which sum to one for each target; the probability that the target cannot be detected at present;
+# the log odds that it is genuine, and no lasting false alarm;
 # its target; the measurement of the frame that it took, −1 for none; its hypothesis in the frame before, −1 where the target
 # begins; whether it is a source of static clutter: it stays where it is, and is no target. How many times the model's the
 # variances of its noises are, of the first two components of a measurement and of two others, and the degrees of freedom of
 # that; which of the factors its acceleration has.
-HYPOTHESIS = records("weight occluded position_scale size_scale freedom", "target detection parent static motion")
-# Of each target of a frame: the hypothesis that leads to the one that is best today, −1 for none; the greatest presence from
-# that frame on.
-TRACE = records("presence", "place")
+HYPOTHESIS = records("weight occluded genuine position_scale size_scale freedom", "target detection parent static motion")
 
 
 class Layer(NamedTuple):
@@ -80,6 +82,21 @@ class Layer(NamedTuple):
     covariance: F8
 
 
+class Scores(NamedTuple):
+    """What the scores of a frame's measurements say.
+
+    Attributes
+    ----------
+    odds : (N,) p(s|target)/p(s|false alarm).
+    log_odds : (N,) log p(s|target)/p(s|lasting false alarm).
+    prior : log odds that a new target is genuine, and no lasting false alarm; `CERTAIN` where there are none.
+    """
+
+    odds: F8
+    log_odds: F8
+    prior: float
+
+
 class Settings(NamedTuple):
     """Those of `filters.PMB` that an update needs; ``gate`` in deviations, ``merge_distance`` 0 to merge nothing."""
 
@@ -96,8 +113,9 @@ class Settings(NamedTuple):
 
 @njit(**ENTRY)
 def predicted_layer(
-    layer: Layer, p: Predicted, noise: F8, occlude: float, reappear: float, freedom: float, kept: float
-) -> Layer:
+    layer: Layer, p: Predicted, noise: F8, occlude: float, reappear: float, freedom: tuple[float, float],
+    genuine: tuple[float, float],
+) -> Layer:  # fmt: skip
     """The targets after an interval; static clutter stays where it is.
 
     Parameters
@@ -106,9 +124,11 @@ def predicted_layer(
     p : their hypotheses after the motion.
     noise : (d, C) deviations by which the sensor resolves them, `Sensor.noise`.
     occlude, reappear : probabilities that a visible target is occluded after the interval, and an occluded one visible.
-    freedom, kept : the degrees of freedom with which a target's noises begin, 0 where they are the model's; and the part of
+    freedom : the degrees of freedom with which a target's noises begin, 0 where they are the model's; and the part of
         what is known of them that is kept. In place of the rest they are the model's again.
+    genuine : the log odds with which a target is genuine before its scores are known; and the part kept of what they said.
     """
+    (start, kept), (prior, remembered) = freedom, genuine
     before, old, old_mean, old_cov = layer
     moved_mean, moved_cov, p_survive = p
     targets, hypotheses = np.empty(before.size, TARGET), np.empty(old.size, HYPOTHESIS)
@@ -124,9 +144,9 @@ def predicted_layer(
             hypotheses[c] = old[c]
             h = hypotheses[c]
             h.parent, h.detection = c, -1
-            if freedom > 0.0:
+            if start > 0.0:
                 known = kept * h.freedom
-                h.freedom = known + (1.0 - kept) * freedom
+                h.freedom = known + (1.0 - kept) * start
                 h.position_scale = 1.0 + (h.position_scale - 1.0) * known / h.freedom
                 h.size_scale = 1.0 + (h.size_scale - 1.0) * known / h.freedom
             if stay > 0.0:
@@ -139,14 +159,15 @@ def predicted_layer(
             else:
                 copy_gaussian(moved_mean, moved_cov, c, mean, cov, c)
                 h.occluded = h.occluded * (1.0 - reappear) + (1.0 - h.occluded) * occlude
-                presence += target.r * h.weight
+                h.genuine = prior + remembered * (h.genuine - prior)
+                presence += target.r * h.weight * probability(h.genuine)
         target.presence = presence
     return Layer(targets, hypotheses, mean, cov)
 
 
 @njit(**ENTRY)
 def updated_layer(
-    layer: Layer, e: Expected, m: Measurements, new: NewTargets, s: Settings, fresh: int
+    layer: Layer, e: Expected, m: Measurements, new: NewTargets, scores: Scores, s: Settings, fresh: int
 ) -> tuple[Layer, tuple[float, float, float, F8, F8, int], I8]:
     """The targets after the measurements, with new ones, what was learned, and the targets that have ended [W15].
 
@@ -154,7 +175,8 @@ def updated_layer(
     ----------
     layer : the predicted targets.
     e : what their hypotheses say of measurements.
-    m : the measurements and κ.
+    m : the measurements, and κ by their scores: κ(z)/odds.
+    scores : what they say.
     new : what targets are whose first detections these measurements are.
     s : settings; hypotheses of a target that become the same are one.
     fresh : the label that the next new target is given.
@@ -164,9 +186,10 @@ def updated_layer(
     layer, learned, gone : ``learned`` in the order of `types.UpdateInfo`. Of each target that was once confirmed and has
         been deleted ``gone`` has the best hypothesis of the frame before.
     """
-    layer, e, m, new, s = Layer(*layer), Expected(*e), Measurements(*m), NewTargets(*new), Settings(*s)
+    layer, e, m, new, scores = Layer(*layer), Expected(*e), Measurements(*m), NewTargets(*new), Scores(*scores)
+    s = Settings(*s)
     targets, hypotheses, mean, covariance = layer
-    count, n, prior, p_detect = len(targets), len(m.z), s.static_clutter_prior, np.empty(len(hypotheses))
+    count, n, p_detect = len(targets), len(m.z), np.empty(len(hypotheses))
     tails = np.empty((len(hypotheses) if s.noise_freedom > 0.0 else 0, 3))
     for c in range(len(hypotheses)):
         h = hypotheses[c]
@@ -176,7 +199,7 @@ def updated_layer(
     pairs = gated(e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, s.gate, p_detect, tails)
     exists, found = np.empty(count), np.empty((3, n))
     born, vanished, started, predicted = _associate(
-        targets, hypotheses, p_detect, pairs, exists, m.clutter, new.density, found, s.existence_threshold, prior
+        targets, hypotheses, p_detect, pairs, exists, m.clutter * scores.odds, new.density, scores, s, found
     )
     options, kept = np.empty(len(hypotheses) + len(pairs), PAIR), np.empty(count, np.int64)
     k = _choose(
@@ -188,38 +211,39 @@ def updated_layer(
     write_posteriors(mean, covariance, e, m, options, out.mean, out.covariance)
     gone = np.empty(count, np.int64)
     t, k, lost, mass = _write_kept(
-        layer, p_detect, exists, kept, options, s.merge_distance * s.merge_distance, len(m.period) > 2, out, gone
+        (layer, p_detect), exists, kept, options, scores, s.merge_distance * s.merge_distance, len(m.period) > 2, out, gone
     )
-    k, mass = _write_new(found[2], new.mean, new.covariance, s, fresh, t, k, mass, out)
+    k, mass = _write_new(found[2], (new.mean, new.covariance), scores, s, fresh, t, k, mass, out)
     after = Layer(out.targets[: t + started], out.hypotheses[:k], out.mean[:k], out.covariance[:k])
     return after, (born + predicted, born, mass, found[0], found[1], vanished), gone[:lost]
 
 
 @njit(**INNER)
 def _associate(
-    targets: Records, hypotheses: Records, p_detect: F8, pairs: Records, exists: F8, clutter: F8, density: F8, found: F8,
-    least: float, prior: float,
+    targets: Records, hypotheses: Records, p_detect: F8, pairs: Records, exists: F8, clutter: F8, density: F8,
+    scores: Scores, s: Settings, found: F8,
 ) -> tuple[float, int, int, float]:  # fmt: skip
     """Write the probability of each pair as its weight, and those that a target exists and was missed into ``exists`` (T,).
 
-    ``p_detect`` (C,) is of hypotheses, ``density`` (N,) is γ̂, ``least`` the probability from which a target is kept, and
-    ``prior`` that of static clutter. Writes into ``found`` (3, N) C(z) and κ(z), and the probability that a
+    ``p_detect`` (C,) is of hypotheses, ``clutter`` and ``density`` (N,) are κ and γ̂ without scores. Writes into ``found`` (3, N) C(z) and κ(z), and the probability that a
     new target exists. Returns the mass of new targets, how many measurements have κ + C = 0, how many begin one, and the
     mass predicted.
     """
-    evidence, false, r_new = found[0], found[1], found[2]
+    evidence, false, r_new, first = found[0], found[1], found[2], np.empty(clutter.size)
+    prior, genuine = s.static_clutter_prior, probability(scores.prior)
     for j in range(clutter.size):
-        evidence[j] = clutter[j] + density[j]
-    p_new = _weigh(targets, hypotheses, p_detect, pairs, exists, evidence)
+        first[j] = density[j] * (1.0 + genuine * (scores.odds[j] - 1.0))
+        evidence[j] = clutter[j] + first[j]
+    p_new = _weigh(targets, hypotheses, p_detect, pairs, exists, scores.odds, evidence)
     born, vanished, started, predicted = 0.0, 0, 0, 0.0
     for j in range(clutter.size):
-        alone = clutter[j] + density[j]
+        alone = clutter[j] + first[j]
         alone = alone if alone > TINY else TINY
-        p_target = density[j] / alone
+        p_target = first[j] / alone
         r_new[j] = p_new[j] * p_target
-        born += p_new[j] * density[j] / alone * (1.0 - prior)
-        false[j] = p_new[j] * clutter[j] / alone + p_new[j] * density[j] / alone * prior
-        if r_new[j] < least and r_new[j] < 0.5 * p_target:
+        born += p_new[j] * first[j] / alone * (1.0 - prior)
+        false[j] = p_new[j] * clutter[j] / alone + p_new[j] * first[j] / alone * prior
+        if r_new[j] < s.existence_threshold and r_new[j] < 0.5 * p_target:
             r_new[j] = 0.0
         started += r_new[j] > 0.0
         vanished += evidence[j] == 0.0
@@ -235,10 +259,11 @@ def _associate(
 
 
 @njit(**INNER)
-def _weigh(targets: Records, hypotheses: Records, p_detect: F8, pairs: Records, missed: F8, evidence: F8) -> F8:
+def _weigh(targets: Records, hypotheses: Records, p_detect: F8, pairs: Records, missed: F8, odds: F8, evidence: F8) -> F8:
     """(N,) probability that a measurement is no target's; the others are written as by `_associate`.
 
-    ``evidence`` is κ + γ̂, to which Σ r w p q is added.
+    ``odds`` (N,) are p(s|target)/p(s|false alarm). ``evidence`` is κ + γ̂, to which Σ r w p q p(s)/p(s|false alarm) is
+    added; a lasting false alarm has the scores of false alarms.
     """
     edges, place, edge_of = np.empty(pairs.size, EDGE), np.empty(evidence.size, np.int64), np.empty(pairs.size, np.int64)
     alone = np.empty(evidence.size)
@@ -256,7 +281,8 @@ def _weigh(targets: Records, hypotheses: Records, p_detect: F8, pairs: Records, 
         while q < pairs.size and pairs[q].gaussian < target.end:
             pair = pairs[q]
             c, j = pair.gaussian, pair.measurement
-            joint = target.r * hypotheses[c].weight * p_detect[c] * np.exp(pair.log_density)
+            scored = 1.0 + probability(hypotheses[c].genuine) * (odds[j] - 1.0)
+            joint = target.r * hypotheses[c].weight * p_detect[c] * np.exp(pair.log_density) * scored
             evidence[j] += joint
             if place[j] < begun:
                 place[j], edge = count, edges[count]
@@ -321,12 +347,28 @@ def _choose(
 
 
 @njit(**INNER)
+def probability(log_odds: float) -> float:
+    """Of these log odds."""
+    p: float = 1.0 / (1.0 + np.exp(-log_odds)) if log_odds < CERTAIN else 1.0
+    return p
+
+
+@njit(**INNER)
 def copy_gaussian(mean: F8, covariance: F8, i: int, out_mean: F8, out_covariance: F8, k: int) -> None:
     """Copy Gaussian i to place k. In loops: an assignment of rows would compile Numba's code for its error messages."""
     for a in range(mean.shape[1]):
         out_mean[k, a] = mean[i, a]
         for b in range(mean.shape[1]):
             out_covariance[k, a, b] = covariance[i, a, b]
+
+
+@njit(**INNER)
+def after_score(genuine: float, scores: Scores, j: int) -> float:
+    """The log odds that a target is genuine, after the score of measurement j."""
+    if scores.prior >= CERTAIN:
+        return genuine
+    after = genuine + scores.log_odds[j]
+    return LIMIT if after > LIMIT else (-LIMIT if after < -LIMIT else after)
 
 
 @njit(**INNER)
@@ -345,27 +387,31 @@ def heavier_like(hypotheses: Records, mean: F8, cov: F8, begin: int, k: int, lim
 
 @njit(**INNER)
 def _write_kept(
-    layer: Layer, p_detect: F8, exists: F8, kept: I8, options: Records, limit: float, sizes: bool, out: Layer, gone: I8
-) -> tuple[int, int, int, float]:
+    before: tuple[Layer, F8], exists: F8, kept: I8, options: Records, scores: Scores, limit: float, sizes: bool, out: Layer,
+    gone: I8,
+) -> tuple[int, int, int, float]:  # fmt: skip
     """Write the targets that are kept into the first places of ``out``; how many targets and hypotheses there are.
 
-    ``out`` has the Gaussians of the options with a measurement. Hypotheses within √``limit`` deviations of a heavier one are
-    counted as that one. ``sizes``: measurements have four components; of two the noise of all is theirs. The others are as
-    of `_choose`. Of deleted targets that were once confirmed the best hypothesis of the frame before is written into
-    ``gone`` (T,). Returns also how many these are, and the mass of the targets.
+    ``before`` are the targets predicted, with the p_D of their hypotheses; ``out`` has the Gaussians of the options with a
+    measurement. Hypotheses within √``limit`` deviations of a heavier one are counted as that one. ``sizes``: measurements
+    have four components; of two the noise of all is theirs. The others are as of `_choose`. Of deleted targets that were once
+    confirmed the best hypothesis of the frame before is written into ``gone`` (T,). Returns also how many these are, and the
+    mass of the targets.
     """
     targets, hypotheses, mean, cov = out
-    old_targets, old, old_mean, old_cov = layer
+    (old_targets, old, old_mean, old_cov), p_detect = before
     number, k, end, lost, mass = 0, 0 * kept.size, 0 * kept.size, 0, 0.0
     for t in range(kept.size):
-        total, begin, option, end, before = 0.0, k, end, end + kept[t], old_targets[t]
+        total, begin, option, end, target = 0.0, k, end, end + kept[t], old_targets[t]
         for i in range(option, end):
             total += options[i].weight
         for i in range(option, end):
             c, h, weight = options[i].gaussian, hypotheses[k], options[i].weight / total
             h.static, h.motion, h.parent, h.target, h.occluded = old[c].static, old[c].motion, old[c].parent, number, 0.0
             h.detection, h.freedom = options[i].measurement, old[c].freedom
-            h.position_scale, h.size_scale = old[c].position_scale, old[c].size_scale
+            h.position_scale, h.size_scale, h.genuine = old[c].position_scale, old[c].size_scale, old[c].genuine
+            if h.detection >= 0:
+                h.genuine = after_score(h.genuine, scores, h.detection)
             if h.detection < 0:
                 copy_gaussian(old_mean, old_cov, c, mean, cov, k)
                 if not h.static:
@@ -386,10 +432,10 @@ def _write_kept(
                 h.weight = weight
                 k += 1
         if k > begin:
-            mass += write_target(targets, hypotheses, number, before.label, exists[t], before.max_presence, begin, k)
+            mass += write_target(targets, hypotheses, number, target.label, exists[t], target.max_presence, begin, k)
             number += 1
-        elif before.max_presence >= CONFIRMED and before.best >= 0 and old[before.best].parent >= 0:
-            gone[lost] = old[before.best].parent
+        elif target.max_presence >= CONFIRMED and target.best >= 0 and old[target.best].parent >= 0:
+            gone[lost] = old[target.best].parent
             lost += 1
     return number, k, lost, mass
 
@@ -403,7 +449,7 @@ def write_target(
     for c in range(begin, end):
         h = hypotheses[c]
         if not h.static:
-            total += h.weight
+            total += h.weight * probability(h.genuine)
             if best < 0 or h.weight > hypotheses[best].weight:
                 best = c
     target.label, target.r, target.begin, target.end, target.best = label, r, begin, end, best
@@ -413,13 +459,13 @@ def write_target(
 
 @njit(**INNER)
 def _write_new(
-    r_new: F8, new_mean: F8, new_cov: F8, s: Settings, fresh: int, t: int, k: int, mass: float, out: Layer
+    r_new: F8, new: tuple[F8, F8], scores: Scores, s: Settings, fresh: int, t: int, k: int, mass: float, out: Layer
 ) -> tuple[int, float]:
     """Write the new targets, of r above 0, from places t and k of ``out`` on; how many hypotheses there are, and the mass.
 
     They come in the order of the measurements and are labelled from ``fresh`` on.
     """
-    targets, hypotheses, mean, cov = out
+    (targets, hypotheses, mean, cov), (new_mean, new_cov) = out, new
     prior = s.static_clutter_prior
     for j in range(r_new.size):
         if r_new[j] > 0.0:
@@ -428,58 +474,9 @@ def _write_new(
                 h, static = hypotheses[k], motion == s.motions
                 h.weight, h.static, h.occluded = prior if static else (1.0 - prior) / s.motions, static, 0.0
                 h.motion, h.position_scale, h.size_scale, h.freedom = 0 if static else motion, 1.0, 1.0, s.noise_freedom
-                h.target, h.detection, h.parent = t, j, -1
+                h.target, h.detection, h.parent, h.genuine = t, j, -1, after_score(scores.prior, scores, j)
                 copy_gaussian(new_mean, new_cov, j, mean, cov, k)
                 k += 1
             mass += write_target(targets, hypotheses, t, fresh, r_new[j], 0.0, begin, k)
             t, fresh = t + 1, fresh + 1
     return k, mass
-
-
-@njit(**INNER)
-def followed_back(trace: Records, after: Records, targets: Records, hypotheses: Records, ended: I8, frame: int) -> Records:
-    """The trace a frame earlier, with the targets that ended after it."""
-    out = np.empty(targets.size, TRACE)
-    for t in range(targets.size):
-        out[t].place, out[t].presence = -1, targets[t].presence
-    for i in range(trace.size):
-        p = after[trace[i].place].parent if trace[i].place >= 0 else -1
-        if p >= 0:
-            found = out[hypotheses[p].target]
-            found.place = p
-            if trace[i].presence > found.presence:
-                found.presence = trace[i].presence
-    for e in range(len(ended)):
-        if ended[e, 0] == frame:
-            out[hypotheses[ended[e, 1]].target].place = ended[e, 1]
-    return out
-
-
-@njit(**ENTRY)
-def earlier(
-    now: Records, before: Records, after: Records, targets: Records, hypotheses: Records, past: tuple[I8, int],
-    present: bool, min_weight: float,
-) -> tuple[Records, Records, bool]:  # fmt: skip
-    """The traces a frame earlier, as seen now and as seen a frame ago, and whether both report the same up to there.
-
-    Parameters
-    ----------
-    now, before : of `TRACE`, of the frame after it.
-    after : hypotheses of the frame after it.
-    targets, hypotheses : of the frame.
-    past : (E, 2) frame and hypothesis of targets that have ended, and the number of the frame.
-    present : the frame after it is the present one: ``before`` is given of the frame itself.
-    min_weight : presence from which a target is reported. Both report the same where all targets that are reported, or
-        may be in an earlier frame, have the same hypotheses and are reported in both or in none: their pasts are the same.
-    """
-    ended, frame = past
-    now = followed_back(now, after, targets, hypotheses, ended, frame)
-    if not present:
-        before = followed_back(before, after, targets, hypotheses, ended, frame)
-    for t in range(targets.size):
-        one, other, ever = now[t], before[t], targets[t].max_presence >= min_weight
-        seen, was_seen = one.presence >= min_weight, other.presence >= min_weight
-        is_there, was_there = one.place >= 0 and (seen or ever), other.place >= 0 and (was_seen or ever)
-        if is_there != was_there or (is_there and (one.place != other.place or seen != was_seen)):
-            return now, before, False
-    return now, before, True

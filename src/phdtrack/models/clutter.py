@@ -101,10 +101,12 @@ class ScoredClutter:
     ----------
     base : κ(z) without scores.
     odds : (N,) of the detections, in the order in which ``intensity`` is asked for them.
+    log_odds : (N,) log p(s|target)/p(s|lasting false alarm), for filters that know of false alarms that last.
     """
 
     base: Clutter
     odds: F8
+    log_odds: F8
 
     def intensity(self, z: F8) -> F8:
         """κ(z)/odds. Raises `InputError` for other detections than those with the odds."""

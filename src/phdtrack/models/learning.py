@@ -150,7 +150,8 @@ class RateLearning:
             model = replace(model, clutter=with_rate(model.clutter, _rounded(rate, priors.clutter)))
         if not used.scores or len(learned.scale.at) < 2:
             return model
-        return replace(model, clutter=ScoredClutter(model.clutter, learned.scale.ratio(detections.confidence)))
+        ratio = learned.scale.ratio(detections.confidence)
+        return replace(model, clutter=ScoredClutter(model.clutter, ratio, np.log(ratio)))
 
     def advance(self, state: RatesState, step: Step) -> RatesState:
         """Take in one frame."""
