@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,8 @@ from pmb_cases import world
 from phdtrack.filters import PMB
 from phdtrack.filters.pmb import Bernoullis
 from phdtrack.kernels.association import ROUNDS, SETTLED
-from phdtrack.kernels.pmb import HYPOTHESIS, TARGET, Layer
+from phdtrack.kernels.pmb import CERTAIN, HYPOTHESIS, TARGET, Layer
+from phdtrack.models.clutter import ScoredClutter
 from reference import pmb_twin as twin
 
 H = np.eye(6)[[0, 1, 4, 5]]
@@ -24,6 +26,7 @@ SETTINGS = {
     ),
     "merging": PMB(merge_distance=2.0),
     "scales and motions": PMB(merge_distance=0.0, noise_freedom=5.0, acceleration_factors=(1.0, 3.0, 9.0)),
+    "lasting clutter": PMB(merge_distance=0.0, lasting_clutter_prior=0.2, noise_freedom=5.0),
     "scales merging": PMB(merge_distance=2.0, noise_freedom=2.0, acceleration_factors=(1.0, 4.0), static_clutter_prior=0.0),
 }
 
@@ -50,8 +53,9 @@ def a_state(rng: np.random.Generator, targets: int, settings: PMB) -> tuple[Bern
     scale[freedom == 0] = 1.0
     motion = np.where(static, 0, rng.integers(0, len(settings.acceleration_factors), count))
     hypotheses["position_scale"], hypotheses["size_scale"] = scale.T
-    hypotheses["freedom"], hypotheses["motion"] = freedom, motion
-    layer, known = Layer(targets, hypotheses, mean, cov), list(zip(map(tuple, scale), freedom, motion, strict=True))
+    genuine = rng.normal(0, 3, count) if settings.lasting_clutter_prior else np.full(count, CERTAIN)
+    hypotheses["freedom"], hypotheses["motion"], hypotheses["genuine"] = freedom, motion, genuine
+    layer, known = Layer(targets, hypotheses, mean, cov), list(zip(map(tuple, scale), freedom, motion, genuine, strict=True))
     forms = [
         [twin.Hypothesis(weight[c], mean[c], cov[c], bool(static[c]), occluded[c], -1, -1, *known[c]) for c in range(a, b)]
         for a, b in itertools.pairwise(offsets)
@@ -69,7 +73,9 @@ def test_the_update_is_its_definition(seed: int, name: str):
     z = np.vstack([rng.normal([[300], [200]], 15, (2, 6)), rng.normal([[40], [80]], 3, (2, 6))])
     first, spread = model.sensor.states(z)
     new = [(0.8 * 1e-7, first[:, j], spread[j]) for j in range(6)]
-    wanted, false = twin.updated(targets, z.T, H, 9 * np.eye(4), 0.8, [3e-7] * 6, new, settings, ROUNDS, SETTLED)
+    scores = np.exp(rng.normal(0, 2, 6)), rng.normal(0, 3, 6)
+    model = replace(model, clutter=ScoredClutter(model.clutter, *scores))
+    wanted, false = twin.updated(targets, z.T, H, 9 * np.eye(4), 0.8, [3e-7] * 6, new, settings, scores, ROUNDS, SETTLED)
     after, info = settings.update(state, z, model, 1.0, RNG)
     now, begins = after.present, state.present.targets["begin"]
     label = now.targets["label"].tolist()
@@ -85,6 +91,7 @@ def test_the_update_is_its_definition(seed: int, name: str):
         np.testing.assert_allclose(scales, [x.scale for x in forms], rtol=1e-8)
         np.testing.assert_allclose(now.hypotheses["freedom"][at], [x.freedom for x in forms], rtol=1e-12)
         assert now.hypotheses["motion"][at].tolist() == [x.motion for x in forms]
+        np.testing.assert_allclose(now.hypotheses["genuine"][at], [min(x.genuine, CERTAIN) for x in forms], rtol=1e-9)
         np.testing.assert_allclose(now.hypotheses["occluded"][at], [x.occluded for x in forms], rtol=1e-9)
         assert now.hypotheses["static"][at].tolist() == [x.static for x in forms]
         assert now.hypotheses["detection"][at].tolist() == [x.taken for x in forms]
@@ -92,3 +99,4 @@ def test_the_update_is_its_definition(seed: int, name: str):
     np.testing.assert_allclose(info.clutter_probability, false, rtol=1e-8)
     assert info.mass_predicted == pytest.approx(0.5 * sum(r for r, _ in targets) + info.mass_born)
     assert info.mass == pytest.approx(after.mass)
+    assert info.mass == pytest.approx(after.mixture().weight.sum())

@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from phdtrack import Tracker
-from phdtrack.models.scores import ScoreOdds
+from phdtrack.models.scores import ScoreOdds, ScoresSeen
 from phdtrack.types import Detections
 
-EARLIER = np.array([0.05, 0.4, 0.9])
-NONE = np.zeros(0)
+RULE, FIRST = ScoreOdds(), ScoreOdds().start()
+
+
+def after(rule: ScoreOdds, *scores: np.ndarray) -> ScoresSeen:
+    """The state after frames with these scores, of boxes that overlap none."""
+    state = rule.start()
+    for k, score in enumerate(scores):
+        corner = 100.0 * np.arange(len(score)) + 5000 * k
+        found = Detections(np.stack([corner, corner, corner + 9, corner + 9], axis=1), score, np.zeros(len(score), np.int64))
+        state = rule.advance(state, SimpleNamespace(detections=found))
+    return state
 
 
 @given(
@@ -22,24 +33,28 @@ NONE = np.zeros(0)
 def test_odds_rise_with_the_score_within_their_limits(score, scale: float, slope: float, even: float, most: float):
     """Also by rank, where scores are no probabilities."""
     rule, score = ScoreOdds(slope, even, most), np.sort(score)
-    for odds in (rule.odds(score, EARLIER), rule.odds(scale * score + 2, EARLIER)):
-        assert (np.diff(odds) >= -1e-9 * odds[1:]).all()
-        assert (odds <= most * (1 + 1e-9)).all()
-        assert (odds >= (1 - 1e-9) / most).all()
-    assert rule.odds(np.array([even]), EARLIER) == pytest.approx(1)
+    for seen in (score, scale * score + 2):
+        odds, lasting = rule.log_odds(seen, rule.start())
+        assert (np.diff(odds) >= -1e-9).all()
+        assert (np.diff(lasting) >= -1e-9).all()
+        assert (np.abs(odds) <= np.log(most) * (1 + 1e-9)).all()
+    odds, _ = rule.log_odds(np.array([even, 0.999]), rule.start())
+    assert odds[0] == pytest.approx(0, abs=1e-9)
 
 
-def test_a_score_between_0_and_1_is_a_probability():
+def test_a_score_between_0_and_1_is_a_probability_on_the_first_frame():
     """That of 0.8 are 4 to 1, over those of the score that says nothing; 0 and 1 are at the limits."""
-    found = ScoreOdds(slope=2.0, even_score=0.6, max_odds=400.0).odds(np.array([0.8, 0.0, 1.0, np.nan]), EARLIER)
-    np.testing.assert_allclose(found, [(4 / 1.5) ** 2, 1 / 400, 400, 1])
+    rule = ScoreOdds(slope=2.0, even_score=0.6, max_odds=400.0)
+    odds, lasting = rule.log_odds(np.array([0.8, 0.0, 1.0, np.nan]), rule.start())
+    np.testing.assert_allclose(odds, [2 * np.log(4 / 1.5), -np.log(400), np.log(400), 0])
+    np.testing.assert_allclose(lasting[[0, 3]], [np.log(4), 0])
 
 
 @given(score=st.floats(-1e3, 1e3), count=st.integers(0, 9))
 def test_equal_scores_and_none_say_nothing(score: float, count: int):
     for seen in (np.full(count, score), np.full(count, np.nan)):
-        for before in (NONE, seen, np.full(3, np.nan)):
-            np.testing.assert_array_equal(ScoreOdds().odds(seen, before), 1)
+        for state in (FIRST, after(RULE, seen, seen, seen)):
+            np.testing.assert_array_equal(RULE.log_odds(seen, state), 0)
 
 
 @given(st.lists(st.integers(-50, 50), min_size=2, max_size=20), st.integers(1, 19))
@@ -47,9 +62,31 @@ def test_of_scores_on_another_scale_the_rank_counts(scores: list[int], first: in
     """A rising change of the scale changes nothing; both scales reach beyond 0 … 1."""
     score = np.array([-60.0, *scores])
     before, now = np.split(score, [min(first, len(scores))])
-    np.testing.assert_allclose(ScoreOdds().odds(now**3 + 7, before**3 + 7), ScoreOdds().odds(now, before), rtol=1e-12)
-    unknown = ScoreOdds().odds(np.append(now, np.nan), before)
-    np.testing.assert_allclose(unknown, [*ScoreOdds().odds(now, before), 1], rtol=1e-12)
+    wanted = RULE.log_odds(now, after(RULE, before))
+    np.testing.assert_allclose(RULE.log_odds(now**3 + 7, after(RULE, before**3 + 7)), wanted, rtol=1e-12)
+    unknown = RULE.log_odds(np.append(now, np.nan), after(RULE, before))
+    np.testing.assert_allclose(unknown, [[*row, 0] for row in wanted], rtol=1e-12)
+
+
+@pytest.mark.parametrize(("slope", "even"), [(1.0, 0.3), (0.6, 0.95), (2.5, 0.7)])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_ratio_is_learned_from_what_is_linked(seed: int, slope: float, even: float):
+    """Three that stay and as many false alarms as they, all scores of one logistic law: the line is found to 5 deviations.
+
+    With p(s|false alarm) = N(0, 1) in log odds x, p(s|target) is that times e^(ax + b), a normal distribution of mean a.
+    """
+    rng, rule, state, frames = np.random.default_rng(seed), RULE, FIRST, 400
+    offset = slope * np.log(even / (1 - even))
+    for _ in range(frames):
+        place = np.concatenate([np.array([[0.0, 0], [200, 0], [400, 0]]), rng.uniform(1000, 100000, (3, 2))])
+        # Of the density e^(a(x - x0) - a²/2) more than a false alarm's, both with deviation 1 about centres a apart.
+        x = rng.normal(0, 1, 6) + offset / slope - slope / 2 + slope * (np.arange(6) < 3)
+        found = Detections(np.hstack([place, place + 50]), 1 / (1 + np.exp(-x)), np.zeros(6, np.int64))
+        state = rule.advance(state, SimpleNamespace(detections=found))
+    learned, _ = rule.log_odds(1 / (1 + np.exp(-np.array([offset / slope, offset / slope + 1]))), state)
+    # Fisher's information of a logistic regression of 2400 that are balanced: about 2400/8, the prior's aside.
+    assert learned[0] == pytest.approx(0, abs=5 * (2400 / 8) ** -0.5)
+    assert learned[1] - learned[0] == pytest.approx(slope, abs=5 * (2400 / 8) ** -0.5)
 
 
 def found_with(low: float) -> tuple[list[set[int]], Tracker]:

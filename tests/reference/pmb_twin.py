@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phdtrack.arrays import chi2_quantile
+from phdtrack.kernels.pmb import PROVED
 from reference.gm_twin import corrected, density
 
 
@@ -51,8 +52,8 @@ def enumerated(psi: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 class Hypothesis:
     """One of a target: its weight, mean (d,), covariance (d, d), what it is, what it took (−1: nothing), and whence.
 
-    How many times the model's its variances are, of position and size, the degrees of freedom of that, and which factor its
-    acceleration has.
+    How many times the model's its variances are, of position and size, the degrees of freedom of that, which factor its
+    acceleration has, and the log odds that it is genuine.
     """
 
     weight: float
@@ -65,6 +66,7 @@ class Hypothesis:
     scale: tuple[float, float] = (1.0, 1.0)
     freedom: float = 0.0
     motion: int = 0
+    genuine: float = np.inf
 
 
 def distances(x: Hypothesis, z, h, noise) -> np.ndarray:
@@ -82,15 +84,25 @@ def evidence(x: Hypothesis, z, h, noise) -> float:
     return density(0 * step, spread) * float(np.prod((1 + distances(x, z, h, noise) / (n * c)) ** (-n / 2 - 1) / c))
 
 
-def updated(targets, z, h, noise, p_d, clutter, new, s, rounds, settled):
+def scored(genuine: float, odds: float) -> float:
+    """p(s) of a hypothesis over that of a false alarm of one frame; that of a lasting false alarm is the same."""
+    p = 1 / (1 + np.exp(-genuine))
+    return p * odds + 1 - p
+
+
+def updated(targets, z, h, noise, p_d, clutter, new, s, scores, rounds, settled):
     """The update of the Poisson multi-Bernoulli filter, one target, hypothesis and measurement at a time [W15].
 
     ``targets`` is a list of (r, [Hypothesis, …]); ``z`` a list of measurements with expected value ``h`` @ mean and noise
-    ``noise``; ``clutter`` κ of each; ``new`` a list of (γ̂, mean, covariance) of each; ``s`` the settings of `filters.PMB`.
+    ``noise``; ``clutter`` κ of each; ``new`` a list of (γ̂, mean, covariance) of each; ``s`` the settings of `filters.PMB`;
+    ``scores`` the odds and the log odds of each, against false alarms of one frame and against lasting ones.
     Gives the targets that are left as (index before, −1 for new ones, r, [Hypothesis, …]), and of each measurement the
     probability that it is a false alarm, static clutter included.
     """
-    n, share, psi = len(z), {}, np.zeros((len(targets), len(z)))
+    n, share, psi, (odds, log_odds) = len(z), {}, np.zeros((len(targets), len(z))), scores
+    lasting = s.lasting_clutter_prior
+    start = np.log((1 - lasting) / lasting) if lasting else np.inf
+    new = [(gamma * scored(start, odds[j]), *rest) for j, (gamma, *rest) in enumerate(new)]
     alone = np.array([kappa + gamma for kappa, (gamma, *_) in zip(clutter, new, strict=True)])
     seen = [
         [s.static_clutter_detection_probability if x.static else (1 - x.occluded) * p_d for x in forms]
@@ -101,7 +113,8 @@ def updated(targets, z, h, noise, p_d, clutter, new, s, rounds, settled):
         missed = 1 - r * sum(x.weight * p for x, p in zip(forms, seen[t], strict=True))
         for (c, x), j in itertools.product(enumerate(forms), range(n)):
             if (distances(x, z[j], h, noise) / x.scale).sum() <= radius:
-                share[t, c, j] = r * x.weight * seen[t][c] * evidence(x, z[j], h, noise) / (missed * alone[j])
+                joint = r * x.weight * seen[t][c] * evidence(x, z[j], h, noise) * scored(x.genuine, odds[j])
+                share[t, c, j] = joint / (missed * alone[j])
                 psi[t, j] += share[t, c, j]
     pair, nothing, p_new = propagated(psi, rounds, settled)
     out, false = [], [p * kappa / total for p, kappa, total in zip(p_new, clutter, alone, strict=True)]
@@ -124,7 +137,10 @@ def updated(targets, z, h, noise, p_d, clutter, new, s, rounds, settled):
                 if known:
                     scale = tuple((known * np.array(scale) + distances(x, z[j], h, noise)) / (known + 2))
                     known += 2
-                options.append(Hypothesis(probability, mean, cov, x.static, 0.0, j, c, scale, known, x.motion))
+                genuine = x.genuine
+                if lasting and not (genuine >= start + PROVED and log_odds[j] < 0):
+                    genuine = np.clip(genuine + log_odds[j], -8, 8)
+                options.append(Hypothesis(probability, mean, cov, x.static, 0.0, j, c, scale, known, x.motion, genuine))
         after = sum(x.weight for x in options)
         kept = sorted(
             (x for x in options if x.weight > 0 and x.weight >= s.hypothesis_threshold * after), key=lambda x: -x.weight
@@ -138,8 +154,10 @@ def updated(targets, z, h, noise, p_d, clutter, new, s, rounds, settled):
         if exists > 0 and exists >= min(s.existence_threshold, 0.5 * gamma / alone[j]):
             motions = len(s.acceleration_factors)
             kinds = [*(((1 - prior) / motions, False, k) for k in range(motions)), *([(prior, True, 0)] if prior else [])]
+            genuine = np.clip(start + log_odds[j], -8, 8) if lasting else start
             out.append((-1, exists, [
-                Hypothesis(w, mean, cov, static, 0.0, j, freedom=s.noise_freedom, motion=k) for w, static, k in kinds
+                Hypothesis(w, mean, cov, static, 0.0, j, freedom=s.noise_freedom, motion=k, genuine=genuine)
+                for w, static, k in kinds
             ]))  # fmt: skip
     return out, false
 

@@ -33,7 +33,8 @@ frame, o(s), a hypothesis that is genuine with probability ρ has the likelihood
     log ρ/(1 − ρ) ← log ρ₀/(1 − ρ₀) + k (log ρ/(1 − ρ) − log ρ₀/(1 − ρ₀)) + log l(s)
 
 with ρ₀ = 1 − ``lasting_clutter_prior``; k forgets what scores have said, because those of one target are alike, and change
-when it comes nearer. Targets are present as far as they are genuine.
+when it comes nearer. What high scores have once raised far above the prior is genuine for good: low scores say then that it
+is partly hidden. Targets are present as far as they are genuine.
 
 Two things that a model cannot know about every stream and target are hidden states, too, where the settings ask for them.
 
@@ -175,7 +176,9 @@ class PMB(Checked, Filter[Bernoullis]):
     def __post_init__(self) -> None:
         Checked.__post_init__(self)
         if self.lasting_clutter_prior == 1:
-            raise InputError("expected a probability below 1, as some targets are genuine", where="filter.lasting_clutter_prior")
+            raise InputError(
+                "expected a probability below 1, as some targets are genuine", where="filter.lasting_clutter_prior"
+            )
         if not self.acceleration_factors:
             raise InputError(
                 "expected at least one factor", where="filter.acceleration_factors", cure="Leave it out, or (1,)"

@@ -45,6 +45,8 @@ TINY = float(np.finfo(np.float64).tiny)
 CERTAIN = 40.0
 # Largest log odds that scores alone give: so much is forgotten again when they change.
 LIMIT = 8.0
+# A target whose scores have raised these log odds by so much is genuine for good: lower ones later say that it is hidden.
+PROVED = 3.0
 # A target that cannot be missed is missed with this probability: impossible, but comparable.
 NEVER = 1e-15
 # Deleted targets whose probability to exist was never as large are not kept for the past.
@@ -159,7 +161,8 @@ def predicted_layer(
             else:
                 copy_gaussian(moved_mean, moved_cov, c, mean, cov, c)
                 h.occluded = h.occluded * (1.0 - reappear) + (1.0 - h.occluded) * occlude
-                h.genuine = prior + remembered * (h.genuine - prior)
+                if h.genuine < prior + PROVED:
+                    h.genuine = prior + remembered * (h.genuine - prior)
                 presence += target.r * h.weight * probability(h.genuine)
         target.presence = presence
     return Layer(targets, hypotheses, mean, cov)
@@ -225,7 +228,8 @@ def _associate(
 ) -> tuple[float, int, int, float]:  # fmt: skip
     """Write the probability of each pair as its weight, and those that a target exists and was missed into ``exists`` (T,).
 
-    ``p_detect`` (C,) is of hypotheses, ``clutter`` and ``density`` (N,) are κ and γ̂ without scores. Writes into ``found`` (3, N) C(z) and κ(z), and the probability that a
+    ``p_detect`` (C,) is of hypotheses, ``clutter`` and ``density`` (N,) are κ and γ̂ without scores.
+    Writes into ``found`` (3, N) C(z) and κ(z), and the probability that a
     new target exists. Returns the mass of new targets, how many measurements have κ + C = 0, how many begin one, and the
     mass predicted.
     """
@@ -367,7 +371,10 @@ def after_score(genuine: float, scores: Scores, j: int) -> float:
     """The log odds that a target is genuine, after the score of measurement j."""
     if scores.prior >= CERTAIN:
         return genuine
-    after = genuine + scores.log_odds[j]
+    said = scores.log_odds[j]
+    if genuine >= scores.prior + PROVED and said < 0.0:
+        return genuine
+    after = genuine + said
     return LIMIT if after > LIMIT else (-LIMIT if after < -LIMIT else after)
 
 
@@ -394,9 +401,9 @@ def _write_kept(
 
     ``before`` are the targets predicted, with the p_D of their hypotheses; ``out`` has the Gaussians of the options with a
     measurement. Hypotheses within √``limit`` deviations of a heavier one are counted as that one. ``sizes``: measurements
-    have four components; of two the noise of all is theirs. The others are as of `_choose`. Of deleted targets that were once
-    confirmed the best hypothesis of the frame before is written into ``gone`` (T,). Returns also how many these are, and the
-    mass of the targets.
+    have four components; of two the noise of all is theirs. The others are as of `_choose`. Of deleted targets that were
+    once confirmed the best hypothesis of the frame before is written into ``gone`` (T,). Returns also how many these are,
+    and the mass of the targets.
     """
     targets, hypotheses, mean, cov = out
     (old_targets, old, old_mean, old_cov), p_detect = before

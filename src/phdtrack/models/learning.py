@@ -15,6 +15,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
+
 from phdtrack.models.births import MeasurementBirth, PlaneBirth, PointBirth
 from phdtrack.models.box import BoxSensor
 from phdtrack.models.clutter import BoxClutter, PlaneClutter, ScoredClutter, UniformClutter

@@ -1,15 +1,15 @@
 """Scores of detections as evidence: p(s|target)/p(s|false alarm), right on the first frame and learned without any labels.
 
-Today's detectors report boxes down to a score of 0.05 and leave it to the tracker what to make of them. With x = log(s/(1 − s))
-of a score s between 0 and 1, or of its rank among those seen where scores are on another scale,
+Today's detectors report boxes down to a score of 0.05 and leave it to the tracker what to make of them. With x the log odds
+log(s/(1 − s)) of a score s between 0 and 1, or of its rank among those seen where scores are on another scale,
 
     log p(s|target)/p(s|false alarm) = a·x + b
 
-within limits, a logistic regression whose prior reads s as a probability. It learns from delayed verdicts that know nothing of
-scores: a detection that overlaps one of the next frame, and so on through `LENGTH` frames, was true, one whose chain ends
-before was false. A verdict of the tracker itself would call false whatever it does not follow, and confirm its own doubts. Each
-verdict is one step of Newton's method on the posterior of (a, b), Gaussian and with the precision of what was seen so far
-[B06 §4.5]; what is old is forgotten. Where all scores are the same they say nothing.
+within limits, a logistic regression whose prior reads s as a probability. It learns from delayed verdicts that do not look
+at scores: a detection that overlaps one of the next frame, and so on through `LENGTH` frames, was true, one whose chain ends
+before was false. A verdict of the tracker itself would call false whatever it does not follow, and confirm its own doubts.
+Each verdict is one step of Newton's method on the posterior of (a, b), a Gaussian with the precision of what was seen so
+far; what is old is forgotten. Where all scores are the same they say nothing.
 
 False alarms that last, as of a poster or of one's own mirror image, are linked like targets, so that nothing is learned of
 them. Against these a score is read as the probability that it claims to be, and a rank as half of what was learned.
@@ -106,7 +106,7 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
         """(2,) a and b."""
         if len(state.information) == 0 or ranked != state.ranked:
             return self._prior(ranked)
-        line: F8 = np.linalg.solve(state.precision, state.information)
+        line = np.linalg.solve(state.precision, state.information)
         return np.array([max(line[0], 0.0), line[1]])
 
     def _prior(self, ranked: bool) -> F8:
@@ -159,7 +159,7 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
         start, information, precision = self._prior(state.ranked), state.information, state.precision
         if len(information) == 0:
             information, precision = prior @ start, prior
-        information = kept * information + (1 - kept) * prior @ start
+        information = np.asarray(kept * information + (1 - kept) * prior @ start)
         precision = kept * precision + (1 - kept) * prior
         verdicts = kept * state.verdicts + (1 - kept) * PRIOR_VERDICTS + np.array([len(true), len(false)])
         rows = np.stack([np.concatenate([true, false]), np.ones(n)])
