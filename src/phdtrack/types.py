@@ -107,10 +107,14 @@ class Detections:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectionTable:
-    """The detections of a whole sequence: ``frame`` (M,) int64 from 1, ascending, beside ``detections`` with M rows."""
+    """The detections of a whole sequence: ``frame`` (M,) int64 from 1, ascending, beside ``detections`` with M rows.
+
+    ``empty`` counts the boxes of width or height 0 that the file has besides.
+    """
 
     frame: I8
     detections: Detections
+    empty: int = 0
 
     def __len__(self) -> int:
         return len(self.frame)

@@ -67,7 +67,7 @@ def test_nothing_in_it(tmp_path: Path, document: object) -> None:
         ([result(), {"bbox": [1, 2, 3, 4]}], ", entry 2", "value for image_id, came keys bbox"),
         ([result(), result(bbox=[1, 2, 3])], ", entry 2", "four numbers for bbox"),
         ([result(), result(bbox=[1, 2, 3, "x"])], ", entry 2", "a number for bbox, came 'x'"),
-        ([result(), result(bbox=[1, 2, 0, 4])], ", entry 2", "above 0, came width 0, height 4"),
+        ([result(), result(bbox=[1, 2, -1, 4])], ", entry 2", "above 0, came width -1, height 4"),
         ([result(), result(score=None)], ", entry 2", "a number for score, came None"),
         ([result(), result(10**400)], ", entry 2", "a number for image_id"),
         ('[{"image_id": 1, "bbox": [NaN, 1, 1, 1]}]', ", entry 1", "finite numbers for the box"),

@@ -9,9 +9,11 @@ from format_cases import put, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from phdtrack.detect.convert import within_frame
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections, read_tracks, read_truth
 from phdtrack.formats.text import numbers, scan
+from phdtrack.types import SequenceInfo
 
 GOOD = "1,-1,10,20,30,40,0.5,-1,-1,-1\n"
 
@@ -164,3 +166,14 @@ def test_no_content_whatever_gives_anything_but_rows_or_an_input_error(
     for reader in (read_detections, read_truth, read_tracks):
         with contextlib.suppress(InputError):
             reader(path)
+
+
+def test_boxes_without_area_are_left_out_and_counted(tmp_path: Path) -> None:
+    """Of detections only: in truth and tracks they are faults."""
+    path = put(tmp_path, GOOD + "2,-1,10,20,0,40,0.5,-1,-1,-1\n" + "1,-1,10,20,4,0,0.5,-1,-1,-1\n")
+    table, plain = read_detections(path), read_detections(put(tmp_path, GOOD, "good.txt"))
+    assert (table.empty, plain.empty) == (2, 0)
+    assert table.frame.tolist() == plain.frame.tolist()
+    np.testing.assert_array_equal(table.detections.xyxy, plain.detections.xyxy)
+    (said,) = within_frame(table, SequenceInfo(10_000, 10_000, 25.0), path)[1]
+    assert said == f"{path}: 2 of the boxes have width or height 0 and are left out"

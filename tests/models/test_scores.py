@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phdtrack import Tracker
@@ -50,6 +50,8 @@ def test_a_score_between_0_and_1_is_a_probability_on_the_first_frame():
     np.testing.assert_allclose(lasting[[0, 3]], [np.log(4), 0])
 
 
+# The first call compiles.
+@settings(deadline=None)
 @given(score=st.floats(-1e3, 1e3), count=st.integers(0, 9))
 def test_equal_scores_and_none_say_nothing(score: float, count: int):
     for seen in (np.full(count, score), np.full(count, np.nan)):
@@ -57,6 +59,7 @@ def test_equal_scores_and_none_say_nothing(score: float, count: int):
             np.testing.assert_array_equal(RULE.log_odds(seen, state), 0)
 
 
+@settings(deadline=None)
 @given(st.lists(st.integers(-50, 50), min_size=2, max_size=20), st.integers(1, 19))
 def test_of_scores_on_another_scale_the_rank_counts(scores: list[int], first: int):
     """A rising change of the scale changes nothing; both scales reach beyond 0 … 1."""

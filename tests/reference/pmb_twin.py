@@ -97,7 +97,7 @@ def updated(targets, z, h, noise, p_d, clutter, new, s, scores, rounds, settled)
     ``noise``; ``clutter`` κ of each; ``new`` a list of (γ̂, mean, covariance) of each; ``s`` the settings of `filters.PMB`;
     ``scores`` the odds and the log odds of each, against false alarms of one frame and against lasting ones.
     Gives the targets that are left as (index before, −1 for new ones, r, [Hypothesis, …]), and of each measurement the
-    probability that it is a false alarm, static clutter included.
+    probability that it is a false alarm, static and lasting clutter included.
     """
     n, share, psi, (odds, log_odds) = len(z), {}, np.zeros((len(targets), len(z))), scores
     lasting = s.lasting_clutter_prior
@@ -131,7 +131,7 @@ def updated(targets, z, h, noise, p_d, clutter, new, s, scores, rounds, settled)
                 if (t, c, j) not in share:
                     continue
                 probability = pair[t, j] * share[t, c, j] / psi[t, j]
-                false[j] += probability * x.static
+                false[j] += probability * (1.0 if x.static else 1 / (1 + np.exp(x.genuine)))
                 mean, cov, _ = corrected(x.mean, x.cov, z[j], h, noise)
                 known, scale = x.freedom, x.scale
                 if known:
@@ -150,7 +150,8 @@ def updated(targets, z, h, noise, p_d, clutter, new, s, scores, rounds, settled)
             out.append((t, after, [replace(x, weight=x.weight / sum(y.weight for y in kept)) for x in kept]))
     for j, (gamma, mean, cov) in enumerate(new):
         exists, prior = p_new[j] * gamma / alone[j], s.static_clutter_prior
-        false[j] += exists * prior
+        real = 1 / (1 + np.exp(-(np.clip(start + log_odds[j], -8, 8) if lasting else start)))
+        false[j] += exists * (1 - (1 - prior) * real)
         if exists > 0 and exists >= min(s.existence_threshold, 0.5 * gamma / alone[j]):
             motions = len(s.acceleration_factors)
             kinds = [*(((1 - prior) / motions, False, k) for k in range(motions)), *([(prior, True, 0)] if prior else [])]

@@ -53,7 +53,7 @@ def as_detections(obj: object, *, where: str = "") -> Detections:
 
 
 def within_frame(table: DetectionTable, info: SequenceInfo, path: Path) -> tuple[DetectionTable, tuple[str, ...]]:
-    """The detections of which any part is in the frame, and a sentence where some were left out.
+    """The detections of which any part is in the frame, and a sentence for each reason why some were left out.
 
     Parameters
     ----------
@@ -70,14 +70,15 @@ def within_frame(table: DetectionTable, info: SequenceInfo, path: Path) -> tuple
     InputError : all of them are outside: the size or the units are wrong.
     """
     kept = share_inside(table.detections.xyxy, info.width, info.height) > 0
+    empty = (f"{path}: {table.empty} of the boxes have width or height 0 and are left out",) if table.empty else ()
     if kept.all():
-        return table, ()
+        return table, empty
     outside = int((~kept).sum())
     said = f"{outside} of {len(table)} boxes lie outside the frame of {info.width}x{info.height} pixels"
     if outside == len(table):
         raise InputError(said, where=path, cure="Boxes are in pixels of the original video: check them, or --frame-size.")
     sentence = f"{path}: {said} and are left out, the first in frame {int(table.frame[~kept][0])}"
-    return DetectionTable(table.frame[kept], table.detections.take(kept)), (sentence,)
+    return DetectionTable(table.frame[kept], table.detections.take(kept), table.empty), (*empty, sentence)
 
 
 def _numbers(values: object, where: str) -> F8:

@@ -236,7 +236,7 @@ class PMB(Checked, Filter[Bernoullis]):
     ) -> tuple[Bernoullis, UpdateInfo]:
         """Every target with the probabilities of the measurements that it may have, and new targets.
 
-        `UpdateInfo.clutter_probability` is that of a false alarm, static clutter included.
+        `UpdateInfo.clutter_probability` is that of a false alarm, static clutter and clutter that lasts included.
         """
         now, label, seen = state.present, state.next_label, measurements(model, z)
         if self.clutter_decay and dt > 1:

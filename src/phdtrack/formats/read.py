@@ -33,7 +33,8 @@ _PEDESTRIAN, _LAST_CLASS = 1, 13
 def read_detections(path: AnyPath, *, first_frame: int | None = None) -> DetectionTable:
     """The detections in a MOTChallenge ``det.txt``, CSV, Parquet, COCO JSON or CVML file, sorted by frame.
 
-    Boxes in pixels, xyxy. Confidence is 1 and class 0 where the file has none; confidence has no bounds.
+    Boxes in pixels, xyxy. Confidence is 1 and class 0 where the file has none; confidence has no bounds. Real detectors give
+    boxes of width or height 0 now and then: they are left out and counted in `DetectionTable.empty`.
 
     Raises
     ------
@@ -41,17 +42,18 @@ def read_detections(path: AnyPath, *, first_frame: int | None = None) -> Detecti
     """
     table = _read(Path(path), Kind.DETECTIONS, first_frame)
     label, covariance = table.get(Column.CLASS), None
-    rules = [*_box_rules(table), whole(label, "class")]
+    rules = [*_box_rules(table, least=0.0), whole(label, "class")]
     if table.triangle.shape[1]:
         covariance = np.empty((len(label), 4, 4))
         i, j = np.triu_indices(4)
         covariance[:, i, j] = covariance[:, j, i] = table.triangle
         rules.append(_definite(covariance))
     enforce(table.origin, *rules)
-    frame = _frames(table)
+    frame, box = _frames(table), table.xyxy()
     order = np.argsort(frame, kind="stable")
-    found = Detections(table.xyxy(), table.get(Column.CONFIDENCE), label.astype(np.int64), covariance)
-    return DetectionTable(frame[order], found.take(order))
+    order = order[np.all(box[order, 2:] > box[order, :2], axis=1)]
+    found = Detections(box, table.get(Column.CONFIDENCE), label.astype(np.int64), covariance)
+    return DetectionTable(frame[order], found.take(order), len(frame) - len(order))
 
 
 def read_truth(path: AnyPath, *, first_frame: int | None = None) -> Truth:
@@ -132,14 +134,14 @@ def _identified(table: Table, *rules: Rule) -> tuple[I8, I8]:
     return frame, identity
 
 
-def _box_rules(table: Table) -> list[Rule]:
-    """The faults of frame numbers, boxes and confidences."""
+def _box_rules(table: Table, *, least: float | None = None) -> list[Rule]:
+    """The faults of frame numbers, boxes and confidences; widths and heights are above 0, or at ``least`` so much."""
     first, frame, box, confidence = table.first, table.get(Column.FRAME), table.xyxy(), table.get(Column.CONFIDENCE)
     number = whole(frame, "frame number")
     cure = "Where the file counts from 0, add 1, or in Python read it with first_frame=0." if first == 1 else ""
     with np.errstate(invalid="ignore", over="ignore"):
         early, size = frame < first, box[:, 2:] - box[:, :2]
-        flat = ~(box[:, 2:] > box[:, :2]).all(axis=1)
+        flat = ~(size > 0 if least is None else size >= least).all(axis=1)
     finite: Bool = np.isfinite(np.abs(box).max(axis=1))  # a NaN is the largest
     came = "left {:.7g}, top {:.7g}, right {:.7g}, bottom {:.7g}"
     empty = "expected a width and a height above 0, came width {:.7g}, height {:.7g}"

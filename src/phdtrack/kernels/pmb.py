@@ -228,10 +228,9 @@ def _associate(
 ) -> tuple[float, int, int, float]:  # fmt: skip
     """Write the probability of each pair as its weight, and those that a target exists and was missed into ``exists`` (T,).
 
-    ``p_detect`` (C,) is of hypotheses, ``clutter`` and ``density`` (N,) are κ and γ̂ without scores.
-    Writes into ``found`` (3, N) C(z) and κ(z), and the probability that a
-    new target exists. Returns the mass of new targets, how many measurements have κ + C = 0, how many begin one, and the
-    mass predicted.
+    ``p_detect`` (C,) is of hypotheses, ``clutter`` and ``density`` (N,) are κ and γ̂ without scores. Writes
+    into ``found`` (3, N) C(z) and κ(z), and the probability that a new target exists. Returns the mass of new targets, how
+    many measurements have κ + C = 0, how many begin one, and the mass predicted.
     """
     evidence, false, r_new, first = found[0], found[1], found[2], np.empty(clutter.size)
     prior, genuine = s.static_clutter_prior, probability(scores.prior)
@@ -245,15 +244,16 @@ def _associate(
         alone = alone if alone > TINY else TINY
         p_target = first[j] / alone
         r_new[j] = p_new[j] * p_target
-        born += p_new[j] * first[j] / alone * (1.0 - prior)
-        false[j] = p_new[j] * clutter[j] / alone + p_new[j] * first[j] / alone * prior
+        p_real = (1.0 - prior) * probability(after_score(scores.prior, scores, j))
+        born += p_new[j] * p_target * p_real
+        false[j] = p_new[j] * (clutter[j] / alone + p_target * (1.0 - p_real))
         if r_new[j] < s.existence_threshold and r_new[j] < 0.5 * p_target:
             r_new[j] = 0.0
         started += r_new[j] > 0.0
         vanished += evidence[j] == 0.0
     for q in range(pairs.size):
-        if hypotheses[pairs[q].gaussian].static:
-            false[pairs[q].measurement] += pairs[q].weight
+        h = hypotheses[pairs[q].gaussian]
+        false[pairs[q].measurement] += pairs[q].weight * (1.0 if h.static else 1.0 - probability(h.genuine))
     for j in range(clutter.size):
         false[j] *= evidence[j]
         evidence[j] -= false[j]
