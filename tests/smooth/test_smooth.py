@@ -1,11 +1,14 @@
 """The smoother against the joint density of everything at once, and the evidence for a link against densities."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from smoothing_cases import model_of, piece, sequence, walk
 
+from phdtrack.protocols import Model
 from phdtrack.smooth.paths import paths_of
 from phdtrack.smooth.smoothing import Sequence, Smoothing, _candidates, _matched
 from phdtrack.types import MeasurementHistory
@@ -64,6 +67,64 @@ def test_errors_are_as_large_as_the_covariance_says():
             errors.append(step @ np.linalg.solve(states.covariance[k], step))
     # 450 values of mean 6 and variance 12.
     assert np.mean(errors) == pytest.approx(6, abs=5 * np.sqrt(12 / 450))
+
+
+FITTED = (3.0, 0.5, 0.65, 0.4)
+
+
+def with_noises(model: Model, factors) -> Model:
+    """The model with its deviations of acceleration, of size changes, of positions and of sizes times these."""
+    drive, size, position, extent = factors
+    motion = replace(model.motion, acceleration=drive * model.motion.acceleration, size_noise=size * model.motion.size_noise)
+    blur = (position * model.sensor.fixed_noise[0], extent * model.sensor.fixed_noise[1])
+    return replace(model, motion=motion, sensor=replace(model.sensor, fixed_noise=blur))
+
+
+def drawn(rng, model: Model, n: int) -> np.ndarray:
+    """(n, 6) states from the motion."""
+    course = [np.array([320.0, 240.0, *rng.normal(0, 2, 2), 60, 90])]
+    for _ in range(n - 1):
+        mean, _, q = model.motion.transition(course[-1][:, None], 1.0)
+        course.append(rng.multivariate_normal(mean[:, 0], q[0], check_valid="ignore"))
+    return np.array(course)
+
+
+def test_noises_of_a_track_are_those_of_a_model_that_has_them(rng):
+    model = model_of()
+    fine = with_noises(model, FITTED)
+    tracks, measured = sequence([piece(walk(rng, 30, (100, 200), (2, 1)), 1, (1, 9), (13, 30))], 30, model)
+    paths, want, other = smoothed(tracks, measured, fine)
+    seen = Sequence.of(measured, model)
+    scales = seen._scales(np.array(FITTED)[:, None])
+    np.testing.assert_allclose(seen.smooth(paths, scales).mean, want.mean, rtol=1e-9)
+    np.testing.assert_allclose(seen.smooth(paths, scales).covariance, want.covariance, rtol=1e-9, atol=1e-9)
+    # The evidence is the density of all measurements after the first: here 26 of four components.
+    density = twin.log_density(fine.motion, measured.time, other, paths.measurement) + 26 * 2 * np.log(2 * np.pi)
+    assert seen._filtered(paths, scales).evidence.sum() == pytest.approx(density, rel=1e-9)
+
+
+@pytest.mark.parametrize("factors", [(1.0, 1.0, 1.0, 1.0), (9.0, 0.25, 0.4, 0.4), (3.0, 0.5, 0.4, 1.0)])
+def test_noises_that_made_a_track_are_found_and_make_it_more_exact(factors):
+    """Of 40 tracks of 80 frames, drawn from a model with these noises."""
+    rng, model = np.random.default_rng(11), model_of()
+    made = with_noises(model, factors)
+    position, extent = made.sensor.fixed_noise
+    chosen, gain = [], []
+    for _ in range(40):
+        x = drawn(rng, made, 80)
+        z = x[:, [0, 1, 4, 5]] + rng.normal(0, [position, position, extent, extent], (80, 4))
+        tracks, measured = sequence([dict(enumerate(z, start=1))], 80, model)
+        paths, before, seen = smoothed(tracks, measured, model)
+        fit = seen.fitting(paths)
+        chosen.append([fit.state[0, 0], fit.state[0, 4], fit.measurement[0, 0], fit.measurement[0, 2]])
+        after = seen.smooth(paths, fit)
+        gain.append([np.square(s.mean - x)[:, [0, 1, 4, 5]].mean() for s in (before, after)])
+    np.testing.assert_array_equal(np.median(chosen, axis=0), factors)
+    without, fitted = np.array(gain).T
+    error = (without - fitted).std() / np.sqrt(40)
+    # With the model's own noises it must choose among 18, which costs 2 % at most.
+    least = -0.02 * without.mean() - 3 * error if set(factors) == {1.0} else 3 * error
+    assert (without - fitted).mean() > least
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from phdtrack.models.gaussian import SAME
 from phdtrack.protocols import Motion
 from phdtrack.types import F8, I8, STILL
 
@@ -30,7 +31,7 @@ class Ahead(NamedTuple):
     jacobian: F8
 
 
-def predict(motion: Motion, mean: F8, covariance: F8, dt: float, warp: F8 = STILL) -> Ahead:
+def predict(motion: Motion, mean: F8, covariance: F8, dt: float, warp: F8 = STILL, scale: F8 = SAME) -> Ahead:
     """Gaussians one frame later: the camera's motion, then the targets'.
 
     Parameters
@@ -39,6 +40,7 @@ def predict(motion: Motion, mean: F8, covariance: F8, dt: float, warp: F8 = STIL
     mean, covariance : (n, d), (n, d, d).
     dt : interval in the model's time unit.
     warp : (3, 3) the camera's motion in it; `types.STILL` where there is none.
+    scale : (n, d) multiplies the deviations of the motion's noise; (0,): as they are.
 
     Returns
     -------
@@ -47,6 +49,8 @@ def predict(motion: Motion, mean: F8, covariance: F8, dt: float, warp: F8 = STIL
     x = np.ascontiguousarray(mean.T)
     slope = motion.warp_jacobian(x, warp) if len(warp) else None
     moved, jacobian, noise = motion.transition(x if slope is None else motion.warp_states(x, warp), dt)
+    if len(scale):
+        noise = noise * scale[:, :, None] * scale[:, None]
     f = jacobian if slope is None else jacobian @ slope
     return Ahead(moved.T, f @ covariance @ f.transpose(0, 2, 1) + noise, f)
 

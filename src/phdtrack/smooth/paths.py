@@ -50,6 +50,11 @@ class Paths:
         start = np.concatenate(([0], np.cumsum(length)))
         return Paths(start, self.frame[rows], self.measurement[rows], self.row[rows])
 
+    def repeated(self, times: int) -> Paths:
+        """All paths in their order, and again, so many times."""
+        start = np.concatenate(([0], np.cumsum(np.tile(np.diff(self.start), times))))
+        return Paths(start, *(np.tile(part, times) for part in (self.frame, self.measurement, self.row)))
+
 
 def paths_of(tracks: Tracks, measurements: MeasurementHistory) -> Paths:
     """The tracks from their first measurement to their last, in the order of their identities.

@@ -32,10 +32,14 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.errors import InputError, NonNegative, Positive, Share, check
+from phdtrack.models.gaussian import SAME
 from phdtrack.models.rts import Ahead, predict, smooth_back, update
 from phdtrack.protocols import Model, Motion
 from phdtrack.smooth.paths import Paths, joined, paths_of
 from phdtrack.types import F8, I8, STILL, Bool, MeasurementHistory, Tracks
+
+# A path's noises are these multiples of the model's deviations: its acceleration, the change of its size, its measurements.
+ACCELERATION, SIZE_CHANGE, BLUR = (1.0, 3.0, 9.0), (0.25, 0.5, 1.0), (0.4, 0.65, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +50,7 @@ class Smoothing:
     ----------
     stitching : join tracks of one target that was lost and found again.
     smoothing : replace the boxes of rows by the smoothed ones.
+    noise_by_track : smooth each track with the noises under which its own measurements are most probable.
     mean_occluded_time : seconds for which a lost target is out of sight on average.
     max_gap : seconds between tracks that are joined, at most.
     max_overlap_time : seconds for which two tracks of one target may overlap, at most.
@@ -60,6 +65,7 @@ class Smoothing:
 
     stitching: bool = True
     smoothing: bool = True
+    noise_by_track: bool = False
     mean_occluded_time: Positive = 2.0
     max_gap: NonNegative = 6.0
     max_overlap_time: NonNegative = 4.0
@@ -79,6 +85,8 @@ class Smoothing:
             return tracks
         sequence = Sequence.of(measurements, model)
         paths, states = _stitched(paths, sequence, self) if self.stitching else (paths, sequence.smooth(paths))
+        if self.noise_by_track:
+            states = sequence.smooth(paths, sequence.fitting(paths))
         return _rows(tracks, paths, states, measurements, model, self)
 
 
@@ -151,6 +159,26 @@ class Smoothed(NamedTuple):
     covariance: F8
 
 
+class Scales(NamedTuple):
+    """How many times the model's the deviations of a path's noises are: (K, d) of its states, (K, r) of measurements."""
+
+    state: F8
+    measurement: F8
+
+
+class _Filtered(NamedTuple):
+    """States of all rows given what was measured up to each, their predictions, and the evidence (2, K) of the paths.
+
+    ``frames``: of each frame the rows that are not the first of their path.
+    """
+
+    mean: F8
+    covariance: F8
+    ahead: Ahead
+    frames: list[I8]
+    evidence: F8
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Sequence:
     """What is known of a whole sequence: its Z measurements, the same as states, the motion and its time units a second.
@@ -172,39 +200,80 @@ class Sequence:
         states, shown = model.sensor.states(measurements.z), np.array(model.sensor.observed, np.int64)
         return cls(measurements, *states, shown, model.motion, model.rate)
 
-    def _ahead(self, mean: F8, covariance: F8, place: int) -> Ahead:
+    def _ahead(self, mean: F8, covariance: F8, place: int, scale: F8 = SAME) -> Ahead:
         """States (n, d), (n, d, d) of the frame before ``place``, predicted for that frame."""
         time, warp = self.measurements.time, self.measurements.warp
         step = float(time[place] - time[place - 1])
-        return predict(self.motion, mean, covariance, step, warp[place] if len(warp) else STILL)
+        return predict(self.motion, mean, covariance, step, warp[place] if len(warp) else STILL, scale)
 
-    def smooth(self, paths: Paths) -> Smoothed:
+    def smooth(self, paths: Paths, scales: Scales | None = None) -> Smoothed:
         """The states of all rows of the paths, given their measurements [R65]."""
+        passed = self._filtered(paths, scales or self._scales(np.ones((4, len(paths)))))
+        mean, cov, ahead, frames = passed.mean, passed.covariance, passed.ahead, passed.frames
+        for rows in reversed(frames):
+            if len(rows):
+                step = Ahead(*(part[rows] for part in ahead))
+                mean[rows - 1], cov[rows - 1] = smooth_back(mean[rows - 1], cov[rows - 1], step, mean[rows], cov[rows])
+        return Smoothed(mean, cov)
+
+    def fitting(self, paths: Paths) -> Scales:
+        """The noises with which the measurements of each path are most probable.
+
+        What drives a target and what blurs its position are chosen by the innovations of the first two components of its
+        measurements, those of its size by the others: they hardly say anything of each other.
+        """
+        moved, resized = (np.array(list(itertools.product(drive, BLUR))).T for drive in (ACCELERATION, SIZE_CHANGE))
+        tried, count = moved.shape[1], len(paths)
+        all_of = np.repeat(np.stack([moved[0], resized[0], moved[1], resized[1]]), count, axis=1)
+        evidence = self._filtered(paths.repeated(tried), self._scales(all_of)).evidence
+        position, size = evidence.reshape(2, tried, count).argmax(axis=1)
+        return self._scales(np.stack([moved[0, position], resized[0, size], moved[1, position], resized[1, size]]))
+
+    def _scales(self, factors: F8) -> Scales:
+        """From the factors (4, K) of acceleration, changes of size, position noise and size noise."""
+        d, r = len(self.state), len(self.observed)
+        return Scales(np.repeat(factors[:2], [4, d - 4], axis=0).T, np.repeat(factors[2:], [2, r - 2], axis=0).T)
+
+    def _filtered(self, paths: Paths, scales: Scales) -> _Filtered:
+        """The states of all rows of the paths, given the measurements up to each."""
         order, number, shown = np.argsort(paths.frame, kind="stable"), len(self.measurements.time), self.observed
         bounds = np.searchsorted(paths.frame[order], np.arange(number + 1))
-        size, d = len(order), len(self.state)
+        size, d, path = len(order), len(self.state), paths.path
         mean, predicted = np.empty((2, size, d))
         cov, expected, jacobian = np.empty((3, size, d, d))
-        column = paths.measurement[paths.first]
-        mean[paths.first], cov[paths.first] = self.state[:, column].T, self.covariance[column]
+        column, evidence = paths.measurement[paths.first], np.zeros((2, len(paths)))
+        first = self.covariance[column]
+        first[:, shown[:, None], shown] *= scales.measurement[:, :, None] * scales.measurement[:, None]
+        mean[paths.first], cov[paths.first] = self.state[:, column].T, first
         going = np.ones(size, np.bool_)
         going[paths.first] = False
         frames = [rows[going[rows]] for rows in np.split(order, bounds[1:-1])]
         for p, rows in enumerate(frames):
             if len(rows) == 0:
                 continue
-            predicted[rows], expected[rows], jacobian[rows] = self._ahead(mean[rows - 1], cov[rows - 1], p)
+            ahead = self._ahead(mean[rows - 1], cov[rows - 1], p, scales.state[path[rows]])
+            predicted[rows], expected[rows], jacobian[rows] = ahead
             mean[rows], cov[rows] = predicted[rows], expected[rows]
             rows = rows[paths.measurement[rows] >= 0]
             if len(rows):
-                column = paths.measurement[rows]
-                noise = self.covariance[column][:, shown[:, None], shown]
-                mean[rows], cov[rows] = update(mean[rows], cov[rows], self.state[shown[:, None], column].T, noise, shown)
-        for rows in reversed(frames):
-            if len(rows):
-                step = Ahead(predicted[rows], expected[rows], jacobian[rows])
-                mean[rows - 1], cov[rows - 1] = smooth_back(mean[rows - 1], cov[rows - 1], step, mean[rows], cov[rows])
-        return Smoothed(mean, cov)
+                column, scale = paths.measurement[rows], scales.measurement[path[rows]]
+                noise = self.covariance[column][:, shown[:, None], shown] * scale[:, :, None] * scale[:, None]
+                z = self.state[shown[:, None], column].T
+                evidence[:, path[rows]] += _log_densities(
+                    z - mean[rows][:, shown], cov[rows][:, shown[:, None], shown] + noise
+                )
+                mean[rows], cov[rows] = update(mean[rows], cov[rows], z, noise, shown)
+        return _Filtered(mean, cov, Ahead(predicted, expected, jacobian), frames, evidence)
+
+
+def _log_densities(step: F8, covariance: F8) -> F8:
+    """(2, n) log densities of the first two components of Gaussians at a distance ``step`` (n, r), and of the others."""
+    out = np.zeros((2, len(step)))
+    for k, part in enumerate((slice(0, 2), slice(2, None))):
+        v, s = step[:, part], covariance[:, part, part]
+        if v.shape[1]:
+            out[k] = -0.5 * (np.linalg.slogdet(s)[1] + (v * np.linalg.solve(s, v[:, :, None])[:, :, 0]).sum(axis=1))
+    return out
 
 
 class _Meeting(NamedTuple):
