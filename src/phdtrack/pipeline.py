@@ -37,6 +37,7 @@ class TrackingState:
     learned : what is known of the scene, None where nothing is learned.
     expected : the targets that merged measurements are divided by, None where they are not.
     pace : how fast the filter's time runs, None where it is the clock's.
+    shown : what the boxes of online rows have taught, None where they are the filter's.
     """
 
     intensity: Any
@@ -48,6 +49,7 @@ class TrackingState:
     learned: Any = None
     expected: Any = None
     pace: Any = None
+    shown: Any = None
 
 
 def start(stages: AnyStages, rng: np.random.Generator) -> TrackingState:
@@ -55,7 +57,8 @@ def start(stages: AnyStages, rng: np.random.Generator) -> TrackingState:
     learning, explainer, model = stages.learning, stages.explainer, stages.model
     learned, expected = learning and learning.start(), explainer and explainer.start()
     intensity = stages.filter.start(learning.model(learned, model) if learning else model, rng)
-    return TrackingState(intensity, stages.associator.start(), learned=learned, expected=expected)
+    shown = stages.online and stages.online.start()
+    return TrackingState(intensity, stages.associator.start(), learned=learned, expected=expected, shown=shown)
 
 
 def advance(
@@ -91,13 +94,11 @@ def advance(
     model = learning.model(learned, seen) if learning else seen
     pace, dt = _paced(stages, state, detections, time, model)
     began = clock.perf_counter()
-    # Measure
     explanation = Explanation.unchanged(detections)
     if explainer:
         expected, explanation = explainer.explain(expected, detections, model, dt)
     measured = model.sensor.measure(explanation.detections if detections.observed else Detections.empty(observed=False))
     given = _Given(explanation, measured, np.flatnonzero(np.isfinite(measured).all(axis=0)))
-    # Predict and update
     if detections.observed:
         weighted = learning.with_scores(learned, model, explanation.detections.take(given.usable)) if learning else model
         intensity, info = stages.filter.step(state.intensity, given.z, _watching(weighted, state.targets, dt), dt, rng)
@@ -105,19 +106,18 @@ def advance(
         intensity = stages.filter.predict(state.intensity, model, dt, rng)
         info = UpdateInfo(intensity.mass, 0.0, intensity.mass, np.zeros(0), np.zeros(0))
     filtered = clock.perf_counter()
-    # Extract
     estimates = _renumbered(stages.extractor.extract(intensity, given.z, model), given.usable)
     expected = explainer and explainer.advance(expected, explanation, estimates, model, dt)
     numbers = (*state.given, given.numbers)[-1 - len(estimates.past) :]
     z, info, estimates = given.in_terms_of_detections(info, estimates, numbers[:-1])
     extracted = clock.perf_counter()
-    # Associate
     association, tracks = stages.associator.extend(state.association, estimates, z, number, dt, model)
+    shown, tracks = _shown(stages, state, tracks, detections, number, time)
     seconds = (filtered - began, extracted - filtered, clock.perf_counter() - extracted)
     step = Step(number, time, detections, info, estimates, tracks, seconds, given.unusable, seen.warp)
     learned = learning and learning.advance(learned, step)
     targets = estimates.state if model.sensor.occlusion else NO_STATES
-    return TrackingState(intensity, association, number, time, targets, numbers, learned, expected, pace), step
+    return TrackingState(intensity, association, number, time, targets, numbers, learned, expected, pace, shown), step
 
 
 def _paced(stages: AnyStages, state: TrackingState, detections: Detections, time: float, model: Model) -> tuple[Any, float]:
@@ -131,6 +131,15 @@ def _paced(stages: AnyStages, state: TrackingState, detections: Detections, time
         return stages.clock.start(z), model.first
     pace = stages.clock.advance(state.pace, z, seconds, model)
     return pace, seconds * pace.factor * model.rate
+
+
+def _shown(
+    stages: AnyStages, state: TrackingState, tracks: Tracks, detections: Detections, number: int, time: float
+) -> tuple[Any, Tracks]:
+    """What the boxes of online rows have taught, and the rows with the boxes that are shown."""
+    if stages.online is None:
+        return None, tracks
+    return stages.online.advance(state.shown, tracks, detections, number, time)
 
 
 def run(
@@ -152,6 +161,12 @@ def run(
     for number, time, detections in frames:
         state, step = advance(stages, state, detections, number, time, rng)
         yield state, step
+
+
+def flush(stages: AnyStages, state: TrackingState) -> Tracks:
+    """The online rows that the output delay holds back; none without a delay."""
+    tracks = stages.associator.flush(state.association, stages.model)
+    return stages.online.shown(state.shown, tracks)[1] if stages.online else tracks
 
 
 def finish(stages: AnyStages, state: TrackingState) -> Tracks:

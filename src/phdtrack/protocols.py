@@ -414,6 +414,30 @@ class Clock(Protocol[S]):
         """
 
 
+class OnlineBoxes(Protocol):
+    """From online rows to the boxes that are shown."""
+
+    def start(self) -> Any:
+        """The state before the first frame."""
+
+    def advance(self, state: Any, tracks: Tracks, detections: Detections, number: int, time: float) -> tuple[Any, Tracks]:
+        """The rows with the boxes that are shown.
+
+        Parameters
+        ----------
+        state : after the frame before.
+        tracks, detections : online rows, of this frame or with an output delay of earlier ones; detections of this frame.
+        number, time : of this frame; seconds.
+
+        Returns
+        -------
+        state, tracks : after the frame, and the rows.
+        """
+
+    def shown(self, state: Any, tracks: Tracks) -> tuple[Any, Tracks]:
+        """The state after rows that were held back, and the rows."""
+
+
 class Camera(Protocol):
     """Between the pixels of one camera and the ground, metres in a world of its own.
 
@@ -451,7 +475,7 @@ class Stages(Generic[S, A]):
     Attributes
     ----------
     learning : what is learned of the scene.      explainer : the merged-measurement model.
-    smoother : of corrected tracks.      clock : of streams of few pictures.
+    smoother : of corrected tracks.      clock : of streams of few pictures.      online : boxes of online rows.
     """
 
     model: Model
@@ -462,6 +486,7 @@ class Stages(Generic[S, A]):
     explainer: Explainer[Any] | None = None
     smoother: Smoother | None = None
     clock: Clock[Any] | None = None
+    online: OnlineBoxes | None = None
 
 
 AnyStages = Stages[Any, Any]

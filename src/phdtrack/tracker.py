@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from phdtrack.scene.rates import Rates
 
 # Of a saved state: it changes when a record of the state does.
-FORMAT = 12
+FORMAT = 13
 
 
 class Tracker:
@@ -136,7 +136,7 @@ class Tracker:
 
     def flush(self) -> Tracks:
         """The online rows that the output delay holds back; none without a delay."""
-        return self.stages.associator.flush(self._state.association, self.stages.model)
+        return pipeline.flush(self.stages, self._state)
 
     def tracks(self) -> Tracks:
         """The corrected tracks of everything so far: short ones left out, gaps bridged, identities of their own."""

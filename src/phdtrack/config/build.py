@@ -17,6 +17,7 @@ from phdtrack.errors import InputError
 from phdtrack.models.pace import Pace
 from phdtrack.models.volumes import EVERYWHERE, Region, area, image_area
 from phdtrack.protocols import AnyStages, Associator, Birth, Clutter, Learning, Model, Stages
+from phdtrack.smooth.online import DetectionShare
 from phdtrack.types import SequenceInfo
 
 if TYPE_CHECKING:
@@ -65,7 +66,9 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
     rates, explainer = _rates(settings, model, None, info), settings.build("merged_measurements")
     slowest = settings.build("time").longest_interval
     clock = Pace(slowest) if slowest else None
-    stages = Stages(model, filter_, settings.build("extract"), associator, rates, explainer, smoother, clock)
+    # A detection of several targets says of none where it is.
+    online = DetectionShare() if smoother.detection_share and explainer is None else None
+    stages = Stages(model, filter_, settings.build("extract"), associator, rates, explainer, smoother, clock, online)
     if settings.kind("learn") == "none":
         return stages
     unlearned = replace(stages, associator=replace(settings.build("associate"), history=_KEPT))

@@ -22,6 +22,8 @@ ROWS = (0, 1, 4, 5)
 PARTICLE, DETECTION, FIXED, GIVEN, PREVIOUS = range(5)
 TINY_VARIANCE = 1e-12
 LEAST_SPEED = 1e-6
+# Steps of boxes that are this many times their mean count half in `agreement`; the mean is of the last so many.
+LARGE, MEMORY = 3.0, 200.0
 
 
 @njit(**ENTRY)
@@ -73,6 +75,44 @@ def following(before: F8, after: F8, overlap: float) -> I8:
         if best[j] >= 0 and other[best[j]] != j:
             best[j] = -1
     return best
+
+
+@njit(**ENTRY)
+def agreement(then: tuple[I8, F8, F8], between: tuple[I8, F8], now: tuple[I8, F8], ratio: float, before: F8) -> F8:
+    """(2, 4) the sums ``before`` of `smooth.online`, with what the boxes of three frames add, those of one target each.
+
+    ``then``: identities (n,), boxes seen and filtered (n, 4). The others: identities and boxes seen. ``ratio``: of their
+    intervals.
+    """
+    sums = before.copy()
+    name, seen, filtered = then
+    name_between, seen_between = between
+    name_now, seen_now = now
+    for i in range(name.size):
+        j = k = 0
+        while j < name_between.size and name_between[j] != name[i]:
+            j += 1
+        while k < name_now.size and name_now[k] != name[i]:
+            k += 1
+        if j == name_between.size or k == name_now.size:
+            continue
+        for part in range(2):
+            # Twice the centre, and the size, along each axis.
+            sign = 1.0 - 2 * part
+            for axis in range(2):
+                side = seen[i, 2 + axis] - seen[i, axis]
+                z, m = seen[i, 2 + axis] + sign * seen[i, axis], filtered[i, 2 + axis] + sign * filtered[i, axis]
+                a = seen_between[j, 2 + axis] + sign * seen_between[j, axis]
+                b = seen_now[k, 2 + axis] + sign * seen_now[k, axis]
+                step, told = (m - z) / side, (a - (b - a) * ratio - z) / side
+                sums[part, 2] += 1
+                most = sums[part, 2] if sums[part, 2] < MEMORY else MEMORY
+                sums[part, 3] += (abs(step) - sums[part, 3]) / most
+                share = step / (LARGE * sums[part, 3] + TINY_VARIANCE)
+                weight = 1 / (1 + share * share)
+                sums[part, 0] += weight * step * told
+                sums[part, 1] += weight * step * step
+    return sums
 
 
 @njit(**INNER)

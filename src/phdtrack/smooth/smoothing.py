@@ -44,7 +44,7 @@ ACCELERATION, SIZE_CHANGE, BLUR = (1.0, 3.0, 9.0), (0.25, 0.5, 1.0), (0.4, 0.65,
 
 @dataclass(frozen=True, slots=True)
 class Smoothing:
-    """Smoothing and stitching of corrected tracks; online rows are not touched.
+    """Smoothing and stitching of corrected tracks, and what boxes of online rows are.
 
     Parameters
     ----------
@@ -55,6 +55,7 @@ class Smoothing:
     max_gap : seconds between tracks that are joined, at most.
     max_overlap_time : seconds for which two tracks of one target may overlap, at most.
     reentry_probability : that a track that ends was lost and comes back.
+    detection_share : boxes of online rows lie between the filter's and the detection's, see `smooth.online`.
     max_gap_uncertainty : fill the gap between joined tracks where positions are known to within this many deviations of a
         measurement. 0: such gaps stay open.
 
@@ -66,6 +67,7 @@ class Smoothing:
     stitching: bool = True
     smoothing: bool = True
     noise_by_track: bool = False
+    detection_share: bool = False
     mean_occluded_time: Positive = 2.0
     max_gap: NonNegative = 6.0
     max_overlap_time: NonNegative = 4.0

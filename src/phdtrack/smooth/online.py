@@ -1,0 +1,110 @@
+"""Boxes of online rows: between the filter's and the detection's, as far as the detections that follow teach.
+
+A filter that keeps identities when targets jump assumes wide noises, so that its boxes follow exact detections too slowly.
+Shown is, of each target that was detected,
+
+    b = z + a (m − z)
+
+with z the detection's box, m the filter's, and one share a for centres and one for sizes of a stream. The two boxes that
+follow, z′ and z″, tell where the target was, without the errors that m and z have: at r = z′ − (z″ − z′) T/T′, after
+intervals T and T′. So a is the slope of the regression of r − z on m − z, both in widths and heights of the box, in which
+steps that are large for the stream count less. It begins at `PRIOR` and forgets what is old.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from phdtrack.kernels.box import agreement
+from phdtrack.types import F8, I8, Detections, Tracks
+
+# The share before anything is seen, as if from so many sides of boxes; the most that it may be: beyond 1 is the prediction.
+PRIOR, PRIOR_WEIGHT, MOST = 0.5, 50.0, 1.5
+# Sides of boxes that are remembered.
+KEPT = 3000.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """The rows of a frame that rest on detections: ``identity`` (n,), boxes ``seen`` and ``filtered`` (n, 4); seconds."""
+
+    time: float = 0.0
+    identity: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
+    seen: F8 = field(default_factory=lambda: np.zeros((0, 4)))
+    filtered: F8 = field(default_factory=lambda: np.zeros((0, 4)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShareState:
+    """What the boxes shown so far have taught.
+
+    Attributes
+    ----------
+    waiting : number, seconds and boxes (n, 4) of the frames whose rows are still to come, the oldest first.
+    last : the two frames before.
+    sums : (2, 4) of centres and of sizes: of products, of squares, how many, and the mean size of m − z.
+    """
+
+    waiting: tuple[tuple[int, float, F8], ...] = ()
+    last: tuple[Shown, Shown] = (Shown(), Shown())
+    sums: F8 = field(default_factory=lambda: np.zeros((2, 4)))
+
+    @property
+    def share(self) -> F8:
+        """(2,) a of centres and of sizes."""
+        product, square, count, _ = self.sums.T
+        slope = product / np.maximum(square, 1e-12)
+        share: F8 = np.clip((count * slope + PRIOR_WEIGHT * PRIOR) / (count + PRIOR_WEIGHT), 0.0, MOST)
+        return share
+
+
+@dataclass(frozen=True, slots=True)
+class DetectionShare:
+    """The rule; it has no settings."""
+
+    def start(self) -> ShareState:
+        """Before the first frame."""
+        return ShareState()
+
+    def advance(
+        self, state: ShareState, tracks: Tracks, detections: Detections, number: int, time: float
+    ) -> tuple[ShareState, Tracks]:
+        """The state and the rows with the boxes that are shown; rows name a detection by its place in their frame."""
+        return self.shown(replace(state, waiting=(*state.waiting, (number, time, detections.xyxy))), tracks)
+
+    def shown(self, state: ShareState, tracks: Tracks) -> tuple[ShareState, Tracks]:
+        """The state after these rows, all of frames that it waits for, and the rows with the boxes that are shown."""
+        if len(tracks) == 0:
+            return state, tracks
+        xyxy, until = tracks.xyxy.copy(), int(tracks.frame[-1])
+        for number, time, boxes in state.waiting:
+            rows = np.flatnonzero((tracks.frame == number) & (tracks.detection >= 0))
+            if number > until or len(rows) == 0:
+                continue
+            now = Shown(time, tracks.identity[rows], boxes[tracks.detection[rows]], xyxy[rows])
+            state = _learned(state, now)
+            xyxy[rows] = _between(now, state.share)
+        waiting = tuple(frame for frame in state.waiting if frame[0] > until)
+        return replace(state, waiting=waiting), replace(tracks, xyxy=xyxy)
+
+
+def _learned(state: ShareState, now: Shown) -> ShareState:
+    """With what a further frame says of the rows two frames ago."""
+    first, second = state.last
+    sums = state.sums
+    if len(first.identity):
+        ratio = (second.time - first.time) / (now.time - second.time)
+        kept = np.maximum(1 - 2 * len(now.identity) / KEPT, 0.0)
+        then, between = (first.identity, first.seen, first.filtered), (second.identity, second.seen)
+        sums = agreement(then, between, (now.identity, now.seen), ratio, sums * np.array([kept, kept, kept, 1.0]))
+    return replace(state, last=(second, now), sums=sums)
+
+
+def _between(rows: Shown, share: F8) -> F8:
+    """(n, 4) the boxes that are shown."""
+    step = rows.filtered - rows.seen
+    centre, half = (step[:, :2] + step[:, 2:]) * share[0] / 2, (step[:, 2:] - step[:, :2]) * share[1] / 2
+    out: F8 = rows.seen + np.hstack([centre - half, centre + half])
+    return out
