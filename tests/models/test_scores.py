@@ -10,7 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phdtrack import Tracker
-from phdtrack.models.scores import ScoreOdds, ScoresSeen
+from phdtrack.kernels.box import following
+from phdtrack.kernels.scores import Line, chained, newton
+from phdtrack.models.scores import BOUND, EVEN_LOGIT, ScoreOdds, ScoresSeen
 from phdtrack.types import Detections
 
 RULE, FIRST = ScoreOdds(), ScoreOdds().start()
@@ -62,13 +64,77 @@ def test_equal_scores_and_none_say_nothing(score: float, count: int):
 @settings(deadline=None)
 @given(st.lists(st.integers(-50, 50), min_size=2, max_size=20), st.integers(1, 19))
 def test_of_scores_on_another_scale_the_rank_counts(scores: list[int], first: int):
-    """A rising change of the scale changes nothing; both scales reach beyond 0 … 1."""
-    score = np.array([-60.0, *scores])
+    """A rising change of the scale changes nothing; both scales reach beyond those of probabilities and log odds."""
+    score = np.array([60.0, *scores])
     before, now = np.split(score, [min(first, len(scores))])
     wanted = RULE.log_odds(now, after(RULE, before))
     np.testing.assert_allclose(RULE.log_odds(now**3 + 7, after(RULE, before**3 + 7)), wanted, rtol=1e-12)
     unknown = RULE.log_odds(np.append(now, np.nan), after(RULE, before))
     np.testing.assert_allclose(unknown, [[*row, 0] for row in wanted], rtol=1e-12)
+
+
+@given(st.lists(st.floats(-3, 15), min_size=1, max_size=20))
+def test_scores_of_which_some_are_negative_are_log_odds(scores: list[float]):
+    """They say by how much they exceed what says nothing, up to a probability of 0.999; one of 100 makes them ranks."""
+    score = np.array([-0.8, *scores, np.nan])
+    wanted = np.append(np.clip(score[:-1] - EVEN_LOGIT, -BOUND, BOUND), 0)
+    single, lasting = RULE.log_odds(score, FIRST)
+    np.testing.assert_allclose(lasting, wanted)
+    np.testing.assert_allclose(single, np.clip(wanted, -np.log(400), np.log(400)))
+    single, _ = RULE.log_odds(np.array([-0.8, 100.0]), FIRST)
+    np.testing.assert_allclose(single, ScoreOdds().log_odds(np.array([3.0, 7.0]), FIRST)[0])
+
+
+def plain_chains(before, boxes, x, waiting, length, overlap):
+    """`chained` as it is defined."""
+    link, most = following(before, boxes, overlap), waiting.shape[1]
+    now, long, true = np.full((len(x), most), np.nan), np.ones(len(x), np.int64), []
+    for j, i in enumerate(link):
+        if i >= 0:
+            now[j], long[j] = waiting[i], length[i] + 1
+        now[j, min(long[j], most) - 1] = x[j]
+        if long[j] >= most:
+            true += now[j][~np.isnan(now[j])].tolist()
+            now[j] = np.nan
+    false = waiting[np.setdiff1d(np.arange(len(before)), link)].ravel()
+    return now, long, np.array(true), false[~np.isnan(false)]
+
+
+def plain_newton(before: Line, true, false, prior: Line, remembered: float) -> Line:
+    """`newton` in matrices."""
+    kept, n = max(1 - (len(true) + len(false)) / remembered, 0.0), len(true) + len(false)
+    information, precision, verdicts = (kept * a + (1 - kept) * b for a, b in zip(before, prior, strict=True))
+    verdicts = verdicts + np.array([len(true), len(false)])
+    rows = np.stack([np.concatenate([true, false]), np.ones(n)])
+    line = np.linalg.solve(precision, information)
+    p = 1 / (1 + np.exp(-(line @ rows + np.log(verdicts[0] / verdicts[1]))))
+    curvature = (p * (1 - p) * rows) @ rows.T
+    label = np.arange(n) < len(true)
+    return Line(information + curvature @ line + rows @ (label - p), precision + curvature, verdicts)
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.integers(0, 2**32 - 1), st.integers(0, 8), st.integers(1, 6))
+def test_verdicts_and_what_they_teach_are_as_defined(seed: int, count: int, length: int):
+    rng = np.random.default_rng(seed)
+    corner = rng.uniform(0, 60, (count, 2))
+    boxes = np.hstack([corner, corner + 30])
+    waiting, long = np.zeros((0, length)), np.zeros(0, np.int64)
+    before, line = np.zeros((0, 4)), Line(rng.normal(0, 1, 2), np.diag(rng.uniform(1, 5, 2)), np.array([7.0, 3.0]))
+    prior = Line(np.array([8.0, -2.0]), np.diag([4.0, 1.0]), np.array([7.0, 3.0]))
+    for _ in range(9):
+        now = (boxes + rng.normal(0, 5, boxes.shape))[rng.random(count) < 0.9]
+        x = np.where(rng.random(len(now)) < 0.2, np.nan, rng.normal(0, 2, len(now)))
+        wanted = plain_chains(before, now, x, waiting, long, 0.3)
+        got = chained(before, now, x, waiting, long, 0.3)
+        for a, b in zip(got, wanted, strict=True):
+            np.testing.assert_array_equal(a, b)
+        waiting, long, true, false = got
+        wanted_line = plain_newton(line, true, false, prior, 50.0)
+        line = newton(line, true, false, prior, 50.0)
+        for a, b in zip(line, wanted_line, strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9)
+        before = now
 
 
 @pytest.mark.parametrize(("slope", "even"), [(1.0, 0.3), (0.6, 0.95), (2.5, 0.7)])

@@ -1,7 +1,8 @@
 """Scores of detections as evidence: p(s|target)/p(s|false alarm), right on the first frame and learned without any labels.
 
 Today's detectors report boxes down to a score of 0.05 and leave it to the tracker what to make of them. With x the log odds
-log(s/(1 − s)) of a score s between 0 and 1, or of its rank among those seen where scores are on another scale,
+log(s/(1 − s)) of a score s between 0 and 1, the score less a constant where scores are log odds themselves, or the log odds
+of its rank among those seen where they are on another scale,
 
     log p(s|target)/p(s|false alarm) = a·x + b
 
@@ -17,13 +18,14 @@ them. Against these a score is read as the probability that it claims to be, and
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from phdtrack.errors import Checked, InputError, Positive
-from phdtrack.kernels.box import following
+from phdtrack.kernels.scores import Line, chained, newton
 from phdtrack.models.clutter import ScoredClutter
 from phdtrack.protocols import Learning, Model
 from phdtrack.types import F8, I8, Detections, Step
@@ -39,6 +41,10 @@ PRIOR_VERDICTS = np.array([7.0, 3.0])
 RANKS = (1.0, 0.45)
 # What a rank says of false alarms that last, as a share of what it says of others.
 LASTING_SHARE = 0.5
+# Scores are log odds where some are negative and none is above the first. A detector that reports negative ones reports more
+# than it believes: the second is what says nothing. The third: x is between minus and plus this.
+LARGEST_LOGIT, EVEN_LOGIT, BOUND = 25.0, 2.0, math.log(999)
+PROBABILITY, LOGIT, RANK = range(3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,23 +54,28 @@ class ScoresSeen:
     Attributes
     ----------
     scores : (n,) the newest.
-    ranked : a score was seen that is no probability.
+    extent : (2,) the least and the greatest score that was ever seen.
     boxes : (m, 4) detections of the last frame.
     waiting : (m, `LENGTH`) x of the detections of their chains that wait for a verdict, NaN where there is none.
     length : (m,) frames that their chains have lasted.
-    information, precision : (2,), (2, 2) precision times mean, and precision, of (a, b); empty before the first verdict.
-    verdicts : (2,) how many were true, and false.
+    line : what is known of (a, b); None before the first verdict.
     """
 
     scores: F8 = field(default_factory=lambda: np.zeros(0))
-    ranked: bool = False
+    extent: F8 = field(default_factory=lambda: np.array([np.inf, -np.inf]))
     boxes: F8 = field(default_factory=lambda: np.zeros((0, 4)))
     waiting: F8 = field(default_factory=lambda: np.zeros((0, LENGTH)))
     length: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
-    information: F8 = field(default_factory=lambda: np.zeros(0))
-    precision: F8 = field(default_factory=lambda: np.zeros((0, 0)))
-    verdicts: F8 = field(default_factory=lambda: PRIOR_VERDICTS)
+    line: Line | None = None
     other: Any = None
+
+    @property
+    def kind(self) -> int:
+        """Whether scores are probabilities, log odds, or ranked."""
+        low, high = self.extent
+        if low >= 0 and high <= 1:
+            return PROBABILITY
+        return LOGIT if low < 0 and high <= LARGEST_LOGIT else RANK
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,23 +106,26 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
 
         Both (n,), and 0 for NaN and where all scores are the same.
         """
-        x, ranked = _log_odds(score, state)
-        slope, offset = self._line(state, ranked)
+        seen = _seen(state, score)
+        x, kind = _log_odds(score, seen), seen.kind
+        slope, offset = self._line(state, kind)
         limit = np.log(self.max_odds)
         single = np.clip(slope * x + offset, -limit, limit)
-        lasting = LASTING_SHARE * single if ranked else x
+        lasting = LASTING_SHARE * single if kind == RANK else x
         return np.where(np.isnan(x), 0.0, single), np.where(np.isnan(x), 0.0, lasting)
 
-    def _line(self, state: ScoresSeen, ranked: bool) -> F8:
+    def _line(self, state: ScoresSeen, kind: int) -> F8:
         """(2,) a and b."""
-        if len(state.information) == 0 or ranked != state.ranked:
-            return self._prior(ranked)
-        line = np.linalg.solve(state.precision, state.information)
+        if state.line is None or kind != state.kind:
+            return self._prior(kind)
+        line = np.linalg.solve(state.line.precision, state.line.information)
         return np.array([max(line[0], 0.0), line[1]])
 
-    def _prior(self, ranked: bool) -> F8:
+    def _prior(self, kind: int) -> F8:
         """(2,) a and b of the prior."""
-        slope, even = RANKS if ranked else (self.slope, self.even_score)
+        if kind == LOGIT:
+            return np.array([1.0, 0.0])
+        slope, even = RANKS if kind == RANK else (self.slope, self.even_score)
         return np.array([slope, -slope * np.log(even / (1 - even))])
 
     def start(self) -> ScoresSeen:
@@ -133,41 +147,15 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
         other = self.other and self.other.advance(state.other, step)
         if not step.detections.observed:
             return replace(state, other=other)
-        boxes, score = step.detections.xyxy, step.detections.confidence
-        x, ranked = _log_odds(score, state)
-        before = following(state.boxes, boxes, LINKED)
-        length = np.append(state.length, 0)[before] + 1
-        waiting = np.vstack([state.waiting, np.full(LENGTH, np.nan)])[before]
-        waiting[np.arange(len(x)), np.minimum(length, LENGTH) - 1] = x
-        ended = np.ones(len(state.boxes), bool)
-        ended[before[before >= 0]] = False
-        long = length >= LENGTH
-        true, false = waiting[long], state.waiting[ended]
-        waiting[long] = np.nan
-        seen = np.append(state.scores, score)[-KEPT:]
-        if ranked != state.ranked:
-            state = replace(self.start(), ranked=ranked)
-        state = replace(state, scores=seen, boxes=boxes, waiting=waiting, length=length, other=other)
-        return self._learned(state, true[~np.isnan(true)], false[~np.isnan(false)])
-
-    def _learned(self, state: ScoresSeen, true: F8, false: F8) -> ScoresSeen:
-        """With the verdicts that the detections of these x (n,) were true and false."""
-        n = len(true) + len(false)
-        if n == 0:
-            return state
-        kept, prior = max(1 - n / KEPT, 0.0), np.diag(PRIOR_PRECISION)
-        start, information, precision = self._prior(state.ranked), state.information, state.precision
-        if len(information) == 0:
-            information, precision = prior @ start, prior
-        information = np.asarray(kept * information + (1 - kept) * prior @ start)
-        precision = kept * precision + (1 - kept) * prior
-        verdicts = kept * state.verdicts + (1 - kept) * PRIOR_VERDICTS + np.array([len(true), len(false)])
-        rows = np.stack([np.concatenate([true, false]), np.ones(n)])
-        line = np.linalg.solve(precision, information)
-        p = 1 / (1 + np.exp(-(line @ rows + np.log(verdicts[0] / verdicts[1]))))
-        curvature = (p * (1 - p) * rows) @ rows.T
-        information = information + curvature @ line + rows @ ((np.arange(n) < len(true)) - p)
-        return replace(state, verdicts=verdicts, precision=precision + curvature, information=information)
+        boxes, seen = step.detections.xyxy, _seen(state, step.detections.confidence)
+        x, before = _log_odds(step.detections.confidence, seen), state.line
+        waiting, length, true, false = chained(state.boxes, boxes, x, state.waiting, state.length, LINKED)
+        if seen.kind != state.kind:
+            waiting, before, true, false = np.full(waiting.shape, np.nan), None, true[:0], false[:0]
+        if len(true) + len(false):
+            prior = Line(PRIOR_PRECISION * self._prior(seen.kind), np.diag(PRIOR_PRECISION), PRIOR_VERDICTS)
+            before = newton(before or prior, true, false, prior, float(KEPT))
+        return replace(seen, boxes=boxes, waiting=waiting, length=length, line=before, other=other)
 
     def mode(self, state: ScoresSeen, name: str) -> ScoresSeen | None:
         """With the regime of this name, of what else is learned."""
@@ -175,19 +163,28 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
         return replace(state, other=other) if other else None
 
 
-def _log_odds(score: F8, state: ScoresSeen) -> tuple[F8, bool]:
-    """(n,) x of the scores (n,) of a frame, NaN where they say nothing; whether it is that of their ranks."""
-    seen = np.append(state.scores, score)
-    seen = seen[~np.isnan(seen)]
-    if len(seen) == 0:
-        return np.full(len(score), np.nan), state.ranked
-    low, high = seen.min(), seen.max()
-    ranked = state.ranked or low < 0 or high > 1
-    share = np.full(len(score), np.nan) if low == high else score
-    if ranked and low < high:
+def _seen(state: ScoresSeen, score: F8) -> ScoresSeen:
+    """The state after the scores (n,) of a frame were seen."""
+    known = score[~np.isnan(score)]
+    if len(known) == 0:
+        return state
+    extent = np.array([min(state.extent[0], known.min()), max(state.extent[1], known.max())])
+    return replace(state, extent=extent, scores=np.concatenate([state.scores, known])[-KEPT:])
+
+
+def _log_odds(score: F8, seen: ScoresSeen) -> F8:
+    """(n,) x of the scores (n,), of which ``seen`` knows, NaN where they say nothing."""
+    (low, high), kind = seen.extent, seen.kind
+    if low >= high:
+        return np.full(len(score), np.nan)
+    if kind == LOGIT:
+        return np.clip(score - EVEN_LOGIT, -BOUND, BOUND)
+    share = score
+    if kind == RANK:
         # The mean rank of equal scores; neither 0 nor 1.
-        seen = np.sort(seen)
-        below, up_to = (np.searchsorted(seen, score, side=side) for side in ("left", "right"))
-        share = np.where(np.isnan(score), np.nan, (below + up_to + 1) / (2 * len(seen) + 2))
-    share = np.clip(share, 1e-3, 1 - 1e-3)
-    return np.log(share) - np.log1p(-share), bool(ranked)
+        known = np.sort(seen.scores)
+        below, up_to = (np.searchsorted(known, score, side=side) for side in ("left", "right"))
+        share = np.where(np.isnan(score), np.nan, (below + up_to + 1) / (2 * len(known) + 2))
+    with np.errstate(divide="ignore"):
+        out: F8 = np.clip(np.log(share) - np.log1p(-share), -BOUND, BOUND)
+    return out

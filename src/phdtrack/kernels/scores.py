@@ -1,0 +1,88 @@
+"""Verdicts on detections that look at no score, and the logistic regression that they teach. See `models.scores`."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phdtrack.kernels.box import following
+from phdtrack.kernels.cache import njit
+from phdtrack.kernels.fast32 import ENTRY
+
+F8 = NDArray[np.float64]
+I8 = NDArray[np.int64]
+
+
+class Line(NamedTuple):
+    """A Gaussian over (a, b): ``precision`` (2, 2), times mean (2,), and how many verdicts (2,) were true and false."""
+
+    information: F8
+    precision: F8
+    verdicts: F8
+
+
+@njit(**ENTRY)
+def chained(before: F8, boxes: F8, x: F8, waiting: F8, length: I8, overlap: float) -> tuple[F8, I8, F8, F8]:
+    """The chains of detections after a frame, and its verdicts.
+
+    ``before`` (n, 4) are the boxes of the frame before, of whose chains ``waiting`` (n, L) are what waits, NaN where nothing
+    does, and ``length`` (n,) how long they are. ``boxes`` (m, 4) and ``x`` (m,) are of this frame. Back come both for its m
+    chains, and x of what was true, as its chain has lasted for L frames, and false, as it has ended before.
+    """
+    m, most = boxes.shape[0], waiting.shape[1]
+    link = following(before, boxes, overlap)
+    now, long = np.full((m, most), np.nan), np.ones(m, np.int64)
+    true, false = np.empty(m * most), np.empty(waiting.size)
+    t = f = 0 * m
+    ended = np.ones(before.shape[0], np.bool_)
+    for j in range(m):
+        i = link[j]
+        if i >= 0:
+            ended[i] = False
+            long[j] = length[i] + 1
+            now[j] = waiting[i]
+        now[j, (long[j] if long[j] < most else most) - 1] = x[j]
+        if long[j] >= most:
+            for k in range(most):
+                if not math.isnan(now[j, k]):
+                    true[t] = now[j, k]
+                    t += 1
+                now[j, k] = np.nan
+    for i in range(before.shape[0]):
+        if ended[i]:
+            for k in range(most):
+                if not math.isnan(waiting[i, k]):
+                    false[f] = waiting[i, k]
+                    f += 1
+    return now, long, true[:t].copy(), false[:f].copy()
+
+
+@njit(**ENTRY)
+def newton(before: Line, true: F8, false: F8, prior: Line, remembered: float) -> Line:
+    """The line after one step of Newton's method with the verdicts on detections with these x; old ones are forgotten."""
+    information, precision, verdicts = before
+    start, own, first = prior
+    n = true.size + false.size
+    kept = max(1 - n / remembered, 0.0)
+    information, precision = kept * information + (1 - kept) * start, kept * precision + (1 - kept) * own
+    verdicts = kept * verdicts + (1 - kept) * first
+    verdicts[0] += true.size
+    verdicts[1] += false.size
+    scale = precision[0, 0] * precision[1, 1] - precision[0, 1] * precision[0, 1]
+    a = (precision[1, 1] * information[0] - precision[0, 1] * information[1]) / scale
+    b = (precision[0, 0] * information[1] - precision[0, 1] * information[0]) / scale
+    offset = b + math.log(verdicts[0] / verdicts[1])
+    for k in range(n):
+        x, label = (true[k], 1.0) if k < true.size else (false[k - true.size], 0.0)
+        p = 1 / (1 + math.exp(-(a * x + offset)))
+        curve, miss = p * (1 - p), label - p
+        information[0] += curve * (a * x + b) * x + miss * x
+        information[1] += curve * (a * x + b) + miss
+        precision[0, 0] += curve * x * x
+        precision[0, 1] += curve * x
+        precision[1, 0] += curve * x
+        precision[1, 1] += curve
+    return Line(information, precision, verdicts)
