@@ -131,7 +131,7 @@ def test_verdicts_and_what_they_teach_are_as_defined(seed: int, count: int, leng
             np.testing.assert_array_equal(a, b)
         waiting, long, true, false = got
         wanted_line = plain_newton(line, true, false, prior, 50.0)
-        line = newton(line, true, false, prior, 50.0)
+        line = Line(*newton(line, true, false, prior, 50.0))
         for a, b in zip(line, wanted_line, strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9)
         before = now

@@ -75,7 +75,7 @@ from phdtrack.kernels.pmb import (
     predicted_layer,
     updated_layer,
 )
-from phdtrack.kernels.pmb_past import TRACE, earlier
+from phdtrack.kernels.pmb_past import TRACE, earlier, scaled
 from phdtrack.models.clutter import ScoredClutter
 from phdtrack.models.gaussian import SAME, Transform, expected, measurements, moved, new_targets
 from phdtrack.protocols import Filter, Model
@@ -121,9 +121,8 @@ class Bernoullis:
         weight = np.where(hypotheses["static"], 0.0, targets["r"][target] * hypotheses["weight"] * genuine)
         there = np.flatnonzero(weight > 0)
         mean = np.ascontiguousarray(means[there].T)
-        return GaussianMixture(
-            weight[there], mean, _scaled(self.present, there), targets["label"][target[there]], self.next_label
-        )
+        covariance = scaled(self.present.covariance, hypotheses, there)
+        return GaussianMixture(weight[there], mean, covariance, targets["label"][target[there]], self.next_label)
 
 
 @dataclass(frozen=True, slots=True)
@@ -312,16 +311,8 @@ class BestBernoullis(Checked):
         if len(left) < len(at):
             target, at, boxes, mean = target[left], at[left], boxes[left], np.ascontiguousarray(mean[:, left])
         weight, label = trace["presence"][target], layer.targets["label"][target]
-        return Estimates(mean, _scaled(layer, at), weight, boxes, layer.hypotheses["detection"][at], label, past)
-
-
-def _scaled(layer: Layer, at: I8) -> F8:
-    """(n, d, d) covariances of the hypotheses ``at`` (n,), with the noises that they have; sizes come last in a state."""
-    hypotheses, covariance = layer.hypotheses[at], layer.covariance[at]
-    if not (hypotheses["freedom"] > 0).any():
-        return covariance
-    root = np.sqrt([hypotheses["position_scale"]] * 4 + [hypotheses["size_scale"]] * (covariance.shape[1] - 4)).T
-    return root[:, :, None] * covariance * root[:, None, :]
+        covariance = scaled(layer.covariance, layer.hypotheses, at)
+        return Estimates(mean, covariance, weight, boxes, layer.hypotheses["detection"][at], label, past)
 
 
 def _best(layer: Layer) -> Records:

@@ -78,13 +78,16 @@ def following(before: F8, after: F8, overlap: float) -> I8:
 
 
 @njit(**ENTRY)
-def agreement(then: tuple[I8, F8, F8], between: tuple[I8, F8], now: tuple[I8, F8], ratio: float, before: F8) -> F8:
+def agreement(
+    then: tuple[I8, F8, F8], between: tuple[I8, F8], now: tuple[I8, F8], ratio: float, kept: float, before: F8
+) -> F8:
     """(2, 4) the sums ``before`` of `smooth.online`, with what the boxes of three frames add, those of one target each.
 
     ``then``: identities (n,), boxes seen and filtered (n, 4). The others: identities and boxes seen. ``ratio``: of their
-    intervals.
+    intervals; ``kept``: the share of all sums but the last that is remembered.
     """
     sums = before.copy()
+    sums[:, :3] *= kept
     name, seen, filtered = then
     name_between, seen_between = between
     name_now, seen_now = now
@@ -113,6 +116,18 @@ def agreement(then: tuple[I8, F8, F8], between: tuple[I8, F8], now: tuple[I8, F8
                 sums[part, 0] += weight * step * told
                 sums[part, 1] += weight * step * step
     return sums
+
+
+@njit(**ENTRY)
+def between(seen: F8, filtered: F8, centre: float, size: float) -> F8:
+    """(n, 4) boxes with these shares of the way from those ``seen`` to those ``filtered``, of centres and of sizes."""
+    out = np.empty(seen.shape)
+    for i in range(seen.shape[0]):
+        for axis in range(2):
+            low, high = filtered[i, axis] - seen[i, axis], filtered[i, 2 + axis] - seen[i, 2 + axis]
+            middle, half = centre * (low + high) / 2, size * (high - low) / 2
+            out[i, axis], out[i, 2 + axis] = seen[i, axis] + middle - half, seen[i, 2 + axis] + middle + half
+    return out
 
 
 @njit(**INNER)

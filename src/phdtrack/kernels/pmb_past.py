@@ -6,6 +6,8 @@ the states that the targets had, and a target that is sure today was there befor
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,7 @@ from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.gaussian import records
 
+F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
 Records = NDArray[np.void]
 
@@ -68,3 +71,17 @@ def earlier(
         if is_there != was_there or (is_there and (one.place != other.place or seen != was_seen)):
             return now, before, False
     return now, before, True
+
+
+@njit(**ENTRY)
+def scaled(covariance: F8, hypotheses: Records, at: I8) -> F8:
+    """(n, d, d) covariances of the hypotheses ``at`` (n,), with the noises that they have; sizes come last in a state."""
+    d = covariance.shape[1]
+    out, root = np.empty((at.size, d, d)), np.empty(d)
+    for k in range(at.size):
+        of = hypotheses[at[k]]
+        root[:4], root[4:] = math.sqrt(of.position_scale), math.sqrt(of.size_scale)
+        for a in range(d):
+            for b in range(d):
+                out[k, a, b] = root[a] * covariance[at[k], a, b] * root[b]
+    return out

@@ -61,7 +61,7 @@ def chained(before: F8, boxes: F8, x: F8, waiting: F8, length: I8, overlap: floa
 
 
 @njit(**ENTRY)
-def newton(before: Line, true: F8, false: F8, prior: Line, remembered: float) -> Line:
+def newton(before: Line, true: F8, false: F8, prior: Line, remembered: float) -> tuple[F8, F8, F8]:
     """The line after one step of Newton's method with the verdicts on detections with these x; old ones are forgotten."""
     information, precision, verdicts = before
     start, own, first = prior
@@ -85,4 +85,4 @@ def newton(before: Line, true: F8, false: F8, prior: Line, remembered: float) ->
         precision[0, 1] += curve * x
         precision[1, 0] += curve * x
         precision[1, 1] += curve
-    return Line(information, precision, verdicts)
+    return information, precision, verdicts

@@ -42,8 +42,9 @@ RANKS = (1.0, 0.45)
 # What a rank says of false alarms that last, as a share of what it says of others.
 LASTING_SHARE = 0.5
 # Scores are log odds where some are negative and none is above the first. A detector that reports negative ones reports more
-# than it believes: the second is what says nothing. The third: x is between minus and plus this.
-LARGEST_LOGIT, EVEN_LOGIT, BOUND = 25.0, 2.0, math.log(999)
+# than it believes: the second is what says nothing. The third: x is between minus and plus this,
+# as of probabilities from the last.
+LARGEST_LOGIT, EVEN_LOGIT, BOUND, LEAST = 25.0, 2.0, math.log(999), 0.001
 PROBABILITY, LOGIT, RANK = range(3)
 
 
@@ -53,8 +54,8 @@ class ScoresSeen:
 
     Attributes
     ----------
-    scores : (n,) the newest.
-    extent : (2,) the least and the greatest score that was ever seen.
+    scores : (n,) the newest of those that are ranked.
+    extent : the least and the greatest score that was ever seen.
     boxes : (m, 4) detections of the last frame.
     waiting : (m, `LENGTH`) x of the detections of their chains that wait for a verdict, NaN where there is none.
     length : (m,) frames that their chains have lasted.
@@ -62,7 +63,7 @@ class ScoresSeen:
     """
 
     scores: F8 = field(default_factory=lambda: np.zeros(0))
-    extent: F8 = field(default_factory=lambda: np.array([np.inf, -np.inf]))
+    extent: tuple[float, float] = (math.inf, -math.inf)
     boxes: F8 = field(default_factory=lambda: np.zeros((0, 4)))
     waiting: F8 = field(default_factory=lambda: np.zeros((0, LENGTH)))
     length: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -72,10 +73,7 @@ class ScoresSeen:
     @property
     def kind(self) -> int:
         """Whether scores are probabilities, log odds, or ranked."""
-        low, high = self.extent
-        if low >= 0 and high <= 1:
-            return PROBABILITY
-        return LOGIT if low < 0 and high <= LARGEST_LOGIT else RANK
+        return _kind(self.extent)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,27 +104,31 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
 
         Both (n,), and 0 for NaN and where all scores are the same.
         """
-        seen = _seen(state, score)
-        x, kind = _log_odds(score, seen), seen.kind
+        extent = _extent(state.extent, score)
+        kind, limit = _kind(extent), math.log(self.max_odds)
+        x = _log_odds(score, extent, _ranked(state, score) if kind == RANK else score)
         slope, offset = self._line(state, kind)
-        limit = np.log(self.max_odds)
         single = np.clip(slope * x + offset, -limit, limit)
         lasting = LASTING_SHARE * single if kind == RANK else x
-        return np.where(np.isnan(x), 0.0, single), np.where(np.isnan(x), 0.0, lasting)
+        nothing = np.isnan(x)
+        if nothing.any():
+            return np.where(nothing, 0.0, single), np.where(nothing, 0.0, lasting)
+        return single, lasting
 
-    def _line(self, state: ScoresSeen, kind: int) -> F8:
-        """(2,) a and b."""
+    def _line(self, state: ScoresSeen, kind: int) -> tuple[float, float]:
+        """a and b."""
         if state.line is None or kind != state.kind:
             return self._prior(kind)
-        line = np.linalg.solve(state.line.precision, state.line.information)
-        return np.array([max(line[0], 0.0), line[1]])
+        (p, q), (_, r) = state.line.precision.tolist()
+        first, second = state.line.information.tolist()
+        return max((r * first - q * second) / (p * r - q * q), 0.0), (p * second - q * first) / (p * r - q * q)
 
-    def _prior(self, kind: int) -> F8:
-        """(2,) a and b of the prior."""
+    def _prior(self, kind: int) -> tuple[float, float]:
+        """a and b of the prior."""
         if kind == LOGIT:
-            return np.array([1.0, 0.0])
+            return 1.0, 0.0
         slope, even = RANKS if kind == RANK else (self.slope, self.even_score)
-        return np.array([slope, -slope * np.log(even / (1 - even))])
+        return slope, -slope * math.log(even / (1 - even))
 
     def start(self) -> ScoresSeen:
         """No score seen."""
@@ -147,15 +149,18 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
         other = self.other and self.other.advance(state.other, step)
         if not step.detections.observed:
             return replace(state, other=other)
-        boxes, seen = step.detections.xyxy, _seen(state, step.detections.confidence)
-        x, before = _log_odds(step.detections.confidence, seen), state.line
+        boxes, score, line = step.detections.xyxy, step.detections.confidence, state.line
+        extent = _extent(state.extent, score)
+        kind = _kind(extent)
+        scores = _ranked(state, score) if kind == RANK else state.scores
+        x = _log_odds(score, extent, scores)
         waiting, length, true, false = chained(state.boxes, boxes, x, state.waiting, state.length, LINKED)
-        if seen.kind != state.kind:
-            waiting, before, true, false = np.full(waiting.shape, np.nan), None, true[:0], false[:0]
+        if kind != state.kind:
+            waiting, line, true, false = np.full(waiting.shape, np.nan), None, true[:0], false[:0]
         if len(true) + len(false):
-            prior = Line(PRIOR_PRECISION * self._prior(seen.kind), np.diag(PRIOR_PRECISION), PRIOR_VERDICTS)
-            before = newton(before or prior, true, false, prior, float(KEPT))
-        return replace(seen, boxes=boxes, waiting=waiting, length=length, line=before, other=other)
+            prior = Line(PRIOR_PRECISION * self._prior(kind), np.diag(PRIOR_PRECISION), PRIOR_VERDICTS)
+            line = Line(*newton(tuple(line or prior), true, false, tuple(prior), float(KEPT)))
+        return ScoresSeen(scores, extent, boxes, waiting, length, line, other)
 
     def mode(self, state: ScoresSeen, name: str) -> ScoresSeen | None:
         """With the regime of this name, of what else is learned."""
@@ -163,28 +168,42 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
         return replace(state, other=other) if other else None
 
 
-def _seen(state: ScoresSeen, score: F8) -> ScoresSeen:
-    """The state after the scores (n,) of a frame were seen."""
-    known = score[~np.isnan(score)]
-    if len(known) == 0:
-        return state
-    extent = np.array([min(state.extent[0], known.min()), max(state.extent[1], known.max())])
-    return replace(state, extent=extent, scores=np.concatenate([state.scores, known])[-KEPT:])
+def _extent(before: tuple[float, float], score: F8) -> tuple[float, float]:
+    """The least and the greatest score, with those (n,) of a frame."""
+    if len(score) == 0:
+        return before
+    low, high = float(score.min()), float(score.max())
+    if math.isnan(low):
+        known = score[~np.isnan(score)]
+        return _extent(before, known)
+    return min(before[0], low), max(before[1], high)
 
 
-def _log_odds(score: F8, seen: ScoresSeen) -> F8:
-    """(n,) x of the scores (n,), of which ``seen`` knows, NaN where they say nothing."""
-    (low, high), kind = seen.extent, seen.kind
-    if low >= high:
+def _kind(extent: tuple[float, float]) -> int:
+    """Whether scores between these two are probabilities, log odds, or ranked."""
+    low, high = extent
+    if low >= 0 and high <= 1:
+        return PROBABILITY
+    return LOGIT if low < 0 and high <= LARGEST_LOGIT else RANK
+
+
+def _ranked(state: ScoresSeen, score: F8) -> F8:
+    """The newest scores, with those (n,) of a frame."""
+    return np.concatenate([state.scores, score[~np.isnan(score)]])[-KEPT:]
+
+
+def _log_odds(score: F8, extent: tuple[float, float], known: F8) -> F8:
+    """(n,) x of the scores (n,), by their rank among those ``known``; NaN where they say nothing."""
+    kind = _kind(extent)
+    if extent[0] >= extent[1]:
         return np.full(len(score), np.nan)
     if kind == LOGIT:
         return np.clip(score - EVEN_LOGIT, -BOUND, BOUND)
     share = score
     if kind == RANK:
         # The mean rank of equal scores; neither 0 nor 1.
-        known = np.sort(seen.scores)
+        known = np.sort(known)
         below, up_to = (np.searchsorted(known, score, side=side) for side in ("left", "right"))
         share = np.where(np.isnan(score), np.nan, (below + up_to + 1) / (2 * len(known) + 2))
-    with np.errstate(divide="ignore"):
-        out: F8 = np.clip(np.log(share) - np.log1p(-share), -BOUND, BOUND)
-    return out
+    share = np.clip(share, LEAST, 1 - LEAST)
+    return np.asarray(np.log(share / (1 - share)))

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from phdtrack.kernels.box import agreement
+from phdtrack.kernels.box import agreement, between
 from phdtrack.types import F8, I8, Detections, Tracks
 
 # The share before anything is seen, as if from so many sides of boxes; the most that it may be: beyond 1 is the prediction.
@@ -52,12 +52,9 @@ class ShareState:
     sums: F8 = field(default_factory=lambda: np.zeros((2, 4)))
 
     @property
-    def share(self) -> F8:
-        """(2,) a of centres and of sizes."""
-        product, square, count, _ = self.sums.T
-        slope = product / np.maximum(square, 1e-12)
-        share: F8 = np.clip((count * slope + PRIOR_WEIGHT * PRIOR) / (count + PRIOR_WEIGHT), 0.0, MOST)
-        return share
+    def share(self) -> tuple[float, float]:
+        """a of centres and of sizes."""
+        return _share(self.sums)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,39 +69,38 @@ class DetectionShare:
         self, state: ShareState, tracks: Tracks, detections: Detections, number: int, time: float
     ) -> tuple[ShareState, Tracks]:
         """The state and the rows with the boxes that are shown; rows name a detection by its place in their frame."""
-        return self.shown(replace(state, waiting=(*state.waiting, (number, time, detections.xyxy))), tracks)
+        return self.shown(ShareState((*state.waiting, (number, time, detections.xyxy)), state.last, state.sums), tracks)
 
     def shown(self, state: ShareState, tracks: Tracks) -> tuple[ShareState, Tracks]:
         """The state after these rows, all of frames that it waits for, and the rows with the boxes that are shown."""
         if len(tracks) == 0:
             return state, tracks
-        xyxy, until = tracks.xyxy.copy(), int(tracks.frame[-1])
+        last, sums, xyxy, until = state.last, state.sums, tracks.xyxy.copy(), int(tracks.frame[-1])
+        detected = tracks.detection >= 0
         for number, time, boxes in state.waiting:
-            rows = np.flatnonzero((tracks.frame == number) & (tracks.detection >= 0))
-            if number > until or len(rows) == 0:
-                continue
-            now = Shown(time, tracks.identity[rows], boxes[tracks.detection[rows]], xyxy[rows])
-            state = _learned(state, now)
-            xyxy[rows] = _between(now, state.share)
+            rows = np.flatnonzero(detected & (tracks.frame == number))
+            if number <= until and len(rows):
+                now = Shown(time, tracks.identity[rows], boxes[tracks.detection[rows]], xyxy[rows])
+                sums = _learned(sums, *last, now)
+                last, xyxy[rows] = (last[1], now), between(now.seen, now.filtered, *_share(sums))
         waiting = tuple(frame for frame in state.waiting if frame[0] > until)
-        return replace(state, waiting=waiting), replace(tracks, xyxy=xyxy)
+        return ShareState(waiting, last, sums), replace(tracks, xyxy=xyxy)
 
 
-def _learned(state: ShareState, now: Shown) -> ShareState:
-    """With what a further frame says of the rows two frames ago."""
-    first, second = state.last
-    sums = state.sums
-    if len(first.identity):
-        ratio = (second.time - first.time) / (now.time - second.time)
-        kept = np.maximum(1 - 2 * len(now.identity) / KEPT, 0.0)
-        then, between = (first.identity, first.seen, first.filtered), (second.identity, second.seen)
-        sums = agreement(then, between, (now.identity, now.seen), ratio, sums * np.array([kept, kept, kept, 1.0]))
-    return replace(state, last=(second, now), sums=sums)
+def _share(sums: F8) -> tuple[float, float]:
+    """a of centres and of sizes."""
+    out = []
+    for product, square, count, _ in sums.tolist():
+        slope = product / max(square, 1e-12)
+        out.append(min(max((count * slope + PRIOR_WEIGHT * PRIOR) / (count + PRIOR_WEIGHT), 0.0), MOST))
+    return out[0], out[1]
 
 
-def _between(rows: Shown, share: F8) -> F8:
-    """(n, 4) the boxes that are shown."""
-    step = rows.filtered - rows.seen
-    centre, half = (step[:, :2] + step[:, 2:]) * share[0] / 2, (step[:, 2:] - step[:, :2]) * share[1] / 2
-    out: F8 = rows.seen + np.hstack([centre - half, centre + half])
+def _learned(sums: F8, first: Shown, second: Shown, now: Shown) -> F8:
+    """The sums with what a further frame says of the rows two frames ago."""
+    if len(first.identity) == 0:
+        return sums
+    ratio, kept = (second.time - first.time) / (now.time - second.time), max(1 - 2 * len(now.identity) / KEPT, 0.0)
+    then, between = (first.identity, first.seen, first.filtered), (second.identity, second.seen)
+    out: F8 = agreement(then, between, (now.identity, now.seen), ratio, kept, sums)
     return out
