@@ -93,3 +93,30 @@ def test_frames_without_any_box_count_where_seqinfo_names_them(truth: Path) -> N
 @pytest.mark.parametrize("iou", [0, -1, 1.5, "nan"])
 def test_impossible_threshold(truth: Path, iou: object) -> None:
     assert "iou" in refused("evaluate", "--truth", truth, "--tracks", truth, "--iou", iou, "--json")
+
+
+def test_errors_by_cause(truth: Path) -> None:
+    """The second walker is missed, detected in half of the frames; a false track stands in the corner."""
+    rows = [line.split(",") for line in truth.read_text().split()]
+    tracks, seen = truth.with_name("tracks.txt"), truth.with_name("seen.txt")
+    corner = [f"{k},77,300,200,9,9,1,-1,-1,-1" for k in range(1, 6)]
+    tracks.write_text("\n".join([",".join(row) for row in rows if row[1] == "1"] + corner))
+    seen.write_text("\n".join(f"{row[0]},-1,{','.join(row[2:6])},1" for row in rows if int(row[0]) <= 20))
+    asked = ("evaluate", "--truth", truth, "--tracks", tracks, "--errors", "--detections", seen)
+    found = phdtrack(*asked, "--json").object
+    errors = found["errors"]
+    assert errors["misses"]["undetected"] == {"never": 20, "head": 0, "gap": 0, "tail": 0}
+    assert errors["misses"]["unused"]["never"] == 20
+    assert errors["false_positives"] == {"loose": 0, "ghost": 0, "duplicate": 0, "clutter": 5}
+    assert (found["misses"], found["false_positives"]) == (40, 5)
+    assert errors["worst_objects"][0]["end"] == "never followed"
+    lines = [line.split() for line in phdtrack(*asked).out.splitlines()]
+    assert ["undetected", "20", "0", "0", "0", "20"] in lines
+    assert ["all", "40", "0", "0", "0", "40"] in lines
+    assert ["0", "0", "0", "5", "5"] in lines
+    assert ["2", "40", "40", "20", "20", "40", "0", "0", "0", "0", "never", "followed"] in lines
+    assert ["77", "5", "5", "0", "0", "0", "5", "0", "never", "followed"] in lines
+    assert "errors" not in phdtrack(*asked[:5], "--json").object
+    brief = phdtrack(*asked, "--worst", 0).out
+    assert "Misses by cause" in brief
+    assert "never followed" not in brief

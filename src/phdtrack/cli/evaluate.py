@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -11,24 +12,36 @@ import typer
 from phdtrack.cli import options as given
 from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, number
-from phdtrack.formats import find_seqinfo, read_tracks, read_truth
-from phdtrack.metrics import Scores, rmse_per_target, tgospa_boxes
+from phdtrack.formats import find_seqinfo, read_detections, read_tracks, read_truth
+from phdtrack.metrics import Errors, Scores, explain, rmse_per_target, tgospa_boxes
 from phdtrack.metrics import evaluate as score
+from phdtrack.metrics.errors import ENDS, FALSE, PLACES
 from phdtrack.report.pages import score_meanings
-from phdtrack.types import Tracks, Truth
+from phdtrack.types import I8, Tracks, Truth
 
 # The scores that a table shows, in its order: keys of `Scores.as_dict`.
 SHOWN = """
 MODA N_MODA MODP MOTA MOTA_log MOTP IDF1 HOTA OSPA GOSPA OSPA2 SFDA ATA id_switches misses false_positives fragments
 false_tracks delay_mean frames
 """
+ErrorCauses = Annotated[bool, typer.Option("--errors", help="Misses and false boxes by cause, and the worst tracks.")]
 BY_TRAJECTORY = ("TGOSPA", "TGOSPA_localisation", "TGOSPA_missed", "TGOSPA_false", "TGOSPA_switching")
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorOptions:
+    """What is told of errors."""
+
+    errors: ErrorCauses = False
+    detections: Annotated[Path | None, option("FILE", "For --errors: what the tracker was given.")] = None
+    worst: Annotated[int, option("N", "For --errors: how many objects and tracks are named.", min=0)] = 5
 
 
 def evaluate(
     truth: Annotated[Path, option("FILE", "Annotated objects: MOTChallenge gt.txt, CSV, XML.")],
     tracks: Annotated[Path, option("FILE", "Tracks to score: MOTChallenge or CSV.")],
     output: Output,
+    asked: ErrorOptions,
     iou: given.Iou = 0.5,
     frames: Annotated[int, option("N", "Number of frames; 0: as seqinfo.ini or the last box says.", min=0)] = 0,
     t_gospa: Annotated[bool, typer.Option("--t-gospa", help="T-GOSPA too: seconds to minutes on long sequences.")] = False,
@@ -36,8 +49,8 @@ def evaluate(
 ) -> None:
     """Score tracks against annotated objects.
 
-    A row of the truth that the benchmark ignores is ignored here; every row of the tracks counts. With --json a score
-    whose denominator is empty is null.
+    A row of the truth that the benchmark ignores is ignored here; every row of the tracks counts. --errors says why boxes
+    are missed or false. With --json a score whose denominator is empty is null.
     """
     annotated, found = read_truth(truth), read_tracks(tracks)
     known = None if frames else find_seqinfo(truth)
@@ -56,6 +69,11 @@ def evaluate(
         document |= whole
     if rmse:
         document["RMSE"] = located_errors(output, annotated, found, rmse)
+    if asked.errors:
+        detections = None if asked.detections is None else read_detections(asked.detections)
+        errors = explain(annotated, found, detections, frames=scores.frames, iou=iou)
+        error_tables(output, errors, asked.worst)
+        document["errors"] = errors.as_dict(asked.worst)
     output.document(document)
 
 
@@ -68,6 +86,35 @@ def _table(out: Output, columns: Mapping[str, Mapping[str, float | None]], names
     meanings = score_meanings()
     rows = [[key, *(number(column[key]) for column in columns.values()), meanings[key]] for key in names]
     out.table(["", *columns, ""], rows, words=(0, len(columns) + 1))
+
+
+def error_tables(out: Output, errors: Errors, worst: int) -> None:
+    """Misses by cause and place, false boxes by cause, and the ``worst`` objects and tracks."""
+    table = errors.misses.sum(axis=0)[: len(errors.causes)]
+    rows = [[cause, *map(str, row), str(sum(row))] for cause, row in zip(errors.causes, table.tolist(), strict=True)]
+    out.say("", "Misses by cause, and by place in the object's life:")
+    out.table(["", *PLACES, "all"], [*rows, ["all", *map(str, table.sum(axis=0).tolist()), str(table.sum())]])
+    false = errors.false.sum(axis=0)
+    out.say("", f"False boxes by cause (ignored, counted as nothing: {errors.ignored}):")
+    out.table([*FALSE, "all"], [[*map(str, false.tolist()), str(false.sum())]], words=())
+    if len(chosen := errors.worst_objects(worst)):
+        out.say("", "Objects with most misses, and why each was mapped no more after the last frame in which it was:")
+        by_cause, places = errors.misses.sum(axis=2)[:, : len(errors.causes)], errors.misses.sum(axis=1)
+        columns = errors.objects, errors.boxes, places.sum(axis=1), *by_cause.T, *places.T, errors.last
+        head = ["object", "boxes", "misses", *errors.causes, *PLACES, "last", "why"]
+        out.table(head, _named(columns, errors.end, chosen), words=(0, len(head) - 1))
+    if len(chosen := errors.worst_tracks(worst)):
+        out.say(
+            "", "Tracks with most false boxes, and why each was on its object no more after the last frame in which it was:"
+        )
+        columns = errors.tracks, errors.shown, errors.false.sum(axis=1), *errors.false.T, errors.last_shown
+        head = ["track", "boxes", "false", *FALSE, "last", "why"]
+        out.table(head, _named(columns, errors.end_shown, chosen), words=(0, len(head) - 1))
+
+
+def _named(columns: Sequence[I8], end: I8, chosen: I8) -> list[list[str]]:
+    """The rows ``chosen`` of the columns, and why each ended."""
+    return [[*(str(column[i]) for column in columns), ENDS[end[i]]] for i in chosen.tolist()]
 
 
 def located_errors(out: Output, truth: Truth, tracks: Tracks, gate: float) -> object:

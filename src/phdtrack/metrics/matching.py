@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -61,12 +61,17 @@ def cheapest(cost: F8) -> tuple[I8, I8]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FramePair:
-    """One frame: ``truth`` (n,) and ``output`` (m,) indices of identities, ``iou`` (n, m) between their boxes."""
+    """One frame: ``truth`` (n,) and ``output`` (m,) indices of identities, ``iou`` (n, m) between their boxes.
+
+    ``truth_row`` (n,) and ``output_row`` (m,) are the rows that were given.
+    """
 
     number: int
     truth: I8
     output: I8
     iou: F8
+    truth_row: I8
+    output_row: I8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,12 +83,14 @@ class Scene:
     pairs : the F frames that hold a box on at least one side, ascending.
     frames : the number of frames of the sequence, empty ones included.
     truth_identity, output_identity : (G,), (O,) the identities behind the indices; O counts what distractors left over.
+    ignored : the number of output boxes that were removed.
     """
 
     pairs: tuple[FramePair, ...]
     frames: int
     truth_identity: I8
     output_identity: I8
+    ignored: int
 
     @property
     def boxes(self) -> I8:
@@ -120,11 +127,11 @@ def build(truth: Truth, tracks: Tracks, frames: int = 0) -> Scene:
     none = np.zeros(0, np.int64)
     names_t, names_o = (np.unique(np.concatenate([none, *ids])) for ids in ([p.truth for p in raw], [p.output for p in raw]))
     pairs = (
-        FramePair(p.number, np.searchsorted(names_t, p.truth), np.searchsorted(names_o, p.output), p.iou)
+        replace(p, truth=np.searchsorted(names_t, p.truth), output=np.searchsorted(names_o, p.output))
         for p in raw
         if len(p.truth) or len(p.output)
     )
-    return Scene(tuple(pairs), last, names_t, names_o)
+    return Scene(tuple(pairs), last, names_t, names_o, len(rows_o) - sum(len(p.output) for p in raw))
 
 
 def _check(rows: Truth | Tracks, counted: Bool, name: str) -> None:
@@ -167,7 +174,8 @@ def _frame(truth: Truth, tracks: Tracks, t: I8, o: I8, number: int) -> FramePair
     if not counts.all():
         rows, columns = assign(above(overlap, _DISTRACTOR_IOU))
         left[columns[~counts[rows]]] = False
-    return FramePair(number, truth.identity[t[counts]], tracks.identity[o[left]], overlap[np.ix_(counts, left)])
+    t, o, overlap = t[counts], o[left], overlap[np.ix_(counts, left)]
+    return FramePair(number, truth.identity[t], tracks.identity[o], overlap, t, o)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
