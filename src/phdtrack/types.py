@@ -135,12 +135,16 @@ class Truth:
     """Annotated objects: ``frame`` (M,) from 1, ``identity`` (M,), ``xyxy`` (M, 4) pixels.
 
     ``distractor`` (M,) marks rows that do not count, and whose matched output does not count either (MOT16 and later).
+    Output that matches no row does not count where more than half of it lies in one of ``regions`` (R, 5): frame (0: all),
+    left, top, right, bottom; nor where it is at most ``least_height`` pixels high, if that is above 0 (KITTI).
     """
 
     frame: I8
     identity: I8
     xyxy: F8
     distractor: Bool
+    regions: F8 = field(default_factory=lambda: np.zeros((0, 5)))
+    least_height: float = 0.0
 
     def __len__(self) -> int:
         return len(self.frame)

@@ -95,6 +95,25 @@ def test_impossible_threshold(truth: Path, iou: object) -> None:
     assert "iou" in refused("evaluate", "--truth", truth, "--tracks", truth, "--iou", iou, "--json")
 
 
+def test_what_does_not_count(truth: Path) -> None:
+    """A false track in a corner that is ignored, or in a DontCare region of KITTI's label file."""
+    tracks, listed, labels = (truth.with_name(name) for name in ("tracks.txt", "ignore.csv", "labels.txt"))
+    corner = [f"{k},77,300,200,9,9,1,-1,-1,-1" for k in range(1, 6)]
+    tracks.write_text("\n".join([truth.read_text().strip(), *corner]))
+    listed.write_text("frame,x,y,w,h\n,290,190,30,30\n")
+    asked = ("evaluate", "--tracks", tracks, "--json", "--truth")
+    assert phdtrack(*asked, truth).object["false_positives"] == 5
+    assert phdtrack(*asked, truth, "--ignore", listed, "--errors").object["errors"]["ignored"] == 5
+    rows = [[float(cell) for cell in line.split(",")[:6]] for line in truth.read_text().split()]
+    lines = [f"{k - 1:.0f} {i:.0f} Car 0 0 0 {x} {y} {x + w} {y + h} 1 1 1 0 0 0 0" for k, i, x, y, w, h in rows]
+    lines += [f"{k} -1 DontCare -1 -1 -10 290 190 320 220 1 1 1 0 0 0 0" for k in range(4)]
+    labels.write_text("\n".join(lines))
+    found = phdtrack(*asked, labels, "--kitti", "Car").object
+    # Boxes of up to 25 pixels are not looked at, and the walkers are higher.
+    assert (found["misses"], found["false_positives"]) == (0, 0)
+    assert "--kitti" in refused(*asked, labels)
+
+
 def test_errors_by_cause(truth: Path) -> None:
     """The second walker is missed, detected in half of the frames; a false track stands in the corner."""
     rows = [line.split(",") for line in truth.read_text().split()]

@@ -12,7 +12,7 @@ import typer
 from phdtrack.cli import options as given
 from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, number
-from phdtrack.formats import find_seqinfo, read_detections, read_tracks, read_truth
+from phdtrack.formats import find_seqinfo, ignoring, read_detections, read_tracks, read_truth
 from phdtrack.metrics import Errors, Scores, explain, rmse_per_target, tgospa_boxes
 from phdtrack.metrics import evaluate as score
 from phdtrack.metrics.errors import ENDS, FALSE, PLACES
@@ -29,8 +29,11 @@ BY_TRAJECTORY = ("TGOSPA", "TGOSPA_localisation", "TGOSPA_missed", "TGOSPA_false
 
 
 @dataclass(frozen=True, slots=True)
-class ErrorOptions:
-    """What is told of errors."""
+class EvaluateOptions:
+    """What does not count, and what is told of errors."""
+
+    ignore: Annotated[Path | None, option("FILE", "Regions that do not count: CSV frame,x,y,w,h; no frame: all.")] = None
+    kitti: Annotated[str, option("TYPE", "Type that is scored of KITTI label files, as Car.")] = ""
 
     errors: ErrorCauses = False
     detections: Annotated[Path | None, option("FILE", "For --errors: what the tracker was given.")] = None
@@ -41,7 +44,7 @@ def evaluate(
     truth: Annotated[Path, option("FILE", "Annotated objects: MOTChallenge gt.txt, CSV, XML.")],
     tracks: Annotated[Path, option("FILE", "Tracks to score: MOTChallenge or CSV.")],
     output: Output,
-    asked: ErrorOptions,
+    asked: EvaluateOptions,
     iou: given.Iou = 0.5,
     frames: Annotated[int, option("N", "Number of frames; 0: as seqinfo.ini or the last box says.", min=0)] = 0,
     t_gospa: Annotated[bool, typer.Option("--t-gospa", help="T-GOSPA too: seconds to minutes on long sequences.")] = False,
@@ -52,7 +55,8 @@ def evaluate(
     A row of the truth that the benchmark ignores is ignored here; every row of the tracks counts. --errors says why boxes
     are missed or false. With --json a score whose denominator is empty is null.
     """
-    annotated, found = read_truth(truth), read_tracks(tracks)
+    annotated, found = read_truth(truth, kitti=asked.kitti), read_tracks(tracks, kitti=asked.kitti)
+    annotated = annotated if asked.ignore is None else ignoring(annotated, asked.ignore)
     known = None if frames else find_seqinfo(truth)
     if known is not None:
         frames = max(known.frames, int(max([*annotated.frame, *found.frame], default=0)))

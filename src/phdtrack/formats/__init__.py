@@ -1,8 +1,9 @@
-"""Files of detections, truth, tracks and states: MOTChallenge, CSV, Parquet, COCO JSON, CVML (CAVIAR, PETS); seqinfo.ini."""
+"""Files of detections, truth, tracks, states: MOTChallenge, KITTI, CSV, Parquet, COCO JSON, CVML (CAVIAR); seqinfo.ini."""
 
 from phdtrack.formats.columns import Warps, WarpsWriter, read_warps
-from phdtrack.formats.read import read_detections, read_tracks, read_truth
+from phdtrack.formats.read import read_detections, read_tracks
 from phdtrack.formats.seqinfo import find_seqinfo, read_seqinfo
+from phdtrack.formats.truth import ignoring, read_truth
 from phdtrack.formats.write import (
     DetectionsWriter,
     StatesWriter,
@@ -19,6 +20,7 @@ __all__ = [
     "Warps",
     "WarpsWriter",
     "find_seqinfo",
+    "ignoring",
     "read_detections",
     "read_seqinfo",
     "read_tracks",

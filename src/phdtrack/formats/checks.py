@@ -79,3 +79,8 @@ def repeated(*columns: F8 | I8) -> I8:
     before = np.full(len(order), -1)
     before[order[1:][same]] = order[:-1][same]
     return before
+
+
+def flag(values: F8, name: str) -> Rule:
+    """The fault of a value that is neither 0 nor 1."""
+    return Rule((values != 0) & (values != 1), f"expected 0 or 1 for {name}, came {{:.15g}}", values)

@@ -24,8 +24,8 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.formats.checks import Origin
-from phdtrack.formats.text import normalise, numbers, scan
-from phdtrack.types import F8
+from phdtrack.formats.text import Text, normalise, numbers
+from phdtrack.types import F8, I8, Bool
 
 
 class Column(Enum):
@@ -40,6 +40,7 @@ class Column(Enum):
     CLASS = 0.0, "class", "class_id", "category_id", "category", "cls"
     MOT_CLASS = -1.0, "MOT class"
     DISTRACTOR = 0.0, "distractor", "ignore", "ignored"
+    REGION = 0.0, "region", "ignored_region"
     DETECTION = -1.0, "detection", "detection_index"
     CONFIRMED = 1.0, "confirmed", "is_confirmed"
     LEFT = None, "left", "bb_left", "bbox_left", "xmin", "x_min", "x1"
@@ -61,7 +62,8 @@ class Kind(Enum):
     """What a file is read as, and the columns that are read beside the box."""
 
     DETECTIONS = Column.FRAME, Column.CONFIDENCE, Column.CLASS
-    TRUTH = Column.FRAME, Column.IDENTITY, Column.CONFIDENCE, Column.MOT_CLASS, Column.DISTRACTOR
+    TRUTH = Column.FRAME, Column.IDENTITY, Column.CONFIDENCE, Column.MOT_CLASS, Column.DISTRACTOR, Column.REGION
+    IGNORED = Column.FRAME, Column.IDENTITY
     TRACKS = Column.FRAME, Column.IDENTITY, Column.CONFIDENCE, Column.DETECTION, Column.CONFIRMED
 
 
@@ -105,6 +107,12 @@ class Table:
             return self.values[column]
         return np.full(len(self.origin.number), 0.0 if column.default is None else column.default)
 
+    def take(self, index: I8 | Bool) -> Table:
+        """The rows ``index``."""
+        origin = Origin(self.origin.path, self.origin.unit, self.origin.number[index])
+        values = {column: value[index] for column, value in self.values.items()}
+        return Table(origin, self.first, values, self.triangle[index])
+
     def xyxy(self) -> F8:
         """(M, 4) the boxes, pixels."""
         form = next((form for form in _BOXES if all(column in self.values for column in form)), LTWH)
@@ -115,9 +123,8 @@ class Table:
             return box if form is _CORNERS else np.hstack([box[:, :2], box[:, :2] + box[:, 2:]])
 
 
-def table_of_text(source: Source) -> Table:
+def table_of_text(source: Source, text: Text) -> Table:
     """The boxes in a text table; `InputError` where a column or a number is missing or wrong."""
-    text = scan(source.path, source.content)
     if len(text) and not text.header and text.width < 6:
         problem = f"expected at least 6 columns (frame, id, left, top, width, height), came {text.width}"
         cure = "Give the columns in this order, or name them in a header line."

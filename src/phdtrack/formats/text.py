@@ -65,7 +65,7 @@ def scan(path: Path, content: bytes) -> Text:
         return Text(Origin(path, "line", number), [])
     delimiter = next((d for d in ";\t," if d in lines[0]), None)
     first = _split(lines[0], delimiter)
-    named = not any(_is_number(cell) for cell in first)
+    named = not any(is_number(cell) for cell in first)
     header = tuple(normalise(cell) for cell in first) if named else ()
     return Text(Origin(path, "line", number[named:]), lines[named:], delimiter, _filled(first), header)
 
@@ -132,7 +132,7 @@ def _parse(text: Text, row: int, columns: Mapping[int, str]) -> list[float]:
             cure="A line cut short is what an interrupted program leaves: mend or remove it.",
         )
     for column, label in columns.items():
-        if not _is_number(cells[column]):
+        if not is_number(cells[column]):
             came = f"'{cells[column][:40]}'" if cells[column] else "nothing"
             raise InputError(
                 f"expected a number for the {label} (column {column + 1}), came {came}",
@@ -154,7 +154,8 @@ def _filled(cells: Sequence[str]) -> int:
     return next((i for i in range(len(cells), 0, -1) if cells[i - 1]), 0)
 
 
-def _is_number(cell: str) -> bool:
+def is_number(cell: str) -> bool:
+    """Whether a value is a number as other programs write it."""
     try:
         float(cell)
     except ValueError:

@@ -2,8 +2,9 @@
 
 First both sides are checked, and distractors are taken out as MOTChallenge does it since MOT16: in each frame all annotated
 boxes, distractors included, are matched with the output for the largest total overlap among pairs at IoU ≥ 0.5; output boxes
-that fall to a distractor are removed, then the distractors. Rows are ordered by frame, then box, so that no score depends on
-the order of rows, even where two assignments tie.
+that fall to a distractor are removed, then the distractors. Of output that fell to nothing is removed what lies in ignored
+regions by more than half of its area, and what is lower than a benchmark looks at, as in KITTI. Rows are ordered by frame,
+then box, so that no score depends on the order of rows, even where two assignments tie.
 
 Notation: n annotated and m output boxes in a frame; G annotated and O output identities in the sequence, known by index.
 """
@@ -16,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phdtrack.arrays import iou
+from phdtrack.arrays import area, intersection, iou
 from phdtrack.errors import InputError
 from phdtrack.types import F8, I8, Bool, Tracks, Truth
 
@@ -167,13 +168,19 @@ def _ordered(rows: Truth | Tracks, last: int) -> I8:
 
 
 def _frame(truth: Truth, tracks: Tracks, t: I8, o: I8, number: int) -> FramePair:
-    """A frame without its distractors and the output that falls to them; with identities in place of their indices."""
+    """A frame without its distractors and the output that does not count; with identities in place of their indices."""
     overlap = iou(truth.xyxy[t], tracks.xyxy[o])
     counts = ~truth.distractor[t]
     left = np.ones(len(o), np.bool_)
-    if not counts.all():
+    here = truth.regions[np.isin(truth.regions[:, 0], (0, number)), 1:]
+    if not counts.all() or len(here) or truth.least_height:
         rows, columns = assign(above(overlap, _DISTRACTOR_IOU))
         left[columns[~counts[rows]]] = False
+        boxes, free = tracks.xyxy[o], np.ones(len(o), np.bool_)
+        free[columns] = False
+        low = boxes[:, 3] - boxes[:, 1] <= truth.least_height + ROUNDING
+        inside = intersection(boxes, here).max(axis=1, initial=0.0) > (0.5 + ROUNDING) * area(boxes)
+        left &= ~(free & (inside | (low & (truth.least_height > 0))))
     t, o, overlap = t[counts], o[left], overlap[np.ix_(counts, left)]
     return FramePair(number, truth.identity[t], tracks.identity[o], overlap, t, o)
 
