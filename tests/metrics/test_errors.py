@@ -95,6 +95,8 @@ def test_misses_without_detections_have_one_cause():
 
 LOOSE = [0, 24, 20, 64]  # shares 16 of 64 pixels of height with HERE
 
+BESIDE = [0, 25, 20, 65]
+
 
 @pytest.mark.parametrize(
     ("cause", "truth", "tracks", "seen"),
@@ -106,6 +108,8 @@ LOOSE = [0, 24, 20, 64]  # shares 16 of 64 pixels of height with HERE
         ("duplicate", life(1, HERE, 1, 2), life(9, HERE, 1, 2) + life(8, HERE, 2), [(2, HERE)]),
         ("duplicate", life(1, HERE, 1, 2), life(9, HERE, 1, 2) + life(8, LOOSE, 2), [(2, HERE)]),
         ("clutter", life(1, HERE, 1), life(9, HERE, 1) + life(8, FAR, 1), [(1, FAR)]),
+        # Beside an object that has its own track.
+        ("clutter", life(1, HERE, 1, 2), life(9, HERE, 1, 2) + life(8, BESIDE, 2), [(2, BESIDE)]),
         # Never on an object: it follows clutter where nothing is detected, too.
         ("clutter", life(1, HERE, 1), life(9, HERE, 1) + life(8, FAR, 1), []),
         # Was on an object once, and follows a false alarm now.

@@ -12,8 +12,8 @@ A false box is the first of
 
 * loose: the true box that it overlaps most, by .1 or more, is mapped to no track. The threshold was not reached;
 * ghost: its track is mapped in another frame, and nothing is detected here: shown where its object had been, or bridged;
-* duplicate: it overlaps a true box by .1 or more, which then is mapped to another track;
-* clutter: all others, tracks that follow false alarms.
+* duplicate: it overlaps a true box by half of the threshold or more, which then is mapped to another track;
+* clutter: all others. The track follows false alarms, or an object that nobody annotated.
 
 Without detections the first cause of misses holds all of them, and a ghost must overlap no true box by .1.
 
@@ -33,7 +33,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.arrays import iou as overlaps
-from phdtrack.metrics.matching import Scene, above, build, check_threshold, tracking_mapping
+from phdtrack.metrics.matching import ROUNDING, Scene, above, build, check_threshold, tracking_mapping
 from phdtrack.types import F8, I8, Bool, DetectionTable, Tracks, Truth
 
 CAUSES, PLACES = ("undetected", "unused"), ("never", "head", "gap", "tail")
@@ -188,7 +188,8 @@ def explain(
     wrong = shown.partner < 0
     who, near = shown.who[wrong], shown.best[wrong] >= _NEAR
     ghost = (last_shown[who] > 0) & ~(shown.detected[wrong] if given else near)
-    cause = np.select([near & ~shown.rival[wrong], ghost, near], [0, 1, 2], 3)
+    twice = shown.best[wrong] >= iou / 2 - ROUNDING
+    cause = np.select([near & ~shown.rival[wrong], ghost, twice], [0, 1, 2], 3)
     false = np.zeros((outputs, len(FALSE)), np.int64)
     np.add.at(false, (who, cause), 1)
 
