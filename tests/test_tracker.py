@@ -56,6 +56,43 @@ def test_all_forms_of_boxes_give_the_same_tracks(form: str):
     assert set(plain.tracks().identity) == {1, 2}
 
 
+FLAT, REVERSED = [50, 60, 50, 90], [300, 60, 290, 90]
+
+
+@KINDS
+def test_boxes_without_size_are_left_out_counted_and_said_once(kind: str, caplog):
+    """The rows are those of a tracker that is not given such boxes, and count detections as they were given."""
+    made = {"seed": 2, "filter": PARTICLES if kind == "particle-phd" else {"kind": kind}}
+    plain, other = tracker_of(**made), tracker_of(**made)
+    for k in range(12):
+        found = boxes(k)
+        more = np.array([FLAT, found[0], REVERSED, found[1]]) if k % 3 == 1 else found
+        mine, yours = plain.update(found), other.update(more)
+        assert np.array_equal(mine.xyxy, yours.xyxy)
+        if k == 7:
+            again = tracker_of(**made)
+            again.load_state_dict(other.state_dict())
+            other = again
+    assert other.empty == 8
+    assert plain.empty == 0
+    assert [record.getMessage() for record in caplog.records if record.name == "phdtrack.tracker"] == [
+        "frame 2: boxes whose width or height is not above 0 are left out (2 here)"
+    ]
+    one, two = plain.tracks(), other.tracks()
+    moved = one.frame % 3 == 2
+    assert moved.sum() == 8
+    assert np.array_equal(np.where(moved, 2 * one.detection + 1, one.detection), two.detection)
+    assert equal(replace(one, detection=two.detection), two)
+    other.reset()
+    assert other.empty == 0
+
+
+def test_a_frame_of_boxes_without_size_has_no_detections():
+    tracker = tracker_of()
+    assert len(tracker.update([FLAT, FLAT])) == 0
+    assert (tracker.empty, len(tracker.step.detections)) == (2, 0)
+
+
 @pytest.mark.parametrize(("bad", "says"), [
     ([[1, 2, np.nan, 4]], "not finite"),
     ([1, 2, 3, 4], "shape"),

@@ -10,6 +10,7 @@ corrected = tracker.tracks()
 from __future__ import annotations
 
 import importlib
+import logging
 import math
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
@@ -20,15 +21,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from phdtrack import config, pipeline
-from phdtrack.detect.convert import as_detections
+from phdtrack.detect.convert import as_detections, with_size
 from phdtrack.errors import InputError
 from phdtrack.models.warp import as_warp
 from phdtrack.protocols import AnyStages
-from phdtrack.types import STILL, Detections, SequenceInfo, Step, Tracks
+from phdtrack.types import I8, STILL, Detections, SequenceInfo, Step, Tracks
 
 if TYPE_CHECKING:
     from phdtrack.scene.rates import Rates
 
+_LOG = logging.getLogger(__name__)
+# Of so many frames with boxes that were left out it is remembered which; a loop may be endless.
+_MOST_KEPT = 100_000
 # Of a saved state: it changes when a record of the state does.
 FORMAT = 13
 
@@ -90,6 +94,8 @@ class Tracker:
         self._rng = np.random.default_rng(self.seed)
         self._state = pipeline.start(self.stages, self._rng)
         self._step: Step | None = None
+        # Boxes of width or height 0 that were left out, and the rows that stayed of frames that had any.
+        self._empty, self._kept = 0, dict[int, I8]()
 
     def update(
         self,
@@ -104,7 +110,8 @@ class Tracker:
         ----------
         detections : (N, 4…6) array of left, top, right, bottom[, confidence[, class]] in pixels, or an object with
             ``.xyxy`` (and ``.confidence``, ``.class_id``); empty for a frame in which nothing was detected;
-            `Detections.empty(observed=False)` for a frame without detection.
+            `Detections.empty(observed=False)` for a frame without detection. Boxes whose width or height is not above 0 are
+            left out and counted in `empty`.
         frame : its number from 1; default one more than the last. Numbers left out are frames that were dropped.
         timestamp : its time in seconds; default from the number and ``fps``.
         warp : how the camera moved since the last update: the (3, 3) homography, or (2, 3) affine map, that takes pixels of
@@ -126,21 +133,44 @@ class Tracker:
         if timestamp is not None:
             time = _number(timestamp, f"frame {number}, update(timestamp=…)")
         found = as_detections(detections, where=f"frame {number}")
+        kept = with_size(found)
+        left_out = len(found) - len(kept)
         moved = STILL if warp is None else as_warp(warp, f"frame {number}, update(warp=…)")
         if len(moved):
             from phdtrack.models.scene import refuse_standing
 
             refuse_standing(self.stages.model)
-        self._state, self._step = pipeline.advance(self.stages, self._state, found, number, time, self._rng, moved)
-        return self._step.tracks
+        given = found.take(kept) if left_out else found
+        self._state, self._step = pipeline.advance(self.stages, self._state, given, number, time, self._rng, moved)
+        if left_out:
+            if not self._empty:
+                _LOG.warning("frame %d: boxes whose width or height is not above 0 are left out (%d here)", number, left_out)
+            self._empty += left_out
+            self._kept[number] = kept
+            if len(self._kept) > _MOST_KEPT:
+                del self._kept[next(iter(self._kept))]
+        return self._as_given(self._step.tracks)
+
+    def _as_given(self, rows: Tracks) -> Tracks:
+        """The rows with the detections counted as they were given, left out ones too."""
+        detection = rows.detection.copy()
+        for number in self._kept.keys() & set(rows.frame.tolist()) if self._kept else ():
+            at = (rows.frame == number) & (detection >= 0)
+            detection[at] = self._kept[number][detection[at]]
+        return replace(rows, detection=detection) if self._kept else rows
+
+    @property
+    def empty(self) -> int:
+        """How many boxes were left out because their width or height was not above 0."""
+        return self._empty
 
     def flush(self) -> Tracks:
         """The online rows that the output delay holds back; none without a delay."""
-        return pipeline.flush(self.stages, self._state)
+        return self._as_given(pipeline.flush(self.stages, self._state))
 
     def tracks(self) -> Tracks:
         """The corrected tracks of everything so far: short ones left out, gaps bridged, identities of their own."""
-        return pipeline.finish(self.stages, self._state)
+        return self._as_given(pipeline.finish(self.stages, self._state))
 
     def mode(self, name: str) -> None:
         """Say which mode the scene is in from now on, as ``day`` or ``night``: what is learned and used is that mode's.
@@ -168,7 +198,7 @@ class Tracker:
 
     @property
     def step(self) -> Step | None:
-        """Everything the last update brought: detections, info, states, rows, times. None before the first."""
+        """Everything the last update brought: detections but those left out, info, states, rows, times. None at first."""
         return self._step
 
     @property
@@ -179,7 +209,8 @@ class Tracker:
     def state_dict(self) -> dict[str, Any]:
         """Everything that decides what comes next, as plain dictionaries, lists, numbers and arrays (it can be pickled)."""
         dim, random = self.stages.model.motion.dim, self._rng.bit_generator.state
-        return {"format": FORMAT, "dim": dim, "state": pack(self._state), "random": random}
+        left_out = pack((self._empty, self._kept))
+        return {"format": FORMAT, "dim": dim, "state": pack(self._state), "random": random, "left_out": left_out}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Go on from a `state_dict` of a tracker with the same settings.
@@ -197,6 +228,7 @@ class Tracker:
         try:
             dim, state, rng = saved["dim"], unpack(saved["state"]), np.random.default_rng(self.seed)
             rng.bit_generator.state = saved["random"]
+            empty, kept = unpack(saved.get("left_out", [0, pack({})]))
             if not isinstance(state, pipeline.TrackingState):
                 raise TypeError(f"expected a TrackingState, got a {type(state).__name__}")
         except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -207,7 +239,7 @@ class Tracker:
                 where="load_state_dict",
                 cure="Load it into a tracker with the settings of the one that it is from",
             )
-        self._state, self._rng, self._step = state, rng, None
+        self._state, self._rng, self._step, self._empty, self._kept = state, rng, None, empty, kept
 
 
 def pack(value: Any) -> Any:

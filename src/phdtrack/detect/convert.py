@@ -14,7 +14,7 @@ import numpy as np
 
 from phdtrack.arrays import share_inside
 from phdtrack.errors import InputError
-from phdtrack.types import F8, Detections, DetectionTable, SequenceInfo
+from phdtrack.types import F8, I8, Detections, DetectionTable, SequenceInfo
 
 _COLUMNS = "boxes as (N, 4) left, top, right, bottom; (N, 5) with confidence; (N, 6) with confidence and class"
 _LARGEST_CLASS = 2.0**53
@@ -25,7 +25,7 @@ def as_detections(obj: object, *, where: str = "") -> Detections:
 
     Raises
     ------
-    InputError : another shape, values that are not finite numbers, boxes without width or height; it names the row.
+    InputError : another shape, values that are not finite numbers; it names the row.
     """
     if isinstance(obj, Detections):
         return _checked(obj, where)
@@ -50,6 +50,11 @@ def as_detections(obj: object, *, where: str = "") -> Detections:
         row = int(np.argmin(whole))
         raise InputError(f"row {row} (from 0): the class must be a whole number, not {label[row]:g}", where=where)
     return _checked(Detections.of(table[:, :4] if n else [], score, label.astype(np.int64)), where)
+
+
+def with_size(found: Detections) -> I8:
+    """(k,) rows of the boxes with a width and a height above 0; detectors give others now and then, which say nothing."""
+    return np.flatnonzero((found.xyxy[:, 2:] > found.xyxy[:, :2]).all(axis=1))
 
 
 def within_frame(table: DetectionTable, info: SequenceInfo, path: Path) -> tuple[DetectionTable, tuple[str, ...]]:
@@ -113,16 +118,11 @@ def _checked(found: Detections, where: str) -> Detections:
         got = f"{shapes[0]}, {shapes[1]} and {shapes[2]}"
         raise InputError(f"expected xyxy (N, 4), confidence (N,) and class_id (N,), got {got}", where=where)
     finite = np.isfinite(xyxy).all(axis=1) & np.isfinite(found.confidence)
-    sized = (xyxy[:, 2] > xyxy[:, 0]) & (xyxy[:, 3] > xyxy[:, 1])
-    if not (finite & sized).all():
-        row = int(np.argmin(finite if not finite.all() else sized))
+    if not finite.all():
+        row = int(np.argmin(finite))
         box = "[" + ", ".join(f"{value:g}" for value in xyxy[row]) + "]"
-        problem = f"row {row} (from 0), box {box}, has no width or height"
-        cure = "Boxes are left, top, right, bottom with left < right and top < bottom; convert from x, y, width, height."
-        if not finite.all():
-            problem = f"row {row} (from 0) is not finite: box {box}, confidence {found.confidence[row]:g}"
-            cure = "Leave out boxes that the detector could not compute."
-        raise InputError(problem, where=where, cure=cure)
+        problem = f"row {row} (from 0) is not finite: box {box}, confidence {found.confidence[row]:g}"
+        raise InputError(problem, where=where, cure="Leave out boxes that the detector could not compute.")
     if cov is not None and (cov.shape != (n, 4, 4) or not np.isfinite(cov).all()):
         raise InputError(f"expected a finite covariance of shape {(n, 4, 4)}, got {cov.shape}", where=where)
     return found
