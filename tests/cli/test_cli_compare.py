@@ -16,6 +16,7 @@ import pytest
 from cli_runner import phdtrack, refused, walkers
 
 from phdtrack.compare import runs
+from phdtrack.metrics.errors import SUMS
 from phdtrack.scene import LearnedDensity, Scene, uniform_density, write_scene
 
 FILES = {"report.html", "compare.csv", "runs.csv", "compare.json"}
@@ -52,6 +53,11 @@ def test_a_comparison_leaves_tables_report_pictures_and_every_run(folder: Path, 
         kept = json.loads((out / row["folder"] / "run.json").read_text())
         assert float(row["MOTA"]) == pytest.approx(kept["scores"]["MOTA"], rel=1e-6)
         assert (out / row["folder"] / "tracks.csv").is_file()
+    for row in runs:
+        causes = [sum(float(row[name]) for name in SUMS if name.startswith(start)) for start in ("miss_", "false_")]
+        # Once by cause, once by place.
+        assert causes == [2 * float(row["misses"]), float(row["false_positives"])]
+    assert "Errors by cause:" in said.out
     pair = [float(row["MOTA"]) for row in runs if row["clutter"] == "4" and row["filter"] == "none"]
     assert float(cells[3]["MOTA"]) == pytest.approx(sum(pair) / 2, rel=1e-6)
     assert cells[0]["MOTA_half"] == cells[0]["MOTA_ahead"] == ""
@@ -59,6 +65,7 @@ def test_a_comparison_leaves_tables_report_pictures_and_every_run(folder: Path, 
     page = (out / "report.html").read_text()
     # Six scores over clutter and, at each rate, by sequence.
     assert page.count("<img") == 3 * 6 + len(list((out / "worst").glob("*.png")))
+    assert "Errors by cause" in page
     assert "http" not in page.split("</head>")[1]
 
 

@@ -168,6 +168,9 @@ def finish(
     if apart := [row for row in comparing.widest(found.rows) if row.ahead]:
         out.say("", f"Difference to {comparison.plan.methods[0].name}, seed by seed:")
         out.table(*found.table(apart, ahead=True), words=(0, 1, 3))
+    if (errors := found.errors()).rows:
+        out.say("", "Errors by cause:")
+        out.table(*errors, words=(0, 1, 3))
     done = lines("comparison_done.txt", comparison=comparison, seconds=begun.seconds, plan=found.described())
     out.say("", *done, *found.sentences(), *notes, "", *directory.listing())
     if frames:

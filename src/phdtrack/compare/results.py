@@ -6,7 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,6 +15,7 @@ import numpy as np
 from phdtrack.compare.failures import WorstFrame
 from phdtrack.compare.runs import Comparison, Failed
 from phdtrack.compare.statistics import OTHERS, SCORES, UNKNOWN, Row, summary, values_of, widest
+from phdtrack.metrics.errors import SUMS
 from phdtrack.report.charts import Picture, jpeg, score_chart
 from phdtrack.report.pages import flattened, lines, render, score_meanings, write_text
 from phdtrack.report.record import About
@@ -22,7 +23,7 @@ from phdtrack.types import F8
 
 _SHOWN = ("MODA", "MOTA", "IDF1", "HOTA", "id_switches", "ms")
 _COUNTS = "id_switches misses false_positives fragments false_tracks mostly_tracked mostly_lost tracks"
-_DIGITS = {"ms": 2, "boxes_per_frame": 2, "delay_mean": 1} | dict.fromkeys(_COUNTS.split(), 1)
+_DIGITS = {"ms": 2, "boxes_per_frame": 2, "delay_mean": 1} | dict.fromkeys((*_COUNTS.split(), *SUMS), 1)
 
 
 class Table(NamedTuple):
@@ -47,6 +48,11 @@ class Results:
         known = {name for row in rows for name in row.scores}
         names = tuple(name for name in wanted or (_SHOWN if "MOTA" in known else OTHERS) if name in known)
         return cls(comparison, rows, names or OTHERS)
+
+    def errors(self) -> Table:
+        """The numbers of misses and false boxes by cause, where there is truth."""
+        rows = [row for row in self.rows if "MOTA" in row.scores]
+        return replace(self, names=SUMS).table(rows)
 
     def table(self, rows: Iterable[Row], *, ahead: bool = False) -> Table:
         """A line for each row, ``ahead`` with the differences to the first method; cells as in the line before are empty."""
@@ -130,6 +136,7 @@ class Results:
             charts=list(self._charts()),
             each=self.table(row for row in rows if row.cases == 1),
             differences=self.table((row for row in rows if row.ahead), ahead=True),
+            errors=self.errors(),
             frames=[(jpeg(frame.image), frame.caption) for frame in frames],
             settings=flattened(settings | more),
             seeds=len(plan.seeds),

@@ -38,7 +38,7 @@ from phdtrack.detect.convert import within_frame
 from phdtrack.errors import InputError, interrupted
 from phdtrack.files import json_value
 from phdtrack.formats import DetectionsWriter, read_detections, read_truth, write_tracks
-from phdtrack.metrics import Scores
+from phdtrack.metrics import Scores, explain
 from phdtrack.metrics.counts import Counts, count
 from phdtrack.metrics.matching import build
 from phdtrack.metrics.scores import scores_of
@@ -77,6 +77,7 @@ class RunResult:
     counts : the sums behind the scores; None without truth.
     iou : the overlap that made a match in them.
     warning : what a user should know; empty where there is nothing.
+    errors : number of errors by cause, by `metrics.errors.SUMS`; {} without truth.
     """
 
     frames: int
@@ -88,6 +89,7 @@ class RunResult:
     counts: Counts | None
     iou: float
     warning: str
+    errors: Mapping[str, int]
 
     @property
     def scores(self) -> Scores | None:
@@ -276,13 +278,14 @@ def _track(run: Run, iou: float, kept: Path, folder: Path) -> dict[str, object]:
     """Track, score, and write the tracks into the folder; ``kept`` as in `run_input`."""
     given = run_input(run, kept)
     tracks, drawn, seconds = tracked(run, given)
-    counts, frames = None, given.info.frames
+    counts, errors, frames = None, dict[str, int](), given.info.frames
     if given.truth is not None:
         if not frames:
             raise InputError("no frame was read, and there is nothing to score", where=run.case.name)
         counts = count(build(given.truth, tracks, frames), iou)
+        errors = explain(given.truth, tracks, given.table, frames=frames, iou=iou).sums()
     numbers = (frames, len(given.table), len(np.unique(tracks.identity)), len(tracks))
-    result = RunResult(*numbers, drawn, seconds, counts, iou, given.warning)
+    result = RunResult(*numbers, drawn, seconds, counts, iou, given.warning, errors)
     scores = {} if result.scores is None else result.scores.as_dict()
     write_tracks(folder / TRACKS, tracks)
     return {"run": str(run), "scores": scores, "configuration": run.method.settings.as_dict(), "outcome": result}

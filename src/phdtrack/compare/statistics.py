@@ -14,9 +14,10 @@ from phdtrack.compare.plans import Case, Run
 from phdtrack.compare.runs import Comparison, Failed, RunResult
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.metrics import Scores, pool
+from phdtrack.metrics.errors import SUMS
 
 LEVEL = 0.95
-SCORES = tuple(entry.name for entry in fields(Scores) if entry.repr)
+SCORES = (*(entry.name for entry in fields(Scores) if entry.repr), *SUMS)
 # What there is without truth too.
 OTHERS = ("tracks", "boxes_per_frame", "ms")
 POOLED = "all"
@@ -143,6 +144,7 @@ def values_of(parts: Sequence[RunResult]) -> dict[str, float]:
     scores = [part.scores for part in parts if part.scores is not None]
     if scores:
         out = {name: float(value) for name, value in pool(scores).as_dict().items() if value is not None}
+        out |= {name: sum(part.errors.get(name, 0) for part in parts) for name in SUMS}
     out["tracks"] = sum(part.tracks for part in parts)
     if frames:
         out["boxes_per_frame"] = sum(part.rows for part in parts) / frames

@@ -46,6 +46,8 @@ ENDS = (
     "ended while detected",
     "ended before its object",
 )
+# The names of the sums in `Errors.sums`.
+SUMS = (*(f"miss_{name}" for name in (*CAUSES, *PLACES)), *(f"false_{name}" for name in FALSE))
 # Boxes that overlap less have nothing to do with each other.
 _NEAR = 0.1
 
@@ -83,6 +85,12 @@ class Errors:
     def causes(self) -> tuple[str, ...]:
         """The names of the causes of misses that can be told apart."""
         return CAUSES if self.detected else ("not tracked",)
+
+    def sums(self) -> dict[str, int]:
+        """The numbers of misses by cause and by place, and of false boxes, by `SUMS`."""
+        misses = self.misses.sum(axis=0)
+        numbers = np.concatenate([misses.sum(axis=1), misses.sum(axis=0), self.false.sum(axis=0)])
+        return dict(zip(SUMS, numbers.tolist(), strict=True))
 
     def worst_objects(self, number: int) -> I8:
         """Indices of the objects with most misses, of ``number`` at most."""
