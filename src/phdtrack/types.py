@@ -14,6 +14,7 @@ Conventions, stated once:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -281,6 +282,7 @@ class UpdateInfo:
     vanished : number of detections with κ + C = 0, whose term is 0 by definition.
     cardinality : probabilities of 0, 1, 2, … targets after the update; (0,) from filters that carry none.
     chain : how well the chain of an MCMC filter moved; None from other filters.
+    detected : ∫ p_D D⁺, the number of detections of targets that was expected; NaN from filters that do not say.
     """
 
     mass_predicted: float
@@ -291,6 +293,13 @@ class UpdateInfo:
     vanished: int = 0
     cardinality: F8 = field(default_factory=lambda: np.zeros(0))
     chain: ChainInfo | None = None
+    detected: float = math.nan
+
+    @property
+    def log_evidence(self) -> float:
+        """Σ log(κ + C) − ∫ p_D D⁺, without terms of 0: of a PHD filter log p(Z) of the frame, but for ∫ κ."""
+        total = self.clutter + self.evidence
+        return float(np.log(total[total > 0]).sum()) - self.detected
 
     @property
     def clutter_probability(self) -> F8:

@@ -57,14 +57,15 @@ def test_a_comparison_leaves_tables_report_pictures_and_every_run(folder: Path, 
         causes = [sum(float(row[name]) for name in SUMS if name.startswith(start)) for start in ("miss_", "false_")]
         # Once by cause, once by place.
         assert causes == [2 * float(row["misses"]), float(row["false_positives"])]
+        assert (row["log_evidence"] != "") == (row["filter"] == "gm-phd")
     assert "Errors by cause:" in said.out
     pair = [float(row["MOTA"]) for row in runs if row["clutter"] == "4" and row["filter"] == "none"]
     assert float(cells[3]["MOTA"]) == pytest.approx(sum(pair) / 2, rel=1e-6)
     assert cells[0]["MOTA_half"] == cells[0]["MOTA_ahead"] == ""
     assert float(cells[3]["MOTA_ahead"]) == pytest.approx(float(cells[3]["MOTA"]) - float(cells[2]["MOTA"]), rel=1e-6)
     page = (out / "report.html").read_text()
-    # Six scores over clutter and, at each rate, by sequence.
-    assert page.count("<img") == 3 * 6 + len(list((out / "worst").glob("*.png")))
+    # Seven scores over clutter and, at each rate, by sequence.
+    assert page.count("<img") == 3 * 7 + len(list((out / "worst").glob("*.png")))
     assert "Errors by cause" in page
     assert "http" not in page.split("</head>")[1]
 

@@ -13,6 +13,7 @@ from report_runs import run_record
 
 from phdtrack.cli.evaluate import BY_TRAJECTORY
 from phdtrack.metrics import evaluate
+from phdtrack.metrics.errors import SUMS
 from phdtrack.report import About, Recorder, report_html
 from phdtrack.report.pages import score_meanings
 from phdtrack.types import SequenceInfo, Tracks, Truth
@@ -146,15 +147,25 @@ def test_a_filter_without_mass_or_judgement_has_a_report() -> None:
     record = run_record(4, 1)
     record.mass[:] = np.nan
     record.clutter_mass[:] = np.nan
+    record.log_evidence[:] = np.nan
     source = report_html(record, {})
     Page(source)
     assert "none of them judged a false alarm" in source
     assert "nan" not in re.sub(r'src="[^"]*"', "", source)
 
 
+def test_the_evidence_has_a_chart_where_there_is_any() -> None:
+    record = run_record(4, 1)
+    assert "log evidence" not in report_html(record, {})
+    record.log_evidence[:] = [-3, -2, np.nan, -1]
+    assert "log evidence of each frame, -2.0 on average" in report_html(record, {})
+
+
 def test_every_score_says_what_it_means() -> None:
     nobody = Truth(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)), np.zeros(0, np.bool_))
-    assert {*evaluate(nobody, Tracks.empty()).as_dict(), *BY_TRAJECTORY, "ms"} == set(score_meanings())
+    assert {*evaluate(nobody, Tracks.empty()).as_dict(), *BY_TRAJECTORY, *SUMS, "log_evidence", "ms"} == set(
+        score_meanings()
+    )
 
 
 FRAMES, PEOPLE = 20, 3

@@ -1,11 +1,12 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from report_runs import run_record
+from report_runs import run_record, step
 
 from phdtrack.errors import InputError
 from phdtrack.files import json_value
@@ -16,6 +17,7 @@ from phdtrack.types import SequenceInfo, Tracks
 KEYS = """
 command title summary versions seed started seconds source frames frames_per_second stages tracks track_rows predicted_rows
 detections expected_false_alarms expected_count_mean scores warnings notes configuration frames_left_out chain
+log_evidence_mean log_evidence
 """
 
 
@@ -34,6 +36,18 @@ def test_keys_and_values() -> None:
     assert stages["filter"] == pytest.approx({"mean": 4.0, "median": 4.0, "p95": 4.0, "share": 0.4})
     assert document["configuration"] == {"filter": {"name": "gm"}}
     assert document["source"] == {"name": "walk", "width": 160, "height": 120, "fps": 10.0}
+
+
+def test_the_evidence_of_every_frame_is_kept() -> None:
+    """Σ log(κ + C) − ∫ p_D D⁺; null where a filter does not say."""
+    recorder = Recorder(SequenceInfo(160, 120, 10.0))
+    for number, detected in ((1, 1.5), (2, np.nan), (3, 0.5)):
+        one = step(number, np.array([[0, 0, 9, 9.0], [20, 20, 30, 40]]))
+        info = replace(one.info, evidence=np.array([0.5, 2.0]), clutter=np.array([0.5, 1.0]), detected=detected)
+        recorder.add(None, replace(one, info=info), None, 0.0)
+    document = run_document(recorder.record(Tracks.empty(), About()), {})
+    assert document["log_evidence"] == [pytest.approx(np.log(3) - 1.5), None, pytest.approx(np.log(3) - 0.5)]
+    assert document["log_evidence_mean"] == pytest.approx(np.log(3) - 1)
 
 
 def test_an_empty_run_is_valid_json(tmp_path: Path) -> None:

@@ -21,9 +21,9 @@ from phdtrack.report.pages import flattened, lines, render, score_meanings, writ
 from phdtrack.report.record import About
 from phdtrack.types import F8
 
-_SHOWN = ("MODA", "MOTA", "IDF1", "HOTA", "id_switches", "ms")
+_SHOWN = ("MODA", "MOTA", "IDF1", "HOTA", "id_switches", "log_evidence", "ms")
 _COUNTS = "id_switches misses false_positives fragments false_tracks mostly_tracked mostly_lost tracks"
-_DIGITS = {"ms": 2, "boxes_per_frame": 2, "delay_mean": 1} | dict.fromkeys((*_COUNTS.split(), *SUMS), 1)
+_DIGITS = {"ms": 2, "boxes_per_frame": 2, "log_evidence": 1, "delay_mean": 1} | dict.fromkeys((*_COUNTS.split(), *SUMS), 1)
 
 
 class Table(NamedTuple):

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import multiprocessing
 import os
 import shutil
@@ -43,6 +44,7 @@ from phdtrack.metrics.counts import Counts, count
 from phdtrack.metrics.matching import build
 from phdtrack.metrics.scores import scores_of
 from phdtrack.report.pages import write_run, write_text
+from phdtrack.report.record import known_mean
 from phdtrack.simulate import add_clutter
 from phdtrack.types import F8, I8, DetectionTable, SequenceInfo, Tracks, Truth
 from phdtrack.video import open_source
@@ -78,6 +80,7 @@ class RunResult:
     iou : the overlap that made a match in them.
     warning : what a user should know; empty where there is nothing.
     errors : number of errors by cause, by `metrics.errors.SUMS`; {} without truth.
+    log_evidence : of the filter, mean over the frames; None where it has none.
     """
 
     frames: int
@@ -90,6 +93,7 @@ class RunResult:
     iou: float
     warning: str
     errors: Mapping[str, int]
+    log_evidence: float | None
 
     @property
     def scores(self) -> Scores | None:
@@ -277,7 +281,7 @@ def _tracking(run: Run, iou: float, folder: Path) -> _Piece:
 def _track(run: Run, iou: float, kept: Path, folder: Path) -> dict[str, object]:
     """Track, score, and write the tracks into the folder; ``kept`` as in `run_input`."""
     given = run_input(run, kept)
-    tracks, drawn, seconds = tracked(run, given)
+    tracks, drawn, seconds, evidence = tracked(run, given)
     counts, errors, frames = None, dict[str, int](), given.info.frames
     if given.truth is not None:
         if not frames:
@@ -285,7 +289,7 @@ def _track(run: Run, iou: float, kept: Path, folder: Path) -> dict[str, object]:
         counts = count(build(given.truth, tracks, frames), iou)
         errors = explain(given.truth, tracks, given.table, frames=frames, iou=iou).sums()
     numbers = (frames, len(given.table), len(np.unique(tracks.identity)), len(tracks))
-    result = RunResult(*numbers, drawn, seconds, counts, iou, given.warning, errors)
+    result = RunResult(*numbers, drawn, seconds, counts, iou, given.warning, errors, evidence)
     scores = {} if result.scores is None else result.scores.as_dict()
     write_tracks(folder / TRACKS, tracks)
     return {"run": str(run), "scores": scores, "configuration": run.method.settings.as_dict(), "outcome": result}
@@ -327,20 +331,22 @@ def run_input(run: Run, kept: Path) -> RunInput:
     return RunInput(info, table, numbers, times, truth, "; ".join(filter(None, warnings)))
 
 
-def tracked(run: Run, given: RunInput) -> tuple[Tracks, bool, float]:
-    """Corrected tracks, whether anything was drawn at random, and the median of the seconds per frame."""
+def tracked(run: Run, given: RunInput) -> tuple[Tracks, bool, float, float | None]:
+    """Corrected tracks, whether anything was drawn at random, the median of the seconds per frame, mean log evidence."""
     detector = run.case.detections if run.case.file is None else ""
     stages = config.build(config.for_detector(run.method.settings, detector), given.info)
     rng = np.random.default_rng(run.seed)
-    state, seconds = pipeline.start(stages, rng), list[float]()
+    state, seconds, evidence = pipeline.start(stages, rng), list[float](), list[float]()
     for number, moment in zip(given.numbers.tolist(), given.times.tolist(), strict=True):
         state, step = pipeline.advance(stages, state, given.table.at(number), number, moment, rng)
         seconds.append(sum(step.seconds))
+        evidence.append(step.info.log_evidence)
     tracks = pipeline.finish(stages, state)
     # What a generator has drawn moves its state on; what it has spawned it counts.
     used, fresh = rng.bit_generator, np.random.default_rng(run.seed).bit_generator
     drawn = used.state != fresh.state or getattr(used.seed_seq, "n_children_spawned", 0) > 0
-    return tracks, drawn, float(np.median(seconds)) if seconds else 0.0
+    mean = known_mean(np.array(evidence))
+    return tracks, drawn, float(np.median(seconds)) if seconds else 0.0, mean if math.isfinite(mean) else None
 
 
 def outcomes(work: Sequence[Callable[[], T]], jobs: int) -> Iterator[tuple[int, T | Failed]]:

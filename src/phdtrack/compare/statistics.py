@@ -19,7 +19,7 @@ from phdtrack.metrics.errors import SUMS
 LEVEL = 0.95
 SCORES = (*(entry.name for entry in fields(Scores) if entry.repr), *SUMS)
 # What there is without truth too.
-OTHERS = ("tracks", "boxes_per_frame", "ms")
+OTHERS = ("tracks", "boxes_per_frame", "log_evidence", "ms")
 POOLED = "all"
 
 
@@ -148,5 +148,8 @@ def values_of(parts: Sequence[RunResult]) -> dict[str, float]:
     out["tracks"] = sum(part.tracks for part in parts)
     if frames:
         out["boxes_per_frame"] = sum(part.rows for part in parts) / frames
+        known = [(part.log_evidence * part.frames, part.frames) for part in parts if part.log_evidence is not None]
+        if len(known) == len(parts):
+            out["log_evidence"] = sum(total for total, _ in known) / frames
         out["ms"] = 1000 * sum(part.seconds * part.frames for part in parts) / frames
     return out

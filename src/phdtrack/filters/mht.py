@@ -196,8 +196,12 @@ def _info(
     total = clutter + new.density + sum_by(scores.measurement, share, count)
     born = float(branches.unassigned @ scores.p_new)
     false = branches.unassigned * (1 - scores.p_new)
+    # log(1 − r p_D) is what a leaf contributes that is missed.
+    detected = float(probability @ -np.expm1(scores.missed))
     mass = float(probability @ state.leaves.r) + born
-    return UpdateInfo(mass, born, grown.mass, (1 - false) * total, false * total, int(np.count_nonzero(total == 0)))
+    return UpdateInfo(
+        mass, born, grown.mass, (1 - false) * total, false * total, int(np.count_nonzero(total == 0)), detected=detected
+    )
 
 
 @dataclass(frozen=True, slots=True)

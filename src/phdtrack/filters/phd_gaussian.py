@@ -22,7 +22,7 @@ from 0 and none is given twice; `GaussianMixture.fresh` is the next.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -161,7 +161,10 @@ class GMPHD(Checked, Filter[GaussianMixture]):
         )  # fmt: skip
         evidence, (predicted, born, mass), vanished = learned
         after = GaussianMixture(weight, mean, covariance, tag, fresh)
-        return after, UpdateInfo(predicted, born, mass, evidence, frame.measurements.clutter, vanished)
+        info = UpdateInfo(predicted, born, mass, evidence, frame.measurements.clutter, vanished)
+        # D = (1 − p_D) D⁺ + Σ C/(κ + C).
+        detected = predicted - mass + float((1 - info.clutter_probability).sum())
+        return after, replace(info, detected=detected)
 
     def _predicted(self, state: GaussianMixture, model: Model, dt: float) -> Rows:
         """The predicted Gaussians, of weight 0 where none survives."""

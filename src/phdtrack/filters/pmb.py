@@ -57,7 +57,7 @@ The filter knows a model by the arrays that it answers (`models.gaussian`); `ker
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -264,7 +264,11 @@ class PMB(Checked, Filter[Bernoullis]):
             ended = ended[state.frame - ended[:, 0] <= self.history]
         if len(gone):
             ended = np.vstack([ended, np.stack([np.full(len(gone), state.frame - 1), gone], axis=1)])
-        return Bernoullis((*state.layers[:-1], layer), ended, label, state.frame), UpdateInfo(*learned)
+        h = now.hypotheses
+        p_detect = np.where(h["static"], self.static_clutter_detection_probability, (1 - h["occluded"]) * said.p_detect)
+        detected = float((now.targets["r"][h["target"]] * h["weight"]) @ p_detect)
+        info = replace(UpdateInfo(*learned), detected=detected)
+        return Bernoullis((*state.layers[:-1], layer), ended, label, state.frame), info
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,7 +35,8 @@ class UpdateTerms:
 
     def info(self, mass: float, vanished: int = 0) -> UpdateInfo:
         """What the update learned, ``mass`` being that after it."""
-        return UpdateInfo(self.mass, self.born, mass, self.evidence, self.clutter, vanished)
+        detected = self.mass - self.missed
+        return UpdateInfo(self.mass, self.born, mass, self.evidence, self.clutter, vanished, detected=detected)
 
     def phd(self) -> tuple[Any, UpdateInfo]:
         """The intensity after the update of a PHD filter, and what it learned."""

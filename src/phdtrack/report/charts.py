@@ -78,6 +78,13 @@ def count_chart(record: RunRecord) -> Picture:
     return _chart(axes, len(record), bottom=0)
 
 
+def evidence_chart(record: RunRecord) -> Picture:
+    """How well the filter foretold the detections, frame by frame."""
+    axes = _time_axes(record.times, "log evidence", 1.8)
+    axes.plot(record.times, record.log_evidence, color=_BLUE)
+    return _chart(axes, len(record))
+
+
 def group_chart(frames: Sequence[GroupFrame], detections: Sequence[int]) -> Picture:
     """People, groups and raw detections, where there are any, over time [E13 Fig. 2]."""
     numbers = [(frame.time, frame.people, frame.deviation, frame.named) for frame in frames]

@@ -87,6 +87,7 @@ def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, o
     Times are seconds. ``frames_per_second`` is that of detection and tracking, without drawing and without the
     ``frames_left_out`` in which kernels were compiled or loaded; ``stages`` are milliseconds per frame, whose sum may
     exceed a frame's share of the time because stages overlap. ``chain`` is null but for MCMC filters.
+    ``log_evidence`` is that of each frame, null where the filter has none.
     """
     about, info, times = record.about, record.info, record.stage_times
     document = {
@@ -113,6 +114,8 @@ def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, o
         "configuration": config,
         "frames_left_out": about.left_out,
         "chain": record.chain,
+        "log_evidence_mean": record.mean_log_evidence,
+        "log_evidence": record.log_evidence,
     }
     return {key: json_value(value) for key, value in document.items()}
 

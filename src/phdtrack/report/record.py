@@ -123,6 +123,7 @@ class RunRecord:
     heat_maps : the frames that are shown with the intensity over them.
     background : (h, w, 3) BGR frame from the middle, scaled down; (0, 0, 3) without video.
     chain : of an MCMC filter, None of others.
+    log_evidence : (F,) `UpdateInfo.log_evidence`; NaN in frames without it.
     """
 
     info: SequenceInfo
@@ -139,6 +140,7 @@ class RunRecord:
     heat_maps: tuple[HeatMap, ...]
     background: Image
     chain: ChainSummary | None
+    log_evidence: F8
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -146,8 +148,12 @@ class RunRecord:
     @property
     def mean_mass(self) -> float:
         """The expected number of objects, mean over the frames in which the filter gives one; NaN without such frames."""
-        known = self.mass[np.isfinite(self.mass)]
-        return float(known.mean()) if len(known) else math.nan
+        return known_mean(self.mass)
+
+    @property
+    def mean_log_evidence(self) -> float:
+        """Mean over the frames that have it; NaN without such frames."""
+        return known_mean(self.log_evidence)
 
     @property
     def track_count(self) -> I8:
@@ -207,7 +213,8 @@ class Recorder:
         detect_seconds : time that detection took, seconds.
         """
         info, size = step.info, self._info
-        row = (step.number, step.time, len(step.detections), info.mass, info.clutter_probability.sum())
+        false = info.clutter_probability.sum()
+        row = (step.number, step.time, len(step.detections), info.mass, false, info.log_evidence)
         self._rows.append((*row, *_likely_range(info.cardinality), detect_seconds, *step.seconds))
         if info.chain is not None:
             self._chains.append(info.chain)
@@ -226,8 +233,8 @@ class Recorder:
 
     def record(self, tracks: Tracks, about: About) -> RunRecord:
         """Everything so far, with the corrected tracks of the whole run; collecting may go on."""
-        truth, table = self._truth, np.array(self._rows, dtype=np.float64).reshape(-1, 7 + len(STAGES))
-        numbers, ranges = table[:, 0].astype(np.int64), table[:, 5:7]
+        truth, table = self._truth, np.array(self._rows, dtype=np.float64).reshape(-1, 8 + len(STAGES))
+        numbers, ranges = table[:, 0].astype(np.int64), table[:, 6:8]
         maps = [heat for _, _, heat in self._kept if heat is not None]
         images = [image for _, image, _ in self._kept if image.size]
         # Evenly spaced, the last one among them.
@@ -242,11 +249,12 @@ class Recorder:
             mass=table[:, 3],
             clutter_mass=table[:, 4],
             count_range=ranges if np.isfinite(ranges).any() else ranges[:0],
-            seconds=table[:, 7:],
+            seconds=table[:, 8:],
             truth_count=np.zeros(0, np.int64) if truth is None else _count(truth.frame[~truth.distractor], numbers),
             heat_maps=tuple(maps[i] for i in shown),
             background=images[len(images) // 2] if images else NO_IMAGE,
             chain=ChainSummary.of(self._chains),
+            log_evidence=table[:, 5],
         )
 
 
@@ -264,6 +272,12 @@ def _density_map(particles: Particles, info: SequenceInfo, cell: float) -> F8:
     return np.asarray(
         cv2.sepFilter2D(grid.reshape(shape), -1, _BINOMIAL, _BINOMIAL, borderType=cv2.BORDER_REFLECT), np.float64
     )
+
+
+def known_mean(values: F8) -> float:
+    """The mean of those that are finite; NaN without any."""
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else math.nan
 
 
 def shrunk(image: Image, width: int) -> Image:
