@@ -130,7 +130,7 @@ def test_false_boxes_without_detections():
 @pytest.mark.parametrize(
     ("why", "truth", "tracks", "seen"),
     [
-        ("never followed", life(1, HERE, 1), [], []),
+        ("never matched", life(1, HERE, 1), [], []),
         ("object left the picture", life(1, HERE, 1, 2), life(9, HERE, 2, 3), []),
         ("handed to another identity", life(1, HERE, 1, 2, 3) + life(2, FAR, 3), life(9, HERE, 1) + life(9, FAR, 3), []),
         ("detector lost it", life(1, HERE, 1, 2, 3, 4), life(9, HERE, 1), [(1, HERE), (3, HERE)]),

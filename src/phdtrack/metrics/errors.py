@@ -39,7 +39,7 @@ from phdtrack.types import F8, I8, Bool, DetectionTable, Tracks, Truth
 CAUSES, PLACES = ("undetected", "unused"), ("never", "head", "gap", "tail")
 FALSE = ("loose", "ghost", "duplicate", "clutter")
 ENDS = (
-    "never followed",
+    "never matched",
     "object left the picture",
     "handed to another identity",
     "detector lost it",
