@@ -38,6 +38,7 @@ class TrackingState:
     expected : the targets that merged measurements are divided by, None where they are not.
     pace : how fast the filter's time runs, None where it is the clock's.
     shown : what the boxes of online rows have taught, None where they are the filter's.
+    camera : what is known of the camera's motion, None where it is not looked for.
     """
 
     intensity: Any
@@ -50,15 +51,18 @@ class TrackingState:
     expected: Any = None
     pace: Any = None
     shown: Any = None
+    camera: Any = None
 
 
 def start(stages: AnyStages, rng: np.random.Generator) -> TrackingState:
     """The state before the first frame."""
     learning, explainer, model = stages.learning, stages.explainer, stages.model
     learned, expected = learning and learning.start(), explainer and explainer.start()
+    camera = stages.camera and stages.camera.start()
     intensity = stages.filter.start(learning.model(learned, model) if learning else model, rng)
     shown = stages.online and stages.online.start()
-    return TrackingState(intensity, stages.associator.start(), learned=learned, expected=expected, shown=shown)
+    first = stages.associator.start()
+    return TrackingState(intensity, first, learned=learned, expected=expected, shown=shown, camera=camera)
 
 
 def advance(
@@ -90,7 +94,7 @@ def advance(
     """
     _check_order(state, number, time)
     learning, explainer, learned, expected = stages.learning, stages.explainer, state.learned, state.expected
-    seen = replace(stages.model, warp=as_warp(warp, f"frame {number}")) if len(warp) and state.number else stages.model
+    camera, seen = _seen(stages, state, detections, warp, (number, time))
     model = learning.model(learned, seen) if learning else seen
     pace, dt = _paced(stages, state, detections, time, model)
     began = clock.perf_counter()
@@ -116,8 +120,10 @@ def advance(
     seconds = (filtered - began, extracted - filtered, clock.perf_counter() - extracted)
     step = Step(number, time, detections, info, estimates, tracks, seconds, given.unusable, seen.warp)
     learned = learning and learning.advance(learned, step)
+    camera = stages.camera and stages.camera.with_targets(camera, estimates)
     targets = estimates.state if model.sensor.occlusion else NO_STATES
-    return TrackingState(intensity, association, number, time, targets, numbers, learned, expected, pace, shown), step
+    after = TrackingState(intensity, association, number, time, targets, numbers, learned, expected, pace, shown, camera)
+    return after, step
 
 
 def _paced(stages: AnyStages, state: TrackingState, detections: Detections, time: float, model: Model) -> tuple[Any, float]:
@@ -131,6 +137,18 @@ def _paced(stages: AnyStages, state: TrackingState, detections: Detections, time
         return stages.clock.start(z), model.first
     pace = stages.clock.advance(state.pace, z, seconds, model)
     return pace, seconds * pace.factor * model.rate
+
+
+def _seen(
+    stages: AnyStages, state: TrackingState, detections: Detections, warp: F8, when: tuple[int, float]
+) -> tuple[Any, Model]:
+    """What is known of the camera's motion, and the model of the frame: with the motion that was given, or was found."""
+    moved = as_warp(warp, f"frame {when[0]}") if len(warp) and state.number else STILL
+    camera = state.camera
+    if stages.camera and state.number:
+        interval = (when[1] - state.time) * stages.model.rate
+        camera, moved = stages.camera.between(camera, detections, stages.model, interval, moved)
+    return camera, replace(stages.model, warp=moved) if len(moved) else stages.model
 
 
 def _shown(

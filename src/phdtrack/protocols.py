@@ -25,7 +25,6 @@ from phdtrack.types import (
     Detections,
     Estimates,
     Explanation,
-    Frame,
     MeasurementHistory,
     Particles,
     Step,
@@ -363,6 +362,30 @@ class Explainer(Protocol[C]):
         """
 
 
+class CameraEstimator(Protocol[C]):
+    """What finds the camera's motion in the detections of a frame."""
+
+    def start(self) -> C:
+        """The state before the first frame."""
+
+    def between(self, state: C, detections: Detections, model: Model, dt: float, given: F8) -> tuple[C, F8]:
+        """The camera's motion since the last frame.
+
+        Parameters
+        ----------
+        state : after the frame before.
+        detections, model, dt : of the frame, and the interval in the model's time unit.
+        given : (3, 3) the motion that was given from outside; `types.STILL` where none was.
+
+        Returns
+        -------
+        state, warp : for `with_targets`, and the homography; `types.STILL` where the camera stands still.
+        """
+
+    def with_targets(self, state: C, estimates: Estimates) -> C:
+        """The state with the targets of this frame, which those of the next are compared with."""
+
+
 class Learning(Protocol[C]):
     """What is learned of the scene while it is tracked."""
 
@@ -438,36 +461,6 @@ class OnlineBoxes(Protocol):
         """The state after rows that were held back, and the rows."""
 
 
-class Camera(Protocol):
-    """Between the pixels of one camera and the ground, metres in a world of its own.
-
-    A ray that does not meet the ground in front of the camera, and a point that no pixel shows, give columns of NaN: they
-    are faults of single points and never errors of the call.
-    """
-
-    def ground(self, pixel: F8) -> F8:
-        """(2, N) points of the ground, metres, that the pixels (2, N) show."""
-
-    def pixels(self, world: F8) -> F8:
-        """(2, N) pixels that show the world points (3, N), or points (2, N) of the ground, metres."""
-
-    def jacobian(self, pixel: F8) -> F8:
-        """(N, 2, 2) derivatives of `ground` at the pixels (2, N), metres per pixel; rows X, Y."""
-
-    def depth(self, world: F8) -> F8:
-        """(N,) distance along the viewing direction, metres, of points (3, N), or (2, N) of the ground; negative behind."""
-
-
-class Detector(Protocol):
-    """From a frame to detections. Background models keep what they have learned of the scene inside: `reset` forgets it."""
-
-    def __call__(self, frame: Frame) -> Detections:
-        """The boxes found in the frame, in its own pixel coordinates."""
-
-    def reset(self) -> None:
-        """Forget everything learned from earlier frames."""
-
-
 @dataclass(frozen=True, slots=True)
 class Stages(Generic[S, A]):
     """The parts of one tracker; None for what is not done.
@@ -476,6 +469,7 @@ class Stages(Generic[S, A]):
     ----------
     learning : what is learned of the scene.      explainer : the merged-measurement model.
     smoother : of corrected tracks.      clock : of streams of few pictures.      online : boxes of online rows.
+    camera : what finds the camera's motion in the detections.
     """
 
     model: Model
@@ -487,6 +481,7 @@ class Stages(Generic[S, A]):
     smoother: Smoother | None = None
     clock: Clock[Any] | None = None
     online: OnlineBoxes | None = None
+    camera: CameraEstimator[Any] | None = None
 
 
 AnyStages = Stages[Any, Any]

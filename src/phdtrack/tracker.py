@@ -34,7 +34,7 @@ _LOG = logging.getLogger(__name__)
 # Of so many frames with boxes that were left out it is remembered which; a loop may be endless.
 _MOST_KEPT = 100_000
 # Of a saved state: it changes when a record of the state does.
-FORMAT = 13
+FORMAT = 14
 
 
 class Tracker:

@@ -69,10 +69,19 @@ def test_what_does_not_go_together_is_refused(walk, tmp_path):
     alone = ("track", "--detections", folder / "det.txt", "--frame-size", "640x360", "--fps", 25, "--out", tmp_path / "out")
     assert "measured in pictures, and there are detections only" in refused(*alone, "--camera-motion", "flow")
     assert "there is no such file" in refused(*alone, "--camera-motion", tmp_path / "none.csv")
-    (tmp_path / "long.csv").write_text("900,1,0,0,0,1,0\n", encoding="utf-8")
-    assert "goes on to frame 900" in refused(*alone, "--camera-motion", tmp_path / "long.csv")
     (tmp_path / "still.csv").write_text("2,1,0,0,0,1,0\n", encoding="utf-8")
     given = (*alone, "--camera-motion", tmp_path / "still.csv")
     assert "stands still" in refused(*given, "--learn-online")
     assert "camera_motion.kind=file does not fit motion.kind=plane" in refused(*given, "--preset", "e13")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_motion_that_goes_on_after_the_last_detection_is_read(walk, tmp_path):
+    """Detections end with the last object that was seen; the camera moves on."""
+    folder, true = walk
+    alone = ("track", "--detections", folder / "det.txt", "--frame-size", "640x360", "--fps", 25, "--no-video")
+    lines = ["{},{},{},{},{},{},{}".format(k, *warp[:2].ravel()) for k, warp in enumerate(true[1:], start=2)]
+    for name, more in (("short", []), ("long", ["900,1,0,50,0,1,0"])):
+        (tmp_path / f"{name}.csv").write_text("\n".join([*lines, *more]) + "\n", encoding="utf-8")
+        phdtrack(*alone, "--camera-motion", tmp_path / f"{name}.csv", "--out", tmp_path / name)
+    assert (tmp_path / "long" / "tracks.csv").read_bytes() == (tmp_path / "short" / "tracks.csv").read_bytes()

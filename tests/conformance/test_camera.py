@@ -7,8 +7,8 @@ import pytest
 from shipped import fixed, keeps
 
 from camera_cases import CAMERAS, pixels
+from phdtrack.devices import Camera
 from phdtrack.ground import PosedCamera
-from phdtrack.protocols import Camera
 
 pytestmark = pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
 NEAR = 60.0  # metres of depth: beyond, a pixel is several metres, and rounding too grows

@@ -10,8 +10,8 @@ from detect_scenes import Scene
 from phdtrack.arrays import iou
 from phdtrack.detect import make_detector
 from phdtrack.detect.change import ChangeDetector, MeanBackgroundDetector
+from phdtrack.devices import Detector
 from phdtrack.errors import InputError
-from phdtrack.protocols import Detector
 from phdtrack.types import Detections, Frame, Image
 
 BACKGROUND = ["change", "mean-background", "mog2", "knn"]

@@ -28,6 +28,7 @@ from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.cli.settings import chosen
 from phdtrack.cli.track import about, finish, finish_document, places, prepare
 from phdtrack.config import Settings, build_groups
+from phdtrack.devices import Camera
 from phdtrack.errors import InputError
 from phdtrack.files import load
 from phdtrack.formats.columns import Positions, read_positions
@@ -38,7 +39,7 @@ from phdtrack.groups.life_cycle import LifeCycleState
 from phdtrack.groups.pipeline import GroupFrame, GroupStages, carriers, known_people, mixture_of
 from phdtrack.models import PlaneSensor
 from phdtrack.pipeline import TrackingState
-from phdtrack.protocols import AnyStages, Camera
+from phdtrack.protocols import AnyStages
 from phdtrack.report.drawing import Plan, PlanScene, draw_contours, extent_of
 from phdtrack.report.pages import flattened, lines, render, write_text
 from phdtrack.types import F8, I8, GaussianMixture, Image, SequenceInfo, Step, Tracks

@@ -24,9 +24,9 @@ from phdtrack.cli.options import DEFAULT_DETECTOR, SourceOptions
 from phdtrack.cli.output import progress
 from phdtrack.detect import TableDetector, make_detector
 from phdtrack.detect.convert import within_frame
+from phdtrack.devices import Detector
 from phdtrack.errors import InputError
 from phdtrack.formats import DetectionsWriter, find_seqinfo, read_detections
-from phdtrack.protocols import Detector
 from phdtrack.types import F8, STILL, Detections, DetectionTable, Frame, Image, SequenceInfo
 from phdtrack.video import VideoSource, VideoWriter, open_source
 

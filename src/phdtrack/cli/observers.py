@@ -176,8 +176,7 @@ def _thinned(count: int, more: Iterable[int] = ()) -> list[int]:
 def mover_of(settings: Settings, inputs: Inputs, model: Model) -> Mover | None:
     """How the camera moves: None for not at all, as measured in the pictures, or as a file has it.
 
-    Raises `InputError` where there are no pictures, where the file is of another sequence, and for settings that hold only
-    while the camera stands still.
+    Raises `InputError` where there are no pictures, and for settings that hold only while the camera stands still.
     """
     kind, chosen = settings.kind("camera_motion"), settings.build("camera_motion")
     if kind == "none":
@@ -198,9 +197,6 @@ def mover_of(settings: Settings, inputs: Inputs, model: Model) -> Mover | None:
 
         return measured
     warps = read_warps(chosen.file)
-    if 0 < inputs.info.frames < (end := int(warps.frame.max(initial=0))):
-        problem = f"the camera's motion goes on to frame {end}, and {inputs.name} has {inputs.info.frames}"
-        raise InputError(problem, where=chosen.file, cure="Is it the motion of this sequence?")
     last = 0
 
     def read(frame: Frame, found: Detections) -> F8:

@@ -16,13 +16,13 @@ from phdtrack.config.settings import Settings, overlay
 from phdtrack.errors import InputError
 from phdtrack.models.pace import Pace
 from phdtrack.models.volumes import EVERYWHERE, Region, area, image_area
-from phdtrack.protocols import AnyStages, Associator, Birth, Clutter, Learning, Model, Stages
+from phdtrack.protocols import AnyStages, Associator, Birth, CameraEstimator, Clutter, Learning, Model, Stages
 from phdtrack.smooth.online import DetectionShare
 from phdtrack.types import SequenceInfo
 
 if TYPE_CHECKING:
+    from phdtrack.devices import Camera
     from phdtrack.groups.pipeline import GroupStages
-    from phdtrack.protocols import Camera
     from phdtrack.scene import Scene
 
 Size = tuple[float, float]
@@ -65,10 +65,11 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
     filter_ = settings.build("filter", frame_size=size)
     rates, explainer = _rates(settings, model, None, info), settings.build("merged_measurements")
     slowest = settings.build("time").longest_interval
-    clock = Pace(slowest) if slowest else None
+    clock, camera = Pace(slowest) if slowest else None, _camera(settings, size)
     # A detection of several targets says of none where it is.
     online = DetectionShare() if smoother.detection_share and explainer is None else None
-    stages = Stages(model, filter_, settings.build("extract"), associator, rates, explainer, smoother, clock, online)
+    extractor = settings.build("extract")
+    stages = Stages(model, filter_, extractor, associator, rates, explainer, smoother, clock, online, camera)
     if settings.kind("learn") == "none":
         return stages
     unlearned = replace(stages, associator=replace(settings.build("associate"), history=_KEPT))
@@ -197,6 +198,15 @@ def _associator(settings: Settings, size: Size) -> Associator[Any]:
     same = settings.kind("birth") == "scene" and settings.build("birth").file == given.file
     false = FalseAlarmRatio(scene.clutter, scene.followed, scene.births if same else None)
     return FalseTrackRejection(associator, false, given.immediate_confirmation, settings.build("associate").min_track_length)
+
+
+def _camera(settings: Settings, size: Size) -> CameraEstimator[Any] | None:
+    """What finds the camera's motion in the detections; None where births or clutter lie at pixels, or are learned there."""
+    places = {settings.kind("birth"), settings.kind("clutter")} & {"places", "scene"}
+    if places or settings.kind("learn") != "none":
+        return None
+    camera: CameraEstimator[Any] | None = settings.build("common_motion", frame_size=size)
+    return camera
 
 
 def _learning(settings: Settings, stages: AnyStages, info: SequenceInfo) -> Learning[Any]:

@@ -12,9 +12,9 @@ import numpy as np
 from phdtrack.detect.change import ChangeDetector, MeanBackgroundDetector
 from phdtrack.detect.components import BlobSettings
 from phdtrack.detect.opencv import FaceDetector, PersonDetector, SubtractorDetector
+from phdtrack.devices import Detector
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.files import load
-from phdtrack.protocols import Detector
 from phdtrack.types import Bool, Detections, DetectionTable, Frame, Image
 
 _WORDS = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}

@@ -28,9 +28,9 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
+from phdtrack.devices import Camera
 from phdtrack.errors import Checked, InputError, Positive
 from phdtrack.ground.terrain import Flat, Surface
-from phdtrack.protocols import Camera
 from phdtrack.types import F8, Bool
 
 # A point whose w is this small beside the terms of its sum lies on the horizon, as far as float64 can tell.

@@ -32,11 +32,11 @@ from typing import Any, Literal, get_args, get_type_hints
 import cv2
 import numpy as np
 
+from phdtrack.devices import Camera
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.files import AnyPath, Element, load, read_json, read_xml
 from phdtrack.ground.cameras import HomographyCamera, OpenCVLens, PosedCamera, TsaiLens
 from phdtrack.ground.terrain import Line, read_terrain
-from phdtrack.protocols import Camera
 from phdtrack.types import F8
 
 # Points whose spread across is this small beside that along lie on a line, as far as clicks can tell.

@@ -28,12 +28,12 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from phdtrack.arrays import GATE, share_inside, to_cxcywh
+from phdtrack.devices import Camera
 from phdtrack.errors import InputError, NonNegative, Positive, Probability, Share, check
 from phdtrack.ground import ground_covariance
 from phdtrack.models.occlusion import Hiders
 from phdtrack.models.positions import Form, PositionMotion, PositionSensor
 from phdtrack.models.volumes import EVERYWHERE, Region, check_region, inside
-from phdtrack.protocols import Camera
 from phdtrack.types import F8, Detections
 
 

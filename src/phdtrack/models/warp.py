@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from phdtrack.errors import InputError
+from phdtrack.kernels.warp import warped_slopes, warped_states
 from phdtrack.types import F8
 
-# Where D is less, a point is about to pass the horizon of the map: it is taken this far, out of any image, and no further.
-_LEAST = 0.05
 # Of det A: no camera makes an image so much smaller or larger from one frame to the next.
 _SCALES = (1e-4, 1e4)
 
@@ -57,48 +56,13 @@ def as_warp(matrix: ArrayLike, where: str) -> F8:
 
 def warp_states(x: F8, warp: F8) -> F8:
     """(d, n) states ``x`` in the pixels that ``warp`` leads to; rows behind (px, py, vx, vy) are lengths."""
-    place, slope, depth = _local(warp, x[:2])
-    moved: F8 = np.array(x, dtype=np.float64)
-    moved[:2] = place
-    moved[2:4] = _times(slope, x[2:4])
-    moved[4:] = _scale(warp, depth) * x[4:]
-    return moved
+    out: F8 = warped_states(np.ascontiguousarray(x, np.float64), np.ascontiguousarray(warp))
+    return out
 
 
 def warp_jacobian(x: F8, warp: F8) -> F8:
     """(n, d, d) Jacobians of `warp_states`: J for places and velocities, and how J and the scale change with the place."""
-    d, n = x.shape
-    _, slope, depth = _local(warp, x[:2])
-    g, scale, speed = warp[2, :2], _scale(warp, depth), _times(slope, x[2:4])
-    out = np.zeros((d, d, n))
-    out[range(d), range(d)] = 1.0
-    out[:2, :2] = out[2:4, 2:4] = slope
-    # ∂(J v)/∂p = −(J gᵀv + (J v) gᵀ)/D
-    out[2:4, :2] = -(slope * (g @ x[2:4]) + speed[:, None] * g[:, None]) / depth
-    for row in range(4, d):
-        out[row, row] = scale
-        out[row, :2] = -1.5 * scale * x[row] * g[:, None] / depth
-    return np.ascontiguousarray(out.transpose(2, 0, 1))
-
-
-def _local(warp: F8, p: F8) -> tuple[F8, F8, F8]:
-    """Places (2, n), Jacobians (2, 2, n) and D (n,) at the pixels ``p`` (2, n)."""
-    depth = np.maximum(warp[2, 0] * p[0] + warp[2, 1] * p[1] + 1.0, _LEAST)
-    # Row by row and not as a product of matrices, which need not round an identity to itself.
-    place = np.stack([warp[i, 0] * p[0] + warp[i, 1] * p[1] + warp[i, 2] for i in range(2)]) / depth
-    slope = (warp[:2, :2, None] - place[:, None] * warp[2, :2, None]) / depth
-    return place, slope, depth
-
-
-def _times(slope: F8, v: F8) -> F8:
-    """(2, n) J v."""
-    out: F8 = slope[:, 0] * v[0] + slope[:, 1] * v[1]
-    return out
-
-
-def _scale(warp: F8, depth: F8) -> F8:
-    """(n,) √det J."""
-    out: F8 = np.sqrt(np.linalg.det(warp) / depth**3)
+    out: F8 = warped_slopes(np.ascontiguousarray(x, np.float64), np.ascontiguousarray(warp))
     return out
 
 
