@@ -69,6 +69,23 @@ def test_errors_are_as_large_as_the_covariance_says():
     assert np.mean(errors) == pytest.approx(6, abs=5 * np.sqrt(12 / 450))
 
 
+def test_no_variance_is_negative_where_a_camera_zooms():
+    """Exact boxes of a target that accelerates, and a camera that zooms by factors from frame to frame."""
+    rng, model = np.random.default_rng(0), model_of(scaled_noise=True, acceleration=0.03, size_noise=1e-4)
+    model = replace(model, sensor=replace(model.sensor, box_noise=0.001, min_noise=0.0, birth_speed=10.0))
+    least = []
+    for _ in range(60):
+        walked = np.maximum(walk(rng, 40, (100, 200), (2, 1), noise=0.2), 1.0)
+        tracks, still = sequence([piece(walked, 1, (1, 15), (20, 40))], 40, model)
+        zoom, shift = np.exp(rng.normal(0, 1.0, 40)), rng.normal(0, 50, (2, 40))
+        none = np.zeros(40)
+        warp = np.array([[zoom, none, shift[0]], [none, zoom, shift[1]], [none, none, none + 1]]).transpose(2, 0, 1)
+        measured = replace(still, warp=np.ascontiguousarray(warp))
+        _, states, _ = smoothed(tracks, measured, model)
+        least.append(np.diagonal(states.covariance, axis1=1, axis2=2).min())
+    assert min(least) >= 0
+
+
 FITTED = (3.0, 0.5, 0.65, 0.4)
 
 

@@ -2,11 +2,13 @@
 
 Forward, with F and Q the motion's, H a choice of rows and R the measurement's covariance:
 
-    m⁻ = f(m),  P⁻ = F P Fᵀ + Q        K = P⁻Hᵀ (H P⁻ Hᵀ + R)⁻¹,  m = m⁻ + K (z − H m⁻),  P = P⁻ − K H P⁻
+    m⁻ = f(m),  P⁻ = F P Fᵀ + Q        K = P⁻Hᵀ (H P⁻ Hᵀ + R)⁻¹,  m = m⁻ + K (z − H m⁻),  P = A P⁻ Aᵀ + K R Kᵀ,  A = I − K H
 
 and backward, with G = P Fᵀ (P⁻₊)⁻¹ of the next frame:
 
-    m* = m + G (m*₊ − m⁻₊)             P* = P + G (P*₊ − P⁻₊) Gᵀ
+    m* = m + G (m*₊ − m⁻₊)             P* = B P Bᵀ + G (Q₊ + P*₊) Gᵀ,  B = I − G F
+
+These forms are sums of squares: no rounding makes a variance negative, as P⁻ − K H P⁻ does where a camera zooms in.
 
 Means are (n, d), covariances (n, d, d).
 """
@@ -24,11 +26,12 @@ from phdtrack.types import F8, I8, STILL
 
 
 class Ahead(NamedTuple):
-    """Predictions ``mean`` (n, d) and ``covariance`` (n, d, d), and the Jacobians (n, d, d) that they were made with."""
+    """Predictions ``mean`` (n, d) and ``covariance`` (n, d, d), and Jacobians and noises (n, d, d) they were made with."""
 
     mean: F8
     covariance: F8
     jacobian: F8
+    noise: F8
 
 
 def predict(motion: Motion, mean: F8, covariance: F8, dt: float, warp: F8 = STILL, scale: F8 = SAME) -> Ahead:
@@ -52,7 +55,7 @@ def predict(motion: Motion, mean: F8, covariance: F8, dt: float, warp: F8 = STIL
     if len(scale):
         noise = noise * scale[:, :, None] * scale[:, None]
     f = jacobian if slope is None else jacobian @ slope
-    return Ahead(moved.T, f @ covariance @ f.transpose(0, 2, 1) + noise, f)
+    return Ahead(moved.T, f @ covariance @ f.transpose(0, 2, 1) + noise, f, noise)
 
 
 def update(mean: F8, covariance: F8, z: F8, noise: F8, rows: I8) -> tuple[F8, F8]:
@@ -70,7 +73,10 @@ def update(mean: F8, covariance: F8, z: F8, noise: F8, rows: I8) -> tuple[F8, F8
     """
     part = covariance[:, rows]
     gain = _solve(part[:, :, rows] + noise, part).transpose(0, 2, 1)
-    return mean + (gain @ (z - mean[:, rows])[:, :, None])[:, :, 0], covariance - gain @ part
+    left = np.tile(np.eye(mean.shape[1]), (len(mean), 1, 1))
+    left[:, :, rows] -= gain
+    after = _turned(left, covariance) + _turned(gain, noise)
+    return mean + (gain @ (z - mean[:, rows])[:, :, None])[:, :, 0], after
 
 
 def smooth_back(mean: F8, covariance: F8, ahead: Ahead, later: F8, later_covariance: F8) -> tuple[F8, F8]:
@@ -87,8 +93,9 @@ def smooth_back(mean: F8, covariance: F8, ahead: Ahead, later: F8, later_covaria
     The smoothed means and covariances.
     """
     gain = _solve(ahead.covariance, ahead.jacobian @ covariance).transpose(0, 2, 1)
-    change = gain @ (later_covariance - ahead.covariance) @ gain.transpose(0, 2, 1)
-    return mean + (gain @ (later - ahead.mean)[:, :, None])[:, :, 0], covariance + change
+    left = np.eye(mean.shape[1]) - gain @ ahead.jacobian
+    before = _turned(left, covariance) + _turned(gain, ahead.noise + later_covariance)
+    return mean + (gain @ (later - ahead.mean)[:, :, None])[:, :, 0], before
 
 
 def bridge(motion: Motion, ends: tuple[F8, F8, F8, F8], steps: F8, warps: Sequence[F8] = ()) -> F8:
@@ -117,6 +124,12 @@ def bridge(motion: Motion, ends: tuple[F8, F8, F8, F8], steps: F8, warps: Sequen
     for k in range(len(steps) - 1, 0, -1):
         mean, cov = smooth_back(*forward[k], mean, cov)
         out[:, k - 1] = mean[0]
+    return out
+
+
+def _turned(a: F8, b: F8) -> F8:
+    """a b aᵀ of (n, r, d) and (n, d, d)."""
+    out: F8 = a @ b @ a.transpose(0, 2, 1)
     return out
 
 

@@ -242,7 +242,7 @@ class Sequence:
         bounds = np.searchsorted(paths.frame[order], np.arange(number + 1))
         size, d, path = len(order), len(self.state), paths.path
         mean, predicted = np.empty((2, size, d))
-        cov, expected, jacobian = np.empty((3, size, d, d))
+        cov, expected, jacobian, added = np.empty((4, size, d, d))
         column, evidence = paths.measurement[paths.first], np.zeros((2, len(paths)))
         first = self.covariance[column]
         first[:, shown[:, None], shown] *= scales.measurement[:, :, None] * scales.measurement[:, None]
@@ -254,7 +254,7 @@ class Sequence:
             if len(rows) == 0:
                 continue
             ahead = self._ahead(mean[rows - 1], cov[rows - 1], p, scales.state[path[rows]])
-            predicted[rows], expected[rows], jacobian[rows] = ahead
+            predicted[rows], expected[rows], jacobian[rows], added[rows] = ahead
             mean[rows], cov[rows] = predicted[rows], expected[rows]
             rows = rows[paths.measurement[rows] >= 0]
             if len(rows):
@@ -265,7 +265,7 @@ class Sequence:
                     z - mean[rows][:, shown], cov[rows][:, shown[:, None], shown] + noise
                 )
                 mean[rows], cov[rows] = update(mean[rows], cov[rows], z, noise, shown)
-        return _Filtered(mean, cov, Ahead(predicted, expected, jacobian), frames, evidence)
+        return _Filtered(mean, cov, Ahead(predicted, expected, jacobian, added), frames, evidence)
 
 
 def _log_densities(step: F8, covariance: F8) -> F8:
