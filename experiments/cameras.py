@@ -27,7 +27,9 @@ from phdtrack.formats import read_seqinfo, read_truth, write_tracks
 from phdtrack.metrics import evaluate
 
 SCORES = ("HOTA", "MOTA", "IDF1")
-OUTPUTS = ("online", "corrected")
+OUTPUTS = ("online", "delayed", "corrected")
+# Seconds by which delayed rows lag behind.
+DELAY = 0.3
 # One short sequence of some groups, for the short form.
 SHORT = ("KITTI-0014-car", "GOWT1-01", "MOT17-09")
 OURS = ("pmb", "gm-phd", "phdtrack")
@@ -40,6 +42,13 @@ VARIANTS: Mapping[str, tuple[str, Sets]] = {
     "agility of 1 and 10": ("adaptive", {"filter": {"acceleration_factors": (1.0, 10.0)}}),
     "noises as the model's": ("adaptive", {"filter": {"noise_freedom": 0.0}}),
     "noise freedom 20": ("adaptive", {"filter": {"noise_freedom": 20.0}}),
+    "camera not looked for": ("adaptive", {"common_motion": {"kind": "none"}}),
+    "never hidden": ("adaptive", {"filter": {"mean_visible_time": 0.0}}),
+    "no leaving at borders": ("adaptive", {"motion": {"leaving_rate": 0.0}}),
+    "time as of videos": ("adaptive", {"time": {"longest_interval": 0.0}}),
+    "no decay of clutter": ("adaptive", {"filter": {"clutter_decay": 0.0}}),
+    "boxes as filtered": ("adaptive", {"smooth": {"detection_share": False}}),
+    "smoothed with one noise": ("adaptive", {"smooth": {"noise_by_track": False}}),
     "scores not used": ("adaptive", {"rates": {"kind": "none"}}),
     "scores, slope 1": ("adaptive", {"rates": {"kind": "scores", "slope": 1.0}}),
     "no lasting clutter": ("adaptive", {"filter": {"lasting_clutter_prior": 0.0}}),
@@ -54,8 +63,10 @@ VARIANTS: Mapping[str, tuple[str, Sets]] = {
     "false alarms 0.2": ("adaptive", {"clutter": {"clutter_per_detection": 0.2}}),
 }
 SHOWN = ("default", "adaptive")
-# Variant, folder of the sequence, name of the detections, folder of the results.
-CameraRun = tuple[str, str, str, str]
+# How far behind the best peer a value may be, in points, without being listed.
+BEHIND = {"online": 5.0, "corrected": 2.0}
+# Variant, folder of the sequence, name of the detections, folder of the results, whether only delayed rows are wanted.
+CameraRun = tuple[str, str, str, str, bool]
 Row = Mapping[str, str]
 
 
@@ -75,18 +86,21 @@ def folder_of(sequence: str) -> Path:
 
 def track(job: CameraRun) -> None:
     """Track one sequence; its rows go to RESULTS/VARIANT/OUTPUT/DETECTOR/SEQUENCE.txt."""
-    variant, sequence, detector, results = job
+    variant, sequence, detector, results, delayed = job
     preset, sets = VARIANTS[variant]
     folder = folder_of(sequence)
     info = read_seqinfo(folder)
     rows = np.loadtxt(folder / f"det_{detector}" / "det.txt", delimiter=",", ndmin=2)
     rows = rows[(rows[:, 4:6] > 0).all(axis=1)]
     boxes = np.column_stack([rows[:, 2:4], rows[:, 2:4] + rows[:, 4:6], rows[:, 6]])
-    tracker, online = Tracker((info.width, info.height), fps=info.fps, preset=preset, **sets), []
+    late = {"output_delay": round(DELAY * info.fps) if delayed else 0}
+    settings = {**sets, "associate": {**sets.get("associate", {}), **late}}
+    tracker, online = Tracker((info.width, info.height), fps=info.fps, preset=preset, **settings), []
     for number in range(1, info.frames + 1):
         online.append(tracker.update(boxes[rows[:, 0] == number], frame=number))
     given = Tracks.concatenate([*online, tracker.flush()])
-    for output, tracks in zip(OUTPUTS, (given, tracker.tracks()), strict=True):
+    made = {"delayed": given} if delayed else {"online": given, "corrected": tracker.tracks()}
+    for output, tracks in made.items():
         if folder.parent.name == "mot15":
             truth = counted(read_truth(folder / "gt" / "gt.txt"))
             scores = evaluate(truth, tracks, frames=info.frames)
@@ -158,6 +172,29 @@ def distances(rows: Sequence[Row], peers: Sequence[Row]) -> dict[str, float]:
     return {group: float(np.mean(values)) for group, values in found.items()}
 
 
+def difference(one: Mapping[str, float], other: Mapping[str, float]) -> tuple[float, float]:
+    """The mean over groups of the difference, and its standard error by the jackknife that leaves out one group in turn."""
+    values = np.array([one[group] - other[group] for group in other])
+    n = len(values)
+    without = (values.sum() - values) / max(n - 1, 1)
+    return float(values.mean()), float(np.sqrt((n - 1) / n * np.square(without - without.mean()).sum()))
+
+
+def behind(kept: Mapping[tuple[str, str], Sequence[Row]], peers: Sequence[Row]) -> list[list[str]]:
+    """The pairs in which adaptive is farther behind the best peer than `BEHIND`, the farthest first."""
+    found = []
+    for output, most in BEHIND.items():
+        for row in (row for row in kept["adaptive", output] if row["sequence"] != "ALL"):
+            of_case = [p for p in peers if (p["sequence"], p["detector"]) == (row["sequence"], row["detector"])]
+            for score, value in zip(SCORES, best(of_case), strict=True):
+                if (away := float(row[score]) - value) < -most:
+                    case = f"{row['sequence']} {row['detector']}"
+                    found.append(
+                        (output, away, [output, row["group"], case, score, f"{float(row[score]):.1f}", f"{value:.1f}"])
+                    )
+    return [cells for _, _, cells in sorted(found, key=lambda one: (one[0] != "online", one[1]))]
+
+
 def left_out(by_variant: Mapping[str, Mapping[str, float]]) -> dict[str, str]:
     """The variant for each group that is best, in the mean, on the other groups; ``by_variant`` as of `distances`."""
     groups = next(iter(by_variant.values()))
@@ -174,13 +211,19 @@ def main(options: Options) -> Path:
     cases = [(name, det.name[4:]) for name in names for det in sorted((need_data() / "more" / name).glob("det_*"))]
     cases += [(name, kind) for kind, those in SEQUENCES.items() for name in those if not options.quick]
     variants = SHOWN if options.quick else tuple(VARIANTS)
+    peers, of_groups, rows = peers_of_cases(), _read(folder / "peers_more_groups.csv"), dict[tuple[str, str], list[Row]]()
+
+    def run(some: Sequence[str], outputs: Sequence[str], place: str) -> None:
+        late = "delayed" in outputs
+        in_parallel(track, [(variant, *case, place, late) for variant in some for case in cases], "cameras", options)
+        wanted = [(variant, output, place) for variant in some for output in outputs]
+        rows.update(zip([job[:2] for job in wanted], in_parallel(scored, wanted, "scores", options), strict=True))
+
     with tempfile.TemporaryDirectory() as place:
-        in_parallel(track, [(variant, *case, place) for variant in variants for case in cases], "cameras", options)
-        wanted = [(variant, output, place) for variant in variants for output in OUTPUTS]
-        rows = dict(zip([job[:2] for job in wanted], in_parallel(scored, wanted, "scores", options), strict=True))
-    peers, of_groups = peers_of_cases(), _read(folder / "peers_more_groups.csv")
-    away = {variant: distances(rows[variant, "online"], peers) for variant in variants}
-    chosen = left_out({variant: away[variant] for variant in variants if variant != "default"})
+        run(variants, ("online", "corrected"), place)
+        away = {output: {name: distances(rows[name, output], peers) for name in variants} for output in BEHIND}
+        chosen = left_out({name: away["online"][name] for name in variants if name != "default"})
+        run(sorted({*SHOWN, *chosen.values()}), ("delayed",), place)
     kept: dict[tuple[str, str], list[Row]] = {(name, output): rows[name, output] for name in SHOWN for output in OUTPUTS}
     for output in OUTPUTS:
         kept["left out", output] = [
@@ -190,10 +233,11 @@ def main(options: Options) -> Path:
     for group in chosen:
         known = [row for row in of_groups if row["group"] == group]
         cells = [_cell(best(known))] if known else ["-"]
-        for name, output in [*((name, "online") for name in SHOWN), ("adaptive", "corrected")]:
+        for name, output in [*((name, "online") for name in SHOWN), *(("adaptive", output) for output in OUTPUTS[1:])]:
             (row,) = (row for row in _groups(kept[name, output]) if row["group"] == group)
             cells.append(_cell([float(row[score]) for score in SCORES]))
-        lines.append([group, *cells, f"{away['default'][group]:+.1f}", f"{away['adaptive'][group]:+.1f}", chosen[group]])
+        cells += [f"{away['online'][name][group]:+.1f}" for name in SHOWN]
+        lines.append([group, *cells, chosen[group]])
     won = []
     for (name, output), found in kept.items():
         new, old = ([row for row in found if (row["group"] == "MOT15") is is_old] for is_old in (False, True))
@@ -207,10 +251,11 @@ def main(options: Options) -> Path:
                 f"{mean:+.1f}",
             ]
         )
-    compared = [
-        [variant, f"{np.mean(list(away[variant].values())):+.1f}", *(f"{value:+.1f}" for value in away[variant].values())]
-        for variant in variants
-    ]
+    compared = []
+    for name in variants:
+        changes = [difference(away[output][name], away[output]["adaptive"]) for output in BEHIND]
+        cells = ["" if name == "adaptive" else f"{mean:+.2f} ± {error:.2f}" for mean, error in changes]
+        compared.append([name, *cells, *(f"{value:+.1f}" for value in away["online"][name].values())])
     return write(
         "cameras",
         options,
@@ -221,6 +266,7 @@ def main(options: Options) -> Path:
                 "best peer",
                 "default",
                 "adaptive",
+                "adaptive, 0.3 s later",
                 "adaptive, corrected",
                 "default away",
                 "adaptive away",
@@ -229,7 +275,8 @@ def main(options: Options) -> Path:
             lines,
         ),
         won=table(["values", "rows", "new cameras", "MOT15", "mean distance"], won),
-        variants=table(["variant", "mean", *chosen], compared),
+        behind=table(["rows", "group", "case", "score", "adaptive", "best peer"], behind(kept, peers)),
+        variants=table(["variant", *BEHIND, *chosen], compared),
     )
 
 

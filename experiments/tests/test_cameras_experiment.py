@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from experiments import cameras
@@ -37,6 +38,25 @@ def test_distances_are_means_over_cases_and_scores() -> None:
     row = {"group": "g", "sequence": "a", "detector": "x", "HOTA": "48", "MOTA": "60", "IDF1": "47"}
     whole = row | {"sequence": "ALL", "HOTA": "99"}
     assert cameras.distances([row, row | {"IDF1": "53"}, whole], PEERS) == pytest.approx({"g": 1.0})
+
+
+def test_the_error_of_a_difference_is_that_of_a_mean_of_groups() -> None:
+    """The jackknife of a mean over groups is its standard error, s/√n; of one group there is none."""
+    one, other = {"a": 3.0, "b": 1.0, "c": 5.0, "d": 1.0}, {"a": 1.0, "b": 1.0, "c": 1.0, "d": 1.0}
+    mean, error = cameras.difference(one, other)
+    assert (mean, error) == pytest.approx((1.5, np.std([2, 0, 4, 0], ddof=1) / 2))
+    assert cameras.difference({"a": 2.0}, {"a": 1.0}) == (1.0, 0.0)
+
+
+def test_what_is_far_behind_is_listed_by_distance() -> None:
+    case = {"group": "g", "sequence": "a", "detector": "x"}
+    kept = {
+        ("adaptive", "online"): [case | {"HOTA": "40.1", "MOTA": "50", "IDF1": "44"}],
+        ("adaptive", "corrected"): [case | {"HOTA": "40", "MOTA": "58.5", "IDF1": "47.9"}],
+    }
+    assert [(row[0], row[3], row[4]) for row in cameras.behind(kept, PEERS)] == [
+        ("online", "MOTA", "50.0"), ("online", "IDF1", "44.0"), ("corrected", "HOTA", "40.0"), ("corrected", "IDF1", "47.9"),
+    ]  # fmt: skip
 
 
 @pytest.mark.data
