@@ -159,8 +159,8 @@ def ground_scene(truth: Places, found: Places, frames: int, near: float) -> Scen
         t, o = np.flatnonzero(truth.frame == number), np.flatnonzero(found.frame == number)
         apart = np.hypot(*(truth.point[:, t, None] - found.point[:, None, o]))
         closeness = np.maximum(1 - np.nan_to_num(apart, nan=np.inf) / (2 * near), 0.0)
-        pairs.append(FramePair(number, who[t], which[o], closeness))
-    return Scene(tuple(pairs), frames, names, outputs)
+        pairs.append(FramePair(number, who[t], which[o], closeness, t, o))
+    return Scene(tuple(pairs), frames, names, outputs, 0)
 
 
 def errors(truth: Places, found: Places, far: float) -> F8:
