@@ -26,7 +26,7 @@ def scores(data: Path, filter_name: str, *sets: str) -> Scores:
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("filter_name", ["gm-phd", "mht"])
+@pytest.mark.parametrize("filter_name", ["gm-phd", pytest.param("mht", marks=pytest.mark.slow)])
 def test_joining_and_smoothing_each_earn_their_place(data: Path, filter_name: str):
     both = scores(data, filter_name)
     apart, rough = scores(data, filter_name, "smooth.stitching=false"), scores(data, filter_name, "smooth.smoothing=false")
