@@ -39,6 +39,7 @@ EXPERIMENTS = {
     "m09": Experiment("M09 Figs. 14-16: births and false alarms learned from a scene, part by part"),
     "peers": Experiment("compared with widely used trackers; what each part of the default filter contributes"),
     "cameras": Experiment("new cameras and detectors on which nothing was chosen, next to other trackers"),
+    "classes": Experiment("cars and people laid over each other, tracked with their classes, apart, and without"),
     "rates": Experiment("the same settings from one picture in five minutes to a hundred a second, with lost frames"),
 }
 

@@ -136,7 +136,7 @@ def followed(stages: AnyStages, case: Case, seed: int) -> TrackedCase:
         state, step = pipeline.advance(stages, state, case.table.at(number), number, (number - 1) / case.info.fps, rng)
         online.append(step.tracks)
         spent += sum(step.seconds)
-    online.append(stages.associator.flush(state.association, stages.model))
+    online.append(pipeline.flush(stages, state))
     return TrackedCase(pipeline.finish(stages, state), Tracks.concatenate(online), spent / case.info.frames)
 
 

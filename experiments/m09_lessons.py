@@ -63,7 +63,7 @@ class LearnedScene:
 def learn(job: tuple[Halves, int]) -> LearnedScene:
     """Everything that the runs of a scene need; the seed draws the frames that are marked and the particles."""
     case, seed = job[0].train, job[1]
-    stages = config.build(config.load(), case.info)
+    stages = config.build(config.load(preset="mot15"), case.info)
     rate = stages.model.rate
     with TemporaryDirectory() as folder:
         marks = Marks(marked_false(case, Path(folder) / "false.sqlite", seed), case.table, case.info)

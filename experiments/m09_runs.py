@@ -86,12 +86,17 @@ def blocks(case: Case, tracks: Tracks) -> tuple[Scores, ...]:
     return tuple(found)
 
 
+def preset_of(filter_name: str) -> str:
+    """The preset that a filter begins with: M09 knows of no scores."""
+    return "mot15" if filter_name == "pmb" else "default"
+
+
 def stages_of(one: SceneRun, halved: Halves, scene: LearnedScene) -> AnyStages:
     """The stages as shipped, with the births and the clutter of the run."""
     info = halved.test.info
     if one.rates is not None:
         return swept(one.run, one.filter, one.rates, info)
-    stages = config.build(config.load(), info, one.filter)
+    stages = config.build(config.load(preset=preset_of(one.filter)), info, one.filter)
     if one.run == UM:
         return stages
     if one.run in (IMAGE, GM_IMAGE, "A3", "A4", "A5"):
@@ -109,7 +114,7 @@ def swept(run: str, filter_name: str, rates: tuple[float, float], info: Sequence
         ("births_per_detection", "clutter_per_detection") if run == UM else ("births_per_second", "clutter_per_frame")
     )
     sets = (f"birth.{born}={25 * births}", f"clutter.{false}={clutter}")
-    return config.build(config.load(None, sets), info, filter_name)
+    return config.build(config.load(None, sets, preset_of(filter_name)), info, filter_name)
 
 
 def uniform_of(run: str, model: Model, scene: LearnedScene, train: Case) -> Model:

@@ -55,6 +55,11 @@ PARTS: Mapping[str, tuple[str, ...]] = {
     "neither": ("smooth.smoothing=false", "smooth.stitching=false"),
     "no occlusion of targets": ("filter.mean_visible_time=0",),
     "no static clutter": ("filter.static_clutter_prior=0",),
+    "scores not used": ("rates.kind=none",),
+    "no lasting clutter": ("filter.lasting_clutter_prior=0",),
+    "noises as the model's": ("filter.noise_freedom=0",),
+    "one acceleration": ("filter.acceleration_factors=[1]",),
+    "no motion of the camera": ("common_motion.kind=none",),
     "one hypothesis a target": ("filter.max_hypotheses=1",),
     "the past not revised": ("filter.history=1",),
     "targets that overlap are all reported": ("extract.merge_iou=1",),
@@ -62,19 +67,19 @@ PARTS: Mapping[str, tuple[str, ...]] = {
 }
 # and numbers changed.
 NUMBERS: Mapping[str, tuple[str, ...]] = {
-    "box noise half (0.125)": ("sensor.box_noise=0.125",),
-    "box noise of the other filters (0.15)": ("sensor.box_noise=0.15",),
+    "box noise half (0.07)": ("sensor.box_noise=0.07",),
+    "box noise twice (0.28)": ("sensor.box_noise=0.28",),
     "acceleration twice (0.01)": ("motion.acceleration=0.01",),
     "acceleration half (0.0025)": ("motion.acceleration=0.0025",),
-    "size noise twice (0.1)": ("motion.size_noise=0.1",),
+    "size noise half (0.055)": ("motion.size_noise=0.055",),
     "survival of M07 (0.99)": ("motion.survival_probability=0.7778",),
     "p_D 0.9": ("sensor.detection_probability=0.9",),
     "p_D 0.7": ("sensor.detection_probability=0.7",),
-    "false alarms as of the other filters (0.3)": ("clutter.clutter_per_detection=0.3",),
-    "false alarms twice (3)": ("clutter.clutter_per_detection=3",),
-    "births twice (0.01)": ("birth.births_per_detection=0.25",),
-    "occluded twice as long (0.8 s)": ("filter.mean_occluded_time=0.8",),
-    "static clutter detected less often (0.3)": ("filter.static_clutter_detection_probability=0.3",),
+    "false alarms half (0.21)": ("clutter.clutter_per_detection=0.21",),
+    "false alarms twice (0.84)": ("clutter.clutter_per_detection=0.84",),
+    "births twice (0.001 a frame)": ("birth.births_per_detection=0.025",),
+    "hidden twice as long (0.6 s)": ("filter.mean_occluded_time=0.6",),
+    "static clutter detected more often (0.5)": ("filter.static_clutter_detection_probability=0.5",),
 }
 ABLATED = "pmb"
 

@@ -76,7 +76,7 @@ def tracked(info: SequenceInfo, rows: F8, numbers: F8) -> tuple[Tracks, Tracks]:
     """Online and corrected rows of the frames ``numbers``, with the preset for any camera."""
     boxes = np.column_stack([rows[:, 2:4], rows[:, 2:4] + rows[:, 4:6], rows[:, 6]])
     whole = (rows[:, 4:6] > 0).all(axis=1)
-    tracker = Tracker((info.width, info.height), fps=info.fps, preset="adaptive")
+    tracker = Tracker((info.width, info.height), fps=info.fps, preset="default")
     online = [tracker.update(boxes[whole & (rows[:, 0] == number)], frame=int(number)) for number in numbers]
     return Tracks.concatenate([*online, tracker.flush()]), tracker.tracks()
 

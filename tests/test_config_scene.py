@@ -129,7 +129,7 @@ def test_a_scene_is_taken_whole_and_options_change_it(tmp_path):
     assert (told["birth"]["file"], told["clutter"]["reject_false_tracks"]) == (str(path), True)
     told = track(path, "clutter.reject_false_tracks=false", "birth.births_per_detection=0").as_dict()
     assert (told["clutter"]["reject_false_tracks"], told["birth"]["births_per_detection"]) == (False, 0)
-    assert track(path, "birth.kind=measurement").as_dict()["birth"]["births_per_detection"] == 0.125, (
+    assert track(path, "birth.kind=measurement").as_dict()["birth"]["births_per_detection"] == 0.0125, (
         "the kind that was chosen"
     )
     assert track(path, "birth.kind=measurement").as_dict()["clutter"]["kind"] == "scene"
@@ -148,6 +148,6 @@ def test_what_a_scene_has_not_taught_goes_with_what_it_has(tmp_path):
     assert track(alarms).as_dict()["birth"] == config.load().as_dict()["birth"]
     assert track(births, preset="m07").as_dict()["clutter"]["clutter_per_frame"] == 1.0
     assert track(alarms, preset="m07").as_dict()["birth"]["births_per_second"] == 0.25
-    assert track(births, "birth.births_per_detection=0").as_dict()["clutter"]["clutter_per_frame"] == 1.5
+    assert track(births, "birth.births_per_detection=0").as_dict()["clutter"]["clutter_per_frame"] == 0.42
     given = track(births, "birth.births_per_detection=0", "clutter.clutter_per_detection=1").as_dict()["clutter"]
     assert (given["clutter_per_frame"], given["clutter_per_detection"]) == (0.0, 1.0)

@@ -50,8 +50,10 @@ def forms(found: np.ndarray) -> dict[str, object]:
 @pytest.mark.parametrize("form", forms(boxes(0)))
 def test_all_forms_of_boxes_give_the_same_tracks(form: str):
     plain, other = tracker_of(), tracker_of()
+    score = np.linspace(0.5, 0.9, 2) if form in ("five columns", "six columns", "an object with scores") else np.ones(2)
+    label = np.arange(2) if form in ("six columns", "an object with scores") else np.zeros(2, np.int64)
     for k in range(12):
-        assert equal(plain.update(boxes(k)), other.update(forms(boxes(k))[form]))
+        assert equal(plain.update(Detections(boxes(k), score, label)), other.update(forms(boxes(k))[form]))
     assert equal(plain.tracks(), other.tracks())
     assert set(plain.tracks().identity) == {1, 2}
 
@@ -212,7 +214,7 @@ def test_timestamps_rule_over_frame_numbers():
 
 @KINDS
 def test_a_frame_that_nobody_looked_at_keeps_the_targets(kind: str):
-    tracker = tracker_of(filter={"kind": kind})
+    tracker = tracker_of(filter={"kind": kind}, associate={"max_coast": 0.2})
     feed(tracker, [boxes(k) for k in range(15)])
     for _ in range(3):
         rows = tracker.update(Detections.empty(observed=False))

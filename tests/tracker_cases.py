@@ -12,7 +12,7 @@ SIZE = (640, 480)
 # Few particles, so that tests are quick.
 FEW = {"filter": {"particles_per_target": 500}, "birth": {"particles": 400}}
 PARTICLES = {"kind": "particle-phd"}
-FIELDS = ("frame", "identity", "xyxy", "confidence", "detection", "confirmed")
+FIELDS = ("frame", "identity", "xyxy", "confidence", "detection", "confirmed", "class_id")
 
 
 def tracker_of(*, seed: int = 0, fps: float = 25.0, **sections) -> Tracker:

@@ -51,8 +51,8 @@ def test_the_error_of_a_difference_is_that_of_a_mean_of_groups() -> None:
 def test_what_is_far_behind_is_listed_by_distance() -> None:
     case = {"group": "g", "sequence": "a", "detector": "x"}
     kept = {
-        ("adaptive", "online"): [case | {"HOTA": "40.1", "MOTA": "50", "IDF1": "44"}],
-        ("adaptive", "corrected"): [case | {"HOTA": "40", "MOTA": "58.5", "IDF1": "47.9"}],
+        ("default", "online"): [case | {"HOTA": "40.1", "MOTA": "50", "IDF1": "44"}],
+        ("default", "corrected"): [case | {"HOTA": "40", "MOTA": "58.5", "IDF1": "47.9"}],
     }
     assert [(row[0], row[3], row[4]) for row in cameras.behind(kept, PEERS)] == [
         ("online", "MOTA", "50.0"), ("online", "IDF1", "44.0"), ("corrected", "HOTA", "40.0"), ("corrected", "IDF1", "47.9"),

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from phdtrack import config, pipeline
+from phdtrack.classes import Kinds, Lanes, given_rows, remember
 from phdtrack.detect.convert import as_detections, with_size
 from phdtrack.errors import InputError
 from phdtrack.models.warp import as_warp
@@ -28,13 +29,12 @@ from phdtrack.protocols import AnyStages
 from phdtrack.types import I8, STILL, Detections, SequenceInfo, Step, Tracks
 
 if TYPE_CHECKING:
+    from phdtrack.models.learning import SceneState
     from phdtrack.scene.rates import Rates
 
 _LOG = logging.getLogger(__name__)
-# Of so many frames with boxes that were left out it is remembered which; a loop may be endless.
-_MOST_KEPT = 100_000
 # Of a saved state: it changes when a record of the state does.
-FORMAT = 14
+FORMAT = 17
 
 
 class Tracker:
@@ -47,11 +47,13 @@ class Tracker:
     seed : seed of the particle filter's randomness; the same seed and detections give the same tracks.
     filter : ``pmb``, ``gm-phd``, ``particle-phd``, ``gm-cphd``, ``particle-cphd``, ``mht``, ``mcmc``, or ``none`` for the
         association alone; or the settings of that section.
-    preset : ``default``, ``adaptive`` for any camera, ``m07``, ``m09``, ``fv``, ``m09-mht``, ``d14``, or on the ground plane
-        ``e13``.
+    preset : ``default``, ``mot15`` (the default of earlier versions), ``m07``, ``m09``, ``fv``, ``m09-mht``, ``d14``, or on
+        the ground plane ``e13``.
     settings : a TOML file with settings.
-    stages : one's own model, filter, extractor and associator, instead of all of the above but fps and seed.
-    **sections : settings by section, as ``sensor={"detection": 0.9}``.
+    stages : one's own model, filter, extractor and associator, instead of all of the above but fps and seed; `Kinds` where
+        classes have stages of their own.
+    **sections : settings by section, as ``sensor={"detection": 0.9}``; ``classes={"together": [[2, 7]]}`` for a detector's
+        classes, which are tracked apart.
 
     Raises
     ------
@@ -67,7 +69,7 @@ class Tracker:
         filter: str | Mapping[str, Any] = "",
         preset: str = "",
         settings: str | Path | None = None,
-        stages: AnyStages | None = None,
+        stages: AnyStages | Kinds | None = None,
         **sections: Mapping[str, Any],
     ) -> None:
         if not 0 < _number(fps, "Tracker(fps=…)") < math.inf:
@@ -83,19 +85,19 @@ class Tracker:
             if filter:
                 sections["filter"] = {"kind": filter} if isinstance(filter, str) else filter
             loaded = config.overlay(config.load(path, preset=preset), sections, "Tracker")
-            stages = config.build(loaded, SequenceInfo(*_size(frame_size), float(fps)))
+            stages = config.build_kinds(loaded, SequenceInfo(*_size(frame_size), float(fps)))
         elif sections or settings is not None or preset or filter:
             raise InputError("stages are complete; settings beside them would be ignored", where="Tracker")
-        self.stages, self.fps, self.seed = stages, float(fps), int(seed)
+        self.kinds = stages if isinstance(stages, Kinds) else Kinds(stages)
+        self.stages, self.fps, self.seed = self.kinds.usual, float(fps), int(seed)
         self.reset()
 
     def reset(self) -> None:
         """Forget everything: the next frame is the first of a new sequence, and identities start at 1 again."""
-        self._rng = np.random.default_rng(self.seed)
-        self._state = pipeline.start(self.stages, self._rng)
+        self._lanes = Lanes(self.kinds, self.seed)
         self._step: Step | None = None
-        # Boxes of width or height 0 that were left out, and the rows that stayed of frames that had any.
-        self._empty, self._kept = 0, dict[int, I8]()
+        # Boxes that were left out, of width or height 0 or not asked for, and the rows that stayed of frames that had any.
+        self._empty, self._unwanted, self._kept = 0, 0, dict[int, I8]()
 
     def update(
         self,
@@ -126,51 +128,50 @@ class Tracker:
         InputError : boxes that are none, a frame that does not come after the last, a warp that is none, or one for a model
             that lies at fixed pixels or on the ground.
         """
-        number = self._state.number + 1 if frame is None else _whole(frame, "update(frame=…)")
+        last = self._lanes.state
+        number = last.number + 1 if frame is None else _whole(frame, "update(frame=…)")
         if number < 1:
             raise InputError(f"expected a frame number from 1, got {number}", where="update(frame=…)")
-        time = self._state.time + (number - (self._state.number or 1)) / self.fps
+        time = last.time + (number - (last.number or 1)) / self.fps
         if timestamp is not None:
             time = _number(timestamp, f"frame {number}, update(timestamp=…)")
         found = as_detections(detections, where=f"frame {number}")
         kept = with_size(found)
         left_out = len(found) - len(kept)
+        kept = kept[self.kinds.wanted(found.take(kept))]
         moved = STILL if warp is None else as_warp(warp, f"frame {number}, update(warp=…)")
         if len(moved):
             from phdtrack.models.scene import refuse_standing
 
             refuse_standing(self.stages.model)
-        given = found.take(kept) if left_out else found
-        self._state, self._step = pipeline.advance(self.stages, self._state, given, number, time, self._rng, moved)
+        given = found.take(kept) if len(kept) < len(found) else found
+        self._step = self._lanes.advance(given, number, time, moved)
         if left_out:
             if not self._empty:
                 _LOG.warning("frame %d: boxes whose width or height is not above 0 are left out (%d here)", number, left_out)
             self._empty += left_out
-            self._kept[number] = kept
-            if len(self._kept) > _MOST_KEPT:
-                del self._kept[next(iter(self._kept))]
-        return self._as_given(self._step.tracks)
-
-    def _as_given(self, rows: Tracks) -> Tracks:
-        """The rows with the detections counted as they were given, left out ones too."""
-        detection = rows.detection.copy()
-        for number in self._kept.keys() & set(rows.frame.tolist()) if self._kept else ():
-            at = (rows.frame == number) & (detection >= 0)
-            detection[at] = self._kept[number][detection[at]]
-        return replace(rows, detection=detection) if self._kept else rows
+        if len(kept) < len(found):
+            self._unwanted += len(found) - len(kept) - left_out
+            remember(self._kept, number, kept)
+        return given_rows(self._step.tracks, self._kept)
 
     @property
     def empty(self) -> int:
         """How many boxes were left out because their width or height was not above 0."""
         return self._empty
 
+    @property
+    def unwanted(self) -> int:
+        """How many boxes were left out because their class is not tracked, or their score or size too small for it."""
+        return self._unwanted
+
     def flush(self) -> Tracks:
         """The online rows that the output delay holds back; none without a delay."""
-        return self._as_given(pipeline.flush(self.stages, self._state))
+        return given_rows(self._lanes.flush(), self._kept)
 
     def tracks(self) -> Tracks:
         """The corrected tracks of everything so far: short ones left out, gaps bridged, identities of their own."""
-        return self._as_given(pipeline.finish(self.stages, self._state))
+        return given_rows(self._lanes.finish(), self._kept)
 
     def mode(self, name: str) -> None:
         """Say which mode the scene is in from now on, as ``day`` or ``night``: what is learned and used is that mode's.
@@ -181,19 +182,30 @@ class Tracker:
         ------
         InputError : nothing is learned while tracking.
         """
-        learned = self.stages.learning and self.stages.learning.mode(self._state.learned, name)
+        learned = self.stages.learning and self.stages.learning.mode(self.state.learned, name)
         if learned is None:
             raise InputError("a scene has modes where it is learned while tracking", cure="Say learn={'kind': 'online'}")
-        self._state = replace(self._state, learned=learned)
+        self._lanes.change(
+            lambda stages, state: replace(state, learned=stages.learning and stages.learning.mode(state.learned, name))
+        )
+
+    @property
+    def scene(self) -> SceneState | None:
+        """What was learned of the scene while tracking; None where nothing is."""
+        if self.state.learned is None:
+            return None
+        from phdtrack.models.learning import scene_of
+
+        return scene_of(self.state.learned)
 
     @property
     def rates(self) -> Rates | None:
         """Estimates of p_D, false alarms, births and the likelihood ratios of scores; None where rates are not learned."""
-        if self._state.learned is None:
+        if self.state.learned is None:
             return None
         from phdtrack.models.learning import RatesState
 
-        learned = self._state.learned
+        learned = self.state.learned
         return learned.learned.rates if isinstance(learned, RatesState) else None
 
     @property
@@ -203,14 +215,19 @@ class Tracker:
 
     @property
     def state(self) -> pipeline.TrackingState:
-        """The filter's and the associator's state, and what was learned."""
-        return self._state
+        """The filter's and the associator's state, and what was learned; of several classes that of the first seen."""
+        return self._lanes.state
+
+    @property
+    def states(self) -> dict[int, pipeline.TrackingState]:
+        """The same of each class seen so far."""
+        return self._lanes.states
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that decides what comes next, as plain dictionaries, lists, numbers and arrays (it can be pickled)."""
-        dim, random = self.stages.model.motion.dim, self._rng.bit_generator.state
-        left_out = pack((self._empty, self._kept))
-        return {"format": FORMAT, "dim": dim, "state": pack(self._state), "random": random, "left_out": left_out}
+        left_out = pack((self._empty, self._unwanted, self._kept))
+        state = pack(self._lanes.saved())
+        return {"format": FORMAT, "dim": self.stages.model.motion.dim, "state": state, "left_out": left_out}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Go on from a `state_dict` of a tracker with the same settings.
@@ -226,11 +243,9 @@ class Tracker:
                 cure="Load it with the version that saved it, or begin anew",
             )
         try:
-            dim, state, rng = saved["dim"], unpack(saved["state"]), np.random.default_rng(self.seed)
-            rng.bit_generator.state = saved["random"]
-            empty, kept = unpack(saved.get("left_out", [0, pack({})]))
-            if not isinstance(state, pipeline.TrackingState):
-                raise TypeError(f"expected a TrackingState, got a {type(state).__name__}")
+            dim, lanes = saved["dim"], Lanes(self.kinds, self.seed)
+            lanes.restore(unpack(saved["state"]))
+            empty, unwanted, kept = unpack(saved["left_out"])
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise InputError(f"this is no state of a tracker ({error})", where="load_state_dict") from error
         if dim != self.stages.model.motion.dim:
@@ -239,7 +254,7 @@ class Tracker:
                 where="load_state_dict",
                 cure="Load it into a tracker with the settings of the one that it is from",
             )
-        self._state, self._rng, self._step, self._empty, self._kept = state, rng, None, empty, kept
+        self._lanes, self._step, self._empty, self._unwanted, self._kept = lanes, None, empty, unwanted, kept
 
 
 def pack(value: Any) -> Any:

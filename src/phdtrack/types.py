@@ -15,7 +15,7 @@ Conventions, stated once:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -33,10 +33,7 @@ STILL: F8 = np.zeros((0, 3))  # stands for a (3, 3) homography between the pixel
 
 @dataclass(frozen=True, slots=True)
 class SequenceInfo:
-    """What is known about a sequence before its frames are read.
-
-    ``frames`` is 0 where the number is not known in advance (headers lie; it is counted by decoding).
-    """
+    """What is known about a sequence before its frames are read; ``frames`` is 0 where their number is not (headers lie)."""
 
     width: int
     height: int
@@ -110,12 +107,13 @@ class Detections:
 class DetectionTable:
     """The detections of a whole sequence: ``frame`` (M,) int64 from 1, ascending, beside ``detections`` with M rows.
 
-    ``empty`` counts the boxes of width or height 0 that the file has besides.
+    ``empty`` counts the boxes of width or height 0 that the file has besides, ``names`` are those that it gives classes.
     """
 
     frame: I8
     detections: Detections
     empty: int = 0
+    names: Mapping[int, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -411,6 +409,7 @@ class Tracks:
     confidence : (M,) float64 in [0, 1].
     detection : (M,) index among that frame's detections, −1: predicted or bridged.
     confirmed : (M,) bool; False for rows given before the track was long enough to be confirmed.
+    class_id : (M,) int64; 0 where nothing is known of classes.
     """
 
     frame: I8
@@ -419,6 +418,11 @@ class Tracks:
     confidence: F8
     detection: I8
     confirmed: Bool
+    class_id: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
+
+    def __post_init__(self) -> None:
+        if not len(self.class_id):
+            object.__setattr__(self, "class_id", np.zeros(len(self.frame), np.int64))
 
     @classmethod
     def empty(cls) -> Tracks:
@@ -454,8 +458,7 @@ class Tracks:
     @classmethod
     def concatenate(cls, parts: list[Tracks]) -> Tracks:
         """All rows, sorted by frame, then identity."""
-        if not parts:
-            return cls.empty()
+        parts = parts or [cls.empty()]
         columns = [np.concatenate([getattr(part, name) for part in parts]) for name in cls.__slots__]
         order = np.lexsort((columns[1], columns[0]))
         return cls(*(column[order] for column in columns))

@@ -50,7 +50,7 @@ def test_learns_and_another_run_begins_with_it(yard, tmp_path):
 
 def test_what_is_learned_is_written_beside_scores_that_count(yard, tmp_path):
     run = phdtrack(
-        *options(yard, tmp_path / "run", "--preset", "adaptive", "--learn-online", "--set", "learn.memory=1.0")
+        *options(yard, tmp_path / "run", "--preset", "default", "--learn-online", "--set", "learn.memory=1.0")
     ).object
     assert run["learning"]["course"]
     assert len(read_scene(tmp_path / "run" / "scene.json").clutter.density) > 3

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from phdtrack.associate.graph import GraphMatching
+from phdtrack.classes import Kinds
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.inputs import DEPTH, Inputs
 from phdtrack.cli.track import Job, Outcome, run
@@ -79,7 +80,7 @@ def job() -> Job:
     clip = Clip()
     return Job(
         inputs=Inputs(INFO, clip, Looker(), "clip", "looker", pictures=True, again=True),
-        stages=stages,
+        kinds=Kinds(stages),
         configuration={"filter": {"name": "none"}},
         read={"source": "clip", "detector": "looker"},
         about=About("clip", "phdtrack track clip"),

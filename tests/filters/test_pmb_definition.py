@@ -73,9 +73,11 @@ def test_the_update_is_its_definition(seed: int, name: str):
     z = np.vstack([rng.normal([[300], [200]], 15, (2, 6)), rng.normal([[40], [80]], 3, (2, 6))])
     first, spread = model.sensor.states(z)
     new = [(0.8 * 1e-7, first[:, j], spread[j]) for j in range(6)]
-    scores = np.exp(rng.normal(0, 2, 6)), rng.normal(0, 3, 6)
+    # Scores that tell lasting false alarms leave nothing to static clutter.
+    scores = np.exp(rng.normal(0, 2, 6)), rng.normal(0, 3, 6) * (settings.lasting_clutter_prior > 0)
     model = replace(model, clutter=ScoredClutter(model.clutter, *scores))
-    wanted, false = twin.updated(targets, z.T, H, 9 * np.eye(4), 0.8, [3e-7] * 6, new, settings, scores, ROUNDS, SETTLED)
+    ruled = replace(settings, static_clutter_prior=0.0) if settings.lasting_clutter_prior else settings
+    wanted, false = twin.updated(targets, z.T, H, 9 * np.eye(4), 0.8, [3e-7] * 6, new, ruled, scores, ROUNDS, SETTLED)
     after, info = settings.update(state, z, model, 1.0, RNG)
     now, begins = after.present, state.present.targets["begin"]
     label = now.targets["label"].tolist()

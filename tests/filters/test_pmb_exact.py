@@ -80,9 +80,10 @@ def test_one_target_is_followed_exactly(name: str, settings: dict, dt: float):
     born = 0.8 * 2e-8 * dt
     r = born / (born + 3e-8)
     mean, cov = model.sensor.states(boxes(first))
-    kinds = [(False, 1 - filter_.static_clutter_prior), (True, filter_.static_clutter_prior)]
+    prior = filter_.static_clutter_prior / dt
+    kinds = [(False, 1 - prior), (True, prior)]
     nobody, ways = 1 - r, [One(r * w, (0,), kind, False, mean[:, 0], cov[0]) for kind, w in kinds if w > 0]
-    assert info.mass == pytest.approx(r * (1 - filter_.static_clutter_prior))
+    assert info.mass == pytest.approx(r * (1 - prior))
     # Births so rare that they change nothing.
     model, chain = world(clutter=3e-8, birth=1e-290, detection=0.8, survival=0.95), turns(filter_, dt / 25)
     for points in rest:

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import linear_sum_assignment
 
 from phdtrack import config
 from phdtrack.arrays import iou
@@ -21,10 +22,14 @@ def looked_over(table: DetectionTable, info: SequenceInfo) -> Evidence:
 
 
 def false_rows(table: DetectionTable, truth: Truth) -> np.ndarray:
-    """(M,) whether a detection overlaps with nobody by 0.3."""
-    parts = [
-        iou(table.at(k).xyxy, truth.xyxy[truth.frame == k]).max(axis=1, initial=0) < 0.3 for k in range(1, table.last + 1)
-    ]
+    """(M,) whether a detection is nobody's: it overlaps with nobody by 0.3, or another one overlaps him more."""
+    parts = []
+    for k in range(1, table.last + 1):
+        overlap = iou(table.at(k).xyxy, truth.xyxy[truth.frame == k])
+        rows, columns = linear_sum_assignment(-overlap)
+        false = np.ones(len(overlap), np.bool_)
+        false[rows] = overlap[rows, columns] < 0.3
+        parts.append(false)
     return np.concatenate(parts)
 
 
@@ -71,14 +76,16 @@ def test_in_a_crowd_who_is_hidden_is_rejected_too():
 @pytest.mark.data
 @pytest.mark.usefixtures("data")
 def test_where_no_place_fires_hardly_anything_is_ticked():
-    """PETS09-S2L1, people who stop and talk: 1.5 % of the detections at most, and no place."""
+    """PETS09-S2L1, people who stop and talk: of the detections 1 % at most are ticked and true, and none as a place."""
     from experiments.common import mot15
 
     case = mot15("PETS09-S2L1", "frcnn")
     found = measured(case.table, case.truth, case.info)
     asked = 200 / case.info.frames * len(case.table)
     assert found["place"][0] == 0
-    assert found["all"][0] <= 0.015 * asked
+    number, precision, _ = found["all"]
+    assert number > 0
+    assert number * (1 - precision) <= 0.01 * asked
 
 
 def at_one_place(frames, jitter=2.0, seed=0):

@@ -106,9 +106,8 @@ def test_kitti_as_trackeval_prepares_it(tmp_path: Path, kind: str, seed: int):
 
 def test_a_kitti_file_needs_a_type(tmp_path: Path):
     drawn(np.random.default_rng(1), tmp_path)
-    for read, name in ((read_truth, "gt.txt"), (read_tracks, "found.txt")):
-        with pytest.raises(InputError, match="--kitti Car"):
-            read(tmp_path / name)
+    with pytest.raises(InputError, match="--kitti Car"):
+        read_truth(tmp_path / "gt.txt")
     path = tmp_path / "broken.txt"
     path.write_text("1,1,0,0,20,40,1,-1,-1,-1")
     with pytest.raises(InputError, match="expected a KITTI label file"):

@@ -94,7 +94,7 @@ def street(path: np.ndarray | None = None, seed: int = 3):
 
 def tracked(scene, kind: str, warps=None) -> tuple[Tracks, Tracker]:
     """Online rows."""
-    tracker = Tracker((640, 480), fps=25, preset="adaptive", common_motion={"kind": kind}, camera_motion={"kind": "none"})
+    tracker = Tracker((640, 480), fps=25, preset="default", common_motion={"kind": kind}, camera_motion={"kind": "none"})
     given = [None] * 101 if warps is None else warps
     rows = [tracker.update(scene.detections.at(k), warp=given[k]) for k in range(1, 101)]
     return Tracks.concatenate(rows), tracker

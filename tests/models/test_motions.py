@@ -8,11 +8,7 @@ import pytest
 from composed import drawn
 from experiments.bearing import TurningMotion
 from phdtrack.errors import InputError
-from phdtrack.filters import ParticlePHD
 from phdtrack.models import BoxMotion, PlaneMotion, PointMotion
-from phdtrack.models.gaussian import predicted
-from phdtrack.protocols import Model
-from phdtrack.types import Particles
 
 BOX = np.array([[320.0], [240.0], [3.0], [-2.0], [60.0], [150.0]])
 POINT = np.array([[3.0], [20.0], [1.2], [-0.4]])
@@ -98,27 +94,6 @@ def test_boxes_survive_as_long_as_they_touch_the_frame():
     x[:2], x[4], x[5] = np.hstack([inside, outside]), 20, 40
     np.testing.assert_allclose(motion.p_survive(x, 3.0), [0.9**3] * 5 + [0.0] * 5)
     np.testing.assert_allclose(BoxMotion(survival_probability=0.9).p_survive(x, 0.5), 0.9**0.5)
-
-
-def test_boxes_at_the_border_of_the_frame_leave_sooner(rng):
-    """Boxes whose edge is within 5 % of their size of a border, beside those that do not reach it and those outside; as the
-    compiled predictions of Gaussians and of particles have it, too."""
-    motion = BoxMotion(survival_probability=0.9, leaving_rate=2.0, frame_size=(640.0, 480.0))
-    x = np.zeros((6, 10))
-    x[:2] = [
-        [320, 9.5, 8.5, 630.5, 631.5, 320, 320, 320, 320, -11],
-        [240, 240, 240, 240, 240, 18.5, 17.5, 461.5, 462.5, 240],
-    ]
-    x[4], x[5] = 20, 40
-    reaching = np.array([0, 0, 1, 0, 1, 0, 1, 0, 1, 1], bool)
-    wanted = np.where(reaching, 0.9**0.5 * np.exp(-1.0), 0.9**0.5)
-    wanted[9] = 0
-    np.testing.assert_allclose(motion.p_survive(x, 0.5), wanted)
-    model = Model(motion, None, None, None, rate=1.0)
-    found = predicted(model, np.ascontiguousarray(x.T), np.tile(np.eye(6), (10, 1, 1)), 0.5, "linear").p_survive
-    np.testing.assert_allclose(found, wanted)
-    moved = ParticlePHD().predict(Particles(x, np.ones(10), np.array([0, 10])), model, 0.5, rng)
-    np.testing.assert_allclose(moved.weight, wanted, rtol=1e-6)
 
 
 def test_sizes_stay_positive(rng):

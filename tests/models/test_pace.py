@@ -16,7 +16,7 @@ SIZE = np.array([30.0, 40.0])
 
 def model() -> Model:
     """The model of the preset for any camera."""
-    return config.build(config.load(preset="adaptive"), SequenceInfo(640, 480, 25.0)).model
+    return config.build(config.load(preset="default"), SequenceInfo(640, 480, 25.0)).model
 
 
 def boxes(number: int, step: float) -> np.ndarray:
@@ -30,7 +30,7 @@ def boxes(number: int, step: float) -> np.ndarray:
 
 def tracked(fps: float, step: float) -> tuple[Tracker, list[tuple[int, int, np.ndarray]]]:
     """The tracker after all frames, and frame, identity and box of its corrected rows."""
-    tracker = Tracker((640, 480), fps=fps, preset="adaptive")
+    tracker = Tracker((640, 480), fps=fps, preset="default")
     for number in range(1, FRAMES + 1):
         tracker.update(boxes(number, step))
     found = tracker.tracks()

@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 
 from phdtrack import Tracker
 from phdtrack.kernels.box import following
-from phdtrack.kernels.scores import Line, chained, newton
-from phdtrack.models.scores import BOUND, EVEN_LOGIT, ScoreOdds, ScoresSeen
+from phdtrack.kernels.scores import LOGIT, PROBABILITY, RANK, Line, chained, newton, scaled
+from phdtrack.models.clutter import UniformClutter
+from phdtrack.models.scores import BOUND, EVEN_LOGIT, KEPT, ScoreOdds, ScoresSeen
+from phdtrack.protocols import Model
 from phdtrack.types import Detections
 
 RULE, FIRST = ScoreOdds(), ScoreOdds().start()
@@ -28,6 +30,7 @@ def after(rule: ScoreOdds, *scores: np.ndarray) -> ScoresSeen:
     return state
 
 
+@settings(deadline=None)
 @given(
     score=st.lists(st.floats(0, 1), min_size=2, max_size=20), scale=st.floats(1, 50), slope=st.floats(0.1, 5),
     even=st.floats(0.05, 0.95), most=st.floats(1, 1e4),
@@ -73,6 +76,7 @@ def test_of_scores_on_another_scale_the_rank_counts(scores: list[int], first: in
     np.testing.assert_allclose(unknown, [[*row, 0] for row in wanted], rtol=1e-12)
 
 
+@settings(deadline=None)
 @given(st.lists(st.floats(-3, 15), min_size=1, max_size=20))
 def test_scores_of_which_some_are_negative_are_log_odds(scores: list[float]):
     """They say by how much they exceed what says nothing, up to a probability of 0.999; one of 100 makes them ranks."""
@@ -83,6 +87,26 @@ def test_scores_of_which_some_are_negative_are_log_odds(scores: list[float]):
     np.testing.assert_allclose(single, np.clip(wanted, -np.log(400), np.log(400)))
     single, _ = RULE.log_odds(np.array([-0.8, 100.0]), FIRST)
     np.testing.assert_allclose(single, ScoreOdds().log_odds(np.array([3.0, 7.0]), FIRST)[0])
+
+
+@settings(deadline=None)
+@given(
+    st.lists(st.one_of(st.floats(-2, 30), st.floats(0, 1), st.just(np.nan)), max_size=12), st.floats(-1, 40), st.floats(0, 9)
+)
+def test_scores_become_log_odds_as_defined(scores: list[float], low: float, more: float):
+    score = np.array(scores)
+    known = np.append(score[~np.isnan(score)], [low, low + more])
+    found = scaled(score, low, low + more, (25.0, 2.0), 5.0, 0.01)
+    assert (found.low, found.high) == (known.min(), known.max())
+    if known.min() >= 0 and known.max() <= 1:
+        kind, share = PROBABILITY, np.clip(score, 0.01, 0.99)
+        x = np.log(share / (1 - share))
+    elif known.min() < 0 and known.max() <= 25:
+        kind, x = LOGIT, np.clip(score - 2, -5, 5)
+    else:
+        kind, x = RANK, np.full(len(score), np.nan)
+    assert found.kind == kind
+    np.testing.assert_allclose(found.x, x if known.min() < known.max() else np.full(len(score), np.nan), rtol=1e-12)
 
 
 def plain_chains(before, boxes, x, waiting, length, overlap):
@@ -96,8 +120,9 @@ def plain_chains(before, boxes, x, waiting, length, overlap):
         if long[j] >= most:
             true += now[j][~np.isnan(now[j])].tolist()
             now[j] = np.nan
-    false = waiting[np.setdiff1d(np.arange(len(before)), link)].ravel()
-    return now, long, np.array(true), false[~np.isnan(false)]
+    ended = np.setdiff1d(np.arange(len(before)), link)
+    false = waiting[ended].ravel()
+    return now, long, np.array(true), false[~np.isnan(false)], (length[ended] == 1).sum()
 
 
 def plain_newton(before: Line, true, false, prior: Line, remembered: float) -> Line:
@@ -129,7 +154,7 @@ def test_verdicts_and_what_they_teach_are_as_defined(seed: int, count: int, leng
         got = chained(before, now, x, waiting, long, 0.3)
         for a, b in zip(got, wanted, strict=True):
             np.testing.assert_array_equal(a, b)
-        waiting, long, true, false = got
+        waiting, long, true, false, _ = got
         wanted_line = plain_newton(line, true, false, prior, 50.0)
         line = Line(*newton(line, true, false, prior, 50.0))
         for a, b in zip(line, wanted_line, strict=True):
@@ -158,9 +183,26 @@ def test_the_ratio_is_learned_from_what_is_linked(seed: int, slope: float, even:
     assert learned[1] - learned[0] == pytest.approx(slope, abs=5 * (2400 / 8) ** -0.5)
 
 
+@pytest.mark.parametrize("false", [0, 1, 12])
+def test_false_alarms_are_learned_from_detections_that_are_alone(false: int):
+    """Three that stay, and false alarms far from one another: these are the share that is alone, without any scores."""
+    rng, rule, state, frames = np.random.default_rng(false), RULE, FIRST, 300
+    for _ in range(frames):
+        place = np.concatenate([np.array([[0.0, 0], [200, 0], [400, 0]]), rng.uniform(1000, 1e6, (false, 2))])
+        found = Detections(np.hstack([place, place + 50]), np.ones(len(place)), np.zeros(len(place), np.int64))
+        state = rule.advance(state, SimpleNamespace(detections=found))
+    model = Model(None, None, None, UniformClutter(2.0), rate=1.0)
+    told = rule.with_scores(state, model, found).clutter.intensity(np.zeros((4, len(place))))
+    # Of the (3 + false)·(frames − 1) detections with a verdict those that were not forgotten, and the prior's 100.
+    seen = (3 + false) * (frames - 1)
+    kept = min(seen, KEPT)
+    share = false / (3 + false) * kept / (kept + 100)
+    np.testing.assert_allclose(told, 2.0 * max(share / rule.usual_alone, 1.0), rtol=0.05)
+
+
 def found_with(low: float) -> tuple[list[set[int]], Tracker]:
     """Identities of each frame: one person with a high score who fades to ``low``, and one who never has a higher one."""
-    tracker, seen = Tracker((640, 480), preset="adaptive"), []
+    tracker, seen = Tracker((640, 480), preset="default"), []
     for k in range(60):
         boxes = [[100 + 3.0 * k, 100, 140 + 3.0 * k, 200], [500 - 2.0 * k, 300, 540 - 2.0 * k, 400]]
         score = np.array([0.9 if k < 25 else low, low])

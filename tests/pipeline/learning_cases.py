@@ -9,7 +9,7 @@ import numpy as np
 
 from phdtrack import config, pipeline
 from phdtrack.metrics import evaluate
-from phdtrack.models.learning import SceneState
+from phdtrack.models.learning import SceneState, scene_of
 from phdtrack.scene.online import SceneUpdate
 from phdtrack.simulate import DetectorModel, make_scene
 from phdtrack.simulate.detector import detect
@@ -57,15 +57,18 @@ def tracked(info: SequenceInfo, table: DetectionTable, *sets: str, kind: str = "
         "smooth.stitching=false",
         *(f"learn.{text}" for text in ("kind=online", *sets) if sets),
     ]
-    stages, rng = config.build(config.load(sets=options), info), np.random.default_rng(0)
+    # The default reads scores, which here tell all false alarms.
+    preset = "mot15" if kind == "pmb" else ""
+    stages, rng = config.build(config.load(sets=options, preset=preset), info), np.random.default_rng(0)
     frames = ((k, (k - 1) / info.fps, table.at(k)) for k in range(1, info.frames + 1))
     course, state = [], pipeline.start(stages, rng)
     for number, time, seen in frames:
         state, _ = pipeline.advance(stages, state, seen, number, time, rng)
-        last = None if state.learned is None else state.learned.known.last
+        scene = scene_of(state.learned)
+        last = None if scene is None else scene.known.last
         if last is not None and (not course or last is not course[-1]):
             course.append(last)
-    return Run(pipeline.finish(stages, state), state.learned, course)
+    return Run(pipeline.finish(stages, state), scene_of(state.learned), course)
 
 
 def scores(truth: Truth, tracks: Tracks, first: int, last: int):

@@ -27,7 +27,7 @@ def test_the_size_of_the_picture_changes_nothing(width: int, share: float):
     """The same scene in other pixels: the same rows and identities, boxes in proportion.
 
     But for what a pixel is to the sensor, its least deviation: where boxes are a few pixels wide it takes part, and boxes
-    differ by up to ``share`` of their smaller side, here a pixel.
+    differ by up to a pixel, or ``share`` of their smaller side.
     """
     scene = make_scene("street", 1, DetectorModel(clutter_rate=2.0), frames=200)
     scale = width / scene.info.width
@@ -36,7 +36,7 @@ def test_the_size_of_the_picture_changes_nothing(width: int, share: float):
     assert other.frame.tolist() == one.frame.tolist()
     assert other.identity.tolist() == one.identity.tolist()
     size = (one.xyxy[:, 2:] - one.xyxy[:, :2]).min(axis=1)
-    assert (np.abs(other.xyxy / scale - one.xyxy).max(axis=1) < share * size).all()
+    assert (np.abs(other.xyxy / scale - one.xyxy).max(axis=1) < np.maximum(share * size, 1 / scale)).all()
 
 
 @pytest.mark.parametrize("fps", [7, 15, 30, 60])

@@ -108,7 +108,7 @@ def test_frames_that_nobody_saw_teach_nothing():
     tracker = Tracker((640, 360), learn={"kind": "online", "memory": 0.2})
     for _ in range(200):
         tracker.update(Detections.empty(observed=False))
-    known = tracker.state.learned.known
+    known = tracker.scene.known
     assert known.last is None
     assert known.pending.frames == ()
 
@@ -131,14 +131,14 @@ def test_modes_by_a_call_from_outside():
     known = {}
     for first, name, table in ((1, "day", scene.detections), (401, "night", night), (801, "day", scene.detections)):
         tracker.mode(name)
-        before = tracker.state.learned
+        before = tracker.scene
         for k in range(first, first + 400):
             tracker.update(table.at(k))
-        known.setdefault(name, []).append((before.clutter, tracker.state.learned.clutter))
+        known.setdefault(name, []).append((before.clutter, tracker.scene.clutter))
     # A new mode knows nothing; one that was there before knows what it knew.
     assert known["night"][0][0] is None
     assert known["day"][1][0].clutter_per_frame == known["day"][0][1].clutter_per_frame
     np.testing.assert_array_equal(known["day"][1][0].density.mean, known["day"][0][1].density.mean)
-    assert [mode.name for mode in tracker.state.learned.known.regimes] == ["first", "day", "night"]
+    assert [mode.name for mode in tracker.scene.known.regimes] == ["first", "day", "night"]
     with pytest.raises(InputError, match="learned while tracking"):
         Tracker((640, 360)).mode("day")

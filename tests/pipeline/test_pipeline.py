@@ -33,7 +33,7 @@ class Recorded:
 
 def recorded(rate: float = 25.0) -> tuple[Stages, list]:
     """The stages of the PMB filter, and the calls of filter, extractor and associator after the start."""
-    built, calls = config.build(config.load(sets=[f"time.units_per_second={rate}"]), INFO), []
+    built, calls = config.build(config.load(sets=[f"time.units_per_second={rate}", "time.longest_interval=0"]), INFO), []
     own = {name: Recorded(getattr(built, name), calls) for name in ("filter", "extractor", "associator")}
     return replace(built, **own), calls
 

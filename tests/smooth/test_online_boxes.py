@@ -100,9 +100,9 @@ def test_rows_without_a_detection_stay_as_they_are(rng):
 
 def test_rows_held_back_show_the_detections_of_their_own_frames():
     scene = street()
-    late = tracker_of(preset="adaptive", associate={"output_delay": 3})
+    late = tracker_of(preset="default", associate={"output_delay": 3})
     rows = Tracks.concatenate([*feed(late, scene), late.flush()])
-    plainly = tracker_of(preset="adaptive", associate={"output_delay": 3}, smooth={"detection_share": False})
+    plainly = tracker_of(preset="default", associate={"output_delay": 3}, smooth={"detection_share": False})
     without = Tracks.concatenate([*feed(plainly, scene), plainly.flush()])
     np.testing.assert_array_equal(rows.frame, without.frame)
     seen = np.array([xyxy[k] if k >= 0 else np.full(4, np.nan) for xyxy, k in _named(rows, scene)])
@@ -118,7 +118,8 @@ def _named(rows: Tracks, scene):
     return [(scene[number - 1].xyxy, k) for number, k in zip(rows.frame.tolist(), rows.detection.tolist(), strict=True)]
 
 
-def test_the_default_shows_the_filters_boxes():
-    assert tracker_of().stages.online is None
+def test_where_the_filters_boxes_are_shown():
+    assert tracker_of().stages.online is not None
+    assert tracker_of(preset="mot15").stages.online is None
     # A detection of several targets says of none where it is.
-    assert tracker_of(preset="adaptive", merged_measurements={"kind": "explained"}).stages.online is None
+    assert tracker_of(preset="default", merged_measurements={"kind": "explained"}).stages.online is None

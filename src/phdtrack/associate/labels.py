@@ -2,6 +2,16 @@
 
 Where a filter revises the past (`Estimates.past`), its last word stands in corrected tracks and in the online rows that
 ``output_delay`` holds back.
+
+With ``coast_by_evidence`` a confirmed track that has been missing for a seconds is shown while
+
+    f(a) + PRIOR·[a ≤ max_coast] > SHARE (f(a) + l(a) + PRIOR)
+
+Of the tracks that the filter went on reporting for a seconds or longer without a detection, f were then found where they
+were predicted, and l elsewhere or not in time (`kernels.coasting`). Where a track was predicted is where its box was going.
+A track that the filter has dropped counts for as long as it was reported: what comes later could not have been shown. Old
+verdicts fade with new ones, not with time. Ages are in the model's time: the length of frames makes no difference, nor do
+frames left out.
 """
 
 from __future__ import annotations
@@ -12,10 +22,21 @@ from typing import NamedTuple
 
 import numpy as np
 
+from phdtrack.arrays import to_cxcywh, to_xyxy
 from phdtrack.associate.history import NO_LINKS, History, Moment, measurements, rows_of
 from phdtrack.errors import Checked, Count, InputError, NonNegative, PositiveCount
+from phdtrack.kernels.coasting import STEPS, Followed, Reported, after_frame, returning
+from phdtrack.models.warp import warp_states
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, Bool, Estimates, MeasurementHistory, Tracks
+
+# Verdicts that ``max_coast`` counts for; the share of those found again from which a missing track is shown; how many are
+# remembered of each age.
+PRIOR, SHARE, REMEMBERED = 3.0, 0.5, 200.0
+# Seconds, and frames, after which a missing track is not found in time: the later of the two.
+PATIENCE, PATIENT_FRAMES = 0.8, 20.0
+_NONE, _NO_BOX = np.zeros(0), np.zeros((0, 4))
+NOBODY = Followed(np.zeros(0, np.int64), _NONE, _NONE, _NO_BOX, _NO_BOX, np.zeros((2, STEPS)))
 
 
 class LabelTable(NamedTuple):
@@ -79,6 +100,7 @@ class LabelledState:
     history, recent : frames that no revision reaches any more, and those that one may reach.
     table : what is known of the labels in the first.
     time, used : model time; identities given online.
+    followed : who may be missing, and how those that were came back; nobody unless ``coast_by_evidence``.
     """
 
     history: History = field(default_factory=History)
@@ -86,6 +108,7 @@ class LabelledState:
     table: LabelTable = field(default_factory=lambda: LabelTable.of(np.zeros(0, np.int64)))
     time: float = 0.0
     used: int = 0
+    followed: Followed = NOBODY
 
     def __len__(self) -> int:
         return len(self.history) + len(self.recent)
@@ -105,6 +128,8 @@ class Labelled(Checked):
     output_delay : frames by which the online output lags, so that what follows can revise states and confirm tracks.
     max_coast : seconds for which, at most, a confirmed track is continued online past its last detection. Corrected tracks
         end with their last one.
+    coast_by_evidence : such a track is shown while, in this stream, more of those missing as long were found again where
+        they were predicted than not; ``max_coast`` is what is expected before any are known.
     bridge_gaps : fill the gaps of tracks with predicted rows, smoothed in corrected tracks. Otherwise every row rests on a
         detection.
     history : seconds after which the past is forgotten, for cameras that run for days; 0: never. Corrected tracks then go no
@@ -114,6 +139,7 @@ class Labelled(Checked):
     min_track_length: PositiveCount = 5
     output_delay: Count = 0
     max_coast: NonNegative = 0.2
+    coast_by_evidence: bool = False
     bridge_gaps: bool = True
     history: NonNegative = 0.0
 
@@ -139,18 +165,20 @@ class Labelled(Checked):
         for moment in state.recent[:settled]:
             history = history.append(moment)
         table = state.table.including(changed).counting(state.recent[:settled])
-        extended = LabelledState(history, (*recent, now), table, time, state.used)
+        present = table.counting((*recent, now))
+        followed = self._followed(state.followed, now, present, dt, model) if self.coast_by_evidence else state.followed
+        extended = LabelledState(history, (*recent, now), table, time, state.used, followed)
         due = len(extended) - 1 - self.output_delay
         if due < 0:
             return extended, Tracks.empty()
-        given, tracks = self._give(extended, due, model)
+        given, tracks = self._give(extended, due, present, model)
         return self._recent(given, due, model), tracks
 
     def flush(self, state: LabelledState, model: Model) -> Tracks:
         """The online rows of the last ``output_delay`` frames."""
         parts = []
         for due in range(max(0, len(state) - self.output_delay), len(state)):
-            state, tracks = self._give(state, due, model)
+            state, tracks = self._give(state, due, state.table.counting(state.recent), model)
             parts.append(tracks)
         return Tracks.concatenate(parts)
 
@@ -170,13 +198,17 @@ class Labelled(Checked):
         """The measurements of everything that is remembered."""
         return measurements((*state.history, *state.recent))
 
-    def _give(self, state: LabelledState, due: int, model: Model) -> tuple[LabelledState, Tracks]:
+    def _give(self, state: LabelledState, due: int, present: LabelTable, model: Model) -> tuple[LabelledState, Tracks]:
         """The state with the identities of the frame at place ``due``, and its rows as it is seen now."""
-        moment, present = state[due], state.table.counting(state.recent)
+        moment = state[due]
         estimates = moment.estimates
         place = present.places(estimates.tag)
-        confirmed = present.confirmed[place] | (present.states[place] >= self.min_track_length)
-        coasting = self.bridge_gaps & confirmed & (moment.time - present.last[place] <= self.max_coast * model.rate + 1e-9)
+        confirmed, last = self._confirmed(present, place), present.last[place]
+        coasting = moment.time - last <= self.max_coast * model.rate + 1e-9
+        if self.coast_by_evidence:
+            age = (state.time - last) / model.rate
+            coasting = returning(state.followed.verdicts, age, coasting, PRIOR, SHARE) | (last >= moment.time)
+        coasting = self.bridge_gaps & confirmed & coasting
         shown = np.flatnonzero((estimates.detection >= 0) | coasting)
         place, confirmed = place[shown], confirmed[shown]
         fresh = place[present.identity[place] == 0]
@@ -188,6 +220,23 @@ class Labelled(Checked):
         rows = Tracks.of(moment.number, name, e.xyxy, e.weight, e.detection, confirmed[order])
         table = state.table._replace(identity=identity, confirmed=sure)
         return replace(state, table=table, used=state.used + len(fresh)), rows
+
+    def _confirmed(self, present: LabelTable, place: I8) -> Bool:
+        """(n,) whether the labels at these places have been confirmed."""
+        return present.confirmed[place] | (present.states[place] >= self.min_track_length)
+
+    def _followed(self, before: Followed, now: Moment, present: LabelTable, dt: float, model: Model) -> Followed:
+        """Who may be missing after the newest frame, and the verdicts, with those that it brings."""
+        e, place = now.estimates, present.places(now.estimates.tag)
+        last, sure = present.last[place] / model.rate, self._confirmed(present, place)
+        reported, interval = Reported(e.tag, np.argsort(e.tag), e.xyxy, last, sure), dt / model.rate
+        patience = max(PATIENCE, PATIENT_FRAMES * interval)
+        if len(model.warp) and len(before.label):
+            x, y, w, h = to_cxcywh(before.xyxy)
+            x, y, _, _, w, h = warp_states(np.stack([x, y, 0 * x, 0 * y, w, h]), model.warp)
+            before = before._replace(xyxy=to_xyxy(np.stack([x, y, w, h])))
+        after: Followed = after_frame(before, reported, now.time / model.rate, interval, patience, 1 - 1 / REMEMBERED)
+        return after
 
     def _recent(self, state: LabelledState, due: int, model: Model) -> LabelledState:
         """The state without what is forgotten; rows still due stay."""

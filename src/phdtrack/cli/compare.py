@@ -19,7 +19,7 @@ from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, progress
-from phdtrack.cli.settings import scene_settings
+from phdtrack.cli.settings import only_classes, scene_settings
 from phdtrack.cli.track import about, announced, detections_needed
 from phdtrack.compare import Comparison, Plan
 from phdtrack.compare.failures import worst_frames, write_frames
@@ -62,6 +62,7 @@ class PlanOptions:
     truth: Annotated[str, option("FILE", "Annotated objects of a video; {} stands for its name.")] = ""
     max_width: given.MaxWidth = 0
     iou: given.Iou = 0.5
+    classes: given.Classes = ""
 
     def plan(self, sequences: list[str]) -> Plan:
         """Every sequence with these detections, methods, rates of clutter and seeds. Raises `InputError` for mistakes."""
@@ -81,7 +82,7 @@ class PlanOptions:
             variants=self.variants or (),
             preset=self.preset,
             file=self.config,
-            sets=(*scene_settings(self.scene), *(self.sets or ())),
+            sets=(*scene_settings(self.scene), *(self.sets or ()), *only_classes(self.classes)),
             iou=self.iou,
         )
         return comparing.plan(wanted)

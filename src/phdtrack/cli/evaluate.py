@@ -7,12 +7,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from phdtrack.cli import options as given
 from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, number
-from phdtrack.formats import find_seqinfo, ignoring, read_detections, read_tracks, read_truth
+from phdtrack.errors import InputError
+from phdtrack.formats import (
+    find_seqinfo,
+    ignoring,
+    read_detections,
+    read_tracks,
+    read_tracks_named,
+    read_truth,
+    read_truth_by_class,
+)
 from phdtrack.metrics import Errors, Scores, explain, rmse_per_target, tgospa_boxes
 from phdtrack.metrics import evaluate as score
 from phdtrack.metrics.errors import ENDS, FALSE, PLACES
@@ -25,6 +35,7 @@ MODA N_MODA MODP MOTA MOTA_log MOTP IDF1 HOTA OSPA GOSPA OSPA2 SFDA ATA id_switc
 false_tracks delay_mean frames
 """
 ErrorCauses = Annotated[bool, typer.Option("--errors", help="Misses and false boxes by cause, and the worst tracks.")]
+NO_TRUTH = Truth(*(np.zeros(0, np.int64),) * 2, np.zeros((0, 4)), np.zeros(0, np.bool_))
 BY_TRAJECTORY = ("TGOSPA", "TGOSPA_localisation", "TGOSPA_missed", "TGOSPA_false", "TGOSPA_switching")
 
 
@@ -35,6 +46,7 @@ class EvaluateOptions:
     ignore: Annotated[Path | None, option("FILE", "Regions that do not count: CSV frame,x,y,w,h; no frame: all.")] = None
     kitti: Annotated[str, option("TYPE", "Type that is scored of KITTI label files, as Car.")] = ""
 
+    per_class: Annotated[bool, typer.Option("--per-class", help="Scores of each class; no pair is of two classes.")] = False
     errors: ErrorCauses = False
     detections: Annotated[Path | None, option("FILE", "For --errors: what the tracker was given.")] = None
     worst: Annotated[int, option("N", "For --errors: how many objects and tracks are named.", min=0)] = 5
@@ -55,6 +67,9 @@ def evaluate(
     A row of the truth that the benchmark ignores is ignored here; every row of the tracks counts. --errors says why boxes
     are missed or false. With --json a score whose denominator is empty is null.
     """
+    if asked.per_class:
+        output.document(per_class(output, truth, tracks, asked, iou=iou, frames=frames))
+        return
     annotated, found = read_truth(truth, kitti=asked.kitti), read_tracks(tracks, kitti=asked.kitti)
     annotated = annotated if asked.ignore is None else ignoring(annotated, asked.ignore)
     known = None if frames else find_seqinfo(truth)
@@ -79,6 +94,30 @@ def evaluate(
         error_tables(output, errors, asked.worst)
         document["errors"] = errors.as_dict(asked.worst)
     output.document(document)
+
+
+def per_class(
+    output: Output, truth: Path, tracks: Path, asked: EvaluateOptions, *, iou: float, frames: int
+) -> dict[str, object]:
+    """Scores of each class of the truth and of the tracks, in a table and for JSON."""
+    if asked.kitti or asked.errors:
+        raise InputError("it does not go with --kitti or --errors", where="--per-class", cure="Leave one out.")
+    annotated, (found, names) = read_truth_by_class(truth), read_tracks_named(tracks)
+    known = None if frames else find_seqinfo(truth)
+    last = max([found.frame.max(initial=0), *(one.frame.max(initial=0) for one in annotated.values())])
+    frames = frames or max(int(last), 0 if known is None else known.frames)
+    label = np.array([names.get(one, str(one)).lower() for one in found.class_id.tolist()], np.str_)
+    words = {one: one for one in label.tolist()} | {name.lower(): name for name in (*names.values(), *annotated)}
+    scores = {}
+    for word, name in words.items():
+        given = next((one for key, one in annotated.items() if key.lower() == word), NO_TRUTH)
+        given = given if asked.ignore is None else ignoring(given, asked.ignore)
+        mine = found.take(label == word)
+        if len(mine) or len(given):
+            scores[name] = score(given, mine, frames=frames, iou=iou)
+    output.say(f"{tracks} against {truth}: {frames} frames, each class on its own, match from IoU {iou:g}", "")
+    score_table(output, scores)
+    return {"classes": {name: one.as_dict() for name, one in scores.items()}}
 
 
 def score_table(out: Output, runs: Mapping[str, Scores]) -> None:

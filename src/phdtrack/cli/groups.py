@@ -85,6 +85,8 @@ def groups(
         job, delay = prepare(source, options, settings, video=video), settings.build("associate").output_delay
         stages, info, reach = job.stages, job.inputs.info, settings.build("camera").max_distance
         observer = GroupObserver(build_groups(settings, stages), info, _read_edges(edges), stages, delay, reach)
+        # A group may have members of several classes.
+        job = replace(job, kinds=replace(job.kinds, apart=False))
         finish(output, replace(job, observers=(*job.observers, observer)), rundir.claim(out, overwrite, name=info.name))
         return
     useless = {f"--{name.replace('_', '-')}": used for name, used in asdict(replace(source, source="", fps=0.0)).items()}

@@ -44,7 +44,8 @@ Mover = Callable[[Frame, Detections], F8]
 @dataclass(frozen=True, slots=True)
 class Inputs:
     """What a run reads. ``pictures``: the frames have any. ``again``: they can be read a second time (a camera's cannot).
-    ``name`` is for people; ``described`` says where the detections come from."""
+    ``name`` is for people; ``described`` says where the detections come from. ``classes`` are those of detections in a file,
+    and ``names`` what it calls them; None where it has none."""
 
     info: SequenceInfo
     source: VideoSource
@@ -54,6 +55,8 @@ class Inputs:
     pictures: bool
     again: bool
     warnings: tuple[str, ...] = ()
+    names: Mapping[int, str] | None = None
+    classes: frozenset[int] | None = None
 
 
 def detected(
@@ -100,7 +103,9 @@ def open_inputs(given: SourceOptions, parameters: dict[str, Any], last: int = 0)
     table = read_detections(path)
     frames = _video(given) if pictures else _blank(given, path, table, last)
     seen, left_out = within_frame(table, frames.info, path)
-    return Inputs(frames.info, frames, TableDetector(seen), given.source or str(path), str(path), pictures, again, left_out)
+    classes = frozenset(np.unique(seen.detections.class_id).tolist())
+    found = Inputs(frames.info, frames, TableDetector(seen), given.source or str(path), str(path), pictures, again, left_out)
+    return replace(found, names=seen.names, classes=classes) if seen.names or classes - {0} else found
 
 
 def refuse(useless: Mapping[str, object], problem: str, instead: str) -> None:

@@ -13,9 +13,9 @@ from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.config import Settings
 from phdtrack.errors import InputError
 from phdtrack.formats.columns import WarpsWriter, read_warps
-from phdtrack.models.learning import RateLearning, RatesState, SceneLearning
+from phdtrack.models.learning import RateLearning, SceneLearning, scene_of
 from phdtrack.models.scene import not_standing, refuse_standing
-from phdtrack.models.scores import ScoreOdds, ScoresSeen
+from phdtrack.models.scores import ScoreOdds
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import Learning, Model
 from phdtrack.report.pages import lines, render
@@ -129,8 +129,9 @@ class SceneObserver(RunObserver):
 
     def take(self, step: Step, state: TrackingState) -> None:
         """Keep what this frame taught."""
-        learned = state.learned
-        self._known: OnlineScene = (learned.other if isinstance(learned, RatesState | ScoresSeen) else learned).known
+        scene = scene_of(state.learned)
+        assert scene is not None
+        self._known: OnlineScene = scene.known
         if self._known.last is not None and self._known.last.number == step.number:
             self._course.append(self._known.last)
 

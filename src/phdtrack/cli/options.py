@@ -35,8 +35,9 @@ TruthFile = Annotated[Path | None, option("FILE", "Annotated objects to score ag
 Labels = Annotated[Path | None, option("FILE", "What was marked with `phdtrack label`; default: next to the video.")]
 Config = Annotated[Path | None, option("FILE", "Settings in a TOML file; an unknown name is an error.")]
 Sets = Annotated[list[str] | None, option("NAME=VALUE", "One setting, as sensor.box_noise=0.1; repeatable.", "--set")]
-Preset = Annotated[str, option("NAME", "Settings to start from: default, adaptive, m07, m09, fv, m09-mht, e13, d14.")]
+Preset = Annotated[str, option("NAME", "Settings to start from: default, mot15, m07, m09, fv, m09-mht, e13, d14.")]
 DetectionsFile = Annotated[Path | None, option("FILE", "File of detections, used instead of a detector.")]
+Classes = Annotated[str, option("NAME,...", "Classes of the detections to track; default: all, each on its own.")]
 Out = Annotated[Path | None, option("DIR", "Directory to write into; default: runs/ and the source's name.")]
 Threads = Annotated[int | None, option("N", "Threads of particle filters; same result (default: 1; 0: all cores).", min=0)]
 
@@ -67,3 +68,4 @@ class TrackingOptions:
     seed: Seed = 0
     truth: TruthFile = None
     threads: Threads = None
+    classes: Classes = ""

@@ -34,12 +34,18 @@ MAIN = {
 
 def chosen(options: TrackingOptions, first: Sequence[str] = ()) -> Settings:
     """The settings: those of preset and file, then of ``first``, then of the options, each in place of those before."""
-    settings = load(options.config, [*first, *(options.sets or ())], options.preset, options.filter_name)
+    sets = [*first, *(options.sets or ()), *only_classes(options.classes)]
+    settings = load(options.config, sets, options.preset, options.filter_name)
     if options.threads is None:
         return settings
     # Filter and extraction, where they can use more than one.
     sharing = [name for name in ("filter", "extract") if "threads" in settable(name, settings.kind(name), "")]
     return overlay(settings, {name: {"threads": options.threads} for name in sharing}, "--threads")
+
+
+def only_classes(text: str) -> list[str]:
+    """What ``--classes`` stands for, as ``--set`` has it."""
+    return [f"classes.only={json.dumps([word.strip() for word in text.split(',')])}"] if text else []
 
 
 def scene_settings(scene: Path | None, camera_motion: str = "", *, learn_online: bool = False) -> list[str]:

@@ -13,7 +13,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -25,6 +25,7 @@ import typer
 from numba.core import event
 
 from phdtrack import config, pipeline
+from phdtrack.classes import Kinds
 from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.doctor import versions
@@ -133,14 +134,15 @@ def prepare(source: SourceOptions, options: TrackingOptions, settings: Settings,
     if source.detections is None:
         settings = config.for_detector(settings, source.detector or DEFAULT_DETECTOR)
     inputs = open_inputs(source, settings.values("detector"), 0 if truth is None else int(truth.frame.max(initial=0)))
-    stages = config.build(settings, inputs.info, moving=True)
+    kinds = config.build_kinds(settings, inputs.info, inputs.names, inputs.classes, moving=True)
+    stages = kinds.usual
     read: dict[str, object] = {"detections": str(source.detections)}
     if source.detections is None:
         mask, fps = str(source.mask or ""), inputs.info.fps
         read = {"detector": inputs.described, "max_width": source.max_width, "mask": mask, "fps": fps}
     return Job(
         inputs=inputs,
-        stages=stages,
+        kinds=kinds,
         configuration=settings.as_dict(),
         read={"source": source.source, **read},
         about=about(inputs.name, options.seed),
@@ -173,7 +175,7 @@ class Job:
     """What is to be run; ``configuration`` and ``read``, what was read and how, decide the result."""
 
     inputs: Inputs
-    stages: AnyStages
+    kinds: Kinds
     configuration: dict[str, object]
     read: dict[str, object]
     about: About
@@ -181,6 +183,16 @@ class Job:
     video: bool = True
     observers: tuple[RunObserver, ...] = ()
     mover: Mover | None = None
+
+    @property
+    def stages(self) -> AnyStages:
+        """Those of classes that have none of their own."""
+        return self.kinds.usual
+
+    @property
+    def names(self) -> Mapping[int, str] | None:
+        """What classes are called; None without classes."""
+        return None if self.inputs.names is None or not self.kinds.apart else self.kinds.names
 
 
 class Outcome(NamedTuple):
@@ -239,8 +251,8 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
         if not done.seen and done.stop is not None:
             directory.clear()
             raise done.stop
-        tracks = pipeline.finish(job.stages, done.tracker.state)
-        with TracksWriter(directory.file(rundir.TRACKS)) as file:
+        tracks = done.tracker.tracks()
+        with TracksWriter(directory.file(rundir.TRACKS), job.names) as file:
             file.append(tracks, places(job.stages.model.sensor, tracks.xyxy))
         for observer in job.observers:
             observer.finish(directory, tracks)
@@ -250,7 +262,7 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
             scores = evaluate(job.truth, tracks, frames=done.last)
         if job.video:
             done.cut = _draw(job, again(), directory, done, tracks)
-    record = done.recorder.record(tracks, job.about)
+    record = replace(done.recorder.record(tracks, job.about), names=job.names)
     # Of each the note comes first, then the warning if there is one.
     doubts = (_confirmation(job, done), lines("chain.txt", chain=record.chain, least=LOW_EFFECTIVE))
     said = replace(
@@ -285,12 +297,12 @@ def finish_document(document: dict[str, object], directory: RunDirectory, *more:
 def _track(job: Job, source: Iterable[Frame], directory: RunDirectory) -> _Progress:
     """Every frame through detector and tracker, into files and record, until the source ends or something stops it."""
     inputs, stages, sensor = job.inputs, job.stages, job.stages.model.sensor
-    tracker = Tracker(stages=stages, fps=inputs.info.fps, seed=job.about.seed)
+    tracker = Tracker(stages=job.kinds, fps=inputs.info.fps, seed=job.about.seed)
     done = _Progress(tracker, Recorder(inputs.info, job.truth))
     with ExitStack() as files:
-        detections = files.enter_context(DetectionsWriter(directory.file(rundir.DETECTIONS)))
+        detections = files.enter_context(DetectionsWriter(directory.file(rundir.DETECTIONS), job.names))
         states = files.enter_context(StatesWriter(directory.file(rundir.STATES)))
-        online = files.enter_context(TracksWriter(directory.file(rundir.ONLINE)))
+        online = files.enter_context(TracksWriter(directory.file(rundir.ONLINE), job.names))
         advance = files.enter_context(progress("tracking", inputs.info.frames))
         for observer in job.observers:
             observer.open(directory, files)
@@ -355,7 +367,9 @@ def _draw(job: Job, again: Iterable[Frame], directory: RunDirectory, done: _Prog
                 video = files.enter_context(VideoWriter(directory.file(rundir.VIDEO), info.width, info.height, info.fps))
                 draw.append(lambda number, picture: video.write(picture))
                 frames = files.enter_context(ahead(again))
-                pictures = files.enter_context(ahead(_annotated(Annotator(info), done.seen, frames, tracks)))
+                pictures = files.enter_context(
+                    ahead(_annotated(Annotator(info, names=job.names), done.seen, frames, tracks))
+                )
             found = (observer.drawing(directory, files, pictures=job.inputs.pictures) for observer in job.observers)
             draw.extend(filter(None, found))
             if not draw:
@@ -389,6 +403,9 @@ def _problems(job: Job, done: _Progress) -> Iterator[str]:
     annotated = 0 if job.truth is None else int(job.truth.frame.max(initial=0))
     why = ["stopped by Ctrl-C" if isinstance(stop, KeyboardInterrupt) else stop for stop in (done.stop, done.cut)]
     yield from lines("problems.txt", stop=why[0], cut=why[1], last=done.last, annotated=annotated, video=rundir.VIDEO)
+    if done.tracker.unwanted:
+        left_out = counted(done.tracker.unwanted, "box")
+        yield f"{left_out} left out: their class was not asked for, or their size or score is below the least of their class"
 
 
 def _confirmation(job: Job, done: _Progress) -> tuple[str, ...]:

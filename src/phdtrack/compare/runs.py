@@ -32,7 +32,8 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 import phdtrack
-from phdtrack import config, pipeline
+from phdtrack import config
+from phdtrack.classes import Lanes
 from phdtrack.compare.plans import Case, Plan, Run
 from phdtrack.detect import make_detector
 from phdtrack.detect.convert import within_frame
@@ -334,19 +335,16 @@ def run_input(run: Run, kept: Path) -> RunInput:
 def tracked(run: Run, given: RunInput) -> tuple[Tracks, bool, float, float | None]:
     """Corrected tracks, whether anything was drawn at random, the median of the seconds per frame, mean log evidence."""
     detector = run.case.detections if run.case.file is None else ""
-    stages = config.build(config.for_detector(run.method.settings, detector), given.info)
-    rng = np.random.default_rng(run.seed)
-    state, seconds, evidence = pipeline.start(stages, rng), list[float](), list[float]()
+    settings, table = config.for_detector(run.method.settings, detector), given.table
+    kinds = config.build_kinds(settings, given.info, table.names, np.unique(table.detections.class_id).tolist())
+    tracker, seconds, evidence = Lanes(kinds, run.seed), list[float](), list[float]()
     for number, moment in zip(given.numbers.tolist(), given.times.tolist(), strict=True):
-        state, step = pipeline.advance(stages, state, given.table.at(number), number, moment, rng)
+        found = table.at(number)
+        step = tracker.advance(found.take(kinds.wanted(found)), number, moment)
         seconds.append(sum(step.seconds))
         evidence.append(step.info.log_evidence)
-    tracks = pipeline.finish(stages, state)
-    # What a generator has drawn moves its state on; what it has spawned it counts.
-    used, fresh = rng.bit_generator, np.random.default_rng(run.seed).bit_generator
-    drawn = used.state != fresh.state or getattr(used.seed_seq, "n_children_spawned", 0) > 0
-    mean = known_mean(np.array(evidence))
-    return tracks, drawn, float(np.median(seconds)) if seconds else 0.0, mean if math.isfinite(mean) else None
+    mean, tracks = known_mean(np.array(evidence)), tracker.finish()
+    return tracks, tracker.drawn, float(np.median(seconds)) if seconds else 0.0, mean if math.isfinite(mean) else None
 
 
 def outcomes(work: Sequence[Callable[[], T]], jobs: int) -> Iterator[tuple[int, T | Failed]]:

@@ -134,6 +134,33 @@ class LearnSettings(Checked):
     file: str = ""
 
 
+Label = int | str
+
+
+@dataclass(frozen=True, slots=True)
+class ClassSettings:
+    """Settings of a detector's classes. A class is called by its name, or by its number.
+
+    Parameters
+    ----------
+    only : classes that are tracked; none: all.
+    together : classes that the detector confuses, as [["car", "truck"]], in which a track may go from one to another.
+    names : what the classes 0, 1, 2, … are called, where the detections have numbers only.
+    each : settings of one class, as "car.sensor.detection_probability=0.9", "car.min_score=0.3" or "car.min_size=20" (longer
+        side, pixels); in a file the table [classes.car.sensor], on the command line classes.car.min_score.
+    """
+
+    only: tuple[Label, ...] = ()
+    together: tuple[tuple[Label, ...], ...] = ()
+    names: tuple[str, ...] = ()
+    each: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        known = [str(one).lower() for group in self.together for one in group]
+        if len(known) > len(set(known)):
+            raise InputError("expected each class in one group", where="classes.together")
+
+
 _KINDS = {
     section: {"": kinds} if "class" in kinds else kinds
     for section, kinds in read_toml(Path(__file__).with_name("kinds.toml")).items()

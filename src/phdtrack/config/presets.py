@@ -38,6 +38,13 @@ _WITH: Mapping[str, Table] = _complete(_FILE.pop("default-with"))
 PRESETS: Mapping[str, Table] = _complete(_FILE)
 
 
+def _table(preset: str, motion: str, filter_name: str) -> Table:
+    """The preset's values; the default's are of boxes and of its filter, with other filters there are others."""
+    if preset != "default" or (motion or "box", filter_name or "pmb") == ("box", "pmb"):
+        return PRESETS[preset]
+    return _WITH.get(filter_name, _WITH["others"]) if (motion or "box") == "box" else {}
+
+
 def values_of(preset: str, motion: str = "", filter_name: str = "") -> dict[str, dict[str, Any]]:
     """The values of a preset by section, with their ``kind``; what a section leaves out has its constructor's default.
 
@@ -51,7 +58,7 @@ def values_of(preset: str, motion: str = "", filter_name: str = "") -> dict[str,
     -------
     The values.
     """
-    table = {section: dict(values) for section, values in PRESETS[preset].items()}
+    table = {section: dict(values) for section, values in _table(preset, motion, filter_name).items()}
     moving, filtering = (table.get(section, {}).get("kind", first_kind(section)) for section in ("motion", "filter"))
     motion, filter_name = motion or moving, filter_name or filtering
     if motion != moving:
@@ -59,12 +66,11 @@ def values_of(preset: str, motion: str = "", filter_name: str = "") -> dict[str,
         for section, kinds in FITTING["motion", motion].items():
             table[section] = {"kind": kinds[0]}
     if filter_name != filtering:
-        table["filter"] = {"kind": filter_name}
+        # What the default has with a filter is of this one.
+        table["filter"] = {**(table.get("filter", {}) if preset == "default" else {}), "kind": filter_name}
         for section, kinds in FITTING["filter", filter_name].items():
             table[section] = table.get(section, {}) | {"kind": kinds[0]}
     more = [_ON_THE_GROUND] if motion == "plane" else []
-    if preset == "default" and motion == "box":
-        more.append(_WITH.get(filter_name, _WITH["others"]))
     if filter_name == "none":
         # A raw detection has no known velocity, so that the links of true tracks gain less than those of filtered states.
         more.append({"associate": {"min_link_gain": 0.6}})

@@ -3,7 +3,7 @@
 A configuration has sections, one for each part of the model and of the tracker. A section has the settings of the class
 that it makes, which explains them, and, where there is a choice, ``kind``:
 
-    preset = "m09"                 # default, adaptive, m07, m09, fv, m09-mht, e13, d14
+    preset = "m09"                 # default, mot15, m07, m09, fv, m09-mht, e13, d14
     scene = "street.scene.json"    # what `phdtrack learn` has learned; optional
     [sensor]
     detection_probability = 0.9
@@ -17,6 +17,7 @@ On the command line the same is ``--set sensor.detection_probability=0.9``. A pr
 from __future__ import annotations
 
 import datetime
+import json
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
@@ -174,7 +175,20 @@ def _entries(sections: Mapping[str, Any], where: str) -> list[_Entry]:
             raise _unknown("section", section, list(SECTIONS), where)
         if not isinstance(values, Mapping):
             raise InputError(f"expected a section [{section}] with names and values, got {values!r}", where=where)
-    return [_Entry(section, key, value, where) for section, values in sections.items() for key, value in values.items()]
+    given = [_Entry(section, key, value, where) for section, values in sections.items() for key, value in values.items()]
+    return [entry for one in given for entry in _of_classes(one)]
+
+
+def _of_classes(entry: _Entry) -> list[_Entry]:
+    """The entry, or as ``classes.each`` has it where it is a table of the settings of one class."""
+    section, key, value, where = entry
+    if section != "classes" or not isinstance(value, Mapping):
+        return [entry]
+    out = []
+    for name, inner in value.items():
+        pairs = [(f"{name}.{one}", last) for one, last in inner.items()] if isinstance(inner, Mapping) else [(name, inner)]
+        out += [_Entry("classes", "each", (f"{key}.{path}={json.dumps(last)}",), where) for path, last in pairs]
+    return out
 
 
 def _replaced(settings: Settings, entries: Iterable[_Entry]) -> Settings:
@@ -199,6 +213,8 @@ def _replaced(settings: Settings, entries: Iterable[_Entry]) -> Settings:
     for entry in entries:
         if entry not in kinds:
             value = entry.value if entry.section == "detector" else _checked(merged, entry)
+            if entry[:2] == ("classes", "each"):
+                value = (*given.get("classes", {}).get("each", ()), *value)
             given.setdefault(entry.section, {})[entry.key] = value
             rates = _RATES.get(entry.section, ())
             if entry.key in rates and value:
@@ -284,6 +300,13 @@ def _assignment(text: str) -> _Entry:
         raise InputError("expected section.name=value", where=f"--set {text}", cure=cure)
     if section not in SECTIONS:
         raise _unknown("section", section, list(SECTIONS), f"--set {text}")
+    if section == "classes" and "." in key:
+        return _Entry("classes", "each", (f"{key}={value}",), f"--set {text}")
+    return _Entry(section, key, parsed_value(value), f"--set {text}")
+
+
+def parsed_value(value: str) -> Any:
+    """A value that was written as TOML, or a word without quotes."""
     try:
         # TOML wants a digit before the point; people who type .1 mean a number.
         plain = re.sub(r"^([+-]?)\.(?=\d)", r"\g<1>0.", value)
@@ -292,7 +315,7 @@ def _assignment(text: str) -> _Entry:
         parsed = value if isinstance(parsed, (datetime.date, datetime.time)) else parsed
     except tomllib.TOMLDecodeError:
         parsed = value
-    return _Entry(section, key, parsed, f"--set {text}")
+    return parsed
 
 
 def _unknown(what: str, name: str, known: Sequence[str], where: str, owner: str = "") -> InputError:

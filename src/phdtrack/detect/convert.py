@@ -83,7 +83,8 @@ def within_frame(table: DetectionTable, info: SequenceInfo, path: Path) -> tuple
     if outside == len(table):
         raise InputError(said, where=path, cure="Boxes are in pixels of the original video: check them, or --frame-size.")
     sentence = f"{path}: {said} and are left out, the first in frame {int(table.frame[~kept][0])}"
-    return DetectionTable(table.frame[kept], table.detections.take(kept), table.empty), (*empty, sentence)
+    inside = DetectionTable(table.frame[kept], table.detections.take(kept), table.empty, table.names)
+    return inside, (*empty, sentence)
 
 
 def _numbers(values: object, where: str) -> F8:

@@ -140,9 +140,12 @@ class PMB(Checked, Filter[Bernoullis]):
     transform : ``linear`` by Jacobians, or ``unscented`` by sigma points.
     mean_visible_time : seconds for which, on average, a target can be detected at a stretch; 0: for ever.
     mean_occluded_time : seconds for which, on average, it then cannot.
-    static_clutter_prior : probability that a first detection which is no single false alarm is static clutter.
+    static_clutter_prior : probability that a first detection which is no single false alarm is static clutter; over an
+        interval of T > 1 time units 1/T of it, as targets of slow streams stand still from frame to frame, too. Where scores
+        tell lasting false alarms (`ScoredClutter`), none is.
     static_clutter_detection_probability : probability that static clutter is detected in a frame.
-    lasting_clutter_prior : probability that a target is a false alarm that lasts, before its scores are known; 0: none is.
+    lasting_clutter_prior : probability that a target is a false alarm that lasts, before its scores are known; 0, and where
+        scores say nothing: none is.
     score_memory : frames after which what a score has said of that counts for 37 %.
     history : frames for which the hypotheses of the past are kept: so far back the past is revised.
     noise_freedom : degrees of freedom with which the noises of a new target are known, see above; 0: they are the model's.
@@ -244,9 +247,12 @@ class PMB(Checked, Filter[Bernoullis]):
             problem = f"noises are learned of measurements with 2 or 4 components, these have {len(seen.period)}"
             raise InputError(problem, where="filter.noise_freedom", cure="Use 0, the model's noises")
         gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
+        # Where scores tell false alarms that last, nothing is static clutter; else no others that last are known.
+        telling = isinstance(model.clutter, ScoredClutter) and bool(model.clutter.log_odds.any())
         settings = Settings(
             self.existence_threshold, self.hypothesis_threshold, float(self.max_hypotheses), self.merge_distance, gate,
-            self.static_clutter_prior, self.static_clutter_detection_probability, self.noise_freedom,
+            0.0 if telling else self.static_clutter_prior / max(dt, 1.0), self.static_clutter_detection_probability,
+            self.noise_freedom,
             len(self.acceleration_factors),
         )  # fmt: skip
         said = expected(model.sensor, now.mean, now.covariance, self.transform)
@@ -254,7 +260,7 @@ class PMB(Checked, Filter[Bernoullis]):
         # As plain tuples: Numba looks up the class of every named one, which takes as long as some kernels.
         nothing, clutter = np.zeros(len(seen.z)), model.clutter
         scored = (clutter.odds, clutter.log_odds) if isinstance(clutter, ScoredClutter) else (nothing + 1, nothing)
-        scores = Scores(*scored, self._prior)
+        scores = Scores(*scored, self._prior if telling else CERTAIN)
         layer, learned, gone = updated_layer(*map(tuple, (now, said, seen, new, scores, settings)), label)
         if len(layer.targets):
             label = max(label, int(layer.targets[-1]["label"]) + 1)

@@ -1,9 +1,9 @@
 """Files of detections, truth, tracks, states: MOTChallenge, KITTI, CSV, Parquet, COCO JSON, CVML (CAVIAR); seqinfo.ini."""
 
 from phdtrack.formats.columns import Warps, WarpsWriter, read_warps
-from phdtrack.formats.read import read_detections, read_tracks
+from phdtrack.formats.read import read_detections, read_tracks, read_tracks_named
 from phdtrack.formats.seqinfo import find_seqinfo, read_seqinfo
-from phdtrack.formats.truth import ignoring, read_truth
+from phdtrack.formats.truth import ignoring, read_truth, read_truth_by_class
 from phdtrack.formats.write import (
     DetectionsWriter,
     StatesWriter,
@@ -24,7 +24,9 @@ __all__ = [
     "read_detections",
     "read_seqinfo",
     "read_tracks",
+    "read_tracks_named",
     "read_truth",
+    "read_truth_by_class",
     "read_warps",
     "write_detections",
     "write_tracks",

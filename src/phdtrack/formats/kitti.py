@@ -25,6 +25,19 @@ def is_kitti(text: Text) -> bool:
     return len(text) > 0 and text.width in (17, 18) and not text.header and not is_number(text.cells(0)[2])
 
 
+def rows_of_all(text: Text) -> Text:
+    """The rows of all types but regions, as a table with a header and a class; `InputError` where one is cut short."""
+    kept = [row for row in range(len(text)) if text.cells(row)[2].lower() != _REGION]
+    lines = []
+    for row in kept:
+        cells = text.cells(row)
+        if len(cells) != text.width:
+            raise InputError(f"expected {text.width} columns, came {len(cells)}", where=text.origin.at(row))
+        lines.append(",".join([*cells[:2], *cells[6:10], cells[17] if text.width == 18 else "1", cells[2]]))
+    origin = Origin(text.origin.path, text.origin.unit, text.origin.number[np.array(kept, np.int64)])
+    return Text(origin, lines, ",", len(_HEADER[:7]) + 1, (*_HEADER[:7], "class"))
+
+
 def rows_of_type(text: Text, kind: str) -> Text:
     """The rows of a type, of its neighbours and regions, as a table with a header.
 

@@ -82,7 +82,15 @@ def table_of_coco(source: Source) -> Table:
             found = [entry.number(*keys, default=column.default) for entry in entries]
             values[column] = np.array(found, np.float64)
     origin = Origin(path, unit, np.arange(1, len(entries) + 1))
-    return Table(origin, source.first, values, np.zeros((len(entries), 0)))
+    return Table(origin, source.first, values, np.zeros((len(entries), 0)), _names(path, document))
+
+
+def _names(path: Path, document: Any) -> dict[int, str]:
+    """What a data set calls its categories."""
+    if not isinstance(document, dict) or not document.get("categories"):
+        return {}
+    known = _entries(path, _list(path, document, "categories"), "category", "id and name")
+    return {int(one.number("id")): str(one.values.get("name", one.values["id"])) for one in known}
 
 
 def table_of_cvml(source: Source) -> Table:

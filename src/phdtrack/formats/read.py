@@ -9,6 +9,7 @@ text table, MOTChallenge or CSV. An empty file is a file without rows. Frames ar
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ import numpy as np
 from phdtrack.errors import InputError
 from phdtrack.files import AnyPath, load
 from phdtrack.formats.checks import Origin, Rule, enforce, flag, repeated, whole
-from phdtrack.formats.kitti import is_kitti, rows_of_type
+from phdtrack.formats.kitti import is_kitti, rows_of_all, rows_of_type
 from phdtrack.formats.markup import table_of_coco, table_of_cvml
 from phdtrack.formats.table import Column, Kind, Source, Table, table_of_parquet, table_of_text
 from phdtrack.formats.text import scan
@@ -29,8 +30,9 @@ NO_ROWS = Table(Origin(Path(), "line", np.zeros(0, np.int64)), 1, {}, np.zeros((
 def read_detections(path: AnyPath, *, first_frame: int | None = None) -> DetectionTable:
     """The detections in a MOTChallenge ``det.txt``, CSV, Parquet, COCO JSON or CVML file, sorted by frame.
 
-    Boxes in pixels, xyxy. Confidence is 1 and class 0 where the file has none; confidence has no bounds. Real detectors give
-    boxes of width or height 0 now and then: they are left out and counted in `DetectionTable.empty`.
+    Boxes in pixels, xyxy. Confidence is 1 and class 0 where the file has none; confidence has no bounds. Classes that are
+    words get numbers, see `DetectionTable.names`; KITTI's label files have all types but regions. Real detectors give boxes
+    of width or height 0 now and then: they are left out and counted in `DetectionTable.empty`.
 
     Raises
     ------
@@ -49,7 +51,7 @@ def read_detections(path: AnyPath, *, first_frame: int | None = None) -> Detecti
     order = np.argsort(frame, kind="stable")
     order = order[np.all(box[order, 2:] > box[order, :2], axis=1)]
     found = Detections(box, table.get(Column.CONFIDENCE), label.astype(np.int64), covariance)
-    return DetectionTable(frame[order], found.take(order), len(frame) - len(order))
+    return DetectionTable(frame[order], found.take(order), len(frame) - len(order), table.names)
 
 
 def read_tracks(path: AnyPath, *, first_frame: int | None = None, kitti: str = "") -> Tracks:
@@ -71,11 +73,23 @@ def read_tracks(path: AnyPath, *, first_frame: int | None = None, kitti: str = "
     ------
     InputError : the file is missing or malformed; the message names the line.
     """
-    table = table_of(Path(path), Kind.TRACKS, first_frame, kitti)
-    used, confirmed = table.get(Column.DETECTION), table.get(Column.CONFIRMED)
-    frame, identity = identified(table, whole(used, "detection", low=-1), flag(confirmed, "confirmed"))
+    return _tracks_of(table_of(Path(path), Kind.TRACKS, first_frame, kitti))
+
+
+def read_tracks_named(path: AnyPath) -> tuple[Tracks, Mapping[int, str]]:
+    """The tracks in a file, and what it calls their classes; `InputError` as `read_tracks`."""
+    table = table_of(Path(path), Kind.TRACKS, None)
+    return _tracks_of(table), table.names
+
+
+def _tracks_of(table: Table) -> Tracks:
+    """The tracks in a table, by frame, then identity; `InputError` where a row cannot be one."""
+    used, confirmed, label = (table.get(column) for column in (Column.DETECTION, Column.CONFIRMED, Column.CLASS))
+    rules = whole(used, "detection", low=-1), flag(confirmed, "confirmed"), whole(label, "class")
+    frame, identity = identified(table, *rules)
+    whole_numbers = used.astype(np.int64), label.astype(np.int64)
     confidence = table.get(Column.CONFIDENCE)
-    everything = Tracks(frame, identity, table.xyxy(), confidence, used.astype(np.int64), confirmed != 0)
+    everything = Tracks(frame, identity, table.xyxy(), confidence, whole_numbers[0], confirmed != 0, whole_numbers[1])
     return everything.take(np.lexsort((identity, frame)))
 
 
@@ -110,9 +124,11 @@ def table_of(path: Path, kind: Kind, first_frame: int | None, kitti: str = "") -
     if start.startswith((b"[", b"{")):
         return table_of_coco(source)
     text = scan(path, content)
-    if kind is not Kind.DETECTIONS and is_kitti(text):
-        text = rows_of_type(text, kitti)
+    if is_kitti(text):
         source = source._replace(first=0 if first_frame is None else first_frame)
+        if not kitti and kind is not Kind.TRUTH:
+            return replace(table_of_text(source, rows_of_all(text)), kitti=True)
+        text = rows_of_type(text, kitti)
     elif kitti and kind is Kind.TRUTH:
         problem = f"expected a KITTI label file of 17 columns with types as {kitti}, came another table"
         raise InputError(problem, where=path, cure="Leave out --kitti, or in Python kitti.")

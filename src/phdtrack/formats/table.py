@@ -5,7 +5,9 @@ A MOTChallenge file has no header. It is read as if it had one, the names by pos
 
 * detections: 11 class, 12–21 the upper triangle, by rows, of the covariance of (centre x, centre y, width, height);
 * truth of 8 or 9 columns (MOT16 and later): 8 class; in 10 columns (MOT15) 8–10 are places in the world, not used;
-* tracks: 11 detection, 12 confirmed.
+* tracks: 11 detection, 12 confirmed, 13 class.
+
+Classes are whole numbers, or words, which get numbers from 1 in alphabetical order.
 
 By name, a box may be given by left, top, width, height, by left, top, right, bottom, or by its centre and size. Plain
 ``x, y`` with a size means left and top, as in COCO, unless the header names left or centre otherwise. A Parquet file needs
@@ -15,7 +17,7 @@ pyarrow, which is imported on use.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
 from typing import NamedTuple
@@ -24,7 +26,7 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.formats.checks import Origin
-from phdtrack.formats.text import Text, normalise, numbers
+from phdtrack.formats.text import Text, is_number, normalise, numbers
 from phdtrack.types import F8, I8, Bool
 
 
@@ -62,9 +64,12 @@ class Kind(Enum):
     """What a file is read as, and the columns that are read beside the box."""
 
     DETECTIONS = Column.FRAME, Column.CONFIDENCE, Column.CLASS
-    TRUTH = Column.FRAME, Column.IDENTITY, Column.CONFIDENCE, Column.MOT_CLASS, Column.DISTRACTOR, Column.REGION
+    TRUTH = (
+        *(Column.FRAME, Column.IDENTITY, Column.CONFIDENCE, Column.MOT_CLASS, Column.DISTRACTOR, Column.REGION),
+        Column.CLASS,
+    )
     IGNORED = Column.FRAME, Column.IDENTITY
-    TRACKS = Column.FRAME, Column.IDENTITY, Column.CONFIDENCE, Column.DETECTION, Column.CONFIRMED
+    TRACKS = Column.FRAME, Column.IDENTITY, Column.CONFIDENCE, Column.DETECTION, Column.CONFIRMED, Column.CLASS
 
 
 LTWH = (Column.LEFT, Column.TOP, Column.WIDTH, Column.HEIGHT)
@@ -94,12 +99,16 @@ class Table:
     values : (M,) of each column that the file has.
     triangle : (M, 10) upper triangle, by rows, of the covariance of (centre x, centre y, width, height) in pixels²; (M, 0)
         where the file has none.
+    names : what the file calls the classes, by number; empty where they are numbers there.
+    kitti : whether it is a KITTI label file of all types.
     """
 
     origin: Origin
     first: int
     values: Mapping[Column, F8]
     triangle: F8
+    names: Mapping[int, str] = field(default_factory=dict)
+    kitti: bool = False
 
     def get(self, column: Column) -> F8:
         """(M,) the column, or its default where the file does not have it."""
@@ -111,7 +120,7 @@ class Table:
         """The rows ``index``."""
         origin = Origin(self.origin.path, self.origin.unit, self.origin.number[index])
         values = {column: value[index] for column, value in self.values.items()}
-        return Table(origin, self.first, values, self.triangle[index])
+        return Table(origin, self.first, values, self.triangle[index], self.names)
 
     def xyxy(self) -> F8:
         """(M, 4) the boxes, pixels."""
@@ -131,7 +140,8 @@ def table_of_text(source: Source, text: Text) -> Table:
         raise InputError(problem, where=text.origin.at(0), cure=cure)
     header = text.header or _by_position(source.kind, text.width or 6)
     layout = _layout(source, header, text.empty)
-    return _table(source, text.origin, layout, numbers(text, {i: header[i] for i in layout.at}))
+    text, names = _numbered(text, layout)
+    return replace(_table(source, text.origin, layout, numbers(text, {i: header[i] for i in layout.at})), names=names)
 
 
 def table_of_parquet(source: Source) -> Table:
@@ -168,7 +178,7 @@ def _by_position(kind: Kind, width: int) -> list[str]:
     elif kind is Kind.TRUTH and width in (8, 9):
         names[7] = "MOT class"
     elif kind is Kind.TRACKS and width >= 12:
-        names[10:12] = "detection", "confirmed"
+        names[10:13] = ("detection", "confirmed", "class")[: width - 10]
     return names
 
 
@@ -197,6 +207,21 @@ def _layout(source: Source, header: Sequence[str], empty: Callable[[int], bool])
     if source.kind is Kind.DETECTIONS and all(name in header for name in _COVARIANCE):
         at += [header.index(name) for name in _COVARIANCE]
     return _Layout(columns, at)
+
+
+def _numbered(text: Text, layout: _Layout) -> tuple[Text, dict[int, str]]:
+    """The table with numbers in place of classes that are words, and the words by number."""
+    at = next((i for column, i in zip(layout.columns, layout.at, strict=False) if column is Column.CLASS), -1)
+    if at < 0 or not len(text) or is_number(text.cells(0)[at]):
+        return text, {}
+    rows = [text.cells(row) for row in range(len(text))]
+    words = sorted({row[at] for row in rows if len(row) > at})
+    bad = next((k for k, row in enumerate(rows) if len(row) > at and (is_number(row[at]) or not row[at])), -1)
+    if bad >= 0:
+        raise InputError(f"expected a word for the class, as before, came '{rows[bad][at]}'", where=text.origin.at(bad))
+    number = {word: str(k) for k, word in enumerate(words, start=1)}
+    lines = [",".join(number[c] if i == at else c.replace(",", ".") for i, c in enumerate(row)) for row in rows]
+    return replace(text, lines=lines, delimiter=","), dict(enumerate(words, start=1))
 
 
 def _table(source: Source, origin: Origin, layout: _Layout, values: F8) -> Table:

@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
+from phdtrack.errors import InputError
 from phdtrack.files import AnyPath, load
 from phdtrack.formats.checks import Rule, enforce, flag, whole
 from phdtrack.formats.kitti import LEAST_HEIGHT
@@ -55,8 +56,33 @@ def read_truth(path: AnyPath, *, first_frame: int | None = None, kitti: str = ""
     ------
     InputError : the file is missing or malformed; the message names the line.
     """
+    return _truth_of(table_of(Path(path), Kind.TRUTH, first_frame, kitti), Path(path), kitti)
+
+
+def read_truth_by_class(path: AnyPath) -> dict[str, Truth]:
+    """The annotated objects of each class, by its name or number, in a file that says their classes.
+
+    Raises
+    ------
+    InputError : as `read_truth`; the file says no classes.
+    """
     path = Path(path)
-    table = table_of(path, Kind.TRUTH, first_frame, kitti)
+    table = table_of(path, Kind.TRACKS, None)
+    if Column.CLASS not in table.values:
+        cure = "Name the column class, or leave out --per-class."
+        raise InputError("the truth does not say the classes of its objects", where=path, cure=cure)
+    if table.kitti:
+        return {name: read_truth(path, kitti=name) for name in table.names.values()}
+    table = table_of(path, Kind.TRUTH, None)
+    label = table.get(Column.CLASS)
+    enforce(table.origin, whole(label, "class"))
+    return {
+        table.names.get(int(one), f"{one:.0f}"): _truth_of(table.take(label == one), path, "") for one in np.unique(label)
+    }
+
+
+def _truth_of(table: Table, path: Path, kitti: str) -> Truth:
+    """The truth in a table; `InputError` where a row cannot be one."""
     region = table.get(Column.REGION) != 0
     enforce(table.origin, *box_rules(table))
     table, regions = table.take(~region), _regions(table.take(region))

@@ -5,7 +5,7 @@ when the program ends before its time. The functions `write_tracks`, `write_dete
 whole sequence. All but the states are MOTChallenge files without a header, which every tool of the field reads:
 
 * tracks: ``frame,id,left,top,width,height,confidence,x,y,z,detection,confirmed``; x and y metres on the ground and z 0,
-  or all three −1 where the place is not known;
+  or all three −1 where the place is not known; a 13th column has the class where there are classes;
 * detections: ``frame,-1,left,top,width,height,confidence,-1,-1,-1,class`` and the 10 values of the covariance where there is
   one (see `phdtrack.formats.table`);
 * truth: ``frame,id,left,top,width,height,flag,class,visibility``, distractors with flag 0 and class 8, as in MOT16.
@@ -16,10 +16,13 @@ boxes pixels of the video, state components as the model has them.
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phdtrack.errors import InputError
 from phdtrack.files import AnyPath
@@ -29,7 +32,7 @@ from phdtrack.types import F8, I8, Bool, Detections, DetectionTable, Step, Track
 _BOX = "%.7g,%.7g,%.7g,%.7g"
 _TRACK = f"%d,%d,{_BOX},%.7g,%.7g,%.7g,%d,%d,%d"
 # Detections go into filters again: what a detector gives as 32-bit floats comes back as the same floats.
-_DETECTION = "%d,-1,%.10g,%.10g,%.10g,%.10g,%.10g,-1,-1,-1,%d"
+_DETECTION = "%d,-1,%.10g,%.10g,%.10g,%.10g,%.10g,-1,-1,-1,%s"
 _TRUTH = f"%d,%d,{_BOX},%d,%d,1"
 _PEDESTRIAN, _DISTRACTOR = 1, 8
 
@@ -45,7 +48,7 @@ class Lines:
         except OSError as error:
             raise self._failed(error) from None
 
-    def write(self, pattern: str, *columns: F8 | I8 | Bool) -> None:
+    def write(self, pattern: str, *columns: F8 | I8 | Bool | NDArray[np.str_]) -> None:
         """One line for each row of the columns, which may be (M,) or (M, k); all of them reach the operating system."""
         width = pattern.count("%")
         values = [column.tolist() for block in columns for column in (block.T if block.ndim == 2 else block[None])]
@@ -71,15 +74,30 @@ class Lines:
         self.close()
 
 
-class TracksWriter(Lines):
-    """``tracks.csv``, frame by frame."""
+class _Classed(Lines):
+    """A file with classes by name; numbers stand for classes without one."""
+
+    def __init__(self, path: AnyPath, names: Mapping[int, str] | None = None) -> None:
+        super().__init__(path)
+        self._names = names
+
+    def labels(self, class_id: I8) -> NDArray[np.str_]:
+        """(N,) what the file calls the classes."""
+        known = self._names or {}
+        words = {one: re.sub(r'[^\S ]|[,;"]', "_", known.get(one, str(one))) for one in np.unique(class_id).tolist()}
+        return np.array([words[one] for one in class_id.tolist()], np.str_)
+
+
+class TracksWriter(_Classed):
+    """``tracks.csv``, frame by frame; with classes where their ``names`` are given, which may be empty."""
 
     def append(self, tracks: Tracks, place: F8 | None = None) -> None:
         """Write the rows as they come, of one frame or many; ``place`` (2, M) on the ground, NaN where not known."""
         place = np.full((2, len(tracks)), np.nan) if place is None else place
         known = np.isfinite(place).all(axis=0)
+        classes = [] if self._names is None else [self.labels(tracks.class_id)]
         self.write(
-            _TRACK,
+            _TRACK + ",%s" * len(classes),
             tracks.frame,
             tracks.identity,
             _ltwh(tracks.xyxy),
@@ -88,16 +106,18 @@ class TracksWriter(Lines):
             np.where(known, 0, -1),
             tracks.detection,
             tracks.confirmed,
+            *classes,
         )
 
 
-class DetectionsWriter(Lines):
+class DetectionsWriter(_Classed):
     """``detections.csv``, frame by frame. A frame that was not observed leaves no trace, as an empty one."""
 
     def append(self, frame: int | I8, detections: Detections) -> None:
         """Write the detections of frame ``frame``, from 1, or of many frames (N,). All have covariances, or none has."""
         number = np.broadcast_to(frame, len(detections))
-        columns: list[F8 | I8] = [number, _ltwh(detections.xyxy), detections.confidence, detections.class_id]
+        label = self.labels(detections.class_id)
+        columns: list[F8 | I8 | NDArray[np.str_]] = [number, _ltwh(detections.xyxy), detections.confidence, label]
         if detections.covariance is None:
             self.write(_DETECTION, *columns)
         else:
@@ -127,15 +147,25 @@ class StatesWriter(Lines):
         )
 
 
-def write_tracks(path: AnyPath, tracks: Tracks) -> None:
-    """Write the tracks of a sequence; an existing file is replaced. `InputError` where it cannot be written."""
-    with TracksWriter(path) as writer:
+def write_tracks(path: AnyPath, tracks: Tracks, names: Mapping[int, str] | None = None) -> None:
+    """Write the tracks of a sequence, with classes where there are names or any is not 0; an existing file is replaced.
+
+    Parameters
+    ----------
+    path, tracks : the file, and what is written.
+    names : of the classes.
+
+    Raises
+    ------
+    InputError : it cannot be written.
+    """
+    with TracksWriter(path, names or ({} if tracks.class_id.any() else None)) as writer:
         writer.append(tracks)
 
 
 def write_detections(path: AnyPath, table: DetectionTable) -> None:
     """Write the detections of a sequence; an existing file is replaced. `InputError` where it cannot be written."""
-    with DetectionsWriter(path) as writer:
+    with DetectionsWriter(path, table.names) as writer:
         writer.append(table.frame, table.detections)
 
 

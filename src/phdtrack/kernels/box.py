@@ -145,15 +145,10 @@ def overlap_of(boxes: F8, i: int, others: F8, j: int) -> float:
     return share
 
 
-# A box reaches the border of the image where it needs so much of its half size to do so: detections are cut off there.
-REACHING = 0.9
-
-
 # The two records come as plain tuples: Numba looks up the class of every named one, which takes as long as some kernels.
 class BoxDynamics(NamedTuple):
     """Motion of boxes over one interval: variances of position, of position with velocity, of velocity and of size along an
-    axis, of a target of size 1 where ``scaled``; ``p_survive`` inside the frame of this size (0: no border),
-    ``p_stay`` where the box reaches its border."""
+    axis, of a target of size 1 where ``scaled``; ``p_survive`` inside the frame of this size (0: no border)."""
 
     dt: float
     position: float
@@ -163,7 +158,6 @@ class BoxDynamics(NamedTuple):
     min_size: float
     scaled: bool
     p_survive: float
-    p_stay: float
     width: float
     height: float
 
@@ -200,7 +194,7 @@ def predicted_boxes(mean: F8, covariance: F8, motion: tuple[Any, ...], factor: F
             out_mean[i, a] += dt * mean[i, a + 2]
             for s in range(d):
                 out_cov[i, a, s] += dt * out_cov[i, a + 2, s]
-        inside, reaching = True, False
+        inside = True
         for a in range(axes):
             for s in range(d):
                 out_cov[i, s, a] += dt * out_cov[i, s, a + 2]
@@ -215,10 +209,7 @@ def predicted_boxes(mean: F8, covariance: F8, motion: tuple[Any, ...], factor: F
             out_cov[i, a + 4, a + 4] += motion.extent * unit
             half, end = 0.5 * size, motion.width if a == 0 else motion.height
             inside &= -half < mean[i, a] < end + half
-            reaching |= mean[i, a] < REACHING * half or mean[i, a] > end - REACHING * half
-        p_survive[i] = motion.p_survive
-        if bordered and (reaching or not inside):
-            p_survive[i] = motion.p_stay if inside else 0.0
+        p_survive[i] = motion.p_survive if inside or not bordered else 0.0
     return Predicted(out_mean, out_cov, p_survive)
 
 

@@ -20,7 +20,6 @@ import numpy as np
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from phdtrack.kernels.box import REACHING
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import FAST, HALF, ONE, VECTOR, by_type
 
@@ -32,7 +31,7 @@ F = np.float32
 BLOCK = 256
 X, Y, VX, VY, W, H, W0, H0 = (BLOCK * row for row in range(8))
 N0, N1, N2, N3, N4, N5 = (BLOCK * row for row in range(8, 14))
-ZERO, FOUR, EDGE = F(0.0), F(4.0), F(REACHING)
+ZERO, FOUR = F(0.0), F(4.0)
 _COMPILE = {"error_model": "numpy", "no_cfunc_wrapper": True, "no_cpython_wrapper": True, "fastmath": FAST}
 
 _FORMS: dict[str, dict[type, Callable[..., Any]]] = {}
@@ -148,8 +147,8 @@ class BoxWalk(NamedTuple):
     """`models.BoxMotion` over one interval [M09 (11)].
 
     ``dt``, ``kick`` (deviation of the velocity's change), ``resize`` (of the sizes), ``rest`` (of the position beside what
-    the velocity explains, for dt > 1), ``min_size``, ``scaled`` (1: noises are multiples of the size), ``survival``,
-    ``stay`` (the same where the box reaches the border), and the frame's ``width`` and ``height`` (0: no border).
+    the velocity explains, for dt > 1), ``min_size``, ``scaled`` (1: noises are multiples of the size), ``survival``, and the
+    frame's ``width`` and ``height`` (0: no border).
     """
 
     dt: np.float32
@@ -159,7 +158,6 @@ class BoxWalk(NamedTuple):
     min_size: np.float32
     scaled: np.float32
     survival: np.float32
-    stay: np.float32
     width: np.float32
     height: np.float32
 
@@ -244,9 +242,7 @@ def _four(model: Number) -> int:
 def _survives_box(model: Number, s: Real, i: int) -> Number:
     x, y, w, h = s[X + i], s[Y + i], HALF * s[W + i], HALF * s[H + i]
     inside = (x > -w) & (x < model.width + w) & (y > -h) & (y < model.height + h)
-    w, h = EDGE * w, EDGE * h
-    free = (x >= w) & (x <= model.width - w) & (y >= h) & (y <= model.height - h)
-    return model.survival if free | (model.width <= ZERO) else model.stay if inside else ZERO
+    return model.survival if inside | (model.width <= ZERO) else ZERO
 
 
 @implements(move, BoxWalk)

@@ -24,19 +24,59 @@ class Line(NamedTuple):
     verdicts: F8
 
 
+# Scores are probabilities, log odds, or on another scale: then they are ranked.
+PROBABILITY, LOGIT, RANK = range(3)
+
+
+class Scaled(NamedTuple):
+    """The ``low`` and ``high`` end of all scores, their ``kind``, and x (n,) of the newest, NaN where they say nothing."""
+
+    low: float
+    high: float
+    kind: int
+    x: F8
+
+
 @njit(**ENTRY)
-def chained(before: F8, boxes: F8, x: F8, waiting: F8, length: I8, overlap: float) -> tuple[F8, I8, F8, F8]:
+def scaled(score: F8, low: float, high: float, logits: tuple[float, float], bound: float, least: float) -> Scaled:
+    """What the scores (n,) of a frame are, where those before were between ``low`` and ``high``.
+
+    ``logits``: the largest log odds, and those that say nothing; ``bound`` of log odds; ``least`` probability.
+    """
+    for s in score:
+        if s < low:
+            low = s
+        if s > high:
+            high = s
+    kind = PROBABILITY if low >= 0.0 and high <= 1.0 else LOGIT if low < 0.0 and high <= logits[0] else RANK
+    x = np.full(score.size, np.nan)
+    if low < high and kind != RANK:
+        for j in range(score.size):
+            s = score[j]
+            if math.isnan(s):
+                continue
+            if kind == LOGIT:
+                x[j] = min(max(s - logits[1], -bound), bound)
+            else:
+                share = min(max(s, least), 1.0 - least)
+                x[j] = math.log(share / (1.0 - share))
+    return Scaled(low, high, kind, x)
+
+
+@njit(**ENTRY)
+def chained(before: F8, boxes: F8, x: F8, waiting: F8, length: I8, overlap: float) -> tuple[F8, I8, F8, F8, int]:
     """The chains of detections after a frame, and its verdicts.
 
     ``before`` (n, 4) are the boxes of the frame before, of whose chains ``waiting`` (n, L) are what waits, NaN where nothing
     does, and ``length`` (n,) how long they are. ``boxes`` (m, 4) and ``x`` (m,) are of this frame. Back come both for its m
-    chains, and x of what was true, as its chain has lasted for L frames, and false, as it has ended before.
+    chains, x of what was true, as its chain has lasted for L frames, and false, as it has ended before, and how many of the
+    frame before were alone: linked neither before nor now.
     """
     m, most = boxes.shape[0], waiting.shape[1]
     link = following(before, boxes, overlap)
     now, long = np.full((m, most), np.nan), np.ones(m, np.int64)
     true, false = np.empty(m * most), np.empty(waiting.size)
-    t = f = 0 * m
+    t = f = alone = 0 * m
     ended = np.ones(before.shape[0], np.bool_)
     for j in range(m):
         i = link[j]
@@ -53,11 +93,12 @@ def chained(before: F8, boxes: F8, x: F8, waiting: F8, length: I8, overlap: floa
                 now[j, k] = np.nan
     for i in range(before.shape[0]):
         if ended[i]:
+            alone += length[i] == 1
             for k in range(most):
                 if not math.isnan(waiting[i, k]):
                     false[f] = waiting[i, k]
                     f += 1
-    return now, long, true[:t].copy(), false[:f].copy()
+    return now, long, true[:t].copy(), false[:f].copy(), alone
 
 
 @njit(**ENTRY)

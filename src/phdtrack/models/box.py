@@ -46,7 +46,6 @@ from phdtrack.kernels.box import (
     GIVEN,
     PARTICLE,
     PREVIOUS,
-    REACHING,
     BoxDynamics,
     Noise,
     box_covariances,
@@ -263,7 +262,6 @@ class BoxMotion(Checked):
         per time unit² where not ``scaled_noise``.
     size_noise : standard deviation of the change of size, in widths and heights per √time unit, or in pixels.
     survival_probability : probability p_S that a target is still there after one second.
-    leaving_rate : how often, per second, targets leave beside that whose boxes reach the image's border.
     scaled_noise : state-dependent variances (SDV); False for fixed ones (FV).
     remember_size : carry the size before the last prediction in rows 6 and 7, for the likelihood scaling ``previous``.
     min_size : widths and heights are reflected at this many pixels: no particle takes w ≤ 0.
@@ -276,7 +274,6 @@ class BoxMotion(Checked):
     acceleration: NonNegative = 0.03
     size_noise: NonNegative = 0.1
     survival_probability: Probability = 0.99**25
-    leaving_rate: NonNegative = 0.0
     scaled_noise: bool = True
     remember_size: bool = False
     min_size: Positive = 1.0
@@ -294,17 +291,10 @@ class BoxMotion(Checked):
         return math.hypot(self.acceleration, self.roughening)
 
     def p_survive(self, x: F8, seconds: float) -> F8:
-        """p_S^seconds inside the image, less where the box reaches its border, 0 where the whole box has left it."""
-        half, size, p_stay = 0.5 * x[4:6], np.array(self.frame_size)[:, None], self._p_stay(seconds)
-        if size.min() <= 0:
-            return np.full(x.shape[1], self.survival_probability**seconds)
-        inside = ((x[:2] > -half) & (x[:2] < size + half)).all(axis=0)
-        free = ((x[:2] >= REACHING * half) & (x[:2] <= size - REACHING * half)).all(axis=0)
-        return np.where(free, self.survival_probability**seconds, np.where(inside, p_stay, 0.0))
-
-    def _p_stay(self, seconds: float) -> float:
-        """The probability that a target is still there whose box reaches the border."""
-        return float(self.survival_probability**seconds) * math.exp(-self.leaving_rate * seconds)
+        """p_S^seconds inside the image, 0 where the whole box has left it."""
+        half, size = 0.5 * x[4:6], np.array(self.frame_size)[:, None]
+        inside = ((x[:2] > -half) & (x[:2] < size + half)).all(axis=0) | (size.min() <= 0)
+        return np.where(inside, self.survival_probability**seconds, 0.0)
 
     def particle_model(self, dt: float, seconds: float) -> BoxWalk:
         """The numbers of f over ``dt`` and p_S over ``seconds`` for the particle filters [M09 (11)]."""
@@ -315,7 +305,7 @@ class BoxMotion(Checked):
             np.float32(value)
             for value in (
                 dt, self._drawn * root, self.size_noise * root, rest, self.min_size, self.scaled_noise,
-                self.survival_probability**seconds, self._p_stay(seconds), width * framed, height * framed,
+                self.survival_probability**seconds, width * framed, height * framed,
             )
         ))  # fmt: skip
 
@@ -344,7 +334,7 @@ class BoxMotion(Checked):
         dt, pushed = float(dt), self.acceleration**2
         return BoxDynamics(
             dt, pushed * (dt**3 / 3 - min(dt, dt**3) / 12), pushed * dt**2 / 2, pushed * dt, self.size_noise**2 * dt,
-            self.min_size, self.scaled_noise, self.survival_probability**seconds, self._p_stay(seconds), *self.frame_size,
+            self.min_size, self.scaled_noise, self.survival_probability**seconds, *self.frame_size,
         )  # fmt: skip
 
     warp_states = staticmethod(warp.warp_states)

@@ -102,14 +102,16 @@ class ScoredClutter:
     base : κ(z) without scores.
     odds : (N,) of the detections, in the order in which ``intensity`` is asked for them.
     log_odds : (N,) log p(s|target)/p(s|lasting false alarm), for filters that know of false alarms that last.
+    more : how many times as many false alarms there are as κ says.
     """
 
     base: Clutter
     odds: F8
     log_odds: F8
+    more: float = 1.0
 
     def intensity(self, z: F8) -> F8:
-        """κ(z)/odds. Raises `InputError` for other detections than those with the odds."""
+        """more·κ(z)/odds. Raises `InputError` for other detections than those with the odds."""
         if z.shape[1] != len(self.odds):
             raise InputError(f"expected the {len(self.odds)} detections that the odds are of, got {z.shape[1]}")
-        return self.base.intensity(z) / self.odds
+        return self.base.intensity(z) * (self.more / self.odds)

@@ -116,7 +116,10 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
         if not z.shape[1] or not len(state.mean):
             warp = bases[-1 if state.followed else 0]
             return self._moved(state, warp, given, dt, fading), warp
-        alternatives = [self._found(state, z, replace(model, warp=base), dt, which) for which, base in enumerate(bases)]
+        alternatives = [
+            self._found(state, z, replace(model, warp=base) if len(base) or len(model.warp) else model, dt, which)
+            for which, base in enumerate(bases)
+        ]
         evidence, followed = state.evidence, state.followed
         if len(alternatives) == 2:
             more = min(max(alternatives[1].evidence - alternatives[0].evidence, -_MOST), _MOST)
@@ -128,15 +131,17 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
         excess, weight = state.excess.copy(), state.weight.copy()
         for which, one in enumerate(alternatives):
             excess[which], weight[which] = one.excess, one.weight
-        after = replace(
-            state, excess=excess, weight=weight, scale=np.clip(scale, 0.01, 10.0), pairs=kept + chosen.squares[1],
-            evidence=evidence, followed=followed,
-        )  # fmt: skip
+        scale, pairs = np.minimum(np.maximum(scale, 0.01), 10.0), kept + chosen.squares[1]
+        after = CameraState(
+            state.mean, state.covariance, state.velocity, excess, weight, scale, pairs, evidence, followed, state.left
+        )
         return self._moved(after, chosen.warp, given, dt, fading), chosen.warp
 
     def with_targets(self, state: CameraState, estimates: Estimates) -> CameraState:
         """The state with the targets of this frame."""
-        return replace(state, mean=np.ascontiguousarray(estimates.state.T), covariance=estimates.covariance)
+        s, mean = state, np.ascontiguousarray(estimates.state.T)
+        more = s.velocity, s.excess, s.weight, s.scale, s.pairs, s.evidence, s.followed, s.left
+        return CameraState(mean, estimates.covariance, *more)
 
     def _found(self, state: CameraState, z: F8, model: Model, dt: float, which: int) -> _Found:
         """What the measurements (m, N) say after the camera's motion of the model; ``which`` is 1 where that was given."""
@@ -155,7 +160,10 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
         """The state after the camera moved by ``warp`` in the interval, and ``given`` was said of it."""
         velocity = self._motion(warp) / dt
         left = fading * state.left if state.followed or not len(given) else self._motion(given) / dt - velocity
-        return replace(state, velocity=velocity, left=left)
+        s = state
+        return CameraState(
+            s.mean, s.covariance, velocity, s.excess, s.weight, s.scale, s.pairs, s.evidence, s.followed, left
+        )
 
     def _of_note(self, motion: F8) -> F8:
         """(4,) the motion without components that are next to nothing."""

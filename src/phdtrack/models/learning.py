@@ -23,6 +23,7 @@ from phdtrack.models.clutter import BoxClutter, PlaneClutter, ScoredClutter, Uni
 from phdtrack.models.plane import PlaneSensor
 from phdtrack.models.point import PointSensor
 from phdtrack.models.scene import not_standing, with_scene
+from phdtrack.models.scores import ScoresSeen
 from phdtrack.protocols import Birth, Clutter, Learning, Model
 from phdtrack.scene import Scene
 from phdtrack.scene.online import OnlineLearning, OnlineScene
@@ -107,6 +108,12 @@ class RatesState:
 
     learned: LearnedRates
     other: Any = None
+
+
+def scene_of(learned: Any) -> SceneState | None:
+    """What is known of the scene in the state of any learning; None where nothing is."""
+    learned = learned.other if isinstance(learned, RatesState | ScoresSeen) else learned
+    return learned if isinstance(learned, SceneState) else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,6 +12,9 @@ before was false. A verdict of the tracker itself would call false whatever it d
 Each verdict is one step of Newton's method on the posterior of (a, b), a Gaussian with the precision of what was seen so
 far; what is old is forgotten. Where all scores are the same they say nothing.
 
+How many false alarms there are is learned, too: few detections of targets overlap one neither of the frame before nor of the
+next. Where more than the share `ScoreOdds.usual_alone` are alone, false alarms are as much more than the model says.
+
 False alarms that last, as of a poster or of one's own mirror image, are linked like targets, so that nothing is learned of
 them. Against these a score is read as the probability that it claims to be, and a rank as half of what was learned.
 """
@@ -24,8 +27,8 @@ from typing import Any
 
 import numpy as np
 
-from phdtrack.errors import Checked, InputError, Positive
-from phdtrack.kernels.scores import Line, chained, newton
+from phdtrack.errors import Checked, InputError, Positive, Share
+from phdtrack.kernels.scores import LOGIT, RANK, Line, chained, newton, scaled
 from phdtrack.models.clutter import ScoredClutter
 from phdtrack.protocols import Learning, Model
 from phdtrack.types import F8, I8, Detections, Step
@@ -37,6 +40,9 @@ LENGTH, LINKED = 6, 0.3
 # Precisions of a and of b that the prior has, and its verdicts, true and false.
 PRIOR_PRECISION = np.array([4.0, 1.0])
 PRIOR_VERDICTS = np.array([7.0, 3.0])
+_PRECISION = np.diag(PRIOR_PRECISION)
+# Detections whose being alone or not is assumed to be known at the start, none of them alone.
+FIRST_SEEN = 100.0
 # Slope of the prior for ranks, and the rank that says nothing.
 RANKS = (1.0, 0.45)
 # What a rank says of false alarms that last, as a share of what it says of others.
@@ -45,7 +51,7 @@ LASTING_SHARE = 0.5
 # than it believes: the second is what says nothing. The third: x is between minus and plus this,
 # as of probabilities from the last.
 LARGEST_LOGIT, EVEN_LOGIT, BOUND, LEAST = 25.0, 2.0, math.log(999), 0.001
-PROBABILITY, LOGIT, RANK = range(3)
+_NO_SCORES = np.zeros(0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +66,7 @@ class ScoresSeen:
     waiting : (m, `LENGTH`) x of the detections of their chains that wait for a verdict, NaN where there is none.
     length : (m,) frames that their chains have lasted.
     line : what is known of (a, b); None before the first verdict.
+    alone : how many detections overlapped none of the frames beside them, and of how many; old ones are forgotten.
     """
 
     scores: F8 = field(default_factory=lambda: np.zeros(0))
@@ -69,11 +76,12 @@ class ScoresSeen:
     length: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
     line: Line | None = None
     other: Any = None
+    alone: tuple[float, float] = (0.0, FIRST_SEEN)
 
     @property
     def kind(self) -> int:
         """Whether scores are probabilities, log odds, or ranked."""
-        return _kind(self.extent)
+        return int(scaled(_NO_SCORES, *self.extent, (LARGEST_LOGIT, EVEN_LOGIT), BOUND, LEAST).kind)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,12 +93,15 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
     slope : a of the prior for probabilities: 1 reads a score as one, 0.5 believes it less, 2 more.
     even_score : between 0 and 1, the score that targets and false alarms have equally often, by the prior.
     max_odds : the ratio is at most this, and at least one over it.
+    usual_alone : the share of detections that overlap none of the frames beside, up to which false alarms are as many as
+        the model says.
     other : what else is learned.
     """
 
     slope: Positive = 2.0
     even_score: Positive = 0.65
     max_odds: Positive = 400.0
+    usual_alone: Share = 0.2
     other: Learning[Any] | None = None
 
     def __post_init__(self) -> None:
@@ -104,11 +115,10 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
 
         Both (n,), and 0 for NaN and where all scores are the same.
         """
-        extent = _extent(state.extent, score)
-        kind, limit = _kind(extent), math.log(self.max_odds)
-        x = _log_odds(score, extent, _ranked(state, score) if kind == RANK else score)
+        _, kind, x, _ = _scaled(state, score)
+        limit = math.log(self.max_odds)
         slope, offset = self._line(state, kind)
-        single = np.clip(slope * x + offset, -limit, limit)
+        single = np.minimum(np.maximum(slope * x + offset, -limit), limit)
         lasting = LASTING_SHARE * single if kind == RANK else x
         nothing = np.isnan(x)
         if nothing.any():
@@ -142,7 +152,8 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
         """The model whose false alarms are weighed by the scores of the detections."""
         model = self.other.with_scores(state.other, model, detections) if self.other else model
         single, lasting = self.log_odds(detections.confidence, state)
-        return replace(model, clutter=ScoredClutter(model.clutter, np.exp(single), lasting))
+        more = max(state.alone[0] / state.alone[1] / self.usual_alone, 1.0)
+        return replace(model, clutter=ScoredClutter(model.clutter, np.exp(single), lasting, more))
 
     def advance(self, state: ScoresSeen, step: Step) -> ScoresSeen:
         """Remember the scores of a frame, prolong the chains, and learn from those on which there is a verdict."""
@@ -150,17 +161,18 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
         if not step.detections.observed:
             return replace(state, other=other)
         boxes, score, line = step.detections.xyxy, step.detections.confidence, state.line
-        extent = _extent(state.extent, score)
-        kind = _kind(extent)
-        scores = _ranked(state, score) if kind == RANK else state.scores
-        x = _log_odds(score, extent, scores)
-        waiting, length, true, false = chained(state.boxes, boxes, x, state.waiting, state.length, LINKED)
+        extent, kind, x, scores = _scaled(state, score)
+        waiting, length, true, false, single = chained(state.boxes, boxes, x, state.waiting, state.length, LINKED)
+        n = len(state.boxes)
+        kept = max(1 - n / KEPT, 0.0)
+        alone = kept * state.alone[0] + single, kept * state.alone[1] + n
         if kind != state.kind:
             waiting, line, true, false = np.full(waiting.shape, np.nan), None, true[:0], false[:0]
         if len(true) + len(false):
-            prior = Line(PRIOR_PRECISION * self._prior(kind), np.diag(PRIOR_PRECISION), PRIOR_VERDICTS)
-            line = Line(*newton(tuple(line or prior), true, false, tuple(prior), float(KEPT)))
-        return ScoresSeen(scores, extent, boxes, waiting, length, line, other)
+            # As plain tuples: Numba looks up the class of every named one.
+            prior = (PRIOR_PRECISION * self._prior(kind), _PRECISION, PRIOR_VERDICTS)
+            line = Line(*newton(tuple(line or prior), true, false, prior, float(KEPT)))
+        return ScoresSeen(scores, extent, boxes, waiting, length, line, other, alone)
 
     def mode(self, state: ScoresSeen, name: str) -> ScoresSeen | None:
         """With the regime of this name, of what else is learned."""
@@ -168,42 +180,17 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
         return replace(state, other=other) if other else None
 
 
-def _extent(before: tuple[float, float], score: F8) -> tuple[float, float]:
-    """The least and the greatest score, with those (n,) of a frame."""
-    if len(score) == 0:
-        return before
-    low, high = float(score.min()), float(score.max())
-    if math.isnan(low):
-        known = score[~np.isnan(score)]
-        return _extent(before, known)
-    return min(before[0], low), max(before[1], high)
-
-
-def _kind(extent: tuple[float, float]) -> int:
-    """Whether scores between these two are probabilities, log odds, or ranked."""
-    low, high = extent
-    if low >= 0 and high <= 1:
-        return PROBABILITY
-    return LOGIT if low < 0 and high <= LARGEST_LOGIT else RANK
-
-
-def _ranked(state: ScoresSeen, score: F8) -> F8:
-    """The newest scores, with those (n,) of a frame."""
-    return np.concatenate([state.scores, score[~np.isnan(score)]])[-KEPT:]
-
-
-def _log_odds(score: F8, extent: tuple[float, float], known: F8) -> F8:
-    """(n,) x of the scores (n,), by their rank among those ``known``; NaN where they say nothing."""
-    kind = _kind(extent)
-    if extent[0] >= extent[1]:
-        return np.full(len(score), np.nan)
-    if kind == LOGIT:
-        return np.clip(score - EVEN_LOGIT, -BOUND, BOUND)
-    share = score
-    if kind == RANK:
+def _scaled(state: ScoresSeen, score: F8) -> tuple[tuple[float, float], int, F8, F8]:
+    """The extent of all scores, their kind, x of those (n,) of a frame, NaN where they say nothing, and what is ranked."""
+    low, high, kind, x = scaled(np.ascontiguousarray(score), *state.extent, (LARGEST_LOGIT, EVEN_LOGIT), BOUND, LEAST)
+    if kind != RANK:
+        return (low, high), kind, x, state.scores
+    known = np.concatenate([state.scores, score[~np.isnan(score)]])[-KEPT:]
+    if low < high:
         # The mean rank of equal scores; neither 0 nor 1.
-        known = np.sort(known)
-        below, up_to = (np.searchsorted(known, score, side=side) for side in ("left", "right"))
-        share = np.where(np.isnan(score), np.nan, (below + up_to + 1) / (2 * len(known) + 2))
-    share = np.clip(share, LEAST, 1 - LEAST)
-    return np.asarray(np.log(share / (1 - share)))
+        order = np.sort(known)
+        below, up_to = (np.searchsorted(order, score, side=side) for side in ("left", "right"))
+        share = np.where(np.isnan(score), np.nan, (below + up_to + 1) / (2 * len(order) + 2))
+        share = np.clip(share, LEAST, 1 - LEAST)
+        x = np.log(share / (1 - share))
+    return (low, high), kind, x, known

@@ -160,11 +160,14 @@ class _Canvas:
 
 
 class Annotator:
-    """Draws frame after frame and remembers the trails, which reach ``trail_seconds`` back at the rate of ``info``."""
+    """Draws frame after frame and remembers the trails, which reach ``trail_seconds`` back at the rate of ``info``.
 
-    def __init__(self, info: SequenceInfo, *, trail_seconds: float = 1.5) -> None:
+    Labels say the class, too, where ``names`` are given.
+    """
+
+    def __init__(self, info: SequenceInfo, *, trail_seconds: float = 1.5, names: Mapping[int, str] | None = None) -> None:
         self._length = max(2, round(trail_seconds * (info.fps if info.fps > 0 else 25.0)))
-        self._past = Tracks.empty()
+        self._past, self._names = Tracks.empty(), names
 
     def __call__(
         self,
@@ -211,8 +214,11 @@ class Annotator:
             canvas.glaze_boxes(rows.xyxy[k : k + 1], identity_colour(int(rows.identity[k])), canvas.line, 0.4)
         canvas.mix()
         rows = rows.take(rows.confirmed)
-        identities = rows.identity.tolist()
-        canvas.targets(rows.xyxy, [identity_colour(k) for k in identities], rows.predicted, [str(k) for k in identities])
+        identities, labels = rows.identity.tolist(), [str(k) for k in rows.identity.tolist()]
+        if self._names is not None:
+            words = [self._names.get(one, str(one)) for one in rows.class_id.tolist()]
+            labels = [f"{word} {label}" for word, label in zip(words, labels, strict=True)]
+        canvas.targets(rows.xyxy, [identity_colour(k) for k in identities], rows.predicted, labels)
         header = f"frame {number}   {len(rows)} track{'' if len(rows) == 1 else 's'}"
         header += f"   expected count {mass:.1f}" if math.isfinite(mass) else ""
         canvas.plate(header, (0, 0), _BLACK, opacity=0.65)

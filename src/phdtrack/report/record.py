@@ -124,6 +124,7 @@ class RunRecord:
     background : (h, w, 3) BGR frame from the middle, scaled down; (0, 0, 3) without video.
     chain : of an MCMC filter, None of others.
     log_evidence : (F,) `UpdateInfo.log_evidence`; NaN in frames without it.
+    names : what classes are called; None without classes.
     """
 
     info: SequenceInfo
@@ -141,6 +142,7 @@ class RunRecord:
     background: Image
     chain: ChainSummary | None
     log_evidence: F8
+    names: Mapping[int, str] | None = None
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -164,6 +166,15 @@ class RunRecord:
     def lifetimes(self) -> I8:
         """(n,) number of boxes of each identity, ascending."""
         return np.sort(np.unique(self.tracks.identity, return_counts=True)[1])
+
+    @property
+    def by_class(self) -> Mapping[str, int]:
+        """The number of tracks of each class that has any, by its name; {} without classes."""
+        if self.names is None:
+            return {}
+        label = self.tracks.class_id[np.unique(self.tracks.identity, return_index=True)[1]]
+        each = zip(*(column.tolist() for column in np.unique(label, return_counts=True)), strict=True)
+        return {self.names.get(one, str(one)): count for one, count in each}
 
     @property
     def false_alarms(self) -> float:

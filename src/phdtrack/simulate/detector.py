@@ -158,7 +158,7 @@ def add_clutter(
         rows = np.append(np.arange(len(table)), donor_rng.integers(len(table), size=len(frame)))
         merged = replace(table.detections.take(rows), xyxy=np.concatenate([table.detections.xyxy, boxes]))
     order = _shuffled(frames, order_rng)
-    return DetectionTable(frames[order], merged.take(order))
+    return DetectionTable(frames[order], merged.take(order), table.empty, table.names)
 
 
 def covered(truth: Truth, obstacles: F8) -> F8:

@@ -84,7 +84,9 @@ def test_a_shift_of_the_camera_shifts_all_rows_and_nothing_else(kind: str):
     path = np.cumsum(np.random.default_rng(4).normal(0, 20, (70, 2)).round(), axis=0)
     results = []
     for shifts, told in ((np.zeros((70, 2)), False), (path, True)):
-        tracker, online = Tracker((4000, 3000), filter=kind, associate={"output_delay": 2}), []
+        # What online boxes learn from the frames that follow is not told of the camera.
+        told_only = {"common_motion": {"kind": "none"}, "smooth": {"detection_share": False}}
+        tracker, online = Tracker((4000, 3000), filter=kind, associate={"output_delay": 2}, **told_only), []
         for k, boxes in enumerate(two_people(70)):
             warp = np.eye(3)
             warp[:2, 2] = shifts[k] - shifts[max(k - 1, 0)]
@@ -98,9 +100,9 @@ def test_a_shift_of_the_camera_shifts_all_rows_and_nothing_else(kind: str):
         np.testing.assert_allclose(brought, home, atol=1e-5)
 
 
-def identified(table, truth, frames, warps) -> float:
-    """IDF1 of the corrected tracks of the default filter."""
-    tracker = Tracker((640, 480), fps=25)
+def identified(table, truth, frames, warps, kind: str = "estimated") -> float:
+    """IDF1 of the corrected tracks of the default filter, with a kind of common motion."""
+    tracker = Tracker((640, 480), fps=25, common_motion={"kind": kind})
     for number, warp in zip(frames, warps, strict=True):
         tracker.update(table.at(number), frame=number, warp=warp)
     return evaluate(truth, tracker.tracks(), frames=len(frames)).IDF1
@@ -124,7 +126,9 @@ def test_a_street_by_a_camera_in_a_hand(data):
         errors.append(np.abs(points(warp, corners) - points(wanted, corners)).max())
         measured.append(warp)
     stands = identified(table, truth, frames, [None] * len(frames))
-    told, untold = identified(moved, judged, frames, measured), identified(moved, judged, frames, [None] * len(frames))
+    told, untold = (identified(moved, judged, frames, warps, "none") for warps in (measured, [None] * len(frames)))
+    found = identified(moved, judged, frames, [None] * len(frames))
     assert max(errors) < 0.5
     assert told > stands - 0.02
     assert untold < stands - 0.05
+    assert found > stands - 0.02, "the detections tell it, too"

@@ -1,0 +1,355 @@
+"""Objects of several classes: each class, or several that are tracked together, is followed by a pipeline of its own.
+
+A detection is given to its class only, so that no track goes from one class to another. A class is followed from the frame
+in which it is first seen, with the state that it would have had if it had been tracked alone: the empty frames before (the
+last `_REPLAYED`) are gone through again. Where all detections are of one class, this is `pipeline.advance`.
+
+Detectors confuse some classes, as car and truck. Those are tracked together, and the class of a track is the one with the
+largest likelihood: a detection counts by its score, and is of another class with a probability that is the same for all, so
+that it is the class with the largest sum of scores. A corrected track has one class, an online row the best one by then.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import reduce
+from typing import Any
+
+import numpy as np
+
+from phdtrack import pipeline
+from phdtrack.pipeline import TrackingState
+from phdtrack.protocols import AnyStages
+from phdtrack.types import F8, I8, STILL, Bool, Detections, Estimates, Step, Tracks, UpdateInfo
+
+# Empty frames that a class seen for the first time has been through: what is learned of them is the same with more.
+_REPLAYED = 250
+# Frames of which is remembered whose detections they were; a loop may be endless.
+_MOST_KEPT = 100_000
+# A score counts as a probability; one that is none counts a little.
+_LEAST_SCORE = 0.01
+
+State = tuple[dict[int, tuple[Any, ...]], tuple[Any, ...], tuple[Any, ...], dict[tuple[int, int], int], int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Kinds:
+    """How classes are tracked.
+
+    Attributes
+    ----------
+    usual : the stages of classes that have none of their own, before the first detection, too.
+    own : the stages of the others, by class; of classes that are tracked together by the first.
+    first : the first class of those that each class is tracked together with.
+    only : the classes that are tracked; empty: all.
+    least : by class the least score, and the least length of a box's longer side in pixels, that are tracked.
+    apart : False: classes are not looked at.
+    names : what they are called.
+    """
+
+    usual: AnyStages
+    own: Mapping[int, AnyStages] = field(default_factory=dict)
+    first: Mapping[int, int] = field(default_factory=dict)
+    only: tuple[int, ...] = ()
+    least: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    apart: bool = True
+    names: Mapping[int, str] = field(default_factory=dict)
+
+    def stages(self, kind: int) -> AnyStages:
+        """The stages of a class."""
+        return self.own.get(kind, self.usual)
+
+    def of(self, detections: Detections) -> I8:
+        """(N,) the class that each detection is tracked as: of those that are tracked together the first."""
+        label = detections.class_id if self.apart else np.zeros_like(detections.class_id)
+        for one, other in self.first.items() if self.apart else ():
+            label = np.where(detections.class_id == one, other, label)
+        return label
+
+    def wanted(self, detections: Detections) -> Bool:
+        """(N,) whether each detection is tracked."""
+        label, good = detections.class_id, np.ones(len(detections), np.bool_)
+        if self.only:
+            good &= np.isin(label, self.only)
+        for one, (score, side) in self.least.items():
+            size = (detections.xyxy[:, 2:] - detections.xyxy[:, :2]).max(axis=1, initial=0.0)
+            good &= (label != one) | ((detections.confidence >= score) & (size >= side))
+        return good
+
+
+@dataclass(slots=True)
+class _Lane:
+    """What is held of a class, or of those that are tracked together.
+
+    ``rows``: in frames with other detections, which of them were its; ``labels``: classes and scores in a frame, of several
+    classes only; ``sums``: of scores, by online identity and class.
+    """
+
+    stages: AnyStages
+    rng: np.random.Generator
+    state: TrackingState
+    together: bool = False
+    rows: dict[int, I8] = field(default_factory=dict)
+    labels: dict[int, tuple[I8, F8]] = field(default_factory=dict)
+    sums: dict[tuple[int, int], float] = field(default_factory=dict)
+
+    @classmethod
+    def begin(cls, stages: AnyStages, seed: int, *, together: bool = False) -> _Lane:
+        """Before the first frame."""
+        rng = np.random.default_rng(seed)
+        return cls(stages, rng, pipeline.start(stages, rng), together)
+
+    def advance(self, found: Detections, number: int, time: float, warp: F8) -> Step:
+        """What a frame brought."""
+        self.state, step = pipeline.advance(self.stages, self.state, found, number, time, self.rng, warp)
+        if self.together and len(found):
+            remember(self.labels, number, (found.class_id, np.clip(found.confidence, _LEAST_SCORE, 1.0)))
+        return step
+
+    def votes(self, rows: Tracks, sums: dict[tuple[int, int], float]) -> dict[tuple[int, int], float]:
+        """``sums`` of scores by identity and class, with those of the detections that the rows rest on."""
+        places = zip(rows.frame.tolist(), rows.identity.tolist(), rows.detection.tolist(), strict=True)
+        for frame, identity, detection in places:
+            if detection >= 0 and frame in self.labels:
+                label, score = self.labels[frame]
+                key = identity, int(label[detection])
+                sums[key] = sums.get(key, 0.0) + float(score[detection])
+        return sums
+
+    def classed(self, rows: Tracks, kind: int, sums: Mapping[tuple[int, int], float]) -> I8:
+        """(M,) the class of each row."""
+        if not self.together:
+            return np.full(len(rows), kind)
+        best: dict[int, tuple[float, int]] = {}
+        for (identity, label), total in sums.items():
+            best[identity] = max(best.get(identity, (0.0, kind)), (total, label))
+        return np.array([best.get(one, (0.0, kind))[1] for one in rows.identity.tolist()], np.int64)
+
+
+class Lanes:
+    """The pipelines of the classes that were seen so far: what a `Tracker` holds.
+
+    Parameters
+    ----------
+    kinds : how classes are tracked.
+    seed : of each pipeline's randomness.
+    """
+
+    def __init__(self, kinds: Kinds, seed: int) -> None:
+        self.kinds, self._seed = kinds, seed
+        self._lanes: dict[int, _Lane] = {}
+        # Follows the frames before the first detection.
+        self._blank = _Lane.begin(kinds.usual, seed)
+        self._past: deque[tuple[int, float, F8, bool]] = deque(maxlen=_REPLAYED)
+        # Identities of a class in terms of those of all; up to `_alone` the first class had them for itself.
+        self._names: dict[tuple[int, int], int] = {}
+        self._alone = self._highest = 0
+
+    @property
+    def state(self) -> TrackingState:
+        """The state of the class that was seen first."""
+        return next(iter(self._lanes.values()), self._blank).state
+
+    @property
+    def states(self) -> dict[int, TrackingState]:
+        """The states of all classes."""
+        return {kind: lane.state for kind, lane in self._lanes.items()}
+
+    @property
+    def drawn(self) -> bool:
+        """Whether anything was drawn at random."""
+        fresh = np.random.default_rng(self._seed).bit_generator
+        used = [lane.rng.bit_generator for lane in (*self._lanes.values(), self._blank)]
+        # What a generator has drawn moves its state on; what it has spawned it counts.
+        return any(one.state != fresh.state or getattr(one.seed_seq, "n_children_spawned", 0) > 0 for one in used)
+
+    def change(self, after: Callable[[AnyStages, TrackingState], TrackingState]) -> None:
+        """Put other states in place of all."""
+        for lane in (*self._lanes.values(), self._blank):
+            lane.state = after(lane.stages, lane.state)
+
+    def advance(self, detections: Detections, number: int, time: float, warp: F8 = STILL) -> Step:
+        """Everything that a frame brought.
+
+        Parameters
+        ----------
+        detections, number, time, warp : as `pipeline.advance` has them.
+
+        Returns
+        -------
+        step : of all classes; identities are one's own among all of them.
+
+        Raises
+        ------
+        InputError : as `pipeline.advance`.
+        """
+        label = self.kinds.of(detections)
+        for kind in np.unique(label).tolist():
+            if kind not in self._lanes:
+                self._open(kind)
+        lanes = self._lanes or {0: self._blank}
+        if len(lanes) == 1:
+            ((kind, lane),) = lanes.items()
+            step = lane.advance(detections, number, time, warp)
+            tracks = self._given(kind, lane, step.tracks)
+        else:
+            index = {kind: np.flatnonzero(label == kind) for kind in lanes}
+            steps = {k: lane.advance(detections.take(index[k]), number, time, warp) for k, lane in lanes.items()}
+            for kind, lane in lanes.items():
+                remember(lane.rows, number, index[kind])
+            tracks = Tracks.concatenate([self._given(kind, lanes[kind], one.tracks) for kind, one in steps.items()])
+            step = _merged(list(steps.values()), list(index.values()), detections)
+        self._past.append((number, time, warp, detections.observed))
+        return _with_tracks(step, tracks)
+
+    def flush(self) -> Tracks:
+        """The online rows that the output delay holds back."""
+        lanes = self._lanes or {0: self._blank}
+        return Tracks.concatenate(
+            [self._given(k, lane, pipeline.flush(lane.stages, lane.state)) for k, lane in lanes.items()]
+        )
+
+    def finish(self) -> Tracks:
+        """The corrected tracks of all classes, with identities from 1 in the order of their first rows."""
+        lanes, parts, used = self._lanes or {0: self._blank}, list[Tracks](), 0
+        for kind, lane in lanes.items():
+            rows = pipeline.finish(lane.stages, lane.state)
+            label = lane.classed(rows, kind, lane.votes(rows, {}) if lane.together else {})
+            rows = given_rows(rows, lane.rows)
+            parts.append(_replaced(rows, rows.identity + used, label))
+            used += int(rows.identity.max(initial=0))
+        if len(parts) == 1:
+            return parts[0]
+        rows = Tracks.concatenate(parts)
+        _, first, place = np.unique(rows.identity, return_index=True, return_inverse=True)
+        rank = np.empty(len(first), np.int64)
+        rank[np.argsort(first, kind="stable")] = np.arange(1, len(first) + 1)
+        return Tracks.concatenate([_replaced(rows, rank[place], rows.class_id)])
+
+    def saved(self) -> State:
+        """Everything that decides what comes next."""
+        lanes = {k: _saved(lane) for k, lane in self._lanes.items()}
+        return lanes, _saved(self._blank), tuple(self._past), dict(self._names), self._alone, self._highest
+
+    def restore(self, saved: State) -> None:
+        """Go on from what was `saved`."""
+        lanes, blank, past, self._names, self._alone, self._highest = saved
+        self._blank = _restored(self.kinds.usual, blank)
+        self._lanes = {kind: _restored(self.kinds.stages(kind), one) for kind, one in lanes.items()}
+        self._past = deque(past, maxlen=_REPLAYED)
+
+    def _open(self, kind: int) -> None:
+        """Follow a class from now on: the empty frames so far lie behind it."""
+        stages, together = self.kinds.stages(kind), kind in self.kinds.first.values() and self.kinds.apart
+        if not self._lanes and stages is self.kinds.usual:
+            self._blank.together, self._lanes[kind] = together, self._blank
+            return
+        lane = _Lane.begin(stages, self._seed, together=together)
+        for number, time, warp, observed in self._past:
+            lane.advance(Detections.empty(observed=observed), number, time, warp)
+        self._alone = self._highest if len(self._lanes) == 1 else self._alone
+        self._lanes[kind] = lane
+
+    def _given(self, kind: int, lane: _Lane, rows: Tracks) -> Tracks:
+        """Online rows with the class, with detections as they were given, and with identities among all classes."""
+        if lane.together:
+            lane.votes(rows, lane.sums)
+        label, identity = lane.classed(rows, kind, lane.sums), rows.identity
+        if len(self._lanes) <= 1:
+            self._highest = max(self._highest, int(identity.max(initial=0)))
+            return _replaced(rows, identity, label)
+        mine = next(iter(self._lanes)) == kind
+        fresh = sorted({one for one in identity.tolist() if not (mine and one <= self._alone)})
+        for one in fresh:
+            if (kind, one) not in self._names:
+                self._highest += 1
+                self._names[kind, one] = self._highest
+        named = np.array([self._names.get((kind, one), one) for one in identity.tolist()], np.int64)
+        return _replaced(given_rows(rows, lane.rows), named, label)
+
+
+def given_rows(rows: Tracks, kept: Mapping[int, I8]) -> Tracks:
+    """The rows with their detections counted among more: in frame k, number i is ``kept[k][i]``."""
+    if not kept:
+        return rows
+    detection = rows.detection.copy()
+    for number in kept.keys() & set(rows.frame.tolist()):
+        at = (rows.frame == number) & (detection >= 0)
+        detection[at] = kept[number][detection[at]]
+    return Tracks(rows.frame, rows.identity, rows.xyxy, rows.confidence, detection, rows.confirmed, rows.class_id)
+
+
+def remember(kept: dict[int, Any], number: int, value: Any) -> None:
+    """Keep the value of a frame; the oldest go.
+
+    Parameters
+    ----------
+    kept : is added to.
+    number, value : of the frame.
+    """
+    kept[number] = value
+    if len(kept) > _MOST_KEPT:
+        del kept[next(iter(kept))]
+
+
+def _saved(lane: _Lane) -> tuple[Any, ...]:
+    """What `_restored` makes the lane of."""
+    return lane.rng.bit_generator.state, lane.state, lane.together, dict(lane.rows), dict(lane.labels), dict(lane.sums)
+
+
+def _restored(stages: AnyStages, saved: tuple[Any, ...]) -> _Lane:
+    """The lane with these stages. Raises ``TypeError`` where it is none."""
+    random, state, *more = saved
+    if not isinstance(state, TrackingState):
+        raise TypeError(f"expected a TrackingState, got a {type(state).__name__}")
+    rng = np.random.default_rng(0)
+    rng.bit_generator.state = random
+    return _Lane(stages, rng, state, *more)
+
+
+def _replaced(rows: Tracks, identity: I8, label: I8) -> Tracks:
+    """The rows with other identities and classes."""
+    return Tracks(rows.frame, identity, rows.xyxy, rows.confidence, rows.detection, rows.confirmed, label)
+
+
+def _with_tracks(step: Step, tracks: Tracks) -> Step:
+    """The step with other rows."""
+    s = step
+    return Step(s.number, s.time, s.detections, s.info, s.estimates, tracks, s.seconds, s.unusable, s.warp)
+
+
+def _merged(steps: Sequence[Step], index: Sequence[I8], detections: Detections) -> Step:
+    """One step of all classes, whose detections were those at ``index``; its rows are those of the first."""
+    infos, first = [step.info for step in steps], steps[0]
+    evidence, clutter = np.zeros((2, len(detections)))
+    whole = all(len(info.evidence) == len(at) for info, at in zip(infos, index, strict=True))
+    for info, at in zip(infos, index, strict=True) if whole else ():
+        evidence[at], clutter[at] = info.evidence, info.clutter
+    known = all(len(info.cardinality) for info in infos)
+    info = UpdateInfo(
+        sum(info.mass_predicted for info in infos),
+        sum(info.mass_born for info in infos),
+        sum(info.mass for info in infos),
+        evidence if whole else np.zeros(0),
+        clutter if whole else np.zeros(0),
+        sum(info.vanished for info in infos),
+        reduce(np.convolve, [info.cardinality for info in infos]) if known else np.zeros(0),
+        next((info.chain for info in infos if info.chain is not None), None),
+        sum(info.detected for info in infos),
+    )
+    parts = [step.estimates for step in steps]
+    tagged = all(len(part.tag) == len(part) for part in parts)
+    estimates = Estimates(
+        np.concatenate([part.state for part in parts], axis=1),
+        np.concatenate([part.covariance for part in parts]),
+        np.concatenate([part.weight for part in parts]),
+        np.concatenate([part.xyxy for part in parts]),
+        np.concatenate([np.append(at, -1)[part.detection] for part, at in zip(parts, index, strict=True)]),
+        # One that no other class has.
+        np.concatenate([len(parts) * part.tag + k for k, part in enumerate(parts)]) if tagged else np.zeros(0, np.int64),
+    )
+    a, b, c = np.sum([step.seconds for step in steps], axis=0).tolist()
+    unusable = sum(step.unusable for step in steps)
+    return Step(first.number, first.time, detections, info, estimates, first.tracks, (a, b, c), unusable, first.warp)
