@@ -269,7 +269,7 @@ def main(options: Options) -> Path:
                 "default",
                 "default, 0.3 s later",
                 "default, corrected",
-                "default away",
+                "mot15 away",
                 "default away",
                 "variant left out",
             ],
