@@ -311,10 +311,12 @@ def _track(job: Job, source: Iterable[Frame], directory: RunDirectory) -> _Progr
         try:
             with ahead(source) as frames, ahead(detected(inputs.detector, frames, job.mover)) as looked:
                 for frame, found, warp, seconds in looked:
-                    rows = tracker.update(found, frame.number, frame.time, warp if len(warp) else None)
-                    step = tracker.step
-                    assert step is not None
-                    with _uninterrupted():  # no frame stands in one file and not in another
+                    # No frame stands in one file and not in another; and what compiled code gives back must not be
+                    # interrupted while it is made into objects, which Numba does not survive.
+                    with _uninterrupted():
+                        rows = tracker.update(found, frame.number, frame.time, warp if len(warp) else None)
+                        step = tracker.step
+                        assert step is not None
                         detections.append(frame.number, found)
                         states.append(step)
                         online.append(rows, places(sensor, rows.xyxy))
@@ -343,12 +345,18 @@ def _track(job: Job, source: Iterable[Frame], directory: RunDirectory) -> _Progr
 
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """Ctrl-C that comes within the block is raised at its end; elsewhere than in the main thread none comes."""
+    """Ctrl-C that comes within the block is raised at its end, a second one at once; none comes but in the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     came: list[int] = []
-    before = signal.signal(signal.SIGINT, lambda number, _: came.append(number))
+
+    def later(number: int, frame: object) -> None:
+        came.append(number)
+        if len(came) > 1:
+            raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, later)
     try:
         yield
     finally:
