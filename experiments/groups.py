@@ -8,7 +8,7 @@ E13's own 2 m and 1 m/s are marked.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -22,7 +22,8 @@ from phdtrack.config import build_groups
 from phdtrack.formats.columns import Positions, read_positions
 from phdtrack.groups.clusters import Grouping
 from phdtrack.groups.life_cycle import GroupLifeCycle, LifeCycleState
-from phdtrack.groups.pipeline import carriers, known_people
+from phdtrack.groups.pairs import Pairs, PairState, Walkers
+from phdtrack.groups.pipeline import carriers, known_people, on_ground
 from phdtrack.protocols import AnyStages
 from phdtrack.types import F8, I8, Detections, GaussianMixture, SequenceInfo, Step, Tracks
 
@@ -35,6 +36,8 @@ OWN = (2.0, 1.0)
 HOLDS = (0.0, 0.5, 1.0)
 # The detector: deviation in metres, detection probability, false alarms a frame, margin around where people walk.
 NOISE, DETECTION, CLUTTER, MARGIN = 0.2, 0.9, 0.5, 1.0
+# Of the PMB filter's births, a second around each detection; parts of a sequence that are laid over each other for a crowd.
+BIRTHS, CROWD = 0.02, 3
 # States farther than this from all true positions are false, metres.
 WITHIN = 1.0
 
@@ -71,11 +74,13 @@ class KnownPeople:
 @dataclass(frozen=True, slots=True)
 class GroupOutcome:
     """``people``: how well each kind of them is known, by name; ``grid``: scores of frames under each pair of thresholds;
-    ``held``: those of lives under E13's thresholds, by kind of people with an identity and hold."""
+    ``held``: those of lives under E13's thresholds, by kind of people with an identity and hold; ``pairs``: of groups by
+    pairs, by kind of people, and whether only what was seen before counts."""
 
     people: dict[str, KnownPeople]
     grid: dict[tuple[float, float], GroupScores]
     held: dict[tuple[str, float], GroupScores]
+    pairs: dict[tuple[str, str], GroupScores]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,6 +118,7 @@ class Seen:
 
 
 KNOWN, STATES, ONLINE, CORRECTED = "true positions", "states", "online rows", "corrected tracks"
+IN_CROWD = "true positions, in a crowd"
 
 
 @lru_cache(maxsize=2)
@@ -228,6 +234,75 @@ def _lives(
         yield LabelledFrame(*_truth(where, k), accepted, people.place[:, used])
 
 
+def tracked(where: WalkedScene, seed: int) -> list[Walkers]:
+    """The people of corrected tracks of the PMB filter, in every frame."""
+    settings = config.overlay(settings_of(where), {"birth": {"births_per_detection": BIRTHS}})
+    stages = config.build(settings, SequenceInfo(0, 0, 1 / INTERVAL, len(where.number), ""), "pmb")
+    drawn, rng = np.random.default_rng([seed, 1]), np.random.default_rng(seed)
+    state = pipeline.start(stages, rng)
+    for k, (number, time) in enumerate(zip(where.number.tolist(), where.time.tolist(), strict=True), start=1):
+        found = detected(where.people.at(number).state[:2], where.region, drawn)
+        state, _ = pipeline.advance(stages, state, found, k, time, rng)
+    seen = stages.associator.measurements(state.association)
+    walkers, _ = on_ground(pipeline.finish(stages, state), seen, stages.model)
+    return walkers
+
+
+def known_walkers(where: WalkedScene) -> list[Walkers]:
+    """The people of every frame, all known."""
+    out = []
+    for number, time in zip(where.number.tolist(), where.time.tolist(), strict=True):
+        here = where.people.at(number)
+        out.append(Walkers(here.identity, here.state, np.zeros((len(here), 4, 4)), time))
+    return out
+
+
+def folded(where: WalkedScene, times: int) -> WalkedScene:
+    """A crowd: as many parts of the sequence at once, whose people are strangers to each other."""
+    length, people = len(where.number) // times, where.people
+    place = np.searchsorted(where.number, people.frame)
+    part, frame = place // length, where.number[place % length]
+    kept = part < times
+    order = np.flatnonzero(kept)[np.lexsort((people.identity[kept], part[kept], frame[kept]))]
+    apart = part[order] * (int(people.identity.max()) + 1)
+    group = where.group[order]
+    return WalkedScene(
+        Positions(frame[order], people.identity[order] + apart, people.state[:, order]),
+        np.where(group > 0, group + part[order] * (int(where.group.max()) + 1), 0),
+        where.number[:length],
+        where.time[:length],
+    )
+
+
+def by_pairs(where: WalkedScene, walkers: Sequence[Walkers], labels: Iterable[I8]) -> GroupScores:
+    """Scores of groups, ``labels`` (n,) of each frame, with the life cycle as shipped."""
+
+    def frames() -> Iterator[LabelledFrame]:
+        state = LifeCycleState()
+        for k, (here, label) in enumerate(zip(walkers, labels, strict=True)):
+            weight, time = np.ones(len(label)), float(where.time[k])
+            state, accepted, _ = GroupLifeCycle().extend(state, here.identity, label, weight, k + 1, time)
+            yield LabelledFrame(*_truth(where, k), accepted, here.mean[:2])
+
+    return score_groups(frames(), WITHIN)
+
+
+def online(walkers: Sequence[Walkers]) -> Iterator[I8]:
+    """The groups of each frame by what was seen so far."""
+    state = PairState()
+    for here in walkers:
+        state, label = Pairs().extend(state, here)
+        yield label
+
+
+def both(where: WalkedScene, kind: str, walkers: Sequence[Walkers]) -> dict[tuple[str, str], GroupScores]:
+    """Scores of groups by pairs, with and without what is seen later."""
+    return {
+        (kind, "so far"): by_pairs(where, walkers, online(walkers)),
+        (kind, "all"): by_pairs(where, walkers, Pairs().over_time(walkers)),
+    }
+
+
 def found_of(where: WalkedScene, frames: Sequence[Seen], name: str) -> KnownPeople:
     """How well the people of kind ``name`` are known."""
     place, velocity, false = [np.zeros(0)], [np.zeros(0)], 0
@@ -260,13 +335,18 @@ def work(job: GroupRun) -> GroupOutcome:
     where = scene(job.sequence)
     lightest = Grouping().min_weight
     if job.seed < 0:
-        frames = known(where)
+        frames, crowd = known(where), folded(where, CROWD)
+        paired = both(where, KNOWN, known_walkers(where)) | both(crowd, IN_CROWD, known_walkers(crowd))
     else:
+        paired = both(where, CORRECTED, tracked(where, job.seed))
         settings = settings_of(where)
         info = SequenceInfo(0, 0, 1 / INTERVAL, len(where.number), job.sequence)
         stages = config.build(settings, info, "gm-phd")
         # As the product: so low that one miss removes no one.
-        lightest = build_groups(config.overlay(settings, {"filter": {"kind": "gm-phd"}}), stages).grouping.min_weight
+        read = config.overlay(settings, {"filter": {"kind": "gm-phd"}, "groups": {"kind": "intensity"}})
+        grouping = build_groups(read, stages).grouping
+        assert isinstance(grouping, Grouping)
+        lightest = grouping.min_weight
         frames = filtered(where, stages, lightest, job.seed)
     grid = {(near, slow): by_frame(where, frames, Grouping(near, slow, lightest)) for near in NEAR for slow in SLOW}
     names = tuple(frames[0].people)
@@ -276,7 +356,7 @@ def work(job: GroupRun) -> GroupOutcome:
         if name != STATES
         for hold in HOLDS
     }
-    return GroupOutcome({name: found_of(where, frames, name) for name in names}, grid, held)
+    return GroupOutcome({name: found_of(where, frames, name) for name in names}, grid, held, paired)
 
 
 def main(options: Options) -> Path:
@@ -307,6 +387,16 @@ def figures(outcomes: dict[GroupRun, GroupOutcome], seeds: int) -> dict[str, obj
             [(name, kind, *_known_by(kind, found)) for name, _, found in sources for kind in found[0].people],
         ),
         "grids": "\n".join(f"### {name}, {source}\n\n{_grid(found)}" for name, source, found in sources),
+        "pairs": table(
+            ("sequence", "people", "by what was seen", "F1", "precision", "recall", "identity switches"),
+            [
+                (name, kind, when, *_means([out.pairs[kind, when] for out in found]), _pair_switches(found, kind, when))
+                for name, _, found in sources
+                for kind, when in found[0].pairs
+            ],
+        ),
+        "births": BIRTHS,
+        "crowd": CROWD,
         "lives": table(
             ("sequence", "people", "hold, s", "F1", "precision", "recall", "identity switches"),
             [
@@ -360,6 +450,10 @@ def _means(found: Sequence[GroupScores]) -> tuple[str, str, str]:
 
 def _switches(found: Sequence[GroupOutcome], kind: str, hold: float) -> str:
     return with_error([float(outcome.held[kind, hold].switches) for outcome in found], 1)
+
+
+def _pair_switches(found: Sequence[GroupOutcome], kind: str, when: str) -> str:
+    return with_error([float(outcome.pairs[kind, when].switches) for outcome in found], 1)
 
 
 def _size(name: str) -> tuple[object, ...]:

@@ -66,7 +66,8 @@ def test_a_video_with_detections(street: Path, tmp_path: Path) -> None:
     assert document == json.loads((out / rundir.RUN).read_text())
     assert document["groups"]["identities"] >= 2
     assert document["groups"]["people_mean"] == pytest.approx(3, abs=0.3)
-    assert document["configuration"]["filter"]["kind"] == "gm-phd"
+    assert document["configuration"]["filter"]["kind"] == "pmb"
+    assert document["configuration"]["groups"]["kind"] == "pairs"
     counts, groups = defaultdict(float), table(out / rundir.GROUPS)
     for row in groups:
         counts[int(row["frame"])] += float(row["count"])
@@ -115,9 +116,25 @@ def test_tracks_have_their_place(street: Path, tmp_path: Path) -> None:
     assert len(read_tracks(out / rundir.TRACKS)) == len(rows)
 
 
-def test_members_are_the_online_identities_with_any_delay(street: Path, tmp_path: Path) -> None:
+def test_members_are_the_identities_of_the_corrected_tracks(street: Path, tmp_path: Path) -> None:
+    """Whatever followed them: in the image or on the ground, by labels or by links; and of one who was missed, too."""
+    for name in ("pmb", "gm-phd", "none"):
+        for world in ("box", "plane"):
+            out, kind = tmp_path / f"{name}-{world}", ("--filter", name, "--set", f"motion.kind={world}")
+            said = phdtrack("groups", *detected(street), "--out", out, "--no-video", *kind)
+            assert said.status == 0, said.err
+            tracks = read_tracks(out / rundir.TRACKS)
+            known = set(zip(tracks.frame.tolist(), tracks.identity.tolist(), strict=True))
+            members = {(int(row["frame"]), int(row["member"])) for row in table(out / rundir.MEMBERS)}
+            assert members <= known
+            assert len(members) > 0.9 * len(known)
+            groups = {(row["frame"], row["group"]) for row in table(out / rundir.MEMBERS)}
+            assert 1.9 < len(groups) / len({frame for frame, _ in groups}) < 2.1
+
+
+def test_members_of_an_intensity_are_the_online_identities_with_any_delay(street: Path, tmp_path: Path) -> None:
     for delay in (0, 4):
-        out, held = tmp_path / str(delay), ("--set", f"associate.output_delay={delay}")
+        out, held = tmp_path / str(delay), ("--set", f"associate.output_delay={delay}", "--set", "groups.kind=intensity")
         assert phdtrack("groups", *detected(street), "--out", out, "--no-video", *held).status == 0
         online = read_tracks(out / rundir.ONLINE)
         sure = online.take(online.confirmed)
@@ -158,9 +175,10 @@ def test_known_positions(tmp_path: Path) -> None:
     ("more", "says"),
     [
         ([], "--camera"),
-        (["--camera", "CAMERA", "--filter", "none"], "velocities"),
-        (["--camera", "CAMERA", "--set", "motion.kind=box"], "on the ground"),
-        (["--camera", "CAMERA", "--set", "groups.max_distanc=1"], "max_distance"),
+        (["--camera", "CAMERA", "--set", "groups.kind=intensity", "--filter", "none"], "no intensity"),
+        (["--camera", "CAMERA", "--set", "groups.kind=intensity", "--set", "motion.kind=box"], "on the ground"),
+        (["--camera", "CAMERA", "--set", "motion.kind=point"], "motion.kind=box"),
+        (["--camera", "CAMERA", "--set", "groups.distanc=1"], "distance"),
         (["--camera", "CAMERA", "--edges", "EDGES"], "expected a point of an edge"),
         (["--camera", "det.txt"], "det.txt"),
         (["--positions", "POSITIONS"], "--positions"),

@@ -8,11 +8,13 @@ from group_cases import people
 
 from phdtrack import pipeline
 from phdtrack.config import build, build_groups, load, overlay
+from phdtrack.groups.clusters import Grouping
 from phdtrack.groups.life_cycle import GroupLifeCycle, LifeCycleState
+from phdtrack.groups.pairs import Pairs
 from phdtrack.groups.pipeline import REACH, GroupStages, carriers, mixture_of
 from phdtrack.types import Detections, SequenceInfo
 
-STAGES = GroupStages(life_cycle=GroupLifeCycle(hold_time=0.0))
+STAGES = GroupStages(Grouping(), life_cycle=GroupLifeCycle(hold_time=0.0))
 EVERYBODY = np.arange(5)
 # Two who walk together, one apart, and two together, of whom nobody has an identity.
 FIVE = people([(0, 0, 1, 0), (1, 0, 1, 0), (10, 0, 0, 0), (0, 20, 0, 1), (1, 20, 0, 1)], [1.0, 0.9, 0.8, 0.6, 0.3])
@@ -69,7 +71,13 @@ def test_a_track_is_carried_by_the_nearest_heavy_gaussian_within_reach() -> None
 @pytest.mark.parametrize("name", ["gm-phd", "gm-cphd", "particle-phd", "particle-cphd"])
 def test_one_miss_drops_nobody_whatever_the_filter(name: str) -> None:
     info = SequenceInfo(60, 60, 5.0)
-    sets = ["motion.kind=plane", "sensor.scaling=fixed", "sensor.fixed_noise=0.3", "camera.region=[-30, -30, 30, 30]"]
+    sets = [
+        "groups.kind=intensity",
+        "motion.kind=plane",
+        "sensor.scaling=fixed",
+        "sensor.fixed_noise=0.3",
+        "camera.region=[-30, -30, 30, 30]",
+    ]
     settings = overlay(load(sets=sets), {"filter": {"kind": name}})
     stages = build(settings, info)
     lightest = build_groups(settings, stages).grouping.min_weight
@@ -85,11 +93,20 @@ def test_one_miss_drops_nobody_whatever_the_filter(name: str) -> None:
 
 
 def test_given_settings_hold() -> None:
-    settings = load(sets=["motion.kind=plane", "filter.kind=gm-phd", "groups.min_weight=0.4", "contours.level=0.2"])
+    settings = load(
+        sets=[
+            "groups.kind=intensity",
+            "motion.kind=plane",
+            "filter.kind=gm-phd",
+            "groups.min_weight=0.4",
+            "contours.level=0.2",
+        ]
+    )
     stages = build(settings, SequenceInfo(60, 60, 5.0))
     found = build_groups(settings, stages)
     assert (found.grouping.min_weight, found.contours.level) == (0.4, 0.2)
     # E13's values give the usual number, and so does a run without a filter.
     e13 = load(preset="e13")
     assert build_groups(e13, build(e13, SequenceInfo(60, 60, 7.0))).grouping.min_weight == pytest.approx(0.25, abs=0.001)
-    assert build_groups(load()).grouping.min_weight == 0.25
+    assert build_groups(load(sets=["groups.kind=intensity"])).grouping.min_weight == 0.25
+    assert build_groups(load()).grouping == Pairs()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,12 +12,11 @@ import pytest
 from phdtrack.groups.clusters import Groups
 from phdtrack.groups.life_cycle import Encounter, Event
 from phdtrack.groups.pipeline import GroupFrame
-from phdtrack.report.drawing import Plan, PlanScene, extent_of, identity_colour
+from phdtrack.report.drawing import Plan, PlanScene, _Canvas, extent_of, identity_colour
 from phdtrack.report.pages import render
 
 PLAN = Plan((-9.0, 0.0, 9.0, 10.0), 200)
 NOWHERE = np.zeros((2, 0))
-SQUARE = np.array([[0.0, 4, 4, 0, 0], [2, 2, 6, 6, 2]])
 
 
 def groups(*places: tuple[float, float], contours: tuple[np.ndarray, ...] = (), **more: Any) -> GroupFrame:
@@ -46,14 +47,25 @@ def test_metres_are_square_and_y_goes_up() -> None:
     assert wide.pixels(np.array([[50.0], [0.5]])) == pytest.approx(np.array([[360.0], [200.0]]))
 
 
-def test_a_group_is_filled_with_its_colour_but_for_its_holes() -> None:
-    hole = np.array([[1.0, 1, 3, 3, 1], [3, 5, 5, 3, 3]])
-    empty = PLAN.draw(scene(groups()))
-    drawn = PLAN.draw(scene(groups((-6.0, 8.0), contours=(SQUARE, hole))))
-    wanted = 0.3 * np.array(identity_colour(1)[::-1]) + 0.7 * 255
-    assert colour_at(drawn, 0.5, 2.5) == pytest.approx(wanted, abs=2)
-    assert (colour_at(drawn, 2.2, 4.2) == colour_at(empty, 2.2, 4.2)).all()
-    assert (colour_at(drawn, 8.3, 4.2) == colour_at(empty, 8.3, 4.2)).all()
+def test_people_have_their_colours_and_groups_an_outline() -> None:
+    """Two in a group are dots in their own colours with one line around both; one alone has no line around."""
+    frame = groups((-4.0, 5.0), (6.0, 5.0))
+    frame = replace(frame, member=np.array([3, 4, 9]), membership=np.array([1, 1, 2]))
+    place = np.array([[-5.0, -3.0, 6.0], [5.0, 5.0, 5.0]])
+    image = PLAN.draw(PlanScene(frame, NOWHERE, place, np.array([3, 4, 9])))
+    for k, identity in enumerate((3, 4, 9)):
+        assert colour_at(image, *place[:, k]) == pytest.approx(identity_colour(identity)[::-1], abs=2)
+    line = colour_at(image, -4.5, 4.5)
+    assert line.max() < 120
+    assert colour_at(image, 6.0, 4.5).min() > 180
+
+
+def test_labels_do_not_overlap() -> None:
+    canvas, taken = _Canvas(np.zeros((400, 600, 3), np.uint8)), list[tuple[int, int, int, int]]()
+    for k in range(6):
+        canvas.label(f"{10 + k}", (300 + 3 * k, 300 + 2 * k), (255, 255, 255), taken)
+    for (a, b, c, d), (e, f, g, h) in itertools.combinations(taken, 2):
+        assert c <= e or g <= a or d <= f or h <= b
 
 
 def test_the_field_of_view_and_edges_lie_behind() -> None:

@@ -27,25 +27,26 @@ from phdtrack.cli.output import Output, progress
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.cli.settings import chosen
 from phdtrack.cli.track import about, finish, finish_document, places, prepare
-from phdtrack.config import Settings, build_groups
+from phdtrack.config import Settings, build_groups, ground_model
 from phdtrack.devices import Camera
 from phdtrack.errors import InputError
 from phdtrack.files import load
 from phdtrack.formats.columns import Positions, read_positions
 from phdtrack.formats.write import Lines
 from phdtrack.ground import footprint
-from phdtrack.groups.clusters import polygon_area
+from phdtrack.groups.clusters import Grouping, polygon_area
 from phdtrack.groups.life_cycle import LifeCycleState
-from phdtrack.groups.pipeline import GroupFrame, GroupStages, carriers, known_people, mixture_of
+from phdtrack.groups.pairs import Pairs, Walkers
+from phdtrack.groups.pipeline import GroupFrame, GroupStages, carriers, known_people, mixture_of, on_ground
 from phdtrack.models import PlaneSensor
 from phdtrack.pipeline import TrackingState
-from phdtrack.protocols import AnyStages
+from phdtrack.protocols import AnyStages, Model
 from phdtrack.report.drawing import Plan, PlanScene, draw_contours, extent_of
 from phdtrack.report.pages import flattened, lines, render, write_text
-from phdtrack.types import F8, I8, GaussianMixture, Image, SequenceInfo, Step, Tracks
+from phdtrack.types import F8, I8, GaussianMixture, Image, MeasurementHistory, SequenceInfo, Step, Tracks
 from phdtrack.video import VideoWriter
 
-USUAL_FILTER = "gm-phd"
+INTENSITY_FILTER = "gm-phd"
 GROUP_SECTIONS = ("groups", "contours", "life_cycle", "encounters")
 _NOTE = (
     "The people, their velocities and identities were given; only the groups are estimated. Frame numbers are those of the "
@@ -84,9 +85,11 @@ def groups(
         settings = _ground_settings(options, camera)
         job, delay = prepare(source, options, settings, video=video), settings.build("associate").output_delay
         stages, info, reach = job.stages, job.inputs.info, settings.build("camera").max_distance
-        observer = GroupObserver(build_groups(settings, stages), info, _read_edges(edges), stages, delay, reach)
+        model = stages.model if settings.kind("motion") == "plane" else ground_model(settings, info)
+        grouping = build_groups(settings, stages)
+        observer = GroupObserver(grouping, info, _read_edges(edges), World(stages, model, delay, reach))
         # A group may have members of several classes.
-        job = replace(job, kinds=replace(job.kinds, apart=False))
+        job = replace(job, kinds=replace(job.kinds, apart=False), ground=model.sensor)
         finish(output, replace(job, observers=(*job.observers, observer)), rundir.claim(out, overwrite, name=info.name))
         return
     useless = {f"--{name.replace('_', '-')}": used for name, used in asdict(replace(source, source="", fps=0.0)).items()}
@@ -106,23 +109,30 @@ def groups(
 
 
 def _ground_settings(options: TrackingOptions, camera: Path | None) -> Settings:
-    """The settings on the ground plane with this camera; a filter of Gaussians where none was named.
+    """The settings with this camera. Where groups are of an intensity, that of a filter of Gaussians on the ground plane.
 
-    Raises `InputError` where there is no camera, or the settings are for another world or without a filter.
+    Raises `InputError` where there is no camera, or groups of an intensity are asked for in another world or of no filter.
     """
     said = config.load(options.config, options.sets or (), options.preset)
-    usual = [] if said.kind("motion") != "box" or "kind" in said.given.get("motion", {}) else ["motion.kind=plane"]
-    if not options.filter_name and said.kind("filter") == "pmb" and "kind" not in said.given.get("filter", {}):
-        usual.append(f"filter.kind={USUAL_FILTER}")
+    usual = list[str]()
+    if said.kind("groups") == "intensity":
+        if said.kind("motion") == "box" and "kind" not in said.given.get("motion", {}):
+            usual.append("motion.kind=plane")
+        if not options.filter_name and said.kind("filter") == "pmb" and "kind" not in said.given.get("filter", {}):
+            usual.append(f"filter.kind={INTENSITY_FILTER}")
     settings = chosen(options, usual)
     if camera is not None:
         settings = config.overlay(settings, {"camera": {"file": str(camera)}}, "--camera")
-    if settings.kind("motion") != "plane":
-        cure = "Use motion.kind=plane, or leave it out."
-        raise InputError("groups are found on the ground", where="motion.kind", cure=cure)
-    if settings.kind("filter") == "none":
-        problem = "groups need velocities, which detections alone do not have"
-        raise InputError(problem, where="--filter none", cure=f"Use --filter {USUAL_FILTER}.")
+    if settings.kind("motion") not in ("box", "plane"):
+        cure = "Use motion.kind=box or plane, or leave it out."
+        raise InputError("groups are of people in an image or on the ground", where="motion.kind", cure=cure)
+    if settings.kind("groups") == "intensity":
+        if settings.kind("motion") != "plane":
+            cure = "Use motion.kind=plane, or groups.kind=pairs."
+            raise InputError("groups of an intensity are found on the ground", where="motion.kind", cure=cure)
+        if settings.kind("filter") in ("none", "pmb", "mht"):
+            cure = f"Use --filter {INTENSITY_FILTER}, or groups.kind=pairs."
+            raise InputError("this filter has no intensity", where=f"--filter {settings.kind('filter')}", cure=cure)
     if not settings.build("camera").file:
         cure = "Name a file of the camera; phdtrack calibrate makes one of four points or more."
         raise InputError("where pixels are on the ground is not known", where="--camera", cure=cure)
@@ -164,14 +174,19 @@ def _group_known(
     clock, begun, frames = time.perf_counter(), about(path.parent.name or path.name), np.unique(known.frame).tolist()
     # One picture for each frame with people, as fast as these usually follow each other.
     step = float(np.median(np.diff(frames))) if len(frames) > 1 else 1.0
-    observer = GroupObserver(build_groups(settings), SequenceInfo(0, 0, fps / step), edges)
+    groups, info = build_groups(settings), SequenceInfo(0, 0, fps / step)
     with ExitStack() as files, progress("grouping", len(frames)) as advance:
-        observer.open(directory, files)
-        for done, number in enumerate(frames, start=1):
-            here, at = known.at(number), (number - frames[0]) / fps
-            people = People(here.identity, here.state[:2], np.arange(len(here)))
-            observer.group(number, at, known_people(here.state), people, _NOWHERE)
-            advance(done)
+        here = [known.at(number) for number in frames]
+        mixtures, times = [known_people(p.state) for p in here], [(number - frames[0]) / fps for number in frames]
+        observer = GroupObserver(groups, info, edges)
+        observer.begin(directory, files)
+        if isinstance(groups.grouping, Pairs):
+            walkers = [Walkers(p.identity, m.mean, m.covariance, t) for p, m, t in zip(here, mixtures, times, strict=True)]
+            observer.group_all(frames, walkers, [m.weight for m in mixtures], [_NOWHERE] * len(frames))
+        else:
+            for number, p, mixture, t in zip(frames, here, mixtures, times, strict=True):
+                observer.group(number, t, mixture, People(p.identity, p.state[:2], np.arange(len(p))), _NOWHERE)
+        advance(len(frames))
     if video:
         with ExitStack() as files, progress("drawing", len(frames)) as advance:
             draw = observer.drawing(directory, files, pictures=False)
@@ -208,63 +223,90 @@ class People(NamedTuple):
     carrier: I8
 
 
+class World(NamedTuple):
+    """Where detections are followed, and the model of people on the ground; online rows come ``delay`` frames late, and the
+    ground is shown up to ``max_distance`` metres from the camera."""
+
+    stages: AnyStages
+    ground: Model
+    delay: int
+    max_distance: float
+
+
 class GroupObserver(RunObserver):
     """Finds groups on the ground plane, writes them, keeps each frame's plan (some hundred bytes a person), and draws and
-    reports them at the end. Without ``stages`` nothing was detected, and `group` is called instead of `take`.
+    reports them at the end.
 
-    Members are the identities of the confirmed online rows. A frame's rows come ``delay`` frames later; until then its
-    number, time, mixture and the places of its detections wait. The ground is shown up to ``max_distance`` of the camera.
+    Groups by pairs are found among the corrected tracks, when the run has ended. Groups of an intensity are found as frames
+    come: members are the identities of the confirmed online rows, and until these come a frame's number, time, mixture and
+    the places of its detections wait. Without a ``world`` nothing was detected: the caller begins, and groups.
     """
 
-    def __init__(
-        self,
-        groups: GroupStages,
-        info: SequenceInfo,
-        edges: tuple[F8, ...],
-        stages: AnyStages | None = None,
-        delay: int = 0,
-        max_distance: float = 0.0,
-    ) -> None:
-        self._groups, self._info, self._edges, self._stages, self._delay = groups, info, edges, stages, delay
-        sensor = None if stages is None else stages.model.sensor
-        self._camera = sensor.camera if isinstance(sensor, PlaneSensor) else None
-        self._field = _NOWHERE if self._camera is None else footprint(self._camera, (info.width, info.height), max_distance)
+    def __init__(self, groups: GroupStages, info: SequenceInfo, edges: tuple[F8, ...], world: World | None = None) -> None:
+        self._groups, self._info, self._edges, self._world = groups, info, edges, world
+        sensor = None if world is None else world.ground.sensor
+        self._camera, self._field = sensor.camera if isinstance(sensor, PlaneSensor) else None, _NOWHERE
+        if self._camera is not None and world is not None:
+            self._field = footprint(self._camera, (info.width, info.height), world.max_distance)
         self._state, self._waiting = LifeCycleState(), deque[tuple[int, float, GaussianMixture, F8]]()
-        self._scenes: list[PlanScene] = []
+        self._seen, self._scenes = list[tuple[int, float, F8]](), list[PlanScene]()
 
-    def open(self, directory: RunDirectory, files: ExitStack) -> None:
-        """Open the four tables."""
+    def begin(self, directory: RunDirectory, files: ExitStack) -> None:
+        """Open the four tables until ``files`` are closed."""
         self._tables = {name: files.enter_context(Lines(directory.file(name))) for name in _HEADS}
         for name, head in _HEADS.items():
             self._tables[name].write(head)
 
+    def open(self, directory: RunDirectory, files: ExitStack) -> None:
+        """Open the tables where groups are found as frames come."""
+        if isinstance(self._groups.grouping, Grouping):
+            self.begin(directory, files)
+
     def take(self, step: Step, state: TrackingState) -> None:
-        """Take in a step; the frame whose rows it brings is grouped."""
-        assert self._stages is not None
-        z = self._stages.model.sensor.measure(step.detections)
+        """Take in a step; of an intensity the frame whose rows it brings is grouped."""
+        assert self._world is not None
+        z, grouping = self._world.ground.sensor.measure(step.detections), self._groups.grouping
+        if isinstance(grouping, Pairs):
+            self._seen.append((step.number, step.time, z))
+            return
         usable = np.ascontiguousarray(z[:, np.isfinite(z).all(axis=0)])
-        mixture = mixture_of(state.intensity, step, usable, self._stages, self._groups.grouping.min_weight)
+        mixture = mixture_of(state.intensity, step, usable, self._world.stages, grouping.min_weight)
         self._waiting.append((step.number, step.time, mixture, z[:2]))
-        if len(self._waiting) > self._delay:
-            self._group_first(step.tracks)
+        if len(self._waiting) > self._world.delay:
+            self._group_first(step.tracks, grouping)
 
     def flush(self, rows: Tracks) -> None:
         """Group the frames that are left."""
-        while self._waiting:
-            self._group_first(rows)
+        while self._waiting and isinstance(self._groups.grouping, Grouping):
+            self._group_first(rows, self._groups.grouping)
 
-    def _group_first(self, tracks: Tracks) -> None:
+    def _group_first(self, tracks: Tracks, grouping: Grouping) -> None:
         """Group the first frame that waits."""
         number, time, mixture, detections = self._waiting.popleft()
         rows = tracks.take((tracks.frame == number) & tracks.confirmed)
         place = self._places(rows)
-        carrier = carriers(mixture, place, self._groups.grouping.min_weight)
-        self.group(number, time, mixture, People(rows.identity, place, carrier), detections)
+        self.group(
+            number, time, mixture, People(rows.identity, place, carriers(mixture, place, grouping.min_weight)), detections
+        )
 
     def group(self, number: int, time: float, mixture: GaussianMixture, people: People, detections: F8) -> None:
-        """Find and write the groups of a frame; ``detections`` (2, N) are places in metres."""
+        """Find and write the groups of a frame's intensity; ``detections`` (2, N) are places in metres."""
         self._state, frame = self._groups.advance(self._state, mixture, people.identity, people.carrier, number, time)
-        n, at, found, camera = number, f"{time:.6f}", frame.groups, self._camera
+        self._write(frame, detections, people.place[:, np.searchsorted(people.identity, frame.member)])
+
+    def group_all(
+        self, numbers: Sequence[int], frames: Sequence[Walkers], weights: Sequence[F8], detections: Sequence[F8]
+    ) -> None:
+        """Find and write the groups of all frames; ``weights`` (n,) say how likely each person is there."""
+        assert isinstance(self._groups.grouping, Pairs)
+        labels = self._groups.grouping.over_time(frames)
+        for number, walkers, label, weight, found in zip(numbers, frames, labels, weights, detections, strict=True):
+            self._state, frame = self._groups.people(self._state, walkers, label, weight, number)
+            self._write(frame, found, walkers.mean[:2, np.searchsorted(walkers.identity, frame.member)])
+
+    def _write(self, frame: GroupFrame, detections: F8, members: F8) -> None:
+        """A frame into the tables, and what is drawn of it: detections, and places (2, n) of its members."""
+        n, at, found, camera = frame.number, f"{frame.time:.6f}", frame.groups, self._camera
         write = {name: table.write for name, table in self._tables.items()}
         for g, rings in enumerate(frame.contours):
             values = ",".join(f"{value:.7g}" for value in (found.count[g], found.deviation[g], *found.mean[:, g]))
@@ -279,11 +321,22 @@ class GroupObserver(RunObserver):
             close = ",".join(f"{value:.4g}" for value in numbers)
             place = f"{w.place[0]:.7g},{w.place[1]:.7g}"
             write[rundir.WARNINGS](f"{n},{at},{w.first},{w.second},{close},{place},{w.probability:.4g}")
-        members = people.place[:, np.searchsorted(people.identity, frame.member)]
         self._scenes.append(PlanScene(frame, detections, members, frame.member))
 
     def finish(self, directory: RunDirectory, tracks: Tracks) -> None:
-        """Draw the corrected tracks, as the annotated video does, instead of the online rows."""
+        """Find the groups of the corrected tracks; those of an intensity are known, and drawn with the corrected tracks."""
+        if isinstance(self._groups.grouping, Pairs):
+            assert self._world is not None
+            model, number = self._world.ground, np.array([s[0] for s in self._seen], np.int64)
+            time, z = np.array([s[1] for s in self._seen]) * model.rate, [s[2] for s in self._seen]
+            start = np.concatenate([[0], np.cumsum([part.shape[1] for part in z])]).astype(np.int64)
+            seen = MeasurementHistory(number, time, start, np.hstack([np.zeros((5, 0)), *z]), np.zeros((0, 3, 3)))
+            # What stopped the run may have come between tracking a frame and taking it in here.
+            known = tracks.take(np.isin(tracks.frame, number))
+            with ExitStack() as files:
+                self.begin(directory, files)
+                self.group_all(number.tolist(), *on_ground(known, seen, model), [part[:2] for part in z])
+            return
         place, numbers = self._places(tracks), [scene.frame.number for scene in self._scenes]
         first, last = (np.searchsorted(tracks.frame, numbers, side=side) for side in ("left", "right"))
         self._scenes = [
@@ -314,7 +367,7 @@ class GroupObserver(RunObserver):
     def report(self) -> Report:
         """Counts, plan, events and warnings."""
         frames = [scene.frame for scene in self._scenes]
-        counts = [] if self._stages is None else [scene.detections.shape[1] for scene in self._scenes]
+        counts = [] if self._world is None else [scene.detections.shape[1] for scene in self._scenes]
         kinds = Counter(event.kind for frame in frames for event in frame.events)
         means: dict[str, list[float] | list[int]] = {
             "people_mean": [frame.people for frame in frames],
@@ -338,8 +391,8 @@ class GroupObserver(RunObserver):
 
     def _places(self, tracks: Tracks) -> F8:
         """(2, M) metres."""
-        assert self._stages is not None
-        return places(self._stages.model.sensor, tracks.xyxy)
+        assert self._world is not None
+        return places(self._world.ground.sensor, tracks.xyxy)
 
     def _plan(self, height: int) -> Plan:
         """A plan of the ground on which people were."""
@@ -353,7 +406,7 @@ class GroupObserver(RunObserver):
             return picture
         shown = [[_in_image(camera, ring) for ring in rings] for rings in frame.contours]
         contours = [[ring for ring in rings if ring.shape[1]] for rings in shown]
-        return draw_contours(picture, list(zip(frame.identity.tolist(), contours, strict=True)))
+        return draw_contours(picture, contours)
 
 
 def _in_image(camera: Camera, ring: F8) -> F8:

@@ -172,7 +172,8 @@ def finish(output: Output, job: Job, directory: rundir.RunDirectory) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What is to be run; ``configuration`` and ``read``, what was read and how, decide the result."""
+    """What is to be run; ``configuration`` and ``read``, what was read and how, decide the result; ``ground`` measures where
+    boxes of tracks in an image stand."""
 
     inputs: Inputs
     kinds: Kinds
@@ -183,6 +184,12 @@ class Job:
     video: bool = True
     observers: tuple[RunObserver, ...] = ()
     mover: Mover | None = None
+    ground: Sensor | None = None
+
+    @property
+    def sensor(self) -> Sensor:
+        """What says where boxes stand on the ground."""
+        return self.ground or self.stages.model.sensor
 
     @property
     def stages(self) -> AnyStages:
@@ -253,7 +260,7 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
             raise done.stop
         tracks = done.tracker.tracks()
         with TracksWriter(directory.file(rundir.TRACKS), job.names) as file:
-            file.append(tracks, places(job.stages.model.sensor, tracks.xyxy))
+            file.append(tracks, places(job.sensor, tracks.xyxy))
         for observer in job.observers:
             observer.finish(directory, tracks)
         if job.truth is not None:
@@ -296,7 +303,7 @@ def finish_document(document: dict[str, object], directory: RunDirectory, *more:
 
 def _track(job: Job, source: Iterable[Frame], directory: RunDirectory) -> _Progress:
     """Every frame through detector and tracker, into files and record, until the source ends or something stops it."""
-    inputs, stages, sensor = job.inputs, job.stages, job.stages.model.sensor
+    inputs, stages, sensor = job.inputs, job.stages, job.sensor
     tracker = Tracker(stages=job.kinds, fps=inputs.info.fps, seed=job.about.seed)
     done = _Progress(tracker, Recorder(inputs.info, job.truth))
     with ExitStack() as files:
@@ -311,8 +318,7 @@ def _track(job: Job, source: Iterable[Frame], directory: RunDirectory) -> _Progr
         try:
             with ahead(source) as frames, ahead(detected(inputs.detector, frames, job.mover)) as looked:
                 for frame, found, warp, seconds in looked:
-                    # No frame stands in one file and not in another; and what compiled code gives back must not be
-                    # interrupted while it is made into objects, which Numba does not survive.
+                    # No frame stands in one file only; and Numba does not survive Ctrl-C while it makes objects.
                     with _uninterrupted():
                         rows = tracker.update(found, frame.number, frame.time, warp if len(warp) else None)
                         step = tracker.step
@@ -431,11 +437,12 @@ def detections_needed(stages: AnyStages, info: SequenceInfo, size: tuple[float, 
     """Detections in a row of an object up to its first state; 0 for more than 25.
 
     The ratio of the densities of births and of clutter decides it, which settings do not show. So it is tried: an object
-    of ``size`` (width, height in pixels) stands still in the middle of the frame and is detected in every frame.
+    of ``size`` (width, height in pixels) moves through the middle of the frame, by a tenth of its width a frame, and is
+    detected in every frame: what stands still from its first frame on may be a false alarm that lasts.
     """
     centre, half = np.array([info.width, info.height]) / 2, np.array(size) / 2
-    box = Detections.of(np.concatenate([centre - half, centre + half]))
-    frames = ((number, number / info.fps, box) for number in range(1, _TRIED + 1))
+    box, step = np.concatenate([centre - half, centre + half]), np.array([0.1 * size[0], 0, 0.1 * size[0], 0])
+    frames = ((k, k / info.fps, Detections.of(box + (k - _TRIED / 2) * step)) for k in range(1, _TRIED + 1))
     steps = pipeline.run(stages, frames, np.random.default_rng(0))
     return next((step.number for _, step in steps if len(step.estimates)), 0)
 

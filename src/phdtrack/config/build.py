@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from phdtrack.config.kinds import CameraSettings, LearnSettings, SceneClutterSettings
-from phdtrack.config.settings import Settings, overlay
+from phdtrack.config.settings import Settings, load, overlay
 from phdtrack.errors import InputError
 from phdtrack.models.pace import Pace
 from phdtrack.models.volumes import EVERYWHERE, Region, area, image_area
@@ -92,18 +92,25 @@ def for_detector(settings: Settings, detector: str) -> Settings:
 def build_groups(settings: Settings, stages: AnyStages | None = None) -> GroupStages:
     """What makes groups, their life cycle and warnings; ``stages`` where a filter comes before, None for known positions.
 
-    Behind a filter ``groups.min_weight`` is, unless given, no more than 0.84 of the weight (1 − p_D) p_S of a person just
-    missed once, at E13's 7 frames a second, so that one miss drops no person whatever the detection probability. With E13's
-    values that is the default.
+    Where the intensity of a filter is grouped, ``groups.min_weight`` is, unless given, no more than 0.84 of the weight
+    (1 − p_D) p_S of a person just missed once, at E13's 7 frames a second, so that one miss drops no person whatever the
+    detection probability. With E13's values that is the default.
     """
     from phdtrack.groups.clusters import Grouping
     from phdtrack.groups.pipeline import GroupStages
 
-    if stages is not None and "min_weight" not in settings.given.get("groups", {}):
+    read = settings.kind("groups") == "intensity" and "min_weight" not in settings.given.get("groups", {})
+    if stages is not None and read:
         survival = settings.build("motion").survival_probability ** (1 / 7)
         missed = (1 - settings.build("sensor").detection_probability) * survival
         settings = overlay(settings, {"groups": {"min_weight": min(Grouping().min_weight, _MISSED * missed)}})
     return GroupStages(*(settings.build(section) for section in ("groups", "contours", "life_cycle", "encounters")))
+
+
+def ground_model(settings: Settings, info: SequenceInfo) -> Model:
+    """The model of people on the ground that the ``camera`` of the settings shows, whatever world they are tracked in."""
+    ground = overlay(load(None, ("motion.kind=plane",)), {"camera": settings.given.get("camera", {})})
+    return build(ground, info).model
 
 
 def _model(settings: Settings, size: Size, fps: float) -> Model:

@@ -1,7 +1,8 @@
-"""The groups of a sequence, frame by frame, from a filter's intensity or from known positions.
+"""The groups of a sequence, frame by frame, from tracks, from a filter's intensity, or from known positions.
 
-`mixture_of` makes Gaussians of what is known of a frame, `carriers` says which Gaussian belongs to which track, and
-`GroupStages.advance` is one frame as a pure function: clusters, identities, contours, events and warnings.
+`on_ground` follows the people of any tracks on the ground. `mixture_of` makes Gaussians of what a filter knows of a frame,
+`carriers` says which Gaussian belongs to which track. `GroupStages.advance` is one frame as a pure function: clusters,
+identities, contours, events and warnings.
 """
 
 from __future__ import annotations
@@ -15,8 +16,11 @@ from phdtrack.filters.cardinality import Cardinalised
 from phdtrack.filters.extract import KMeans, Mixture
 from phdtrack.groups.clusters import Contours, Grouping, Groups, group_moments
 from phdtrack.groups.life_cycle import Encounter, EncounterWarning, Event, GroupLifeCycle, LifeCycleState
-from phdtrack.protocols import AnyStages
-from phdtrack.types import F8, I8, GaussianMixture, Step
+from phdtrack.groups.pairs import Pairs, Walkers
+from phdtrack.protocols import AnyStages, Model
+from phdtrack.smooth.paths import paths_of
+from phdtrack.smooth.smoothing import Sequence
+from phdtrack.types import F8, I8, GaussianMixture, MeasurementHistory, Step, Tracks
 
 # Heads from which on a cluster without a track is a group: Vo and Ma's weight of a target.
 UNNAMED = 0.5
@@ -74,15 +78,35 @@ class GroupFrame:
 class GroupStages:
     """The settings of everything that is done with groups."""
 
-    grouping: Grouping = field(default_factory=Grouping)
+    grouping: Grouping | Pairs = field(default_factory=Pairs)
     contours: Contours = field(default_factory=Contours)
     life_cycle: GroupLifeCycle = field(default_factory=GroupLifeCycle)
     encounters: EncounterWarning = field(default_factory=EncounterWarning)
 
+    def people(
+        self, state: LifeCycleState, walkers: Walkers, label: I8, weight: F8, number: int
+    ) -> tuple[LifeCycleState, GroupFrame]:
+        """Take in the people of a frame, who all have identities.
+
+        Parameters
+        ----------
+        state : after the frame before.
+        walkers : who is there, in the order of their identities.
+        label : (n,) the group of each, as `Pairs` finds it.
+        weight : (n,) probability that each is there.
+        number : of the frame, from 1.
+
+        Returns
+        -------
+        The new state, and the groups.
+        """
+        mixture = GaussianMixture(weight, walkers.mean, walkers.covariance)
+        return self._frame(state, mixture, label, walkers.identity, np.arange(len(label)), (number, walkers.time))
+
     def advance(
         self, state: LifeCycleState, mixture: GaussianMixture, member: I8, carrier: I8, number: int, time: float
     ) -> tuple[LifeCycleState, GroupFrame]:
-        """Take in the mixture of a frame.
+        """Take in the intensity of a frame, as E13 does [E13 §5]. Raises `TypeError` where groups are found by pairs.
 
         People with an identity are in the group that they have accepted (`GroupLifeCycle`). A Gaussian without a track goes
         with the heaviest person of its cluster. A cluster without any track is a group without identity, so that no head is
@@ -100,13 +124,21 @@ class GroupStages:
         -------
         The new state, and the groups.
         """
-        clusters = self.grouping.groups(mixture)
-        counted = np.append(clusters.label, -1)[carrier] >= 0
-        member, carrier = member[counted], carrier[counted]
+        if not isinstance(self.grouping, Grouping):
+            raise TypeError("groups of an intensity need groups.kind=intensity")
+        label = self.grouping.groups(mixture).label
+        counted = np.append(label, -1)[carrier] >= 0
+        return self._frame(state, mixture, label, member[counted], carrier[counted], (number, time))
+
+    def _frame(
+        self, state: LifeCycleState, mixture: GaussianMixture, cluster: I8, member: I8, carrier: I8, when: tuple[int, float]
+    ) -> tuple[LifeCycleState, GroupFrame]:
+        """A frame whose Gaussians are in these clusters (J,), −1 for none; every member's Gaussian is in one."""
+        number, time = when
         state, membership, events = self.life_cycle.extend(
-            state, member, clusters.label[carrier], mixture.weight[carrier], number, time
+            state, member, cluster[carrier], mixture.weight[carrier], number, time
         )
-        label, identity = _groups(clusters.label, mixture.weight, carrier, membership)
+        label, identity = _groups(cluster, mixture.weight, carrier, membership)
         groups = group_moments(mixture, label)
         contours = tuple(self.contours.of(mixture, label == group) for group in range(len(identity)))
         warned = self.encounters.expected(np.append(identity, 0)[label], mixture)
@@ -134,6 +166,39 @@ def _groups(label: I8, weight: F8, carrier: I8, membership: I8) -> tuple[I8, I8]
     out = np.full(len(label), -1, np.int64)
     out[heavy] = group
     return out, np.maximum(names, 0)
+
+
+def on_ground(tracks: Tracks, seen: MeasurementHistory, model: Model) -> tuple[list[Walkers], list[F8]]:
+    """The people of tracks where they stand, smoothed on the ground from their first detection to their last.
+
+    Parameters
+    ----------
+    tracks : of any filter in any world; ``detection`` says which detection a row rests on.
+    seen : the same detections as the ground's sensor measures them, NaN where a foot stands on no ground.
+    model : of people on the ground.
+
+    Returns
+    -------
+    The people of each frame of ``seen``, in the order of their identities, and the confidence of each.
+    """
+    place = np.searchsorted(seen.number, tracks.frame)
+    column = seen.start[place] + tracks.detection
+    rests = np.flatnonzero(tracks.detection >= 0)
+    nowhere = rests[np.isnan(seen.z[:, column[rests]]).any(axis=0)]
+    detection = tracks.detection.copy()
+    detection[nowhere] = -1
+    paths = paths_of(replace(tracks, detection=detection), seen)
+    states = Sequence.of(seen, model).smooth(paths)
+    # Rows of gaps come from no row of the tracks: they are as sure as the one before.
+    row = paths.row[np.maximum.accumulate(np.where(paths.row >= 0, np.arange(len(paths.row)), 0))]
+    identity, sure = tracks.identity[row], tracks.confidence[row]
+    order = np.lexsort((identity, paths.frame))
+    walkers, weights = list[Walkers](), list[F8]()
+    for k, here in enumerate(np.split(order, np.searchsorted(paths.frame[order], np.arange(1, len(seen.number))))):
+        mean, covariance = np.ascontiguousarray(states.mean[here, :4].T), states.covariance[here][:, :4, :4]
+        walkers.append(Walkers(identity[here], mean, covariance, float(seen.time[k]) / model.rate))
+        weights.append(sure[here])
+    return walkers, weights
 
 
 def mixture_of(intensity: Any, step: Step, z: F8, stages: AnyStages, lightest: float) -> GaussianMixture:

@@ -42,6 +42,7 @@ _LEGEND = (("right", RIGHT), ("missed (truth)", MISSED), ("false", FALSE), ("ide
 _WIDTHS, _BAR, _GAP, _DARK = (480, 720), 28, 6, (20, 20, 20)
 _EDGES = (0, _GAP, 0, _GAP, cv2.BORDER_CONSTANT)
 _GRID, _INK, _WITHOUT_IDENTITY = (228, 231, 236), (58, 66, 80), (140, 140, 140)
+_PAPER: Rgb = (235, 235, 228)
 _FIELD, _ROAD_EDGE, _WARNING = (216, 228, 246), (150, 120, 80), (208, 60, 60)
 # Lines of the grid across a plan at most; metres around what is shown; plans are drawn in sixteenths of a pixel.
 _MAX_LINES, _MARGIN, _FRACTION_BITS = 12, 1.5, 4
@@ -138,14 +139,27 @@ class _Canvas:
         """A line through points (2, K)."""
         cv2.polylines(self.image, [_fixed(points)], False, colour[::-1], width, cv2.LINE_AA, _FRACTION_BITS)
 
-    def contours(self, contours: Sequence[F8], identity: int, *, filled: bool = False) -> None:
-        """A group's outline in its colour, and its area. Rings (2, K) within others are holes: the even-odd rule."""
-        rings, colour = [_fixed(ring) for ring in contours], identity_colour(identity)[::-1]
-        if rings and filled:
-            over = self.image.copy()
-            cv2.fillPoly(over, rings, colour, cv2.LINE_AA, _FRACTION_BITS)
-            cv2.addWeighted(over, 0.3, self.image, 0.7, 0, dst=self.image)
-        cv2.polylines(self.image, rings, True, colour, self.line + filled, cv2.LINE_AA, _FRACTION_BITS)
+    def contours(self, contours: Sequence[F8]) -> None:
+        """A group's outline, dark on light: colours are for people. Rings (2, K) within others are holes."""
+        rings = [_fixed(ring) for ring in contours]
+        for colour, width in ((_WHITE, self.line + 2), (_INK, self.line)):
+            cv2.polylines(self.image, rings, True, colour[::-1], width, cv2.LINE_AA, _FRACTION_BITS)
+
+    def label(self, text: str, corner: Sequence[int], fill: Rgb, taken: list[tuple[int, int, int, int]]) -> None:
+        """A plate like `plate`, moved up where it would lie on one of those ``taken`` (left, top, right, bottom)."""
+        (wide, high), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, self._font, self._bold)
+        pad = max(2, high // 4)
+        wide, high = wide + 2 * pad, high + 2 * pad + below // 2
+        left, bottom = min(max(corner[0], 0), max(self.image.shape[1] - wide, 0)), max(corner[1], high)
+        for _ in taken:
+            under = [
+                top for a, top, b, low in taken if a < left + wide and left < b and top < bottom and bottom - high < low
+            ]
+            if not under or min(under) < high:
+                break
+            bottom = min(under) - 1
+        taken.append((left, bottom - high, left + wide, bottom))
+        self.plate(text, (left, bottom), fill)
 
     def _corners(self, boxes: F8) -> list[tuple[int, list[int]]]:
         """The index and the whole-pixel left, top, right, bottom of those boxes (n, 4) of which something can be drawn.
@@ -365,15 +379,19 @@ class Plan:
     def draw(self, scene: PlanScene) -> Image:
         """A picture (height, width, 3) BGR of one frame: detections, people, groups with their counts, warnings."""
         canvas, frame = _Canvas(self.ground), scene.frame
-        for identity, rings in zip(frame.identity.tolist(), frame.contours, strict=True):
-            canvas.contours([self.pixels(ring) for ring in rings], identity, filled=True)
+        for rings in frame.contours:
+            canvas.contours([self.pixels(ring) for ring in rings])
         for _, spot in self._shown(scene.detections):
             size = 2 * max(3, 2 * canvas.line + 1)
             cv2.drawMarker(canvas.image, spot, _INK[::-1], cv2.MARKER_TILTED_CROSS, size, canvas.thin, cv2.LINE_AA)
-        for k, (x, y) in self._shown(scene.people):
-            cv2.circle(canvas.image, (x, y), max(2, canvas.line + 1), _INK[::-1], -1, cv2.LINE_AA)
-            if scene.identity[k]:
-                canvas.text(str(scene.identity[k]), (x + 4, y - 4), _INK)
+        taken = list[tuple[int, int, int, int]]()
+        people = [(k, spot, identity_colour(int(scene.identity[k]))) for k, spot in self._shown(scene.people)]
+        for _, spot, colour in people:
+            for reach, filling in ((2 * canvas.line + 3, _WHITE), (2 * canvas.line + 2, colour)):
+                cv2.circle(canvas.image, spot, reach, filling[::-1], -1, cv2.LINE_AA)
+        for group in np.unique(frame.membership).tolist():
+            inside = np.isin(scene.identity, frame.member[frame.membership == group])
+            self._outline(canvas, scene.people[:, inside])
         centre, velocity = frame.groups.mean[:2], frame.groups.mean[2:]
         # The way of the next second.
         for way in np.stack([self.pixels(centre), self.pixels(centre + velocity)]).transpose(2, 0, 1):
@@ -387,14 +405,26 @@ class Plan:
                 canvas.path(between, _WARNING, canvas.line)
                 x, y = np.clip(between.mean(axis=1), 0, 1e4).astype(int).tolist()
                 canvas.plate(f"meet in {warning.seconds:.1f} s", (x, y), _WARNING, opacity=0.9)
-        gap = round(min(1.2 * self.scale, 40)) // 2
+        for k, (x, y), colour in people:
+            if scene.identity[k]:
+                canvas.label(str(scene.identity[k]), (x + 8, y - 8), colour, taken)
         for g, (x, y) in self._shown(centre):
             if label := _label(frame, g):
-                canvas.plate(label, (x + gap, y - gap), identity_colour(int(frame.identity[g])))
+                canvas.label(label, (x + 8, y - 24), _PAPER, taken)
         detected = int(np.isfinite(scene.detections).all(axis=0).sum())
         header = f"frame {frame.number}   {frame.time:.1f} s   {frame.people:.1f} people in {frame.named} groups"
         canvas.plate(header + (f"   {detected} detections" if detected else ""), (0, 0), _INK, opacity=0.85)
         return canvas.image
+
+    def _outline(self, canvas: _Canvas, people: F8) -> None:
+        """A line around the places (2, n) of a group's people, half a metre from them; none around one alone."""
+        known = people[:, np.isfinite(people).all(axis=0)]
+        if known.shape[1] < 2:
+            return
+        turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+        around = known[:, :, None] + 0.5 * np.stack([np.cos(turn), np.sin(turn)])[:, None]
+        hull = cv2.convexHull(self.pixels(around.reshape(2, -1)).T.astype(np.float32))[:, 0].T
+        canvas.contours([np.asarray(hull, np.float64)])
 
     @cached_property
     def ground(self) -> Image:
@@ -440,20 +470,21 @@ def extent_of(places: F8) -> tuple[float, float, float, float]:
     return left, below, right, above
 
 
-def draw_contours(image: Image, contours: Sequence[tuple[int, Sequence[F8]]]) -> Image:
-    """A copy of a picture (H, W, 3) BGR with groups: of each its identity, 0 for none, and rings (2, K) in pixels."""
+def draw_contours(image: Image, contours: Sequence[Sequence[F8]]) -> Image:
+    """A copy of a picture (H, W, 3) BGR with the outlines of groups: of each its rings (2, K) in pixels."""
     canvas = _Canvas(image)
-    for identity, rings in contours:
-        canvas.contours(rings, identity)
+    for rings in contours:
+        canvas.contours(rings)
     return canvas.image
 
 
 def _label(frame: GroupFrame, g: int) -> str:
-    """Identity and number of people; nothing where the group probably does not exist."""
+    """The group and its number of people; nothing for one person alone, who has a label, or where there is probably none."""
     identity, count, deviation = frame.identity[g], frame.groups.count[g], frame.groups.deviation[g]
-    if not identity and count < 0.5:
+    if (identity and count < 1.5) or count < 0.5:
         return ""
-    return (f"{identity}: " if identity else "") + f"{count:.1f}" + (f" +-{deviation:.1f}" if deviation >= 0.05 else "")
+    many = f"{count:.1f}" + (f" +-{deviation:.1f}" if deviation >= 0.05 else "")
+    return f"group {identity}: {many}" if identity else many
 
 
 def _fixed(points: F8) -> np.ndarray[tuple[int, ...], np.dtype[np.int32]]:

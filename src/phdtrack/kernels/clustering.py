@@ -1,0 +1,139 @@
+"""Clusters from log-odds of pairs: those with the largest sum of the log-odds within them (correlation clustering)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phdtrack.kernels.cache import njit
+from phdtrack.kernels.fast32 import ENTRY, INNER
+
+F8 = NDArray[np.float64]
+I8 = NDArray[np.int64]
+
+# Nodes up to which all partitions are compared; beyond it clusters are merged while that gains, then single nodes move.
+EXACT = 9
+
+
+@njit(**ENTRY)
+def clusters(gain: F8) -> I8:
+    """(n,) the cluster of each node, numbered from 0 by their first node; ``gain`` (n, n) symmetric, the log-odds of pairs.
+
+    Nodes that no chain of pairs with a positive gain connects are never together, so each connected part is solved alone.
+    """
+    n = gain.shape[0]
+    out, place, queue = np.full(n, -1, np.int64), np.full(n, -1, np.int64), np.empty(n, np.int64)
+    used = 0
+    for first in range(n):
+        if out[first] >= 0:
+            continue
+        count, done = 1, 0
+        queue[0] = first
+        place[first] = first
+        while done < count:
+            i = queue[done]
+            done += 1
+            for j in range(n):
+                if place[j] < 0 and gain[i, j] > 0.0:
+                    place[j] = first
+                    queue[count] = j
+                    count += 1
+        nodes = np.sort(queue[:count])
+        part = np.empty((count, count))
+        for a in range(count):
+            for b in range(count):
+                part[a, b] = gain[nodes[a], nodes[b]]
+        label = _best(part) if count <= EXACT else _merged(part)
+        number = np.full(count, -1, np.int64)
+        for a in range(count):
+            if number[label[a]] < 0:
+                number[label[a]] = used
+                used += 1
+            out[nodes[a]] = number[label[a]]
+    # Parts interleave: number the clusters by their first node.
+    rank, following = np.full(n, -1, np.int64), 0
+    for i in range(n):
+        if rank[out[i]] < 0:
+            rank[out[i]] = following
+            following += 1
+        out[i] = rank[out[i]]
+    return out
+
+
+@njit(**INNER)
+def _best(gain: F8) -> I8:
+    """(n,) the best clusters of few nodes: by dynamic programming over the sets of those that are placed."""
+    n = gain.shape[0]
+    size = 1 << n
+    within, value, last = np.zeros(size), np.zeros(size), np.zeros(size, np.int64)
+    for some in range(1, size):
+        first = 0
+        while not (some >> first) & 1:
+            first += 1
+        rest = some & ~(1 << first)
+        total = within[rest]
+        for j in range(first + 1, n):
+            if (rest >> j) & 1:
+                total += gain[first, j]
+        within[some] = total
+        # The cluster of the first node: every set of the others with it. All together is tried first and wins ties.
+        best, chosen, others = total, some, rest
+        while others > 0:
+            others = (others - 1) & rest
+            here = others | (1 << first)
+            total = within[here] + value[some & ~here]
+            if total > best:
+                best, chosen = total, here
+        value[some], last[some] = best, chosen
+    label, left, number = np.zeros(n, np.int64), size - 1, 0
+    while left > 0:
+        for i in range(n):
+            if (last[left] >> i) & 1:
+                label[i] = number
+        left &= ~last[left]
+        number += 1
+    return label
+
+
+@njit(**INNER)
+def _merged(gain: F8) -> I8:
+    """(n,) good clusters of many nodes."""
+    n = gain.shape[0]
+    label, between, alive = np.arange(n), gain.copy(), np.ones(n, np.bool_)
+    while True:
+        most, a, b = 0.0, -1, -1
+        for i in range(n):
+            if alive[i]:
+                for j in range(i + 1, n):
+                    if alive[j] and between[i, j] > most:
+                        most, a, b = between[i, j], i, j
+        if a < 0:
+            break
+        alive[b] = False
+        for k in range(n):
+            between[a, k] += between[b, k]
+            between[k, a] = between[a, k]
+            if label[k] == b:
+                label[k] = a
+    total, empty = np.zeros(n), np.zeros(n, np.int64)
+    # Every move gains, so it ends; the bound is for gains that are rounding.
+    for _ in range(n):
+        moved = False
+        for i in range(n):
+            total[:] = 0.0
+            empty[:] = 1
+            for j in range(n):
+                if j != i:
+                    total[label[j]] += gain[i, j]
+                    empty[label[j]] = 0
+            best = label[i]
+            for k in range(n):
+                # An empty cluster has a total of 0: alone.
+                if total[k] > total[best] + 1e-9 and (total[k] > 0.0 or empty[k] == 1):
+                    best = k
+            if best != label[i]:
+                label[i] = best
+                moved = True
+        if not moved:
+            break
+    return label
