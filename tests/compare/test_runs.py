@@ -105,7 +105,7 @@ def test_only_what_a_change_decides_runs_again(tmp_path: Path, change: str) -> N
         file = tmp_path / "a" / "seqinfo.ini"
         file.write_text(file.read_text().replace("=25", "=30"))
     else:
-        sets = {"setting": "filter.max_components=9", "unrelated": "groups.min_weight=0.1"}
+        sets = {"setting": "filter.max_components=9", "unrelated": "groups.prior_odds=2"}
         more = {"sets": [sets[change]]} if change in sets else {"iou": 0.4}
     found = run(small(tmp_path, **more), tmp_path / "out")
     after = deciding(tmp_path / "out")
