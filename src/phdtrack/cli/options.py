@@ -28,7 +28,7 @@ FrameSize = Annotated[str, option("WxH", "Size of the frames in pixels, as 1920x
 Fps = Annotated[float, option("F", "Frames per second; 0: what the video or seqinfo.ini says.", min=0.0)]
 Detector = Annotated[str, option("NAME", "change (default), mean-background, mog2, knn, face or person.")]
 Source = Annotated[str, typer.Argument(metavar="SOURCE", help="Video, folder or pattern of images, or camera number.")]
-_FILTERS = "pmb (default), gm-phd (default of groups), particle-phd, gm-cphd, particle-cphd, mht, mcmc, or none."
+_FILTERS = "pmb (default), gm-phd, particle-phd, gm-cphd, particle-cphd, mht, mcmc, or none."
 Filter = Annotated[str, option("NAME", _FILTERS, "--filter")]
 SceneFile = Annotated[Path | None, option("FILE", "What `phdtrack learn` has learned of this scene.")]
 TruthFile = Annotated[Path | None, option("FILE", "Annotated objects to score against.")]
