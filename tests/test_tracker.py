@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phdtrack import Tracker, config
+from phdtrack import Tracker, config, pipeline
 from phdtrack.config.presets import PRESETS
 from phdtrack.errors import InputError
 from phdtrack.filters import NoFilter
@@ -377,3 +379,29 @@ def test_stages_of_ones_own():
     for beside in ({"filter": "none"}, {"preset": "m07"}, {"sensor": {}}, {"settings": "a.toml"}):
         with pytest.raises(InputError, match="stages"):
             Tracker(stages=own, **beside)
+
+
+def test_ctrl_c_comes_after_the_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Within compiled code it would crash the process; a handler of one's own is called at once, and stays."""
+    real, tracker = pipeline.advance, Tracker(frame_size=(320, 240))
+
+    def interrupted(*args: Any) -> Any:
+        signal.raise_signal(signal.SIGINT)
+        return real(*args)
+
+    monkeypatch.setattr("phdtrack.classes.pipeline.advance", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        tracker.update(np.array([[10.0, 10, 30, 60]]))
+    assert tracker.state.number == 1
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    called: list[int] = []
+    monkeypatch.setattr(
+        "phdtrack.classes.pipeline.advance", lambda *args: (signal.raise_signal(signal.SIGINT), real(*args))[1]
+    )
+    before = signal.signal(signal.SIGINT, lambda number, _: called.append(number))
+    try:
+        tracker.update(np.array([[11.0, 10, 31, 60]]))
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert called == [signal.SIGINT]
+    assert tracker.state.number == 2

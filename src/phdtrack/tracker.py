@@ -12,7 +12,10 @@ from __future__ import annotations
 import importlib
 import logging
 import math
-from collections.abc import Mapping
+import signal
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -127,6 +130,7 @@ class Tracker:
         ------
         InputError : boxes that are none, a frame that does not come after the last, a warp that is none, or one for a model
             that lies at fixed pixels or on the ground.
+        KeyboardInterrupt : after Ctrl-C, when the frame is done; a second Ctrl-C ends at once.
         """
         last = self._lanes.state
         number = last.number + 1 if frame is None else _whole(frame, "update(frame=…)")
@@ -145,7 +149,8 @@ class Tracker:
 
             refuse_standing(self.stages.model)
         given = found.take(kept) if len(kept) < len(found) else found
-        self._step = self._lanes.advance(given, number, time, moved)
+        with uninterrupted():
+            self._step = self._lanes.advance(given, number, time, moved)
         if left_out:
             if not self._empty:
                 _LOG.warning("frame %d: boxes whose width or height is not above 0 are left out (%d here)", number, left_out)
@@ -255,6 +260,33 @@ class Tracker:
                 cure="Load it into a tracker with the settings of the one that it is from",
             )
         self._lanes, self._step, self._empty, self._unwanted, self._kept = lanes, None, empty, unwanted, kept
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Ctrl-C that comes within the block is raised at its end, a second one at once.
+
+    Numba makes Python objects of what compiled code gives back, and crashes where that is interrupted. This is for the main
+    thread, where Ctrl-C comes, and where it raises KeyboardInterrupt; handlers of one's own are left alone.
+    """
+    main = threading.current_thread() is threading.main_thread()
+    if not main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+    came: list[int] = []
+
+    def later(number: int, frame: object) -> None:
+        came.append(number)
+        if len(came) > 1:
+            raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, later)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    if came:
+        raise KeyboardInterrupt
 
 
 def pack(value: Any) -> Any:

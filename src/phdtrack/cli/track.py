@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import math
 import shlex
-import signal
 import sys
-import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -46,7 +44,7 @@ from phdtrack.protocols import AnyStages, Sensor
 from phdtrack.report import About, Annotator, Recorder, report_html, run_document, sentences, write_run
 from phdtrack.report.pages import lines, write_text
 from phdtrack.report.record import LOW_EFFECTIVE
-from phdtrack.tracker import Tracker
+from phdtrack.tracker import Tracker, uninterrupted
 from phdtrack.types import F8, Detections, Frame, Image, ParticleBlocks, Particles, SequenceInfo, Tracks, Truth
 from phdtrack.video import VideoWriter
 
@@ -319,7 +317,7 @@ def _track(job: Job, source: Iterable[Frame], directory: RunDirectory) -> _Progr
             with ahead(source) as frames, ahead(detected(inputs.detector, frames, job.mover)) as looked:
                 for frame, found, warp, seconds in looked:
                     # No frame stands in one file only; and Numba does not survive Ctrl-C while it makes objects.
-                    with _uninterrupted():
+                    with uninterrupted():
                         rows = tracker.update(found, frame.number, frame.time, warp if len(warp) else None)
                         step = tracker.step
                         assert step is not None
@@ -347,28 +345,6 @@ def _track(job: Job, source: Iterable[Frame], directory: RunDirectory) -> _Progr
             done.stop = _as_meant(stop)
         done.lost = inputs.source.problem
     return done
-
-
-@contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """Ctrl-C that comes within the block is raised at its end, a second one at once; none comes but in the main thread."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    came: list[int] = []
-
-    def later(number: int, frame: object) -> None:
-        came.append(number)
-        if len(came) > 1:
-            raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGINT, later)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-    if came:
-        raise KeyboardInterrupt
 
 
 def _draw(job: Job, again: Iterable[Frame], directory: RunDirectory, done: _Progress, tracks: Tracks) -> Stop | None:
