@@ -13,7 +13,7 @@ from cli_runner import phdtrack, refused
 
 from phdtrack.cli import run_directory as rundir
 from phdtrack.formats import read_tracks
-from phdtrack.types import Step
+from phdtrack.types import Detections, Step
 from phdtrack.video import VideoWriter, open_source
 
 # Ten pixels are a metre, x to the right and y up, the origin in the lower left corner.
@@ -132,6 +132,23 @@ def test_members_are_the_identities_of_the_corrected_tracks(street: Path, tmp_pa
             assert 1.9 < len(groups) / len({frame for frame, _ in groups}) < 2.1
 
 
+def test_detections_that_are_left_out_move_nobody(street: Path, tmp_path: Path) -> None:
+    """Rows count all detections of a frame, also those of classes that are not tracked; places must be of the same."""
+    rows = [line.split(",") for line in (street / "det.txt").read_text().splitlines()]
+    lines = ["frame,left,top,width,height,confidence,class"]
+    for k in range(1, FRAMES + 1):
+        lines.append(f"{k},{250 - 2 * k},20,30,20,1,car")
+        lines += [",".join([str(k), *row[2:7], "person"]) for row in rows if row[0] == str(k)]
+    (tmp_path / "det.csv").write_text("\n".join(lines) + "\n")
+    found = []
+    for file, more in ((street / "det.txt", ()), (tmp_path / "det.csv", ("--classes", "person"))):
+        options = ("--detections", file, *detected(street)[2:], "--no-video", *more)
+        said = phdtrack("groups", *options, "--out", tmp_path / file.stem, "--overwrite")
+        assert said.status == 0, said.err
+        found.append([row | {"contours_image": ""} for row in table(tmp_path / file.stem / rundir.GROUPS)])
+    assert found[0] == found[1]
+
+
 def test_members_of_an_intensity_are_the_online_identities_with_any_delay(street: Path, tmp_path: Path) -> None:
     for delay in (0, 4):
         out, held = tmp_path / str(delay), ("--set", f"associate.output_delay={delay}", "--set", "groups.kind=intensity")
@@ -211,10 +228,10 @@ def test_ctrl_c_leaves_the_groups_up_to_there(street: Path, tmp_path: Path, monk
 
     whole = GroupObserver.take
 
-    def stopped(self: GroupObserver, step: Step, state: object) -> None:
+    def stopped(self: GroupObserver, found: Detections, step: Step, state: object) -> None:
         if step.number == 15:
             raise KeyboardInterrupt
-        whole(self, step, state)
+        whole(self, found, step, state)
 
     monkeypatch.setattr(GroupObserver, "take", stopped)
     said = phdtrack("groups", *detected(street), "--out", tmp_path / "run", "--json")

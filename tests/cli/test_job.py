@@ -18,7 +18,8 @@ from phdtrack.associate.graph import GraphMatching
 from phdtrack.classes import Kinds
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.inputs import DEPTH, Inputs
-from phdtrack.cli.track import Job, Outcome, run
+from phdtrack.cli.track import Job, Outcome, detections_needed, run
+from phdtrack.config import build, load
 from phdtrack.errors import InputError
 from phdtrack.filters import NoFilter
 from phdtrack.filters.none import Raw
@@ -229,3 +230,10 @@ def test_frames_that_compile_are_left_out_of_the_speed(job: Job, directory: rund
     # A compilation may reach into the frames that are tracked meanwhile.
     assert 2 <= found["frames_left_out"] <= 6
     assert found["frames_per_second"] > 0
+
+
+@pytest.mark.parametrize("rate", [7.0, 25.0])
+def test_the_object_that_is_tried_moves(rate: float) -> None:
+    """One that stands from its first frame on may be a false alarm that lasts: the note would warn of every run."""
+    info = SequenceInfo(768, 576, rate)
+    assert 1 <= detections_needed(build(load(), info), info, (40.0, 100.0)) <= 5

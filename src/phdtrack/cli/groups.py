@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -43,7 +43,7 @@ from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.report.drawing import Plan, PlanScene, draw_contours, extent_of
 from phdtrack.report.pages import flattened, lines, render, write_text
-from phdtrack.types import F8, I8, GaussianMixture, Image, MeasurementHistory, SequenceInfo, Step, Tracks
+from phdtrack.types import F8, I8, Detections, GaussianMixture, Image, MeasurementHistory, SequenceInfo, Step, Tracks
 from phdtrack.video import VideoWriter
 
 INTENSITY_FILTER = "gm-phd"
@@ -130,7 +130,7 @@ def _ground_settings(options: TrackingOptions, camera: Path | None) -> Settings:
         if settings.kind("motion") != "plane":
             cure = "Use motion.kind=plane, or groups.kind=pairs."
             raise InputError("groups of an intensity are found on the ground", where="motion.kind", cure=cure)
-        if settings.kind("filter") in ("none", "pmb", "mht"):
+        if settings.kind("filter") in ("none", "pmb", "mht", "mcmc"):
             cure = f"Use --filter {INTENSITY_FILTER}, or groups.kind=pairs."
             raise InputError("this filter has no intensity", where=f"--filter {settings.kind('filter')}", cure=cure)
     if not settings.build("camera").file:
@@ -182,11 +182,12 @@ def _group_known(
         observer.begin(directory, files)
         if isinstance(groups.grouping, Pairs):
             walkers = [Walkers(p.identity, m.mean, m.covariance, t) for p, m, t in zip(here, mixtures, times, strict=True)]
-            observer.group_all(frames, walkers, [m.weight for m in mixtures], [_NOWHERE] * len(frames))
+            observer.group_all(frames, walkers, [m.weight for m in mixtures], [_NOWHERE] * len(frames), advance)
         else:
-            for number, p, mixture, t in zip(frames, here, mixtures, times, strict=True):
-                observer.group(number, t, mixture, People(p.identity, p.state[:2], np.arange(len(p))), _NOWHERE)
-        advance(len(frames))
+            for k, (p, mixture) in enumerate(zip(here, mixtures, strict=True)):
+                people = People(p.identity, p.state[:2], np.arange(len(p)))
+                observer.group(frames[k], times[k], mixture, people, _NOWHERE)
+                advance(k + 1)
     if video:
         with ExitStack() as files, progress("drawing", len(frames)) as advance:
             draw = observer.drawing(directory, files, pictures=False)
@@ -233,6 +234,16 @@ class World(NamedTuple):
     max_distance: float
 
 
+class _Seen(NamedTuple):
+    """A frame: its ``number``, its ``time`` in seconds, what the ground's sensor measures of all its detections (5, N), as
+    rows of tracks count them, and the places (2, n) in metres of those that were tracked."""
+
+    number: int
+    time: float
+    z: F8
+    places: F8
+
+
 class GroupObserver(RunObserver):
     """Finds groups on the ground plane, writes them, keeps each frame's plan (some hundred bytes a person), and draws and
     reports them at the end.
@@ -249,7 +260,7 @@ class GroupObserver(RunObserver):
         if self._camera is not None and world is not None:
             self._field = footprint(self._camera, (info.width, info.height), world.max_distance)
         self._state, self._waiting = LifeCycleState(), deque[tuple[int, float, GaussianMixture, F8]]()
-        self._seen, self._scenes = list[tuple[int, float, F8]](), list[PlanScene]()
+        self._seen, self._scenes = list[_Seen](), list[PlanScene]()
 
     def begin(self, directory: RunDirectory, files: ExitStack) -> None:
         """Open the four tables until ``files`` are closed."""
@@ -262,12 +273,13 @@ class GroupObserver(RunObserver):
         if isinstance(self._groups.grouping, Grouping):
             self.begin(directory, files)
 
-    def take(self, step: Step, state: TrackingState) -> None:
-        """Take in a step; of an intensity the frame whose rows it brings is grouped."""
+    def take(self, found: Detections, step: Step, state: TrackingState) -> None:
+        """Take in a frame; of an intensity the one whose rows it brings is grouped."""
         assert self._world is not None
-        z, grouping = self._world.ground.sensor.measure(step.detections), self._groups.grouping
+        sensor, grouping = self._world.ground.sensor, self._groups.grouping
+        z = sensor.measure(step.detections)
         if isinstance(grouping, Pairs):
-            self._seen.append((step.number, step.time, z))
+            self._seen.append(_Seen(step.number, step.time, sensor.measure(found), z[:2]))
             return
         usable = np.ascontiguousarray(z[:, np.isfinite(z).all(axis=0)])
         mixture = mixture_of(state.intensity, step, usable, self._world.stages, grouping.min_weight)
@@ -295,14 +307,21 @@ class GroupObserver(RunObserver):
         self._write(frame, detections, people.place[:, np.searchsorted(people.identity, frame.member)])
 
     def group_all(
-        self, numbers: Sequence[int], frames: Sequence[Walkers], weights: Sequence[F8], detections: Sequence[F8]
+        self,
+        numbers: Sequence[int],
+        frames: Sequence[Walkers],
+        weights: Sequence[F8],
+        detections: Sequence[F8],
+        advance: Callable[[int], object],
     ) -> None:
         """Find and write the groups of all frames; ``weights`` (n,) say how likely each person is there."""
         assert isinstance(self._groups.grouping, Pairs)
         labels = self._groups.grouping.over_time(frames)
-        for number, walkers, label, weight, found in zip(numbers, frames, labels, weights, detections, strict=True):
+        for done, (number, walkers, label) in enumerate(zip(numbers, frames, labels, strict=True)):
+            weight, found = weights[done], detections[done]
             self._state, frame = self._groups.people(self._state, walkers, label, weight, number)
             self._write(frame, found, walkers.mean[:2, np.searchsorted(walkers.identity, frame.member)])
+            advance(done + 1)
 
     def _write(self, frame: GroupFrame, detections: F8, members: F8) -> None:
         """A frame into the tables, and what is drawn of it: detections, and places (2, n) of its members."""
@@ -327,15 +346,16 @@ class GroupObserver(RunObserver):
         """Find the groups of the corrected tracks; those of an intensity are known, and drawn with the corrected tracks."""
         if isinstance(self._groups.grouping, Pairs):
             assert self._world is not None
-            model, number = self._world.ground, np.array([s[0] for s in self._seen], np.int64)
-            time, z = np.array([s[1] for s in self._seen]) * model.rate, [s[2] for s in self._seen]
-            start = np.concatenate([[0], np.cumsum([part.shape[1] for part in z])]).astype(np.int64)
-            seen = MeasurementHistory(number, time, start, np.hstack([np.zeros((5, 0)), *z]), np.zeros((0, 3, 3)))
+            model, number = self._world.ground, np.array([seen.number for seen in self._seen], np.int64)
+            start = np.concatenate([[0], np.cumsum([seen.z.shape[1] for seen in self._seen])]).astype(np.int64)
+            time = np.array([seen.time for seen in self._seen]) * model.rate
+            z = np.hstack([np.zeros((5, 0)), *(seen.z for seen in self._seen)])
             # What stopped the run may have come between tracking a frame and taking it in here.
             known = tracks.take(np.isin(tracks.frame, number))
-            with ExitStack() as files:
+            people = on_ground(known, MeasurementHistory(number, time, start, z, np.zeros((0, 3, 3))), model)
+            with ExitStack() as files, progress("grouping", len(number)) as advance:
                 self.begin(directory, files)
-                self.group_all(number.tolist(), *on_ground(known, seen, model), [part[:2] for part in z])
+                self.group_all(number.tolist(), *people, [seen.places for seen in self._seen], advance)
             return
         place, numbers = self._places(tracks), [scene.frame.number for scene in self._scenes]
         first, last = (np.searchsorted(tracks.frame, numbers, side=side) for side in ("left", "right"))

@@ -45,8 +45,8 @@ class RunObserver:
     def open(self, directory: RunDirectory, files: ExitStack) -> None:
         """Open its files until ``files`` are closed."""
 
-    def take(self, step: Step, state: TrackingState) -> None:
-        """Take in one frame's step and the tracker's state after it."""
+    def take(self, found: Detections, step: Step, state: TrackingState) -> None:
+        """Take in a frame: all its detections, as rows count them, its step, and the tracker's state after it."""
 
     def flush(self, rows: Tracks) -> None:
         """Take in the online rows that the output delay held back; no step follows."""
@@ -87,7 +87,7 @@ class CameraObserver(RunObserver):
         """Open the file of the motion."""
         self._file = files.enter_context(WarpsWriter(directory.file(rundir.CAMERA_MOTION)))
 
-    def take(self, step: Step, state: TrackingState) -> None:
+    def take(self, found: Detections, step: Step, state: TrackingState) -> None:
         """Write one motion; before the first frame there is none."""
         if self._warps and len(step.warp):
             self._file.append(step.number, step.warp)
@@ -106,7 +106,7 @@ class RatesObserver(RunObserver):
     def __init__(self, learning: RateLearning) -> None:
         self._rule, self._course = learning.rule, list[Rates]()
 
-    def take(self, step: Step, state: TrackingState) -> None:
+    def take(self, found: Detections, step: Step, state: TrackingState) -> None:
         """Keep what this frame taught."""
         if (rates := state.learned.learned.rates).number == step.number:
             self._course.append(rates)
@@ -127,7 +127,7 @@ class SceneObserver(RunObserver):
         self._rule, self._source = learning.rule, source
         self._course, self._modes = list[SceneUpdate](), list[str]()
 
-    def take(self, step: Step, state: TrackingState) -> None:
+    def take(self, found: Detections, step: Step, state: TrackingState) -> None:
         """Keep what this frame taught."""
         scene = scene_of(state.learned)
         assert scene is not None

@@ -325,7 +325,7 @@ def _track(job: Job, source: Iterable[Frame], directory: RunDirectory) -> _Progr
                         states.append(step)
                         online.append(rows, places(sensor, rows.xyxy))
                         for observer in job.observers:
-                            observer.take(step, tracker.state)
+                            observer.take(found, step, tracker.state)
                         image = frame.image if inputs.pictures else None
                         done.recorder.add(image, step, shown_particles(stages, tracker.state.intensity), seconds)
                         seen = _Seen(step.number, step.detections, step.info.mass, step.info.clutter_probability)

@@ -3,13 +3,13 @@
 Two people are together, as companions, or apart, as strangers. A row in which both are seen, Δ and δ apart in place and
 velocity, multiplies the odds that they are together by
 
-    N(Δ; 0, σ² I + P_Δ) / ρ  ·  t(δ; s² I + P_δ) / t(δ; (s² + |v_a|² + |v_b|²) I + P_δ)
+    N(Δ; 0, (σ² + P_Δ) I) / ρ  ·  t(δ; (s² + P_δ) I) / t(δ; (s² + P_δ + |v_a|² + |v_b|²) I)
 
 A companion is near and keeps step; strangers are anywhere, ρ of them per square metre as in this frame's neighbourhood, and
-have velocities of their own: of two who stand, nothing is learned from their velocities. P are the covariances of what is
-known of the two, so uncertain people say less. The densities of velocities are Student's, as people stumble and turn, and
-that of places has a wide part, for a row of companions abreast. Rows that follow each other say nearly the same: one counts
-for its interval over ``memory``.
+have velocities of their own: of two who stand, nothing is learned from their velocities. P is the variance of what is known
+of the two, the mean of both axes: uncertain people say less. The densities of velocities are Student's, as people stumble
+and turn, and that of places has a wide part, for a row of companions abreast. Rows that follow each other say nearly the
+same: one counts for its interval over ``memory``.
 
 Before the first row the odds are ``prior_odds``, less by e for each ``arrival_time`` by which one had been there before the
 other; after the last the same holds for leaving. In between companions part, and strangers join, seldom: a Markov chain of
@@ -217,8 +217,7 @@ class Pairs(Checked):
 
     def _before(self, odds: F8, interval: F8) -> F8:
         """(P,) log of how much better two together explain what follows than two apart, from the same after an interval."""
-        limit = min(3 * self.max_log_odds, 500.0)
-        (parted, joined), ratio = self._chances(interval), np.exp(np.clip(odds, -limit, limit))
+        (parted, joined), ratio = self._chances(interval), np.exp(np.clip(odds, -500.0, 500.0))
         out: F8 = np.log((ratio * (1 - parted) + parted) / (ratio * joined + 1 - joined))
         return out
 

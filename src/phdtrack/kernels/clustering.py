@@ -23,7 +23,6 @@ def clusters(gain: F8) -> I8:
     """
     n = gain.shape[0]
     out, place, queue = np.full(n, -1, np.int64), np.full(n, -1, np.int64), np.empty(n, np.int64)
-    used = 0
     for first in range(n):
         if out[first] >= 0:
             continue
@@ -44,20 +43,17 @@ def clusters(gain: F8) -> I8:
             for b in range(count):
                 part[a, b] = gain[nodes[a], nodes[b]]
         label = _best(part) if count <= EXACT else _merged(part)
-        number = np.full(count, -1, np.int64)
+        first_of = np.full(count, -1, np.int64)
         for a in range(count):
-            if number[label[a]] < 0:
-                number[label[a]] = used
-                used += 1
-            out[nodes[a]] = number[label[a]]
-    # Parts interleave: number the clusters by their first node.
-    rank, following = np.full(n, -1, np.int64), 0
+            if first_of[label[a]] < 0:
+                first_of[label[a]] = nodes[a]
+            out[nodes[a]] = first_of[label[a]]
+    # So far a cluster is called by its first node.
+    used = 0
     for i in range(n):
-        if rank[out[i]] < 0:
-            rank[out[i]] = following
-            following += 1
-        out[i] = rank[out[i]]
-    return out
+        place[i] = used if out[i] == i else place[out[i]]
+        used += 1 if out[i] == i else 0
+    return place
 
 
 @njit(**INNER)

@@ -398,19 +398,22 @@ class Plan:
             if np.hypot(*(way[1] - way[0])) > 3:
                 tail, tip = np.clip(way, -1e4, 1e4).round().astype(int).tolist()
                 cv2.arrowedLine(canvas.image, tail, tip, _INK[::-1], canvas.thin, cv2.LINE_AA, tipLength=0.25)
-        place = dict(zip(frame.identity.tolist(), centre.T, strict=True))
+        place, meetings = dict(zip(frame.identity.tolist(), centre.T, strict=True)), list[tuple[str, list[int]]]()
         for warning in frame.warnings:
             if warning.first in place and warning.second in place:
                 between = self.pixels(np.stack([place[warning.first], place[warning.second]], axis=1))
                 canvas.path(between, _WARNING, canvas.line)
-                x, y = np.clip(between.mean(axis=1), 0, 1e4).astype(int).tolist()
-                canvas.plate(f"meet in {warning.seconds:.1f} s", (x, y), _WARNING, opacity=0.9)
+                meetings.append(
+                    (f"meet in {warning.seconds:.1f} s", np.clip(between.mean(axis=1), 0, 1e4).astype(int).tolist())
+                )
         for k, (x, y), colour in people:
             if scene.identity[k]:
                 canvas.label(str(scene.identity[k]), (x + 8, y - 8), colour, taken)
         for g, (x, y) in self._shown(centre):
             if label := _label(frame, g):
                 canvas.label(label, (x + 8, y - 24), _PAPER, taken)
+        for words, corner in meetings:
+            canvas.label(words, corner, _WARNING, taken)
         detected = int(np.isfinite(scene.detections).all(axis=0).sum())
         header = f"frame {frame.number}   {frame.time:.1f} s   {frame.people:.1f} people in {frame.named} groups"
         canvas.plate(header + (f"   {detected} detections" if detected else ""), (0, 0), _INK, opacity=0.85)
