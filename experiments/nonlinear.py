@@ -16,7 +16,7 @@ from experiments.bearing import BearingSensor, TurningMotion
 from experiments.common import Options, filled, pyplot
 from experiments.scans import FilterRun, Realisation, SetErrors, Stages, compared, curves, followed, measured, tables
 from experiments.standard_scenes import DEGREE, TURNING_LAST, TURNING_START, Turning, turning, turning_states
-from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, BestBernoullis, BestHypothesis, ParticleCPHD, ParticlePHD
+from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, PMBM, BestBernoullis, BestHypothesis, ParticleCPHD, ParticlePHD
 from phdtrack.filters.extract import Components, KMeans, Mixture
 from phdtrack.models import FixedBirth, UniformClutter
 from phdtrack.protocols import Model
@@ -39,6 +39,7 @@ FILTERS: dict[str, Stages] = {
     "particle-phd": (ParticlePHD(PER_TARGET), KMeans(min_weight=0.5, merge_iou=1.0)),
     "particle-cphd": (ParticleCPHD(PER_TARGET), Mixture(merge_iou=1.0)),
     "mht": (MHT(transform="unscented"), BestHypothesis()),
+    "pmbm": (PMBM(transform="unscented"), BestHypothesis(smoothed=True)),
     "pmb": (PMB(mean_visible_time=0.0, static_clutter_prior=0.0, transform="unscented"), BestBernoullis()),
 }
 
@@ -63,7 +64,7 @@ def realisation(case: str, seed: int) -> Realisation:
     """The scans of one seed."""
     scene = turning(np.random.default_rng(seed), CASES[case])
     given = scene.model
-    return Realisation(world(given), scene.measurement, scene.state, given.interval, given.ospa_cutoff)
+    return Realisation(world(given), scene.measurement, scene.state, scene.identity, given.interval, given.ospa_cutoff)
 
 
 def run(job: FilterRun) -> SetErrors:
@@ -81,7 +82,7 @@ def picture(path: Path, seed: int = 0) -> None:
     axes = grid.ravel()
     places = {"measured": [given.model.sensor.states(z)[0][:2] for z in given.scans]}
     for name, stages in FILTERS.items():
-        places[name] = [found[:2] for found, _ in followed(given, stages, seed)]
+        places[name] = [found.state[:2] for found, _ in followed(given, stages, seed)]
     for axis, (name, each) in zip(axes, places.items(), strict=False):
         _ways(axis)
         axis.plot(

@@ -7,10 +7,15 @@ OSPA is one distance between two sets of points, for where they are and how many
 where π maps the smaller set into the larger; c is the price of a point too many. Two empty sets are at distance 0. (Stone
 Soup maps for the least Σ min(d, c) whatever p is, and so gives more than the least for p > 1 at times.) With order 1 it has
 two parts: the cut-off distances of the pairs, and c for each state too many or too few, both over the larger number.
+
+GOSPA (α = 2, order 1) is a sum instead: the distances of the pairs, and c/2 for each target missed and each state too many.
+T-GOSPA is the same of whole trajectories, with γ/2 for each mapping that begins or ends (`metrics.trajectories`), here per
+scan. Filters with labels have trajectories: each one's states by its label, the last word about every scan.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -22,8 +27,9 @@ import numpy as np
 from experiments.common import Options, in_parallel, pyplot, table
 from phdtrack.compare.statistics import Interval, interval
 from phdtrack.metrics.matching import cheapest
+from phdtrack.metrics.trajectories import TGospaParts, tgospa
 from phdtrack.protocols import Extractor, Filter, Model
-from phdtrack.types import F8, I8
+from phdtrack.types import F8, I8, Estimates
 
 Stages = tuple[Filter[Any], Extractor[Any]]
 
@@ -41,27 +47,31 @@ class FilterRun:
 class Realisation:
     """Scans of a scenario: (m, N) measurements and (d, n) true states of each, and the model that filters are given.
 
-    ``interval`` seconds between scans, ``cutoff`` metres of the OSPA distance.
+    ``identity`` (n,) of the true states of each; ``interval`` seconds between scans, ``cutoff`` metres of the OSPA distance.
     """
 
     model: Model
     scans: tuple[F8, ...]
     truth: tuple[F8, ...]
+    identity: tuple[I8, ...]
     interval: float
     cutoff: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetErrors:
-    """Per scan: ``ospa`` and its part ``number`` in metres, ``error`` the number of states less that of targets.
+    """Per scan: ``ospa`` and its part ``number`` in metres, ``error`` the number of states less that of targets, ``gospa``.
 
-    ``seconds`` of processor time that filter and extraction took for a scan.
+    ``seconds`` of processor time that filter and extraction took for a scan. ``trajectories``: the T-GOSPA of a filter with
+    labels in metres and a scan, and its parts.
     """
 
     ospa: F8
     number: F8
     error: F8
+    gospa: F8
     seconds: float
+    trajectories: TGospaParts | None = None
 
 
 def ospa(x: F8, y: F8, c: float, p: float = 1.0) -> float:
@@ -71,30 +81,53 @@ def ospa(x: F8, y: F8, c: float, p: float = 1.0) -> float:
     return float(((cost[cheapest(cost)].sum() + c**p * abs(n - m)) / max(n, m, 1)) ** (1 / p))
 
 
-def followed(given: Realisation, stages: Stages, seed: int) -> Iterator[tuple[F8, float]]:
-    """(d, n) states that a filter reports of each scan, and the seconds of processor time that they took."""
+def followed(given: Realisation, stages: Stages, seed: int) -> Iterator[tuple[Estimates, float]]:
+    """What a filter reports of each scan, and the seconds of processor time that it took."""
     recursion, extractor = stages
     rng = np.random.default_rng([seed, 1])
     state = recursion.start(given.model, rng)
     for z in given.scans:
         began = time.thread_time()
         state, _ = recursion.step(state, z, given.model, given.interval, rng)
-        found = extractor.extract(state, z, given.model).state
+        found = extractor.extract(state, z, given.model)
         yield found, time.thread_time() - began
 
 
-def measured(given: Realisation, states: Iterable[tuple[F8, float]]) -> SetErrors:
-    """What the ``states`` of the scans, as `followed` gives them, come to."""
-    scans = len(given.scans)
-    distance, number, error, seconds = (np.zeros(scans) for _ in range(4))
-    for k, (found, spent) in enumerate(states):
+def measured(given: Realisation, reports: Iterable[tuple[Estimates, float]]) -> SetErrors:
+    """What the ``reports`` of the scans, as `followed` gives them, come to."""
+    scans, told = len(given.scans), list[Estimates]()
+    distance, number, error, sums, seconds = (np.zeros(scans) for _ in range(5))
+    for k, (found, spent) in enumerate(reports):
         truth = given.truth[k]
-        n, m = truth.shape[1], found.shape[1]
-        distance[k] = ospa(found[:2], truth[:2], given.cutoff)
+        n, m = truth.shape[1], found.state.shape[1]
+        distance[k] = ospa(found.state[:2], truth[:2], given.cutoff)
         number[k] = given.cutoff * abs(n - m) / max(n, m, 1)
+        # Order 1, one c of the number for each too many or too few, of which a half is GOSPA's.
+        sums[k] = distance[k] * max(n, m, 1) - 0.5 * given.cutoff * abs(n - m)
         error[k], seconds[k] = m - n, spent
+        # The first layer of a past is the one before the first scan.
+        for back, then in enumerate(reversed(found.past[-k:] if k else ()), start=1):
+            told[k - back] = told[k - back] if then is None else then
+        told.append(found)
+    trajectories = _trajectories(given, told) if all(len(one.tag) == one.state.shape[1] for one in told) else None
     # The first scans compile.
-    return SetErrors(distance, number, error, float(np.median(seconds)))
+    return SetErrors(distance, number, error, sums, float(np.median(seconds)), trajectories)
+
+
+def _trajectories(given: Realisation, told: Sequence[Estimates]) -> TGospaParts:
+    """The T-GOSPA of what was told of the scans in the end, in metres and a scan; γ is as large as c."""
+    labels = np.unique(np.concatenate([one.tag for one in told]))
+    people = np.unique(np.concatenate(given.identity))
+    there, reported = np.zeros((len(told), len(people)), np.bool_), np.zeros((len(told), len(labels)), np.bool_)
+    distance = np.ones((len(told), len(people), len(labels)))
+    for k, (one, truth, identity) in enumerate(zip(told, given.truth, given.identity, strict=True)):
+        i, j = np.searchsorted(people, identity), np.searchsorted(labels, one.tag)
+        there[k, i], reported[k, j] = True, True
+        apart = np.hypot(*(truth[:2, :, None] - one.state[:2, None, :]))
+        distance[k][np.ix_(i, j)] = apart / given.cutoff
+    parts = tgospa(distance, there, reported, 1.0)
+    scale = given.cutoff / len(told)
+    return TGospaParts(*(scale * value for value in dataclasses.astuple(parts)))
 
 
 RunErrors = dict[tuple[str, str], list[SetErrors]]
@@ -115,13 +148,14 @@ def measure(
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """Over ``runs``: mean OSPA with half the width of its 95 % interval, its parts, count errors, milliseconds a scan."""
+    """Over ``runs``: mean OSPA with half the width of its 95 % interval, its parts, GOSPA, count errors, ms a scan."""
 
     runs: int
     ospa: float
     within: float
     place: float
     number: float
+    gospa: float
     count: float
     bias: float
     milliseconds: float
@@ -139,6 +173,7 @@ class Summary:
             distance.half,
             distance.mean - number,
             number,
+            float(np.mean([outcome.gospa for outcome in outcomes])),
             float(np.abs(counts).mean()),
             float(counts.mean()),
             spent,
@@ -151,18 +186,19 @@ class Summary:
             f"{self.ospa:.2f} ± {self.within:.2f}",
             f"{self.place:.2f}",
             f"{self.number:.2f}",
+            f"{self.gospa:.1f}",
             f"{self.count:.2f}",
             f"{self.bias:+.2f}",
             f"{self.milliseconds:.1f}",
         )
 
 
-HEADER = ("runs", "OSPA", "place", "number", "mean count error", "bias", "ms per scan")
+HEADER = ("runs", "OSPA", "place", "number", "GOSPA", "mean count error", "bias", "ms per scan")
 
 
 PARTICLES = (("particle-phd", "gm-phd"), ("particle-cphd", "gm-cphd"))
 """The particle forms, each with the Gaussian one that it should come near."""
-COMPARED = (("gm-cphd", "gm-phd"), *PARTICLES, ("mht", "gm-cphd"), ("pmb", "mht"))
+COMPARED = (("gm-cphd", "gm-phd"), *PARTICLES, ("mht", "gm-cphd"), ("pmb", "mht"), ("pmbm", "mht"))
 """The pairs of filters whose difference is shown."""
 
 
@@ -193,16 +229,25 @@ def compared(
 
 
 def tables(found: RunErrors, elsewhere: Mapping[tuple[str, str], str]) -> dict[str, str]:
-    """Errors of every filter in every case, with what other implementations reach, and the differences of some pairs."""
-    rows, claims = [], []
+    """Errors of every filter in every case beside those of other implementations, of trajectories, differences of pairs."""
+    rows, claims, lives = [], [], []
     for case in dict.fromkeys(case for case, _ in found):
         outcomes = {name: each for (which, name), each in found.items() if which == case}
         rows += [(case, name, elsewhere.get((case, name), ""), *Summary.of(each).cells()) for name, each in outcomes.items()]
+        lives += [(case, name, *_life(each)) for name, each in outcomes.items() if each[0].trajectories]
         claims += [(case, *cells) for cells in differences(outcomes, COMPARED)]
     return {
         "rows": table(("", "filter", "elsewhere", *HEADER), rows),
         "claims": table(("", "", "difference of OSPA", "share"), claims),
+        "lives": table(("", "filter", "T-GOSPA", "places", "missed", "false", "switches"), lives),
     }
+
+
+def _life(outcomes: Sequence[SetErrors]) -> tuple[str, ...]:
+    """The T-GOSPA of the runs with half the width of its 95 % interval, and its parts."""
+    parts = np.array([dataclasses.astuple(o.trajectories) for o in outcomes if o.trajectories])
+    whole = interval(parts[:, 0].tolist())
+    return f"{whole.mean:.1f} ± {whole.half:.1f}", *(f"{value:.2f}" for value in parts[:, 1:].mean(axis=0))
 
 
 def curves(outcomes: dict[str, list[SetErrors]], number: I8, path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from experiments.common import Options, filled
 from experiments.scans import FilterRun, Realisation, SetErrors, Stages, compared, curves, followed, measured, tables
 from experiments.standard_scenes import LinearGaussian, linear_gaussian
-from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, BestBernoullis, BestHypothesis, ParticleCPHD, ParticlePHD
+from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, PMBM, BestBernoullis, BestHypothesis, ParticleCPHD, ParticlePHD
 from phdtrack.filters.extract import Components, KMeans, Mixture
 from phdtrack.models import FixedBirth, PlaneMotion, PlaneSensor, UniformClutter
 from phdtrack.protocols import Model
@@ -30,6 +30,7 @@ ELSEWHERE = {
     (EASY, "gm-cphd"): "about 16.2",
 }
 PER_TARGET, NEWBORN = 1500, 500
+AGILITY = "pmb, agility found"
 # Targets that start together lie in one place: without a number a peak counts as often as its mass says.
 FILTERS: dict[str, Stages] = {
     "gm-phd": (GMPHD(1e-5, 2.0, 100), Components(repeat=True)),
@@ -37,8 +38,10 @@ FILTERS: dict[str, Stages] = {
     "particle-phd": (ParticlePHD(PER_TARGET), KMeans(min_weight=0.5, merge_iou=1.0)),
     "particle-cphd": (ParticleCPHD(PER_TARGET), Mixture(merge_iou=1.0)),
     "mht": (MHT(), BestHypothesis()),
+    "pmbm": (PMBM(), BestHypothesis(smoothed=True)),
     # Of points p_D is constant, and nothing fires in one place.
     "pmb": (PMB(mean_visible_time=0.0, static_clutter_prior=0.0), BestBernoullis()),
+    AGILITY: (PMB(mean_visible_time=0.0, static_clutter_prior=0.0, acceleration_factors=(1.0, 0.3, 0.1)), BestBernoullis()),
 }
 
 
@@ -62,7 +65,7 @@ def realisation(case: str, seed: int) -> Realisation:
     given = scene.model
     variance = np.array([[given.sd_position**2], [0.0], [given.sd_position**2]])
     scans = tuple(np.vstack([place, np.tile(variance, place.shape[1])]) for place in scene.measurement)
-    return Realisation(world(given), scans, scene.state, given.interval, given.ospa_cutoff)
+    return Realisation(world(given), scans, scene.state, scene.identity, given.interval, given.ospa_cutoff)
 
 
 def run(job: FilterRun) -> SetErrors:
@@ -77,4 +80,4 @@ def section(options: Options) -> str:
     found = compared(run, number, tuple(FILTERS), "linear", options)
     targets = np.array([truth.shape[1] for truth in realisation(EASY, 0).truth])
     curves({name: found[EASY, name] for name in FILTERS}, targets, options.folder / "vo-linear-ospa.png")
-    return filled("standard", particles=PER_TARGET, **tables(found, ELSEWHERE))
+    return filled("standard", particles=PER_TARGET, agility=AGILITY, **tables(found, ELSEWHERE))

@@ -25,7 +25,7 @@ from phdtrack.models.learning import RateLearning, priors_of, with_rate
 from phdtrack.protocols import AnyStages, Learning, Model
 from phdtrack.protocols import Stages as Whole
 from phdtrack.scene.rates import RatesLearning, RatesSettings
-from phdtrack.types import F8, Detections
+from phdtrack.types import Detections, Estimates
 
 RUNS, FEW = 8, 2
 # What an image-based tracker begins with without further knowledge: the package's own p_D, ten false alarms a scan.
@@ -83,7 +83,7 @@ def whole(model: Model, stages: Stages, learns: bool, labelled: bool) -> AnyStag
     return Whole(model, *stages, associator, learning)
 
 
-def followed(given: Realisation, stages: AnyStages, seed: int) -> Iterator[tuple[F8, float]]:
+def followed(given: Realisation, stages: AnyStages, seed: int) -> Iterator[tuple[Estimates, float]]:
     """(d, n) states of each scan, and the seconds of processor time that they took."""
     rng = np.random.default_rng([seed, 1])
     state = pipeline.start(stages, rng)
@@ -92,7 +92,7 @@ def followed(given: Realisation, stages: AnyStages, seed: int) -> Iterator[tuple
         place = z[:2].T
         found = Detections.of(np.hstack([place - _HALF, place + _HALF]))
         state, step = pipeline.advance(stages, state, found, k, k * given.interval, rng)
-        yield step.estimates.state, time.thread_time() - began
+        yield step.estimates, time.thread_time() - began
 
 
 def run(job: FilterRun) -> SetErrors:

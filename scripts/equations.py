@@ -36,6 +36,9 @@ PAPERS = {
     "C96": "Cox, Hingorani: An efficient implementation of Reid's multiple hypothesis tracking algorithm. IEEE PAMI, 1996",
     "W15": "Williams: Marginal multi-Bernoulli filters: RFS derivation of MHT, JIPDA, and association-based MeMBer. "
     "IEEE Trans. AES, 2015",
+    "G18": "García-Fernández, Williams, Granström, Svensson: Poisson multi-Bernoulli mixture filter: direct derivation and "
+    "implementation. IEEE Trans. AES, 2018",
+    "T20": "García-Fernández, Svensson, Williams, Xia, Granström: Trajectory Poisson multi-Bernoulli filters. 2020",
     "W14": "Williams, Lau: Approximate evaluation of marginal association probabilities with belief propagation. "
     "IEEE Trans. AES, 2014",
     "C04": "Cavallaro, Ebrahimi: Interaction between high-level and low-level image analysis for video objects. 2004",

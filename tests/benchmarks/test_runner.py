@@ -28,6 +28,7 @@ REQUIRED = {
     "bytes_per_particle",
     "d14_seconds",
     "mht_ms",
+    "pmbm_ms",
 }
 
 
@@ -110,10 +111,11 @@ def test_d14s_sequence_is_timed_with_its_filters() -> None:
 
 def test_multiple_hypotheses_are_timed_and_counted() -> None:
     outcome = mht.run(SMOKE, lambda text: None)
-    assert [row.most for row in outcome.rows] == [None, 50.0]
+    assert [row.most for row in outcome.rows] == [None, 50.0, 3.0, 12.0]
     assert all(row.cpu is not None and row.cpu > 0 for row in outcome.rows)
-    few, many = outcome.entries["mht"]["10"], outcome.entries["mht"]["50"]
-    assert all(0 < few[name] < many[name] for name in ("leaves", "nodes", "hypotheses"))
+    for kind in ("mht", "pmbm"):
+        few, many = outcome.entries[kind]["10"], outcome.entries[kind]["50"]
+        assert all(0 < few[name] < many[name] for name in ("leaves", "nodes", "hypotheses"))
 
 
 def test_c_and_numba_agree_on_the_kernel() -> None:

@@ -9,14 +9,14 @@ import pytest
 from shipped import BIRTHS, CLUTTERS, FILTERS, SENSORS, detections, fixed, frozen, keeps, mixture, model_of, often
 
 from composed import composed_step
-from phdtrack.filters import GMCPHD, GMPHD, MCMC, MHT, PMB, ParticleCPHD, ParticlePHD
+from phdtrack.filters import GMCPHD, GMPHD, MCMC, PMB, PMBM, ParticleCPHD, ParticlePHD
 from phdtrack.filters.cardinality import Cardinalised
 from phdtrack.filters.hypotheses import Hypotheses
 from phdtrack.filters.pmb import Bernoullis
 from phdtrack.protocols import Filter
 from phdtrack.types import GaussianMixture, ParticleBlocks
 
-STARTED = ParticlePHD | GMPHD | ParticleCPHD | GMCPHD | MCMC | MHT | PMB
+STARTED = ParticlePHD | GMPHD | ParticleCPHD | GMCPHD | MCMC | PMBM | PMB
 pytestmark = pytest.mark.parametrize("filter_", FILTERS.values(), ids=FILTERS)
 
 

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 
-from phdtrack.filters import MHT, PMB, BestBernoullis, BestHypothesis
+from phdtrack.filters import MHT, PMB, PMBM, BestBernoullis, BestHypothesis
 from phdtrack.filters.hypotheses import Hypotheses, before
 from phdtrack.filters.pmb import Bernoullis
 from phdtrack.models import BoxMotion, BoxSensor, FixedBirth, UniformClutter
@@ -54,12 +54,36 @@ def scene(rng, frames: int, targets: int = 4, clutter: int = 3, detection: float
     return scans
 
 
-def run(filter_: MHT | PMB, scans: list[F8], model: Model, dt: float = 1.0) -> tuple:
+def run(filter_: PMBM | PMB, scans: list[F8], model: Model, dt: float = 1.0) -> tuple:
     """The last state, and what the last update told."""
     state, info = filter_.start(model, RNG), None
     for z in scans:
         state, info = filter_.step(state, z, model, dt, RNG)
     return state, info
+
+
+def chain(taken: tuple, scans: list[F8], mean: F8, cov: F8, model: Model) -> tuple[F8, F8]:
+    """Means (K, d) and covariances (K, d, d) of a target's states in all scans, given the measurements ``taken``.
+
+    Mean and covariance are those before the first scan. By the joint Gaussian of all states at once.
+    """
+    d, count, rows = len(mean), len(scans), list(model.sensor.observed)
+    means, joint = np.empty((count, d)), np.zeros((count * d, count * d))
+    for k in range(count):
+        moved, f, q = model.motion.transition(mean[:, None], 1.0)
+        mean, cov, here = moved[:, 0], f[0] @ cov @ f[0].T + q[0], slice(k * d, k * d + d)
+        joint[here] = 0 if k == 0 else f[0] @ joint[(k - 1) * d : k * d]
+        joint[:, here], joint[here, here], means[k] = joint[here].T, cov, mean
+    seen = [k * d + row for k, _ in taken for row in rows]
+    z = np.concatenate([scans[k][: len(rows), j] for k, j in taken])
+    noise = [model.sensor.covariance(scans[k][:, [j]], means[k][:, None])[0] for k, j in taken]
+    s = joint[np.ix_(seen, seen)]
+    for i, r in enumerate(noise):
+        s[i * len(rows) : (i + 1) * len(rows), i * len(rows) : (i + 1) * len(rows)] += r
+    gain = np.linalg.solve(s, joint[seen]).T
+    means = (means.ravel() + gain @ (z - means.ravel()[seen])).reshape(count, d)
+    after = joint - gain @ joint[seen]
+    return means, np.array([after[k * d : k * d + d, k * d : k * d + d] for k in range(count)])
 
 
 def told(state: Hypotheses | Bernoullis, model: Model, merge_iou: float = 1.0) -> Estimates:

@@ -15,6 +15,7 @@ from phdtrack.filters.pmb import Bernoullis
 from phdtrack.kernels.association import ROUNDS, SETTLED
 from phdtrack.kernels.pmb import CERTAIN, HYPOTHESIS, TARGET, Layer
 from phdtrack.models.clutter import ScoredClutter
+from phdtrack.types import GaussianMixture
 from reference import pmb_twin as twin
 
 H = np.eye(6)[[0, 1, 4, 5]]
@@ -60,7 +61,9 @@ def a_state(rng: np.random.Generator, targets: int, settings: PMB) -> tuple[Bern
         [twin.Hypothesis(weight[c], mean[c], cov[c], bool(static[c]), occluded[c], -1, -1, *known[c]) for c in range(a, b)]
         for a, b in itertools.pairwise(offsets)
     ]
-    return Bernoullis((layer, layer), np.zeros((0, 2), np.int64), len(r), 1), list(zip(r, forms, strict=True))
+    return Bernoullis((layer, layer), np.zeros((0, 2), np.int64), len(r), GaussianMixture.empty(6), 1), list(
+        zip(r, forms, strict=True)
+    )
 
 
 @pytest.mark.parametrize("name", SETTINGS)

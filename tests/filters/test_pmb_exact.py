@@ -112,6 +112,7 @@ def test_one_target_is_followed_exactly(name: str, settings: dict, dt: float):
         np.testing.assert_allclose(now.covariance[i], mine[0].cov, rtol=1e-8, atol=1e-8)
 
 
+NOBODY = GaussianMixture.empty(6)
 HISTORIES = {
     "one between two": [boxes((285, 200), (315, 205)), boxes((300, 203))],
     "none of two": [boxes((285, 200), (315, 205)), boxes()],
@@ -125,7 +126,7 @@ HISTORIES = {
 def test_several_targets_have_the_probabilities_of_all_histories(name: str, settings: dict):
     """As long as what can be confused forms no cycle: every target's existence, hypotheses, and the false alarms."""
     model, scans = mht_cases.world(**settings), HISTORIES[name]
-    histories = enumerate_histories(scans, model, 1.0)
+    histories = enumerate_histories(scans, model, 1.0, NOBODY)
     total = sum(w for w, *_ in histories)
     state, info = run(replace(EVERYTHING, mean_visible_time=0.0, static_clutter_prior=0.0), scans, model)
     wanted: dict[tuple, float] = {}
@@ -152,7 +153,7 @@ def test_several_targets_have_the_probabilities_of_all_histories(name: str, sett
 def test_later_doubts_are_nearly_those_of_all_histories(name: str):
     """Three scans: targets are taken to be independent after each, and pairs form cycles."""
     model, scans = mht_cases.world(detection=0.95), test_mht_enumeration.SCANS[name]
-    weight, there, _ = summed(enumerate_histories(scans, model, 1.0))
+    weight, there, _ = summed(enumerate_histories(scans, model, 1.0, NOBODY))
     expected = sum(weight[key] * p for (key, _), p in there.items())
     state, _ = run(replace(EVERYTHING, mean_visible_time=0.0, static_clutter_prior=0.0), scans, model)
     assert state.mass == pytest.approx(expected, rel=0.02)

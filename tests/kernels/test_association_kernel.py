@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phdtrack.kernels.association import best_assignments, competing, components
+from phdtrack.kernels.branching import children, equal_rows
 from reference import hypotheses_twin as twins
 
 
@@ -90,3 +91,52 @@ def test_competing_tracks(seed: int):
     leaf = np.where(leaf % tracks == np.arange(tracks), leaf, -1)
     trace = np.where(rng.random((forms, window)) < 0.5, rng.integers(0, 5, (forms, window)), -1)
     np.testing.assert_array_equal(competing(leaf, trace, 5), twins.competing(leaf, trace))
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=100, deadline=None)
+def test_hypotheses_go_on_as_all_assignments_of_their_leaves_say(seed: int):
+    """Leaves and measurements of the whole frame in, numbers of branches out."""
+    rng = np.random.default_rng(seed)
+    leaves, count = int(rng.integers(1, 7)), int(rng.integers(1, 6))
+    columns = np.sort(rng.permutation(count)[: int(rng.integers(1, min(count, 3) + 1))])
+    held = np.full((int(rng.integers(1, 4)), min(leaves, 3)), -1)
+    for row in held:
+        # A track's forms are other leaves than any other track's.
+        for t in range(len(row)):
+            mine = np.arange(t, leaves, len(row))
+            row[t] = rng.choice([-1, *mine])
+    gain = np.where(rng.random((leaves, count)) < 0.7, rng.normal(0, 2, (leaves, count)), -np.inf)
+    gain[np.setdiff1d(np.arange(leaves), held)] = -np.inf
+    leaf, measurement = np.nonzero(np.isfinite(gain[:, columns]))
+    measurement = columns[measurement]
+    missed, alone, begins = rng.normal(-1, 0.5, leaves), rng.normal(0, 2, count), rng.random(count) < 0.7
+    weight = rng.dirichlet(np.ones(len(held)))
+    branch, share, unassigned = children(
+        held, weight, (leaf, measurement, gain[leaf, measurement]), columns, missed, alone, begins, (3000, -np.inf)
+    )
+    base = np.log(weight) + np.where(held >= 0, missed[held], 0.0).sum(axis=1)
+    wanted, nobody = {}, np.zeros(len(columns))
+    every = twins.all_assignments((gain[:, columns] - alone[columns]).T, alone[columns], held, base)
+    total = sum(np.exp(w) for w, *_ in every)
+    for log_weight, p, choice in every:
+        took = {c: int(j) for c, j in zip(choice, columns, strict=True) if c >= 0}
+        tracks = [(x + 1) * (count + 1) + took.get(x, -1) + 1 for x in held[p].tolist() if x >= 0]
+        new = [int(j) + 1 for c, j in zip(choice, columns, strict=True) if c < 0 and begins[j]]
+        key = frozenset(tracks + new)
+        wanted[key] = wanted.get(key, 0.0) + np.exp(log_weight) / total
+        nobody += (np.array(choice) < 0) * np.exp(log_weight) / total
+    found = {}
+    for row, w in zip(branch.tolist(), share, strict=True):
+        key = frozenset(x for x in row if x >= 0)
+        found[key] = found.get(key, 0.0) + w
+    assert found.keys() == wanted.keys()
+    np.testing.assert_allclose([found[k] for k in wanted], list(wanted.values()), rtol=1e-9)
+    np.testing.assert_allclose(unassigned, nobody, rtol=1e-9, atol=1e-12)
+    assert (branch >= 0).any(axis=0).all()
+
+
+@given(st.lists(st.lists(st.integers(-1, 3), min_size=3, max_size=3), min_size=1, max_size=60))
+@settings(deadline=None)
+def test_rows_that_are_equal(rows: list[list[int]]):
+    assert equal_rows(np.array(rows)).tolist() == [rows.index(row) for row in rows]

@@ -12,7 +12,7 @@ from metric_cases import close, perfect, random_case, real_case
 from experiments.scans import ospa
 from phdtrack.errors import InputError
 from phdtrack.metrics import evaluate, rmse_per_target, tgospa_boxes
-from phdtrack.metrics.trajectories import _tgospa
+from phdtrack.metrics.trajectories import tgospa
 from phdtrack.types import Tracks
 from reference import metrics_twins as twins
 
@@ -112,7 +112,7 @@ def trajectories(seed: int, frames: int = 6, n: int = 2, m: int = 3):
 def test_trajectories_of_one_object_agree_with_every_mapping_tried(seed: int, gamma: float):
     """With one object the programme is a shortest path, and its weights are 0 or 1."""
     distance, there, given_ = trajectories(seed, n=1)
-    ours = _tgospa(distance, there, given_, gamma)
+    ours = tgospa(distance, there, given_, gamma)
     power = twins.tgospa_power(distance, there, given_, 1.0, 1.0, gamma)
     assert ours.distance == pytest.approx(power, abs=1e-7)
     assert ours.localisation + ours.missed + ours.false + ours.switching == pytest.approx(power, abs=1e-7)
@@ -122,12 +122,12 @@ def test_trajectories_of_one_object_agree_with_every_mapping_tried(seed: int, ga
 @settings(max_examples=25, deadline=None)
 def test_the_relaxation_lies_below_and_mostly_on_the_integer_optimum(seed: int, gamma: float):
     distance, there, given_ = trajectories(seed)
-    ours = _tgospa(distance, there, given_, gamma).distance
+    ours = tgospa(distance, there, given_, gamma).distance
     power = twins.tgospa_power(distance, there, given_, 1.0, 1.0, gamma)
     apart = [d[np.ix_(t, g)] for d, t, g in zip(distance, there, given_, strict=True)]
     without = sum(twins.gospa(d, *d.shape, 1.0, 1.0) for d in apart)
     assert without - 1e-7 <= ours <= power + 1e-7
-    assert _tgospa(distance, there, given_, 0.0).distance == pytest.approx(without, abs=1e-7)
+    assert tgospa(distance, there, given_, 0.0).distance == pytest.approx(without, abs=1e-7)
 
 
 def test_trajectories_of_boxes():

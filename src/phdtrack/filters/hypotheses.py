@@ -14,8 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phdtrack.arrays import sum_by
-from phdtrack.kernels.association import best_assignments, competing, components
-from phdtrack.types import F8, I8, Bool
+from phdtrack.kernels.association import competing, components
+from phdtrack.kernels.branching import children, equal_rows
+from phdtrack.types import F8, I8, Bool, GaussianMixture
+
+# A target that has existed with no greater probability in any frame has never been reported by anyone.
+BELIEVED = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,6 +34,7 @@ class Nodes:
     parent : (L,) its node in the frame before; −1 where the track begins.
     label : (L,) the track's number, from 0, none given twice.
     missed : (L,) frames since it last took a measurement.
+    survival : (L,) p_S of the interval before; 1 where the track begins.
     """
 
     mean: F8
@@ -39,6 +44,7 @@ class Nodes:
     parent: I8
     label: I8
     missed: I8
+    survival: F8
 
     def __len__(self) -> int:
         return len(self.r)
@@ -47,7 +53,7 @@ class Nodes:
         """The nodes at ``index`` (integers or a mask), in that order."""
         return Nodes(
             self.mean[index], self.covariance[index], self.r[index], self.detection[index], self.parent[index],
-            self.label[index], self.missed[index],
+            self.label[index], self.missed[index], self.survival[index],
         )  # fmt: skip
 
 
@@ -65,7 +71,7 @@ class Cluster:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypotheses:
-    """The state of a multiple hypothesis tracker.
+    """The state of filters with global hypotheses, of the PMBM and of the MHT.
 
     Attributes
     ----------
@@ -73,12 +79,16 @@ class Hypotheses:
     lone : (n,) leaves of tracks that compete with no other and have one form.
     clusters : the other tracks.
     next_label : the label that the next new track is given.
+    undetected : intensity of targets that have never been detected; always empty in an MHT.
+    steps : of each layer the interval before it, in the model's time unit, and the camera's motion (3, 3) in it.
     """
 
     layers: tuple[Nodes, ...]
     lone: I8
     clusters: tuple[Cluster, ...]
     next_label: int
+    undetected: GaussianMixture
+    steps: tuple[tuple[float, F8], ...]
 
     def __len__(self) -> int:
         """Number of leaves."""
@@ -182,14 +192,19 @@ def branched(state: Hypotheses, scores: Scores, limits: Limits) -> Branches:
     left = state.lone[apart[:lone]]
     free = np.flatnonzero(apart[many:] & (scores.p_new >= limits.existence_threshold))
     out = [_missed(state.clusters[c], scores, limits) for c in np.flatnonzero(apart[lone:many])]
-    unassigned = np.ones(count)
+    unassigned, begins = np.ones(count), scores.p_new >= limits.existence_threshold
+    most = limits.max_hypotheses, math.log(limits.hypothesis_threshold)
     members, measured = _lists(part[:many], joint), _lists(part[many:], joint)
     for clusters, pairs, columns in zip(members, _lists(part[cluster_of[scores.leaf]], joint), measured, strict=True):
         parts = [
             Cluster(np.array([[state.lone[c]]]), np.ones(1)) if c < lone else state.clusters[c - lone] for c in clusters
         ]
-        child, unassigned[columns] = _assigned(_product(parts, limits), pairs, columns, scores, limits)
-        out.append(child)
+        whole = _product(parts, limits)
+        leaf, weight, unassigned[columns] = children(
+            whole.leaf, whole.weight, (scores.leaf[pairs], scores.measurement[pairs], scores.gain[pairs]), columns,
+            scores.missed, scores.unassigned, begins, most,
+        )  # fmt: skip
+        out.append(Cluster(leaf, weight))
     return Branches(np.concatenate([_numbers(left, np.full(len(left), -1), count), free + 1]), tuple(out), unassigned)
 
 
@@ -239,33 +254,6 @@ def _missed(cluster: Cluster, scores: Scores, limits: Limits) -> Cluster:
     return Cluster(leaf, weight[kept] / weight[kept].sum())
 
 
-def _assigned(cluster: Cluster, pairs: I8, columns: I8, scores: Scores, limits: Limits) -> tuple[Cluster, F8]:
-    """The children of a cluster's hypotheses given its measurements ``columns`` (M,), and `Branches.unassigned` of them."""
-    m, count = len(columns), len(scores.unassigned)
-    leaves, form = np.unique(scores.leaf[pairs], return_inverse=True)
-    gain = np.full((m, len(leaves)), -np.inf)
-    of_pair = scores.measurement[pairs]
-    gain[np.searchsorted(columns, of_pair), form] = scores.gain[pairs] - scores.unassigned[of_pair]
-    place = np.searchsorted(leaves, cluster.leaf)
-    known = (place < len(leaves)) & (leaves[np.minimum(place, len(leaves) - 1)] == cluster.leaf)
-    held = np.where(known, place, -1)
-    base = np.log(cluster.weight) + _all_missed(cluster.leaf, scores.missed)
-    parent, choice, log_weight = best_assignments(
-        gain, scores.unassigned[columns], np.ascontiguousarray(held[:, known.any(axis=0)]), base, limits.max_hypotheses,
-        math.log(limits.hypothesis_threshold),
-    )  # fmt: skip
-    weight = np.exp(log_weight - log_weight[0])
-    weight /= weight.sum()
-    taken = np.full((len(parent), held.shape[1]), -1)
-    track = np.empty(len(leaves), np.int64)
-    track[held[known]] = np.nonzero(known)[1]
-    rows, place = np.nonzero(choice >= 0)
-    taken[rows, track[choice[rows, place]]] = columns[place]
-    new = np.where((choice < 0) & (scores.p_new[columns] >= limits.existence_threshold), columns + 1, -1)
-    leaf = np.hstack([_numbers(cluster.leaf[parent], taken, count), new])
-    return Cluster(leaf[:, (leaf >= 0).any(axis=0)], weight), weight @ (choice < 0)
-
-
 def decided(state: Hypotheses) -> Hypotheses:
     """Of each cluster the hypotheses that agree with the best about the oldest layer (N-scan pruning).
 
@@ -286,11 +274,19 @@ def decided(state: Hypotheses) -> Hypotheses:
 def ended(state: Hypotheses, existence_threshold: float) -> Hypotheses:
     """Targets below the threshold do not exist; when their last detection is too old, they are forgotten.
 
-    Until then they remain as leaves: their measurements are no others', and the past that is reported shows them.
+    Until then they remain as leaves: their measurements are no others', and the past that is reported shows them. Of those
+    that nobody has ever believed in nothing is shown.
     """
     leaves = state.leaves
     nodes = replace(leaves, r=np.where(leaves.r >= existence_threshold, leaves.r, 0.0))
-    gone = (nodes.r == 0) & (nodes.missed >= len(state.layers))
+    over = np.flatnonzero(nodes.r == 0)
+    believed, at = np.zeros(len(over)), over
+    for then in reversed(state.layers):
+        known = at >= 0
+        believed[known] = np.maximum(believed[known], then.r[at[known]])
+        at = before(then, at)
+    gone = np.zeros(len(nodes), np.bool_)
+    gone[over] = (nodes.missed[over] >= len(state.layers)) | (believed < BELIEVED)
     clusters = []
     for cluster in state.clusters:
         lost = (cluster.leaf >= 0) & gone[cluster.leaf]
@@ -307,12 +303,11 @@ def _summed(leaf: I8, weight: F8) -> Cluster:
     """A cluster in which equal hypotheses are one, the most probable first."""
     if leaf.shape[1] == 0:
         return Cluster(leaf[:1], np.ones(1))
-    # A few short rows: a dictionary is faster than a sort.
-    number: dict[tuple[int, ...], int] = {}
-    which = np.array([number.setdefault(tuple(row), len(number)) for row in leaf.tolist()])
-    total = sum_by(which, weight, len(number))
-    order = np.argsort(-total, kind="stable")
-    return _cluster(np.array(list(number))[order], total[order])
+    first = equal_rows(np.ascontiguousarray(leaf))
+    total = sum_by(first, weight, len(leaf))
+    kept = np.flatnonzero(first == np.arange(len(leaf)))
+    kept = kept[np.argsort(-total[kept], kind="stable")]
+    return _cluster(leaf[kept], total[kept])
 
 
 def parted(state: Hypotheses) -> Hypotheses:

@@ -1,13 +1,14 @@
 """The Poisson multi-Bernoulli filter with hypotheses about each target: labels and existence inside the recursion [W15].
 
-Targets that have never been detected are a Poisson process, whose intensity is the model's γ. Every first detection starts
-a Bernoulli target: it exists with probability r, has a label, and a few hypotheses about its state, each with a Kalman
-filter and measurements of its own. With p_i the probability that hypothesis i is detected and q_i(z) = N(z; ẑ_i, S_i),
+Targets that have never been detected are a Poisson process with the intensity λ (`filters.undetected`). Every first
+detection starts a Bernoulli target: it exists with probability r, has a label, and a few hypotheses about its state, each
+with a Kalman filter and measurements of its own. With p_i the probability that hypothesis i is detected and
+q_i(z) = N(z; ẑ_i, S_i),
 
     predict        r ← p_S r,  m_i ← f(m_i),  P_i ← F P_i Fᵀ + Q
     missed         1 − r Σ w_i p_i;  given that, it exists with probability r Σ w_i (1 − p_i) / (1 − r Σ w_i p_i)
     detected       r w_i p_i q_i(z), by hypothesis i
-    new or false   κ(z) + γ̂(z),  γ̂ = ∫ p_D g(z|x) γ(x) dx:  a new target with r = γ̂/(κ + γ̂)
+    new or false   κ(z) + λ̂(z),  λ̂ = ∫ p_D g(z|x) λ⁺(x) dx:  a new target with r = λ̂/(κ + λ̂)
 
 The probability of each pair over all ways to give every target at most one measurement, and every measurement to at most
 one target, is found by loopy belief propagation (`kernels.association`). Then r is the probability of all hypotheses of the
@@ -63,11 +64,14 @@ import numpy as np
 
 from phdtrack.arrays import GATE, chi2_quantile
 from phdtrack.errors import Checked, InputError, NonNegative, Positive, PositiveCount, Probability, Share
+from phdtrack.filters.undetected import recycled, still_undetected, survived, with_births
 from phdtrack.kernels.box import apart
+from phdtrack.kernels.gaussian import Births
 from phdtrack.kernels.pmb import (
     CERTAIN,
     HYPOTHESIS,
     TARGET,
+    TINY,
     Layer,
     Records,
     Scores,
@@ -91,12 +95,14 @@ class Bernoullis:
     layers : the targets of the last frames, oldest first.
     ended : (E, 2) frame and hypothesis there of targets that were once confirmed and have been deleted since.
     next_label : the label that the next new target is given.
+    undetected : intensity of targets that have never been detected, where births are a mixture (`filters.undetected`).
     frame : number of the last layer: how many frames have been predicted.
     """
 
     layers: tuple[Layer, ...]
     ended: I8
     next_label: int
+    undetected: GaussianMixture
     frame: int = 0
 
     def __len__(self) -> int:
@@ -131,8 +137,9 @@ class PMB(Checked, Filter[Bernoullis]):
 
     Parameters
     ----------
-    existence_threshold : targets that exist with less probability are deleted, unless that probability has just risen: a
-        detection that no existing target explains better may start a target, however rare births are.
+    existence_threshold : targets that exist with less probability are deleted, and given back to those never detected where
+        births are a mixture; unless that probability has just risen: a detection that no existing target explains better may
+        start a target, however rare births are.
     hypothesis_threshold : hypotheses of a target that are less probable are dropped.
     max_hypotheses : hypotheses kept of a target, the most probable.
     merge_distance : hypotheses of a target that are within so many deviations of a heavier one are counted as that one.
@@ -204,7 +211,7 @@ class PMB(Checked, Filter[Bernoullis]):
         hypotheses["detection"] = hypotheses["parent"] = -1
         hypotheses["genuine"] = CERTAIN
         layer = Layer(targets, hypotheses, np.ascontiguousarray(given.mean.T[place]), given.covariance[place])
-        return Bernoullis((layer,), np.zeros((0, 2), np.int64), n)
+        return Bernoullis((layer,), np.zeros((0, 2), np.int64), n, GaussianMixture.empty(model.motion.dim))
 
     def predict(self, state: Bernoullis, model: Model, dt: float, rng: np.random.Generator) -> Bernoullis:
         """A further layer: every hypothesis through f, with p_S of its probability; static clutter stays where it is."""
@@ -217,7 +224,8 @@ class PMB(Checked, Filter[Bernoullis]):
         freedom = self.noise_freedom, math.exp(-1 / self.noise_memory)
         genuine = self._prior, math.exp(-1 / self.score_memory)
         layer = predicted_layer(now, after, noise, *self._changes(dt / model.rate), freedom, genuine)
-        return Bernoullis((*state.layers[-self.history :], layer), state.ended, state.next_label, state.frame + 1)
+        unseen = survived(state.undetected, model, dt, self.transform)
+        return Bernoullis((*state.layers[-self.history :], layer), state.ended, state.next_label, unseen, state.frame + 1)
 
     @property
     def _prior(self) -> float:
@@ -256,12 +264,13 @@ class PMB(Checked, Filter[Bernoullis]):
             len(self.acceleration_factors),
         )  # fmt: skip
         said = expected(model.sensor, now.mean, now.covariance, self.transform)
-        new = new_targets(model, z, seen, dt, gate, self.transform)
+        births = with_births(state.undetected, model, z, dt)
+        new = new_targets(model, births, seen, gate, self.transform)
         # As plain tuples: Numba looks up the class of every named one, which takes as long as some kernels.
         nothing, clutter = np.zeros(len(seen.z)), model.clutter
         scored = (clutter.odds, clutter.log_odds) if isinstance(clutter, ScoredClutter) else (nothing + 1, nothing)
         scores = Scores(*scored, self._prior if telling else CERTAIN)
-        layer, learned, gone = updated_layer(*map(tuple, (now, said, seen, new, scores, settings)), label)
+        layer, learned, gone, weak = updated_layer(*map(tuple, (now, said, seen, new, scores, settings)), label)
         if len(layer.targets):
             label = max(label, int(layer.targets[-1]["label"]) + 1)
         ended = state.ended
@@ -274,7 +283,15 @@ class PMB(Checked, Filter[Bernoullis]):
         p_detect = np.where(h["static"], self.static_clutter_detection_probability, (1 - h["occluded"]) * said.p_detect)
         detected = float((now.targets["r"][h["target"]] * h["weight"]) @ p_detect)
         info = replace(UpdateInfo(*learned), detected=detected)
-        return Bernoullis((*state.layers[:-1], layer), ended, label, state.frame), info
+        unseen = self._undetected(births, model, now, weak) if len(births.weight) else state.undetected
+        return Bernoullis((*state.layers[:-1], layer), ended, label, unseen, state.frame), info
+
+    def _undetected(self, births: Births, model: Model, now: Layer, weak: F8) -> GaussianMixture:
+        """What is left of the births, and of the targets ``now`` those that are deleted, which exist with ``weak`` (T,)."""
+        target = np.flatnonzero((weak > 0) & (now.targets["best"] >= 0))
+        at, r = now.targets["best"][target], now.targets["r"][target]
+        weight = weak[target] * now.targets["presence"][target] / np.maximum(r, TINY)
+        return recycled(still_undetected(births, model), weight, now.mean[at], scaled(now.covariance, now.hypotheses, at))
 
 
 @dataclass(frozen=True, slots=True)

@@ -171,7 +171,7 @@ def predicted_layer(
 @njit(**ENTRY)
 def updated_layer(
     layer: Layer, e: Expected, m: Measurements, new: NewTargets, scores: Scores, s: Settings, fresh: int
-) -> tuple[Layer, tuple[float, float, float, F8, F8, int], I8]:
+) -> tuple[Layer, tuple[float, float, float, F8, F8, int], I8, F8]:
     """The targets after the measurements, with new ones, what was learned, and the targets that have ended [W15].
 
     Parameters
@@ -186,8 +186,9 @@ def updated_layer(
 
     Returns
     -------
-    layer, learned, gone : ``learned`` in the order of `types.UpdateInfo`. Of each target that was once confirmed and has
-        been deleted ``gone`` has the best hypothesis of the frame before.
+    layer, learned, gone, weak : ``learned`` in the order of `types.UpdateInfo`. Of each target that was once confirmed and
+        has been deleted ``gone`` has the best hypothesis of the frame before. ``weak`` (T,) are the probabilities with which
+        deleted targets exist, 0 of others.
     """
     layer, e, m, new, scores = Layer(*layer), Expected(*e), Measurements(*m), NewTargets(*new), Scores(*scores)
     s = Settings(*s)
@@ -216,9 +217,10 @@ def updated_layer(
     t, k, lost, mass = _write_kept(
         (layer, p_detect), exists, kept, options, scores, s.merge_distance * s.merge_distance, len(m.period) > 2, out, gone
     )
+    exists[kept > 0] = 0.0
     k, mass = _write_new(found[2], (new.mean, new.covariance), scores, s, fresh, t, k, mass, out)
     after = Layer(out.targets[: t + started], out.hypotheses[:k], out.mean[:k], out.covariance[:k])
-    return after, (born + predicted, born, mass, found[0], found[1], vanished), gone[:lost]
+    return after, (born + predicted, born, mass, found[0], found[1], vanished), gone[:lost], exists
 
 
 @njit(**INNER)

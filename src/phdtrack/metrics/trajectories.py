@@ -70,11 +70,22 @@ def tgospa_boxes(truth: Truth, tracks: Tracks, *, frames: int = 0, gamma: float 
     for k, pair in enumerate(scene.pairs):
         there[k, pair.truth], given[k, pair.output] = True, True
         distance[k][np.ix_(pair.truth, pair.output)] = 1 - pair.iou
-    return _tgospa(distance, there, given, gamma)
+    return tgospa(distance, there, given, gamma)
 
 
-def _tgospa(distance: NDArray[np.floating], there: Bool, given: Bool, gamma: float) -> TGospaParts:
-    """T-GOSPA from (K, n, m) distances, and where the true (K, n) and the output trajectories (K, m) are present."""
+def tgospa(distance: NDArray[np.floating], there: Bool, given: Bool, gamma: float) -> TGospaParts:
+    """T-GOSPA of any trajectories, in units of the distance c at which two are no pair.
+
+    Parameters
+    ----------
+    distance : (K, n, m) distances over c, in each of K frames; pairs at 1 or more are none.
+    there, given : (K, n), (K, m) where the true and the output trajectories are present.
+    gamma : price of a switch of identity.
+
+    Returns
+    -------
+    The distance and its parts, summed over the frames.
+    """
     close = there[:, :, None] & given[:, None, :] & (distance < 1)
     rows, columns = np.nonzero(close.any(axis=0))
     near = close[:, rows, columns]

@@ -33,7 +33,15 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.kernels.box import predicted_boxes
-from phdtrack.kernels.gaussian import Expected, Measurements, NewTargets, Predicted, first_states, predicted_covariance
+from phdtrack.kernels.gaussian import (
+    Births,
+    Expected,
+    Measurements,
+    NewTargets,
+    Predicted,
+    first_states,
+    predicted_covariance,
+)
 from phdtrack.models.box import BoxMotion
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, I8
@@ -174,15 +182,14 @@ def _product(a: F8, b: F8) -> F8:
     return np.ascontiguousarray(WEIGHT * np.einsum("akj,bkj->jab", a, b))
 
 
-def new_targets(model: Model, z: F8, m: Measurements, dt: float, gate: float, transform: Transform) -> NewTargets:
-    """What targets born in the interval ``dt`` are whose first detections the measurements are.
+def new_targets(model: Model, births: Births, m: Measurements, gate: float, transform: Transform) -> NewTargets:
+    """What targets say whose first detections the measurements are.
 
     Parameters
     ----------
     model : of the world.
-    z : array (m, N), measurements.
-    m : the same as the record that filters take.
-    dt : interval in the model's time unit.
+    births : intensity of targets that have not been detected before.
+    m : the measurements.
     gate : in deviations of the innovation.
     transform : ``linear`` or ``unscented``.
 
@@ -190,7 +197,6 @@ def new_targets(model: Model, z: F8, m: Measurements, dt: float, gate: float, tr
     -------
     Density and state for each measurement.
     """
-    births = model.birth.gaussians(z, model.sensor, dt / model.rate)
     around = births.around
     p_detect = model.sensor.p_detect(np.ascontiguousarray(around.mean.T))
     if len(births.weight) == 0:

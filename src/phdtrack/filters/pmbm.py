@@ -1,0 +1,261 @@
+"""The Poisson multi-Bernoulli mixture filter [W15; G18]: the exact posterior of targets that are born as a Poisson process.
+
+Targets that have never been detected are a Poisson process with the intensity λ (`filters.undetected`). All others are a
+mixture of multi-Bernoulli densities, one for each global hypothesis about which measurements were of which target. The
+probability of a hypothesis, but for a constant, is the product over frames of
+
+    r p_D N(z; ẑ, S)    of each target with a measurement,        1 − r p_D    of each without
+    κ(z) + λ̂(z)         of each measurement that no earlier target has,  λ̂(z) = ∫ p_D g(z|x) λ⁺(x) dx
+
+with r the probability that the target exists, if the hypothesis is true: p_S r a frame later, 1 after a measurement,
+r (1 − p_D)/(1 − r p_D) after a miss, λ̂/(κ + λ̂) where it is first measured. So whether such a measurement was a false alarm,
+and when a target left that has not been measured since, is summed over: 50 false alarms are 50 targets of little weight and
+not 2⁵⁰ hypotheses.
+
+Targets that compete for no measurement stand in different clusters, whose hypotheses are independent. Where a measurement is
+near targets of several, they become one; where the targets of one no longer share a measurement of the window, it falls
+apart. In each cluster the best assignments over all hypotheses are found in order (`kernels.association`, Murty), up to
+``max_hypotheses`` and down to ``hypothesis_threshold`` of the best. Targets whose existence has become improbable are given
+back to λ.
+
+*Trajectories* [T20]. A hypothesis keeps the nodes of each target in the last ``history`` frames: Gaussian densities of its
+states, linked by the motion, which together are the density of its trajectory. `BestHypothesis` reads it: with ``smoothed``
+the states of the past given all measurements since (the smoother of Rauch, Tung and Striebel is exact for a linear model),
+and the probability that the target was there, which for a target that may have left in the meantime is
+
+    e_j = e_{j+1} + (1 − e_{j+1}) r_j (1 − p_S) / (1 − p_S r_j),    e_k = r_k
+
+as what is measured after it has left does not depend on when.
+
+The model answers with the arrays of `models.gaussian`, as for all Gaussian filters.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from phdtrack.arrays import GATE, chi2_quantile, sum_by
+from phdtrack.errors import Checked, PositiveCount, Share
+from phdtrack.filters.hypotheses import (
+    Branches,
+    Cluster,
+    Hypotheses,
+    Limits,
+    Nodes,
+    Scores,
+    branched,
+    compact,
+    ended,
+    parted,
+)
+from phdtrack.filters.pmb import without_overlaps
+from phdtrack.filters.undetected import recycled, still_undetected, survived, with_births
+from phdtrack.kernels.gaussian import GAUSSIAN, PAIR, Expected, Measurements, NewTargets, all_gated, all_posteriors
+from phdtrack.kernels.pmb import NEVER, TINY
+from phdtrack.models.gaussian import Transform, expected, measurements, moved, new_targets
+from phdtrack.models.rts import predict as ahead_of
+from phdtrack.models.rts import smooth_back
+from phdtrack.protocols import Filter, Model
+from phdtrack.types import F8, I8, STILL, Bool, Estimates, GaussianMixture, UpdateInfo
+
+
+@dataclass(frozen=True, slots=True)
+class PMBM(Checked, Filter[Hypotheses]):
+    """Settings of the Poisson multi-Bernoulli mixture filter.
+
+    Parameters
+    ----------
+    max_hypotheses : global hypotheses kept of a cluster, the most probable.
+    hypothesis_threshold : hypotheses less probable than this share of their cluster's best are dropped.
+    history : frames for which the states of the past are kept: so far back trajectories are revised.
+    existence_threshold : targets that exist with less probability are given back to the undetected ones.
+    gate_probability : part of the measurements of a target inside its gate; 1: no gate.
+    transform : ``linear`` by Jacobians, or ``unscented`` by sigma points.
+    initial : intensity of targets before the first frame, none of which has been detected.
+    """
+
+    max_hypotheses: PositiveCount = 300
+    hypothesis_threshold: Share = 0.001
+    history: PositiveCount = 10
+    existence_threshold: Share = 1e-3
+    gate_probability: Share = GATE
+    transform: Transform = "linear"
+    initial: GaussianMixture | None = None
+
+    def start(self, model: Model, rng: np.random.Generator) -> Hypotheses:
+        """No target has been detected; the initial intensity is that of all."""
+        nothing = GaussianMixture.empty(model.motion.dim)
+        return begun(nothing, self.initial or nothing)
+
+    def predict(self, state: Hypotheses, model: Model, dt: float, rng: np.random.Generator) -> Hypotheses:
+        """A further layer: every leaf through f, with p_S of its probability to exist; and the undetected targets."""
+        leaves, n = state.leaves, len(state)
+        _, _, after = moved(model, leaves.mean, leaves.covariance, dt, self.transform)
+        missed, none = leaves.missed + 1, np.full(n, -1)
+        survival = self._survival(after.p_survive, missed)
+        r = leaves.r * survival
+        nodes = Nodes(after.mean, after.covariance, r, none, np.arange(n), leaves.label, missed, survival)
+        return replace(
+            state,
+            layers=(*state.layers[-self.history :], nodes),
+            steps=(*state.steps[-self.history :], (dt, model.warp)),
+            undetected=survived(state.undetected, model, dt, self.transform),
+        )
+
+    def _survival(self, p_survive: F8, missed: I8) -> F8:
+        """(L,) probabilities that targets survive which have not been measured for so many frames, this one included."""
+        return p_survive
+
+    def update(
+        self, state: Hypotheses, z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> tuple[Hypotheses, UpdateInfo]:
+        """The best assignments of the measurements.
+
+        `UpdateInfo.clutter_probability` is that of a false alarm over all hypotheses.
+        """
+        leaves, seen = state.leaves, measurements(model, z)
+        gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
+        seen, new, undetected = self._unassigned(state.undetected, seen, z, model, dt, gate)
+        e = expected(model.sensor, leaves.mean, leaves.covariance, self.transform)
+        p_detect = np.minimum(leaves.r * e.p_detect, 1 - NEVER)
+        scores = _scores(e, seen, new, p_detect, gate)
+        limits = Limits(self.max_hypotheses, self.hypothesis_threshold, self.existence_threshold)
+        branches = branched(state, scores, limits)
+        grown = replace(_grown(state, branches, p_detect, e, seen, new), undetected=undetected)
+        return grown, _info(state, grown, branches, scores, seen.clutter, new)
+
+    def _unassigned(
+        self, undetected: GaussianMixture, seen: Measurements, z: F8, model: Model, dt: float, gate: float
+    ) -> tuple[Measurements, NewTargets, GaussianMixture]:
+        """Measurements with κ, the new targets that they may show, and the intensity that is left undetected."""
+        births = with_births(undetected, model, z, dt)
+        new = new_targets(model, births, seen, gate, self.transform)
+        return seen, new, still_undetected(births, model)
+
+    def reduce(self, state: Hypotheses, rng: np.random.Generator) -> Hypotheses:
+        """Improbable targets are given back, clusters that have become independent part, nodes that nothing rests on go."""
+        leaves, probability = state.leaves, state.probability
+        weak = np.flatnonzero((leaves.r > 0) & (leaves.r < self.existence_threshold) & (probability > 0))
+        given = probability[weak] * leaves.r[weak], leaves.mean[weak], leaves.covariance[weak]
+        state = replace(state, undetected=recycled(state.undetected, *given))
+        return compact(parted(ended(state, self.existence_threshold)))
+
+
+def begun(detected: GaussianMixture, undetected: GaussianMixture) -> Hypotheses:
+    """Before the first frame: Bernoulli targets, whose weights are the probabilities that they exist, and the intensity."""
+    n = len(detected)
+    none, mean, cov = np.full(n, -1), np.ascontiguousarray(detected.mean.T), np.ascontiguousarray(detected.covariance)
+    r = np.minimum(detected.weight, 1.0)
+    nodes = Nodes(mean, cov, r, none, none, np.arange(n), np.zeros(n, np.int64), np.ones(n))
+    return Hypotheses((nodes,), np.arange(n), (), n, undetected, ((0.0, STILL),))
+
+
+def _scores(e: Expected, m: Measurements, new: NewTargets, p_detect: F8, gate: float) -> Scores:
+    """What measurements, leaves, and pairs contribute to log-weights; ``p_detect`` (L,) is r p_D."""
+    pairs = all_gated(e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, gate, p_detect, GAUSSIAN)
+    leaf, measurement = np.ascontiguousarray(pairs["gaussian"]), np.ascontiguousarray(pairs["measurement"])
+    missed = np.log1p(-p_detect)
+    gain = np.log(p_detect[leaf]) + pairs["log_density"] - missed[leaf]
+    total = np.maximum(m.clutter + new.density, TINY)
+    return Scores(leaf, measurement, gain, missed, np.log(total), new.density / total)
+
+
+def _grown(state: Hypotheses, branches: Branches, p_detect: F8, e: Expected, m: Measurements, new: NewTargets) -> Hypotheses:
+    """The hypotheses with the branches as leaves; ``p_detect`` (L,) is r p_D."""
+    leaves, count = state.leaves, len(m.z)
+    number = np.unique(np.concatenate([branches.lone, *(c.leaf[c.leaf >= 0] for c in branches.clusters)]))
+    source, which = number // (count + 1) - 1, number % (count + 1) - 1
+    begins, missed, n = source < 0, which < 0, len(number)
+    d = leaves.mean.shape[1]
+    mean, cov, r, since = np.empty((n, d)), np.empty((n, d, d)), np.ones(n), np.zeros(n, np.int64)
+    mean[begins], cov[begins] = new.mean[which[begins]], new.covariance[which[begins]]
+    density = new.density[which[begins]]
+    r[begins] = density / np.maximum(m.clutter[which[begins]] + density, TINY)
+    at = source[missed]
+    mean[missed], cov[missed], since[missed] = leaves.mean[at], leaves.covariance[at], leaves.missed[at]
+    r[missed] = np.clip((leaves.r[at] - p_detect[at]) / (1 - p_detect[at]), 0.0, 1.0)
+    # Of branches without a measurement of an earlier track nothing is written.
+    pairs = np.empty(n, PAIR)
+    pairs["gaussian"], pairs["measurement"] = source, np.where(begins, -1, which)
+    all_posteriors(leaves.mean, leaves.covariance, e, m, pairs, mean, cov)
+    # The last place stands for new tracks.
+    label = np.where(begins, state.next_label + np.cumsum(begins) - 1, np.append(leaves.label, -1)[source])
+    parent, survival = np.append(leaves.parent, -1)[source], np.append(leaves.survival, 1.0)[source]
+    nodes = Nodes(mean, cov, r, which, parent, label, since, survival)
+    clusters = tuple(
+        Cluster(np.where(c.leaf >= 0, np.searchsorted(number, c.leaf), -1), c.weight) for c in branches.clusters
+    )
+    lone = np.searchsorted(number, branches.lone)
+    label_after = state.next_label + int(begins.sum())
+    return replace(state, layers=(*state.layers[:-1], nodes), lone=lone, clusters=clusters, next_label=label_after)
+
+
+def _info(
+    state: Hypotheses, grown: Hypotheses, branches: Branches, scores: Scores, clutter: F8, new: NewTargets
+) -> UpdateInfo:
+    """What the update of ``state`` to ``grown`` learned."""
+    probability, count = state.probability, len(clutter)
+    share = probability[scores.leaf] * np.exp(scores.gain + scores.missed[scores.leaf])
+    total = clutter + new.density + sum_by(scores.measurement, share, count)
+    born = float(branches.unassigned @ scores.p_new)
+    false = branches.unassigned * (1 - scores.p_new)
+    # log(1 − r p_D) is what a leaf contributes that is missed.
+    detected = float(probability @ -np.expm1(scores.missed))
+    mass = float(probability @ state.leaves.r) + born
+    return UpdateInfo(
+        mass, born, grown.mass, (1 - false) * total, false * total, int(np.count_nonzero(total == 0)), detected=detected
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class BestHypothesis(Checked):
+    """Settings of the extraction from hypotheses.
+
+    Parameters
+    ----------
+    min_weight : targets that exist with less probability, if the hypothesis is true, are not reported. In the frames before
+        the probability is given all that has been measured since: a target that was detected again later existed.
+    merge_iou : of targets whose boxes overlap by more (IoU) the one that has been followed for longer is reported; 1: all.
+    smoothed : states of the frames before are given all that has been measured since, too; False: as they were then.
+    """
+
+    min_weight: Share = 0.5
+    merge_iou: Share = 0.4
+    smoothed: bool = False
+
+    def extract(self, state: Hypotheses, z: F8, model: Model) -> Estimates:
+        """The targets of each cluster's best hypothesis, by label; their weight is the probability that they exist.
+
+        `Estimates.past` are the same targets, and those that have ended since, in the frames before.
+        """
+        at: I8 = state.best()
+        exists, given = state.leaves.r[at], (state.leaves.mean[at], state.leaves.covariance[at])
+        frames = [self._estimates(state.leaves, at, exists, given, model)]
+        for k in range(len(state.layers) - 2, -1, -1):
+            later, nodes = state.layers[k + 1].take(at), state.layers[k]
+            at = later.parent
+            known = at >= 0
+            at, later, exists = at[known], later.take(known), exists[known]
+            then, there = nodes.take(at), nodes.r[at]
+            left = there * (1 - later.survival) / np.maximum(1 - later.survival * there, TINY)
+            exists = np.minimum(exists + (1 - exists) * left, 1.0)
+            given = given[0][known], given[1][known]
+            if self.smoothed:
+                ahead = ahead_of(model.motion, then.mean, then.covariance, *state.steps[k + 1])
+                given = smooth_back(then.mean, then.covariance, ahead, *given)
+            else:
+                given = then.mean, then.covariance
+            frames.append(self._estimates(nodes, at, exists, given, model))
+        return replace(frames[0], past=tuple(frames[:0:-1]))
+
+    def _estimates(self, nodes: Nodes, at: I8, exists: F8, given: tuple[F8, F8], model: Model) -> Estimates:
+        """Those of the nodes ``at`` (n,), that exist with these probabilities in these states, which are reported."""
+        reported: Bool = exists >= self.min_weight
+        mean, at = np.ascontiguousarray(given[0][reported].T), at[reported]
+        boxes, label = model.sensor.boxes(mean), nodes.label[at]
+        found = Estimates(mean, given[1][reported], exists[reported], boxes, nodes.detection[at], label)
+        # Labels rise with the frame in which a track began.
+        return found.take(without_overlaps(found.xyxy, self.merge_iou))

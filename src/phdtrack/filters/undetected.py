@@ -1,0 +1,106 @@
+"""Targets that have never been detected: a Poisson process whose intensity has a recursion of its own [W15 §III].
+
+    λ⁺(x) = ∫ p_S(ξ) f(x|ξ) λ(ξ) dξ + γ(x)        λ(x) = (1 − p_D(x)) λ⁺(x)
+
+A first detection z is a target's with the density ∫ p_D g(z|x) λ⁺(x) dx, beside κ(z). Detected targets whose existence has
+become improbable are given back to it: their density, times that probability, is added to λ (recycling). A Bernoulli target
+of small probability and a Poisson process of that mass differ in the second order of it.
+
+λ is a mixture where γ is one. Where γ is stated as a density at the measurements (uniform, or around the detections) it is
+the intensity of undetected targets itself: a constant γ makes λ⁺ = γ / (1 − p_S (1 − p_D)), the same but for a factor.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from phdtrack.kernels.gaussian import Births
+from phdtrack.models.gaussian import Transform, moved
+from phdtrack.protocols import Model
+from phdtrack.types import F8, GaussianMixture
+
+# Gaussians that weigh less are dropped; of those nearer than so many deviations one is made; so many are kept.
+LEAST, NEAR, MOST = 1e-6, 0.5, 200
+
+
+def survived(unseen: GaussianMixture, model: Model, dt: float, transform: Transform) -> GaussianMixture:
+    """The intensity ``unseen`` after an interval, without the targets born in it.
+
+    Parameters
+    ----------
+    unseen : λ of the frame before.
+    model : of the world.
+    dt : interval in the model's time unit.
+    transform : ``linear`` or ``unscented``, see `models.gaussian`.
+
+    Returns
+    -------
+    ∫ p_S f λ.
+    """
+    if len(unseen) == 0:
+        return unseen
+    _, _, after = moved(model, np.ascontiguousarray(unseen.mean.T), unseen.covariance, dt, transform)
+    return GaussianMixture(unseen.weight * after.p_survive, np.ascontiguousarray(after.mean.T), after.covariance)
+
+
+def with_births(unseen: GaussianMixture, model: Model, z: F8, dt: float) -> Births:
+    """λ⁺, the intensity of targets that may be detected for the first time.
+
+    Parameters
+    ----------
+    unseen : what has survived of λ.
+    model : of the world.
+    z : array (m, N), the frame's measurements.
+    dt : interval in the model's time unit.
+
+    Returns
+    -------
+    λ⁺, with the births of the interval.
+    """
+    births = model.birth.gaussians(z, model.sensor, dt / model.rate)
+    if len(unseen) == 0:
+        return births
+    return births._replace(
+        weight=np.concatenate([births.weight, unseen.weight]),
+        mean=np.concatenate([births.mean, unseen.mean.T]),
+        covariance=np.concatenate([births.covariance, unseen.covariance]),
+    )
+
+
+def still_undetected(births: Births, model: Model) -> GaussianMixture:
+    """λ: what of λ⁺ has not been detected in this frame."""
+    if len(births.weight) == 0:
+        return GaussianMixture.empty(births.mean.shape[1])
+    mean = np.ascontiguousarray(births.mean.T)
+    return _reduced(births.weight * (1 - model.sensor.p_detect(mean)), births.mean, births.covariance)
+
+
+def recycled(unseen: GaussianMixture, weight: F8, mean: F8, covariance: F8) -> GaussianMixture:
+    """λ with targets given back to it.
+
+    Parameters
+    ----------
+    unseen : λ.
+    weight, mean, covariance : (n,), (n, d), (n, d, d) of the targets; weights are the probabilities that they exist.
+
+    Returns
+    -------
+    Both together, reduced.
+    """
+    if len(weight) == 0:
+        return unseen
+    return _reduced(
+        np.concatenate([unseen.weight, weight]),
+        np.concatenate([unseen.mean.T, mean]),
+        np.concatenate([unseen.covariance, covariance]),
+    )
+
+
+def _reduced(weight: F8, mean: F8, covariance: F8) -> GaussianMixture:
+    """The mixture of these Gaussians (n,), (n, d), (n, d, d), pruned, merged and capped."""
+    # Imported here: most users' births are no mixture, and a tracker starts without it.
+    from phdtrack.kernels.gm_merge import Merging, Rows, merged_rows
+
+    axes, rows = tuple(range(mean.shape[1])), Rows(weight, mean, covariance, np.arange(len(weight)))
+    weight, columns, covariance, _, _ = merged_rows(rows, axes, Merging(LEAST, NEAR, MOST, 0.0, False), -1.0, len(weight))
+    return GaussianMixture(weight, columns, covariance)
