@@ -81,20 +81,30 @@ class Case:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedCase:
-    """Corrected tracks, the rows given online, and the seconds that a frame took in filter, extraction and association."""
+    """Corrected tracks, the rows given online, and the seconds that a frame took: filter, extraction, association."""
 
     corrected: Tracks
     online: Tracks
-    seconds: float
+    stages: tuple[float, float, float]
+
+    @property
+    def seconds(self) -> float:
+        """All three."""
+        return sum(self.stages)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScoredCase:
-    """Scores of the corrected tracks, mean delay of the first output in frames, and seconds that a frame took."""
+    """Scores of the corrected tracks, mean delay of the first output in frames, seconds of a frame as of `TrackedCase`."""
 
     scores: Scores
     delay: float
-    seconds_per_frame: float
+    stages: tuple[float, float, float]
+
+    @property
+    def seconds_per_frame(self) -> float:
+        """Of all stages."""
+        return sum(self.stages)
 
 
 def need_data() -> Path:
@@ -130,14 +140,15 @@ def built(info: SequenceInfo, filter_name: str, sets: Sequence[str] = (), preset
 
 def followed(stages: AnyStages, case: Case, seed: int) -> TrackedCase:
     """One run of the tracker over a case."""
-    rng, spent, online = np.random.default_rng(seed), 0.0, []
+    rng, spent, online = np.random.default_rng(seed), np.zeros(3), []
     state = pipeline.start(stages, rng)
     for number in range(1, case.info.frames + 1):
         state, step = pipeline.advance(stages, state, case.table.at(number), number, (number - 1) / case.info.fps, rng)
         online.append(step.tracks)
-        spent += sum(step.seconds)
+        spent += step.seconds
     online.append(pipeline.flush(stages, state))
-    return TrackedCase(pipeline.finish(stages, state), Tracks.concatenate(online), spent / case.info.frames)
+    a, b, c = (spent / case.info.frames).tolist()
+    return TrackedCase(pipeline.finish(stages, state), Tracks.concatenate(online), (a, b, c))
 
 
 def measure(case: Case, filter_name: str, seed: int, sets: Sequence[str] = (), preset: str = "") -> ScoredCase:
@@ -145,7 +156,7 @@ def measure(case: Case, filter_name: str, seed: int, sets: Sequence[str] = (), p
     run = followed(built(case.info, filter_name, sets, preset), case, seed)
     delays = first_output_delays(case.truth, run.corrected, case.table).delay
     delay = float(np.nanmean(delays)) if np.isfinite(delays).any() else float("nan")
-    return ScoredCase(evaluate(case.truth, run.corrected, frames=case.info.frames), delay, run.seconds)
+    return ScoredCase(evaluate(case.truth, run.corrected, frames=case.info.frames), delay, run.stages)
 
 
 def in_parallel(work: Callable[[A], B], jobs: Sequence[A], label: str, options: Options) -> list[B]:

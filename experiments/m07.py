@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from experiments import m07_printed
 from experiments.cases import CASES, HELD_OUT, MADE, PLACES, RENDERED, SCENES, Named, cluttered, drawn, short
 from experiments.common import Options, ScoredCase, in_parallel, measure, table, with_interval, write
 from phdtrack.compare.statistics import Interval, interval
@@ -120,7 +121,8 @@ def main(options: Options) -> Path:
     jobs = jobs_of(groups, rates, seeds) + once
     results = dict(zip(jobs, in_parallel(work, jobs, "m07", options), strict=True))
     found, places = MethodScores(results, groups, rates, seeds), MethodScores(results, firing, rates[:1], seeds)
-    return write("m07", options, **figures(found, places, MethodScores(results, videos, rates[::2], seeds)))
+    printed = m07_printed.section(options)
+    return write("m07", options, printed=printed, **figures(found, places, MethodScores(results, videos, rates[::2], seeds)))
 
 
 def figures(found: MethodScores, places: MethodScores, videos: MethodScores) -> dict[str, object]:

@@ -29,7 +29,7 @@ def result(misses: int, false: int, switches: int) -> ScoredCase:
     xyxy = np.concatenate([rows.xyxy[kept], np.tile([500.0, 0, 510, 20], (false, 1))])
     n = len(frame)
     tracks = Tracks(frame, identity, xyxy, np.ones(n), np.full(n, -1), np.ones(n, np.bool_))
-    return ScoredCase(evaluate(rows, tracks, frames=FRAMES), 0.0, 1e-3)
+    return ScoredCase(evaluate(rows, tracks, frames=FRAMES), 0.0, (1e-3, 0.0, 0.0))
 
 
 A, B = ("KITTI-17", "public"), ("street", "scene")
@@ -59,7 +59,7 @@ def test_nothing_is_run_twice_that_draws_nothing() -> None:
 
 
 def test_the_page_counts_cases_and_names_the_error_that_decides(found: m07.MethodScores) -> None:
-    text = filled("m07", **m07.figures(found, found, found))
+    text = filled("m07", printed="", **m07.figures(found, found, found))
     lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines()]
     assert ["particle-phd", "real detections", "0", "1", "1", "1", "1", "1", "0"] in lines
     assert ["particle-phd", "simulated scenes", "5", "1", "0", "0", "1", "0", "0"] in lines
