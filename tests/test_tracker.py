@@ -347,7 +347,10 @@ GIVEN["d14"] = {"filter": {"particles_per_target": 500, "max_particles": 500}, "
 # That of the ground plane is tested where there is a camera.
 @pytest.mark.parametrize("preset", sorted({*PRESETS, *GIVEN} - {"e13"}))
 def test_every_preset_finds_two_people(preset: str):
-    """And the default's with other filters. D14's newborn are anywhere: it takes a while until one is near enough."""
+    """And the default's with other filters. D14's newborn are anywhere: it takes a while until one is near enough.
+
+    M07 as printed splits the mass at whole numbers, so that the rows of a target whose mass is a little less are left out.
+    """
     given = GIVEN.get(preset, {})
     tracker = Tracker(SIZE, preset=preset, **given) if preset in PRESETS else tracker_of(**given)
     slow = preset == "d14"
@@ -359,8 +362,9 @@ def test_every_preset_finds_two_people(preset: str):
         truth = np.array([boxes(f - 1)[mine.detection[-1]] for f in mine.frame])
         late = mine.frame > mine.frame[0] + (10 if slow else -1)
         assert np.abs(mine.xyxy - truth)[late].mean() < (2 if slow else 8)
-        assert len(mine) >= 18
-        assert mine.frame[-1] == tracker.step.number
+        few = preset == "m07"
+        assert len(mine) >= (8 if few else 18)
+        assert mine.frame[-1] >= tracker.step.number - 2 * few
 
 
 def test_settings_come_from_file_preset_and_sections(tmp_path):
