@@ -61,7 +61,8 @@ VARIANTS: Mapping[str, tuple[str, Sets]] = {
     "box noise 0.1": ("default", {"sensor": {"box_noise": 0.1}}),
     "box noise 0.2": ("default", {"sensor": {"box_noise": 0.2}}),
     "size noise 0.08": ("default", {"motion": {"size_noise": 0.08}}),
-    "false alarms 0.2": ("default", {"clutter": {"clutter_per_detection": 0.2}}),
+    "false alarms 0.3": ("default", {"clutter": {"clutter_per_detection": 0.3}}),
+    "false alarms 1": ("default", {"clutter": {"clutter_per_detection": 1.0}}),
 }
 SHOWN = ("mot15", "default")
 # How far behind the best peer a value may be, in points, without being listed.

@@ -194,7 +194,7 @@ def test_the_last_named_wins(tmp_path):
 @pytest.mark.parametrize("kind", SECTIONS["filter"])
 def test_the_default_has_values_of_its_own_with_each_filter(kind: str):
     """Built as printed, whatever the filter was before; not in a paper's preset, and never over what was asked for."""
-    usual = (0.14, 0.42) if kind == "pmb" else (0.15, 0.3)
+    usual = (0.14, 0.6) if kind == "pmb" else (0.15, 0.3)
     model = config.build(config.load(), INFO, kind).model
     assert (model.sensor.box_noise, model.clutter.clutter_per_detection) == usual
 
@@ -214,10 +214,10 @@ def test_of_two_rates_the_one_that_is_named_last_holds():
         found = config.load(sets=[f"clutter.clutter_per_{one}" for one in sets]).as_dict()["clutter"]
         return found["clutter_per_frame"], found["clutter_per_detection"]
 
-    assert rates() == (0.0, 0.42)
+    assert rates() == (0.0, 0.6)
     assert rates("frame=3") == (3.0, 0.0)
     assert rates("frame=3", "detection=0.5") == (0.0, 0.5)
-    assert rates("frame=0") == (0.0, 0.42)
+    assert rates("frame=0") == (0.0, 0.6)
 
 
 def test_another_kind_does_not_inherit_settings():

@@ -138,7 +138,7 @@ def test_a_scene_is_taken_whole_and_options_change_it(tmp_path):
 
 
 def test_what_a_scene_has_not_taught_goes_with_what_it_has(tmp_path):
-    """As shipped, around each detection, where that is laid beside the other too; where nothing is, over the frame."""
+    """As shipped, the same at every scale, where that is laid beside the other too; where nothing is, over the frame."""
     births, alarms = tmp_path / "births.json", tmp_path / "alarms.json"
     written(births)
     scene = read_scene(births)
@@ -148,6 +148,6 @@ def test_what_a_scene_has_not_taught_goes_with_what_it_has(tmp_path):
     assert track(alarms).as_dict()["birth"] == config.load().as_dict()["birth"]
     assert track(births, preset="m07").as_dict()["clutter"]["clutter_per_frame"] == 1.0
     assert track(alarms, preset="m07").as_dict()["birth"]["births_per_second"] == 0.25
-    assert track(births, "birth.births_per_detection=0").as_dict()["clutter"]["clutter_per_frame"] == 0.42
+    assert track(births, "birth.births_per_detection=0").as_dict()["clutter"]["clutter_per_frame"] == 0.6
     given = track(births, "birth.births_per_detection=0", "clutter.clutter_per_detection=1").as_dict()["clutter"]
     assert (given["clutter_per_frame"], given["clutter_per_detection"]) == (0.0, 1.0)

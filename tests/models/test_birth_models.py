@@ -43,9 +43,9 @@ def test_weights_integrate_gamma_over_the_regions(boxes, few: float, covered: fl
     masses = [birth.sample(z, np.full(z.shape[1], covered), sensor, 2.0, rng).mass for _ in range(80)]
     sigma = sensor.noise(sensor.states(z)[0])[[0, 1, 4, 5]]
 
-    def density(points):
+    def density(points, own):
         around = rate == "births_per_detection"
-        return 2.0 * (twin.local_density(points, z, 0.02) if around else twin.image_density(points, 0.02, FRAME))
+        return 2.0 * (twin.local_density(points, own, 0.02) if around else twin.image_density(points, 0.02, FRAME))
 
     want = twin.mass(z, sigma, density, 200_000, rng)
     deviation = np.std(masses) / want
@@ -129,13 +129,13 @@ def test_local_clutter_integrates_to_its_rate_over_each_neighbourhood(rng):
         assert BoxClutter(0.3).intensity(z)[0] * volume == pytest.approx(0.3, rel=0.04)
 
 
-def test_where_neighbourhoods_overlap_densities_add_up(rng):
+def test_what_a_box_may_be_does_not_depend_on_the_others(rng):
+    """κ and γ are densities: of a box and nothing else, and the same at every scale."""
     z = np.stack([rng.uniform(0, 150, 40), rng.uniform(0, 150, 40), rng.uniform(15, 40, 40), rng.uniform(30, 90, 40)])
-    kappa = BoxClutter(0.7).intensity(z)
-    for i in range(40):
-        near = [j for j in range(40) if in_neighbourhood(z[:, [i]], z[:, [j]])[0]]
-        assert kappa[i] == pytest.approx(sum(0.7 / local_volume(z[:, [j]])[0] for j in near))
-    assert (kappa > 1.5 * 0.7 / local_volume(z)).any()
+    for density in (BoxClutter(0.7).intensity, MeasurementBirth(births_per_detection=0.7).density):
+        np.testing.assert_array_equal(density(z), np.concatenate([density(z[:, [k]]) for k in range(40)]))
+        # In units of twice the length each of four dimensions has half the value.
+        np.testing.assert_allclose(density(2 * z) * 2**4, density(z), rtol=1e-12)
 
 
 def test_the_volume_of_an_image_needs_its_size():

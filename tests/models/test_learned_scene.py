@@ -1,4 +1,4 @@
-"""Births and false alarms with learned densities, also added to those around each detection, Gaussian by Gaussian."""
+"""Births and false alarms with learned densities, also added to the usual ones, Gaussian by Gaussian."""
 
 from dataclasses import replace
 
@@ -54,13 +54,6 @@ def learned(rng: np.random.Generator, d: int, count: int) -> SceneDensity:
     weight = rng.random(count) + 0.1
     low, high = np.full(d, -20.0), np.full(d, 30.0)
     return SceneDensity(low, high, 0.3, weight / weight.sum(), mean, root @ root.transpose(0, 2, 1) + np.eye(d))
-
-
-def near_each(z: F8) -> F8:
-    """l(z): detections within a box's size, of half to one and a half times its size, each over 4w²h²."""
-    near = np.abs(z[:2, :, None] - z[:2, None]) <= z[2:, None]
-    alike = (0.5 * z[2:, None] <= z[2:, :, None]) & (z[2:, :, None] <= 1.5 * z[2:, None])
-    return ((near & alike).all(axis=0) / (4 * (z[2] * z[3]) ** 2)).sum(axis=1)
 
 
 @pytest.mark.parametrize("d", [1, 2, 4, 6])
@@ -131,19 +124,19 @@ def test_gaussian_newborn_are_the_learned_ones_and_the_uniform_part_about_detect
         np.testing.assert_allclose(ours, theirs)
 
 
-# Added to births and false alarms around each detection
+# Added to births and false alarms that are the same at every scale
 
 
 @pytest.mark.parametrize("count", [1, 60])
-def test_false_alarms_are_added_to_those_around_each_detection(count: int, rng):
+def test_false_alarms_are_added_to_the_usual_ones(count: int, rng):
     p, z = marginal(entrance(), (0, 1, 4, 5)), boxes(rng, count)
     there = twin.mixture_density(z, p.low, p.high, p.flat, p.flat, p.gaussians.weight, p.mean, p.covariance)
     found = SceneClutter(4.0, p, clutter_per_detection=0.7).intensity(np.vstack([z, z]))
-    np.testing.assert_allclose(found, 0.7 * near_each(z) + 4.0 * there, rtol=1e-10)
+    np.testing.assert_allclose(found, 0.7 / local_volume(z) + 4.0 * there, rtol=1e-10)
 
 
 @pytest.mark.parametrize("among", [None, square()], ids=["anywhere", "objects"])
-def test_births_are_those_around_each_detection_by_place(among: SceneDensity | None, rng):
+def test_births_are_the_usual_ones_by_place(among: SceneDensity | None, rng):
     """γ = a l(z) p(z|b)/p(z|o), neither density below its uniform part."""
     places = marginal(entrance(), (0, 1, 4, 5)), square()
     z = np.hstack([boxes(rng, 40), *(np.clip(p.sample(20, rng), 1, None) for p in places)])
@@ -151,7 +144,7 @@ def test_births_are_those_around_each_detection_by_place(among: SceneDensity | N
     plain, states = SceneBirth(1.0, entrance()).around(seen, 1.0)
     born, there = np.maximum(plain, 0.2 / ANY_BOX.volume), np.maximum(objects(z), objects.flat)
     found, same = SceneBirth(0.2, entrance(), births_per_detection=0.05, among=among).around(seen, 2.0)
-    np.testing.assert_allclose(found, 0.1 * near_each(z) * born / there, rtol=1e-9)
+    np.testing.assert_allclose(found, 0.1 / local_volume(z) * born / there, rtol=1e-9)
     for one, other in zip(states, same, strict=True):
         np.testing.assert_array_equal(one, other)
     assert found.max() > 30 * found.min(), "places count"
@@ -188,6 +181,21 @@ def test_a_scene_of_which_nothing_is_known_has_the_default_densities(rng):
         for ours, theirs in zip(mine.around, default.around, strict=True):
             np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
         assert model.birth.expected(z, dt) == pytest.approx(MODEL.birth.expected(z, dt))
+
+
+def test_a_uniform_density_beside_a_learned_one_has_its_volume():
+    """Else births over all sizes of the frame would be thousands of times thinner than what was learned of false alarms."""
+    everywhere = replace(
+        MODEL, birth=MeasurementBirth(0.25, frame_size=SIZE), clutter=BoxClutter(clutter_per_frame=1.0, frame_size=SIZE)
+    )
+    births, alarms = LearnedDensity(0.02, entrance()), LearnedDensity(3.0, square())
+    z = np.array([[200.0], [300], [40], [80]])
+    model = with_scene(everywhere, None, alarms, None, 300)
+    assert model.birth.density(z)[0] == pytest.approx(0.25 / alarms.density.volume)
+    model = with_scene(everywhere, births, None, None, 300)
+    shown = births.density.high - births.density.low
+    assert model.clutter.intensity(z)[0] == pytest.approx(1 / np.prod(shown[[0, 1, 4, 5]]))
+    assert with_scene(everywhere, births, alarms, None, 300).clutter.density is alarms.density
 
 
 def test_what_was_not_learned_stays_as_it_is():

@@ -10,19 +10,19 @@ from phdtrack.associate.graph import GraphMatching
 from phdtrack.filters import GMPHD
 from phdtrack.filters.extract import Components
 from phdtrack.models import PlaneBirth, PlaneClutter, PlaneMotion, PlaneSensor
-from phdtrack.models.volumes import local_density
+from phdtrack.models.volumes import local_area
 from phdtrack.protocols import Model, Stages
 from phdtrack.types import Detections
 from plane_cases import FRAME, LevelCamera
 
 
-def test_the_density_adds_up_to_the_rate(rng):
-    """Over a lattice around one detection whose covariance is slanted; two on one spot bring twice as much."""
-    z = np.array([[3.0], [20.0], [0.4], [-0.15], [0.9]])
-    step = 0.05
-    lattice = np.stack(np.meshgrid(np.arange(-10, 16, step), np.arange(7, 33, step))).reshape(2, -1)
-    assert local_density(lattice, z, 0.3).sum() * step**2 == pytest.approx(0.3, rel=0.01)
-    np.testing.assert_allclose(local_density(lattice, z[:, [0, 0]], 0.3), 2 * local_density(lattice, z, 0.3))
+def test_the_area_is_that_of_the_ellipse_of_six_deviations():
+    """By counting, on a lattice around one detection whose covariance is slanted."""
+    z, step = np.array([[3.0], [20.0], [0.4], [-0.15], [0.9]]), 0.05
+    lattice = np.stack(np.meshgrid(np.arange(-10, 16, step), np.arange(7, 33, step))).reshape(2, -1) - z[:2]
+    inverse = np.linalg.inv([[0.4, -0.15], [-0.15, 0.9]])
+    inside = np.einsum("il,ij,jl->l", lattice, inverse, lattice) <= 36
+    assert local_area(z)[0] == pytest.approx(inside.sum() * step**2, rel=0.01)
 
 
 def test_a_detection_gives_itself_the_clutter_of_its_own_ellipse():

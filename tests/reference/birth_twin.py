@@ -27,15 +27,15 @@ def image_density(points, rate, frame):
     return inside * rate / (frame[0] * frame[1]) ** 2
 
 
-def local_density(points, z, rate):
-    """Of births spread evenly over the neighbourhood of each detection."""
-    return sum(in_neighbourhood(points, d) * rate / (4 * (d[2] * d[3]) ** 2) for d in z.T)
+def local_density(points, own, rate):
+    """Of births that are as dense as at the detections ``own`` (4, n), in whose regions the points lie."""
+    return (points[2:] > 0).all(0) * rate / (4 * (own[2] * own[3]) ** 2)
 
 
 def mass(z, sigma, density, count, rng):
-    """∫ over the union of the regions of ``density`` (a function of points)."""
+    """∫ over the union of the regions of ``density``, a function of points and of the detections whose regions hold them."""
     points, volume, held = uniform_in_regions(z, sigma, count, rng)
-    return float((density(points) * volume / held).sum() / count)
+    return float((density(points, np.repeat(z, count, axis=1)) * volume / held).sum() / count)
 
 
 def in_neighbourhood(x, z):

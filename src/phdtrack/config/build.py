@@ -126,6 +126,10 @@ def _model(settings: Settings, size: Size, fps: float) -> Model:
         remember_size=settings.kind("motion") == "box" and sensor.scaling == "previous",
     )
     birth, clutter = _birth(settings, sensor, size, region), _clutter(settings, size, region)
+    if "scene" in (settings.kind("birth"), settings.kind("clutter")):
+        from phdtrack.models.scene import in_one_volume
+
+        birth, clutter = in_one_volume(birth, clutter)
     return Model(motion, sensor, birth, clutter, rate, first=rate / fps if plane else 1.0)
 
 
@@ -175,7 +179,7 @@ def _birth(settings: Settings, sensor: Any, size: Size, region: Region) -> Birth
 def _clutter(settings: Settings, size: Size, region: Region) -> Clutter:
     """Where false alarms are: in an image of this size, or on the ground in ``region``."""
     kind = settings.kind("clutter")
-    volume = image_area(size) if kind == "point" else 1.0
+    volume = image_area(size) if kind == "point" else 0.0
     given = settings.build("clutter", frame_size=size, borders=region, volume=volume)
     if kind != "scene":
         if kind == "ground" and given.clutter_per_frame and not given.density:

@@ -89,7 +89,7 @@ class SceneBirthSettings(Checked):
     ----------
     file : what was learned.
     particles : Jmax, newborn particles around a detection, see `models.births.MeasurementBirth`.
-    births_per_detection : births per second around each detection of boxes, where nothing is known of the place; 0: none.
+    births_per_detection : births per second in the neighbourhood of a box, where nothing is known of the place; 0: none.
     """
 
     file: str
@@ -104,7 +104,7 @@ class SceneClutterSettings(Checked):
     Parameters
     ----------
     file : what was learned.
-    clutter_per_detection : false alarms around each detection, in addition to these.
+    clutter_per_detection : false alarms in the neighbourhood of a box, in addition to these.
     reject_false_tracks : withhold tracks that stay where false alarms are followed (`associate.rejection`), where
         `phdtrack learn` has seen which are.
     immediate_confirmation : confirm a track at once where there are at most so many false alarms for each object.

@@ -42,7 +42,7 @@ from phdtrack.errors import InputError, did_you_mean
 from phdtrack.files import read_toml
 
 Values = dict[str, Any]
-# Sections with two rates, of which one is 0: around each detection, and everywhere.
+# Sections with two rates, of which one is 0: in the neighbourhood of a box, and everywhere.
 _RATES = {
     "birth": ("births_per_detection", "births_per_second"),
     "clutter": ("clutter_per_detection", "clutter_per_frame"),

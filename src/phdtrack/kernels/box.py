@@ -285,29 +285,3 @@ def box_deviations(x: F8, noise: Noise, speed: float) -> F8:
         for c in range(4, x.shape[0]):
             out[c, i] = np.sqrt(variance[2 + c % 2])
     return out
-
-
-@njit(**ENTRY)
-def summed_densities(z: F8, order: I8, rate: float, reach: float, smallest: float, largest: float) -> F8:
-    """(N,) Σ_j rate / V_j over the detections z_j = (px, py, w, h) in whose neighbourhood each detection lies.
-
-    ``z`` (≥ 4, N), ``order`` (N,) their numbers by px, rising. A neighbourhood reaches ``reach`` boxes from its centre and
-    holds sizes between ``smallest`` and ``largest`` times its own; V_j is its volume, pixel⁴.
-    """
-    n, out, unit = order.size, np.empty(order.size), 2.0 * reach * (largest - smallest)
-    for i in range(n):
-        out[i] = 0.0
-    for p in range(n):
-        j, k = order[p], p
-        x, y, w, h = z[0, j], z[1, j], z[2, j], z[3, j]
-        left, right, top, bottom = x - reach * w, x + reach * w, y - reach * h, y + reach * h
-        density = rate / (unit * unit * (w * h) * (w * h))
-        while k > 0 and z[0, order[k - 1]] >= left:
-            k -= 1
-        while k < n and z[0, order[k]] <= right:
-            i = order[k]
-            near, wide, high = top <= z[1, i] <= bottom, z[2, i], z[3, i]
-            if near and smallest * w <= wide <= largest * w and smallest * h <= high <= largest * h:
-                out[i] += density
-            k += 1
-    return out

@@ -177,33 +177,3 @@ def _squares(mean: F8, rows: I8, inverse: F8, k: int, first: int, n: int, state:
                 for c in range(a + 1):
                     part += real(inverse[k, a, c]) * (state[U(rows[c]), at + i] - real(mean[rows[c], k]))
                 squares[i] += part * part
-
-
-@njit(**ENTRY)
-def density_within(state: Real, rows: I8, first: I8, lower: F8, upper: F8, density: F8) -> F8:
-    """(L,) Σ_k density_k over the boxes ``lower``, ``upper`` (r, N) of measurement space that hold ``rows`` of ``state``.
-
-    Particles lie in runs, ``first`` (M + 1,), of which each is asked for its neighbours once.
-    """
-    r, count = rows.size, first.size - 1
-    grid, found = make_grid(lower[:2].copy(), upper[:2].copy(), 0.0, 0.0), np.empty(lower.shape[1], np.int64)
-    out, held = np.zeros(state.shape[1]), np.empty(state.shape[1], np.bool_)
-    for j in range(count):
-        begin, end = first[j], first[j + 1]
-        if end == begin:
-            continue
-        left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
-        for i in range(begin, end):
-            x, y = state[0, i], state[1, i]
-            left, right, top, bottom = min(left, x), max(right, x), min(top, y), max(bottom, y)
-        for m in range(overlapping(left, top, right, bottom, grid, found)):
-            k = found[m]
-            for i in range(begin, end):
-                held[i] = True
-            for a in range(r):
-                low, high = lower[a, k], upper[a, k]
-                for i in range(begin, end):
-                    held[i] &= (state[rows[a], i] >= low) & (state[rows[a], i] <= high)
-            for i in range(begin, end):
-                out[i] += density[k] if held[i] else 0.0
-    return out

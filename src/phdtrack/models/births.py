@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import abc
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -19,32 +18,26 @@ import numpy as np
 from phdtrack.arrays import chi2_quantile, draw, reused
 from phdtrack.errors import Checked, InputError, NonNegative, PositiveCount, check
 from phdtrack.kernels.gaussian import Births, NewTargets
-from phdtrack.kernels.newborn import density_within, place_newborn, proposals, standard_points
+from phdtrack.kernels.newborn import place_newborn, proposals, standard_points
 from phdtrack.models.volumes import (
     EVERYWHERE,
-    REACH,
-    SIZES,
     Region,
     area,
     image_area,
     image_volume,
     inside,
-    local_box_density,
-    local_density,
+    local_area,
     local_volume,
     one_rate,
 )
 from phdtrack.protocols import Sensor
-from phdtrack.types import F8, I8, GaussianMixture, Particles
+from phdtrack.types import F8, GaussianMixture, Particles
 
 # The part of a Gaussian proposal that newborn particles are drawn from. Outside, the importance ratio of a flat γ to the
 # proposal grows like exp(r²/2) and its variance is infinite: that mass is dropped.
 KEPT = 0.99
 # So many more points are drawn than one detection needs, so that detections have different ones.
 SPARE = 128
-_NO_RUNS: I8 = np.zeros(1, np.int64)
-# Rows of the state of a box that a measurement shows.
-BOX_ROWS = np.array([0, 1, 4, 5])
 
 
 def particles_about(
@@ -52,7 +45,7 @@ def particles_about(
     seen: tuple[F8, F8],
     rows: tuple[int, ...],
     particles: int,
-    gamma: Callable[[F8, I8], F8],
+    gamma: F8,
     rng: np.random.Generator,
 ) -> Particles:
     """J_j = ⌈Jmax·max(0, 1 − M_j)⌉ particles around z_j with importance weights γ(x) / Σ_i J_i p_i(x) [M07 §2].
@@ -67,7 +60,7 @@ def particles_about(
     seen : the states (d, N) and covariances (N, d, d) that the measurements show, as `Sensor.states` gives them.
     rows : `Sensor.observed`.
     particles : Jmax.
-    gamma : density of births at states (d, L), or (1,) of all; those about measurement j are first[j] … first[j + 1] − 1.
+    gamma : (N,) density of births, the same in the whole region of a measurement; 0 at boxes without extent.
     rng : random numbers.
 
     Returns
@@ -90,10 +83,10 @@ def particles_about(
     points = standard_points(normal, rng.random(many + 1), _radii(len(observed)))
     state, density = reused((len(mean), int(first[-1])), dtype), reused((int(first[-1]),), dtype)
     place_newborn(about, points, begin, first, limit, state, density)
-    weight = np.divide(gamma(state, first).astype(dtype), density, out=density)
+    weight = np.divide(np.repeat(gamma.astype(dtype), np.diff(first)), density, out=density)
     # Of a small box the noise's region reaches sizes below 0, where nothing is born.
-    if not weight.min() > 0:
-        possible = weight > 0
+    if not (weight.min() > 0 and state[4:].min(initial=1) > 0):
+        possible = (weight > 0) & (state[4:] > 0).all(axis=0)
         first = np.concatenate([[0], np.cumsum(possible)])[first]
         state, weight = state[:, possible], weight[possible]
     return Particles(state, weight, np.unique(first))
@@ -143,23 +136,16 @@ class _AroundDetections(abc.ABC):
 
     @property
     def births_per_detection(self) -> float:
-        """Births per second around each detection."""
+        """Births per second in the neighbourhood of a detection."""
         return 0.0
 
     @abc.abstractmethod
-    def _gamma(self, x: F8, first: I8, z: F8) -> F8:
-        """γ per second at states (d, L), in the runs ``first``, where ``z`` (m, N) was detected; (1,): the same at all."""
-
     def density(self, z: F8) -> F8:
-        """(N,) γ per second at the detections themselves."""
-        return self._gamma(z[:2], _NO_RUNS, z)
+        """(N,) γ per second at the detections ``z`` (m, N), and in the regions of their noise."""
 
     def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
         """Particles around the detections that weigh what γT is there [M07 §2], see `particles_about`."""
-        seen = sensor.states(z)
-        return particles_about(
-            covered, seen, sensor.observed, self.particles, lambda x, first: self._gamma(x, first, z) * seconds, rng
-        )
+        return particles_about(covered, sensor.states(z), sensor.observed, self.particles, self.density(z) * seconds, rng)
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
         """γT around the detections."""
@@ -173,37 +159,29 @@ class _AroundDetections(abc.ABC):
 
 @dataclass(frozen=True, slots=True)
 class MeasurementBirth(_AroundDetections):
-    """γ uniform over the image or around the detections, drawn around the detections [M07 §2].
+    """γ of boxes, uniform over the image or the same at every scale, drawn around the detections [M07 §2].
 
     Parameters
     ----------
     births_per_second : expected births per second, uniform over the image.
-    births_per_detection : instead, expected births per second around each detection (see `models.volumes`).
+    births_per_detection : instead, expected births per second in the neighbourhood of a box (see `models.volumes`).
     particles : Jmax, particles drawn around a detection of which nothing is predicted.
     frame_size : the image's width and height in pixels, needed for births uniform over it.
+    volume : of positions and sizes over which births are uniform, pixel⁴; 0: all of the frame's.
     """
 
     births_per_second: NonNegative = 0.0
     births_per_detection: NonNegative = 0.0
     particles: PositiveCount = 1000
     frame_size: tuple[float, float] = (0.0, 0.0)
+    volume: NonNegative = 0.0
 
     def density(self, z: F8) -> F8:
-        """(N,) γ per second at the detections themselves."""
-        if not self.births_per_detection:
-            everywhere: F8 = self.births_per_second / image_volume(self.frame_size) * ((z[2] > 0) & (z[3] > 0))
-            return everywhere
-        return local_box_density(z, self.births_per_detection)
-
-    def _gamma(self, x: F8, first: I8, z: F8) -> F8:
-        """γ per second at states of boxes (d, L), which lie in the runs ``first``; 0 where a size is not positive."""
-        if not self.births_per_detection:
-            flat = np.array([self.births_per_second / image_volume(self.frame_size)])
-            return flat if x[4:6].min() > 0 else flat * (x[4:6] > 0).all(axis=0)
-        lower = np.concatenate([z[:2] - REACH * z[2:4], SIZES[0] * z[2:4]])
-        upper = np.concatenate([z[:2] + REACH * z[2:4], SIZES[1] * z[2:4]])
-        out: F8 = density_within(x, BOX_ROWS, first, lower, upper, self.births_per_detection / local_volume(z))
-        return out
+        """(N,) γ per second and pixel⁴ at the detections; 0 where a size is not positive."""
+        if self.births_per_detection:
+            return self.births_per_detection / local_volume(z)
+        flat = self.births_per_second / (self.volume or image_volume(self.frame_size))
+        return np.where((z[2:4] > 0).all(axis=0), flat, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,22 +199,22 @@ class PointBirth(_AroundDetections):
     particles: PositiveCount = 500
     frame_size: tuple[float, float] = (0.0, 0.0)
 
-    def _gamma(self, x: F8, first: I8, z: F8) -> F8:
-        """γ per second and pixel² at states (d, L).
+    def density(self, z: F8) -> F8:
+        """(N,) γ per second and pixel² at the detections.
 
         The image has no border here: a centroid measured with noise may lie a little outside, and so may its target.
         """
-        return np.full(x.shape[1], self.births_per_second / image_area(self.frame_size))
+        return np.full(z.shape[1], self.births_per_second / image_area(self.frame_size))
 
 
 @dataclass(frozen=True, slots=True)
 class PlaneBirth(_AroundDetections):
-    """γ uniform over a region of the ground or around the detections, drawn around the detections.
+    """γ on the ground, uniform over a region or the same at every scale, drawn around the detections.
 
     Parameters
     ----------
     births_per_second : expected births per second, uniform over the region.
-    births_per_detection : instead, expected births per second around each detection (see `models.volumes`).
+    births_per_detection : instead, expected births per second in the ellipse of a detection's noise (see `models.volumes`).
     particles : Jmax, particles drawn around a detection of which nothing is predicted.
     borders : left, low, right and high border of the region in metres, needed for births uniform over it.
     """
@@ -246,12 +224,12 @@ class PlaneBirth(_AroundDetections):
     particles: PositiveCount = 500
     borders: Region = EVERYWHERE
 
-    def _gamma(self, x: F8, first: I8, z: F8) -> F8:
-        """γ per second and m² at states (d, L)."""
+    def density(self, z: F8) -> F8:
+        """(N,) γ per second and m² at the detections."""
         if self.births_per_detection:
-            return local_density(x[:2], z, self.births_per_detection)
+            return self.births_per_detection / local_area(z)
         flat = self.births_per_second / area(self.borders, "PlaneBirth.borders")
-        return np.where(inside(x[:2], self.borders), flat, 0.0)
+        return np.where(inside(z[:2], self.borders), flat, 0.0)
 
 
 @dataclass(frozen=True, slots=True)

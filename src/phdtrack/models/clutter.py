@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.errors import Checked, InputError, NonNegative, Positive, check
-from phdtrack.models.volumes import EVERYWHERE, Region, area, image_volume, local_box_density, local_density, one_rate
+from phdtrack.models.volumes import EVERYWHERE, Region, area, image_volume, local_area, local_volume, one_rate
 from phdtrack.protocols import Clutter
 from phdtrack.types import F8
 
@@ -32,40 +32,41 @@ class UniformClutter(Checked):
 
 @dataclass(frozen=True, slots=True)
 class BoxClutter:
-    """False alarms of boxes, uniform over the image or around each detection [M07 §2].
+    """False alarms of boxes, uniform over the image or the same at every scale [M07 §2].
 
-    Around a detection is ±1 box in position, 0.5 to 1.5 in size. Where neighbourhoods overlap their densities add up, as
-    those of the births do, so that the ratio of the two densities stays what the rates say.
+    The latter is a density κ(z) = rate/(4w²h²) that no other detection changes (see `models.volumes`).
 
     Parameters
     ----------
-    clutter_per_detection : expected false alarms around each detection.
+    clutter_per_detection : expected false alarms in the neighbourhood of a box: ±1 box in position, 0.5 to 1.5 in size.
     clutter_per_frame : instead, expected false alarms per frame, anywhere in the image.
     frame_size : the image's width and height in pixels, needed for false alarms anywhere.
+    volume : of positions and sizes over which false alarms anywhere are uniform, pixel⁴; 0: all of the frame's.
     """
 
     clutter_per_detection: NonNegative = 0.0
     clutter_per_frame: NonNegative = 0.0
     frame_size: tuple[float, float] = (0.0, 0.0)
+    volume: NonNegative = 0.0
 
     def __post_init__(self) -> None:
         check(self)
         one_rate((self.clutter_per_frame, self.clutter_per_detection), "BoxClutter")
 
     def intensity(self, z: F8) -> F8:
-        """κ(z): uniform, or Σ_j rate / V(z_j) over the detections z_j in whose neighbourhood z lies, its own included."""
+        """κ(z), per frame and pixel⁴."""
         if self.clutter_per_frame:
-            return np.full(z.shape[1], self.clutter_per_frame / image_volume(self.frame_size))
-        return local_box_density(z, self.clutter_per_detection)
+            return np.full(z.shape[1], self.clutter_per_frame / (self.volume or image_volume(self.frame_size)))
+        return self.clutter_per_detection / local_volume(z)
 
 
 @dataclass(frozen=True, slots=True)
 class PlaneClutter:
-    """False alarms on the ground, uniform over a region or around each detection (see `models.volumes`).
+    """False alarms on the ground, uniform over a region or the same at every scale (see `models.volumes`).
 
     Parameters
     ----------
-    clutter_per_detection : expected false alarms around each detection.
+    clutter_per_detection : expected false alarms in the ellipse of a detection's noise.
     clutter_per_frame : instead, expected false alarms per frame, anywhere in the region.
     density : false alarms per frame and m², which replaces the other two where it is not 0.
     borders : left, low, right and high border of the region in metres, needed for false alarms anywhere in it.
@@ -81,12 +82,12 @@ class PlaneClutter:
         one_rate((self.clutter_per_frame, self.clutter_per_detection), "PlaneClutter")
 
     def intensity(self, z: F8) -> F8:
-        """κ(z), per m²: of detections near z the sum of what each brings, its own included."""
+        """κ(z), per frame and m²."""
         if self.density:
             return np.full(z.shape[1], self.density)
         if self.clutter_per_frame:
             return np.full(z.shape[1], self.clutter_per_frame / area(self.borders, "PlaneClutter.borders"))
-        return local_density(z, z, self.clutter_per_detection)
+        return self.clutter_per_detection / local_area(z)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,10 +9,9 @@ for a sensor that shows some components of the state with noise R. Velocities ha
 mixture given z; of the uniform part those of the sensor. So α_u = 1 is `MeasurementBirth` over the same volume. The
 Gaussian-mixture filters take the Gaussians themselves.
 
-**Added to the model's own.** The default γ and κ are no densities of a scene: they are spread around each detection, and
-are therefore high where much is detected. Filters need that where people stand close: κ spread over a whole frame is so low
-that targets take whatever is near. With a rate a around each detection, l(z) the density around the detections per unit of
-rate, and p(z|o) the density of objects' detections,
+**Added to the model's own.** The default γ and κ are the same everywhere at every scale (`models.volumes`), and high enough
+where people stand close: a κ spread over a whole frame and all sizes is so low that targets take whatever is near. With
+their rate a, l(z) = 1/(4w²h²), and p(z|o) the density of objects' detections,
 
     κ(z) = a l(z) + r̄ p(z|c)      γ(z) = a l(z) p(z|b) / p(z|o)
 
@@ -34,11 +33,11 @@ from phdtrack.errors import Checked, InputError, NonNegative, PositiveCount
 from phdtrack.kernels.gaussian import Births, Expected, Measurements, NewTargets, first_states
 from phdtrack.models.births import FixedBirth, MeasurementBirth, births_around, particles_about
 from phdtrack.models.clutter import BoxClutter
-from phdtrack.models.volumes import local_box_density
-from phdtrack.protocols import Model, Sensor
-from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, marginal
+from phdtrack.models.volumes import local_volume
+from phdtrack.protocols import Birth, Clutter, Model, Sensor
+from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, marginal, shown_volume
 from phdtrack.scene.mixture import OBSERVED
-from phdtrack.types import F8, I8, GaussianMixture, Particles
+from phdtrack.types import F8, GaussianMixture, Particles
 
 TINY = float(np.finfo(np.float64).tiny)
 # At detections, what of a Gaussian adds less than e^-16, 1e-7, of the uniform part is left out.
@@ -55,7 +54,7 @@ class SceneBirth(Checked):
     density : p(x|b) on states (d).
     observed : the rows of the state that measurements show; the others are velocities.
     particles : Jmax, particles drawn around a detection of which nothing is predicted.
-    births_per_detection : births a second around each detection, of boxes, where nothing is known; 0: s̄ p(x|b) alone.
+    births_per_detection : births a second in the neighbourhood of a box, where nothing is known; 0: s̄ p(x|b) alone.
     among : p(z|o), for births around detections; None: uniform over the volume.
     """
 
@@ -69,12 +68,7 @@ class SceneBirth(Checked):
     def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
         """Particles around the detections with the evidence and the velocities of γT there [M07 §2, M09 (12)]."""
         density, seen = self.around(sensor.states(z), seconds)
-
-        def gamma(x: F8, first: I8) -> F8:
-            """γT at states ``x`` (d, L), in runs about the detections; 0 where a size is not positive."""
-            return np.where((x[4:6] > 0).all(axis=0), np.repeat(density, np.diff(first)), 0.0)
-
-        return particles_about(covered, seen, self.observed, self.particles, gamma, rng)
+        return particles_about(covered, seen, self.observed, self.particles, density, rng)
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
         """γT around the detections, and the learned Gaussians where there are no births around detections.
@@ -117,7 +111,7 @@ class SceneBirth(Checked):
         if not self.births_per_detection:
             return self.births_per_second * seconds * density, (mean, covariance)
         objects = 1 / shown.volume if self.among is None else self.among(z, outside=self.among.flat)
-        local = self.births_per_detection * seconds * local_box_density(z, 1.0)
+        local = self.births_per_detection * seconds / local_volume(z)
         return local * np.maximum(density, shown.flat) / objects, (mean, covariance)
 
     @cached_property
@@ -145,7 +139,7 @@ class SceneClutter(Checked):
     clutter_per_frame : r̄, expected false alarms per frame.
     density : p(z|c) on what measurements show (r). Where it does not reach, κ is that of its uniform part: a detection
         beyond the volume is no more certain to be a target than one in an empty place.
-    clutter_per_detection : false alarms a frame around each detection, of boxes, that are added; 0: none.
+    clutter_per_detection : false alarms a frame in the neighbourhood of a box that are added; 0: none.
     """
 
     clutter_per_frame: NonNegative
@@ -155,7 +149,7 @@ class SceneClutter(Checked):
     def intensity(self, z: F8) -> F8:
         """(N,) κ per frame and unit of measurement space."""
         learned = self.clutter_per_frame * self.density(z[: self.density.dim], outside=self.density.flat)
-        return learned + self.clutter_per_detection * local_box_density(z, 1.0) if self.clutter_per_detection else learned
+        return learned + self.clutter_per_detection / local_volume(z) if self.clutter_per_detection else learned
 
 
 def with_scene(
@@ -165,7 +159,7 @@ def with_scene(
     followed: TrackedObjects | None,
     particles: int,
 ) -> Model:
-    """The model with what a scene has taught, added to its own births and false alarms where these are around detections.
+    """The model with what a scene has taught, added to its own births and false alarms if they are the same at every scale.
 
     Parameters
     ----------
@@ -186,7 +180,21 @@ def with_scene(
     if clutter is not None:
         own = false.clutter_per_detection if isinstance(false, BoxClutter) else 0.0
         false = SceneClutter(clutter.rate, clutter.density, own)
+    birth, false = in_one_volume(birth, false)
     return replace(model, birth=birth, clutter=false)
+
+
+def in_one_volume(birth: Birth, clutter: Clutter) -> tuple[Birth, Clutter]:
+    """Both, where one was learned and the other is uniform over the image: that one gets the volume of the learned one.
+
+    This is the frame and the sizes that are detected. Over all sizes of the frame a density is thousands of times less, and
+    what the filter believes depends on the ratio of the two.
+    """
+    if isinstance(clutter, SceneClutter) and isinstance(birth, MeasurementBirth) and birth.births_per_second:
+        return replace(birth, volume=shown_volume(clutter.density)), clutter
+    if isinstance(birth, SceneBirth) and isinstance(clutter, BoxClutter) and clutter.clutter_per_frame:
+        return birth, replace(clutter, volume=shown_volume(birth.density))
+    return birth, clutter
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,13 +1,17 @@
-"""Where births and false alarms are spread uniformly: the volumes that decide how fast a target is confirmed.
+"""How births and false alarms are spread: densities over the image or the ground, none of which looks at other detections.
 
 What counts is the ratio of the birth density to the clutter density at a measurement. Over the same volume one detection
 alone brings a mass of about rate_birth/rate_clutter; how fast further ones raise it depends on the volume's size against
 the noise's.
 
-``image``: all positions and all sizes of the frame, W²H² pixel⁴; on the ground ``region``: a rectangle. One more coherent
-detection suffices. ``local``: ±1 box in position and 0.5 to 1.5 in size around a detection, 4w²h²; on the ground the ellipse
-of `PLANE_REACH` deviations of each detection's own noise, so that the ratio is the same near the camera and far away. About
-two more are needed. M07's words, "around the detections", suggest the latter.
+``image``: uniform over all positions and all sizes of the frame, W²H² pixel⁴; on the ground ``region``: a rectangle. One
+more coherent detection suffices.
+
+``local``: the same at every scale. A box (w, h) has the density rate/(4w²h²), so that the ``rate`` is expected among boxes
+within ±1 box in position and with 0.5 to 1.5 of its size: small boxes come as close together as their size allows, as
+distant objects do. On the ground the rate is that of the ellipse of `PLANE_REACH` deviations of a detection's own noise, so
+that the ratio to the noise is the same near the camera and far away. About two more detections are needed. M07's words,
+"around the detections", suggest this. It has no total over the frame: small boxes have no end.
 """
 
 from __future__ import annotations
@@ -16,10 +20,7 @@ import math
 
 import numpy as np
 
-from phdtrack.arrays import sum_by
 from phdtrack.errors import InputError
-from phdtrack.kernels.box import summed_densities
-from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.types import F8, Bool
 
 # Half the extent of a local volume in position, in boxes; its range of sizes, in boxes.
@@ -28,7 +29,7 @@ SIZES = (0.5, 1.5)
 
 
 def one_rate(rates: tuple[float, float], where: str) -> None:
-    """Raise `InputError` where both rates are above 0: density is uniform or around the detections."""
+    """Raise `InputError` where both rates are above 0: a density is uniform or the same at every scale."""
     everywhere, each = rates
     if everywhere > 0 and each > 0:
         problem = f"expected a rate everywhere or around each detection, not both, got {everywhere:g} and {each:g}"
@@ -55,12 +56,6 @@ def local_volume(z: F8) -> F8:
     """(N,) volume of the neighbourhood of each measurement z = (px, py, w, h), pixel⁴."""
     area: F8 = z[2] * z[3]
     return (2 * REACH) ** 2 * (SIZES[1] - SIZES[0]) ** 2 * area**2
-
-
-def local_box_density(z: F8, rate: float) -> F8:
-    """(N,) density at boxes (≥ 4, N) of a ``rate`` around each of them, pixel⁻⁴, summed where neighbourhoods overlap."""
-    out: F8 = summed_densities(np.ascontiguousarray(z), z[0].argsort(), rate, REACH, *SIZES)
-    return out
 
 
 PLANE_REACH = 6.0
@@ -100,25 +95,7 @@ def inside(x: F8, region: Region) -> Bool:
     return held
 
 
-def local_density(place: F8, z: F8, rate: float) -> F8:
-    """Density of a rate in the ellipse around each measurement, summed where they overlap.
-
-    Parameters
-    ----------
-    place : array (2, L), positions, metres.
-    z : array (5, N), measurements on the ground.
-    rate : of each ellipse.
-
-    Returns
-    -------
-    Array (L,), per m².
-    """
-    half = PLANE_REACH * np.sqrt(z[[2, 4]])
-    x, y = (np.ascontiguousarray(row) for row in place[:2])
-    point, which = points_in_rectangles(x, y, z[:2] - half, z[:2] + half)
-    dx, dy = x[point] - z[0, which], y[point] - z[1, which]
-    determinant = z[2] * z[4] - z[3] ** 2
-    xx, xy, yy = z[2:5, which]
-    near = yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy <= PLANE_REACH**2 * determinant[which]
-    density = rate / (math.pi * PLANE_REACH**2 * np.sqrt(determinant))
-    return sum_by(point[near], density[which[near]], len(x))
+def local_area(z: F8) -> F8:
+    """(N,) area of the ellipse of `PLANE_REACH` deviations of measurements (5, N) on the ground, m²."""
+    out: F8 = math.pi * PLANE_REACH**2 * np.sqrt(z[2] * z[4] - z[3] ** 2)
+    return out

@@ -2,7 +2,7 @@
 
 from phdtrack.scene.em import grid, learn
 from phdtrack.scene.files import LearnedDensity, Scene, TrackedObjects, read_scene, write_scene
-from phdtrack.scene.mixture import SceneDensity, marginal, uniform_density
+from phdtrack.scene.mixture import SceneDensity, marginal, shown_volume, uniform_density
 
 __all__ = [
     "LearnedDensity",
@@ -13,6 +13,7 @@ __all__ = [
     "learn",
     "marginal",
     "read_scene",
+    "shown_volume",
     "uniform_density",
     "write_scene",
 ]

@@ -173,6 +173,11 @@ def marginal(p: SceneDensity, rows: tuple[int, ...]) -> SceneDensity:
     return SceneDensity(p.low[keep], p.high[keep], p.uniform, p.weight, p.mean[keep], p.covariance[:, keep][:, :, keep])
 
 
+def shown_volume(p: SceneDensity) -> float:
+    """V of the positions and sizes of boxes, pixel⁴, for a density of boxes (d = 4) or of their states (d = 6)."""
+    return p.volume if p.dim == len(OBSERVED) else marginal(p, OBSERVED).volume
+
+
 def _mass_inside(mean: F8, covariance: F8, low: F8, high: F8) -> F8:
     """(M,) masses of Gaussians, d ≤ 8, in the box from ``low`` to ``high``, accurate to about 1e-3 for states."""
     from scipy.special import ndtr, ndtri

@@ -134,7 +134,7 @@ def with_prior(learned: LearnedDensity, size: F8) -> LearnedDensity:
     return replace(learned, density=replace(density, low=low, high=high, uniform=uniform))
 
 
-def births_in(tracks: Tracks, fps: float, rate: float, shown: F8 | None = None) -> F8:
+def births_in(tracks: Tracks, fps: float, rate: float, shown: F8 | None = None, everything: bool = False) -> F8:
     """(6, n) states (px, py, vx, vy, w, h) in which the tracks began that last and go somewhere; flicker does neither.
 
     Tracks of the first frame began before it [M09 §IV].
@@ -145,6 +145,7 @@ def births_in(tracks: Tracks, fps: float, rate: float, shown: F8 | None = None) 
     fps : frames per second.
     rate : time units per second of the velocities.
     shown : array (r, M), what the rows show, position first, if it is not centre and size of the boxes.
+    everything : take all tracks that have a velocity, of three rows, as M09 does.
 
     Returns
     -------
@@ -157,8 +158,8 @@ def births_in(tracks: Tracks, fps: float, rate: float, shown: F8 | None = None) 
     opening = int(tracks.frame.min(initial=np.iinfo(np.int64).max))
     states = []
     for rows in np.split(order, start[1:]) if len(order) else []:
-        lasting = len(rows) >= max(5, round(MIN_DURATION * fps)) and tracks.frame[rows[0]] > opening
-        if lasting and _distance_gone(boxes[:, rows]) >= MIN_DISTANCE:
+        lasting = len(rows) >= (3 if everything else max(5, round(MIN_DURATION * fps))) and tracks.frame[rows[0]] > opening
+        if lasting and (everything or _distance_gone(boxes[:, rows]) >= MIN_DISTANCE):
             states.append(first_state(box[:, rows], (tracks.frame[rows] - tracks.frame[rows[0]]) / fps))
     out = np.array(states).reshape(-1, len(box) + 2).T.copy()
     out[2:4] /= rate
