@@ -36,9 +36,10 @@ EXPERIMENTS = {
     "videos": Experiment("from a video to tracks, with the package's detectors"),
     "blobs": Experiment("merged and split blobs: with and without a model of merged measurements"),
     "m07": Experiment("M07 Table 1 and M09 Fig. 16: PHD against no filter and multiple hypotheses"),
-    "m09": Experiment("M09 Figs. 14-16: births and false alarms learned from a scene, part by part"),
+    "m09": Experiment("M09 Figs. 14-16: the paper's own method, births and false alarms learned, by number of marks"),
+    "scenes": Experiment("learned scenes laid over the default filter's births and false alarms, part by part"),
     "peers": Experiment("compared with widely used trackers; what each part of the default filter contributes"),
-    "cameras": Experiment("new cameras and detectors on which nothing was chosen, next to other trackers"),
+    "cameras": Experiment("new cameras and detectors next to other trackers, with the figure of groups left out"),
     "classes": Experiment("cars and people laid over each other, tracked with their classes, apart, and without"),
     "rates": Experiment("the same settings from one picture in five minutes to a hundred a second, with lost frames"),
 }

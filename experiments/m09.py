@@ -1,194 +1,334 @@
-"""M09 Figs. 7, 8, 11, 14-16: births and false alarms learned from a scene, against uniform ones, part by part.
+"""M09's own method, preset ``m09``: particle PHD, mixture extraction, learned densities over the image [M09 Figs. 14-16].
 
-Scenes of 20 000 rendered frames and real sequences; the first half teaches, the second tests.
+Each scene is learned on its first half and scored on its second. False alarms are learned from marks on frames drawn at
+random, births from all tracks that the filter itself made with the uniform model. What was learned is mixed with the uniform
+model in a share that the marked frames choose (`Judge`): with few marks it may be none.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from experiments import m09_pictures
-from experiments.common import Options, in_parallel, table, with_interval, write
-from experiments.m09_lessons import LearnedScene, learn
-from experiments.m09_runs import (
-    ABLATIONS,
-    GM,
-    GM_IMAGE,
-    IMAGE,
-    IMAGE_SWEEP,
-    LOCAL_SWEEP,
-    PHD,
-    UM,
-    SceneRun,
-    SceneScores,
-    seconds_per_frame,
-    work,
-)
-from experiments.m09_scenes import FRAMES, HELD_OUT, REAL, RENDERED, SHORT, Halves, halves, picture
-from phdtrack.compare.statistics import Interval, interval
-from phdtrack.metrics import Scores, pool
+from experiments.common import Case, Options, followed, in_parallel, pyplot, table, with_interval, write
+from experiments.m09_lessons import NO_OBJECT, as_lesson, false_alarms, marked_births
+from experiments.m09_runs import ABLATIONS, GM, UM, SceneRun, SceneScores, score, seconds_per_frame
+from experiments.m09_scenes import FRAMES, HELD_OUT, REAL, RENDERED, SHORT, Halves, detector_seconds, halves, stretch
+from experiments.scenes import FINDINGS, SCORES, SceneResults, number, short_of, times
+from phdtrack import config
+from phdtrack.arrays import iou, to_cxcywh
+from phdtrack.label.samples import Marks, shuffled
+from phdtrack.models import MeasurementBirth
+from phdtrack.models.clutter import BoxClutter
+from phdtrack.models.scene import with_scene
+from phdtrack.protocols import AnyStages
+from phdtrack.scene import LearnedDensity, uniform_density
+from phdtrack.scene.training import births_in, with_prior
+from phdtrack.types import F8, Bool, SequenceInfo, Tracks
 
-# Rendered scenes are long: one seed, whose intervals are over quarters of the stretch.
+# Of the paper: marked false alarms, and tracks whose beginnings are births.
+PAPER_MARKS, PAPER_TRACKS = 1800, 320
+MARKS = (10, 30, 100, 300, 1000, 3000)
+# How much of what was learned may be laid into the uniform model.
+SHARES = (0.01, 0.1, 1.0)
+# Marked frames that a share is chosen by, at most, and frames before each from which the filter runs.
+JUDGED, LEAD = 40, 50
 SEEDS, LONG_SEEDS = 3, 1
-# Of the second half of a rendered scene, for the sweep and for other filters.
-QUARTER = 2500
-RUNS = (UM, IMAGE, GM, GM_IMAGE, *ABLATIONS)
-# Filter and run; nothing else than the filter differs.
-RIVALS = ((UM, "none"), (UM, "mht"), (GM, "mht"), (UM, "gm-phd"), (GM, "gm-phd"), (UM, "particle-phd"), (GM, "particle-phd"))
-TIMED = (PHD, "gm-phd", "mht", "particle-phd")
-SCORES = ("MODA", "MODP", "MOTA", "MOTP")
-# The paper's findings: one run above another.
-FINDINGS = (("A2", "A1"), ("A5", "A4"), (GM, "A2"), ("A6", GM))
+# All that was learned, whatever the marked frames say.
+WHOLE = "whole"
+# Births a time unit and false alarms a frame of the uniform model.
+SWEEP = tuple((births, rate) for births in (0.003, 0.03) for rate in (1.0, 10.0, 100.0))
+# The association alone (M09's DA), multiple hypotheses with the same models, taught and not, and with M09's own parameters.
+RIVALS = (("none", UM), ("mht", UM), ("mht", GM), ("m09-mht", UM))
+RUNS = (UM, GM, WHOLE, *ABLATIONS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SceneResults:
-    """All runs; ``scenes`` by name, what was ``learned`` of each at each seed, seconds a frame by scene and filter."""
+class Alarms:
+    """False alarms learned from ``marks`` on so many frames; the ``share`` of the learned model that was chosen."""
 
-    scenes: Mapping[str, Halves]
-    runs_: Mapping[SceneRun, SceneScores]
-    learned: Mapping[tuple[str, int], LearnedScene]
-    timings: Mapping[tuple[str, str], tuple[float, float, float]]
+    clutter: LearnedDensity
+    marks: int
+    frames: int
+    share: float
 
-    def seeds(self, scene: str) -> int:
-        """How many seeds there are."""
-        return sum(name == scene for name, _ in self.learned)
 
-    def runs(self, scene: str, run: str) -> list[SceneScores]:
-        """The scores of a run of the default filter on the whole second half, one for each seed."""
-        return [self.runs_[SceneRun(scene, seed, run)] for seed in range(1, self.seeds(scene) + 1)]
+@dataclass(frozen=True, slots=True, eq=False)
+class PaperScene:
+    """What was learned of a scene: births of the filter's own tracks and by hand, false alarms by the number of marks.
 
-    def short_run(self, scene: str, run: str, filter_: str = PHD) -> SceneScores:
-        """The scores on the stretch on which filters and uniform rates are compared, of the first seed."""
-        return self.runs_[SceneRun(scene, 1, run, filter_, frames=short_of(self.scenes[scene]))]
+    ``births`` are uniform where there are too few ``tracks``, at the rate that was counted.
+    """
 
-    def pooled(self, scenes: Sequence[str], run: str) -> list[Scores]:
-        """The scores over all ``scenes``: for each seed, or for each quarter of the stretch where there is one seed."""
-        each = [self._parts(scene, run) for scene in scenes]
-        return [pool(some) for some in zip(*each, strict=True)]
+    births: LearnedDensity
+    tracks: int
+    hand: LearnedDensity | None
+    alarms: Mapping[int, Alarms]
 
-    def _parts(self, scene: str, run: str) -> Sequence[Scores]:
-        runs = self.runs(scene, run)
-        return [one.scores for one in runs] if len(runs) > 1 else runs[0].blocks
+    def at(self, count: int) -> Alarms:
+        """What so many marks have taught, or all there are."""
+        return self.alarms[max(known for known in self.alarms if known <= count)]
 
-    def gain(self, scenes: Sequence[str], run: str, score: str) -> Interval:
-        """A score of a run less that of the uniform model, pooled over the ``scenes``.
 
-        The mean is that of all frames; the interval is over seeds, or quarters of the stretch.
+def uniform(info: SequenceInfo, filter_name: str = "") -> AnyStages:
+    """The preset as it is, births and false alarms uniform over the image, with its own filter or another one."""
+    return config.build(config.load(preset="m09"), info, filter_name)
+
+
+def learn(job: tuple[Halves, int]) -> PaperScene:
+    """Everything that the runs of a scene need; the seed draws the frames that are marked and the particles."""
+    case, seed = job[0].train, job[1]
+    stages = uniform(case.info)
+    births, tracks = own_births(followed(stages, case, seed).corrected, case, stages.model.rate)
+    with TemporaryDirectory() as folder:
+        entries = Marks(marked_births(case, Path(folder) / "births.sqlite"), case.table, case.info)
+        by_hand = as_lesson(entries.birth_states(stages.model.rate), entries.time_watched(stages.model.rate), case)
+    false, alarms = false_detections(case), {}
+    judge = Judge(case, stages, false, seed)
+    every = sum(int(one.sum()) for one in false)
+    for count in sorted({*(count for count in MARKS if count <= every), min(every, PAPER_MARKS)}):
+        looked = frames_until(false, count, seed)
+        marked = np.concatenate([case.table.at(k).xyxy[false[k - 1]] for k in looked])
+        clutter = false_alarms(to_cxcywh(marked), len(looked), case).learned
+        alarms[count] = Alarms(clutter, len(marked), len(looked), judge.share(births, clutter, looked[:JUDGED]))
+    return PaperScene(births, tracks, by_hand.learned if by_hand else None, alarms)
+
+
+def own_births(tracks: Tracks, case: Case, rate: float) -> tuple[LearnedDensity, int]:
+    """Births from the beginnings of the first `PAPER_TRACKS` tracks, uniform at their rate where they are too few."""
+    began = {int(one): int(tracks.frame[tracks.identity == one].min()) for one in np.unique(tracks.identity)}
+    frames = sorted(began.values())[PAPER_TRACKS - 1] if len(began) >= PAPER_TRACKS else case.info.frames
+    early = tracks.take(np.flatnonzero([began[one] <= frames for one in tracks.identity.tolist()]))
+    states, time_units = births_in(early, case.info.fps, rate, everything=True), frames / case.info.fps * rate
+    lesson = as_lesson(states, time_units, case)
+    # One more than were counted: none of a few does not mean that there never will be one.
+    return (lesson.learned if lesson else even(states.shape[1] + 1, time_units, case, 6)), states.shape[1]
+
+
+def even(count: float, units: float, case: Case, dim: int) -> LearnedDensity:
+    """Births (``dim`` 6) or false alarms (4) that are uniform over the image and the sizes that are detected."""
+    size = np.array([case.info.width, case.info.height], np.float64)
+    still = np.ones(dim - 4)
+    p = uniform_density(np.concatenate([0 * size, -still, 0 * size]), np.concatenate([size, still, size]))
+    return with_prior(LearnedDensity(count / units, p), to_cxcywh(case.table.detections.xyxy)[2:])
+
+
+def false_detections(case: Case) -> list[Bool]:
+    """For each frame which of its detections overlap nobody by `NO_OBJECT`."""
+    found = []
+    for k in range(1, case.info.frames + 1):
+        people = case.truth.xyxy[case.truth.frame == k]
+        found.append(iou(case.table.at(k).xyxy, people).max(axis=1, initial=0) < NO_OBJECT)
+    return found
+
+
+def frames_until(false: Sequence[Bool], count: int, seed: int) -> list[int]:
+    """Frames drawn at random until ``count`` of their detections are false."""
+    drawn = shuffled(len(false), seed)
+    marks = np.cumsum([int(false[k - 1].sum()) for k in drawn])
+    return drawn[: int(np.searchsorted(marks, count)) + 1]
+
+
+def mixed(stages: AnyStages, births: LearnedDensity | None, clutter: LearnedDensity | None, share: float) -> AnyStages:
+    """The stages with a ``share`` of what was learned, and the rest of the uniform model; 0: the uniform model."""
+    if not share:
+        return stages
+    preset = stages.model
+    assert isinstance(preset.birth, MeasurementBirth)
+    assert isinstance(preset.clutter, BoxClutter)
+    before = preset.birth.births_per_second / preset.rate, preset.clutter.clutter_per_frame
+    parts = [None if one is None else _laid(one, rate, share) for one, rate in zip((births, clutter), before, strict=True)]
+    return replace(stages, model=with_scene(preset, parts[0], parts[1], None, preset.birth.particles))
+
+
+def _laid(learned: LearnedDensity, before: float, share: float) -> LearnedDensity:
+    """A share of a learned density, and of the uniform rate ``before`` what is left."""
+    rest, density = (1 - share) * before, learned.density
+    rate = rest + share * learned.rate
+    return LearnedDensity(rate, replace(density, uniform=(rest + share * learned.rate * density.uniform) / rate))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judge:
+    """Chooses how much of what was learned is used, by the frames that were marked in ``case``.
+
+    Attributes
+    ----------
+    case, stages, seed : what is learned from, and how.
+    false : for each frame which of its detections are false.
+    """
+
+    case: Case
+    stages: AnyStages
+    false: Sequence[Bool]
+    seed: int
+
+    def share(self, births: LearnedDensity, clutter: LearnedDensity, looked: Sequence[int]) -> float:
+        """The share among `SHARES` with the most objects followed, less false alarms, on the frames ``looked`` at.
+
+        It is 0 unless that is more than with the uniform model by more than its standard error.
         """
-        ours, theirs = self.pooled(scenes, run), self.pooled(scenes, UM)
-        spread = interval([float(getattr(a, score) - getattr(b, score)) for a, b in zip(ours, theirs, strict=True)])
-        whole = [pool([one.scores for scene in scenes for one in self.runs(scene, name)]) for name in (run, UM)]
-        seeds = self.seeds(scenes[0]) if score == "false_tracks" else 1
-        difference = float(getattr(whole[0], score) - getattr(whole[1], score)) / seeds
-        return Interval(difference, spread.half, spread.seeds)
+        usual = self.followed(self.stages, looked)
+        best, most = 0.0, 0.0
+        for share in SHARES:
+            gain = self.followed(mixed(self.stages, births, clutter, share), looked) - usual
+            mean, error = float(gain.mean()), float(gain.std(ddof=1) / np.sqrt(len(gain))) if len(gain) > 1 else np.inf
+            if mean > max(most, error):
+                best, most = share, mean
+        return best
 
-    def mean(self, scene: str, run: str, score: str) -> float:
-        """A score's mean over the seeds."""
-        return float(np.mean([getattr(one.scores, score) for one in self.runs(scene, run)]))
+    def followed(self, stages: AnyStages, looked: Sequence[int]) -> F8:
+        """(n,) objects' detections that carry a track, less false ones that do, of each frame that was looked at."""
+        whole = len(looked) * LEAD >= self.case.info.frames
+        run = followed(stages, self.case, self.seed).corrected if whole else None
+        return np.array([self._balance(stages, run, number) for number in looked], np.float64)
 
-    def delay(self, scene: str, run: str, where: str) -> float:
-        """Mean delay over all objects and seeds, ``inside`` or ``outside`` where people enter; NaN without any."""
-        each = [delay for one in self.runs(scene, run) for delay in getattr(one, where).values()]
-        return float(np.mean(each)) if each else float("nan")
-
-    def sweep(self, scene: str, run: str) -> dict[tuple[float, float], Scores]:
-        """Scores of the uniform model by its rates, of the first seed."""
-        swept = (one for one in self.runs_ if (one.scene, one.run) == (scene, run))
-        return {one.rates: self.runs_[one].scores for one in swept if one.rates is not None}
-
-    def groups(self) -> dict[str, tuple[str, ...]]:
-        """The scenes one by one, then the rendered ones together, PETS09-S2L1, and those that nothing was chosen on."""
-        single: dict[str, tuple[str, ...]] = {name: (name,) for name in self.scenes}
-        both = {"all rendered": RENDERED, "all PETS09-S2L1": REAL, "all held out": HELD_OUT}
-        return single | {name: some for name, some in both.items() if set(some) <= set(self.scenes)}
+    def _balance(self, stages: AnyStages, run: Tracks | None, number: int) -> int:
+        first = 1 if run is not None else max(1, number - LEAD)
+        tracks = run if run is not None else followed(stages, stretch(self.case, first, number), self.seed).corrected
+        rows = tracks.detection[(tracks.frame == number - first + 1) & (tracks.detection >= 0)]
+        return int(np.where(self.false[number - 1][rows], -1, 1).sum())
 
 
-def short_of(scene: Halves) -> int:
-    """How many frames of the second half filters and uniform rates are compared on; 0: all."""
-    return QUARTER if scene.frames > 4 * QUARTER else 0
+def stages_of(one: SceneRun, scene: PaperScene, halved: Halves) -> AnyStages:
+    """The stages of a run [M09 §V]; a run "GM 100" has learned from 100 marks."""
+    if one.filter == "m09-mht":
+        return config.build(config.load(preset="m09-mht"), halved.test.info)
+    stages = uniform(halved.test.info, one.filter)
+    if one.rates is not None:
+        sets = (f"birth.births_per_second={stages.model.rate * one.rates[0]}", f"clutter.clutter_per_frame={one.rates[1]}")
+        return config.build(config.load(None, sets, "m09"), halved.test.info)
+    run, _, count = one.run.partition(" ")
+    alarms = scene.at(int(count) if count else PAPER_MARKS)
+    if run == UM:
+        return stages
+    if run in ABLATIONS:
+        born = even(scene.births.rate, 1.0, halved.train, 6)
+        births = {"A1": scene.births, "A3": born, "A4": scene.births, "A5": born, "A6": scene.hand}.get(run)
+        false = alarms.clutter if run in ("A2", "A5", "A6") else even(alarms.clutter.rate, 1.0, halved.train, 4)
+        return mixed(stages, births, None if run == "A1" else false, alarms.share)
+    return mixed(stages, scene.births, alarms.clutter, 1.0 if run == WHOLE else alarms.share)
 
 
-def runs_of(scenes: Mapping[str, Halves], seeds: Mapping[str, int], quick: bool) -> list[SceneRun]:
+def work(job: tuple[SceneRun, Halves, PaperScene]) -> SceneScores:
+    """One run, scored."""
+    one, halved, scene = job
+    return score(one, halved, stages_of(one, scene, halved))
+
+
+def runs_of(scenes: Mapping[str, Halves], learned: Mapping[tuple[str, int], PaperScene], quick: bool) -> list[SceneRun]:
     """All runs, each once."""
-    runs = [SceneRun(name, seed, run) for name in scenes for seed in range(1, seeds[name] + 1) for run in RUNS]
-    for name, scene in scenes.items():
-        few = short_of(scene)
-        rivals = RIVALS[:3] if quick else RIVALS
-        runs += [SceneRun(name, 1, run, filter_, frames=few) for run, filter_ in ((UM, PHD), (GM, PHD), *rivals)]
-        for run, rates in ((UM, LOCAL_SWEEP), (IMAGE, IMAGE_SWEEP)):
-            runs += [SceneRun(name, 1, run, PHD, each, few) for each in rates[: 2 if quick else len(rates)]]
+    runs = [SceneRun(name, seed, run) for name, seed in learned for run in RUNS]
+    for (name, seed), scene in learned.items():
+        few = short_of(scenes[name])
+        counts = [count for count in MARKS if count in scene.alarms]
+        runs += [SceneRun(name, seed, f"{run} {count}", frames=few) for count in counts for run in (GM, WHOLE)]
+        runs += [SceneRun(name, seed, run, frames=few) for run in (UM, GM)]
+        if seed == 1:
+            runs += [SceneRun(name, 1, run, filter_, frames=few) for filter_, run in RIVALS[: 1 if quick else None]]
+            runs += [SceneRun(name, 1, UM, rates=rates, frames=few) for rates in SWEEP[: 1 if quick else None]]
     return list(dict.fromkeys(runs))
 
 
 def main(options: Options) -> Path:
-    """Run everything and write m09.md and its pictures."""
+    """Run everything and write m09.md and its picture."""
     quick, names = options.quick, RENDERED[:1] if options.quick else (*RENDERED, *REAL, *HELD_OUT)
     wanted = [(name, SHORT if quick else FRAMES) for name in names]
     scenes = dict(zip(names, in_parallel(halves, wanted, "m09, rendering and detecting", options), strict=True))
-    seeds = {name: options.number(LONG_SEEDS if name in RENDERED else SEEDS, 1) for name in names}
-    lessons = [(name, seed) for name in names for seed in range(1, seeds[name] + 1)]
+    lessons = [
+        (name, seed) for name in names for seed in range(1, options.number(LONG_SEEDS if name in RENDERED else SEEDS, 1) + 1)
+    ]
     given = [(scenes[name], seed) for name, seed in lessons]
     learned = dict(zip(lessons, in_parallel(learn, given, "m09, learning", options), strict=True))
-    runs = runs_of(scenes, seeds, quick)
+    runs = runs_of(scenes, learned, quick)
     jobs = [(run, scenes[run.scene], learned[run.scene, run.seed]) for run in runs]
     scored = dict(zip(runs, in_parallel(work, jobs, "m09", options), strict=True))
-    # One at a time, without other runs next to them as far as this command goes.
-    timed = [(name, filter_) for name in (RENDERED[0], REAL[0]) if name in names for filter_ in TIMED[: 1 if quick else 4]]
-    timings = {(n, f): seconds_per_frame(f, scenes[n], learned[n, 1], 400 if quick else 1000) for n, f in timed}
+    timings = {}
+    for name in (name for name in (RENDERED[0], REAL[0]) if name in names):
+        both = [stages_of(SceneRun(name, 1, run), learned[name, 1], scenes[name]) for run in (UM, GM)]
+        timings[name] = (*seconds_per_frame(both, scenes[name].test, 400 if quick else 1000), detector_seconds(scenes[name]))
     found = SceneResults(scenes, scored, learned, timings)
-    draw(found, options.folder)
-    return write("m09", options, **figures(found))
+    curves = {name: curve(found, learned, name) for name in names}
+    draw(curves, found, options.folder / "m09-marks.png")
+    tables: Mapping[str, Callable[..., str]] = {"claims": _claims, "gains": _gains, "scores": _scores, "sweep": _sweep}
+    return write(
+        "m09",
+        options,
+        **{name: make(found) for name, make in tables.items()},
+        findings=_findings(found),
+        curve=_curves(curves, found),
+        delays=_delays(found),
+        rivals=_rivals(found),
+        lessons=_lessons(learned),
+        times=times(found.timings),
+    )
 
 
-def draw(found: SceneResults, out: Path) -> None:
-    """The pictures."""
-    shown = {name: scene for name, scene in found.scenes.items() if name in RENDERED}
-    maps = {name: (picture(scene), found.learned[name, 1]) for name, scene in shown.items()}
-    m09_pictures.maps(maps, out / "m09-maps.png")
-    runs = (GM, *ABLATIONS)
-    gains = {
-        scene: {run: {score: found.gain([scene], run, score) for score in ("MODA", "MOTA")} for run in runs}
-        for scene in found.scenes
-    }
-    m09_pictures.bars(gains, out / "m09-gains.png")
-    kinds = {"around detections": UM, "over the image": IMAGE}
-    sweeps = {
-        scene: (
-            {kind: {rates: one.MOTA for rates, one in found.sweep(scene, run).items()} for kind, run in kinds.items()},
-            found.short_run(scene, GM).scores.MOTA,
-        )
-        for scene in found.scenes
-    }
-    m09_pictures.sweeps(sweeps, out / "m09-sweep.png")
+# MOTA less UM's with the chosen share and with all that was learned, and the mean share, by the number of marks.
+Curve = Mapping[int, tuple[float, float, float]]
 
 
-def figures(found: SceneResults) -> dict[str, object]:
-    """What is filled into the page."""
-    return {
-        "seeds": max(found.seeds(name) for name in found.scenes),
-        "findings": _findings(found),
-        "gains": _gains(found),
-        "scores": _scores(found),
-        "delays": _delays(found),
-        "sweep": _sweep(found),
-        "rivals": _rivals(found),
-        "rates": _rates(found),
-        "lessons": _lessons(found),
-    }
+def curve(found: SceneResults, learned: Mapping[tuple[str, int], PaperScene], name: str) -> Curve:
+    """What each number of marks brings, on the stretch on which they are compared: means over seeds."""
+    few = short_of(found.scenes[name])
+    seeds = [seed for scene, seed in learned if scene == name]
+    out = {}
+    for count in (count for count in MARKS if all(count in learned[name, seed].alarms for seed in seeds)):
+        gains = []
+        for seed in seeds:
+            base = found.runs_[SceneRun(name, seed, UM, frames=few)].scores.MOTA
+            each = [
+                found.runs_[SceneRun(name, seed, f"{run} {count}", frames=few)].scores.MOTA - base for run in (GM, WHOLE)
+            ]
+            gains.append((*each, learned[name, seed].alarms[count].share))
+        chosen, whole, share = (float(value) for value in np.mean(gains, axis=0))
+        out[count] = chosen, whole, share
+    return out
 
 
-def number(value: float) -> str:
-    """With one digit, or a dash for none."""
-    return f"{value:.1f}" if np.isfinite(value) else "–"
+def draw(curves: Mapping[str, Curve], found: SceneResults, path: Path) -> None:
+    """MOTA less UM's over the number of marks, a field for each scene."""
+    plt = pyplot()
+    across = min(3, len(curves))
+    down = -(-len(curves) // across)
+    figure, axes = plt.subplots(down, across, figsize=(3.6 * across, 2.7 * down), squeeze=False, layout="constrained")
+    for axis, (name, values) in zip(axes.ravel(), curves.items(), strict=False):
+        axis.plot(list(values), [one[0] for one in values.values()], "o-", label="share chosen by the marks")
+        axis.plot(list(values), [one[1] for one in values.values()], "s--", label="all that was learned")
+        axis.axhline(0, color="k", lw=0.8)
+        axis.set(xscale="log", xlabel="marks", ylabel="MOTA less UM's", title=name)
+        axis.set_xticks(list(values), [str(count) for count in values])
+        axis.minorticks_off()
+        axis.grid(alpha=0.3)
+    axes[0, 0].legend(fontsize=7)
+    figure.savefig(path, dpi=75)
+    plt.close(figure)
+
+
+def _claims(found: SceneResults) -> str:
+    """The paper's claims beside ours."""
+    shown = [name for name in RENDERED if name in found.scenes]
+
+    def each(run: str, than: str, score_: str = "MOTA") -> str:
+        return ", ".join(f"{found.mean(name, run, score_) - found.mean(name, than, score_):+.3f}" for name in shown)
+
+    rows = [
+        ("GM above UM: accuracy +9 % (S101), +14 % (S201)", "MODA", each(GM, UM, "MODA")),
+        ("", "MOTA", each(GM, UM)),
+        ("learned clutter helps more than learned births: A2 above A1", "MOTA", each("A2", "A1")),
+        ("A5 above A4", "MOTA", each("A5", "A4")),
+        ("both together are best: GM above A2", "MOTA", each(GM, "A2")),
+        ("births by hand win where false alarms are the main error (S201), lose with restarts (S101): A6 less GM", "MOTA",
+         each("A6", GM)),
+    ]  # fmt: skip
+    return table(("the paper", "score", f"ours: {', '.join(shown)}"), rows)
 
 
 def _findings(found: SceneResults) -> str:
-    """MOTA of one run less that of another, scene by scene."""
     rows = [
         (scene, *(f"{found.mean(scene, a, 'MOTA') - found.mean(scene, b, 'MOTA'):+.3f}" for a, b in FINDINGS))
         for scene in found.scenes
@@ -198,96 +338,75 @@ def _findings(found: SceneResults) -> str:
 
 def _gains(found: SceneResults) -> str:
     rows = [
-        (
-            group,
-            run,
-            *(with_interval(found.gain(some, run, score), sign="+") for score in SCORES),
-            with_interval(found.gain(some, run, "false_tracks"), 0, "+"),
-        )
-        for group, some in found.groups().items()
-        for run in RUNS
-        if run != UM
-    ]
-    return table(("scene", "run", *(f"{score}, less UM" for score in SCORES), "false tracks, less UM"), rows)
+        (scene, run, *(with_interval(found.gain([scene], run, one), sign="+") for one in SCORES),
+         with_interval(found.gain([scene], run, "false_tracks"), 0, "+"))
+        for scene in found.scenes for run in RUNS if run != UM
+    ]  # fmt: skip
+    return table(("scene", "run", *(f"{one}, less UM" for one in SCORES), "false tracks, less UM"), rows)
 
 
 def _scores(found: SceneResults) -> str:
     keys = ("misses", "false_positives", "id_switches", "false_tracks")
-    rows = []
-    for scene in found.scenes:
-        for run in RUNS:
-            counts = (round(found.mean(scene, run, key)) for key in keys)
-            rows.append((scene, run, *(found.mean(scene, run, score) for score in SCORES), *counts))
-    header = ("scene", "run", *SCORES, "misses", "false boxes", "switches", "false tracks")
-    return table(header, rows)
+    rows = [
+        (scene, run, *(found.mean(scene, run, one) for one in SCORES), *(round(found.mean(scene, run, key)) for key in keys))
+        for scene in found.scenes
+        for run in (UM, GM, WHOLE)
+    ]
+    return table(("scene", "run", *SCORES, "misses", "false boxes", "switches", "false tracks"), rows)
 
 
 def _delays(found: SceneResults) -> str:
     rows = []
     for scene in found.scenes:
-        for run in RUNS:
-            each = found.runs(scene, run)
-            counts = (round(float(np.mean([len(getattr(one, where)) for one in each]))) for where in ("inside", "outside"))
-            late = (number(found.delay(scene, run, where)) for where in ("inside", "outside"))
-            live = (float(np.mean([getattr(one.live, score) for one in each])) for score in ("MOTA", "false_positives"))
-            rows.append((scene, run, *late, *counts, next(live), round(next(live))))
-    header = ("scene", "run", "delay inside", "outside", "people found, inside", "outside", "live MOTA", "live false boxes")
-    return table(header, rows)
+        for run in (UM, GM):
+            rows.append((scene, run, *(number(found.delay(scene, run, where)) for where in ("inside", "outside"))))
+    return table(("scene", "run", "inside", "outside"), rows)
+
+
+def _curves(curves: Mapping[str, Curve], found: SceneResults) -> str:
+    rows = []
+    for name, values in curves.items():
+        few = short_of(found.scenes[name])
+        seeds = range(1, found.seeds(name) + 1)
+        base = np.mean([found.runs_[SceneRun(name, seed, UM, frames=few)].scores.MOTA for seed in seeds])
+        cells = ["{:+.3f}, {:+.3f} ({:.2g})".format(*values[count]) if count in values else "–" for count in MARKS]
+        rows.append((name, float(base), *cells))
+    return table(("scene", "UM", *(f"{count} marks" for count in MARKS)), rows)
 
 
 def _sweep(found: SceneResults) -> str:
     rows = []
     for scene in found.scenes:
-        learned = found.short_run(scene, GM).scores
-        for kind, run in (("around detections", UM), ("over the image", IMAGE)):
-            sweep = found.sweep(scene, run)
-            (births, clutter), best = max(sweep.items(), key=lambda item: item[1].MOTA)
-            missed = (one.misses / one.truth_boxes for one in (best, learned))
-            gap = f"{learned.MOTA - best.MOTA:+.3f}"
-            rows.append((scene, kind, len(sweep), f"{births:g}", f"{clutter:g}", best.MOTA, learned.MOTA, gap, *missed))
-    header = ("scene", "uniform", "settings", "births", "clutter", "best MOTA", "GM", "GM less best", "best misses")
-    return table((*header, "GM misses"), rows)
+        learned, swept = found.short_run(scene, GM).scores, found.sweep(scene, UM)
+        (births, clutter), best = max(swept.items(), key=lambda item: item[1].MOTA)
+        gap = f"{learned.MOTA - best.MOTA:+.3f}"
+        rows.append((scene, f"{births:g}", f"{clutter:g}", best.MODA, learned.MODA, best.MOTA, learned.MOTA, gap))
+    header = ("scene", "births", "clutter", "best UM's MODA", "GM's", "best UM's MOTA", "GM's", "GM less best")
+    return table(header, rows)
 
 
 def _rivals(found: SceneResults) -> str:
     rows = []
     for scene in found.scenes:
-        for run, name in ((UM, PHD), (GM, PHD), *RIVALS):
-            key = SceneRun(scene, 1, run, name, frames=short_of(found.scenes[scene]))
-            if key not in found.runs_:
-                continue
-            one = found.runs_[key].scores
-            values = [float(getattr(one, score)) for score in SCORES]
-            scores = [value if np.isfinite(value) else "–" for value in values]
-            rows.append((scene, name, "–" if name == "none" else run, *scores, one.IDF1, one.false_tracks))
-    return table(("scene", "filter", "run", *SCORES, "IDF1", "false tracks"), rows)
+        for filter_, run in (("", UM), ("", GM), *RIVALS):
+            key = SceneRun(scene, 1, run, filter_, frames=short_of(found.scenes[scene]))
+            if key in found.runs_:
+                one = found.runs_[key].scores
+                values = (f"{float(getattr(one, score_)):.3f}" for score_ in SCORES)
+                name = {"": "PROP", "none": "DA", "mht": "MHT", "m09-mht": "MHT, M09's own parameters"}[filter_]
+                rows.append((scene, name, "–" if filter_ in ("none", "m09-mht") else run, *values, one.false_tracks))
+    return table(("scene", "tracker", "taught", *SCORES, "false tracks"), rows)
 
 
-def _rates(found: SceneResults) -> str:
+def _lessons(learned: Mapping[tuple[str, int], PaperScene]) -> str:
     rows = []
-    for (scene, filter_), seconds in found.timings.items():
-        uniform, learned, detector = seconds
-        times = (f"{1e3 * each:.2f}" for each in seconds)
-        whole = (detector + learned) / (detector + uniform)
-        rows.append((scene, filter_, *times, f"{learned / uniform:.2f}", f"{whole:.3f}"))
-    header = ("scene", "filter", "UM, ms a frame", "GM, ms a frame", "the detector", "GM over UM", "with the detector")
-    return table(header, rows)
-
-
-def _lessons(found: SceneResults) -> str:
-    rows = []
-    for name in found.scenes:
-        one = found.learned[name, 1]
-        births, hand = (
-            (f"{part.rate:.4f}", part.samples, len(part.density)) if part else ("–", "too few", "–")
-            for part in (one.births, one.hand)
-        )
-        gains = (number(gain) for gain in one.gains)
-        followed = f"{one.seen.share:.0%}" if one.seen else "–"
-        clutter = (f"{one.clutter.rate:.2f}", one.clutter.samples, len(one.clutter.density))
-        rows.append((name, *clutter, followed, *births, *hand, *gains))
-    header = (
-        "scene", "r̄", "boxes marked", "places", "followed", "s̄", "tracks", "places", "s̄ by hand", "marks", "places",
-        "gain of false alarms", "of births", "by hand",
-    )  # fmt: skip
+    for (name, seed), scene in learned.items():
+        if seed == 1:
+            most, births = scene.at(PAPER_MARKS), scene.births
+            hand = f"{scene.hand.rate:.4f}" if scene.hand else "too few"
+            false = most.clutter
+            rows.append((name, most.marks, most.frames, f"{false.rate:.2f}", len(false.density),
+                         f"{false.density.uniform:.2f}", f"{most.share:g}", scene.tracks, f"{births.rate:.4f}",
+                         len(births.density), f"{births.density.uniform:.2f}", hand))  # fmt: skip
+    header = ("scene", "marks", "frames", "r̄", "places", "α_u", "share", "tracks", "s̄", "places", "α_u", "s̄ by hand")
     return table(header, rows)

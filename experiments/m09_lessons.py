@@ -73,7 +73,7 @@ def learn(job: tuple[Halves, int]) -> LearnedScene:
         entries = Marks(marked_births(case, Path(folder) / "births.sqlite"), case.table, case.info)
         by_hand, watched = entries.birth_states(rate), entries.time_watched(rate)
     births = own_births(without_false_tracks(run, FalseAlarmRatio(clutter.learned, seen)) if seen else run, case, rate)
-    hand = _lesson(by_hand, watched, case)
+    hand = as_lesson(by_hand, watched, case)
     gains = tuple(lesson.gain if lesson else np.nan for lesson in (clutter, births, hand))
     return LearnedScene(
         clutter.learned,
@@ -101,14 +101,17 @@ def with_learned(
 
 def own_births(tracks: Tracks, case: Case, rate: float) -> Training | None:
     """Births from the tracks that the tracker itself makes [M09 §IV]; None where there are too few."""
-    return _lesson(births_in(tracks, case.info.fps, rate), case.info.frames / case.info.fps * rate, case)
+    return as_lesson(births_in(tracks, case.info.fps, rate), case.info.frames / case.info.fps * rate, case)
 
 
 def learned_alarms(case: Case, marks: Marks) -> Training:
     """False alarms from marks."""
-    size = float(case.info.width), float(case.info.height)
-    lesson = learn_boxes(marks.false_boxes, len(marks.looked_at), size, FALSE_BOXES)
-    return _with_prior(lesson, case)
+    return false_alarms(marks.false_boxes, len(marks.looked_at), case)
+
+
+def false_alarms(boxes: F8, frames: int, case: Case) -> Training:
+    """False alarms from boxes (4, n) that were marked on so many frames."""
+    return with_sizes(learn_boxes(boxes, frames, (float(case.info.width), float(case.info.height)), FALSE_BOXES), case)
 
 
 def learned_followed(tracks: Tracks, case: Case, marks: Marks) -> TrackedObjects | None:
@@ -118,19 +121,20 @@ def learned_followed(tracks: Tracks, case: Case, marks: Marks) -> TrackedObjects
         objects = learn_boxes(marks.object_boxes, frames, size, OBJECT_BOXES)
     except InputError:
         return None
-    return TrackedObjects(marks.share_followed(tracks), _with_prior(objects, case).learned)
+    return TrackedObjects(marks.share_followed(tracks), with_sizes(objects, case).learned)
 
 
-def _lesson(states: F8, time_units: float, case: Case) -> Training | None:
+def as_lesson(states: F8, time_units: float, case: Case) -> Training | None:
     """Births from first states; None where there are too few."""
     try:
         lesson = learn_births(states, time_units, (float(case.info.width), float(case.info.height)))
     except InputError:
         return None
-    return _with_prior(lesson, case)
+    return with_sizes(lesson, case)
 
 
-def _with_prior(lesson: Training, case: Case) -> Training:
+def with_sizes(lesson: Training, case: Case) -> Training:
+    """The lesson with the shrinkage prior over the sizes that are detected."""
     return replace(lesson, learned=with_prior(lesson.learned, to_cxcywh(case.table.detections.xyxy)[2:]))
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -69,28 +68,18 @@ def bars(gains: Mapping[str, Mapping[str, Mapping[str, Interval]]], path: Path) 
     plt.close(figure)
 
 
-def sweeps(found: Mapping[str, tuple[Mapping[str, Sweep], float]], path: Path) -> None:
-    """MOTA of the uniform model over its rate of clutter, a line for each rate of births, and that of the learned model."""
+def sweeps(found: Mapping[str, tuple[Sweep, float]], path: Path) -> None:
+    """MOTA of the uniform model over its rate of clutter, and that of the learned model."""
     plt = pyplot()
     across = min(3, len(found))
     down = -(-len(found) // across)
     figure, axes = plt.subplots(down, across, figsize=(3.6 * across, 3.0 * down), squeeze=False, layout="constrained")
-    for axis, (name, (kinds, learned)) in zip(axes.ravel(), found.items(), strict=False):
-        for k, (kind, sweep) in enumerate(kinds.items()):
-            rates = _sorted(births for births, _ in sweep)
-            for births in rates:
-                clutter = _sorted(rate for of, rate in sweep if of == births)
-                values = [sweep[births, rate] for rate in clutter]
-                style = ("-", "--", ":")[rates.index(births) % 3]
-                axis.plot(clutter, values, style, marker="o", ms=3, color=f"C{k}", label=f"{kind}, births {births:g}")
+    for axis, (name, (sweep, learned)) in zip(axes.ravel(), found.items(), strict=False):
+        axis.plot([clutter for _, clutter in sweep], list(sweep.values()), "o-", ms=3, label="UM")
         axis.axhline(learned, color="k", lw=1, label="GM")
-        axis.set(xscale="log", xlabel="uniform clutter a frame", ylabel="MOTA")
+        axis.set(xscale="log", xlabel="false alarms in a box's neighbourhood", ylabel="MOTA")
         axis.set_title(name, fontsize=9)
         axis.grid(alpha=0.3)
     axes[0, 0].legend(fontsize=7)
     figure.savefig(path, dpi=75)
     plt.close(figure)
-
-
-def _sorted(values: Any) -> Sequence[float]:
-    return sorted(set(values))

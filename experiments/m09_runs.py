@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,36 +11,31 @@ import numpy as np
 from experiments.common import Case, followed
 from experiments.delays import first_output_delays
 from experiments.m09_lessons import LearnedScene, with_learned
-from experiments.m09_scenes import Halves, detector_seconds, stretch
+from experiments.m09_scenes import Halves, stretch
 from phdtrack import config, pipeline
 from phdtrack.metrics import Scores, evaluate
 from phdtrack.models import MeasurementBirth
-from phdtrack.models.clutter import BoxClutter, UniformClutter
-from phdtrack.models.volumes import image_volume
+from phdtrack.models.clutter import BoxClutter
 from phdtrack.protocols import AnyStages, Model
-from phdtrack.types import F8, SequenceInfo, Tracks, Truth
+from phdtrack.types import F8, Tracks, Truth
 
-PHD = "pmb"
-# As shipped, births and clutter are spread around each detection; M09's are over the image.
-UM, IMAGE, GM, GM_IMAGE = "UM", "UM, image", "GM", "GM, image"
+UM, GM = "UM", "GM"
 ABLATIONS = ("A1", "A2", "A3", "A4", "A5", "A6")
-# What the sweep of the uniform model goes through: births a time unit and false alarms a frame, around each detection or
-# over the image. Around detections their ratio counts most.
-LOCAL_SWEEP = tuple((0.01, rate) for rate in (0.1, 1.0, 3.0, 10.0, 30.0))
-IMAGE_SWEEP = tuple((births, rate) for births in (0.003, 0.03) for rate in (1.0, 10.0, 100.0))
+# Births a second and false alarms a frame in the neighbourhood of a box; their ratio counts most.
+SWEEP = tuple((0.01, rate) for rate in (0.1, 1.0, 3.0, 10.0, 30.0))
 # Quarters of the stretch, each scored for itself too.
 BLOCKS = 4
 
 
 @dataclass(frozen=True, slots=True)
 class SceneRun:
-    """One run on the first ``frames`` of the second half of a scene, 0: all; ``rates`` (births, clutter) of a sweep of the
-    uniform model, around detections or over the image."""
+    """One run on the first ``frames`` of the second half of a scene, 0: all; ``filter``: another than the experiment's own;
+    ``rates`` (births, clutter) of a sweep of the uniform model."""
 
     scene: str
     seed: int
     run: str
-    filter: str = PHD
+    filter: str = ""
     rates: tuple[float, float] | None = None
     frames: int = 0
 
@@ -66,8 +62,13 @@ class SceneScores:
 def work(job: tuple[SceneRun, Halves, LearnedScene]) -> SceneScores:
     """One run, scored."""
     one, halved, learned = job
+    return score(one, halved, stages_of(one, halved, learned))
+
+
+def score(one: SceneRun, halved: Halves, stages: AnyStages) -> SceneScores:
+    """What a run with these stages gives on its stretch of the second half."""
     case = stretch(halved.test, 1, one.frames) if one.frames else halved.test
-    run = followed(stages_of(one, halved, learned), case, one.seed)
+    run = followed(stages, case, one.seed)
     online = run.online.take(np.flatnonzero(run.online.confirmed))
     inside, outside = delays(case, online, halved.entries)
     scores, live = (evaluate(case.truth, tracks, frames=case.info.frames) for tracks in (run.corrected, online))
@@ -86,54 +87,32 @@ def blocks(case: Case, tracks: Tracks) -> tuple[Scores, ...]:
     return tuple(found)
 
 
-def preset_of(filter_name: str) -> str:
-    """The preset that a filter begins with: M09 knows of no scores."""
-    return "mot15" if filter_name == "pmb" else "default"
-
-
 def stages_of(one: SceneRun, halved: Halves, scene: LearnedScene) -> AnyStages:
-    """The stages as shipped, with the births and the clutter of the run."""
+    """The preset ``mot15``, which knows of no scores, with the births and the clutter of the run."""
     info = halved.test.info
     if one.rates is not None:
-        return swept(one.run, one.filter, one.rates, info)
-    stages = config.build(config.load(preset=preset_of(one.filter)), info, one.filter)
+        births, clutter = one.rates
+        sets = (f"birth.births_per_detection={25 * births}", f"clutter.clutter_per_detection={clutter}")
+        return config.build(config.load(None, sets, "mot15"), info)
+    stages = config.build(config.load(preset="mot15"), info)
     if one.run == UM:
         return stages
-    if one.run in (IMAGE, GM_IMAGE, "A3", "A4", "A5"):
-        stages = replace(stages, model=uniform_of(one.run, stages.model, scene, halved.train))
-    births = {GM: scene.births, GM_IMAGE: scene.births, "A1": scene.births, "A4": scene.births, "A6": scene.hand}
-    clutter = scene.clutter if one.run in (GM, GM_IMAGE, "A2", "A5", "A6") else None
-    # M09 knows of no false alarms that last.
-    return with_learned(stages, births.get(one.run), clutter, None if one.run == GM_IMAGE else scene.seen)
+    if one.run in ("A3", "A4", "A5"):
+        stages = replace(stages, model=estimated(one.run, stages.model, scene, halved.train))
+    births = {GM: scene.births, "A1": scene.births, "A4": scene.births, "A6": scene.hand}
+    clutter = scene.clutter if one.run in (GM, "A2", "A5", "A6") else None
+    return with_learned(stages, births.get(one.run), clutter, scene.seen)
 
 
-def swept(run: str, filter_name: str, rates: tuple[float, float], info: SequenceInfo) -> AnyStages:
-    """The uniform model with the rates of a sweep."""
-    births, clutter = rates
-    born, false = (
-        ("births_per_detection", "clutter_per_detection") if run == UM else ("births_per_second", "clutter_per_frame")
-    )
-    sets = (f"birth.{born}={25 * births}", f"clutter.{false}={clutter}")
-    return config.build(config.load(None, sets, preset_of(filter_name)), info, filter_name)
-
-
-def uniform_of(run: str, model: Model, scene: LearnedScene, train: Case) -> Model:
-    """The uniform births and clutter of a run [M09 §V]: over the image with the shipped magnitudes, as M09's are, or around
-    each detection with those that were learned."""
+def estimated(run: str, model: Model, scene: LearnedScene, train: Case) -> Model:
+    """Births and clutter that are the same at every scale, with the rates that were learned [M09 §V]."""
     birth, clutter = model.birth, model.clutter
     assert isinstance(birth, MeasurementBirth)
     assert isinstance(clutter, BoxClutter)
-    if run in (IMAGE, GM_IMAGE):
-        size = float(train.info.width), float(train.info.height)
-        everywhere = MeasurementBirth(birth.births_per_detection, particles=birth.particles, frame_size=size)
-        return replace(model, birth=everywhere, clutter=UniformClutter(clutter.clutter_per_detection, image_volume(size)))
     # So many of each detection that they are as many as were learned.
     each = train.info.frames / max(len(train.table.frame), 1)
-    if run in ("A3", "A5"):
-        birth = replace(
-            birth,
-            births_per_detection=each * (model.rate * scene.births.rate if scene.births else birth.births_per_detection),
-        )
+    if run in ("A3", "A5") and scene.births:
+        birth = replace(birth, births_per_detection=each * model.rate * scene.births.rate)
     if run in ("A3", "A4"):
         clutter = BoxClutter(each * scene.clutter.rate)
     return replace(model, birth=birth, clutter=clutter)
@@ -161,13 +140,11 @@ def entered(truth: Truth, identity: int, frame: int, entries: F8) -> bool:
 TURN = 50
 
 
-def seconds_per_frame(filter_name: str, halved: Halves, learned: LearnedScene, frames: int) -> tuple[float, float, float]:
-    """Median seconds that a frame takes, uniform and learned, and in the detector.
+def seconds_per_frame(both: Sequence[AnyStages], case: Case, frames: int) -> tuple[float, float]:
+    """Median seconds that a frame takes with the one and with the other stages, without the detector.
 
     Both run block by block in turn on the same frames, so that what else a machine does slows both.
     """
-    case = halved.test
-    both = [stages_of(SceneRun(halved.name, 1, run, filter_name), halved, learned) for run in (UM, GM)]
     rngs = [np.random.default_rng(1) for _ in both]
     states = [pipeline.start(stages, rng) for stages, rng in zip(both, rngs, strict=True)]
     spent: list[list[float]] = [[], []]
@@ -182,5 +159,5 @@ def seconds_per_frame(filter_name: str, halved: Halves, learned: LearnedScene, f
             spent[which].append(float(np.mean(seconds)))
     # The first blocks compile, and load what is compiled.
     warm = slice(2, None) if len(spent[0]) > 4 else slice(None)
-    uniform, with_scene = (float(np.median(each[warm])) for each in spent)
-    return uniform, with_scene, detector_seconds(halved)
+    one, other = (float(np.median(each[warm])) for each in spent)
+    return one, other

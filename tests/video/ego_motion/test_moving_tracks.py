@@ -127,8 +127,6 @@ def test_a_street_by_a_camera_in_a_hand(data):
         measured.append(warp)
     stands = identified(table, truth, frames, [None] * len(frames))
     told, untold = (identified(moved, judged, frames, warps, "none") for warps in (measured, [None] * len(frames)))
-    found = identified(moved, judged, frames, [None] * len(frames))
     assert max(errors) < 0.5
     assert told > stands - 0.02
     assert untold < stands - 0.05
-    assert found > stands - 0.02, "the detections tell it, too"
