@@ -18,12 +18,13 @@ and as the states extracted. Groups are those of E13's rule (2 m, 1 m/s).
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
+from experiments import e13_detectors
 from experiments.common import Options, in_parallel, need_data, pyplot, table, with_error, write
 from phdtrack import config, pipeline
 from phdtrack.arrays import area, intersection
@@ -61,6 +62,8 @@ FILTERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "GM-PHD, rates, occlusion": ("gm-phd", RATES + AWARE),
     "GM-CPHD, rates": ("gm-cphd", RATES),
     "GM-CPHD, rates, occlusion": ("gm-cphd", RATES + AWARE),
+    "GM-PHD, rates, true hiders": ("gm-phd", RATES + AWARE),
+    "GM-CPHD, rates, true hiders": ("gm-cphd", RATES + AWARE),
 }
 
 
@@ -137,11 +140,14 @@ def mixture_of(intensity: GaussianMixture | Cardinalised[GaussianMixture]) -> Ga
 
 def run(job: CrowdRun) -> Iterator[tuple[GaussianMixture, Step]]:
     """The intensity and the step of each frame."""
-    stages = stages_of(job.filter, job.clutter)
+    stages, camera = stages_of(job.filter, job.clutter), read_camera(camera_file())
     drops, rng = np.random.default_rng([job.seed, int(10 * job.clutter)]), np.random.default_rng(job.seed)
     state = pipeline.start(stages, rng)
     for number in range(1, INFO.frames + 1):
         found = detected(number, job.clutter, drops)
+        if "true hiders" in job.filter:
+            place = camera.ground(feet(truth().xyxy[truth().frame == number]))
+            state = replace(state, targets=np.vstack([place, np.zeros_like(place)]))
         state, step = pipeline.advance(stages, state, found, number, (number - 1) / INFO.fps, rng)
         yield mixture_of(state.intensity), step
 
@@ -194,7 +200,8 @@ def main(options: Options) -> Path:
     rows = [row for clutter in rates for row in _rows(results, clutter, people, groups, seeds)]
     pictures(results, people, groups, pictured_groups, pictured, options.folder)
     header = ("clutter", "filter", "mass: error", "bias", "of the raw error", "jumps", "states: error", "groups: error")
-    return write("e13", options, seeds=seeds, table=table(header, rows), **_own_filter(results, people, groups, seeds))
+    own = _own_filter(results, people, groups, seeds)
+    return write("e13", options, seeds=seeds, table=table(header, rows), detectors=e13_detectors.section(options), **own)
 
 
 def _rows(

@@ -6,6 +6,8 @@ filter is given its true parameters. A section of vo.md.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from experiments.common import Options, filled
@@ -13,7 +15,7 @@ from experiments.scans import FilterRun, Realisation, SetErrors, Stages, compare
 from experiments.standard_scenes import LinearGaussian, linear_gaussian
 from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, PMBM, BestBernoullis, BestHypothesis, ParticleCPHD, ParticlePHD
 from phdtrack.filters.extract import Components, KMeans, Mixture
-from phdtrack.models import FixedBirth, PlaneMotion, PlaneSensor, UniformClutter
+from phdtrack.models import FixedBirth, PlaneBirth, PlaneMotion, PlaneSensor, UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.types import GaussianMixture
 
@@ -41,6 +43,8 @@ FILTERS: dict[str, Stages] = {
     "pmbm": (PMBM(), BestHypothesis(smoothed=True)),
     # Of points p_D is constant, and nothing fires in one place.
     "pmb": (PMB(mean_visible_time=0.0, static_clutter_prior=0.0), BestBernoullis()),
+    "gm-phd, anywhere": (GMPHD(1e-5, 2.0, 100), Components(repeat=True)),
+    "gm-phd, anywhere, apart": (GMPHD(1e-5, 2.0, 100, newborn_apart=True), Components(repeat=True)),
     AGILITY: (PMB(mean_visible_time=0.0, static_clutter_prior=0.0, acceleration_factors=(1.0, 0.3, 0.1)), BestBernoullis()),
 }
 
@@ -68,9 +72,18 @@ def realisation(case: str, seed: int) -> Realisation:
     return Realisation(world(given), scans, scene.state, scene.identity, given.interval, given.ospa_cutoff)
 
 
+def anywhere(model: Model) -> PlaneBirth:
+    """As many births a second as the scenario has, uniform over the region, around the measurements."""
+    assert isinstance(model.birth, FixedBirth)
+    side = LinearGaussian().half_width
+    return PlaneBirth(model.birth.places.mass, 0.0, NEWBORN, (-side, -side, side, side))
+
+
 def run(job: FilterRun) -> SetErrors:
     """One filter over one realisation."""
     given = realisation(job.case, job.seed)
+    if "anywhere" in job.filter:
+        given = replace(given, model=replace(given.model, birth=anywhere(given.model)))
     return measured(given, followed(given, FILTERS[job.filter], job.seed))
 
 

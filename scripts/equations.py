@@ -41,6 +41,7 @@ PAPERS = {
     "T20": "García-Fernández, Svensson, Williams, Xia, Granström: Trajectory Poisson multi-Bernoulli filters. 2020",
     "W14": "Williams, Lau: Approximate evaluation of marginal association probabilities with belief propagation. "
     "IEEE Trans. AES, 2014",
+    "R12": "Ristic, Clark, Vo, Vo: Adaptive target birth intensity for PHD and CPHD filters. IEEE Trans. AES, 2012",
     "C04": "Cavallaro, Ebrahimi: Interaction between high-level and low-level image analysis for video objects. 2004",
     "Z04": "Zivkovic, van der Heijden: Recursive unsupervised learning of finite mixture models. IEEE Trans. PAMI, 2004",
     "S78": "Schwarz: Estimating the dimension of a model. Annals of Statistics, 1978",

@@ -10,7 +10,7 @@ import pytest
 from phd_cases import FRAME, NoBirth, world
 
 from composed import composed_step, drawn
-from phdtrack.filters import GMCPHD, GMPHD
+from phdtrack.filters import GMCPHD, GMPHD, ParticlePHD
 from phdtrack.models import (
     BoxClutter,
     BoxMotion,
@@ -150,6 +150,36 @@ def test_births_stop_where_mass_explains_the_detection(rng):
         for info in (GMPHD().update(state, z, model, 1.0, rng)[1], GMPHD().step(state, z, model, 1.0, rng)[1]):
             assert (info.mass_born > 0) == born
             assert info.mass_born < 0.1
+
+
+@pytest.mark.parametrize("kind", [GMPHD, ParticlePHD])
+def test_newborn_that_are_kept_apart_are_those_that_a_frame_shows(kind, rng):
+    """Among false alarms without number: of those that were there what was missed is left, and of newborn nothing [R12]."""
+    model = replace(
+        LINEAR,
+        sensor=BoxSensor(detection_probability=0.7, scaling="fixed"),
+        birth=MeasurementBirth(births_per_detection=2.5),
+        clutter=UniformClutter(1e30, 1.0),
+    )
+    before = GaussianMixture(np.ones(1), MEAN[:, None], COV[None])
+    z = np.array([[100.0], [100], [50], [90]])
+    apart, mixed = (
+        kind(newborn_apart=one, initial=before).update(kind(initial=before).start(model, rng), z, model, 25.0, rng)[0].mass
+        for one in (True, False)
+    )
+    assert apart == pytest.approx(0.3, rel=1e-6)
+    assert mixed > 0.3001
+
+
+def test_what_is_kept_apart_is_seen_for_sure(rng):
+    """One detection, one newborn: its mass is γ/(κ + γ) there, p_D does not come into it."""
+    frames = []
+    for p_detect in (0.5, 1.0):
+        sensor, birth = BoxSensor(detection_probability=p_detect, scaling="fixed"), MeasurementBirth(0.1, frame_size=FRAME)
+        model = replace(LINEAR, sensor=sensor, birth=birth, clutter=UniformClutter(1.0, 640.0**4))
+        z, step = np.array([[100.0], [100], [50], [90]]), GMPHD(newborn_apart=True)
+        frames.append(step.update(step.start(model, rng), z, model, 1.0, rng)[0].mass)
+    assert frames[0] == frames[1] > 0
 
 
 def walking(k: int) -> np.ndarray:

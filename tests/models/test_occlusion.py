@@ -67,6 +67,18 @@ def test_particles_of_a_target_are_hidden_by_another_and_not_by_their_own_peak(r
     assert (both < 0.4).mean() > 0.9
 
 
+def test_in_a_crowd_a_state_is_that_of_the_nearest_hider_alone():
+    """Two people within the noise of each other, 1 m apart one behind the other: the farther one is hidden all the same."""
+    sensor = PlaneSensor(
+        detection_probability=0.8, scaling="fixed", fixed_noise=0.7, occlusion=True, camera=LevelCamera(), frame_size=FRAME
+    )
+    crowd = standing((0, 20), (0, 21))
+    near, far = sensor.watching(crowd).p_detect(crowd)
+    assert near == 0.8
+    assert far < 0.3
+    assert sensor.watching(crowd[:, 1:]).p_detect(crowd)[1] == 0.8
+
+
 def test_nobody_is_hidden_where_nobody_is_nearer(rng):
     """Targets whose lower edges are higher, or that are elsewhere; and nobody at all."""
     x = of_boxes(*([left, 200, left + 40, 300] for left in rng.uniform(0, 600, 50)))

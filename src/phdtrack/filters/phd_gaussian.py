@@ -80,6 +80,8 @@ class GMPHD(Checked, Filter[GaussianMixture]):
     split_weight : what shares its tag with a heavier Gaussian keeps it below this weight, see above; 0: no two share one.
     transform : ``linear`` by Jacobians, or ``unscented`` by sigma points.
     skip_empty_frames : leave the intensity as predicted when a frame brings no detection, as D14 does.
+    newborn_apart : newborn targets are kept apart from those that were there: they are those that this frame shows, p_D is 1
+        for them, and nothing of them stays undetected around a detection of somebody else [R12].
     initial : the intensity before the first frame.
     """
 
@@ -91,6 +93,7 @@ class GMPHD(Checked, Filter[GaussianMixture]):
     split_weight: NonNegative = 0.5
     transform: Transform = "linear"
     skip_empty_frames: bool = False
+    newborn_apart: bool = False
     initial: GaussianMixture | None = None
 
     def start(self, model: Model, rng: np.random.Generator) -> GaussianMixture:
@@ -190,6 +193,8 @@ class GMPHD(Checked, Filter[GaussianMixture]):
         else:
             p_detect = sensor.p_detect(np.ascontiguousarray(around.mean.T))
             newborn = Expected(observed, _NONE, _NOTHING, _NOTHING, _NOTHING, p_detect)
+        if self.newborn_apart:
+            newborn = newborn._replace(p_detect=np.ones(len(around.mean)))
         if z.shape[1] == 0 and self.skip_empty_frames:
             said = said._replace(p_detect=np.zeros(len(rows.weight)))
         r = len(seen.period)

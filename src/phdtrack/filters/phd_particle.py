@@ -44,6 +44,8 @@ class ParticlePHD(Checked, Filter[Intensity]):
     max_particles : upper bound on the number of particles; 0 for none.
     skip_empty_frames : leave the intensity as predicted when a frame brings no detection, as D14 does. The default is the
         filter's update, (1 − p_D) D⁺.
+    newborn_apart : newborn targets are kept apart from those that were there: they are those that this frame shows, p_D is 1
+        for them, and nothing of them stays undetected around a detection of somebody else [R12].
     threads : threads that share a frame's work, 0 for one per core; the result is the same to the bit.
     initial : the intensity before the first frame.
     """
@@ -52,6 +54,7 @@ class ParticlePHD(Checked, Filter[Intensity]):
     min_particles: Count = 0
     max_particles: Count = 0
     skip_empty_frames: bool = False
+    newborn_apart: bool = False
     threads: Count = 1
     initial: Particles | GaussianMixture | None = None
 
@@ -111,6 +114,8 @@ class ParticlePHD(Checked, Filter[Intensity]):
         old = self._part(in_blocks(state, dtype), numbers, gates, region, model)
         covered: F8 = old[0].unit * sum_by(old[2].which, old[2].near, count)
         newborn = in_blocks(model.birth.sample(z, covered, model.sensor, dt / model.rate, rng), dtype)
+        if self.newborn_apart:
+            numbers = numbers._replace(detection=np.ones(1, dtype))
         new = self._part(newborn, numbers, gates, region, model)
         blocks, parts, sums = (old[0], new[0]), (old[1], new[1]), (old[2], new[2])
         unit, evidence = np.array([of.unit for of in blocks]), np.zeros(count)

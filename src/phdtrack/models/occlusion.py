@@ -11,8 +11,9 @@ what they find of free ones.
 
 The targets that hide are those that the last frame showed, where the motion expects them now, and not the boxes of this
 frame: a box does not say which target is seen. And if p_D fell for people whom this frame shows, the weight that remains of
-the undetected part would count them twice. A target does not hide itself: a state within the 99 %
-region of the sensor's noise about a hider is that hider's own.
+the undetected part would count them twice. A target does not hide itself: a state is that of the hider
+nearest to it, where that is within the 99 % region of the sensor's noise, and all others may hide it. In a crowd many
+hiders lie within that region: were all of them taken for the state's own, hardly anybody would count as hidden.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ class Hiders:
     depth : (K,) how far away each stands, in any unit that grows with distance.
     place : (r, K) what a measurement would show of each.
     noise : (r, K) deviations by which that is resolved there.
-    region : squared distance in deviations within which a state is the hider's own.
+    region : squared distance in deviations within which a state is that of the nearest hider.
     least : share of p_D that is left of a target that is covered altogether.
     """
 
@@ -66,7 +67,9 @@ class Hiders:
         lower, upper = np.ascontiguousarray(self.xyxy[:, :2].T), np.ascontiguousarray(self.xyxy[:, 2:].T)
         i, j = overlapping_pairs(low, high, make_grid(lower, upper))
         apart = (((place[:, i] - self.place[:, j]) / self.noise[:, j]) ** 2).sum(axis=0)
-        others = (self.depth[j] < depth[i]) & (apart > self.region)
+        own = np.full(len(depth), self.region)
+        np.minimum.at(own, i, apart)
+        others = (self.depth[j] < depth[i]) & (apart > own[i])
         i, j = i[others], j[others]
         width, height = np.maximum(np.minimum(high[:, i], upper[:, j]) - np.maximum(low[:, i], lower[:, j]), 0.0)
         covered = np.zeros(len(depth))
