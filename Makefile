@@ -4,6 +4,7 @@
 #   make test         style, types, imports, generated pages and the fast tests: some minutes on two cores
 #   make test-slow    the tests that take long: statistics over many seeds, and every experiment in its short form
 #   make experiments  the measured tables under docs/results/ (hours); ARGS="m07 --quick" for one of them, shortened
+#   make docs-check   which of these tables are older than the code and settings that they show, and the command for each
 #   make bench        speed and memory beside other libraries, below five minutes
 #   make bench-full   the same with all sizes, more frames and seeds
 #   make format       put the sources into the one style
@@ -24,7 +25,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help env test test-slow lint pytest pytest-plain demo experiments bench bench-full peers format docs clean
+.PHONY: help env test test-slow lint pytest pytest-plain demo docs-check experiments bench bench-full peers format docs clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -64,6 +65,9 @@ test-slow: env
 
 demo: env
 	$(BIN)/phdtrack demo --out demo-run --overwrite
+
+docs-check: env
+	$(PY) -m experiments --check
 
 experiments: env
 	$(PY) -m experiments $(or $(ARGS),all)

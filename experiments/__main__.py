@@ -8,12 +8,14 @@ from __future__ import annotations
 import argparse
 import difflib
 import importlib
+import subprocess
 import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from experiments import made
 from phdtrack.errors import InputError
 
 
@@ -54,6 +56,7 @@ def parser() -> argparse.ArgumentParser:
     out.add_argument("--runs", type=int, default=0, metavar="N", help="Monte Carlo runs of each case; default: its own")
     out.add_argument("--out", type=Path, metavar="DIR", help="where pages go; default: docs/results/, in short forms runs/")
     out.add_argument("--jobs", type=int, default=0, metavar="N", help="processes; default: one for each core")
+    out.add_argument("--check", action="store_true", help="say which pages are older than the code and settings they show")
     return out
 
 
@@ -63,11 +66,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = command.parse_args(arguments)
     if given.runs < 0 or given.jobs < 0:
         command.error("--runs and --jobs are numbers from 1 on; 0 stands for the default")
-    if given.list or not given.names:
+    if given.list or not (given.names or given.check):
         print(
             "\n".join(f"{name:<10} {one.about}{'' if one.data else ' (no real data)'}" for name, one in EXPERIMENTS.items())
         )
         return 0
+    if given.check:
+        return made.check(given.out or made.ROOT / "docs" / "results")
     try:
         run([*EXPERIMENTS] if given.names == ["all"] else given.names, given)
     except InputError as error:
@@ -92,11 +97,24 @@ def run(names: Sequence[str], given: argparse.Namespace) -> None:
 
     if any(EXPERIMENTS[name].data for name in names):
         need_data()
-    options = Options(given.runs, given.quick, given.out, given.jobs)
+    made.at_start()
+    if len(names) > 1:
+        # In processes of their own: what one loads is not taken for the other's.
+        _one_by_one(names)
+        return
     for name in names:
         began = time.perf_counter()
-        importlib.import_module(f"experiments.{name}").main(options)
+        importlib.import_module(f"experiments.{name}").main(Options(given.runs, given.quick, given.out, given.jobs, name))
         print(f"{name}: done in {time.perf_counter() - began:.0f} s", file=sys.stderr, flush=True)
+
+
+def _one_by_one(names: Sequence[str]) -> None:
+    """Run each experiment as a command of its own, with the options of this one."""
+    options = [word for word in sys.argv[1:] if word not in (*names, "all")]
+    for name in names:
+        done = subprocess.run([sys.executable, "-m", "experiments", name, *options], check=False)
+        if done.returncode:
+            raise InputError(f"status {done.returncode}, see above", where=f"the experiment {name}")
 
 
 if __name__ == "__main__":

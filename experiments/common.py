@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from experiments import made
 from experiments.delays import first_output_delays
 from phdtrack import config, pipeline
 from phdtrack.compare.statistics import Interval
@@ -48,6 +49,7 @@ class Options:
     quick : a short form that shows that everything works; its figures are no results.
     out : where pages and pictures are written; None: docs/results, in the short form runs/experiments-quick.
     jobs : number of processes; 0: one for each core.
+    name : of the experiment, which may have pages of other names.
 
     The real sequences are where the environment says (`need_data`), because worker processes need them too.
     """
@@ -56,6 +58,7 @@ class Options:
     quick: bool = False
     out: Path | None = None
     jobs: int = 0
+    name: str = ""
 
     def number(self, usual: int, quick: int) -> int:
         """Number of runs: as asked for, else ``quick`` in the short form and ``usual`` in the full one."""
@@ -169,7 +172,7 @@ def in_parallel(work: Callable[[A], B], jobs: Sequence[A], label: str, options: 
     began = last_line = time.perf_counter()
     terminal = sys.stderr.isatty()
     with ProcessPoolExecutor(max_workers=processes) as pool:
-        futures = [pool.submit(work, job) for job in jobs]
+        futures = [pool.submit(_noted, work, job) for job in jobs]
         for done, future in enumerate(as_completed(futures), start=1):
             if future.exception() is not None:
                 pool.shutdown(cancel_futures=True)
@@ -179,7 +182,18 @@ def in_parallel(work: Callable[[A], B], jobs: Sequence[A], label: str, options: 
             if terminal or last or now - last_line > QUIET:
                 _say(f"{label}: {done} of {len(jobs)}, {now - began:.0f} s", changing=terminal, last=last)
                 last_line = now
-    return [future.result() for future in futures]
+    results = [future.result() for future in futures]
+    _LOADED.update(*(modules for _, modules in results))
+    return [result for result, _ in results]
+
+
+# Modules that worker processes have loaded.
+_LOADED: set[str] = set()
+
+
+def _noted(work: Callable[[A], B], job: A) -> tuple[B, set[str]]:
+    """The result of a job, and the modules that it needed."""
+    return work(job), made.loaded()
 
 
 def _say(text: str, *, changing: bool = False, last: bool = True) -> None:
@@ -211,10 +225,16 @@ def filled(template: str, **values: object) -> str:
 
 
 def write(name: str, options: Options, **values: object) -> Path:
-    """Fill the template of a page, write the page, and say where it is; one of a short form says that it is no result."""
+    """Fill the template of a page, write the page and what it was made by, and say where it is.
+
+    The page of a short form says that it is no result.
+    """
     text = filled(name, **values)
     if options.quick:
         text = "*The short form of an experiment: everything ran, but these figures are no results.*\n\n" + text
+    runs = f" --runs {options.runs}" if options.runs else ""
+    command = f"python -m experiments {options.name or name}{runs}"
+    text += made.record(options.folder, name, command, made.loaded() | _LOADED)
     path = options.folder / f"{name}.md"
     path.write_text(text, encoding="utf-8")
     _say(f"{path} is written")
