@@ -36,8 +36,8 @@ OWN = (2.0, 1.0)
 HOLDS = (0.0, 0.5, 1.0)
 # The detector: deviation in metres, detection probability, false alarms a frame, margin around where people walk.
 NOISE, DETECTION, CLUTTER, MARGIN = 0.2, 0.9, 0.5, 1.0
-# Of the PMB filter's births, a second around each detection; parts of a sequence that are laid over each other for a crowd.
-BIRTHS, CROWD = 0.02, 3
+# Parts of a sequence that are laid over each other for a crowd.
+CROWD = 3
 # States farther than this from all true positions are false, metres.
 WITHIN = 1.0
 
@@ -236,7 +236,7 @@ def _lives(
 
 def tracked(where: WalkedScene, seed: int) -> list[Walkers]:
     """The people of corrected tracks of the PMB filter, in every frame."""
-    settings = config.overlay(settings_of(where), {"birth": {"births_per_detection": BIRTHS}})
+    settings = settings_of(where)
     stages = config.build(settings, SequenceInfo(0, 0, 1 / INTERVAL, len(where.number), ""), "pmb")
     drawn, rng = np.random.default_rng([seed, 1]), np.random.default_rng(seed)
     state = pipeline.start(stages, rng)
@@ -395,7 +395,6 @@ def figures(outcomes: dict[GroupRun, GroupOutcome], seeds: int) -> dict[str, obj
                 for kind, when in found[0].pairs
             ],
         ),
-        "births": BIRTHS,
         "crowd": CROWD,
         "lives": table(
             ("sequence", "people", "hold, s", "F1", "precision", "recall", "identity switches"),
