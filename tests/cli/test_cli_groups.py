@@ -13,6 +13,7 @@ from cli_runner import phdtrack, refused
 
 from phdtrack.cli import run_directory as rundir
 from phdtrack.formats import read_tracks
+from phdtrack.scene import LearnedDensity, Scene, SceneDensity, write_scene
 from phdtrack.types import Detections, Step
 from phdtrack.video import VideoWriter, open_source
 
@@ -160,7 +161,7 @@ def test_members_of_an_intensity_are_the_online_identities_with_any_delay(street
         assert members <= known
         assert len(members) > 0.9 * len(known)
         told = {int(row["frame"]) for row in table(out / rundir.GROUPS)}
-        assert told >= set(range(3, FRAMES + 1))
+        assert told >= set(range(4, FRAMES + 1))
 
 
 def obsmat(path: Path) -> Path:
@@ -172,6 +173,23 @@ def obsmat(path: Path) -> Path:
             rows.append(f"{780 + 6 * k} {who} {x} 0 {y} {vx} 0 0")
     path.write_text("\n".join(rows) + "\n")
     return path
+
+
+def test_a_learned_scene_is_used(street: Path, tmp_path: Path) -> None:
+    """False alarms that were learned where people walk, ten thousand a frame: hardly anybody is found."""
+    low, high = np.zeros(4), np.array([320.0, 240, 320, 240])
+    mean = np.array([[140.0], [126], [6], [18]])
+    density = SceneDensity(low, high, 1e-3, np.ones(1), mean, np.diag([60.0, 10, 2, 4])[None] ** 2)
+    path = tmp_path / "there.json"
+    write_scene(path, Scene(320, 240, 25.0, "street", clutter=LearnedDensity(1e4, density, 500)))
+    given = ("groups", street / "street.mp4", "--detections", street / "det.txt", "--camera", street / "camera.toml")
+    for name, more in (("with", ("--scene", path)), ("without", ())):
+        phdtrack(*given, "--no-video", *more, "--out", tmp_path / name)
+    found = {name: read_tracks(tmp_path / name / rundir.TRACKS) for name in ("with", "without")}
+    assert len(np.unique(found["without"].identity)) == 3
+    assert len(found["with"]) < len(found["without"]) - 20
+    said = refused("groups", "--positions", tmp_path / "obsmat.txt", "--scene", path, "--fps", 10)
+    assert "--scene" in said
 
 
 def test_known_positions(tmp_path: Path) -> None:

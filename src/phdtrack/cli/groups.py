@@ -25,7 +25,7 @@ from phdtrack.cli.observers import Draw, Report, RunObserver
 from phdtrack.cli.options import SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, progress
 from phdtrack.cli.run_directory import RunDirectory
-from phdtrack.cli.settings import chosen
+from phdtrack.cli.settings import chosen, scene_settings
 from phdtrack.cli.track import about, finish, finish_document, places, prepare
 from phdtrack.config import Settings, build_groups, ground_model
 from phdtrack.devices import Camera
@@ -69,6 +69,7 @@ def groups(
     options: TrackingOptions,
     output: Output,
     camera: Annotated[Path | None, option("FILE", "From pixels to the ground: Tsai XML, OpenCV, homography, TOML.")] = None,
+    scene: given.SceneFile = None,
     positions: Annotated[Path | None, option("FILE", "Known people (obsmat.txt): only groups are estimated.")] = None,
     edges: Annotated[Path | None, option("FILE", "Lines to draw on the plan, as road edges: x y in metres a line.")] = None,
     out: given.Out = None,
@@ -82,6 +83,7 @@ def groups(
     """
     rundir.check(out, overwrite)
     if positions is None:
+        options = replace(options, sets=[*scene_settings(scene), *(options.sets or ())])
         settings = _ground_settings(options, camera)
         job, delay = prepare(source, options, settings, video=video), settings.build("associate").output_delay
         stages, info, reach = job.stages, job.inputs.info, settings.build("camera").max_distance
@@ -93,7 +95,8 @@ def groups(
         finish(output, replace(job, observers=(*job.observers, observer)), rundir.claim(out, overwrite, name=info.name))
         return
     useless = {f"--{name.replace('_', '-')}": used for name, used in asdict(replace(source, source="", fps=0.0)).items()}
-    useless |= {"SOURCE": source.source, "--camera": camera, "--filter": options.filter_name, "--truth": options.truth}
+    useless |= {"SOURCE": source.source, "--camera": camera, "--scene": scene, "--truth": options.truth}
+    useless["--filter"] = options.filter_name
     useless["--threads"] = options.threads is not None
     refuse(useless, "the positions are known, so there is nothing that this could change", "--positions")
     lines, known = _read_edges(edges), read_positions(positions)

@@ -28,14 +28,14 @@ FrameSize = Annotated[str, option("WxH", "Size of the frames in pixels, as 1920x
 Fps = Annotated[float, option("F", "Frames per second; 0: what the video or seqinfo.ini says.", min=0.0)]
 Detector = Annotated[str, option("NAME", "change (default), mean-background, mog2, knn, face or person.")]
 Source = Annotated[str, typer.Argument(metavar="SOURCE", help="Video, folder or pattern of images, or camera number.")]
-_FILTERS = "pmb (default), gm-phd, particle-phd, gm-cphd, particle-cphd, mht, mcmc, or none."
+_FILTERS = "pmb (default), gm-phd, particle-phd, gm-cphd, particle-cphd, mht, pmbm, mcmc, or none."
 Filter = Annotated[str, option("NAME", _FILTERS, "--filter")]
 SceneFile = Annotated[Path | None, option("FILE", "What `phdtrack learn` has learned of this scene.")]
 TruthFile = Annotated[Path | None, option("FILE", "Annotated objects to score against.")]
 Labels = Annotated[Path | None, option("FILE", "What was marked with `phdtrack label`; default: next to the video.")]
 Config = Annotated[Path | None, option("FILE", "Settings in a TOML file; an unknown name is an error.")]
 Sets = Annotated[list[str] | None, option("NAME=VALUE", "One setting, as sensor.box_noise=0.1; repeatable.", "--set")]
-Preset = Annotated[str, option("NAME", "Settings to start from: default, mot15, m07, m09, fv, m09-mht, e13, d14.")]
+Preset = Annotated[str, option("NAME", "Settings to start from: default, mot15, m07, m07-extended, m09, m09-mht, e13, …")]
 DetectionsFile = Annotated[Path | None, option("FILE", "File of detections, used instead of a detector.")]
 Classes = Annotated[str, option("NAME,...", "Classes of the detections to track; default: all, each on its own.")]
 Out = Annotated[Path | None, option("DIR", "Directory to write into; default: runs/ and the source's name.")]
