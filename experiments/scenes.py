@@ -86,9 +86,9 @@ class SceneResults:
         return {one.rates: self.runs_[one].scores for one in swept if one.rates is not None}
 
     def groups(self) -> dict[str, tuple[str, ...]]:
-        """The scenes one by one, then the rendered ones together, PETS09-S2L1, and those that nothing was chosen on."""
+        """The scenes one by one, then the rendered ones together, PETS09-S2L1, and the other three."""
         single: dict[str, tuple[str, ...]] = {name: (name,) for name in self.scenes}
-        both = {"all rendered": RENDERED, "all PETS09-S2L1": REAL, "all held out": HELD_OUT}
+        both = {"all rendered": RENDERED, "all PETS09-S2L1": REAL, "the other three": HELD_OUT}
         return single | {name: some for name, some in both.items() if set(some) <= set(self.scenes)}
 
 

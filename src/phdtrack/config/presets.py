@@ -34,6 +34,7 @@ def _as_given(value: Any) -> Any:
 
 _FILE = read_toml(Path(__file__).with_name("presets.toml"))
 _ON_THE_GROUND: Table = _FILE.pop("on-the-ground")
+_DEFAULT_ON_THE_GROUND: Table = _FILE.pop("default-on-the-ground")
 _WITH: Mapping[str, Table] = _complete(_FILE.pop("default-with"))
 PRESETS: Mapping[str, Table] = _complete(_FILE)
 
@@ -71,6 +72,8 @@ def values_of(preset: str, motion: str = "", filter_name: str = "") -> dict[str,
         for section, kinds in FITTING["filter", filter_name].items():
             table[section] = table.get(section, {}) | {"kind": kinds[0]}
     more = [_ON_THE_GROUND] if motion == "plane" else []
+    if (preset, motion, filter_name) == ("default", "plane", "pmb"):
+        more.append(_DEFAULT_ON_THE_GROUND)
     if filter_name == "none":
         # A raw detection has no known velocity, so that the links of true tracks gain less than those of filtered states.
         more.append({"associate": {"min_link_gain": 0.6}})

@@ -220,7 +220,7 @@ class PlaneBirth(_AroundDetections):
     """
 
     births_per_second: NonNegative = 0.0
-    births_per_detection: NonNegative = 0.02
+    births_per_detection: NonNegative = 0.25
     particles: PositiveCount = 500
     borders: Region = EVERYWHERE
 

@@ -72,7 +72,7 @@ class PlaneClutter:
     borders : left, low, right and high border of the region in metres, needed for false alarms anywhere in it.
     """
 
-    clutter_per_detection: NonNegative = 0.6
+    clutter_per_detection: NonNegative = 0.3
     clutter_per_frame: NonNegative = 0.0
     density: NonNegative = 0.0
     borders: Region = EVERYWHERE
