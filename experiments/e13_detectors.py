@@ -55,9 +55,9 @@ def detections(kind: str) -> DetectionTable:
     return detections_in(open_source(Path(need_data(), "mot15", SEQUENCE, f"{SEQUENCE}.mp4")), kind)
 
 
-def work(job: tuple[str, str]) -> Crowd:
-    """A filter by its name over the sequence with a detector, scored on the ground."""
-    (kind, sets), table_ = FILTERS[job[0]], detections(job[1])
+def work(job: tuple[str, DetectionTable]) -> Crowd:
+    """A filter by its name over the sequence with these detections, scored on the ground."""
+    (kind, sets), table_ = FILTERS[job[0]], job[1]
     case, file = mot15(SEQUENCE, "public"), need_data() / "pets2009" / "View_001.xml"
     camera = CountedFrom(read_camera(file), 1)
     place = camera.ground(np.stack([case.truth.xyxy[:, [0, 2]].mean(axis=1), case.truth.xyxy[:, 3]]))
@@ -81,9 +81,12 @@ def work(job: tuple[str, str]) -> Crowd:
 
 def section(options: Options) -> str:
     """Measure; the section of the page."""
-    jobs = [(name, kind) for kind in DETECTORS[: 1 if options.quick else None] for name in FILTERS]
+    kinds = DETECTORS[: 1 if options.quick else None]
+    tables = dict(zip(kinds, in_parallel(detections, kinds, "e13, detecting", options), strict=True))
+    each = [(name, kind) for kind in kinds for name in FILTERS]
+    found = in_parallel(work, [(name, tables[kind]) for name, kind in each], "e13, real detectors", options)
     rows = []
-    for (name, kind), one in zip(jobs, in_parallel(work, jobs, "e13, real detectors", options), strict=True):
+    for (name, kind), one in zip(each, found, strict=True):
         if name == next(iter(FILTERS)):
             rows.append((kind, "raw detections", *_cells(one.raw - one.people), "", f"{one.raw_ospa.mean():.2f}"))
         off = f"{np.abs(one.states - one.people).mean():.2f}"
