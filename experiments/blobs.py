@@ -56,7 +56,7 @@ def case_of(which: BlobCase) -> Case:
 def work(job: tuple[BlobCase, Case, str, Sets]) -> BlobScores:
     """Track a case with a filter and settings."""
     which, case, filter_name, sets = job
-    run = followed(built(case.info, filter_name, sets), case, 1)
+    run = followed(built(case.info, filter_name, sets, "mot15" if filter_name == "pmb" else ""), case, 1)
     online = run.online.take(run.online.confirmed)
     scores = [evaluate(case.truth, tracks, frames=case.info.frames) for tracks in (run.corrected, online)]
     leave = (leaving(case, run.corrected), leaving(case, online)) if which.kind == "meeting" else None

@@ -73,6 +73,8 @@ def work(job: VideoRun) -> dict[str, object]:
     if video.detector in BACKGROUND and filter_name != "none":
         # As `phdtrack track` does with such a detector; of a file it does not know what made it.
         given = (*given, "--set", "merged_measurements.kind=explained")
+    if filter_name == "pmb":
+        given = (*given, "--preset", "mot15")
     text = _phdtrack("track", str(data / video.source), *given, "--out", str(found / filter_name), "--overwrite", "--json")
     document: dict[str, object] = json.loads(text)
     return document

@@ -13,6 +13,8 @@ from cli_runner import phdtrack, walkers
 
 from phdtrack import __version__
 from phdtrack.cli.app import COMMANDS, guarded
+from phdtrack.cli.options import TrackingOptions
+from phdtrack.cli.settings import chosen
 from phdtrack.errors import InputError
 
 
@@ -128,3 +130,19 @@ def test_tracking_detections_loads_what_it_needs(tmp_path: Path) -> None:
     done = modules(program, "track", "--detections", table, "--out", tmp_path / "run", "--json")
     assert {"phdtrack.filters", "phdtrack.report.pages"} <= set(done)
     assert {"phdtrack.metrics", *(NEVER - {"PIL"})}.isdisjoint(done)
+
+
+@pytest.mark.parametrize(
+    ("options", "detector", "preset"),
+    [
+        (TrackingOptions(), True, "mot15"),
+        (TrackingOptions(), False, "default"),
+        (TrackingOptions(preset="default"), True, "default"),
+        (TrackingOptions(filter_name="gm-phd"), True, "default"),
+        (TrackingOptions(sets=["filter.kind=mht"]), True, "default"),
+        (TrackingOptions(sets=["motion.kind=plane"]), True, "default"),
+        (TrackingOptions(sets=["sensor.box_noise=0.2"]), True, "mot15"),
+    ],
+)
+def test_own_detectors_have_the_preset_for_noisy_boxes(options: TrackingOptions, detector: bool, preset: str) -> None:
+    assert chosen(options, detector=detector).preset == preset

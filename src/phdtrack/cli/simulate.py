@@ -96,7 +96,7 @@ def demo(
     outcomes = {}
     for (title, place), filter_name in zip(places.items(), ("pmb", "none"), strict=True):
         options = TrackingOptions(filter_name, seed=seed, truth=truth)
-        job = prepare(SourceOptions(str(movie)), options, chosen(options), video=True)
+        job = prepare(SourceOptions(str(movie)), options, chosen(options, detector=True), video=True)
         with announced(output):
             outcome = outcomes[title] = run(job, place)
         output.warn(outcome.warnings)

@@ -83,7 +83,8 @@ def track(
     run.json. A video that is cut short is tracked as far as it goes, with a warning. Ctrl-C finishes what was done so far.
     """
     rundir.check(out, overwrite)
-    settings = chosen(options, scene_settings(scene, camera_motion, learn_online=learn_online))
+    first = scene_settings(scene, camera_motion, learn_online=learn_online)
+    settings = chosen(options, first, detector=source.detections is None)
     job = prepare(source, options, settings, video=video)
     finish(output, job, rundir.claim(out, overwrite, name=job.inputs.info.name))
 
