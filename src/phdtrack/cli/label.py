@@ -24,9 +24,9 @@ import typer
 from phdtrack import __version__
 from phdtrack.cli import options as given
 from phdtrack.cli.inputs import NO_PICTURE, Inputs, ahead, comes_again, open_inputs, write_detected
-from phdtrack.cli.options import DEFAULT_DETECTOR, SourceOptions, option
+from phdtrack.cli.options import DEFAULT_DETECTOR, SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, counted, progress
-from phdtrack.cli.settings import usual_preset
+from phdtrack.cli.settings import chosen
 from phdtrack.config import Settings, build, load
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections
@@ -202,10 +202,7 @@ def learn(
     target = out or file.with_name(file.name.removesuffix(".labels.sqlite") + ".scene.json")
     if target.exists() and not overwrite:
         raise InputError("this file is there already", where=target, cure="Say --overwrite, or choose another --out")
-    settings = load(config, sets or (), preset)
-    if source.detections is None and config is None:
-        # As `phdtrack track` does.
-        settings = load(None, sets or (), usual_preset(settings, preset))
+    settings = chosen(TrackingOptions(preset=preset, config=config, sets=sets), detector=source.detections is None)
     found = to_label(source, settings.values("detector"), file, output)
     stretch = range(first, min(last or found.info.frames, found.info.frames) + 1)
     if not stretch:
