@@ -52,7 +52,7 @@ def usual_preset(settings: Settings, preset: str) -> str:
     """The preset for the boxes of this package's own detectors: ``preset`` where one was named, else ``mot15``.
 
     It was chosen on boxes as noisy as theirs, and without scores. On seven pairs of video and detector it is ahead of the
-    default in MOTA on five and in IDF1 on six (docs/results/videos.md). Other filters, and the ground, have no values in it and keep theirs.
+    default in MOTA on five and in IDF1 on six (docs/results/videos.md). Other filters, and the ground, keep their own.
     """
     usual = settings.kind("filter") == "pmb" and settings.kind("motion") == "box"
     return preset or ("mot15" if usual else "")
