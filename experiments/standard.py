@@ -92,5 +92,7 @@ def section(options: Options) -> str:
     number = {case: options.number(RUNS if case == EASY else SIDE, FEW) for case in CASES}
     found = compared(run, number, tuple(FILTERS), "linear", options)
     targets = np.array([truth.shape[1] for truth in realisation(EASY, 0).truth])
-    curves({name: found[EASY, name] for name in FILTERS}, targets, options.folder / "vo-linear-ospa.png")
+    # Variants would be on top of the filters that they are of.
+    drawn = {name: found[EASY, name] for name in FILTERS if "," not in name}
+    curves(drawn, targets, options.folder / "vo-linear-ospa.png")
     return filled("standard", particles=PER_TARGET, agility=AGILITY, **tables(found, ELSEWHERE))
