@@ -1,0 +1,281 @@
+"""What happens in front of a camera, as events: who appears and leaves, crosses a line, enters and leaves a zone.
+
+`Watch.advance` is a pure function of the state and a frame's online rows. Only confirmed rows count. Between two sightings
+of a track its anchor is taken to have moved straight: who is lost before a line and found behind it has crossed it.
+
+A track that trembles on a border counts once: a line is crossed when the anchor is clear of it by the hysteresis on the
+other side, and a zone is left when it is outside by that much. The hysteresis is a share of the box's height.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+from phdtrack.errors import Checked, NonNegative, Positive
+from phdtrack.groups.life_cycle import Event as GroupEvent
+from phdtrack.live.zones import Place, Point
+from phdtrack.types import Tracks
+
+Kind = Literal["appear", "leave", "cross", "enter", "exit", "dwell", "group"]
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened.
+
+    Attributes
+    ----------
+    kind : ``appear``, ``leave``; ``cross`` of a line; ``enter``, ``exit``, ``dwell`` of a zone; ``group``.
+    number, time, index : the frame in which it became certain, its seconds, and which of the frame's events it is, from 0.
+    identity, class_id : of the track; of a group its identity and 0.
+    place : name of the line or zone, or what happened to the group.
+    direction : of a crossing: ``in`` from the line's left to its right, ``out`` back.
+    x, y : the anchor in pixels, where the track was last seen.
+    seconds : that the track was seen (leave) or was in the zone (exit, dwell).
+    occupancy : of the zone, after it.
+    other : the group that a group merged into, or was split from.
+    """
+
+    kind: Kind
+    number: int
+    time: float
+    index: int = 0
+    identity: int = 0
+    class_id: int = 0
+    place: str = ""
+    direction: str = ""
+    x: float = math.nan
+    y: float = math.nan
+    seconds: float = math.nan
+    occupancy: int = -1
+    other: int = 0
+
+    @classmethod
+    def of_group(cls, event: GroupEvent, index: int = 0) -> Event:
+        """What happened to a group, as `groups` reports it."""
+        return cls("group", event.frame, event.time, index, event.group, place=event.kind, other=event.other)
+
+    def as_dict(self, source: str, wall: str, names: Mapping[int, str]) -> dict[str, object]:
+        """For JSON, without what does not apply.
+
+        Parameters
+        ----------
+        source : name of the camera; ``id`` is made of it, of the frame and the index, the same again after a restart.
+        wall : ISO time of the frame.
+        names : of the classes.
+        """
+        found: dict[str, object] = {
+            "id": f"{source}-{self.number}-{self.index}",
+            "time": wall,
+            "source": source,
+            "kind": self.kind,
+            "frame": self.number,
+            "identity": self.identity,
+            "class": names.get(self.class_id, self.class_id) if self.class_id or names else None,
+            "place": self.place or None,
+            "direction": self.direction or None,
+            "x": _rounded(self.x),
+            "y": _rounded(self.y),
+            "seconds": _rounded(self.seconds),
+            "occupancy": self.occupancy if self.occupancy >= 0 else None,
+            "other": self.other or None,
+        }
+        return {key: value for key, value in found.items() if value is not None}
+
+
+@dataclass(frozen=True, slots=True)
+class Count:
+    """Of a line, how many crossed it each way; of a zone, how many came and went, and the seconds of all ended stays."""
+
+    entered: int = 0
+    left: int = 0
+    seconds: float = 0.0
+
+    @property
+    def occupancy(self) -> int:
+        """How many are in the zone."""
+        return self.entered - self.left
+
+
+@dataclass(frozen=True, slots=True)
+class Visitor:
+    """A track that has not left.
+
+    Attributes
+    ----------
+    identity : of the track.
+    first, last : seconds at which it was first and last seen.
+    class_id : its class when last seen.
+    feet, centre : its anchors then.
+    net : for each place its crossings of the line since it was last clear of it, from left to right less the others.
+    since : for each place the time at which it entered the zone; NaN outside, and for lines.
+    dwelled : for each place whether ``dwell`` was said of this stay.
+    """
+
+    identity: int
+    first: float
+    last: float
+    class_id: int
+    feet: Point
+    centre: Point
+    net: tuple[int, ...]
+    since: tuple[float, ...]
+    dwelled: tuple[bool, ...]
+
+    def anchor(self, place: Place) -> Point:
+        """The part that counts for a place."""
+        return self.feet if place.anchor == "feet" else self.centre
+
+
+@dataclass(frozen=True, slots=True)
+class WatchState:
+    """Who is there, by identity, and what was counted, for each place."""
+
+    visitors: dict[int, Visitor] = field(default_factory=dict)
+    counts: tuple[Count, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Watch(Checked):
+    """Settings of what is watched.
+
+    Parameters
+    ----------
+    places : lines and zones.
+    names : of the classes that places ask for.
+    hysteresis : how far an anchor must be from a border before it has crossed it, as a share of the box's height.
+    dwell : seconds in a zone after which ``dwell`` is said.
+    leave_after : seconds without a sighting after which a track has left; should it come back, it appears anew.
+    """
+
+    places: tuple[Place, ...] = ()
+    names: Mapping[int, str] = field(default_factory=dict)
+    hysteresis: NonNegative = 0.1
+    dwell: Positive = 60.0
+    leave_after: Positive = 3.0
+
+    def start(self) -> WatchState:
+        """Nobody there, nothing counted."""
+        return WatchState({}, tuple(Count() for _ in self.places))
+
+    def carried(self, state: WatchState, before: Watch) -> WatchState:
+        """The state of other settings, for these: places of the same name and points go on as they were."""
+        at = {(place.name, place.points, place.closed): k for k, place in enumerate(before.places)}
+        source = [at.get((place.name, place.points, place.closed), -1) for place in self.places]
+        counts = tuple(state.counts[k] if k >= 0 else Count() for k in source)
+        visitors = {
+            name: replace(
+                one,
+                net=tuple(one.net[k] if k >= 0 else 0 for k in source),
+                since=tuple(one.since[k] if k >= 0 else math.nan for k in source),
+                dwelled=tuple(k >= 0 and one.dwelled[k] for k in source),
+            )
+            for name, one in state.visitors.items()
+        }
+        return WatchState(visitors, counts)
+
+    def advance(self, state: WatchState, rows: Tracks, number: int, time: float) -> tuple[WatchState, tuple[Event, ...]]:
+        """Take in the rows of a frame, also an empty one.
+
+        Parameters
+        ----------
+        state : after the frame before.
+        rows : online rows of one frame.
+        number, time : of the frame, from 1, and in seconds; both grow.
+
+        Returns
+        -------
+        The new state, and the events in the order of identities: first of those who are there, then of those who have left.
+        """
+        visitors, frame = dict(state.visitors), _Frame(number, time, list(state.counts))
+        order = [k for k in rows.identity.argsort(kind="stable").tolist() if rows.confirmed[k]]
+        for k in order:
+            identity, label = int(rows.identity[k]), int(rows.class_id[k])
+            left, top, right, bottom = rows.xyxy[k].tolist()
+            feet, centre = ((left + right) / 2, bottom), ((left + right) / 2, (top + bottom) / 2)
+            before = visitors.get(identity)
+            if before is None:
+                outside = (0,) * len(self.places), (math.nan,) * len(self.places), (False,) * len(self.places)
+                before = Visitor(identity, time, time, label, feet, centre, *outside)
+                frame.add("appear", before)
+            now = replace(before, last=time, class_id=label, feet=feet, centre=centre)
+            visitors[identity] = self._moved(frame, before, now, self.hysteresis * (bottom - top))
+        for identity in sorted(visitors):
+            if time - visitors[identity].last > self.leave_after:
+                gone = visitors.pop(identity)
+                # Who has left has left all zones, too. A stay ends when the track was last seen.
+                for k, place in enumerate(self.places):
+                    if not math.isnan(gone.since[k]):
+                        frame.exit(k, place, gone, gone.last - gone.since[k])
+                frame.add("leave", gone, seconds=gone.last - gone.first)
+        return WatchState(visitors, tuple(frame.counts)), tuple(frame.events)
+
+    def _moved(self, frame: _Frame, before: Visitor, now: Visitor, margin: float) -> Visitor:
+        """The visitor after a move, with what that means for each place."""
+        net, since, dwelled = list(now.net), list(now.since), list(now.dwelled)
+        for k, place in enumerate(self.places):
+            inside = not math.isnan(since[k])
+            if not inside and not self._counts(place, now.class_id):
+                continue
+            depth = place.distance(now.anchor(place))
+            if not place.closed:
+                net[k] += place.crossings(before.anchor(place), now.anchor(place))
+                if depth >= margin:
+                    if net[k]:
+                        frame.cross(k, place, now, inward=net[k] > 0)
+                    net[k] = 0
+            elif not inside and depth >= 0:
+                since[k], dwelled[k] = now.last, False
+                frame.count(k, entered=1)
+                frame.add("enter", now, place, occupancy=frame.counts[k].occupancy)
+            elif inside and depth < 0 and -depth >= margin:
+                frame.exit(k, place, now, now.last - since[k])
+                since[k] = math.nan
+            elif inside and not dwelled[k] and now.last - since[k] >= self.dwell:
+                dwelled[k] = True
+                frame.add("dwell", now, place, seconds=now.last - since[k], occupancy=frame.counts[k].occupancy)
+        return replace(now, net=tuple(net), since=tuple(since), dwelled=tuple(dwelled))
+
+    def _counts(self, place: Place, label: int) -> bool:
+        """Whether the place asks for the class."""
+        return not place.classes or self.names.get(label, str(label)) in place.classes
+
+
+@dataclass(slots=True)
+class _Frame:
+    """What a frame adds to the counts, and its events."""
+
+    number: int
+    time: float
+    counts: list[Count]
+    events: list[Event] = field(default_factory=list)
+
+    def add(self, kind: Kind, who: Visitor, place: Place | None = None, **more: Any) -> None:
+        """An event of somebody, at a place."""
+        x, y = who.feet if place is None else who.anchor(place)
+        known = {"identity": who.identity, "class_id": who.class_id, "x": x, "y": y} | more
+        name = "" if place is None else place.name
+        self.events.append(Event(kind, self.number, self.time, len(self.events), place=name, **known))
+
+    def count(self, k: int, entered: int = 0, left: int = 0, seconds: float = 0.0) -> None:
+        """Add to the counts of the place at ``k``."""
+        count = self.counts[k]
+        self.counts[k] = Count(count.entered + entered, count.left + left, count.seconds + seconds)
+
+    def cross(self, k: int, place: Place, who: Visitor, *, inward: bool) -> None:
+        """Somebody crossed a line."""
+        self.count(k, entered=int(inward), left=int(not inward))
+        self.add("cross", who, place, direction="in" if inward else "out")
+
+    def exit(self, k: int, place: Place, who: Visitor, stay: float) -> None:
+        """Somebody left a zone after so many seconds."""
+        self.count(k, left=1, seconds=stay)
+        self.add("exit", who, place, seconds=stay, occupancy=self.counts[k].occupancy)
+
+
+def _rounded(value: float) -> float | None:
+    """Two decimals; None for NaN."""
+    return None if math.isnan(value) else round(value, 2)

@@ -1,0 +1,194 @@
+"""Lines and zones in the picture: who crossed which way, and who is inside.
+
+A file of places is TOML, in pixels of the video:
+
+    [[line]]
+    name = "door"
+    points = [[100, 400], [300, 400]]
+
+    [[zone]]
+    name = "shop window"
+    points = [[400, 300], [600, 300], [600, 450], [400, 450]]
+    anchor = "centre"
+    classes = ["person"]
+
+``anchor`` is the part of a box that counts: the middle of its lower edge (``feet``, the default) or its ``centre``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations, pairwise
+from pathlib import Path
+from typing import Any, Literal
+
+from phdtrack.errors import InputError, did_you_mean
+from phdtrack.files import read_toml
+
+Point = tuple[float, float]
+Anchor = Literal["feet", "centre"]
+ANCHORS: tuple[Anchor, ...] = ("feet", "centre")
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A line or a zone.
+
+    Attributes
+    ----------
+    name : of its own among all places.
+    points : corners in pixels; of a line from its beginning to its end, at least two, of a zone around it, at least three.
+    closed : it is a zone.
+    anchor : the part of a box that counts.
+    classes : names of the classes that count; empty for all.
+
+    Raises
+    ------
+    InputError : too few points, points that are no numbers, or a zone whose border crosses itself.
+    """
+
+    name: str
+    points: tuple[Point, ...]
+    closed: bool
+    anchor: Anchor = "feet"
+    classes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        what, least = ("zone", 3) if self.closed else ("line", 2)
+        where = f"{what} {self.name!r}"
+        if not all(math.isfinite(x) and math.isfinite(y) for x, y in self.points):
+            raise InputError("expected points of finite numbers", where=where)
+        if len(self.points) < least:
+            raise InputError(f"expected at least {least} points, got {len(self.points)}", where=where)
+        if any(a == b for a, b in self.edges):
+            raise InputError("two points that follow each other are the same", where=where, cure="Leave one out.")
+        if self.closed and _self_crossing(self.edges):
+            raise InputError("the border crosses itself", where=where, cure="Name the corners in their order around it.")
+
+    @property
+    def edges(self) -> list[tuple[Point, Point]]:
+        """Its pieces, of a zone the last one back to the first corner."""
+        return list(pairwise((*self.points, self.points[0]) if self.closed else self.points))
+
+    def distance(self, point: Point) -> float:
+        """Pixels from a point to the line, or to the border of the zone; negative outside of a zone.
+
+        A point on the border has distance 0.
+        """
+        nearest = min(_distance(point, a, b) for a, b in self.edges)
+        return nearest if not self.closed or self._holds(point) else -nearest
+
+    def crossings(self, start: Point, end: Point) -> int:
+        """How often the straight move crosses the line from its left to its right, less how often the other way.
+
+        Left and right are those of somebody in the picture who looks from the line's beginning to its end.
+        """
+        return sum(_crossing(a, b, start, end) for a, b in self.edges)
+
+    def _holds(self, point: Point) -> bool:
+        """Whether the point is inside, by the even–odd rule."""
+        x, y = point
+        inside = False
+        for (ax, ay), (bx, by) in self.edges:
+            if (ay > y) != (by > y) and x < ax + (y - ay) * (bx - ax) / (by - ay):
+                inside = not inside
+        return inside
+
+
+def read_places(path: Path) -> tuple[Place, ...]:
+    """The lines and zones of a TOML file. Raises `InputError` where it is none, or a place cannot be used."""
+    return places_of(read_toml(path), str(path))
+
+
+def places_of(tables: dict[str, Any], where: str) -> tuple[Place, ...]:
+    """The lines, then the zones, of the tables ``line`` and ``zone``; ``where`` names the file. Raises `InputError`."""
+    for name in tables:
+        if name not in ("line", "zone"):
+            raise InputError(f"there is no table {name!r}", where=where, cure=did_you_mean(name, ("line", "zone")))
+    found = [
+        _place(kind, k, table, where) for kind in ("line", "zone") for k, table in enumerate(_list(tables, kind, where), 1)
+    ]
+    for first, second in combinations(found, 2):
+        if first.name == second.name:
+            raise InputError(f"two places are called {first.name!r}", where=where, cure="Give each a name of its own.")
+    return tuple(found)
+
+
+def _list(tables: dict[str, Any], kind: str, where: str) -> list[Any]:
+    given = tables.get(kind, [])
+    if not isinstance(given, list):
+        raise InputError(f"expected [[{kind}]], got one [{kind}]", where=where, cure="Write two brackets.")
+    return given
+
+
+def _place(kind: str, number: int, table: Any, where: str) -> Place:
+    """The place of a table."""
+    at = f"{where}, [[{kind}]] number {number}"
+    known = ("name", "points", "anchor", "classes")
+    if not isinstance(table, dict):
+        raise InputError("expected a table", where=at)
+    for key in table:
+        if key not in known:
+            raise InputError(f"there is no {key!r}", where=at, cure=did_you_mean(key, known))
+    name, anchor, classes = table.get("name", f"{kind} {number}"), table.get("anchor", "feet"), table.get("classes", [])
+    if not isinstance(name, str) or not name:
+        raise InputError(f"expected a name in quotes, got {name!r}", where=at)
+    if anchor not in ANCHORS:
+        raise InputError(f"expected anchor feet or centre, got {anchor!r}", where=at)
+    if not isinstance(classes, list) or not all(isinstance(one, str) for one in classes):
+        raise InputError(f"expected classes as a list of names, got {classes!r}", where=at)
+    points = table.get("points")
+    pairs = isinstance(points, list) and all(isinstance(p, list) and len(p) == 2 and all(map(_number, p)) for p in points)
+    if not isinstance(points, list) or not pairs:
+        raise InputError("expected points = [[x, y], [x, y], …] in pixels", where=at)
+    try:
+        return Place(name, tuple((float(x), float(y)) for x, y in points), kind == "zone", anchor, tuple(classes))
+    except InputError as error:
+        raise InputError(error.problem, where=at, cure=error.cure) from None
+
+
+def _number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _right(a: Point, b: Point, point: Point, shift: int = 1) -> bool:
+    """Whether the point is to the right of the way from a to b, in a picture whose y points down.
+
+    A point on it is taken to be shifted by (ε, ε²), or against it with ``shift`` −1, for an ε as small as one likes.
+    """
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    side = dx * (point[1] - a[1]) - dy * (point[0] - a[0])
+    return side > 0 if side else shift * (-dy or dx) > 0
+
+
+def _crossing(a: Point, b: Point, start: Point, end: Point) -> int:
+    """1 where the move crosses the piece from a to b from left to right, −1 the other way, 0 where it does not.
+
+    Moves are taken to be shifted by as little as one likes, so that no end of one lies on a line, and none goes through a
+    corner: crossings are counted once, and a way and the way back cancel.
+    """
+    before, after = _right(a, b, start), _right(a, b, end)
+    if before == after or _right(start, end, a, -1) == _right(start, end, b, -1):
+        return 0
+    return 1 if after else -1
+
+
+def _distance(point: Point, a: Point, b: Point) -> float:
+    """From a point to the piece from a to b."""
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    along = ((point[0] - a[0]) * dx + (point[1] - a[1]) * dy) / (dx * dx + dy * dy)
+    along = min(1.0, max(0.0, along))
+    return math.hypot(point[0] - a[0] - along * dx, point[1] - a[1] - along * dy)
+
+
+def _self_crossing(edges: Sequence[tuple[Point, Point]]) -> bool:
+    """Whether two pieces of a closed border that are not neighbours cross or touch."""
+    last = len(edges) - 1
+    for (i, (a, b)), (j, (c, d)) in combinations(enumerate(edges), 2):
+        if j - i in (1, last):
+            continue
+        if _crossing(a, b, c, d) or min(_distance(c, a, b), _distance(d, a, b), _distance(a, c, d), _distance(b, c, d)) == 0:
+            return True
+    return False
