@@ -1,0 +1,153 @@
+"""Sends events on: to a webhook, and by MQTT. What could not be sent is sent later, in its order, also after a restart.
+
+A receiver may get an event twice, when its answer is lost: ``id`` is the same then (also in the header Idempotency-Key).
+"""
+
+from __future__ import annotations
+
+import http.client
+import ipaddress
+import json
+import socket
+import ssl
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import urlsplit
+
+from phdtrack.errors import InputError
+from phdtrack.live.outputs import EventLog
+
+TIMEOUT, FIRST_PAUSE, LONGEST_PAUSE = 10.0, 1.0, 300.0
+Send = Callable[[str, str], None]
+"""Sends an event, by its identifier and its JSON. Raises `OSError` where it did not arrive."""
+
+
+@dataclass(frozen=True, slots=True)
+class Webhook:
+    """Posts each event as JSON to an address.
+
+    The address is looked up each time, and the connection goes to what was looked up: a name that leads to this machine or
+    to a private network is refused, unless ``private`` networks are allowed. Redirections are not followed.
+    """
+
+    url: str
+    private: bool = False
+
+    def __post_init__(self) -> None:
+        parts = urlsplit(self.url)
+        if parts.scheme not in ("http", "https") or not parts.hostname:
+            raise InputError("expected an address that begins with http:// or https://", where="--webhook")
+
+    def __call__(self, name: str, event: str) -> None:
+        """Post one event; `OSError` where no answer says that it arrived."""
+        parts = urlsplit(self.url)
+        host, port = str(parts.hostname), parts.port or (443 if parts.scheme == "https" else 80)
+        connection = http.client.HTTPConnection(host, port, timeout=TIMEOUT)
+        try:
+            connection.sock = socket.create_connection((self._address(host, port), port), TIMEOUT)
+            if parts.scheme == "https":
+                connection.sock = ssl.create_default_context().wrap_socket(connection.sock, server_hostname=host)
+            headers = {"Content-Type": "application/json", "Idempotency-Key": name}
+            path = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
+            connection.request("POST", path, event.encode(), headers)
+            status = connection.getresponse().status
+        except http.client.HTTPException as error:
+            raise OSError(f"the answer is no HTTP ({type(error).__name__})") from error
+        finally:
+            connection.close()
+        if not 200 <= status < 300:
+            raise OSError(f"the answer was {status}")
+
+    def _address(self, host: str, port: int) -> str:
+        """What the name leads to; `OSError` where that is not allowed."""
+        found = [str(info[4][0]) for info in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)]
+        if not self.private and not all(ipaddress.ip_address(one).is_global for one in found):
+            raise PermissionError(f"{host} is in a private network: allow it with --webhook-private")
+        return found[0]
+
+
+class Mqtt:
+    """Publishes each event to ``topic``/kind of a broker (``mqtt://[user:password@]host[:port]/topic``), at least once.
+
+    Raises `InputError` where the address is none, or paho-mqtt is missing.
+    """
+
+    def __init__(self, url: str) -> None:
+        try:
+            from paho.mqtt.client import Client
+            from paho.mqtt.enums import CallbackAPIVersion
+        except ModuleNotFoundError:
+            raise InputError("MQTT needs the package paho-mqtt", cure="pip install 'phdtrack[mqtt]'") from None
+        parts = urlsplit(url)
+        if parts.scheme not in ("mqtt", "mqtts") or not parts.hostname:
+            raise InputError("expected an address that begins with mqtt:// or mqtts://", where="--mqtt")
+        self._topic = parts.path.strip("/") or "phdtrack"
+        self._host, self._port = parts.hostname, parts.port or (8883 if parts.scheme == "mqtts" else 1883)
+        self._client: Any = Client(CallbackAPIVersion.VERSION2)
+        if parts.username:
+            self._client.username_pw_set(parts.username, parts.password)
+        if parts.scheme == "mqtts":
+            self._client.tls_set()
+
+    def __call__(self, name: str, event: str) -> None:
+        """Publish one event; `OSError` where the broker does not confirm it in ten seconds."""
+        if not self._client.is_connected():
+            self._client.connect(self._host, self._port)
+            self._client.loop_start()
+        sent = self._client.publish(f"{self._topic}/{json.loads(event)['kind']}", event, qos=1)
+        try:
+            sent.wait_for_publish(TIMEOUT)
+        except (RuntimeError, ValueError) as error:
+            raise OSError(str(error)) from error
+        if not sent.is_published():
+            raise OSError("the broker did not confirm")
+
+
+class Courier:
+    """Delivers what waits in a log, in a thread of its own: on each failure it waits twice as long, at most five minutes."""
+
+    def __init__(self, log: EventLog, send: Send, name: str) -> None:
+        self._log, self._send, self.problem = log, send, ""
+        self._wake, self._stopped = threading.Event(), False
+        self._thread = threading.Thread(target=self._run, name=f"phdtrack {name}", daemon=True)
+        self._thread.start()
+
+    def wake(self) -> None:
+        """Say that there are new events."""
+        self._wake.set()
+
+    def stop(self, patience: float = 1.0) -> None:
+        """Deliver no more; what waits is kept."""
+        self._stopped = True
+        self._wake.set()
+        self._thread.join(patience)
+
+    def _run(self) -> None:
+        pause = FIRST_PAUSE
+        while not self._stopped:
+            self._wake.clear()
+            waiting = self._log.waiting()
+            try:
+                for name, event in waiting:
+                    self._send(name, event)
+                    self._log.delivered(name)
+                    pause, self.problem = FIRST_PAUSE, ""
+                    if self._stopped:
+                        return
+            except OSError as error:
+                self.problem = str(error.strerror or error)
+                # New events do not shorten the pause.
+                threading.Event().wait(0) if self._stopped else self._sleep(pause)
+                pause = min(2 * pause, LONGEST_PAUSE)
+                continue
+            if not waiting:
+                self._wake.wait()
+
+    def _sleep(self, seconds: float) -> None:
+        """Wait, but not beyond `stop`."""
+        for _ in range(round(seconds / 0.25)):
+            if self._stopped:
+                return
+            threading.Event().wait(0.25)

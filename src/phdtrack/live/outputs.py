@@ -1,0 +1,257 @@
+"""Where the rows, pictures and events of a camera go: files by the hour with a quota, and a log of events.
+
+A folder for each camera:
+
+* ``tracks/2026-11-24T05.csv``: the online rows of an hour (UTC), or ``.parquet``;
+* ``video/2026-11-24T05-10-00.mp4``: annotated pictures, ten minutes each;
+* ``events.jsonl``: a line for each event;
+* ``events.sqlite``: the same in a table, with what was delivered of them.
+
+A file that grows ends in ``.part`` and gets its name when it is complete. An event is on disk before it is passed on.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sqlite3
+from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from phdtrack.errors import InputError
+from phdtrack.types import Image, Tracks
+from phdtrack.video import VideoWriter
+
+PART = ".part"
+HEAD = "time,frame,identity,class,left,top,width,height,confidence,detection,confirmed\n"
+HOUR, SEGMENT = 3600.0, 600.0
+_ROW = "%s,%d,%d,%d,%.7g,%.7g,%.7g,%.7g,%.4g,%d,%d\n"
+
+
+def stamp(wall: float, form: str = "milliseconds") -> str:
+    """ISO time in UTC of seconds since 1970, as 2026-11-24T05:10:00.250Z."""
+    return datetime.fromtimestamp(wall, UTC).isoformat(timespec=form).removesuffix("+00:00") + "Z"
+
+
+class Segments:
+    """The files of a folder, one for each stretch of time; beyond the quota the oldest are removed.
+
+    Parameters
+    ----------
+    folder : is made where it is missing.
+    suffix : of the files.
+    seconds : that a file covers; stretches begin at whole multiples of it since 1970.
+    quota : bytes that all complete files may have together; 0: no limit.
+    """
+
+    def __init__(self, folder: Path, suffix: str, seconds: float, quota: int = 0) -> None:
+        self.folder, self._suffix, self._seconds, self._quota = folder, suffix, seconds, quota
+        self._stretch = -1
+        self.open: Path | None = None
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def over(self, wall: float) -> bool:
+        """Whether the time lies in another stretch than the open file, or there is none."""
+        return self.open is None or int(wall // self._seconds) != self._stretch
+
+    def begin(self, wall: float) -> Path:
+        """The file, which ends in ``.part``, of the stretch that this time lies in."""
+        self._stretch = int(wall // self._seconds)
+        start = datetime.fromtimestamp(self._stretch * self._seconds, UTC)
+        name = start.strftime("%Y-%m-%dT%H" if self._seconds >= HOUR else "%Y-%m-%dT%H-%M-%S")
+        count = 1
+        while self._path(name, count).exists():
+            count += 1
+        self.open = self._path(name, count).with_name(self._path(name, count).name + PART)
+        return self.open
+
+    def finish(self) -> Path | None:
+        """Give the open file its name; remove the oldest files beyond the quota."""
+        done = None
+        if self.open is not None and self.open.exists():
+            done = self.open.with_name(self.open.name.removesuffix(PART))
+            self.open.replace(done)
+        self.open = None
+        self.prune()
+        return done
+
+    def left(self) -> list[Path]:
+        """The ``.part`` files that an earlier run left, oldest first."""
+        return sorted(self.folder.glob(f"*{self._suffix}{PART}"))
+
+    def prune(self) -> None:
+        """Remove the oldest complete files until all are within the quota."""
+        files = sorted(self.folder.glob(f"*{self._suffix}"))
+        sizes = [file.stat().st_size for file in files]
+        while self._quota and files and sum(sizes) > self._quota:
+            files.pop(0).unlink()
+            sizes.pop(0)
+
+    def _path(self, name: str, count: int) -> Path:
+        return self.folder / f"{name}{f'.{count}' if count > 1 else ''}{self._suffix}"
+
+
+class RowsLog:
+    """Online rows by the hour. With ``parquet`` a complete hour is turned into a Parquet file; it grows as text."""
+
+    def __init__(self, folder: Path, quota: int = 0, *, parquet: bool = False) -> None:
+        self._segments, self._parquet = Segments(folder, ".csv", HOUR, quota), parquet
+        self._file = None
+        for left in self._segments.left():
+            _whole_lines(left)
+            left.replace(left.with_name(left.name.removesuffix(PART)))
+
+    def write(self, rows: Tracks, wall: Sequence[float]) -> None:
+        """Append rows; ``wall`` (M,) is the time of each, seconds since 1970. They reach the operating system."""
+        if not len(rows):
+            return
+        if self._segments.over(wall[0]):
+            self.finish()
+            self._file = self._segments.begin(wall[0]).open("w", encoding="ascii", newline="\n")
+            self._file.write(HEAD)
+        boxes = np.hstack([rows.xyxy[:, :2], rows.xyxy[:, 2:] - rows.xyxy[:, :2]])
+        columns = (rows.frame, rows.identity, rows.class_id, *boxes.T, rows.confidence, rows.detection, rows.confirmed)
+        values = zip(map(stamp, wall), *(column.tolist() for column in columns), strict=True)
+        assert self._file is not None
+        self._file.write("".join(_ROW % row for row in values))
+        self._file.flush()
+
+    def finish(self) -> None:
+        """Complete the present file."""
+        if self._file is None:
+            return
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self._file.close()
+        self._file = None
+        done = self._segments.finish()
+        if done is not None and self._parquet:
+            _to_parquet(done)
+
+
+class VideoLog:
+    """Annotated pictures in videos of ten minutes, whose time is true: a picture stays until the next one comes.
+
+    A gap of more than ``longest`` seconds begins a new file.
+    """
+
+    def __init__(self, folder: Path, fps: float, quota: int = 0, *, longest: float = 5.0) -> None:
+        self._segments, self._fps, self._longest = Segments(folder, ".mp4", SEGMENT, quota), fps, longest
+        self._video: VideoWriter | None = None
+        self._start = self._last = 0.0
+        for left in self._segments.left():
+            # Fragments that are complete can be played.
+            left.replace(left.with_name(left.name.removesuffix(PART)))
+
+    def write(self, image: Image, wall: float) -> None:
+        """Show (H, W, 3) BGR from this time on."""
+        if self._segments.over(wall) or wall - self._last > self._longest or wall < self._last:
+            self.finish()
+            height, width = image.shape[:2]
+            self._video = VideoWriter(self._segments.begin(wall), width, height, self._fps, fragmented=True)
+            self._start = wall
+        assert self._video is not None
+        due = round((wall - self._start) * self._fps) + 1 - self._video.frames
+        for _ in range(due):
+            self._video.write(image)
+        self._last = wall
+
+    def finish(self) -> None:
+        """Complete the present file."""
+        if self._video is not None:
+            self._video.close()
+            self._video = None
+            self._segments.finish()
+
+
+class EventLog:
+    """Events as JSON lines and in SQLite, each once however often it is given; kept until delivered.
+
+    Raises `InputError` where the files cannot be written.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._path = folder / "events.jsonl"
+        try:
+            if self._path.exists():
+                _whole_lines(self._path)
+            self._lines = self._path.open("a", encoding="utf-8", newline="\n")
+            self._base = sqlite3.connect(folder / "events.sqlite", check_same_thread=False, isolation_level=None)
+            self._base.execute("PRAGMA journal_mode=WAL")
+            self._base.execute("PRAGMA synchronous=FULL")
+            self._base.execute(
+                "CREATE TABLE IF NOT EXISTS events (id TEXT PRIMARY KEY, time TEXT, kind TEXT, place TEXT, "
+                "identity INTEGER, event TEXT NOT NULL, delivered INTEGER NOT NULL DEFAULT 0)"
+            )
+            self._base.execute("CREATE INDEX IF NOT EXISTS waiting ON events (delivered) WHERE delivered = 0")
+            # What a run that was killed had put into the table only.
+            with self._path.open("rb") as file:
+                count = sum(1 for _ in file)
+            missing = self._base.execute("SELECT event FROM events ORDER BY rowid LIMIT -1 OFFSET ?", (count,))
+            self._lines.writelines(f"{event}\n" for (event,) in missing)
+            self._lines.flush()
+        except (OSError, sqlite3.Error) as error:
+            raise InputError(f"the events cannot be written: {error}", where=folder, cure="Choose another --out.") from None
+
+    def write(self, events: Iterable[dict[str, object]]) -> list[dict[str, object]]:
+        """Those of the events that are new, once they are on disk; each has at least ``id``, ``time`` and ``kind``."""
+        fresh = []
+        for event in events:
+            values = [event.get(name) for name in ("id", "time", "kind", "place", "identity")]
+            sentence = json.dumps(event, ensure_ascii=False, allow_nan=False)
+            added = self._base.execute(
+                "INSERT OR IGNORE INTO events (id, time, kind, place, identity, event) VALUES (?, ?, ?, ?, ?, ?)",
+                (*values, sentence),
+            )
+            if added.rowcount:
+                fresh.append(event)
+                self._lines.write(sentence + "\n")
+        if fresh:
+            self._lines.flush()
+            os.fsync(self._lines.fileno())
+        return fresh
+
+    def waiting(self, most: int = 100) -> list[tuple[str, str]]:
+        """Identifier and JSON of the oldest events that have not been delivered."""
+        rows = self._base.execute("SELECT id, event FROM events WHERE delivered = 0 ORDER BY rowid LIMIT ?", (most,))
+        return [(str(name), str(event)) for name, event in rows]
+
+    def delivered(self, name: str) -> None:
+        """Say that an event has arrived where it is sent to."""
+        self._base.execute("UPDATE events SET delivered = 1 WHERE id = ?", (name,))
+
+    def close(self) -> None:
+        """Nothing is left to write."""
+        self._lines.close()
+        self._base.close()
+
+
+def _whole_lines(path: Path) -> None:
+    """Cut a text file after its last complete line: what follows was being written when an earlier run ended."""
+    with path.open("r+b") as file:
+        end = file.seek(0, os.SEEK_END)
+        while end > 0:
+            start = max(0, end - 65536)
+            file.seek(start)
+            newline = file.read(end - start).rfind(b"\n")
+            if newline >= 0:
+                file.truncate(start + newline + 1)
+                return
+            end = start
+        file.truncate(0)
+
+
+def _to_parquet(path: Path) -> None:
+    """Turn a complete file of rows into Parquet beside it. Raises `InputError` without pyarrow."""
+    try:
+        from pyarrow import csv, parquet
+    except ModuleNotFoundError:
+        raise InputError("Parquet needs the package pyarrow", cure="pip install 'phdtrack[parquet]'") from None
+    part = path.with_suffix(".parquet" + PART)
+    parquet.write_table(csv.read_csv(path), part, compression="zstd")
+    part.replace(path.with_suffix(".parquet"))
+    path.unlink()
