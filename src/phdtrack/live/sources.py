@@ -1,0 +1,274 @@
+"""Cameras that never end: the newest picture, at its true time, over time-outs, failures and reconnections.
+
+A thread of its own reads and decodes everything that a camera sends and keeps the newest picture only: what comes while the
+tracker is busy is dropped and counted, so that nothing lags. A picture's time is that of its arrival. Streams that arrive in
+pieces of seconds (HLS), and files, are played at the pace of their time stamps instead.
+
+A camera that cannot be reached, ends, or says nothing for longer than a time-out is tried again, at most once a second. A read
+that hangs in spite of that is left behind, and another thread begins anew.
+"""
+
+from __future__ import annotations
+
+import random
+import re
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, NamedTuple
+from urllib.parse import urlsplit, urlunsplit
+
+import numpy as np
+
+from phdtrack.types import Image
+
+State = Literal["connecting", "live", "silent", "down"]
+# Seconds between two tries: the first, and the longest.
+FIRST_PAUSE, LONGEST_PAUSE = 0.1, 1.0
+# A read that takes so much longer than its time-out is left behind. Pictures of which the rate is measured.
+GRACE, RECENT = 2.0, 64
+_SECRET = re.compile(r"(?i)([?&](?:[^=&]*(?:pass|pwd|token|secret|key|auth)[^=&]*)=)[^&#\s]*")
+_USER = re.compile(r"([a-z][a-z0-9+.-]*://)[^/@\s]+@")
+
+
+def shown(text: str) -> str:
+    """The text, an address or a sentence, without user names, passwords and tokens of the addresses in it."""
+    return _SECRET.sub(r"\1…", _USER.sub(r"\1…@", text))
+
+
+class LiveFrame(NamedTuple):
+    """A picture: its number from 1 among all that arrived, dropped ones too; seconds since the source was started, and since
+    1970 (UTC); (H, W, 3) BGR."""
+
+    number: int
+    time: float
+    wall: float
+    image: Image
+
+
+@dataclass(frozen=True, slots=True)
+class SourceStatus:
+    """How a source is.
+
+    Attributes
+    ----------
+    state : ``connecting``; ``live``; ``silent``, connected without pictures; ``down``, waiting for the next try.
+    since : seconds that it has been so.
+    connects, frames, dropped, undecodable : since the start. Dropped pictures were never given to anybody.
+    fps : measured over the last pictures; 0 where unknown.
+    width, height : of the pictures that are given, those of the first; ``sent`` is the size that the camera sends now.
+    problem : what ended the last connection; empty where nothing did.
+    """
+
+    state: State = "connecting"
+    since: float = 0.0
+    connects: int = 0
+    frames: int = 0
+    dropped: int = 0
+    undecodable: int = 0
+    fps: float = 0.0
+    width: int = 0
+    height: int = 0
+    sent: tuple[int, int] = (0, 0)
+    problem: str = ""
+
+
+@dataclass(slots=True, eq=False)
+class LiveSource:
+    """One camera.
+
+    Parameters
+    ----------
+    address : ``rtsp://…``, ``http://…`` (MJPEG, HLS), a camera's number, or a file, which is played again and again.
+    connect, read : time-outs in seconds: up to the first picture of a connection, and between two pictures.
+    """
+
+    address: str = field(repr=False)
+    connect: float = 10.0
+    read: float = 5.0
+    _change: threading.Condition = field(default_factory=threading.Condition, init=False, repr=False)
+    _status: SourceStatus = field(default_factory=SourceStatus, init=False)
+    # Number, arrival, UTC and the decoded picture.
+    _newest: tuple[int, float, float, Any] | None = field(default=None, init=False, repr=False)
+    _times: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT), init=False, repr=False)
+    # Which reading thread counts; when it last showed that it does not hang.
+    _generation: int = field(default=0, init=False, repr=False)
+    _progress: float = field(default=0.0, init=False, repr=False)
+    _stopped: bool = field(default=False, init=False, repr=False)
+    _start: float = field(default=0.0, init=False, repr=False)
+    _since: float = field(default=0.0, init=False, repr=False)
+
+    def start(self) -> None:
+        """Begin to read."""
+        self._start = self._since = time.monotonic()
+        self._begin()
+
+    def stop(self) -> None:
+        """Read no more; a read that hangs is left behind."""
+        with self._change:
+            self._stopped = True
+            self._change.notify_all()
+
+    def next(self, timeout: float) -> LiveFrame | None:
+        """The newest picture that was not given yet; None where none comes within ``timeout`` seconds, or it was stopped."""
+        with self._change:
+            self._watch()
+            self._change.wait_for(lambda: self._newest is not None or self._stopped, timeout)
+            if self._newest is None or self._stopped:
+                return None
+            number, at, wall, picture = self._newest
+            self._newest = None
+            width, height = self._status.width, self._status.height
+        if isinstance(picture, np.ndarray):
+            import cv2
+
+            image = picture if picture.shape[1::-1] == (width, height) else cv2.resize(picture, (width, height))
+        else:
+            image = picture.to_ndarray(format="bgr24", width=width, height=height)
+        return LiveFrame(number, at - self._start, wall, np.ascontiguousarray(image))
+
+    def status(self) -> SourceStatus:
+        """How it is now."""
+        with self._change:
+            now, times = time.monotonic(), self._times
+            fps = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 and times[-1] > times[0] else 0.0
+            state = self._status.state
+            quiet = now - times[-1] if times else now - self._since
+            if state == "live" and quiet > max(1.0, 3 / fps if fps else 0.0):
+                return replace(self._status, state="silent", since=quiet, fps=fps)
+            return replace(self._status, since=now - self._since, fps=fps)
+
+    def _begin(self) -> None:
+        """A reading thread; those before it end when they next look."""
+        self._generation += 1
+        self._progress = time.monotonic()
+        thread = threading.Thread(
+            target=self._run, args=(self._generation,), name=f"read {shown(self.address)}", daemon=True
+        )
+        thread.start()
+
+    def _watch(self) -> None:
+        """Leave a thread behind that hangs."""
+        allowed = (self.read if self._status.state == "live" else self.connect) + GRACE
+        if not self._stopped and time.monotonic() - self._progress > allowed:
+            self._set("down", "nothing came, and the connection did not end")
+            self._begin()
+
+    def _current(self, generation: int) -> bool:
+        """Whether a thread is the one that counts; it has just shown that it does not hang."""
+        if self._stopped or generation != self._generation:
+            return False
+        self._progress = time.monotonic()
+        return True
+
+    def _set(self, state: State, problem: str | None = None) -> None:
+        if state != self._status.state:
+            self._since = time.monotonic()
+        said = self._status.problem if problem is None else shown(problem)
+        self._status = replace(self._status, state=state, problem=said)
+
+    def _run(self, generation: int) -> None:
+        """Connect, read, and again."""
+        import av
+
+        pause = FIRST_PAUSE
+        while True:
+            with self._change:
+                if not self._current(generation):
+                    return
+                self._set("connecting")
+            try:
+                for picture in self._pictures(generation):
+                    with self._change:
+                        if not self._current(generation):
+                            return
+                        if self._status.state != "live":
+                            self._status = replace(self._status, connects=self._status.connects + 1)
+                            self._set("live")
+                            self._times.clear()
+                        self._arrived(picture)
+                    pause = FIRST_PAUSE
+                problem = "the stream ended"
+            except (av.FFmpegError, OSError, ValueError) as error:
+                problem = str(getattr(error, "strerror", None) or error)
+            with self._change:
+                if not self._current(generation):
+                    return
+                self._set("down", problem)
+                # Not all cameras of a building at once.
+                self._change.wait_for(lambda: self._stopped, pause * random.uniform(0.7, 1.0))
+            pause = min(2 * pause, LONGEST_PAUSE)
+
+    def _arrived(self, picture: Any) -> None:
+        """Keep a picture in place of the one before."""
+        now, status = time.monotonic(), self._status
+        size = picture.shape[1::-1] if isinstance(picture, np.ndarray) else (picture.width, picture.height)
+        width, height = (status.width, status.height) if status.width else size
+        dropped = status.dropped + (self._newest is not None)
+        self._status = replace(
+            status, frames=status.frames + 1, dropped=dropped, width=width, height=height, sent=(int(size[0]), int(size[1]))
+        )
+        self._times.append(now)
+        self._newest = (self._status.frames, now, time.time(), picture)
+        self._change.notify_all()
+
+    def _pictures(self, generation: int) -> Iterator[Any]:
+        """The pictures of one connection, as they come: (H, W, 3) arrays, or PyAV's."""
+        if self.address.isdecimal():
+            yield from self._camera(int(self.address))
+            return
+        import av
+
+        remote = "://" in self.address
+        options = {"fflags": "nobuffer", "flags": "low_delay"} if remote else {}
+        if urlsplit(self.address).scheme.startswith("rtsp"):
+            options["rtsp_transport"] = "tcp"
+        with av.open(self.address, options=options, timeout=(self.connect, self.read) if remote else None) as container:
+            stream = container.streams.video[0]
+            stream.thread_type = "SLICE"
+            paced, begun, first = not remote or "hls" in container.format.name, 0.0, 0.0
+            for packet in container.demux(stream):
+                with self._change:
+                    if not self._current(generation):
+                        return
+                try:
+                    pictures: list[Any] = list(packet.decode())
+                except av.InvalidDataError:
+                    with self._change:
+                        self._status = replace(self._status, undecodable=self._status.undecodable + 1)
+                    continue
+                for picture in pictures:
+                    if paced and picture.time is not None:
+                        begun, first = (begun, first) if begun else (time.monotonic(), picture.time)
+                        late = time.monotonic() - begun - (picture.time - first)
+                        if abs(late) > self.read:
+                            # The time stamps jumped, or the stream was held up: from here on anew.
+                            begun, first = time.monotonic(), picture.time
+                        elif late < 0:
+                            time.sleep(-late)
+                    yield picture
+
+    def _camera(self, index: int) -> Iterator[Image]:
+        """The pictures of a camera of this machine."""
+        import cv2
+
+        capture = cv2.VideoCapture(index)
+        try:
+            if not capture.isOpened():
+                raise OSError(f"camera {index} cannot be opened")
+            while True:
+                there, image = capture.read()
+                if not there:
+                    return
+                yield np.asarray(image, np.uint8)
+        finally:
+            capture.release()
+
+
+def named(address: str) -> str:
+    """A short name for a source, for folders and pages: letters, digits, points and hyphens only."""
+    parts = urlsplit(shown(address))
+    plain = urlunsplit(("", parts.netloc.rpartition("@")[2], parts.path, "", "")) if parts.scheme else address
+    return re.sub(r"[^A-Za-z0-9.-]+", "-", plain).strip("-.") or "camera"

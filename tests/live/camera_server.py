@@ -1,0 +1,79 @@
+"""A camera for tests: pictures as MJPEG over HTTP on loopback, which can be frozen, killed, restarted, slowed down and resized."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+
+import cv2
+import numpy as np
+
+HEAD = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=frame\r\n\r\n"
+
+
+class CameraServer:
+    """Serves until `kill`; the pictures show their number as brightness.
+
+    ``rate`` pictures a second of ``size`` (width, height). While ``frozen`` nothing is sent on any connection; while ``mute``
+    connections are accepted and nothing is ever said on them. ``broken`` pictures are cut in half.
+    """
+
+    def __init__(self) -> None:
+        self.rate, self.size = 20.0, (160, 120)
+        self.frozen = self.mute = self.broken = False
+        self.asked: list[str] = []
+        self._open: list[socket.socket] = []
+        self._listening: socket.socket | None = None
+        self.port = 0
+        self.restart()
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.port}/stream"
+
+    def restart(self) -> None:
+        """Listen on the same port as before."""
+        self._listening = socket.create_server(("127.0.0.1", self.port))
+        self.port = self._listening.getsockname()[1]
+        threading.Thread(target=self._accept, args=(self._listening,), daemon=True).start()
+
+    def kill(self) -> None:
+        """End all connections and listen no more."""
+        for one in (self._listening, *self._open):
+            if one is not None:
+                # A thread that waits in accept or send is woken by this.
+                try:
+                    one.shutdown(socket.SHUT_RDWR)
+                except OSError:
+                    pass
+                one.close()
+        self._open.clear()
+
+    def _accept(self, listening: socket.socket) -> None:
+        while True:
+            try:
+                connection, _ = listening.accept()
+            except OSError:
+                return
+            self._open.append(connection)
+            threading.Thread(target=self._serve, args=(connection,), daemon=True).start()
+
+    def _serve(self, connection: socket.socket) -> None:
+        number = 0
+        try:
+            self.asked.append(connection.recv(4096).decode("latin-1"))
+            while self.mute:
+                time.sleep(0.02)
+            connection.sendall(HEAD)
+            while True:
+                while self.frozen:
+                    time.sleep(0.02)
+                number += 1
+                image = np.full((self.size[1], self.size[0], 3), number % 256, np.uint8)
+                data = cv2.imencode(".jpg", image)[1].tobytes()
+                data = data[: len(data) // 2] if self.broken else data
+                connection.sendall(b"--frame\r\nContent-Type: image/jpeg\r\n\r\n" + data + b"\r\n")
+                time.sleep(1 / self.rate)
+        except OSError:
+            return
