@@ -1,7 +1,8 @@
-"""A camera for tests: pictures as MJPEG over HTTP on loopback, which can be frozen, killed, restarted, slowed down and resized."""
+"""A camera for tests: MJPEG over HTTP on loopback that can be frozen, killed, restarted, slowed down and resized."""
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import threading
 import time
@@ -15,8 +16,8 @@ HEAD = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=fr
 class CameraServer:
     """Serves until `kill`; the pictures show their number as brightness.
 
-    ``rate`` pictures a second of ``size`` (width, height). While ``frozen`` nothing is sent on any connection; while ``mute``
-    connections are accepted and nothing is ever said on them. ``broken`` pictures are cut in half.
+    ``rate`` pictures a second of ``size`` (width, height). While ``frozen`` nothing is sent on any connection; while
+    ``mute`` connections are accepted and nothing is said on them. ``broken`` pictures are cut in half.
     """
 
     def __init__(self) -> None:
@@ -43,10 +44,8 @@ class CameraServer:
         for one in (self._listening, *self._open):
             if one is not None:
                 # A thread that waits in accept or send is woken by this.
-                try:
+                with contextlib.suppress(OSError):
                     one.shutdown(socket.SHUT_RDWR)
-                except OSError:
-                    pass
                 one.close()
         self._open.clear()
 

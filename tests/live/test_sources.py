@@ -88,7 +88,9 @@ def test_a_camera_that_dies_is_found_again(server: CameraServer, source: LiveSou
     assert source.status().connects == 4
 
 
-def test_a_camera_that_freezes_goes_on_where_time_is(server: CameraServer, source: LiveSource) -> None:
+def test_a_camera_that_freezes_goes_on_where_time_is(server: CameraServer) -> None:
+    source = LiveSource(server.url, read=8.0)
+    source.start()
     before = frames(source, 2)[-1]
     server.frozen = True
     assert source.next(0.3) is None or source.next(0.3) is None
@@ -97,6 +99,8 @@ def test_a_camera_that_freezes_goes_on_where_time_is(server: CameraServer, sourc
     after = frames(source, 1)[-1]
     assert after.time - before.time > 0.5
     assert after.time - before.time == pytest.approx(after.wall - before.wall, abs=0.2)
+    assert source.status().connects == 1
+    source.stop()
 
 
 def test_a_server_that_accepts_and_says_nothing_is_left_and_tried_again(server: CameraServer) -> None:
@@ -104,6 +108,7 @@ def test_a_server_that_accepts_and_says_nothing_is_left_and_tried_again(server: 
     source = LiveSource(server.url, connect=0.7, read=0.7)
     source.start()
     waited(source, "down")
+    assert source.status().problem == "no answer in time"
     server.mute = False
     assert waited(source, "live") < 6
     source.stop()

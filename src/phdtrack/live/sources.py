@@ -4,8 +4,8 @@ A thread of its own reads and decodes everything that a camera sends and keeps t
 tracker is busy is dropped and counted, so that nothing lags. A picture's time is that of its arrival. Streams that arrive in
 pieces of seconds (HLS), and files, are played at the pace of their time stamps instead.
 
-A camera that cannot be reached, ends, or says nothing for longer than a time-out is tried again, at most once a second. A read
-that hangs in spite of that is left behind, and another thread begins anew.
+A camera that cannot be reached, ends, or says nothing for longer than a time-out is tried again, at most once a second. A
+read that hangs in spite of that is left behind, and another thread begins anew.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ FIRST_PAUSE, LONGEST_PAUSE = 0.1, 1.0
 # A read that takes so much longer than its time-out is left behind. Pictures of which the rate is measured.
 GRACE, RECENT = 2.0, 64
 _SECRET = re.compile(r"(?i)([?&](?:[^=&]*(?:pass|pwd|token|secret|key|auth)[^=&]*)=)[^&#\s]*")
-_USER = re.compile(r"([a-z][a-z0-9+.-]*://)[^/@\s]+@")
+_USER = re.compile(r"([a-z][a-z0-9+.-]*://)[^/\s]+@")
 
 
 def shown(text: str) -> str:
@@ -192,7 +192,9 @@ class LiveSource:
                     pause = FIRST_PAUSE
                 problem = "the stream ended"
             except (av.FFmpegError, OSError, ValueError) as error:
-                problem = str(getattr(error, "strerror", None) or error)
+                # FFmpeg's own words for a time-out are "Immediate exit requested".
+                late = isinstance(error, av.ExitError)
+                problem = "no answer in time" if late else str(getattr(error, "strerror", None) or error)
             with self._change:
                 if not self._current(generation):
                     return
@@ -270,5 +272,5 @@ class LiveSource:
 def named(address: str) -> str:
     """A short name for a source, for folders and pages: letters, digits, points and hyphens only."""
     parts = urlsplit(shown(address))
-    plain = urlunsplit(("", parts.netloc.rpartition("@")[2], parts.path, "", "")) if parts.scheme else address
+    plain = urlunsplit(("", parts.netloc.rpartition("@")[2], parts.path, "", "")) if parts.netloc else shown(address)
     return re.sub(r"[^A-Za-z0-9.-]+", "-", plain).strip("-.") or "camera"
