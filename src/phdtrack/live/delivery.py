@@ -110,7 +110,7 @@ class Courier:
 
     def __init__(self, log: EventLog, send: Send, name: str) -> None:
         self._log, self._send, self.problem = log, send, ""
-        self._wake, self._stopped = threading.Event(), False
+        self._wake, self._stopped = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"phdtrack {name}", daemon=True)
         self._thread.start()
 
@@ -120,13 +120,13 @@ class Courier:
 
     def stop(self, patience: float = 1.0) -> None:
         """Deliver no more; what waits is kept."""
-        self._stopped = True
+        self._stopped.set()
         self._wake.set()
         self._thread.join(patience)
 
     def _run(self) -> None:
         pause = FIRST_PAUSE
-        while not self._stopped:
+        while not self._stopped.is_set():
             self._wake.clear()
             waiting = self._log.waiting()
             try:
@@ -134,20 +134,13 @@ class Courier:
                     self._send(name, event)
                     self._log.delivered(name)
                     pause, self.problem = FIRST_PAUSE, ""
-                    if self._stopped:
+                    if self._stopped.is_set():
                         return
             except OSError as error:
                 self.problem = str(error.strerror or error)
                 # New events do not shorten the pause.
-                threading.Event().wait(0) if self._stopped else self._sleep(pause)
+                self._stopped.wait(pause)
                 pause = min(2 * pause, LONGEST_PAUSE)
                 continue
             if not waiting:
                 self._wake.wait()
-
-    def _sleep(self, seconds: float) -> None:
-        """Wait, but not beyond `stop`."""
-        for _ in range(round(seconds / 0.25)):
-            if self._stopped:
-                return
-            threading.Event().wait(0.25)

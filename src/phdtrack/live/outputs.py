@@ -18,6 +18,7 @@ import sqlite3
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
@@ -99,7 +100,7 @@ class RowsLog:
 
     def __init__(self, folder: Path, quota: int = 0, *, parquet: bool = False) -> None:
         self._segments, self._parquet = Segments(folder, ".csv", HOUR, quota), parquet
-        self._file = None
+        self._file: TextIO | None = None
         for left in self._segments.left():
             _whole_lines(left)
             left.replace(left.with_name(left.name.removesuffix(PART)))
@@ -177,9 +178,6 @@ class EventLog:
         folder.mkdir(parents=True, exist_ok=True)
         self._path = folder / "events.jsonl"
         try:
-            if self._path.exists():
-                _whole_lines(self._path)
-            self._lines = self._path.open("a", encoding="utf-8", newline="\n")
             self._base = sqlite3.connect(folder / "events.sqlite", check_same_thread=False, isolation_level=None)
             self._base.execute("PRAGMA journal_mode=WAL")
             self._base.execute("PRAGMA synchronous=FULL")
@@ -188,6 +186,9 @@ class EventLog:
                 "identity INTEGER, event TEXT NOT NULL, delivered INTEGER NOT NULL DEFAULT 0)"
             )
             self._base.execute("CREATE INDEX IF NOT EXISTS waiting ON events (delivered) WHERE delivered = 0")
+            if self._path.exists():
+                _whole_lines(self._path)
+            self._lines = self._path.open("a", encoding="utf-8", newline="\n")
             # What a run that was killed had put into the table only.
             with self._path.open("rb") as file:
                 count = sum(1 for _ in file)

@@ -299,11 +299,14 @@ class VideoWriter:
     width, height : of the images in pixels. An odd size is padded by one row or column, for H.264 needs even ones.
     fps : frames per second, fractions too (29.97).
     quality : constant rate factor from 0 (lossless) to 51 where the encoder has one; 23 is usual.
+    fragmented : what is written can be played also when the file is never closed, but for the last seconds.
 
     Raises InputError where the file cannot be written or no H.264 encoder works here.
     """
 
-    def __init__(self, path: str | Path, width: int, height: int, fps: float, *, quality: int = 23) -> None:
+    def __init__(
+        self, path: str | Path, width: int, height: int, fps: float, *, quality: int = 23, fragmented: bool = False
+    ) -> None:
         if width < 1 or height < 1 or not fps > 0 or not np.isfinite(fps):
             raise InputError(
                 f"a video needs a size and a rate above 0, not {width}x{height} at {fps} per second", where=path
@@ -317,7 +320,8 @@ class VideoWriter:
         if name == "libx264":
             options = {"crf": str(quality), "preset": "veryfast", "x264-params": f"threads={_THREADS}:sliced-threads=0"}
         try:
-            self._container: Any = av.open(self._path, "w", format="mp4", options={"movflags": "+faststart"})
+            flags = "+frag_keyframe+empty_moov" if fragmented else "+faststart"
+            self._container: Any = av.open(self._path, "w", format="mp4", options={"movflags": flags})
             self._stream: Any = self._container.add_stream(name, rate=rate, options=options)
             self._stream.width, self._stream.height = padded
             self._stream.pix_fmt = "yuv420p"

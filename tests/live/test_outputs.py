@@ -1,0 +1,209 @@
+"""Files by the hour, videos whose time is true, events that are kept once, and their delivery; each after a kill, too."""
+
+from __future__ import annotations
+
+import json
+import os
+import sqlite3
+import threading
+import time
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from phdtrack.errors import InputError
+from phdtrack.live.delivery import Courier, Webhook
+from phdtrack.live.outputs import HEAD, EventLog, RowsLog, Segments, VideoLog, stamp
+from phdtrack.types import Tracks
+from phdtrack.video import open_source
+
+# 2026-11-24, 05:59:58 UTC.
+WALL = 1795499998.0
+
+
+def rows(number: int, count: int = 2) -> Tracks:
+    boxes = np.array([[10.0 * k, 5, 10 * k + 8, 25] for k in range(count)])
+    return Tracks.of(number, np.arange(1, count + 1), boxes, 0.5, 0)
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(file.name for file in folder.iterdir())
+
+
+def test_rows_are_in_the_file_of_their_hour(tmp_path: Path) -> None:
+    log = RowsLog(tmp_path)
+    for k in range(4):
+        log.write(rows(k + 1), [WALL + k] * 2)
+        assert names(tmp_path)[-1].endswith(".part")
+    log.write(Tracks.empty(), [])
+    log.finish()
+    assert names(tmp_path) == ["2026-11-24T05.csv", "2026-11-24T06.csv"]
+    first, second = (file.read_text().splitlines() for file in sorted(tmp_path.iterdir()))
+    assert first[0] + "\n" == second[0] + "\n" == HEAD
+    assert (len(first), len(second)) == (5, 5)
+    assert first[1] == "2026-11-24T05:59:58.000Z,1,1,0,0,5,8,20,0.5,0,1"
+
+
+def test_what_a_killed_run_left_is_kept_up_to_its_last_line(tmp_path: Path) -> None:
+    log = RowsLog(tmp_path)
+    log.write(rows(1), [WALL] * 2)
+    part = tmp_path / "2026-11-24T05.csv.part"
+    with part.open("a") as file:
+        file.write("2026-11-24T05:59:59.000Z,2,1,0,0.1")
+    assert log._file is not None
+    log._file.close()
+    again = RowsLog(tmp_path)
+    assert names(tmp_path) == ["2026-11-24T05.csv"]
+    assert len((tmp_path / "2026-11-24T05.csv").read_text().splitlines()) == 3
+    again.write(rows(2), [WALL + 1] * 2)
+    again.finish()
+    assert names(tmp_path) == ["2026-11-24T05.2.csv", "2026-11-24T05.csv"]
+
+
+def test_the_oldest_files_go_when_the_quota_is_full(tmp_path: Path) -> None:
+    segments = Segments(tmp_path, ".bin", 60, quota=2500)
+    for k in range(5):
+        assert segments.over(WALL + 60 * k)
+        segments.begin(WALL + 60 * k).write_bytes(b"x" * 1000)
+        assert not segments.over(WALL + 60 * k)
+        segments.finish()
+    assert names(tmp_path) == ["2026-11-24T06-02-00.bin", "2026-11-24T06-03-00.bin"]
+
+
+def test_an_hour_becomes_parquet(tmp_path: Path) -> None:
+    from pyarrow import parquet
+
+    log = RowsLog(tmp_path, parquet=True)
+    log.write(rows(1), [WALL] * 2)
+    log.finish()
+    assert names(tmp_path) == ["2026-11-24T05.parquet"]
+    table = parquet.read_table(tmp_path / "2026-11-24T05.parquet")
+    assert table.column_names == HEAD.strip().split(",")
+    assert table["identity"].to_pylist() == [1, 2]
+
+
+def test_time_in_a_video_is_true_however_pictures_come(tmp_path: Path) -> None:
+    """Pictures at uneven times, at 10 a second: each is shown from its time to the next one's."""
+    log = VideoLog(tmp_path, 10.0)
+    for k, at in enumerate([2.0, 2.1, 2.25, 3.0, 3.02, 4.0]):
+        log.write(np.full((48, 64, 3), 40 * k, np.uint8), WALL + at)
+    log.finish()
+    assert names(tmp_path) == ["2026-11-24T06-00-00.mp4"]
+    shades = [round(float(frame.image.mean()) / 40) for frame in open_source(tmp_path / "2026-11-24T06-00-00.mp4")]
+    assert len(shades) == 21
+    assert [shades[0], shades[1], shades[5], shades[10], shades[20]] == [0, 1, 3, 3, 5]
+
+
+def test_a_gap_begins_a_new_video_and_a_cut_one_can_be_played(tmp_path: Path) -> None:
+    log = VideoLog(tmp_path, 5.0)
+    for at in [2.0, 2.2, 2.4, 30.0, 30.2]:
+        log.write(np.zeros((48, 64, 3), np.uint8), WALL + at)
+    # Killed: what is on disk is as it is. A key frame ends a fragment; here the file is only kept.
+    assert names(tmp_path) == ["2026-11-24T06-00-00.2.mp4.part", "2026-11-24T06-00-00.mp4"]
+    VideoLog(tmp_path, 5.0)
+    assert names(tmp_path) == ["2026-11-24T06-00-00.2.mp4", "2026-11-24T06-00-00.mp4"]
+    log.finish()
+
+
+def event(number: int) -> dict[str, object]:
+    return {"id": f"gate-{number}-0", "time": stamp(WALL), "kind": "appear", "identity": number}
+
+
+def test_an_event_is_kept_once(tmp_path: Path) -> None:
+    log = EventLog(tmp_path)
+    assert [e["identity"] for e in log.write([event(1), event(2)])] == [1, 2]
+    assert [e["identity"] for e in log.write([event(2), event(3)])] == [3]
+    lines = (tmp_path / "events.jsonl").read_text().splitlines()
+    assert [json.loads(line)["identity"] for line in lines] == [1, 2, 3]
+    log.delivered("gate-1-0")
+    assert [name for name, _ in log.waiting()] == ["gate-2-0", "gate-3-0"]
+    log.close()
+
+
+def test_lines_that_a_kill_kept_from_the_file_are_written_later(tmp_path: Path) -> None:
+    log = EventLog(tmp_path)
+    log.write([event(1), event(2), event(3)])
+    log.close()
+    whole = (tmp_path / "events.jsonl").read_bytes()
+    os.truncate(tmp_path / "events.jsonl", len(whole) - 20)
+    EventLog(tmp_path).close()
+    assert (tmp_path / "events.jsonl").read_bytes() == whole
+
+
+def test_a_folder_that_cannot_be_written_is_said(tmp_path: Path) -> None:
+    (tmp_path / "events.sqlite").mkdir()
+    with pytest.raises(InputError, match="the events cannot be written"):
+        EventLog(tmp_path)
+
+
+class Receiver(BaseHTTPRequestHandler):
+    """Takes events, or answers with the status that its server says."""
+
+    def do_POST(self) -> None:
+        body = self.rfile.read(int(self.headers["Content-Length"]))
+        status = self.server.status  # type: ignore[attr-defined]
+        if status == 200:
+            self.server.taken.append((self.headers["Idempotency-Key"], json.loads(body)))  # type: ignore[attr-defined]
+        self.send_response(status)
+        self.end_headers()
+
+    def log_message(self, *_: object) -> None: ...
+
+
+@pytest.fixture
+def receiver() -> Iterator[ThreadingHTTPServer]:
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Receiver)
+    server.status, server.taken = 200, []  # type: ignore[attr-defined]
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield server
+    server.shutdown()
+    server.server_close()
+
+
+def until(ready: object, patience: float = 10.0) -> None:
+    end = time.monotonic() + patience
+    while not ready():  # type: ignore[operator]
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def test_events_reach_a_webhook_in_their_order_also_after_failures(tmp_path: Path, receiver: ThreadingHTTPServer) -> None:
+    log = EventLog(tmp_path)
+    receiver.status = 503  # type: ignore[attr-defined]
+    courier = Courier(log, Webhook(f"http://127.0.0.1:{receiver.server_port}/hook?x=1", private=True), "webhook")
+    log.write([event(1), event(2)])
+    courier.wake()
+    until(lambda: courier.problem == "the answer was 503")
+    receiver.status = 200  # type: ignore[attr-defined]
+    until(lambda: len(receiver.taken) == 2)  # type: ignore[attr-defined]
+    log.write([event(3)])
+    courier.wake()
+    until(lambda: len(receiver.taken) == 3)  # type: ignore[attr-defined]
+    assert [key for key, _ in receiver.taken] == ["gate-1-0", "gate-2-0", "gate-3-0"]  # type: ignore[attr-defined]
+    until(lambda: not log.waiting())
+    courier.stop()
+    log.close()
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "10.0.0.1", "169.254.169.254", "[::1]", "0.0.0.0"])
+def test_private_networks_are_refused(host: str) -> None:
+    with pytest.raises(PermissionError, match="--webhook-private"):
+        Webhook(f"http://{host}:9/")("a", "{}")
+
+
+def test_addresses_that_are_none_are_refused() -> None:
+    for url in ("ftp://example.com", "example.com", "http:///x"):
+        with pytest.raises(InputError, match="http"):
+            Webhook(url)
+
+
+def test_the_table_of_events_can_be_asked(tmp_path: Path) -> None:
+    log = EventLog(tmp_path)
+    log.write([event(k) for k in range(5)])
+    base = sqlite3.connect(tmp_path / "events.sqlite")
+    assert base.execute("SELECT count(*) FROM events WHERE kind = 'appear'").fetchone() == (5,)
+    base.close()
+    log.close()
