@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import fields
 from functools import cache
@@ -32,9 +33,17 @@ PositiveCount = Annotated[int, Ge(1)]
 
 _TESTS = {Ge: ("at least", "ge"), Gt: ("above", "gt"), Le: ("at most", "le"), Lt: ("below", "lt")}
 
+_SECRET = re.compile(r"(?i)([?&](?:[^=&]*(?:pass|pwd|token|secret|key|auth)[^=&]*)=)[^&#\s]*")
+_USER = re.compile(r"([a-z][a-z0-9+.-]*://)[^/\s]+@")
+
+
+def shown(text: str) -> str:
+    """The text, an address or a sentence, without user names, passwords and tokens of the addresses in it."""
+    return _SECRET.sub(r"\1…", _USER.sub(r"\1…@", text))
+
 
 class InputError(ValueError):
-    """The input is not what it should be, and the user can mend it.
+    """The input is not what it should be, and the user can mend it. User names and passwords of addresses are not shown.
 
     Parameters
     ----------
@@ -44,9 +53,9 @@ class InputError(ValueError):
     """
 
     def __init__(self, problem: str, *, where: str | Path = "", cure: str = "") -> None:
-        self.problem, self.where, self.cure = problem, str(where), cure
-        text = f"{where}: {problem}" if where else problem
-        super().__init__(f"{text.rstrip('.')}. {cure}" if cure else text)
+        self.problem, self.where, self.cure = shown(problem), shown(str(where)), shown(cure)
+        text = f"{self.where}: {self.problem}" if self.where else self.problem
+        super().__init__(f"{text.rstrip('.')}. {self.cure}" if cure else text)
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

@@ -1,12 +1,13 @@
-"""Files that a user named, with errors that say what is wrong; modules that are loaded when they are first used; values
-for JSON."""
+"""Files that a user named, with errors that say what is wrong, and files that are whole or not there; modules that are
+loaded when they are first used; values for JSON."""
 
 from __future__ import annotations
 
+import errno
 import math
 import os
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
@@ -19,15 +20,86 @@ AnyPath = str | os.PathLike[str]
 # Where benchmarks put the file that is meant when the folder of a sequence is named.
 _USUAL = ("gt/gt.txt", "det/det.txt", "gt.txt", "det.txt", "tracks.csv", "detections.csv")
 
+# What the name of a file ends in as long as it is not complete.
+PART = ".part"
+
+
+def part_of(path: Path) -> Path:
+    """Where the file is as long as it grows: beside it, under a name that ends in ``.part``."""
+    return path.with_name(path.name + PART)
+
+
+def refuse_part(path: AnyPath) -> None:
+    """Raise `InputError` where the name says that the file is not complete."""
+    if str(path).endswith(PART):
+        cure = "Wait until the run that writes it has ended; if it was killed, run it again with --resume."
+        raise InputError("this file is not complete", where=Path(path), cure=cure)
+
+
+def publish(path: Path) -> None:
+    """Give a file that grew in `part_of` its name, when it is on disk. Raises ``OSError`` where that fails."""
+    with part_of(path).open("rb+") as file:
+        os.fsync(file.fileno())
+    part_of(path).replace(path)
+    if os.name == "posix":
+        # The new name, too, is to outlast a power cut.
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def cannot_write(path: AnyPath, error: Any) -> InputError:
+    """The error of a file that cannot be written, in a sentence; ``error`` is an ``OSError``, or FFmpeg's."""
+    cure = "Choose another place for the output."
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        cure = "Free some space; a run goes on with --resume."
+    elif error.errno == errno.ENOENT:
+        cure = "Was the folder removed meanwhile?"
+    return InputError(f"the file cannot be written: {error.strerror or error}", where=Path(path), cure=cure)
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """A file that has its name when it is complete, and not before.
+
+    Gives the path to write to, which lies beside it. When the block is left the file is flushed to disk and gets its name;
+    after an error there is no new file, and one that was there before is as it was.
+
+    Raises
+    ------
+    InputError : it cannot be written.
+    """
+    part = part_of(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield part
+        publish(path)
+    except BaseException as error:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise cannot_write(path, error) from error
+        raise
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write UTF-8, whole or not at all, and make the folder. Raises `InputError` where that cannot be done."""
+    with whole(path) as part:
+        # File names may hold bytes that are no text; their escape is also how JSON spells them.
+        part.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
+
 
 def load(path: AnyPath) -> bytes:
     """The bytes of the file.
 
     Raises
     ------
-    InputError : there is no such file, it is a folder, or it may not be read.
+    InputError : there is no such file, it is a folder, it is not complete, or it may not be read.
     """
     path = Path(path)
+    refuse_part(path)
     try:
         return path.read_bytes()
     except FileNotFoundError:

@@ -1,5 +1,6 @@
 """What is written can be read back, and is there as soon as it is written."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -117,7 +118,7 @@ def test_a_covariance_must_be_one(tmp_path: Path) -> None:
         read_detections(path)
 
 
-def test_every_frame_is_on_disk_before_the_writer_is_closed(tmp_path: Path) -> None:
+def test_every_frame_is_on_disk_before_the_writer_is_closed_under_a_name_that_says_so(tmp_path: Path) -> None:
     found = Detections.of([[0, 0, 1, 1], [2, 2, 4, 4]], [0.5, -7])
     info = UpdateInfo(0.0, 0.0, 0.0, np.zeros(0), np.zeros(0))
     state = Estimates(np.arange(12.0).reshape(6, 2), np.zeros((2, 6, 6)), np.array([1, 0.5]), found.xyxy, np.array([0, -1]))
@@ -130,6 +131,11 @@ def test_every_frame_is_on_disk_before_the_writer_is_closed(tmp_path: Path) -> N
             detections.append(frame, found if frame != 2 else Detections.empty())
             written.append(one_row() if frame == 1 else Tracks.empty())
             states.append(Step(frame, frame / 25, found, info, state if frame != 2 else Estimates.empty(6), Tracks.empty()))
+        with pytest.raises(InputError, match="not complete"):
+            read_detections(tmp_path / "d.csv.part")
+        for name in ("d.csv", "new/t.csv", "s.csv"):
+            assert not (tmp_path / name).exists()
+            shutil.copy(tmp_path / f"{name}.part", tmp_path / name)
         assert read_detections(tmp_path / "d.csv").frame.tolist() == [1, 1, 3, 3]
         assert read_detections(tmp_path / "s.csv").frame.tolist() == [1, 1, 3, 3]
         assert (tmp_path / "new" / "t.csv").read_bytes() == b"3,8,1.5,2,9.75,40,1.25,-1,-1,-1,-1,0\n"
@@ -140,7 +146,11 @@ def test_every_frame_is_on_disk_before_the_writer_is_closed(tmp_path: Path) -> N
             "3,0.120000,1,0,0,0,1,1,0,2,4,6,8,10",
             "3,0.120000,0.5,-1,2,2,2,2,1,3,5,7,9,11",
         ]
+        (tmp_path / "s.csv").unlink()
+        states.close()
         states.close()  # closing twice does no harm
+    assert (tmp_path / "s.csv").read_text().count("\n") == 5
+    assert not list(tmp_path.rglob("*.part"))
 
 
 def test_a_place_that_cannot_be_written(tmp_path: Path) -> None:

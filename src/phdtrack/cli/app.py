@@ -1,7 +1,8 @@
 """The command line: ``phdtrack COMMAND`` and ``python -m phdtrack COMMAND``.
 
 Exit status: 0 the job is done; 1 something failed that is not the user's input (`doctor`: something essential does not
-work here); 2 the input or the options cannot be used, said in one sentence on stderr; 130 stopped by Ctrl-C.
+work here); 2 the input or the options cannot be used, said in one sentence on stderr; 130 stopped by Ctrl-C, 143
+by SIGTERM, 129 by SIGHUP.
 With ``--json`` stdout carries exactly one JSON object, and everything else goes to stderr.
 """
 
@@ -18,6 +19,7 @@ from typing import Annotated, Any
 import typer
 
 from phdtrack import __version__
+from phdtrack.cli import signals
 from phdtrack.errors import InputError, interrupted
 
 Command = Callable[..., None]
@@ -76,7 +78,7 @@ def guarded(command: Command) -> Command:
         except (KeyboardInterrupt, SystemError) as error:
             if not interrupted(error):
                 raise
-            raise failed("stopped", 130) from error
+            raise failed("stopped", signals.status()) from error
         except BrokenPipeError:
             # The reader of our output has gone (phdtrack ... | head): nothing can be said.
             raise
@@ -132,6 +134,7 @@ Misuse: type[Any] = typer.BadParameter.__bases__[0]
 def main() -> None:
     """The entry point of the installed command."""
     words = sys.argv[1:] or ["--help"]
+    signals.listen()
     try:
         status = application(words[0])(words, prog_name="phdtrack", standalone_mode=False)
     except Misuse as error:
@@ -140,4 +143,4 @@ def main() -> None:
         sentence = " ".join(error.format_message().split())
         end = "" if sentence.endswith((".", "?")) else "."
         status = failed(f"{sentence}{end} See {where.command_path if where else 'phdtrack'} --help.", 2).exit_code
-    sys.exit(status)
+    signals.leave(int(status or 0))

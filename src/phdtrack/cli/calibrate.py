@@ -12,12 +12,12 @@ from phdtrack.cli.inputs import frame_size
 from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, counted
 from phdtrack.errors import InputError
+from phdtrack.files import write_text
 from phdtrack.formats.checks import Rule, enforce
 from phdtrack.formats.text import read_columns
 from phdtrack.ground import Calibration, fit_homography, footprint
 from phdtrack.ground.read import calibration_text
 from phdtrack.groups.clusters import polygon_area
-from phdtrack.report.pages import write_text
 from phdtrack.types import F8, Bool
 
 # A point is a line of these, in this order where there is no header.

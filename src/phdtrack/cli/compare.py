@@ -27,8 +27,9 @@ from phdtrack.compare.results import Results
 from phdtrack.compare.runs import RunResult
 from phdtrack.config import build
 from phdtrack.errors import InputError
+from phdtrack.files import write_text
 from phdtrack.report import About, write_run
-from phdtrack.report.pages import lines, write_text
+from phdtrack.report.pages import lines
 
 DOCUMENT, CELLS, EACH, FRAMES = "compare.json", "compare.csv", "runs.csv", "worst"
 FILES = {

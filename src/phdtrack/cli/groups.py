@@ -20,6 +20,7 @@ import numpy as np
 from phdtrack import config
 from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
+from phdtrack.cli.checkpoint import EVERY
 from phdtrack.cli.inputs import NO_PICTURE, refuse
 from phdtrack.cli.observers import Draw, Report, RunObserver
 from phdtrack.cli.options import SourceOptions, TrackingOptions, option
@@ -30,7 +31,7 @@ from phdtrack.cli.track import about, finish, finish_document, places, prepare
 from phdtrack.config import Settings, build_groups, ground_model
 from phdtrack.devices import Camera
 from phdtrack.errors import InputError
-from phdtrack.files import load
+from phdtrack.files import load, write_text
 from phdtrack.formats.columns import Positions, read_positions
 from phdtrack.formats.write import Lines
 from phdtrack.ground import footprint
@@ -42,7 +43,7 @@ from phdtrack.models import PlaneSensor
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.report.drawing import Plan, PlanScene, draw_contours, extent_of
-from phdtrack.report.pages import flattened, lines, render, write_text
+from phdtrack.report.pages import flattened, lines, render
 from phdtrack.types import F8, I8, Detections, GaussianMixture, Image, MeasurementHistory, SequenceInfo, Step, Tracks
 from phdtrack.video import VideoWriter
 
@@ -75,13 +76,15 @@ def groups(
     out: given.Out = None,
     overwrite: given.Overwrite = False,
     video: given.Video = True,
+    resume: given.Resume = False,
+    checkpoint_every: given.CheckpointEvery = EVERY,
 ) -> None:
     """Find groups of people on the ground, in a video, in a file of detections, or among known positions.
 
     The run's directory holds what that of `phdtrack track` does, and groups.csv (counts, places, contours), members.csv,
     events.csv, warnings.csv and plan.mp4: the ground from above beside the annotated video.
     """
-    rundir.check(out, overwrite)
+    rundir.check(out, overwrite or resume)
     if positions is None:
         options = replace(options, sets=[*scene_settings(scene), *(options.sets or ())])
         settings = _ground_settings(options, camera)
@@ -91,11 +94,13 @@ def groups(
         grouping = build_groups(settings, stages)
         observer = GroupObserver(grouping, info, _read_edges(edges), World(stages, model, delay, reach))
         # A group may have members of several classes.
-        job = replace(job, kinds=replace(job.kinds, apart=False), ground=model.sensor)
-        finish(output, replace(job, observers=(*job.observers, observer)), rundir.claim(out, overwrite, name=info.name))
+        kinds = replace(job.kinds, apart=False)
+        job = replace(job, kinds=kinds, ground=model.sensor, observers=(*job.observers, observer), every=checkpoint_every)
+        finish(output, job, out, overwrite, resume=resume)
         return
     useless = {f"--{name.replace('_', '-')}": used for name, used in asdict(replace(source, source="", fps=0.0)).items()}
     useless |= {"SOURCE": source.source, "--camera": camera, "--scene": scene, "--truth": options.truth}
+    useless["--resume"] = resume
     useless["--filter"] = options.filter_name
     useless["--threads"] = options.threads is not None
     refuse(useless, "the positions are known, so there is nothing that this could change", "--positions")

@@ -7,16 +7,16 @@ boxes up by frame number.
 from __future__ import annotations
 
 import math
+import queue
 import re
 import tempfile
+import threading
 import time
-from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -36,6 +36,8 @@ TABLES = (".txt", ".csv", ".tsv", ".json", ".xml", ".parquet")
 DEPTH = 3
 # Quality of the copy of a camera's frames: hardly distinguishable, because it is encoded once more when it is drawn on.
 _FINE = 16
+# Seconds that a stage which was stopped may take to end what it does.
+_PATIENCE = 0.7
 T = TypeVar("T")
 Mover = Callable[[Frame, Detections], F8]
 """(3, 3) from the pixels of the last frame to those of this one, or `types.STILL`."""
@@ -59,15 +61,22 @@ class Inputs:
     classes: frozenset[int] | None = None
 
 
-def detected(
-    detector: Detector, frames: Iterable[Frame], mover: Mover | None = None
-) -> Iterator[tuple[Frame, Detections, F8, float]]:
-    """Each frame with what ``detector`` sees in it, how the camera moved, and how many seconds the detector looked."""
+class Detected(NamedTuple):
+    """A frame, what the detector sees in it, how the camera moved, and how many seconds the detector looked."""
+
+    frame: Frame
+    found: Detections
+    warp: F8
+    seconds: float
+
+
+def detected(detector: Detector, frames: Iterable[Frame], mover: Mover | None = None) -> Iterator[Detected]:
+    """Each frame with what ``detector`` sees in it."""
     for frame in frames:
         clock = time.perf_counter()
         found = detector(frame)
         seconds = time.perf_counter() - clock
-        yield frame, found, STILL if mover is None else mover(frame, found), seconds
+        yield Detected(frame, found, STILL if mover is None else mover(frame, found), seconds)
 
 
 def write_detected(inputs: Inputs, path: Path) -> Iterator[int]:
@@ -206,24 +215,42 @@ def ahead(items: Iterable[T], depth: int = DEPTH) -> Iterator[Iterator[T]]:
     """The same items in the same order, made by a thread of their own while earlier ones are used.
 
     An error of a stage is raised in the loop after the items before it. When the block is left, by an error or Ctrl-C too,
-    the stage is stopped and waited for: nothing still runs or holds a file afterwards. At most ``depth`` items are being
-    made or wait to be taken.
+    the stage is stopped, and waited for a while: nothing still runs or holds a file afterwards, but for a read that hangs.
+    At most ``depth`` items are being made or wait to be taken.
     """
-    iterator, under_way = iter(items), deque[Future[T | None]]()
+    iterator, ended = iter(items), threading.Event()
+    # Items with the error after the last of them; a place for each item that may be under way.
+    made, places = queue.SimpleQueue[tuple[T | None, BaseException | None]](), threading.Semaphore(depth)
 
-    def taken(stage: ThreadPoolExecutor) -> Iterator[T]:
-        # No item is None.
-        under_way.extend(stage.submit(next, iterator, None) for _ in range(depth))
-        while (one := under_way.popleft().result()) is not None:
-            under_way.append(stage.submit(next, iterator, None))
-            yield one
-
-    with ThreadPoolExecutor(1, "phdtrack stage") as stage:
+    def stage() -> None:
+        error: BaseException | None = StopIteration()
         try:
-            yield taken(stage)
+            while places.acquire() and not ended.is_set():
+                made.put((next(iterator), None))
+        except BaseException as stop:
+            error = stop
         finally:
-            for future in under_way:
-                future.cancel()
             if isinstance(iterator, Generator):
                 # Here and not by the garbage collector: files are closed by the thread that used them.
-                stage.submit(iterator.close)
+                iterator.close()
+            made.put((None, error))
+
+    def taken() -> Iterator[T]:
+        while True:
+            item, error = made.get()
+            if item is not None:
+                places.release()
+                yield item
+                continue
+            if error is not None and not isinstance(error, StopIteration):
+                raise error
+            return
+
+    thread = threading.Thread(target=stage, name="phdtrack stage", daemon=True)
+    thread.start()
+    try:
+        yield taken()
+    finally:
+        ended.set()
+        places.release()
+        thread.join(_PATIENCE)

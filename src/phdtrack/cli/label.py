@@ -29,12 +29,13 @@ from phdtrack.cli.output import Output, counted, progress
 from phdtrack.cli.settings import chosen
 from phdtrack.config import Settings, build, load
 from phdtrack.errors import InputError
+from phdtrack.files import write_text
 from phdtrack.formats import read_detections
 from phdtrack.label import LabelStore
 from phdtrack.label.samples import Marks, clip, last_frame, shuffled
 from phdtrack.label.suggestions import Background, Evidence, Suggestion, suggest
 from phdtrack.label.training import SceneTraining
-from phdtrack.report.pages import render, write_text
+from phdtrack.report.pages import render
 from phdtrack.scene import write_scene
 from phdtrack.types import DetectionTable, SequenceInfo
 from phdtrack.video import open_source
@@ -164,7 +165,7 @@ def _suggestions(
     stages, whole = build(settings, found.info), range(1, last + 1)
     evidence = Evidence.of(found.table, fps, whole, stages, advance=lambda count: advance(count / last))
     made = suggest(evidence, frames)
-    file.write_text(json.dumps({"key": key, "rows": made}) + "\n", encoding="utf-8")
+    write_text(file, json.dumps({"key": key, "rows": made}) + "\n")
     return made
 
 

@@ -39,6 +39,8 @@ Preset = Annotated[str, option("NAME", "Settings to start from: default, mot15, 
 DetectionsFile = Annotated[Path | None, option("FILE", "File of detections, used instead of a detector.")]
 Classes = Annotated[str, option("NAME,...", "Classes of the detections to track; default: all, each on its own.")]
 Out = Annotated[Path | None, option("DIR", "Directory to write into; default: runs/ and the source's name.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on with a run that was stopped or killed.")]
+CheckpointEvery = Annotated[float, option("S", "Seconds between checkpoints, for --resume; 0: none.", min=0.0)]
 Threads = Annotated[int | None, option("N", "Threads of particle filters; same result (default: 1; 0: all cores).", min=0)]
 
 DEFAULT_DETECTOR = "change"

@@ -5,16 +5,28 @@ Only the files that a run writes are touched: whatever else lies in the director
 
 from __future__ import annotations
 
+import json
+import os
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from weakref import WeakValueDictionary
 
 from phdtrack.errors import InputError
+from phdtrack.files import part_of
+
+try:
+    import fcntl
+except ImportError:  # pragma: no cover
+    # Windows: two runs at once are not found out there.
+    fcntl = None  # type: ignore[assignment]
 
 TRACKS, ONLINE, STATES, DETECTIONS = "tracks.csv", "tracks_online.csv", "states.csv", "detections.csv"
 GROUPS, MEMBERS, EVENTS, WARNINGS = "groups.csv", "members.csv", "events.csv", "warnings.csv"
 VIDEO, PLAN, REPORT, RUN, CAMERA_MOTION = "annotated.mp4", "plan.mp4", "report.html", "run.json", "camera_motion.csv"
+# What a run that was stopped or killed goes on from; removed when it is complete.
+LOG, KNOWN = "checkpoint.log", "checkpoint.detector"
 # What a run that learns leaves of its scene, a file for each mode.
 SCENES = ("scene.json", *(f"scene-{k}.json" for k in range(2, 9)))
 # Every file that a run may write, and what it is; without words it is not listed for people.
@@ -37,12 +49,37 @@ RUN_FILES = {
 }
 
 
+class _Lock:
+    """Keeps other processes from writing into a directory, as long as it lives; ``BlockingIOError`` where one does."""
+
+    __slots__ = ("__weakref__", "_directory")
+
+    def __init__(self, path: Path) -> None:
+        # The directory itself is locked: no file is left behind, and the system lets go when the process ends.
+        self._directory = os.open(path, os.O_RDONLY)
+        try:
+            fcntl.flock(self._directory, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise
+        except OSError:
+            # A file system without locks.
+            pass
+
+    def __del__(self) -> None:
+        os.close(self._directory)
+
+
+_HELD = WeakValueDictionary[Path, _Lock]()
+
+
 @dataclass(frozen=True, slots=True)
 class RunDirectory:
-    """A directory that is ready to be written into; none of its ``files``, by name with what they are, is there yet."""
+    """A directory that is ready to be written into; none of its ``files``, by name with what they are, is there yet, but
+    where an earlier run is resumed."""
 
     path: Path
     files: Mapping[str, str]
+    lock: _Lock | None = None
 
     def file(self, name: str) -> Path:
         """Where the file ``name`` lies."""
@@ -60,11 +97,19 @@ class RunDirectory:
         """Remove the files again: nothing came of the run, and what is there would be taken for a result."""
         for file in self.written():
             file.unlink()
+        self.sweep()
+
+    def sweep(self) -> None:
+        """Remove what a run that was killed has left of files that it did not complete, and its checkpoint."""
+        for name in self.files:
+            part_of(self.file(name)).unlink(missing_ok=True)
+        for name in (LOG, KNOWN):
+            self.file(name).unlink(missing_ok=True)
 
 
 def check(path: Path | None, overwrite: bool, files: Mapping[str, str] = RUN_FILES) -> None:
-    """Raise `InputError` where `claim` would because of what is there already: ``path`` is a file, or holds one of ``files``
-    and ``overwrite`` is False."""
+    """Raise `InputError` where `claim` would because of what is there already: ``path`` is a file, or holds one of
+    ``files``, or what a killed run left of one, and ``overwrite`` is False."""
     if path is None:
         return
     where = f"--out {path}"
@@ -73,25 +118,48 @@ def check(path: Path | None, overwrite: bool, files: Mapping[str, str] = RUN_FIL
     held = [name for name in files if (path / name).exists()]
     if folders := [name for name in held if (path / name).is_dir()]:
         raise InputError(f"{folders[0]} is a directory, where a file is to be written", where=where)
+    if not overwrite and ((path / LOG).exists() or any(part_of(path / name).exists() for name in files)):
+        cure = "Say --resume to go on with it, --overwrite to begin anew, or choose another --out."
+        raise InputError("the directory holds a run that was not completed, or is still going on", where=where, cure=cure)
     if held and not overwrite:
         problem = f"the directory holds an earlier run ({', '.join(held)})"
         raise InputError(problem, where=where, cure="Say --overwrite to replace these files, or choose another --out.")
 
 
-def claim(out: Path | None, overwrite: bool, files: Mapping[str, str] = RUN_FILES, *, name: str = "") -> RunDirectory:
-    """``out``, or ``runs/NAME``, made ready: files of an earlier run are removed, so that none is taken for one of this run.
+def completed(directory: RunDirectory) -> bool:
+    """Whether it holds a run that went to its end, and nothing of a later one."""
+    try:
+        document = json.loads(directory.file(RUN).read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return False
+    under_way = directory.file(LOG).exists() or any(part_of(directory.file(name)).exists() for name in directory.files)
+    return isinstance(document, dict) and document.get("complete") is True and not under_way
 
-    Raises `InputError` as `check`, or where the directory cannot be made or written into.
+
+def claim(
+    out: Path | None, overwrite: bool, files: Mapping[str, str] = RUN_FILES, *, name: str = "", resume: bool = False
+) -> RunDirectory:
+    """``out``, or ``runs/NAME``, made ready and locked: files of an earlier run are removed, so that none is taken for one
+    of this run. To ``resume`` nothing is removed.
+
+    Raises `InputError` as `check`, or where the directory cannot be made or written into, or another process writes there.
     """
     path = out or Path("runs") / name
-    check(path, overwrite, files)
+    check(path, overwrite or resume, files)
     try:
         path.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path):
             pass
-        for name in files:
-            (path / name).unlink(missing_ok=True)
+        lock = _HELD.get(path.resolve())
+        if lock is None and fcntl is not None:
+            lock = _HELD[path.resolve()] = _Lock(path)
+        directory = RunDirectory(path, files, lock)
+        if not resume:
+            directory.clear()
+    except BlockingIOError:
+        cure = "Wait for it, or choose another --out."
+        raise InputError("another run is writing into this directory now", where=f"--out {path}", cure=cure) from None
     except OSError as error:
         problem = f"cannot be written into ({error.strerror or error})"
         raise InputError(problem, where=f"--out {path}", cure="Choose another --out.") from error
-    return RunDirectory(path, files)
+    return directory

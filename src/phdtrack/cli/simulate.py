@@ -19,6 +19,7 @@ from phdtrack.cli.output import Output, counted, progress
 from phdtrack.cli.settings import chosen
 from phdtrack.cli.track import announced, prepare, run
 from phdtrack.errors import InputError, did_you_mean
+from phdtrack.files import write_text
 from phdtrack.formats import write_detections, write_truth
 from phdtrack.simulate import NAMED, Look, Rendered, Scene, default_detector, default_look, make_scene
 from phdtrack.video import VideoWriter
@@ -61,7 +62,7 @@ def simulate(
     write_detections(target.file(DETECTIONS), scene.detections)
     lines = ["[Sequence]", f"name={info.name}", f"frameRate={info.fps:g}", f"seqLength={info.frames}"]
     lines += [f"imWidth={info.width}", f"imHeight={info.height}", ""]
-    target.file(SEQINFO).write_text("\n".join(lines), encoding="utf-8")
+    write_text(target.file(SEQINFO), "\n".join(lines))
     if video:
         _render_video(scene, seed, target.file(VIDEO), picture)
     found = {"frames": info.frames, "objects": len(np.unique(scene.truth.identity)), "detections": len(scene.detections)}

@@ -15,7 +15,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import partial
 from itertools import repeat
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
@@ -26,6 +28,8 @@ from phdtrack import config, pipeline
 from phdtrack.classes import Kinds
 from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
+from phdtrack.cli import signals
+from phdtrack.cli.checkpoint import EVERY, Checkpoint, source_of
 from phdtrack.cli.doctor import versions
 from phdtrack.cli.inputs import NO_PICTURE, Inputs, Mover, ahead, detected, open_inputs, rereadable, write_detected
 from phdtrack.cli.observers import Draw, RunObserver, mover_of, observers_of
@@ -35,6 +39,7 @@ from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.cli.settings import chosen, scene_settings
 from phdtrack.config import Settings, load
 from phdtrack.errors import InputError, interrupted
+from phdtrack.files import write_text
 from phdtrack.filters import NoFilter
 from phdtrack.filters.cardinality import Cardinalised
 from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter, read_truth
@@ -42,7 +47,7 @@ from phdtrack.kernels import CACHE
 from phdtrack.models import PlaneSensor
 from phdtrack.protocols import AnyStages, Sensor
 from phdtrack.report import About, Annotator, Recorder, report_html, run_document, sentences, write_run
-from phdtrack.report.pages import lines, write_text
+from phdtrack.report.pages import lines
 from phdtrack.report.record import LOW_EFFECTIVE
 from phdtrack.tracker import Tracker, uninterrupted
 from phdtrack.types import F8, Detections, Frame, Image, ParticleBlocks, Particles, SequenceInfo, Tracks, Truth
@@ -76,17 +81,20 @@ def track(
     scene: given.SceneFile = None,
     learn_online: Annotated[bool, typer.Option("--learn-online", help="Learn the scene while tracking.")] = False,
     camera_motion: Annotated[str, option("flow|FILE|none", "A camera that moves: measured, or from a file.")] = "",
+    resume: given.Resume = False,
+    checkpoint_every: given.CheckpointEvery = EVERY,
 ) -> None:
     """Track the objects in a video, or in a file of detections.
 
     The run's directory holds tracks.csv (MOTChallenge), detections.csv, states.csv, annotated.mp4, report.html and
-    run.json. A video that is cut short is tracked as far as it goes, with a warning. Ctrl-C finishes what was done so far.
+    run.json. A video that is cut short is tracked as far as it goes, with a warning. Ctrl-C finishes what was done so far;
+    --resume goes on from there, or from where a run was killed.
     """
-    rundir.check(out, overwrite)
+    rundir.check(out, overwrite or resume)
     first = scene_settings(scene, camera_motion, learn_online=learn_online)
     settings = chosen(options, first, detector=source.detections is None)
-    job = prepare(source, options, settings, video=video)
-    finish(output, job, rundir.claim(out, overwrite, name=job.inputs.info.name))
+    job = replace(prepare(source, options, settings, video=video), every=checkpoint_every)
+    finish(output, job, out, overwrite, resume=resume)
 
 
 def detect(
@@ -152,10 +160,17 @@ def prepare(source: SourceOptions, options: TrackingOptions, settings: Settings,
     )
 
 
-def finish(output: Output, job: Job, directory: rundir.RunDirectory) -> None:
+def finish(output: Output, job: Job, out: Path | None, overwrite: bool, *, resume: bool = False) -> None:
     """Run the job and say what came of it. Raises what ended it before its time: that decides the exit status."""
+    if resume and not job.inputs.again:
+        cure = "`phdtrack live` goes on by itself after an interruption."
+        raise InputError("the pictures of a camera do not come again", where="--resume", cure=cure)
+    directory = rundir.claim(out, overwrite, name=job.inputs.info.name, resume=resume)
+    if resume and rundir.completed(directory):
+        output.say(f"The run in {directory.path} is complete: there is nothing to go on with.")
+        return
     with announced(output):
-        outcome = run(job, directory)
+        outcome = run(job, directory, resume=resume)
     output.warn(outcome.warnings)
     output.say(*outcome.summary, "", *directory.listing())
     if outcome.scores is not None:
@@ -172,7 +187,7 @@ def finish(output: Output, job: Job, directory: rundir.RunDirectory) -> None:
 @dataclass(frozen=True, slots=True)
 class Job:
     """What is to be run; ``configuration`` and ``read``, what was read and how, decide the result; ``ground`` measures where
-    boxes of tracks in an image stand."""
+    boxes of tracks in an image stand; ``every``: seconds between checkpoints, 0 for none."""
 
     inputs: Inputs
     kinds: Kinds
@@ -184,6 +199,17 @@ class Job:
     observers: tuple[RunObserver, ...] = ()
     mover: Mover | None = None
     ground: Sensor | None = None
+    every: float = 0.0
+
+    @property
+    def key(self) -> dict[str, object]:
+        """What decides the result: a checkpoint of another is refused."""
+        return {
+            "settings": self.configuration,
+            **self.read,
+            "seed": self.about.seed,
+            "file": source_of(str(self.read["source"])),
+        }
 
     @property
     def sensor(self) -> Sensor:
@@ -225,7 +251,8 @@ class _Seen(NamedTuple):
 class _Progress:
     """How far it got. ``stop`` ended the loop, ``cut`` the drawing; ``lost`` is what the source said when it ended.
 
-    ``seconds`` is what the loop took, but for ``left_out`` frames in which kernels were compiled or loaded.
+    ``seconds`` is what the loop took, but for ``left_out`` frames in which kernels were compiled or loaded. ``unwritten`` is
+    what ended the writing of files; the others are written all the same. ``resumed`` is the frame that it went on from.
     """
 
     tracker: Tracker
@@ -236,6 +263,21 @@ class _Progress:
     lost: str = ""
     stop: Stop | None = None
     cut: Stop | None = None
+    unwritten: list[Stop] = field(default_factory=list)
+    resumed: int = 0
+
+    @contextmanager
+    def saving(self) -> Iterator[None]:
+        """A file that cannot be written does not take the others with it."""
+        try:
+            yield
+        except (InputError, OSError) as error:
+            self.unwritten.append(error)
+
+    @property
+    def ended(self) -> Stop | None:
+        """What ended it before its time, or the first file that could not be written."""
+        return self.stop or self.cut or next(iter(self.unwritten), None)
 
     @property
     def last(self) -> int:
@@ -249,25 +291,27 @@ def about(title: str, seed: int = 0) -> About:
     return About(title, shlex.join(["phdtrack", *sys.argv[1:]]), seed, now, versions=installed)
 
 
-def run(job: Job, directory: RunDirectory) -> Outcome:
+def run(job: Job, directory: RunDirectory, *, resume: bool = False) -> Outcome:
     """Run the job. Raises only where nothing was computed; the directory is then left without files of this run."""
     clock, scores = time.perf_counter(), None
     with rereadable(job.inputs, job.video) as (frames, again):
-        done = _track(job, frames, directory)
+        done = _track(job, frames, directory, resume=resume)
         if not done.seen and done.stop is not None:
-            directory.clear()
+            if not resume:
+                directory.clear()
             raise done.stop
         tracks = done.tracker.tracks()
-        with TracksWriter(directory.file(rundir.TRACKS), job.names) as file:
+        with done.saving(), TracksWriter(directory.file(rundir.TRACKS), job.names) as file:
             file.append(tracks, places(job.sensor, tracks.xyxy))
         for observer in job.observers:
-            observer.finish(directory, tracks)
+            with done.saving():
+                observer.finish(directory, tracks)
         if job.truth is not None:
             from phdtrack.metrics import evaluate
 
             scores = evaluate(job.truth, tracks, frames=done.last)
         if job.video:
-            done.cut = _draw(job, again(), directory, done, tracks)
+            _draw(job, again(), directory, done, tracks)
     record = replace(done.recorder.record(tracks, job.about), names=job.names)
     # Of each the note comes first, then the warning if there is one.
     doubts = (_confirmation(job, done), lines("chain.txt", chain=record.chain, least=LOW_EFFECTIVE))
@@ -280,13 +324,20 @@ def run(job: Job, directory: RunDirectory) -> Outcome:
         warnings=(*_problems(job, done), *(warning for each in doubts for warning in each[1:])),
         notes=(*(note for each in doubts for note in each[:1]), _WHICH),
     )
-    reports, stop = [observer.report() for observer in job.observers], done.stop or done.cut
+    reports = [observer.report() for observer in job.observers]
     record = replace(record, about=replace(said, sections="\n".join(report.section for report in reports)))
-    write_text(directory.file(rundir.REPORT), report_html(record, job.configuration | {"input": job.read}))
-    document = run_document(record, job.configuration) | {"complete": stop is None, "input": job.read}
-    document = finish_document(document, directory, *(report.document for report in reports))
+    with done.saving():
+        write_text(directory.file(rundir.REPORT), report_html(record, job.configuration | {"input": job.read}))
+    complete = done.ended is None
+    document = run_document(record, job.configuration) | {"complete": complete, "input": job.read}
+    document |= {"resumed_from_frame": done.resumed} if done.resumed else {}
+    with done.saving():
+        document = finish_document(document, directory, *(report.document for report in reports))
+    if complete and done.ended is None:
+        directory.sweep()
     summary = (*sentences(record), *(sentence for report in reports for sentence in report.sentences))
-    return Outcome(document, summary, scores, said.warnings, stop)
+    warnings = (*said.warnings, *(str(error) for error in done.unwritten if error is not done.ended))
+    return Outcome(document, summary, scores, warnings, done.ended)
 
 
 def finish_document(document: dict[str, object], directory: RunDirectory, *more: dict[str, object]) -> dict[str, object]:
@@ -300,22 +351,31 @@ def finish_document(document: dict[str, object], directory: RunDirectory, *more:
     return document
 
 
-def _track(job: Job, source: Iterable[Frame], directory: RunDirectory) -> _Progress:
+def _track(job: Job, source: Iterable[Frame], directory: RunDirectory, *, resume: bool) -> _Progress:
     """Every frame through detector and tracker, into files and record, until the source ends or something stops it."""
     inputs, stages, sensor = job.inputs, job.stages, job.sensor
     tracker = Tracker(stages=job.kinds, fps=inputs.info.fps, seed=job.about.seed)
     done = _Progress(tracker, Recorder(inputs.info, job.truth))
+    found_in = partial(detected, inputs.detector, mover=job.mover)
+    if job.every > 0 and inputs.pictures and inputs.again:
+        checkpoint = Checkpoint(directory, job.key, job.every, resume=resume)
+        found_in, done.resumed = partial(checkpoint.detected, inputs, mover=job.mover), checkpoint.number
     with ExitStack() as files:
-        detections = files.enter_context(DetectionsWriter(directory.file(rundir.DETECTIONS), job.names))
-        states = files.enter_context(StatesWriter(directory.file(rundir.STATES)))
-        online = files.enter_context(TracksWriter(directory.file(rundir.ONLINE), job.names))
+        detections = DetectionsWriter(directory.file(rundir.DETECTIONS), job.names)
+        states = StatesWriter(directory.file(rundir.STATES))
+        online = TracksWriter(directory.file(rundir.ONLINE), job.names)
+        for writer in (detections, states, online):
+            # What goes wrong when it is closed must not take with it what was computed.
+            files.enter_context(done.saving())
+            files.enter_context(writer)
         advance = files.enter_context(progress("tracking", inputs.info.frames))
         for observer in job.observers:
+            files.enter_context(done.saving())
             observer.open(directory, files)
         # To load or to compile a kernel for arguments of new types Numba takes a lock, which is recorded.
         locks, clock = files.enter_context(event.install_recorder("numba:compiler_lock")), time.perf_counter()
         try:
-            with ahead(source) as frames, ahead(detected(inputs.detector, frames, job.mover)) as looked:
+            with ahead(source) as frames, ahead(found_in(frames)) as looked:
                 for frame, found, warp, seconds in looked:
                     # No frame stands in one file only; and Numba does not survive Ctrl-C while it makes objects.
                     with uninterrupted():
@@ -344,12 +404,14 @@ def _track(job: Job, source: Iterable[Frame], directory: RunDirectory) -> _Progr
                 observer.flush(held)
         except (Exception, KeyboardInterrupt) as stop:
             done.stop = _as_meant(stop)
+        if isinstance(done.stop, KeyboardInterrupt):
+            signals.last_chance(f"stopped after frame {done.last}; its files are being completed")
         done.lost = inputs.source.problem
     return done
 
 
-def _draw(job: Job, again: Iterable[Frame], directory: RunDirectory, done: _Progress, tracks: Tracks) -> Stop | None:
-    """The videos of the frames that were tracked; what stopped it, if anything did."""
+def _draw(job: Job, again: Iterable[Frame], directory: RunDirectory, done: _Progress, tracks: Tracks) -> None:
+    """The videos of the frames that were tracked."""
     try:
         with ExitStack() as files:
             draw, info = list[Draw](), job.inputs.info
@@ -364,15 +426,22 @@ def _draw(job: Job, again: Iterable[Frame], directory: RunDirectory, done: _Prog
             found = (observer.drawing(directory, files, pictures=job.inputs.pictures) for observer in job.observers)
             draw.extend(filter(None, found))
             if not draw:
-                return None
+                return
             advance = files.enter_context(progress("drawing", len(done.seen)))
-            for count, (seen, picture) in enumerate(zip(done.seen, pictures, strict=False), start=1):
-                for one in draw:
-                    one(seen.number, picture)
-                advance(count)
-    except (Exception, KeyboardInterrupt) as stop:
-        return _as_meant(stop)
-    return None
+            try:
+                for count, (seen, picture) in enumerate(zip(done.seen, pictures, strict=False), start=1):
+                    for one in draw:
+                        one(seen.number, picture)
+                    advance(count)
+            except KeyboardInterrupt as stop:
+                # The videos end here, and can be played.
+                done.cut = stop
+                signals.last_chance(f"stopped while frame {seen.number} was drawn")
+    except Exception as error:
+        if isinstance(error, InputError | OSError):
+            done.unwritten.append(error)
+        else:
+            done.cut = _as_meant(error)
 
 
 def _annotated(annotate: Annotator, seen: list[_Seen], frames: Iterable[Frame], tracks: Tracks) -> Iterator[Image]:

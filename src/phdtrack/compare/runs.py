@@ -38,13 +38,13 @@ from phdtrack.compare.plans import Case, Plan, Run
 from phdtrack.detect import make_detector
 from phdtrack.detect.convert import within_frame
 from phdtrack.errors import InputError, interrupted
-from phdtrack.files import json_value
+from phdtrack.files import json_value, write_text
 from phdtrack.formats import DetectionsWriter, read_detections, read_truth, write_tracks
 from phdtrack.metrics import Scores, explain
 from phdtrack.metrics.counts import Counts, count
 from phdtrack.metrics.matching import build
 from phdtrack.metrics.scores import scores_of
-from phdtrack.report.pages import write_run, write_text
+from phdtrack.report.pages import write_run
 from phdtrack.report.record import known_mean
 from phdtrack.simulate import add_clutter
 from phdtrack.types import F8, I8, DetectionTable, SequenceInfo, Tracks, Truth

@@ -10,8 +10,16 @@ from typing import TYPE_CHECKING
 from phdtrack.files import lazy
 
 if TYPE_CHECKING:
-    from phdtrack.detect.registry import BACKGROUND, DETECTORS, TableDetector, detector_parameters, make_detector
+    from phdtrack.detect.registry import (
+        BACKGROUND,
+        DETECTORS,
+        TableDetector,
+        detector_parameters,
+        knowledge,
+        make_detector,
+        restore,
+    )
 
-__all__ = ["BACKGROUND", "DETECTORS", "TableDetector", "detector_parameters", "make_detector"]
+__all__ = ["BACKGROUND", "DETECTORS", "TableDetector", "detector_parameters", "knowledge", "make_detector", "restore"]
 
 __getattr__, __dir__ = lazy(__name__, dict.fromkeys(__all__, f"{__name__}.registry"))

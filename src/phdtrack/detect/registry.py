@@ -174,3 +174,55 @@ def make_detector(
     if max_width:
         detector = Rescaled(detector, max_width)
     return detector if mask is None else Masked(detector, mask)
+
+
+def knowledge(detector: Detector) -> dict[str, Any] | None:
+    """What a detector has learned of the scene, as `state.to_bytes` takes it, for `restore`.
+
+    Empty for those that learn nothing, None for those of which it cannot be had.
+    """
+    match detector:
+        case Rescaled():
+            return knowledge(detector.detector)
+        case Masked():
+            return knowledge(detector._detector)
+        case SubtractorDetector():
+            return None
+        case ChangeDetector() | MeanBackgroundDetector():
+            return {name: value for name, value in vars(detector).items() if name.startswith("_") and name != "_threshold"}
+    return {}
+
+
+def restore(detector: Detector, known: dict[str, Any], frame: Frame) -> None:
+    """Give a detector the `knowledge` that one like it had.
+
+    Parameters
+    ----------
+    detector : is changed.
+    known : from `knowledge`.
+    frame : any frame of the sequence: arrays have to be of the shapes and types that it brings.
+
+    Raises
+    ------
+    InputError : it is not the knowledge of such a detector, or of frames of another size.
+    """
+    inner = detector
+    while isinstance(inner, Rescaled | Masked):
+        inner = inner.detector if isinstance(inner, Rescaled) else inner._detector
+    detector.reset()
+    detector(frame)
+    usual = knowledge(inner)
+    if usual is None or usual.keys() != known.keys() or not all(_alike(known[name], usual[name]) for name in usual):
+        raise InputError("what the detector knew is not that of this detector, or of frames of another size")
+    vars(inner).update(known)
+
+
+def _alike(value: Any, usual: Any) -> bool:
+    """Whether a value is of the type and shape of another one, and finite."""
+    if isinstance(usual, np.ndarray):
+        same = isinstance(value, np.ndarray) and value.dtype == usual.dtype and value.shape == usual.shape
+        return same and (value.dtype.kind != "f" or bool(np.isfinite(value).all()))
+    if isinstance(usual, list | tuple):
+        same = type(value) is type(usual) and (isinstance(usual, list) or len(value) == len(usual))
+        return same and len(value) > 0 and all(_alike(one, usual[0]) for one in value)
+    return type(value) is type(usual) and bool(np.isfinite(value))

@@ -18,14 +18,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phdtrack.errors import InputError
-from phdtrack.files import AnyPath
+from phdtrack.files import AnyPath, cannot_write, part_of, publish
 from phdtrack.types import F8, I8, Bool, Detections, DetectionTable, Step, Tracks, Truth
 
 # Seven digits: a thousandth of a pixel in the largest pictures, and boxes in other units do not collapse.
@@ -38,39 +38,55 @@ _PEDESTRIAN, _DISTRACTOR = 1, 8
 
 
 class Lines:
-    """A text file that is written line by line; ``close`` may be called twice. `InputError` where it cannot be written."""
+    """A text file that is written line by line, and has its name when it is closed; until then it ends in ``.part``.
+
+    ``close`` may be called twice. A file that could not be written to its end is cut after the last whole block and keeps
+    the name with ``.part``; so it does where a ``with`` block is left by an error. `InputError` where it cannot be written.
+    """
 
     def __init__(self, path: AnyPath) -> None:
-        self.path = Path(path)
+        self.path, self._whole, self._end = Path(path), True, 0
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = self.path.open("w", encoding="utf-8", newline="\n")
+            self._file = part_of(self.path).open("wb", buffering=0)
         except OSError as error:
-            raise self._failed(error) from None
+            raise cannot_write(self.path, error) from None
 
     def write(self, pattern: str, *columns: F8 | I8 | Bool | NDArray[np.str_]) -> None:
         """One line for each row of the columns, which may be (M,) or (M, k); all of them reach the operating system."""
         width = pattern.count("%")
         values = [column.tolist() for block in columns for column in (block.T if block.ndim == 2 else block[None])]
         text = "".join([pattern % row + "\n" for row in zip(*values, strict=True)]) if width else f"{pattern}\n"
+        if not text or not self._whole:
+            return
+        data = memoryview(text.encode("utf-8"))
         try:
-            self._file.write(text)
-            self._file.flush()
+            written = 0
+            while written < len(data):
+                written += self._file.write(data[written:])
+            self._end += written
         except OSError as error:
-            raise self._failed(error) from None
+            self._whole = False
+            with suppress(OSError):
+                self._file.truncate(self._end)
+            raise cannot_write(self.path, error) from None
 
     def close(self) -> None:
-        """Close the file; nothing is left to write."""
+        """Close the file and give it its name; nothing is left to write."""
+        if self._file.closed:
+            return
         self._file.close()
-
-    def _failed(self, error: OSError) -> InputError:
-        problem = f"the file cannot be written: {error.strerror or error}"
-        return InputError(problem, where=self.path, cure="Choose another place for the output.")
+        if self._whole:
+            try:
+                publish(self.path)
+            except OSError as error:
+                raise cannot_write(self.path, error) from None
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self._whole = self._whole and kind is None
         self.close()
 
 

@@ -22,6 +22,7 @@ from urllib.parse import urlsplit, urlunsplit
 
 import numpy as np
 
+from phdtrack.errors import shown
 from phdtrack.types import Image
 
 State = Literal["connecting", "live", "silent", "down"]
@@ -29,13 +30,6 @@ State = Literal["connecting", "live", "silent", "down"]
 FIRST_PAUSE, LONGEST_PAUSE = 0.1, 1.0
 # A read that takes so much longer than its time-out is left behind. Pictures of which the rate is measured.
 GRACE, RECENT = 2.0, 64
-_SECRET = re.compile(r"(?i)([?&](?:[^=&]*(?:pass|pwd|token|secret|key|auth)[^=&]*)=)[^&#\s]*")
-_USER = re.compile(r"([a-z][a-z0-9+.-]*://)[^/\s]+@")
-
-
-def shown(text: str) -> str:
-    """The text, an address or a sentence, without user names, passwords and tokens of the addresses in it."""
-    return _SECRET.sub(r"\1…", _USER.sub(r"\1…@", text))
 
 
 class LiveFrame(NamedTuple):

@@ -22,8 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from markupsafe import Markup
 
-from phdtrack.errors import InputError
-from phdtrack.files import json_value
+from phdtrack.files import json_value, write_text
 from phdtrack.report import charts
 from phdtrack.report.record import STAGES, RunRecord
 
@@ -168,14 +167,3 @@ def flattened(config: Mapping[str, object], prefix: str = "") -> tuple[tuple[str
 def write_run(path: Path, document: Mapping[str, object]) -> None:
     """Write the document as indented UTF-8. Raises `InputError` where the file cannot be written."""
     write_text(path, json.dumps(json_value(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write UTF-8 and make the folder. Raises `InputError` where that cannot be done."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        # File names may hold bytes that are no text; their escape is also how JSON spells them.
-        path.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
-    except OSError as error:
-        problem = f"could not be written: {error.strerror or error}"
-        raise InputError(problem, where=path, cure="Choose another output folder.") from error

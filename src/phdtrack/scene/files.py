@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.files import load, read_json
+from phdtrack.files import load, read_json, write_text
 from phdtrack.scene.mixture import SceneDensity
 
 FORMAT = 1
@@ -82,9 +82,7 @@ def write_scene(path: Path, scene: Scene) -> None:
         "followed": scene.followed and {"share": scene.followed.share, "objects": _plain(scene.followed.objects)},
         "notes": dict(scene.notes),
     }
-    part = path.with_name(path.name + ".part")
-    part.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-    part.replace(path)
+    write_text(path, json.dumps(document, indent=1) + "\n")
 
 
 def read_scene(path: Path) -> Scene:

@@ -20,6 +20,7 @@ import math
 import re
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
@@ -29,6 +30,7 @@ from typing import Any
 import numpy as np
 
 from phdtrack.errors import InputError
+from phdtrack.files import cannot_write, part_of, publish, refuse_part
 from phdtrack.types import Frame, Image, SequenceInfo
 
 SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp"})
@@ -93,6 +95,7 @@ def open_source(spec: str | Path | int, *, fps: float = 0.0) -> VideoSource:
         raise InputError(f"the rate must be a number of frames per second above 0, not {fps}", where="fps")
     text = str(spec)
     path = Path(text)
+    refuse_part(path)
     if path.is_dir():
         return _images([file for file in path.iterdir() if file.suffix.lower() in SUFFIXES], fps, path)
     if "://" in text or path.exists():
@@ -293,13 +296,16 @@ _THREADS = 4
 class VideoWriter:
     """Writes BGR images at a constant rate; close it, or use it in a ``with`` statement.
 
+    The file has its name when it is closed; until then, or where a ``with`` block is left by an error, it ends in ``.part``.
+
     Parameters
     ----------
     path : the file, which is overwritten; its folder must exist.
     width, height : of the images in pixels. An odd size is padded by one row or column, for H.264 needs even ones.
     fps : frames per second, fractions too (29.97).
     quality : constant rate factor from 0 (lossless) to 51 where the encoder has one; 23 is usual.
-    fragmented : what is written can be played also when the file is never closed, but for the last seconds.
+    fragmented : it has its name at once, and what is written can be played also when the file is never closed, but for the
+        last seconds.
 
     Raises InputError where the file cannot be written or no H.264 encoder works here.
     """
@@ -313,7 +319,8 @@ class VideoWriter:
             )
         import av
 
-        self._path, self._width, self._height = str(path), width, height
+        self._path, self._width, self._height = Path(path), width, height
+        self._grown = self._path if fragmented else part_of(self._path)
         rate = Fraction(fps).limit_denominator(_LARGEST_DENOMINATOR)
         padded = (width + width % 2, height + height % 2)
         name, options = _working_encoder(*padded, rate), dict[str, str]()
@@ -321,15 +328,13 @@ class VideoWriter:
             options = {"crf": str(quality), "preset": "veryfast", "x264-params": f"threads={_THREADS}:sliced-threads=0"}
         try:
             flags = "+frag_keyframe+empty_moov" if fragmented else "+faststart"
-            self._container: Any = av.open(self._path, "w", format="mp4", options={"movflags": flags})
+            self._container: Any = av.open(str(self._grown), "w", format="mp4", options={"movflags": flags})
             self._stream: Any = self._container.add_stream(name, rate=rate, options=options)
             self._stream.width, self._stream.height = padded
             self._stream.pix_fmt = "yuv420p"
             self._container.start_encoding()
         except (av.FFmpegError, OSError) as error:
-            raise InputError(
-                f"this file cannot be written ({error.strerror})", where=path, cure="Check the folder and its permissions."
-            ) from None
+            raise cannot_write(path, error) from None
         self.frames = 0  # written so far
         self._open = True
 
@@ -350,23 +355,37 @@ class VideoWriter:
         picture = av.VideoFrame.from_ndarray(padded, format="bgr24")
         picture.pts = self.frames
         picture.time_base = 1 / self._stream.codec_context.framerate
-        self._container.mux(self._stream.encode(picture))
+        with self._checked():
+            self._container.mux(self._stream.encode(picture))
         self.frames += 1
 
-    def close(self) -> None:
-        """Finish the file; a second call does nothing."""
+    def close(self, *, complete: bool = True) -> None:
+        """Finish the file; a second call does nothing. Where it is not ``complete`` it keeps the name that it grew under."""
         if not self._open:
             return
         self._open = False
-        if self.frames:
-            self._container.mux(self._stream.encode(None))
-        self._container.close()
+        with self._checked():
+            if self.frames:
+                self._container.mux(self._stream.encode(None))
+            self._container.close()
+            if complete and self._grown != self._path:
+                publish(self._path)
+
+    @contextmanager
+    def _checked(self) -> Iterator[None]:
+        """What goes wrong with the disk, in a sentence."""
+        import av
+
+        try:
+            yield
+        except (av.FFmpegError, OSError) as error:
+            raise cannot_write(self._path, error) from error
 
     def __enter__(self) -> VideoWriter:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self.close(complete=kind is None)
 
 
 def _working_encoder(width: int, height: int, rate: Fraction) -> str:

@@ -1,0 +1,200 @@
+"""How a run that was killed goes on: ``--checkpoint-every`` and ``--resume``.
+
+What takes time in a run is to detect. So a checkpoint holds no state of the tracker: ``checkpoint.log`` has what was
+detected in every frame, bit for bit, and ``checkpoint.detector`` what the detector knew after one of these frames. A run that is
+resumed tracks the frames up to that one again, from the log, and detects from there on. All that it writes is written by the
+same code from the same numbers as in a run that was never stopped, and so it is the same.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+import time
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from phdtrack import __version__
+from phdtrack.cli.inputs import Detected, Inputs, Mover, detected
+from phdtrack.cli.run_directory import KNOWN, LOG, RunDirectory
+from phdtrack.detect import knowledge, restore
+from phdtrack.errors import InputError
+from phdtrack.files import json_value, whole
+from phdtrack.state import blocks, from_bytes, to_bytes
+from phdtrack.types import STILL, Detections, Frame
+
+EVERY = 10.0
+"""Seconds between two checkpoints, where nothing else is said."""
+# Of the files: it changes with them.
+FORMAT = 1
+# Bytes that a detector's knowledge may have: several times that of pictures of 8192x4320.
+_LARGEST = 1 << 32
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What a detector knew after frame ``number``, where the log of frames up to it is ``size`` bytes long."""
+
+    number: int
+    size: int
+    detector: dict[str, Any]
+
+
+class Checkpoint:
+    """The checkpoint of a run.
+
+    Parameters
+    ----------
+    directory : of the run.
+    key : what decides the result, in values that JSON knows.
+    every : seconds between two times that it is brought to disk.
+    resume : go on from what is there; without anything there it is a run from the beginning.
+
+    Raises
+    ------
+    InputError : what is there cannot be read, or belongs to a run of other inputs or settings.
+    """
+
+    def __init__(self, directory: RunDirectory, key: Mapping[str, object], every: float, *, resume: bool) -> None:
+        self._log, self._known = directory.file(LOG), directory.file(KNOWN)
+        self._key, self._every, self._due = _text(key), every, 0.0
+        self._saving: threading.Thread | None = None
+        self.known = self._read() if resume and self._known.exists() else None
+
+    @property
+    def number(self) -> int:
+        """The frame from which on is detected; 0 where that is the first."""
+        return self.known.number + 1 if self.known else 0
+
+    def detected(self, inputs: Inputs, frames: Iterable[Frame], mover: Mover | None) -> Iterator[Detected]:
+        """As `inputs.detected`; frames before the checkpoint come out of the log, and all others go into it."""
+        iterator, known = iter(frames), self.known
+        if known is not None:
+            yield from self._again(inputs, iterator, mover, known)
+        with self._log.open("r+b" if known else "wb") as log:
+            if known:
+                log.truncate(known.size)
+                log.seek(known.size)
+            self._due = time.monotonic() + self._every
+            for one in detected(inputs.detector, iterator, mover):
+                log.write(to_bytes(_plain(one)))
+                # It is to outlast the process. What a power cut takes is what came since the last checkpoint.
+                log.flush()
+                self._save(inputs, one.frame.number, log)
+                yield one
+        self._wait()
+
+    def _again(self, inputs: Inputs, frames: Iterator[Frame], mover: Mover | None, known: Known) -> Iterator[Detected]:
+        """What the log holds, up to the frame that the detector's knowledge is of; the detector knows it then."""
+        with self._log.open("rb") as log:
+            for (end, plain), frame in zip(blocks(log), frames, strict=False):
+                one = _made(plain, frame, self._log)
+                if end == known.size:
+                    if one.frame.number != known.number:
+                        break
+                    restore(inputs.detector, known.detector, frame)
+                    if mover is not None:
+                        # It knows the picture before.
+                        mover(frame, one.found)
+                    yield one
+                    return
+                yield one
+        raise InputError("it ends before the checkpoint", where=self._log, cure="Say --overwrite to begin anew.")
+
+    def _save(self, inputs: Inputs, number: int, log: BinaryIO) -> None:
+        """Bring everything to disk, by a thread of its own, if it is time and the last time has ended."""
+        if time.monotonic() < self._due or (self._saving is not None and self._saving.is_alive()):
+            return
+        self._due = time.monotonic() + self._every
+        known = knowledge(inputs.detector)
+        if known is None:
+            return
+        value = {"format": FORMAT, "key": self._key, "number": number, "size": log.tell(), "detector": known}
+        block, descriptor = to_bytes(value), os.dup(log.fileno())
+
+        def save() -> None:
+            try:
+                os.fsync(descriptor)
+                with whole(self._known) as part:
+                    part.write_bytes(zlib.compress(block, 1))
+            except (InputError, OSError):
+                # The disk is full, or the folder is gone: the run will find that out by itself.
+                pass
+            finally:
+                os.close(descriptor)
+
+        self._saving = threading.Thread(target=save, name="phdtrack checkpoint")
+        self._saving.start()
+
+    def _wait(self) -> None:
+        if self._saving is not None:
+            self._saving.join()
+
+    def _read(self) -> Known:
+        """The detector's knowledge. Raises `InputError` where it is none, or that of another run."""
+        where, cure = self._known, "Say --overwrite to begin anew."
+        try:
+            value = from_bytes(zlib.decompressobj().decompress(where.read_bytes(), _LARGEST), where)
+            form, key, number, size = (value[name] for name in ("format", "key", "number", "size"))
+            known = Known(int(number), int(size), dict(value["detector"]))
+        except (InputError, OSError, zlib.error, KeyError, TypeError, ValueError) as error:
+            raise InputError(f"no checkpoint can be read from it ({error})", where=where, cure=cure) from None
+        if form != FORMAT or not isinstance(key, str):
+            raise InputError("this checkpoint is of another version of phdtrack", where=where, cure=cure)
+        if key != self._key:
+            before, now = json.loads(key), json.loads(self._key)
+            different = sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name))
+            problem = f"this checkpoint is of a run with another {', '.join(different)}"
+            raise InputError(problem, where=where, cure=f"Give the same, or choose another --out. {cure}")
+        return known
+
+
+def source_of(path: str) -> list[object]:
+    """What shows whether a file has changed: its name, size and time; of a folder the names and sizes of what is in it."""
+    file = Path(path)
+    if file.is_dir():
+        return [path, sorted((one.name, one.stat().st_size) for one in file.iterdir())]
+    return [path, file.stat().st_size, file.stat().st_mtime_ns] if file.exists() else [path]
+
+
+def _text(key: Mapping[str, object]) -> str:
+    """What decides a result, as text."""
+    return json.dumps(json_value({"version": __version__, **key}), sort_keys=True)
+
+
+def _plain(one: Detected) -> dict[str, Any]:
+    """What a block of the log holds."""
+    found = one.found
+    arrays = {"xyxy": found.xyxy, "confidence": found.confidence, "class_id": found.class_id}
+    more = {} if found.covariance is None else {"covariance": found.covariance}
+    state = {"number": one.frame.number, "time": one.frame.time, "observed": found.observed, "seconds": one.seconds}
+    return {**arrays, **more, **state, "warp": one.warp}
+
+
+def _made(plain: Any, frame: Frame, where: Path) -> Detected:
+    """What a block of the log says of the frame. Raises `InputError` where it is of another frame, or no such block."""
+    try:
+        same = plain["number"] == frame.number and plain["time"] == frame.time
+        warp, seconds, observed = plain["warp"], float(plain["seconds"]), bool(plain["observed"])
+        found = Detections(plain["xyxy"], plain["confidence"], plain["class_id"], plain.get("covariance"), observed)
+        good = same and _sound(found) and warp.dtype == np.float64 and warp.shape in ((3, 3), STILL.shape)
+    except (KeyError, TypeError, ValueError, AttributeError):
+        good = False
+    if not good:
+        problem = f"what it says of frame {frame.number} does not fit the source"
+        raise InputError(problem, where=where, cure="Say --overwrite to begin anew.")
+    return Detected(frame, found, warp, seconds)
+
+
+def _sound(found: Detections) -> bool:
+    """Whether the arrays are of the types and shapes of detections, and boxes finite."""
+    n, covariance = len(found), found.covariance
+    arrays = [(found.xyxy, (n, 4)), (found.confidence, (n,))] + ([] if covariance is None else [(covariance, (n, 4, 4))])
+    finite = all(a.dtype == np.float64 and a.shape == shape and np.isfinite(a).all() for a, shape in arrays)
+    return finite and found.class_id.dtype == np.int64 and found.class_id.shape == (n,)
