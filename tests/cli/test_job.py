@@ -18,7 +18,7 @@ from phdtrack.associate.graph import GraphMatching
 from phdtrack.classes import Kinds
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.inputs import DEPTH, Inputs
-from phdtrack.cli.track import Job, Outcome, detections_needed, run
+from phdtrack.cli.job import Job, Outcome, detections_needed, run
 from phdtrack.config import build, load
 from phdtrack.errors import InputError
 from phdtrack.filters import NoFilter

@@ -1,9 +1,9 @@
 """How a run that was killed goes on: ``--checkpoint-every`` and ``--resume``.
 
 What takes time in a run is to detect. So a checkpoint holds no state of the tracker: ``checkpoint.log`` has what was
-detected in every frame, bit for bit, and ``checkpoint.detector`` what the detector knew after one of these frames. A run that is
-resumed tracks the frames up to that one again, from the log, and detects from there on. All that it writes is written by the
-same code from the same numbers as in a run that was never stopped, and so it is the same.
+detected in every frame, bit for bit, and ``checkpoint.detector`` what the detector knew after one of these frames. A run
+that is resumed tracks the frames up to that one again, from the log, and detects from there on. All that it writes is
+written by the same code from the same numbers as in a run that was never stopped, and so it is the same.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from phdtrack.cli.inputs import Detected, Inputs, Mover, detected
 from phdtrack.cli.run_directory import KNOWN, LOG, RunDirectory
 from phdtrack.detect import knowledge, restore
 from phdtrack.errors import InputError
-from phdtrack.files import json_value, whole
+from phdtrack.files import cannot_write, json_value, whole
 from phdtrack.state import blocks, from_bytes, to_bytes
 from phdtrack.types import STILL, Detections, Frame
 
@@ -65,6 +65,8 @@ class Checkpoint:
         self._log, self._known = directory.file(LOG), directory.file(KNOWN)
         self._key, self._every, self._due = _text(key), every, 0.0
         self._saving: threading.Thread | None = None
+        # Why there are no more checkpoints; empty where there are.
+        self.problem = ""
         self.known = self._read() if resume and self._known.exists() else None
 
     @property
@@ -77,18 +79,16 @@ class Checkpoint:
         iterator, known = iter(frames), self.known
         if known is not None:
             yield from self._again(inputs, iterator, mover, known)
-        with self._log.open("r+b" if known else "wb") as log:
+        with self._log.open("r+b" if known else "wb", buffering=0) as log:
             if known:
                 log.truncate(known.size)
                 log.seek(known.size)
             self._due = time.monotonic() + self._every
             for one in detected(inputs.detector, iterator, mover):
-                log.write(to_bytes(_plain(one)))
-                # It is to outlast the process. What a power cut takes is what came since the last checkpoint.
-                log.flush()
-                self._save(inputs, one.frame.number, log)
+                self._add(inputs, one, log)
                 yield one
-        self._wait()
+        if self._saving is not None:
+            self._saving.join()
 
     def _again(self, inputs: Inputs, frames: Iterator[Frame], mover: Mover | None, known: Known) -> Iterator[Detected]:
         """What the log holds, up to the frame that the detector's knowledge is of; the detector knows it then."""
@@ -106,6 +106,17 @@ class Checkpoint:
                     return
                 yield one
         raise InputError("it ends before the checkpoint", where=self._log, cure="Say --overwrite to begin anew.")
+
+    def _add(self, inputs: Inputs, one: Detected, log: BinaryIO) -> None:
+        """Write what was detected in a frame. Where that fails there are no more checkpoints, and the run goes on."""
+        if self.problem:
+            return
+        try:
+            # It is to outlast the process. What a power cut takes is what came since the last checkpoint.
+            log.write(to_bytes(_plain(one)))
+            self._save(inputs, one.frame.number, log)
+        except OSError as error:
+            self.problem = f"no checkpoints from frame {one.frame.number} on: {cannot_write(self._log, error)}"
 
     def _save(self, inputs: Inputs, number: int, log: BinaryIO) -> None:
         """Bring everything to disk, by a thread of its own, if it is time and the last time has ended."""
@@ -131,10 +142,6 @@ class Checkpoint:
 
         self._saving = threading.Thread(target=save, name="phdtrack checkpoint")
         self._saving.start()
-
-    def _wait(self) -> None:
-        if self._saving is not None:
-            self._saving.join()
 
     def _read(self) -> Known:
         """The detector's knowledge. Raises `InputError` where it is none, or that of another run."""

@@ -17,10 +17,11 @@ import typer
 from phdtrack import compare as comparing
 from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
+from phdtrack.cli.job import about, detections_needed
 from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, progress
 from phdtrack.cli.settings import only_classes, scene_settings
-from phdtrack.cli.track import about, announced, detections_needed
+from phdtrack.cli.track import announced
 from phdtrack.compare import Comparison, Plan
 from phdtrack.compare.failures import worst_frames, write_frames
 from phdtrack.compare.results import Results

@@ -22,12 +22,13 @@ from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.checkpoint import EVERY
 from phdtrack.cli.inputs import NO_PICTURE, refuse
+from phdtrack.cli.job import about, finish_document, places
 from phdtrack.cli.observers import Draw, Report, RunObserver
 from phdtrack.cli.options import SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, progress
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.cli.settings import chosen, scene_settings
-from phdtrack.cli.track import about, finish, finish_document, places, prepare
+from phdtrack.cli.track import finish, prepare
 from phdtrack.config import Settings, build_groups, ground_model
 from phdtrack.devices import Camera
 from phdtrack.errors import InputError

@@ -14,10 +14,11 @@ from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.evaluate import score_table
 from phdtrack.cli.inputs import ahead
+from phdtrack.cli.job import run
 from phdtrack.cli.options import SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, counted, progress
 from phdtrack.cli.settings import chosen
-from phdtrack.cli.track import announced, prepare, run
+from phdtrack.cli.track import announced, prepare
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.files import write_text
 from phdtrack.formats import write_detections, write_truth

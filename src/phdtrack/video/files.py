@@ -289,7 +289,8 @@ def _upright(picture: Any) -> Image:
 
 ENCODERS = ["libx264", "libopenh264", "h264_videotoolbox", "h264_mf", "h264_nvenc", "h264_qsv", "h264_amf", "h264_v4l2m2m"]
 _LARGEST_DENOMINATOR = 1001
-# The same on every machine, each thread with a frame of its own: x264's pictures depend on the number of threads.
+# The same on every machine, each thread with a frame of its own: x264's pictures depend on the number of threads. Its tree
+# of macroblocks (mbtree) is off, as with it the same pictures are now and then encoded in another way.
 _THREADS = 4
 
 
@@ -325,7 +326,7 @@ class VideoWriter:
         padded = (width + width % 2, height + height % 2)
         name, options = _working_encoder(*padded, rate), dict[str, str]()
         if name == "libx264":
-            options = {"crf": str(quality), "preset": "veryfast", "x264-params": f"threads={_THREADS}:sliced-threads=0"}
+            options = {"crf": str(quality), "preset": "veryfast", "x264-params": f"threads={_THREADS}:sliced-threads=0:mbtree=0"}
         try:
             flags = "+frag_keyframe+empty_moov" if fragmented else "+faststart"
             self._container: Any = av.open(str(self._grown), "w", format="mp4", options={"movflags": flags})

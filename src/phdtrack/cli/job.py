@@ -1,0 +1,390 @@
+"""A run: frames through detector and tracker into the files of its directory.
+
+Every frame's detections, states and online track rows go to their files at once. Whatever stops the loop, a frame that
+cannot be used, a full disk or Ctrl-C, the frames done so far are finished like a whole run: corrected tracks, scores,
+annotated video, report, ``run.json``. Decoding, detecting and tracking overlap (`inputs.ahead`), and so does drawing.
+"""
+
+from __future__ import annotations
+
+import math
+import shlex
+import sys
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from functools import partial
+from itertools import repeat
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numba.core import event
+
+from phdtrack import pipeline
+from phdtrack.classes import Kinds
+from phdtrack.cli import run_directory as rundir
+from phdtrack.cli import signals
+from phdtrack.cli.checkpoint import Checkpoint, source_of
+from phdtrack.cli.doctor import versions
+from phdtrack.cli.inputs import NO_PICTURE, Inputs, Mover, ahead, detected, rereadable
+from phdtrack.cli.observers import Draw, RunObserver
+from phdtrack.cli.output import counted, progress
+from phdtrack.cli.run_directory import RunDirectory
+from phdtrack.errors import InputError, interrupted
+from phdtrack.files import write_text
+from phdtrack.filters import NoFilter
+from phdtrack.filters.cardinality import Cardinalised
+from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter
+from phdtrack.models import PlaneSensor
+from phdtrack.protocols import AnyStages, Sensor
+from phdtrack.report import About, Annotator, Recorder, report_html, run_document, sentences, write_run
+from phdtrack.report.pages import lines
+from phdtrack.report.record import LOW_EFFECTIVE
+from phdtrack.tracker import Tracker, uninterrupted
+from phdtrack.types import F8, Detections, Frame, Image, ParticleBlocks, Particles, SequenceInfo, Tracks, Truth
+from phdtrack.video import VideoWriter
+
+if TYPE_CHECKING:
+    from phdtrack.metrics import Scores
+Stop = Exception | KeyboardInterrupt
+
+_WHICH = (
+    f"{rundir.TRACKS} holds the corrected tracks of the whole run, {rundir.ONLINE} the rows as they were given "
+    "frame by frame, which did not change afterwards."
+)
+# An object detected so often in a row must have been reported; after more than _SLOW detections the user is warned.
+_TRIED, _SLOW = 25, 5
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What is to be run; ``configuration`` and ``read``, what was read and how, decide the result; ``ground`` measures where
+    boxes of tracks in an image stand; ``every``: seconds between checkpoints, 0 for none."""
+
+    inputs: Inputs
+    kinds: Kinds
+    configuration: dict[str, object]
+    read: dict[str, object]
+    about: About
+    truth: Truth | None = None
+    video: bool = True
+    observers: tuple[RunObserver, ...] = ()
+    mover: Mover | None = None
+    ground: Sensor | None = None
+    every: float = 0.0
+
+    @property
+    def key(self) -> dict[str, object]:
+        """What decides the result: a checkpoint of another is refused."""
+        return {
+            "settings": self.configuration,
+            **self.read,
+            "seed": self.about.seed,
+            "file": source_of(str(self.read["source"])),
+        }
+
+    @property
+    def sensor(self) -> Sensor:
+        """What says where boxes stand on the ground."""
+        return self.ground or self.stages.model.sensor
+
+    @property
+    def stages(self) -> AnyStages:
+        """Those of classes that have none of their own."""
+        return self.kinds.usual
+
+    @property
+    def names(self) -> Mapping[int, str] | None:
+        """What classes are called; None without classes."""
+        return None if self.inputs.names is None or not self.kinds.apart else self.kinds.names
+
+
+class Outcome(NamedTuple):
+    """What came of a run: the content of run.json, a summary in sentences, scores where there is truth; ``stop`` is what
+    ended it before its time, None where it ran to the end."""
+
+    document: dict[str, object]
+    summary: tuple[str, ...]
+    scores: Scores | None
+    warnings: tuple[str, ...]
+    stop: Stop | None
+
+
+class _Seen(NamedTuple):
+    """What the second pass needs of a frame."""
+
+    number: int
+    detections: Detections
+    mass: float
+    clutter_probability: F8
+
+
+@dataclass(slots=True)
+class _Progress:
+    """How far it got. ``stop`` ended the loop, ``cut`` the drawing; ``lost`` is what the source said when it ended.
+
+    ``seconds`` is what the loop took, but for ``left_out`` frames in which kernels were compiled or loaded. ``unwritten`` is
+    what ended the writing of files; the others are written all the same. ``resumed`` is the frame that it went on from.
+    """
+
+    tracker: Tracker
+    recorder: Recorder
+    seen: list[_Seen] = field(default_factory=list)
+    seconds: float = 0.0
+    left_out: int = 0
+    lost: str = ""
+    stop: Stop | None = None
+    cut: Stop | None = None
+    unwritten: list[Stop] = field(default_factory=list)
+    resumed: int = 0
+
+    @contextmanager
+    def saving(self) -> Iterator[None]:
+        """A file that cannot be written does not take the others with it."""
+        try:
+            yield
+        except (InputError, OSError) as error:
+            self.unwritten.append(error)
+
+    @property
+    def ended(self) -> Stop | None:
+        """What ended it before its time, or the first file that could not be written."""
+        return self.stop or self.cut or next(iter(self.unwritten), None)
+
+    @property
+    def last(self) -> int:
+        """The number of the last frame that went through, 0 where none did."""
+        return self.seen[-1].number if self.seen else 0
+
+
+def about(title: str, seed: int = 0) -> About:
+    """What is known of a run that starts now."""
+    now, installed = datetime.now(UTC).isoformat(timespec="seconds"), tuple(one for one in versions() if one[1])
+    return About(title, shlex.join(["phdtrack", *sys.argv[1:]]), seed, now, versions=installed)
+
+
+def run(job: Job, directory: RunDirectory, *, resume: bool = False) -> Outcome:
+    """Run the job. Raises only where nothing was computed; the directory is then left without files of this run."""
+    clock, scores = time.perf_counter(), None
+    with rereadable(job.inputs, job.video) as (frames, again):
+        done = _track(job, frames, directory, resume=resume)
+        if not done.seen and done.stop is not None:
+            if not resume:
+                directory.clear()
+            raise done.stop
+        tracks = done.tracker.tracks()
+        with done.saving(), TracksWriter(directory.file(rundir.TRACKS), job.names) as file:
+            file.append(tracks, places(job.sensor, tracks.xyxy))
+        for observer in job.observers:
+            with done.saving():
+                observer.finish(directory, tracks)
+        if job.truth is not None:
+            from phdtrack.metrics import evaluate
+
+            scores = evaluate(job.truth, tracks, frames=done.last)
+        if job.video:
+            _draw(job, again(), directory, done, tracks)
+    record = replace(done.recorder.record(tracks, job.about), names=job.names)
+    # Of each the note comes first, then the warning if there is one.
+    doubts = (_confirmation(job, done), lines("chain.txt", chain=record.chain, least=LOW_EFFECTIVE))
+    said = replace(
+        job.about,
+        seconds=time.perf_counter() - clock,
+        tracking_seconds=done.seconds,
+        left_out=done.left_out,
+        scores=() if scores is None else tuple((k, math.nan if v is None else v) for k, v in scores.as_dict().items()),
+        warnings=(*_problems(job, done), *(warning for each in doubts for warning in each[1:])),
+        notes=(*(note for each in doubts for note in each[:1]), _WHICH),
+    )
+    reports = [observer.report() for observer in job.observers]
+    record = replace(record, about=replace(said, sections="\n".join(report.section for report in reports)))
+    with done.saving():
+        write_text(directory.file(rundir.REPORT), report_html(record, job.configuration | {"input": job.read}))
+    complete = done.ended is None
+    document = run_document(record, job.configuration) | {"complete": complete, "input": job.read}
+    document |= {"resumed_from_frame": done.resumed} if done.resumed else {}
+    with done.saving():
+        document = finish_document(document, directory, *(report.document for report in reports))
+    if complete and done.ended is None:
+        directory.sweep()
+    summary = (*sentences(record), *(sentence for report in reports for sentence in report.sentences))
+    warnings = (*said.warnings, *(str(error) for error in done.unwritten if error is not done.ended))
+    return Outcome(document, summary, scores, warnings, done.ended)
+
+
+def finish_document(document: dict[str, object], directory: RunDirectory, *more: dict[str, object]) -> dict[str, object]:
+    """Write run.json: the document, where the files are, and what observers add."""
+    run = directory.file(rundir.RUN)
+    files = {file.name: str(file) for file in directory.written()} | {run.name: str(run)}
+    document = document | {"directory": str(directory.path), "files": files}
+    for part in more:
+        document |= part
+    write_run(run, document)
+    return document
+
+
+def _track(job: Job, source: Iterable[Frame], directory: RunDirectory, *, resume: bool) -> _Progress:
+    """Every frame through detector and tracker, into files and record, until the source ends or something stops it."""
+    inputs, stages, sensor = job.inputs, job.stages, job.sensor
+    tracker = Tracker(stages=job.kinds, fps=inputs.info.fps, seed=job.about.seed)
+    done = _Progress(tracker, Recorder(inputs.info, job.truth))
+    found_in, checkpoint = partial(detected, inputs.detector, mover=job.mover), None
+    if job.every > 0 and inputs.pictures and inputs.again:
+        checkpoint = Checkpoint(directory, job.key, job.every, resume=resume)
+        found_in, done.resumed = partial(checkpoint.detected, inputs, mover=job.mover), checkpoint.number
+    with ExitStack() as files:
+        detections = DetectionsWriter(directory.file(rundir.DETECTIONS), job.names)
+        states = StatesWriter(directory.file(rundir.STATES))
+        online = TracksWriter(directory.file(rundir.ONLINE), job.names)
+        for writer in (detections, states, online):
+            # What goes wrong when it is closed must not take with it what was computed.
+            files.enter_context(done.saving())
+            files.enter_context(writer)
+        advance = files.enter_context(progress("tracking", inputs.info.frames))
+        for observer in job.observers:
+            files.enter_context(done.saving())
+            observer.open(directory, files)
+        # To load or to compile a kernel for arguments of new types Numba takes a lock, which is recorded.
+        locks, clock = files.enter_context(event.install_recorder("numba:compiler_lock")), time.perf_counter()
+        try:
+            with ahead(source) as frames, ahead(found_in(frames)) as looked:
+                for frame, found, warp, seconds in looked:
+                    # No frame stands in one file only; and Numba does not survive Ctrl-C while it makes objects.
+                    with uninterrupted():
+                        rows = tracker.update(found, frame.number, frame.time, warp if len(warp) else None)
+                        step = tracker.step
+                        assert step is not None
+                        detections.append(frame.number, found)
+                        states.append(step)
+                        online.append(rows, places(sensor, rows.xyxy))
+                        for observer in job.observers:
+                            observer.take(found, step, tracker.state)
+                        image = frame.image if inputs.pictures else None
+                        done.recorder.add(image, step, shown_particles(stages, tracker.state.intensity), seconds)
+                        seen = _Seen(step.number, step.detections, step.info.mass, step.info.clutter_probability)
+                        done.seen.append(seen)
+                    advance(len(done.seen))
+                    before, clock = clock, time.perf_counter()
+                    if locks.buffer:
+                        done.left_out += 1
+                        locks.buffer.clear()
+                    else:
+                        done.seconds += clock - before
+            held = tracker.flush()
+            online.append(held, places(sensor, held.xyxy))
+            for observer in job.observers:
+                observer.flush(held)
+        except (Exception, KeyboardInterrupt) as stop:
+            done.stop = _as_meant(stop)
+        if isinstance(done.stop, KeyboardInterrupt):
+            signals.last_chance(f"stopped after frame {done.last}; its files are being completed")
+        done.lost = ". ".join(filter(None, (inputs.source.problem, checkpoint.problem if checkpoint else "")))
+    return done
+
+
+def _draw(job: Job, again: Iterable[Frame], directory: RunDirectory, done: _Progress, tracks: Tracks) -> None:
+    """The videos of the frames that were tracked."""
+    try:
+        with ExitStack() as files:
+            draw, info = list[Draw](), job.inputs.info
+            pictures: Iterable[Image] = repeat(NO_PICTURE)
+            if job.inputs.pictures:
+                video = files.enter_context(VideoWriter(directory.file(rundir.VIDEO), info.width, info.height, info.fps))
+                draw.append(lambda number, picture: video.write(picture))
+                frames = files.enter_context(ahead(again))
+                pictures = files.enter_context(
+                    ahead(_annotated(Annotator(info, names=job.names), done.seen, frames, tracks))
+                )
+            found = (observer.drawing(directory, files, pictures=job.inputs.pictures) for observer in job.observers)
+            draw.extend(filter(None, found))
+            if not draw:
+                return
+            advance = files.enter_context(progress("drawing", len(done.seen)))
+            try:
+                for count, (seen, picture) in enumerate(zip(done.seen, pictures, strict=False), start=1):
+                    for one in draw:
+                        one(seen.number, picture)
+                    advance(count)
+            except KeyboardInterrupt as stop:
+                # The videos end here, and can be played.
+                done.cut = stop
+                signals.last_chance(f"stopped while frame {seen.number} was drawn")
+    except Exception as error:
+        if isinstance(error, InputError | OSError):
+            done.unwritten.append(error)
+        else:
+            done.cut = _as_meant(error)
+
+
+def _annotated(annotate: Annotator, seen: list[_Seen], frames: Iterable[Frame], tracks: Tracks) -> Iterator[Image]:
+    """The frames that were seen, drawn on."""
+    for one, frame in zip(seen, frames, strict=False):
+        rows = tracks.take(np.arange(*np.searchsorted(tracks.frame, [one.number, one.number + 1])))
+        chances = one.clutter_probability
+        yield annotate(frame.image, one.number, rows, one.detections, mass=one.mass, clutter_probability=chances)
+
+
+def _as_meant(stop: Stop) -> Stop:
+    """Ctrl-C, in whatever form it comes out of compiled code, or the error itself."""
+    return KeyboardInterrupt() if interrupted(stop) and not isinstance(stop, KeyboardInterrupt) else stop
+
+
+def _problems(job: Job, done: _Progress) -> Iterator[str]:
+    """What did not go as it should, in sentences: what the source lost, and what stopped the run."""
+    yield from filter(None, (*job.inputs.warnings, job.inputs.source.note, done.lost))
+    annotated = 0 if job.truth is None else int(job.truth.frame.max(initial=0))
+    why = ["stopped by Ctrl-C" if isinstance(stop, KeyboardInterrupt) else stop for stop in (done.stop, done.cut)]
+    yield from lines("problems.txt", stop=why[0], cut=why[1], last=done.last, annotated=annotated, video=rundir.VIDEO)
+    if done.tracker.unwanted:
+        left_out = counted(done.tracker.unwanted, "box")
+        yield f"{left_out} left out: their class was not asked for, or their size or score is below the least of their class"
+
+
+def _confirmation(job: Job, done: _Progress) -> tuple[str, ...]:
+    """After how many detections of the usual size an object is reported: a note, and a warning where it takes long."""
+    boxes = [seen.detections.xyxy for seen in done.seen if len(seen.detections)]
+    if isinstance(job.stages.filter, NoFilter) or not boxes:
+        return ()
+    xyxy = np.concatenate(boxes)
+    width, height = np.median(xyxy[:, 2:] - xyxy[:, :2], axis=0)
+    needed = detections_needed(job.stages, job.inputs.info, (float(width), float(height)))
+    return lines("confirmation.txt", needed=needed, tried=_TRIED, slow=_SLOW)
+
+
+def detections_needed(stages: AnyStages, info: SequenceInfo, size: tuple[float, float]) -> int:
+    """Detections in a row of an object up to its first state; 0 for more than 25.
+
+    The ratio of the densities of births and of clutter decides it, which settings do not show. So it is tried: an object
+    of ``size`` (width, height in pixels) moves through the middle of the frame, by a tenth of its width a frame, and is
+    detected in every frame: what stands still from its first frame on may be a false alarm that lasts.
+    """
+    centre, half = np.array([info.width, info.height]) / 2, np.array(size) / 2
+    box, step = np.concatenate([centre - half, centre + half]), np.array([0.1 * size[0], 0, 0.1 * size[0], 0])
+    frames = ((k, k / info.fps, Detections.of(box + (k - _TRIED / 2) * step)) for k in range(1, _TRIED + 1))
+    steps = pipeline.run(stages, frames, np.random.default_rng(0))
+    return next((step.number for _, step in steps if len(step.estimates)), 0)
+
+
+def places(sensor: Sensor, xyxy: F8) -> F8:
+    """(2, M) metres: the ground under the middle of each box's (M, 4) lower edge, or its centre where the image is a plan;
+    NaN where there is none, or where the world of the sensor is the image."""
+    plane = isinstance(sensor, PlaneSensor)
+    return sensor.measure(Detections.of(xyxy))[:2] if plane else np.full((2, len(xyxy)), np.nan)
+
+
+def shown_particles(stages: AnyStages, intensity: object) -> Particles | None:
+    """The filter's particles where the image shows them: rows 0 and 1 the middle of their boxes in pixels. None where the
+    filter has none, or the world is a plan without an image."""
+    particles = intensity.intensity if isinstance(intensity, Cardinalised) else intensity
+    particles = particles.particles() if isinstance(particles, ParticleBlocks) else particles
+    if isinstance(stages.filter, NoFilter) or not isinstance(particles, Particles):
+        return None
+    sensor = stages.model.sensor
+    if not isinstance(sensor, PlaneSensor):
+        return particles
+    if sensor.camera is None:
+        return None
+    boxes = sensor.boxes(particles.state)
+    return Particles(np.vstack([(boxes[:, :2] + boxes[:, 2:]).T / 2, particles.state[2:]]), particles.weight)

@@ -1,0 +1,222 @@
+"""Runs that are killed, stopped, or cannot write: what is there afterwards is whole, and a resumed run's files are the same."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runner import phdtrack, refused
+
+from phdtrack.cli import run_directory as rundir
+from phdtrack.files import part_of
+from phdtrack.state import blocks, from_bytes, to_bytes
+from phdtrack.video import VideoWriter, open_source
+
+SAME = (rundir.TRACKS, rundir.ONLINE, rundir.STATES, rundir.DETECTIONS, rundir.VIDEO)
+# Ends its own process by a signal after some calls of a method.
+KILLED = """
+import os, signal, sys
+from phdtrack.cli.app import main
+from {module} import {kind}
+real, calls = {kind}.{method}, []
+def counted(*given, **more):
+    calls.append(1)
+    if len(calls) == {after}:
+        os.kill(os.getpid(), signal.{name})
+    return real(*given, **more)
+{kind}.{method} = counted
+sys.argv = ["phdtrack", *{words}]
+main()
+"""
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A video of 60 frames in which a dark box crosses a noisy grey."""
+    path, rng = tmp_path_factory.mktemp("clip") / "clip.mp4", np.random.default_rng(5)
+    ground = rng.integers(120, 136, (96, 160, 3))
+    with VideoWriter(path, 160, 96, 25.0) as writer:
+        for k in range(60):
+            image = (ground + rng.integers(-2, 3, ground.shape)).astype(np.uint8)
+            image[30:70, 10 + 2 * k : 26 + 2 * k] = 30
+            writer.write(image)
+    return path
+
+
+def given(clip: Path, out: Path, *more: str) -> list[str]:
+    learn = ["--learn-online"]
+    return ["track", str(clip), "--out", str(out), "--checkpoint-every", "0.001", "--fps", "25", *learn, *more]
+
+
+@pytest.fixture(scope="module")
+def whole(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run that nothing stopped."""
+    out = tmp_path_factory.mktemp("whole") / "run"
+    assert phdtrack(*given(clip, out)).status == 0
+    assert sorted(path.name for path in out.iterdir() if path.suffix in (".part", ".log", ".detector")) == []
+    return out
+
+
+def ended(words: list[str], at: tuple[str, str, str, int], name: str, limit: int = 0) -> subprocess.CompletedProcess[str]:
+    """A run in a process of its own that a signal comes to, in a call of ``module``'s ``kind.method``."""
+    module, kind, method, after = at
+    code = KILLED.format(module=module, kind=kind, method=method, after=after, name=name, words=words)
+
+    def bounded() -> None:
+        if limit:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, preexec_fn=bounded)
+
+
+NEVER = ("phdtrack.formats", "StatesWriter", "append", 10**9)
+
+
+def same(out: Path, whole: Path) -> None:
+    """All files are those of the run that nothing stopped, and nothing else is left."""
+    assert {path.name for path in out.iterdir()} == {path.name for path in whole.iterdir()}
+    for name in (*SAME, *(path.name for path in whole.glob("scene*.json"))):
+        assert (out / name).read_bytes() == (whole / name).read_bytes(), name
+    document, usual = (json.loads((folder / rundir.RUN).read_text()) for folder in (out, whole))
+    assert document["complete"] is True
+    for key in ("frames", "tracks", "configuration", "learning", "summary"):
+        if key in usual and key != "summary":
+            assert document[key] == usual[key], key
+
+
+@pytest.mark.parametrize(
+    "at",
+    [
+        ("phdtrack.formats", "StatesWriter", "append", 1),
+        ("phdtrack.formats", "StatesWriter", "append", 40),
+        ("phdtrack.video", "VideoWriter", "write", 30),
+    ],
+    ids=["first frame", "tracking", "drawing"],
+)
+def test_a_killed_run_is_resumed_and_writes_the_same(
+    at: tuple[str, str, str, int], clip: Path, whole: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    assert ended(given(clip, out), at, "SIGKILL").returncode == -signal.SIGKILL
+    # Nothing has a name that says that it is complete, but what is.
+    for path in (path for path in out.iterdir() if path.name in rundir.RUN_FILES):
+        assert path.read_bytes() == (whole / path.name).read_bytes()
+    assert "--resume" in refused(*given(clip, out))
+    said = phdtrack(*given(clip, out, "--resume"))
+    assert said.status == 0, said.err
+    same(out, whole)
+    assert "nothing to go on with" in phdtrack(*given(clip, out, "--resume")).out
+
+
+@pytest.mark.parametrize(("name", "status"), [("SIGTERM", 143), ("SIGHUP", 129), ("SIGINT", 130)])
+def test_a_signal_finishes_what_was_done_and_the_rest_can_follow(
+    name: str, status: int, clip: Path, whole: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    done = ended(given(clip, out), ("phdtrack.formats", "StatesWriter", "append", 40), name)
+    assert done.returncode == status, done.stderr
+    assert "stopped after frame 40" in done.stderr
+    document = json.loads((out / rundir.RUN).read_text())
+    assert (document["complete"], document["frames"]) == (False, 40)
+    assert not list(out.glob("*.part"))
+    assert len(list(open_source(out / rundir.VIDEO))) == 40
+    assert phdtrack(*given(clip, out, "--resume")).status == 0
+    same(out, whole)
+
+
+def test_a_second_signal_ends_at_once(clip: Path, tmp_path: Path) -> None:
+    """It comes while the video is drawn, after the first one in the loop: nothing is finished any more."""
+    words = given(clip, tmp_path / "run")
+    code = KILLED.format(module="phdtrack.formats", kind="StatesWriter", method="append", after=9, name="SIGTERM", words=words)
+    code = code.replace("main()", "import phdtrack.cli.job as job, time\njob._draw = lambda *a: time.sleep(60)\nmain()")
+    with subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, text=True) as child:
+        assert child.stderr is not None
+        assert "again: end at once" in next(line for line in child.stderr if "stopped" in line)
+        time.sleep(0.2)
+        begun = time.monotonic()
+        child.send_signal(signal.SIGTERM)
+        assert child.wait(20) == -signal.SIGTERM
+        assert time.monotonic() - begun < 10
+
+
+@pytest.mark.parametrize(("limit", "lost"), [(3_000, rundir.STATES), (8_000, rundir.VIDEO), (60_000, rundir.REPORT)])
+def test_a_full_disk_leaves_no_cut_file_and_is_said(limit: int, lost: str, clip: Path, whole: Path, tmp_path: Path) -> None:
+    """A file cannot grow beyond a limit, which hits one after the other."""
+    out = tmp_path / "run"
+    sizes = {name: (whole / name).stat().st_size for name in (rundir.STATES, rundir.VIDEO, rundir.REPORT)}
+    assert sizes[lost] > limit, sizes
+    done = ended(given(clip, out), NEVER, "SIGKILL", limit)
+    assert done.returncode == 2, done.stderr
+    assert f"{lost}: the file cannot be written: File too large" in done.stderr
+    assert "Traceback" not in done.stderr
+    for path in (path for path in out.iterdir() if path.name in rundir.RUN_FILES and path.name not in (rundir.RUN, lost)):
+        text = path.read_bytes()
+        assert path.suffix != ".csv" or text.endswith(b"\n") or not text
+        assert path.suffix != ".html" or text.rstrip().endswith(b"</html>")
+    assert not (out / lost).exists()
+    assert phdtrack(*given(clip, out, "--resume")).status == 0
+    same(out, whole)
+
+
+def test_a_folder_that_is_gone_is_no_success(clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import phdtrack.cli.job as job
+
+    real, out = job._draw, tmp_path / "run"
+
+    def removed(*arguments: object) -> None:
+        shutil.rmtree(out)
+        real(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(job, "_draw", removed)
+    said = phdtrack(*given(clip, out))
+    assert said.status == 2
+    assert "Was the folder removed meanwhile?" in said.err
+
+
+def test_two_runs_do_not_write_into_one_folder(clip: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    words = given(clip, out)
+    code = KILLED.format(module="phdtrack.formats", kind="StatesWriter", method="append", after=3, name="SIGSTOP", words=words)
+    with subprocess.Popen([sys.executable, "-c", code]) as child:
+        os.waitid(os.P_PID, child.pid, os.WSTOPPED)
+        said = refused(*given(clip, out, "--overwrite"))
+        assert "another run is writing into this directory" in said
+        child.kill()
+    assert phdtrack(*given(clip, out, "--overwrite")).status == 0
+
+
+def test_a_checkpoint_of_another_run_is_refused(clip: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    ended(given(clip, out), ("phdtrack.formats", "StatesWriter", "append", 50), "SIGKILL")
+    assert "another seed" in refused(*given(clip, out, "--resume", "--seed", "3"))
+    assert "another settings" in refused(*given(clip, out, "--resume", "--filter", "gm-phd"))
+    for change, words in (
+        (lambda held: held[: len(held) // 2], "no checkpoint can be read"),
+        (lambda held: zlib.compress(to_bytes({**from_bytes(zlib.decompress(held)), "number": 2})), "does not fit|ends before"),
+        (lambda held: zlib.compress(to_bytes({**from_bytes(zlib.decompress(held)), "detector": {}})), "not that of this"),
+    ):
+        held = (out / rundir.KNOWN).read_bytes()
+        (out / rundir.KNOWN).write_bytes(change(held))
+        said = phdtrack(*given(clip, out, "--resume"))
+        assert said.status == 2
+        assert any(word in said.err for word in words.split("|")), said.err
+        (out / rundir.KNOWN).write_bytes(held)
+    with (out / rundir.LOG).open("rb") as log:
+        assert [value["number"] for _, value in blocks(log)][:3] == [1, 2, 3]
+
+
+def test_nothing_that_grows_is_read(clip: Path, tmp_path: Path) -> None:
+    for name, words in (("clip.mp4", ["track"]), ("tracks.csv", ["track", "--detections"])):
+        grown = part_of(tmp_path / name)
+        shutil.copy(clip, grown)
+        assert "this file is not complete" in refused(*words, str(grown), "--out", str(tmp_path / "run"))
