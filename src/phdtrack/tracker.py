@@ -14,6 +14,7 @@ import logging
 import math
 import signal
 import threading
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass, replace
@@ -260,6 +261,69 @@ class Tracker:
                 cure="Load it into a tracker with the settings of the one that it is from",
             )
         self._lanes, self._step, self._empty, self._unwanted, self._kept = lanes, None, empty, unwanted, kept
+
+
+class FinalTracks:
+    """The corrected rows of a loop without end, each given once, when it is final.
+
+    A row is final ``lag`` seconds after its frame. A track that lasts longer than the tracker remembers keeps its identity
+    (``associate={"history": S}``: at least twice the lag and ``every`` together).
+
+    Parameters
+    ----------
+    tracker : whose `Tracker.update` is called in between.
+    lag, every : seconds after which rows are final, and between two times that they are given.
+    """
+
+    def __init__(self, tracker: Tracker, lag: float = 30.0, every: float = 30.0) -> None:
+        self._tracker, self._lag, self._every = tracker, lag, every
+        self._due = self._last = self._used = 0
+        self._next = math.nan
+        # When each frame was, of those that are not final; identities of rows that were given, by frame and detection.
+        self._times, self._given = dict[int, float](), dict[tuple[int, int], int]()
+
+    def due(self) -> Tracks:
+        """The rows that are final now; none but every so many seconds. Call it after each update."""
+        step = self._tracker.step
+        if step is None:
+            return Tracks.empty()
+        self._times[step.number] = step.time
+        self._next = step.time + self._lag + self._every if math.isnan(self._next) else self._next
+        if step.time < self._next:
+            return Tracks.empty()
+        self._next = step.time + self._every
+        return self._up_to(max((k for k, time in self._times.items() if time <= step.time - self._lag), default=0))
+
+    def rest(self) -> Tracks:
+        """All other rows, at the end."""
+        return self._up_to(max(self._times, default=0))
+
+    def _up_to(self, frame: int) -> Tracks:
+        """The rows after those that were given, up to a frame, with lasting identities."""
+        rows = self._tracker.tracks()
+        fresh = rows.take((rows.frame > self._last) & (rows.frame <= frame))
+        votes: dict[int, Counter[int]] = {one: Counter() for one in np.unique(fresh.identity).tolist()}
+        for number, identity, detection in _places(rows):
+            if identity in votes and (number, detection) in self._given:
+                votes[identity][self._given[number, detection]] += 1
+        names = dict[int, int]()
+        for one in sorted(votes, key=lambda one: -max(votes[one].values(), default=0)):
+            known = [name for name, _ in votes[one].most_common() if name not in names.values()]
+            self._used += not known
+            names[one] = known[0] if known else self._used
+        first = int(rows.frame.min(initial=frame))
+        self._given = {place: name for place, name in self._given.items() if place[0] >= first}
+        self._given |= {(number, detection): names[identity] for number, identity, detection in _places(fresh)}
+        self._times = {number: time for number, time in self._times.items() if number > frame}
+        self._last = max(self._last, frame)
+        named = np.array([names[one] for one in fresh.identity.tolist()], np.int64)
+        return Tracks(fresh.frame, named, fresh.xyxy, fresh.confidence, fresh.detection, fresh.confirmed, fresh.class_id)
+
+
+def _places(rows: Tracks) -> Iterator[tuple[int, int, int]]:
+    """Frame, identity and detection of each row that rests on one."""
+    seen = rows.take(rows.detection >= 0)
+    return zip(seen.frame.tolist(), seen.identity.tolist(), seen.detection.tolist(), strict=True)
 
 
 @contextmanager

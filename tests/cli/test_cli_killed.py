@@ -137,7 +137,9 @@ def test_a_signal_finishes_what_was_done_and_the_rest_can_follow(
 def test_a_second_signal_ends_at_once(clip: Path, tmp_path: Path) -> None:
     """It comes while the video is drawn, after the first one in the loop: nothing is finished any more."""
     words = given(clip, tmp_path / "run")
-    code = KILLED.format(module="phdtrack.formats", kind="StatesWriter", method="append", after=9, name="SIGTERM", words=words)
+    code = KILLED.format(
+        module="phdtrack.formats", kind="StatesWriter", method="append", after=9, name="SIGTERM", words=words
+    )
     code = code.replace("main()", "import phdtrack.cli.job as job, time\njob._draw = lambda *a: time.sleep(60)\nmain()")
     with subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, text=True) as child:
         assert child.stderr is not None
@@ -186,7 +188,9 @@ def test_a_folder_that_is_gone_is_no_success(clip: Path, tmp_path: Path, monkeyp
 def test_two_runs_do_not_write_into_one_folder(clip: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     words = given(clip, out)
-    code = KILLED.format(module="phdtrack.formats", kind="StatesWriter", method="append", after=3, name="SIGSTOP", words=words)
+    code = KILLED.format(
+        module="phdtrack.formats", kind="StatesWriter", method="append", after=3, name="SIGSTOP", words=words
+    )
     with subprocess.Popen([sys.executable, "-c", code]) as child:
         os.waitid(os.P_PID, child.pid, os.WSTOPPED)
         said = refused(*given(clip, out, "--overwrite"))
@@ -202,7 +206,10 @@ def test_a_checkpoint_of_another_run_is_refused(clip: Path, tmp_path: Path) -> N
     assert "another settings" in refused(*given(clip, out, "--resume", "--filter", "gm-phd"))
     for change, words in (
         (lambda held: held[: len(held) // 2], "no checkpoint can be read"),
-        (lambda held: zlib.compress(to_bytes({**from_bytes(zlib.decompress(held)), "number": 2})), "does not fit|ends before"),
+        (
+            lambda held: zlib.compress(to_bytes({**from_bytes(zlib.decompress(held)), "number": 2})),
+            "does not fit|ends before",
+        ),
         (lambda held: zlib.compress(to_bytes({**from_bytes(zlib.decompress(held)), "detector": {}})), "not that of this"),
     ):
         held = (out / rundir.KNOWN).read_bytes()

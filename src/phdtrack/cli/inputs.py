@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 import queue
 import re
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -25,17 +25,19 @@ from phdtrack.cli.output import progress
 from phdtrack.detect import TableDetector, make_detector
 from phdtrack.detect.convert import within_frame
 from phdtrack.devices import Detector
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, shown
 from phdtrack.formats import DetectionsWriter, find_seqinfo, read_detections
+from phdtrack.live.sources import LiveSource, named
 from phdtrack.types import F8, STILL, Detections, DetectionTable, Frame, Image, SequenceInfo
-from phdtrack.video import VideoSource, VideoWriter, open_source
+from phdtrack.video import VideoSource, open_source
+from phdtrack.video.files import endless
 
 NO_PICTURE: Image = np.zeros((0, 0, 3), np.uint8)
 TABLES = (".txt", ".csv", ".tsv", ".json", ".xml", ".parquet")
 # Items under way: one being made, one ready, one to even out stages whose pace varies.
 DEPTH = 3
-# Quality of the copy of a camera's frames: hardly distinguishable, because it is encoded once more when it is drawn on.
-_FINE = 16
+# Seconds without a picture after which a run that reads a camera ends.
+GIVE_UP = 60.0
 # Seconds that a stage which was stopped may take to end what it does.
 _PATIENCE = 0.7
 T = TypeVar("T")
@@ -105,7 +107,8 @@ def open_inputs(given: SourceOptions, parameters: dict[str, Any], last: int = 0)
     again = not pictures or comes_again(given.source)
     if path is None:
         detector, source = _detector(given, parameters), _video(given)
-        return Inputs(source.info, source, detector, given.source, given.detector or DEFAULT_DETECTOR, True, again)
+        name = shown(given.source)
+        return Inputs(source.info, source, detector, name, given.detector or DEFAULT_DETECTOR, True, again)
     useless = {"--detector": given.detector not in ("", "file"), "--max-width": given.max_width, "--mask": given.mask}
     problem = f"the detections come from {path}, so there is no detector that this could change"
     refuse(useless, problem, "--detections")
@@ -113,7 +116,8 @@ def open_inputs(given: SourceOptions, parameters: dict[str, Any], last: int = 0)
     frames = _video(given) if pictures else _blank(given, path, table, last)
     seen, left_out = within_frame(table, frames.info, path)
     classes = frozenset(np.unique(seen.detections.class_id).tolist())
-    found = Inputs(frames.info, frames, TableDetector(seen), given.source or str(path), str(path), pictures, again, left_out)
+    name = shown(given.source) or str(path)
+    found = Inputs(frames.info, frames, TableDetector(seen), name, str(path), pictures, again, left_out)
     return replace(found, names=seen.names, classes=classes) if seen.names or classes - {0} else found
 
 
@@ -126,12 +130,55 @@ def refuse(useless: Mapping[str, object], problem: str, instead: str) -> None:
 
 def _video(given: SourceOptions) -> VideoSource:
     """The video; its own size holds, and another one in the options is a mistake."""
-    source = open_source(given.source, fps=given.fps)
+    source = open_source(given.source, fps=given.fps) if comes_again(given.source) else _camera(given.source)
     if given.frame_size and frame_size(given.frame_size) != (source.info.width, source.info.height):
         size = f"{source.info.width}x{source.info.height}"
         problem = f"{given.source} has frames of {size} pixels, not {given.frame_size}"
         raise InputError(problem, where="--frame-size", cure="Leave it out: it is for detections without a video.")
     return source
+
+
+def _camera(address: str) -> VideoSource:
+    """The newest pictures of a camera, at their true times; those that come while the tracker is busy are left out.
+
+    A file on a server has an end and comes in order, with time-outs. Raises `InputError` where nothing comes.
+    """
+    if "://" in address and not address.startswith("rtsp") and not endless(address):
+        return open_source(address)
+    live, began = LiveSource(address), list[tuple[int, float, Image, str]]()
+    live.start()
+    for frame in _pictures(live, live.connect):
+        # The rate is measured in the first second.
+        began.append(frame)
+        if frame[1] - began[0][1] >= 1.0:
+            break
+    if not began:
+        live.stop()
+        problem, cure = live.status().problem or "nothing came", "Check the address, and that the camera is on."
+        raise InputError(f"no picture came in {live.connect:g} s: {problem}", where=address, cure=cure)
+    status, zero = live.status(), began[0][1]
+
+    def read(source: VideoSource) -> Iterator[tuple[int, float, Image, str]]:
+        try:
+            for number, at, image, where in chain(began, _pictures(live, GIVE_UP)):
+                yield number, at - zero, image, where
+            source.problem = f"{shown(address)}: no picture in {GIVE_UP:g} s ({live.status().problem or 'it is silent'})"
+        finally:
+            live.stop()
+
+    info = SequenceInfo(status.width, status.height, max(1.0, round(status.fps, 1)), 0, named(address))
+    note = f"{shown(address)}: about {info.fps:g} pictures a second, each taken at the time at which it arrived"
+    return VideoSource(info, read, note)
+
+
+def _pictures(live: LiveSource, patience: float) -> Iterator[tuple[int, float, Image, str]]:
+    """Number, time and picture, and where it is from, until none has come for so many seconds."""
+    last = time.monotonic()
+    while time.monotonic() - last < patience:
+        frame = live.next(0.2)
+        if frame is not None:
+            yield frame.number, frame.time, frame.image, f"frame {frame.number}"
+            last = time.monotonic()
 
 
 def frame_size(text: str) -> tuple[int, int]:
@@ -179,35 +226,6 @@ def _blank(given: SourceOptions, path: Path, table: DetectionTable, last: int) -
 def comes_again(source: str) -> bool:
     """Whether the frames can be read a second time: not those of a camera or of a stream on the network."""
     return "://" not in source and not (source.isdecimal() and not Path(source).exists())
-
-
-@contextmanager
-def rereadable(inputs: Inputs, needed: bool) -> Iterator[tuple[Iterable[Frame], Callable[[], Iterable[Frame]]]]:
-    """The frames of ``inputs`` and a function that gives those that were read once more, where that is ``needed``.
-
-    Frames that come only once are copied into a temporary file on the way; it lives as long as this does.
-    """
-    info, source, seen = inputs.info, inputs.source, list[tuple[int, float]]()
-    if inputs.again or not needed:
-        yield source, lambda: source
-        return
-    with tempfile.TemporaryDirectory(prefix="phdtrack-") as folder:
-        path = Path(folder) / "frames.mp4"
-        with VideoWriter(path, info.width, info.height, info.fps, quality=_FINE) as copy:
-
-            def first() -> Iterator[Frame]:
-                for frame in source:
-                    copy.write(frame.image)
-                    seen.append((frame.number, frame.time))
-                    yield frame
-
-            def again() -> Iterator[Frame]:
-                copy.close()
-                for (number, at), frame in zip(seen, open_source(path), strict=False):
-                    # The copy of an odd size is padded by a row or a column.
-                    yield Frame(number, at, frame.image[: info.height, : info.width])
-
-            yield first(), again
 
 
 @contextmanager

@@ -11,13 +11,14 @@ import math
 import shlex
 import sys
 import time
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
 from itertools import repeat
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numba.core import event
@@ -28,11 +29,11 @@ from phdtrack.cli import run_directory as rundir
 from phdtrack.cli import signals
 from phdtrack.cli.checkpoint import Checkpoint, source_of
 from phdtrack.cli.doctor import versions
-from phdtrack.cli.inputs import NO_PICTURE, Inputs, Mover, ahead, detected, rereadable
+from phdtrack.cli.inputs import NO_PICTURE, Inputs, Mover, ahead, detected
 from phdtrack.cli.observers import Draw, RunObserver
 from phdtrack.cli.output import counted, progress
 from phdtrack.cli.run_directory import RunDirectory
-from phdtrack.errors import InputError, interrupted
+from phdtrack.errors import InputError, interrupted, shown
 from phdtrack.files import write_text
 from phdtrack.filters import NoFilter
 from phdtrack.filters.cardinality import Cardinalised
@@ -42,8 +43,8 @@ from phdtrack.protocols import AnyStages, Sensor
 from phdtrack.report import About, Annotator, Recorder, report_html, run_document, sentences, write_run
 from phdtrack.report.pages import lines
 from phdtrack.report.record import LOW_EFFECTIVE
-from phdtrack.tracker import Tracker, uninterrupted
-from phdtrack.types import F8, Detections, Frame, Image, ParticleBlocks, Particles, SequenceInfo, Tracks, Truth
+from phdtrack.tracker import FinalTracks, Tracker, uninterrupted
+from phdtrack.types import F8, Detections, Frame, Image, ParticleBlocks, Particles, SequenceInfo, Step, Tracks, Truth
 from phdtrack.video import VideoWriter
 
 if TYPE_CHECKING:
@@ -56,12 +57,15 @@ _WHICH = (
 )
 # An object detected so often in a row must have been reported; after more than _SLOW detections the user is warned.
 _TRIED, _SLOW = 25, 5
+# Frames of which is kept what was seen, and what the report shows, where there is no end to them.
+_SAMPLE, _CHARTED = 1000, 100_000
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
     """What is to be run; ``configuration`` and ``read``, what was read and how, decide the result; ``ground`` measures where
-    boxes of tracks in an image stand; ``every``: seconds between checkpoints, 0 for none."""
+    boxes of tracks in an image stand; ``every``: seconds between checkpoints, 0 for none; ``delay``:
+    frames by which online rows lag."""
 
     inputs: Inputs
     kinds: Kinds
@@ -74,6 +78,7 @@ class Job:
     mover: Mover | None = None
     ground: Sensor | None = None
     every: float = 0.0
+    delay: int = 0
 
     @property
     def key(self) -> dict[str, object]:
@@ -131,7 +136,8 @@ class _Progress:
 
     tracker: Tracker
     recorder: Recorder
-    seen: list[_Seen] = field(default_factory=list)
+    seen: list[_Seen] | deque[_Seen] = field(default_factory=list)
+    frames: int = 0
     seconds: float = 0.0
     left_out: int = 0
     lost: str = ""
@@ -162,30 +168,30 @@ class _Progress:
 def about(title: str, seed: int = 0) -> About:
     """What is known of a run that starts now."""
     now, installed = datetime.now(UTC).isoformat(timespec="seconds"), tuple(one for one in versions() if one[1])
-    return About(title, shlex.join(["phdtrack", *sys.argv[1:]]), seed, now, versions=installed)
+    return About(title, shlex.join(["phdtrack", *(shown(word) for word in sys.argv[1:])]), seed, now, versions=installed)
 
 
 def run(job: Job, directory: RunDirectory, *, resume: bool = False) -> Outcome:
     """Run the job. Raises only where nothing was computed; the directory is then left without files of this run."""
     clock, scores = time.perf_counter(), None
-    with rereadable(job.inputs, job.video) as (frames, again):
-        done = _track(job, frames, directory, resume=resume)
-        if not done.seen and done.stop is not None:
-            if not resume:
-                directory.clear()
-            raise done.stop
-        tracks = done.tracker.tracks()
+    done = _track(job, directory, resume=resume)
+    if not done.seen and done.stop is not None:
+        if not resume:
+            directory.clear()
+        raise done.stop
+    tracks = done.tracker.tracks()
+    if job.inputs.again:
         with done.saving(), TracksWriter(directory.file(rundir.TRACKS), job.names) as file:
             file.append(tracks, places(job.sensor, tracks.xyxy))
-        for observer in job.observers:
-            with done.saving():
-                observer.finish(directory, tracks)
-        if job.truth is not None:
-            from phdtrack.metrics import evaluate
+    for observer in job.observers:
+        with done.saving():
+            observer.finish(directory, tracks)
+    if job.truth is not None:
+        from phdtrack.metrics import evaluate
 
-            scores = evaluate(job.truth, tracks, frames=done.last)
-        if job.video:
-            _draw(job, again(), directory, done, tracks)
+        scores = evaluate(job.truth, tracks, frames=done.last)
+    if job.video:
+        _draw(job, directory, done, tracks)
     record = replace(done.recorder.record(tracks, job.about), names=job.names)
     # Of each the note comes first, then the warning if there is one.
     doubts = (_confirmation(job, done), lines("chain.txt", chain=record.chain, least=LOW_EFFECTIVE))
@@ -225,11 +231,11 @@ def finish_document(document: dict[str, object], directory: RunDirectory, *more:
     return document
 
 
-def _track(job: Job, source: Iterable[Frame], directory: RunDirectory, *, resume: bool) -> _Progress:
+def _track(job: Job, directory: RunDirectory, *, resume: bool) -> _Progress:
     """Every frame through detector and tracker, into files and record, until the source ends or something stops it."""
     inputs, stages, sensor = job.inputs, job.stages, job.sensor
     tracker = Tracker(stages=job.kinds, fps=inputs.info.fps, seed=job.about.seed)
-    done = _Progress(tracker, Recorder(inputs.info, job.truth))
+    done = _Progress(tracker, Recorder(inputs.info, job.truth, None if inputs.again else _CHARTED))
     found_in, checkpoint = partial(detected, inputs.detector, mover=job.mover), None
     if job.every > 0 and inputs.pictures and inputs.again:
         checkpoint = Checkpoint(directory, job.key, job.every, resume=resume)
@@ -246,10 +252,19 @@ def _track(job: Job, source: Iterable[Frame], directory: RunDirectory, *, resume
         for observer in job.observers:
             files.enter_context(done.saving())
             observer.open(directory, files)
+        once, final = None, None
+        if not inputs.again:
+            # It may never end: tracks go to disk when they are final, and the past is forgotten.
+            done.seen, final = deque(maxlen=_SAMPLE), FinalTracks(tracker)
+            files.enter_context(done.saving())
+            corrected = files.enter_context(TracksWriter(directory.file(rundir.TRACKS), job.names))
+        if job.video and inputs.pictures and not inputs.again:
+            files.enter_context(done.saving())
+            once = files.enter_context(_DrawnOnce(job, directory))
         # To load or to compile a kernel for arguments of new types Numba takes a lock, which is recorded.
         locks, clock = files.enter_context(event.install_recorder("numba:compiler_lock")), time.perf_counter()
         try:
-            with ahead(source) as frames, ahead(found_in(frames)) as looked:
+            with ahead(inputs.source) as frames, ahead(found_in(frames)) as looked:
                 for frame, found, warp, seconds in looked:
                     # No frame stands in one file only; and Numba does not survive Ctrl-C while it makes objects.
                     with uninterrupted():
@@ -261,11 +276,16 @@ def _track(job: Job, source: Iterable[Frame], directory: RunDirectory, *, resume
                         online.append(rows, places(sensor, rows.xyxy))
                         for observer in job.observers:
                             observer.take(found, step, tracker.state)
+                        if once:
+                            once.take(frame, step, rows)
+                        if final and len(rows := final.due()):
+                            corrected.append(rows, places(sensor, rows.xyxy))
                         image = frame.image if inputs.pictures else None
                         done.recorder.add(image, step, shown_particles(stages, tracker.state.intensity), seconds)
                         seen = _Seen(step.number, step.detections, step.info.mass, step.info.clutter_probability)
                         done.seen.append(seen)
-                    advance(len(done.seen))
+                        done.frames += 1
+                    advance(done.frames)
                     before, clock = clock, time.perf_counter()
                     if locks.buffer:
                         done.left_out += 1
@@ -276,28 +296,66 @@ def _track(job: Job, source: Iterable[Frame], directory: RunDirectory, *, resume
             online.append(held, places(sensor, held.xyxy))
             for observer in job.observers:
                 observer.flush(held)
+            if once:
+                once.flush(held)
         except (Exception, KeyboardInterrupt) as stop:
             done.stop = _as_meant(stop)
+        if final:
+            rows = final.rest()
+            corrected.append(rows, places(sensor, rows.xyxy))
         if isinstance(done.stop, KeyboardInterrupt):
             signals.last_chance(f"stopped after frame {done.last}; its files are being completed")
         done.lost = ". ".join(filter(None, (inputs.source.problem, checkpoint.problem if checkpoint else "")))
     return done
 
 
-def _draw(job: Job, again: Iterable[Frame], directory: RunDirectory, done: _Progress, tracks: Tracks) -> None:
-    """The videos of the frames that were tracked."""
+class _DrawnOnce:
+    """The video of pictures that come only once: the online rows are drawn when they come, and no picture is kept."""
+
+    def __init__(self, job: Job, directory: RunDirectory) -> None:
+        info, self._delay = job.inputs.info, job.delay
+        self._annotate, self._waiting = Annotator(info, names=job.names), deque[tuple[Frame, Step]]()
+        self._video = VideoWriter(directory.file(rundir.VIDEO), info.width, info.height, info.fps)
+
+    def take(self, frame: Frame, step: Step, rows: Tracks) -> None:
+        """Draw the frame that the rows are of, which the output delay holds back."""
+        self._waiting.append((frame, step))
+        if len(self._waiting) > self._delay:
+            self._draw(rows)
+
+    def flush(self, rows: Tracks) -> None:
+        """Draw what still waits."""
+        while self._waiting:
+            self._draw(rows)
+
+    def _draw(self, rows: Tracks) -> None:
+        frame, step = self._waiting.popleft()
+        mine = rows.take(rows.frame == frame.number)
+        chances, mass = step.info.clutter_probability, step.info.mass
+        picture = self._annotate(frame.image, frame.number, mine, step.detections, mass=mass, clutter_probability=chances)
+        self._video.write(picture, frame.time)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._video.__exit__(*error)
+
+
+def _draw(job: Job, directory: RunDirectory, done: _Progress, tracks: Tracks) -> None:
+    """The videos of the frames that were tracked, but for pictures that do not come again: they are drawn as they come."""
     try:
         with ExitStack() as files:
             draw, info = list[Draw](), job.inputs.info
             pictures: Iterable[Image] = repeat(NO_PICTURE)
-            if job.inputs.pictures:
+            if pictures_again := job.inputs.pictures and job.inputs.again:
                 video = files.enter_context(VideoWriter(directory.file(rundir.VIDEO), info.width, info.height, info.fps))
                 draw.append(lambda number, picture: video.write(picture))
-                frames = files.enter_context(ahead(again))
+                frames = files.enter_context(ahead(job.inputs.source))
                 pictures = files.enter_context(
                     ahead(_annotated(Annotator(info, names=job.names), done.seen, frames, tracks))
                 )
-            found = (observer.drawing(directory, files, pictures=job.inputs.pictures) for observer in job.observers)
+            found = (observer.drawing(directory, files, pictures=pictures_again) for observer in job.observers)
             draw.extend(filter(None, found))
             if not draw:
                 return
@@ -318,7 +376,7 @@ def _draw(job: Job, again: Iterable[Frame], directory: RunDirectory, done: _Prog
             done.cut = _as_meant(error)
 
 
-def _annotated(annotate: Annotator, seen: list[_Seen], frames: Iterable[Frame], tracks: Tracks) -> Iterator[Image]:
+def _annotated(annotate: Annotator, seen: Iterable[_Seen], frames: Iterable[Frame], tracks: Tracks) -> Iterator[Image]:
     """The frames that were seen, drawn on."""
     for one, frame in zip(seen, frames, strict=False):
         rows = tracks.take(np.arange(*np.searchsorted(tracks.frame, [one.number, one.number + 1])))
@@ -335,7 +393,8 @@ def _problems(job: Job, done: _Progress) -> Iterator[str]:
     """What did not go as it should, in sentences: what the source lost, and what stopped the run."""
     yield from filter(None, (*job.inputs.warnings, job.inputs.source.note, done.lost))
     annotated = 0 if job.truth is None else int(job.truth.frame.max(initial=0))
-    why = ["stopped by Ctrl-C" if isinstance(stop, KeyboardInterrupt) else stop for stop in (done.stop, done.cut)]
+    asked = f"stopped by {signals.which()}"
+    why = [asked if isinstance(stop, KeyboardInterrupt) else stop for stop in (done.stop, done.cut)]
     yield from lines("problems.txt", stop=why[0], cut=why[1], last=done.last, annotated=annotated, video=rundir.VIDEO)
     if done.tracker.unwanted:
         left_out = counted(done.tracker.unwanted, "box")

@@ -34,6 +34,11 @@ def status() -> int:
     return 128 + (_came[-1] if _came else int(signal.SIGINT))
 
 
+def which() -> str:
+    """What the signal is called that came last."""
+    return signal.Signals(_came[-1]).name if _came else "Ctrl-C"
+
+
 def leave(code: int) -> None:
     """End the process with an exit status, also where a thread hangs that reads a source."""
     waiting = [one for one in threading.enumerate() if one is not threading.main_thread() and not one.daemon]

@@ -24,12 +24,14 @@ from phdtrack.cli.options import DEFAULT_DETECTOR, SourceOptions, TrackingOption
 from phdtrack.cli.output import Output, counted
 from phdtrack.cli.settings import chosen, scene_settings
 from phdtrack.config import Settings, load
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, shown
 from phdtrack.formats import read_truth
 from phdtrack.kernels import CACHE
 
 if TYPE_CHECKING:
     pass
+# Seconds that a tracker remembers of a camera: its corrected rows are final after half a minute.
+REMEMBERED = 120.0
 _COMPILING = "compiling kernels (first use on this machine, some ten seconds; they are kept for the next runs) ..."
 _ALWAYS_COMPILING = (
     "kernels are compiled anew in every run (some ten seconds): neither the installation nor the home folder can be "
@@ -96,7 +98,7 @@ def detect(
     output.warn(warnings)
     done = f"{counted(boxes, 'box')} in {counted(frames, 'frame')} by {inputs.described}"
     output.say(f"{done}, {rate:.0f} frames per second: {file}")
-    document = {"source": source, "detector": inputs.described, "frames": frames, "detections": boxes}
+    document = {"source": shown(source), "detector": inputs.described, "frames": frames, "detections": boxes}
     output.document(document | {"frames_per_second": rate, "file": str(file), "warnings": warnings})
 
 
@@ -107,6 +109,8 @@ def prepare(source: SourceOptions, options: TrackingOptions, settings: Settings,
     if source.detections is None:
         settings = config.for_detector(settings, source.detector or DEFAULT_DETECTOR)
     inputs = open_inputs(source, settings.values("detector"), 0 if truth is None else int(truth.frame.max(initial=0)))
+    if not inputs.again and settings.build("associate").history == 0:
+        settings = config.overlay(settings, {"associate": {"history": REMEMBERED}}, "a camera")
     kinds = config.build_kinds(settings, inputs.info, inputs.names, inputs.classes, moving=True)
     stages = kinds.usual
     read: dict[str, object] = {"detections": str(source.detections)}
@@ -117,12 +121,13 @@ def prepare(source: SourceOptions, options: TrackingOptions, settings: Settings,
         inputs=inputs,
         kinds=kinds,
         configuration=settings.as_dict(),
-        read={"source": source.source, **read},
+        read={"source": shown(source.source), **read},
         about=about(inputs.name, options.seed),
         truth=truth,
         video=video,
         observers=observers_of(settings, inputs, stages.learning),
         mover=mover_of(settings, inputs, stages.model),
+        delay=settings.build("associate").output_delay,
     )
 
 

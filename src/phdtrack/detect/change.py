@@ -270,7 +270,7 @@ def _edge(image: Image, where: Bool) -> float:
     """Mean gradient of the grey values of ``image`` over the mask ``where``."""
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     gradient = cv2.magnitude(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
-    return float(gradient[where].mean())
+    return float(gradient[where].mean()) if where.any() else 0.0
 
 
 @dataclass(eq=False)

@@ -8,6 +8,7 @@ the expected number of objects, are added up in small cells of the frame; veloci
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -203,13 +204,12 @@ class Recorder:
     """Collects a `RunRecord` while a run goes on: `add` every frame in order, `record` at the end or when it breaks off.
 
     Pictures are kept of frames whose index is a multiple of a stride, which doubles when they become too many. ``truth`` is
-    None where nothing is annotated.
+    None where nothing is annotated. Of more than ``most`` frames the last ones are kept.
     """
 
-    def __init__(self, info: SequenceInfo, truth: Truth | None = None) -> None:
-        self._info, self._truth = info, truth
-        self._rows: list[tuple[float, ...]] = []
-        self._chains: list[ChainInfo] = []
+    def __init__(self, info: SequenceInfo, truth: Truth | None = None, most: int | None = None) -> None:
+        self._info, self._truth, self._seen = info, truth, 0
+        self._rows, self._chains = deque[tuple[float, ...]](maxlen=most), deque[ChainInfo](maxlen=most)
         self._kept: list[tuple[int, Image, HeatMap | None]] = []
         self._stride = 1
 
@@ -229,7 +229,8 @@ class Recorder:
         self._rows.append((*row, *_likely_range(info.cardinality), detect_seconds, *step.seconds))
         if info.chain is not None:
             self._chains.append(info.chain)
-        index = len(self._rows)
+        self._seen += 1
+        index = self._seen
         if index % self._stride or not (size.width > 0 and size.height > 0):
             return
         small, heat = NO_IMAGE if image is None else shrunk(image, _PICTURE_WIDTH).copy(), None
@@ -264,7 +265,7 @@ class Recorder:
             truth_count=np.zeros(0, np.int64) if truth is None else _count(truth.frame[~truth.distractor], numbers),
             heat_maps=tuple(maps[i] for i in shown),
             background=images[len(images) // 2] if images else NO_IMAGE,
-            chain=ChainSummary.of(self._chains),
+            chain=ChainSummary.of(list(self._chains)),
             log_evidence=table[:, 5],
         )
 

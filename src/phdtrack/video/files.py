@@ -35,6 +35,8 @@ from phdtrack.types import Frame, Image, SequenceInfo
 
 SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp"})
 _MOST_MISSING, _DEFAULT_FPS = 10, 25.0
+# Seconds to wait for an address: until it is open, and for more of what it sends.
+CONNECT, READ = 10.0, 10.0
 Read = tuple[int, float | None, Image, str]
 """A frame's number, its time stamp in seconds (None where the stream has none), its picture, and where it is in words."""
 
@@ -99,6 +101,7 @@ def open_source(spec: str | Path | int, *, fps: float = 0.0) -> VideoSource:
     if path.is_dir():
         return _images([file for file in path.iterdir() if file.suffix.lower() in SUFFIXES], fps, path)
     if "://" in text or path.exists():
+        # `phdtrack.live` reads what never ends.
         return _video(text, fps)
     if text.isdecimal():
         return _camera(int(text), fps)
@@ -242,15 +245,16 @@ def _open(path: str) -> tuple[Any, Any]:
     """The container and its first video stream."""
     import av
 
+    remote = "://" in path
     try:
-        container: Any = av.open(path)
+        container: Any = av.open(path, timeout=(CONNECT, READ) if remote else None)
     except (av.FFmpegError, OSError) as error:
-        raise InputError(
-            f"this cannot be read as a video ({_reason(error)})",
-            where=path,
-            cure="Check that it is a whole video file: an mp4 cut off while it was recorded or copied has no index. "
-            "`ffmpeg -i IN -c:v libx264 OUT.mp4` converts most other kinds.",
-        ) from None
+        cure = "Check that it is a whole video file: an mp4 cut off while it was recorded or copied has no index. "
+        cure += "`ffmpeg -i IN -c:v libx264 OUT.mp4` converts most other kinds."
+        if remote:
+            cure = "Check the address, and that what it names is switched on and can be reached from here."
+        late = f"no answer in {CONNECT:g} s" if isinstance(error, av.ExitError) else _reason(error)
+        raise InputError(f"this cannot be read as a video ({late})", where=path, cure=cure) from None
     if not container.streams.video:
         container.close()
         raise InputError("there is no video in this file", where=path, cure="Give one with pictures.")
@@ -285,6 +289,16 @@ def _upright(picture: Any) -> Image:
     image: Image = picture.to_ndarray(format="bgr24")
     turns = round(picture.rotation / 90) % 4
     return np.ascontiguousarray(np.rot90(image, turns)) if turns else image
+
+
+def endless(path: str) -> bool:
+    """Whether an address names something without an end, as a camera does: neither its length nor its duration is known.
+
+    Raises `InputError` where it cannot be opened.
+    """
+    container, stream = _open(path)
+    with container:
+        return not stream.frames and container.duration is None
 
 
 ENCODERS = ["libx264", "libopenh264", "h264_videotoolbox", "h264_mf", "h264_nvenc", "h264_qsv", "h264_amf", "h264_v4l2m2m"]
@@ -326,7 +340,8 @@ class VideoWriter:
         padded = (width + width % 2, height + height % 2)
         name, options = _working_encoder(*padded, rate), dict[str, str]()
         if name == "libx264":
-            options = {"crf": str(quality), "preset": "veryfast", "x264-params": f"threads={_THREADS}:sliced-threads=0:mbtree=0"}
+            parameters = f"threads={_THREADS}:sliced-threads=0:mbtree=0"
+            options = {"crf": str(quality), "preset": "veryfast", "x264-params": parameters}
         try:
             flags = "+frag_keyframe+empty_moov" if fragmented else "+faststart"
             self._container: Any = av.open(str(self._grown), "w", format="mp4", options={"movflags": flags})
@@ -336,11 +351,14 @@ class VideoWriter:
             self._container.start_encoding()
         except (av.FFmpegError, OSError) as error:
             raise cannot_write(path, error) from None
-        self.frames = 0  # written so far
+        self.frames, self._stamp, self._fps = 0, -1, float(rate)  # frames written so far
         self._open = True
 
-    def write(self, image: Image) -> None:
-        """Append ``image``, (height, width, 3) BGR uint8; InputError where it is of another shape or type."""
+    def write(self, image: Image, at: float = math.nan) -> None:
+        """Append ``image``, (height, width, 3) BGR uint8; InputError where it is of another shape or type.
+
+        ``at``: its time in seconds, where the video is to have the times of its pictures and not a constant rate.
+        """
         import av
 
         if image.shape != (self._height, self._width, 3) or image.dtype != np.uint8:
@@ -354,7 +372,8 @@ class VideoWriter:
         odd = (self._height % 2, self._width % 2)
         padded = np.pad(image, ((0, odd[0]), (0, odd[1]), (0, 0)), mode="edge") if any(odd) else np.ascontiguousarray(image)
         picture = av.VideoFrame.from_ndarray(padded, format="bgr24")
-        picture.pts = self.frames
+        self._stamp = self._stamp + 1 if math.isnan(at) else max(self._stamp + 1, round(at * self._fps))
+        picture.pts = self._stamp
         picture.time_base = 1 / self._stream.codec_context.framerate
         with self._checked():
             self._container.mux(self._stream.encode(picture))
