@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phdtrack.types import F8, I8, GaussianMixture, Particles
+from phdtrack.errors import InputError
+from phdtrack.types import F8, I8, GaussianMixture, Image, Particles
 
 # The part of the measurements of a box inside the usual gate: five deviations in four dimensions.
 GATE = 0.99995
@@ -149,3 +150,44 @@ def draw(mixture: GaussianMixture, count: int, scale: float, rng: np.random.Gene
     state = mixture.mean.T[:, :, None] + root @ noise
     weight = np.repeat(mixture.weight * scale / max(1, count), count)
     return Particles(np.ascontiguousarray(state.transpose(1, 0, 2).reshape(d, k * count)), weight)
+
+
+BLURS = ("boxes", "faces")
+# A blurred region has at most so many cells along its longer side, and each side is a tenth longer than the box.
+_CELLS, _MARGIN = 6, 0.1
+
+
+def pixelated(image: Image, xyxy: F8, blur: str) -> Image:
+    """A copy of a picture in which boxes, or the upper third of them, are a few cells of one colour each.
+
+    A cell is the mean of what it covers, so that nothing of a face can be had back. No network looks for faces: the
+    upper third of a person's box holds the head.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8.
+    xyxy : (N, 4) boxes in its pixels; those that are not finite are left out.
+    blur : ``boxes``, ``faces``, or nothing: the picture itself.
+
+    Raises
+    ------
+    InputError : ``blur`` is something else.
+    """
+    if not blur:
+        return image
+    if blur not in BLURS:
+        raise InputError(f"expected {' or '.join(BLURS)}, got {blur!r}", where="--blur")
+    out, (height, width) = image.copy(), image.shape[:2]
+    boxes = xyxy[np.isfinite(xyxy).all(axis=1)]
+    margin = _MARGIN / 2 * (boxes[:, 2:] - boxes[:, :2])
+    part = np.hstack([boxes[:, :2] - margin, boxes[:, 2:] + margin])
+    if blur == "faces":
+        part[:, 3] = part[:, 1] + (part[:, 3] - part[:, 1]) / 3
+    limit = np.array([width, height, width, height])
+    for left, top, right, bottom in np.clip(np.hstack([np.floor(part[:, :2]), np.ceil(part[:, 2:])]), 0, limit).astype(int):
+        side = -(-max(right - left, bottom - top) // _CELLS)
+        for y in range(top, bottom, side):
+            for x in range(left, right, side):
+                cell = out[y : min(y + side, bottom), x : min(x + side, right)]
+                cell[:] = cell.mean(axis=(0, 1)).round()
+    return out

@@ -6,6 +6,7 @@ import contextlib
 import socket
 import threading
 import time
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -17,12 +18,14 @@ class CameraServer:
     """Serves until `kill`; the pictures show their number as brightness.
 
     ``rate`` pictures a second of ``size`` (width, height). While ``frozen`` nothing is sent on any connection; while
-    ``mute`` connections are accepted and nothing is said on them. ``broken`` pictures are cut in half.
+    ``mute`` connections are accepted and nothing is said on them. ``broken`` pictures are cut in half. ``draw`` makes
+    another picture (H, W, 3) of the seconds since 1970.
     """
 
     def __init__(self) -> None:
         self.rate, self.size = 20.0, (160, 120)
         self.frozen = self.mute = self.broken = False
+        self.draw: Callable[[float], np.ndarray] | None = None
         self.asked: list[str] = []
         self._open: list[socket.socket] = []
         self._listening: socket.socket | None = None
@@ -70,6 +73,7 @@ class CameraServer:
                     time.sleep(0.02)
                 number += 1
                 image = np.full((self.size[1], self.size[0], 3), number % 256, np.uint8)
+                image = image if self.draw is None else self.draw(time.time())
                 data = cv2.imencode(".jpg", image)[1].tobytes()
                 data = data[: len(data) // 2] if self.broken else data
                 connection.sendall(b"--frame\r\nContent-Type: image/jpeg\r\n\r\n" + data + b"\r\n")

@@ -146,7 +146,7 @@ def test_a_saved_state_goes_on_alike_and_counts_agree_with_events(
     assert state.counts[0].entered - state.counts[0].left == sum(
         {"in": 1, "out": -1}.get(event.direction, 0) for event in events
     )
-    ids = [event.as_dict("cam", "", {})["id"] for event in events]
+    ids = [event.as_dict("cam", str(event.time), {})["id"] for event in events]
     assert len(set(ids)) == len(ids)
 
 
@@ -154,13 +154,13 @@ def test_events_are_json_with_what_applies() -> None:
     _, events = watched([{7: (100, 80)}, {7: (100, 120)}])
     known = [json.loads(json.dumps(e.as_dict("gate", "2026-01-02T03:04:05.000Z", {0: "person"}))) for e in events]
     assert known[0] == {
-        "id": "gate-1-0", "time": "2026-01-02T03:04:05.000Z", "source": "gate", "kind": "appear", "frame": 1,
-        "identity": 7, "class": "person", "x": 100.0, "y": 80.0,
+        "id": "gate-2026-01-02T03:04:05.000Z-appear-7-0", "time": "2026-01-02T03:04:05.000Z",
+        "source": "gate", "kind": "appear", "frame": 1, "identity": 7, "class": "person", "x": 100.0, "y": 80.0,
     }  # fmt: skip
     assert {e["kind"]: e.get("direction") for e in known[1:]} == {"cross": "in", "enter": None}
     group = Event.of_group(GroupEvent(5, 0.5, "merge", 3, 4), 2).as_dict("gate", "t", {})
     assert group == {
-        "id": "gate-5-2", "time": "t", "source": "gate", "kind": "group", "frame": 5, "identity": 3,
+        "id": "gate-t-group-3-2", "time": "t", "source": "gate", "kind": "group", "frame": 5, "identity": 3,
         "place": "merge", "other": 4,
     }  # fmt: skip
 

@@ -118,8 +118,24 @@ def test_an_event_is_kept_once(tmp_path: Path) -> None:
     assert [e["identity"] for e in log.write([event(2), event(3)])] == [3]
     lines = (tmp_path / "events.jsonl").read_text().splitlines()
     assert [json.loads(line)["identity"] for line in lines] == [1, 2, 3]
-    log.delivered("gate-1-0")
-    assert [name for name, _ in log.waiting()] == ["gate-2-0", "gate-3-0"]
+    log.close()
+
+
+def test_each_receiver_has_what_comes_after_it_was_named(tmp_path: Path) -> None:
+    log = EventLog(tmp_path)
+    log.register("one")
+    log.write([event(1), event(2)])
+    log.register("two")
+    log.write([event(3)])
+    log.delivered("one", "gate-1-0")
+    log.close()
+    log = EventLog(tmp_path)
+    for name in ("one", "two"):
+        log.register(name)
+    assert [name for name, _ in log.waiting("one")] == ["gate-2-0", "gate-3-0"]
+    assert [name for name, _ in log.waiting("two")] == ["gate-3-0"]
+    log.delivered("two", "gate-3-0")
+    assert (len(log.waiting("one")), log.waiting("two")) == (2, [])
     log.close()
 
 
@@ -183,14 +199,13 @@ def test_events_reach_a_webhook_in_their_order_also_after_failures(tmp_path: Pat
     courier.wake()
     until(lambda: len(receiver.taken) == 3)  # type: ignore[attr-defined]
     assert [key for key, _ in receiver.taken] == ["gate-1-0", "gate-2-0", "gate-3-0"]  # type: ignore[attr-defined]
-    until(lambda: not log.waiting())
     courier.stop()
     log.close()
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "10.0.0.1", "169.254.169.254", "[::1]", "0.0.0.0"])
 def test_private_networks_are_refused(host: str) -> None:
-    with pytest.raises(PermissionError, match="--webhook-private"):
+    with pytest.raises(PermissionError, match="--allow-private"):
         Webhook(f"http://{host}:9/")("a", "{}")
 
 

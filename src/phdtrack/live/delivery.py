@@ -5,10 +5,12 @@ A receiver may get an event twice, when its answer is lost: ``id`` is the same t
 
 from __future__ import annotations
 
+import hashlib
 import http.client
 import ipaddress
 import json
 import socket
+import sqlite3
 import ssl
 import threading
 from collections.abc import Callable
@@ -64,7 +66,7 @@ class Webhook:
         """What the name leads to; `OSError` where that is not allowed."""
         found = [str(info[4][0]) for info in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)]
         if not self.private and not all(ipaddress.ip_address(one).is_global for one in found):
-            raise PermissionError(f"{host} is in a private network: allow it with --webhook-private")
+            raise PermissionError(f"{host} is in a private network: allow it with --allow-private")
         return found[0]
 
 
@@ -106,12 +108,17 @@ class Mqtt:
 
 
 class Courier:
-    """Delivers what waits in a log, in a thread of its own: on each failure it waits twice as long, at most five minutes."""
+    """Delivers what waits in a log, in a thread of its own: on each failure it waits twice as long, at most five minutes.
 
-    def __init__(self, log: EventLog, send: Send, name: str) -> None:
+    ``address`` is told apart from others by its hash: it may hold secrets, which are not written.
+    """
+
+    def __init__(self, log: EventLog, send: Send, address: str) -> None:
         self._log, self._send, self.problem = log, send, ""
+        self._receiver = hashlib.sha256(address.encode()).hexdigest()[:16]
+        log.register(self._receiver)
         self._wake, self._stopped = threading.Event(), threading.Event()
-        self._thread = threading.Thread(target=self._run, name=f"phdtrack {name}", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="phdtrack events", daemon=True)
         self._thread.start()
 
     def wake(self) -> None:
@@ -128,16 +135,16 @@ class Courier:
         pause = FIRST_PAUSE
         while not self._stopped.is_set():
             self._wake.clear()
-            waiting = self._log.waiting()
             try:
+                waiting = self._log.waiting(self._receiver)
                 for name, event in waiting:
                     self._send(name, event)
-                    self._log.delivered(name)
+                    self._log.delivered(self._receiver, name)
                     pause, self.problem = FIRST_PAUSE, ""
                     if self._stopped.is_set():
                         return
-            except OSError as error:
-                self.problem = str(error.strerror or error)
+            except (OSError, sqlite3.Error) as error:
+                self.problem = str(getattr(error, "strerror", None) or error)
                 # New events do not shorten the pause.
                 self._stopped.wait(pause)
                 pause = min(2 * pause, LONGEST_PAUSE)

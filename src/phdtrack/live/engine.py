@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,50 +14,63 @@ import numpy as np
 
 from phdtrack.classes import Kinds
 from phdtrack.devices import Detector
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, shown
+from phdtrack.groups.life_cycle import LifeCycleState
+from phdtrack.groups.pairs import Pairs, PairState, Walkers
+from phdtrack.groups.pipeline import GroupStages, carriers, mixture_of
 from phdtrack.live.delivery import Courier
 from phdtrack.live.events import Event, Watch, WatchState
 from phdtrack.live.outputs import EventLog, RowsLog, VideoLog, stamp
-from phdtrack.live.sources import LiveFrame, LiveSource, SourceStatus
-from phdtrack.live.zones import Place, read_places
+from phdtrack.live.sources import LiveFrame, LiveSource
+from phdtrack.live.zones import read_places
 from phdtrack.report import Annotator
+from phdtrack.report.drawing import feet
 from phdtrack.tracker import Tracker
-from phdtrack.types import F8, Detections, Frame, I8, Image, SequenceInfo, Tracks
+from phdtrack.types import F8, Detections, Frame, GaussianMixture, Image, SequenceInfo, Step, Tracks
 
 # Minutes of counts that are kept; cells of the maps across; a cell forgets half of what it knows in so many seconds.
 MINUTES, CELLS, HALF_LIFE = 24 * 60, 64, 3600.0
-# Frames whose times rows of an output delay may still ask for; latencies of which the percentiles are.
-_WALLS, _LATENCIES = 512, 2048
+# Latencies of which the percentiles are; events to show, and to write again after a full disk.
+_LATENCIES, _EVENTS, _UNWRITTEN = 2048, 200, 1000
+# Pictures, or seconds, from which the rate of a source is taken; seconds for which a page that asked is drawn for.
+_MEASURED, _MEASURING, _WATCHED = 10, 2.0, 3.0
 
 
 class Making(NamedTuple):
-    """What is made once the size of the pictures is known."""
+    """What is made once the size of the pictures is known. ``delay``: frames by which online rows come late; ``fixed``:
+    settings, by name, that cannot change while it runs; ``groups``: None where people are not followed on the ground."""
 
     detector: Detector
     kinds: Kinds
     info: SequenceInfo
+    delay: int = 0
+    fixed: Mapping[str, object] = {}
+    groups: GroupStages | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class CameraSettings:
-    """What a camera writes.
+    """What a camera watches and writes.
 
     Attributes
     ----------
     folder : of its files.
-    places : file of lines and zones, read again when it changes; None for none.
+    places, config : files of lines and zones, and of settings, read again when they change; None for none.
     watch : without places.
     video : pictures a second of the annotated video; 0 for none.
     quota : bytes of rows, and of videos, that are kept; 0: all.
     parquet : hours of rows become Parquet.
+    blur : what is made unrecognisable in every picture: ``boxes``, ``faces`` or nothing.
     """
 
     folder: Path
     places: Path | None = None
+    config: Path | None = None
     watch: Watch = field(default_factory=Watch)
     video: float = 5.0
     quota: int = 0
     parquet: bool = False
+    blur: str = ""
 
 
 class Minute(NamedTuple):
@@ -93,9 +106,47 @@ class Maps:
             (self.clutter, (xyxy[:, :2] + xyxy[:, 2:]) / 2, probability),
         ):
             grid *= fade
-            at = (points[:, ::-1] / self.cell).astype(np.int64)
+            at = np.floor(points[:, ::-1] / self.cell).astype(np.int64)
             inside = ((at >= 0) & (at < grid.shape)).all(axis=1)
             np.add.at(grid, tuple(at[inside].T), weight[inside])
+
+
+class _Held(NamedTuple):
+    """A frame whose rows are not known yet."""
+
+    frame: LiveFrame
+    step: Step
+    mixture: GaussianMixture | None
+
+
+class Companies:
+    """Groups of people who are followed on the ground, found frame by frame by what was seen so far."""
+
+    def __init__(self, groups: GroupStages, kinds: Kinds) -> None:
+        self._groups, self._stages = groups, kinds.usual
+        self._light = 0.0 if isinstance(groups.grouping, Pairs) else groups.grouping.min_weight
+        self._pairs, self._life = PairState(), LifeCycleState()
+
+    def mixture(self, intensity: Any, step: Step) -> GaussianMixture:
+        """What is known of people after a step."""
+        z = self._stages.model.sensor.measure(step.detections)
+        return mixture_of(intensity, step, np.ascontiguousarray(z[:, np.isfinite(z).all(axis=0)]), self._stages, self._light)
+
+    def events(self, held: _Held, rows: Tracks) -> list[Event]:
+        """What happened to groups in a frame with these confirmed rows."""
+        mixture, number, time = held.mixture, held.frame.number, held.frame.time
+        assert mixture is not None
+        rows = rows.take(np.argsort(rows.identity, kind="stable"))
+        carrier = carriers(mixture, self._stages.model.sensor.measure(Detections.of(rows.xyxy))[:2], self._light)
+        if isinstance(self._groups.grouping, Pairs):
+            rows, carrier = rows.take(carrier >= 0), carrier[carrier >= 0]
+            covariance = mixture.covariance[carrier, :4, :4]
+            walkers = Walkers(rows.identity, np.ascontiguousarray(mixture.mean[:4, carrier]), covariance, time)
+            self._pairs, label = self._groups.grouping.extend(self._pairs, walkers)
+            self._life, found = self._groups.people(self._life, walkers, label, rows.confidence, number)
+        else:
+            self._life, found = self._groups.advance(self._life, mixture, rows.identity, carrier, number, time)
+        return [Event.of_group(event) for event in found.events]
 
 
 class Camera:
@@ -104,10 +155,10 @@ class Camera:
     Parameters
     ----------
     name : for files, events and the page.
-    source : is started here.
-    make : what makes detector and stages for pictures of a size.
-    settings : what is written.
-    send : called with each new event.
+    source : is started by `start`.
+    make : what makes detector and stages for pictures of a size; asked again when the file of settings has changed.
+    settings : what is watched and written.
+    send : called with each new event, in the camera's thread.
     """
 
     def __init__(
@@ -122,55 +173,94 @@ class Camera:
         self._make, self._send = make, send
         self._made: Making | None = None
         self._tracker: Tracker | None = None
-        self._annotate: Annotator | None = None
+        self._companies: Companies | None = None
         self.log = EventLog(settings.folder)
         self._rows = RowsLog(settings.folder / "tracks", settings.quota, parquet=settings.parquet)
         self._video = VideoLog(settings.folder / "video", settings.video, settings.quota) if settings.video else None
-        self.watch, self._seen_places = settings.watch, 0.0
-        self.state: WatchState = self.watch.start()
-        self._lock, self._stopped = threading.Lock(), threading.Event()
-        self.problem = ""
-        self.counted: dict[str, int] = {}
-        self._walls: deque[tuple[int, float]] = deque(maxlen=_WALLS)
+        self.watched: tuple[Watch, WatchState] = (settings.watch, settings.watch.start())
+        """The settings of what is watched, and its state: who is there, and the counts."""
+        # What went wrong, by what it concerns; when each file was changed that was read.
+        self._problems, self._seen = dict[str, str](), dict[str, int]()
+        self._stopped, self._files, self._open = threading.Event(), threading.Lock(), True
+        self._held, self._unwritten = deque[_Held](), deque[dict[str, object]](maxlen=_UNWRITTEN)
         self._latency: deque[float] = deque(maxlen=_LATENCIES)
+        self._minute, self._begun = list[int](), 0.0
         self.minutes: deque[Minute] = deque(maxlen=MINUTES)
-        self._minute: list[int] = []
+        self.recent: deque[dict[str, object]] = deque(maxlen=_EVENTS)
+        self.counted, self.frames, self.tracks = Counter[str](), 0, 0
         self.maps: Maps | None = None
-        self._shown: tuple[Image, Tracks, Detections, F8, int, float] | None = None
-        self._couriers: list[Courier] = []
+        self._fresh, self._asked = threading.Condition(), -np.inf
+        self._drawn: tuple[int, Image | None] = (0, None)
+        self._couriers: Sequence[Courier] = ()
         self._thread = threading.Thread(target=self._run, name=f"phdtrack {name}", daemon=True)
 
-    def start(self, couriers: list[Courier]) -> None:
+    def start(self, couriers: Sequence[Courier] = ()) -> None:
         """Begin; ``couriers`` are told of new events."""
         self._couriers = couriers
+        self._reload()
         self.source.start()
         self._thread.start()
 
-    def stop(self, patience: float = 1.5) -> None:
-        """End, and complete the files."""
+    def ask_to_stop(self) -> None:
+        """Say that it is to end; `stop` waits for it."""
         self._stopped.set()
         self.source.stop()
-        self._thread.join(patience)
+
+    def stop(self, patience: float = 1.0) -> bool:
+        """End, and whether all files are complete. What hangs longer than ``patience`` seconds is left behind."""
+        self.ask_to_stop()
+        end = time.monotonic() + patience
+        if self._thread.ident is not None:
+            self._thread.join(patience)
         for courier in self._couriers:
-            courier.stop(0.2)
-        self._rows.finish()
-        if self._video is not None:
-            self._video.finish()
-        self.log.close()
+            courier.stop(max(0.0, min(0.2, end - time.monotonic())))
+        if not self._files.acquire(timeout=0.2):
+            return False
+        with self._fresh:
+            self._fresh.notify_all()
+        try:
+            if self._open and self._tracker is not None and not self._thread.is_alive():
+                rows = self._tracker.flush()
+                while self._held:
+                    held = self._held.popleft()
+                    self._finish(held, rows.take(rows.frame == held.frame.number))
+            self._rows.finish()
+            if self._video is not None:
+                self._video.finish()
+            self.log.close()
+            return not self._unwritten
+        except (InputError, OSError) as error:
+            self._problems["files"] = str(error)
+            return False
+        finally:
+            self._open = False
+            self._files.release()
+
+    @property
+    def alive(self) -> bool:
+        """Whether its thread works."""
+        return self._thread.is_alive()
+
+    @property
+    def problems(self) -> list[str]:
+        """What is not as it should be, in sentences without secrets."""
+        waiting = [f"events wait to be sent: {one.problem}" for one in self._couriers if one.problem]
+        return [shown(sentence) for sentence in (*self._problems.values(), *waiting)]
 
     def latency(self) -> tuple[float, float]:
         """Median and 99 % of the seconds from a picture's arrival to its events on disk; NaN where there was none."""
         held = list(self._latency)
         return (float(np.median(held)), float(np.quantile(held, 0.99))) if held else (np.nan, np.nan)
 
-    def picture(self) -> Image | None:
-        """(H, W, 3) the last picture with everything drawn on it; None where there is none yet."""
-        with self._lock:
-            shown = self._shown
-        if shown is None or self._annotate is None:
-            return None
-        image, rows, found, probability, number, mass = shown
-        return self._annotate(image, number, rows, found, mass=mass, clutter_probability=probability)
+    def picture(self, after: int = 0, patience: float = 0.0) -> tuple[int, Image | None]:
+        """The newest drawn picture and the number of its frame; one behind ``after`` where it comes in ``patience`` seconds.
+
+        Pictures are drawn while somebody asks for them.
+        """
+        with self._fresh:
+            self._asked = time.monotonic()
+            self._fresh.wait_for(lambda: self._drawn[0] > after or self._stopped.is_set(), patience)
+            return self._drawn
 
     def _run(self) -> None:
         while not self._stopped.is_set():
@@ -180,72 +270,118 @@ class Camera:
                 continue
             try:
                 self._take(frame)
-                self.problem = ""
-            except (InputError, OSError, ValueError) as error:
-                # A camera that runs for months is not ended by one picture.
-                self.problem = str(error)
+                self._problems.pop("frame", None)
+            except Exception as error:
+                # A camera that runs for months is not ended by one picture, or by a full disk.
+                self._problems["frame"] = str(error) or type(error).__name__
 
     def _reload(self) -> None:
-        """Read the places again where their file has changed; tracks and counts go on. A file that cannot be read changes nothing."""
-        path = self.settings.places
-        if path is None:
-            return
-        try:
-            changed = path.stat().st_mtime
-            if changed == self._seen_places:
-                return
-            self._seen_places = changed
-            self._with(read_places(path))
-        except (OSError, InputError) as error:
-            self.problem = f"the lines and zones stay as they were: {error}"
+        """Read places and settings again where their files have changed; tracks and counts go on.
 
-    def _with(self, places: tuple[Place, ...]) -> None:
-        before, old = self.watch, self.settings.watch
-        self.watch = Watch(places, old.names, old.hysteresis, old.dwell, old.leave_after)
-        self.state = self.watch.carried(self.state, before)
+        What cannot be used changes nothing, and is said.
+        """
+        for what, path, use in (
+            ("places", self.settings.places, self._places),
+            ("settings", self.settings.config, self._settings),
+        ):
+            try:
+                if path is None or (changed := path.stat().st_mtime_ns) == self._seen.get(what):
+                    continue
+                first, self._seen[what] = what not in self._seen, changed
+                use(path, first)
+                self._problems.pop(what, None)
+            except FileNotFoundError:
+                continue
+            except (OSError, InputError) as error:
+                self._problems[what] = f"the {what} stay as they were: {error}"
+
+    def _places(self, path: Path, first: bool) -> None:
+        before, state = self.watched
+        watch = replace(before, places=read_places(path))
+        self.watched = (watch, watch.carried(state, before))
+
+    def _settings(self, path: Path, first: bool) -> None:
+        """Go on with the tracks and other settings. Raises `InputError` for those that cannot change."""
+        old, tracker = self._made, self._tracker
+        if first or old is None or tracker is None:
+            return
+        made = self._make(old.info)
+        names = [name for name in sorted({*old.fixed, *made.fixed}) if old.fixed.get(name) != made.fixed.get(name)]
+        if names:
+            raise InputError(
+                f"{', '.join(names)} cannot change while it runs", where=path, cure="End it and start it again."
+            )
+        going_on = Tracker(stages=made.kinds, fps=made.info.fps)
+        going_on.load_state_dict(tracker.state_dict())
+        self._tracker, self._made = going_on, made._replace(detector=old.detector)
 
     def _take(self, frame: LiveFrame) -> None:
         """One picture through detector, tracker and watch, into all files."""
-        arrived = time.monotonic()
-        if self._tracker is None or self._made is None:
+        if self._made is None or self._tracker is None:
+            status, self._begun = self.source.status(), self._begun or time.monotonic()
+            if status.frames < _MEASURED and time.monotonic() - self._begun < _MEASURING:
+                return
             height, width = frame.image.shape[:2]
-            self._made = self._make(SequenceInfo(width, height, 25.0, 0, self.name))
-            self._tracker = Tracker(stages=self._made.kinds, fps=25.0)
-            self._annotate = Annotator(self._made.info, names=self.watch.names or None)
+            self._made = self._make(SequenceInfo(width, height, round(max(status.fps, 1.0), 1), 0, self.name))
+            info, kinds, groups = self._made.info, self._made.kinds, self._made.groups
+            self._tracker, names = Tracker(stages=kinds, fps=info.fps), self.watched[0].names
+            self._companies = None if groups is None else Companies(groups, kinds)
+            self._annotate = Annotator(info, names=names or None, blur=self.settings.blur)
             self.maps = Maps.of(width, height)
         found = self._made.detector(Frame(frame.number, frame.time, frame.image))
         rows = self._tracker.update(found, frame.number, frame.time)
         step = self._tracker.step
         assert step is not None
-        assert self.maps is not None
-        self._walls.append((frame.number, frame.wall))
-        self.state, events = self.watch.advance(self.state, rows, frame.number, frame.time)
-        self._write(rows, events, frame)
-        self._latency.append(time.monotonic() - arrived)
+        mixture = None if self._companies is None else self._companies.mixture(self._tracker.state.intensity, step)
+        self._held.append(_Held(frame, step, mixture))
+        self.frames += 1
+        if len(self._held) > self._made.delay:
+            held = self._held.popleft()
+            with self._files:
+                # When it was stopped while it hung, its files are complete already.
+                if self._open:
+                    self._finish(held, rows)
+
+    def _finish(self, held: _Held, rows: Tracks) -> None:
+        """A frame whose rows are final: events, files, counts, maps, picture."""
+        frame, step, (watch, state) = held.frame, held.step, self.watched
+        state, events = watch.advance(state, rows, frame.number, frame.time)
+        self.watched = (watch, state)
         confirmed = rows.take(rows.confirmed)
-        feet = np.stack([(confirmed.xyxy[:, 0] + confirmed.xyxy[:, 2]) / 2, confirmed.xyxy[:, 3]], axis=1)
+        if self._companies is not None:
+            groups = self._companies.events(held, confirmed)
+            events = (*events, *(replace(one, index=k) for k, one in enumerate(groups, len(events))))
+        self._tell(events, frame.wall, watch.names)
+        self._rows.write(rows, [frame.wall] * len(rows))
+        self._latency.append(max(0.0, time.time() - frame.wall))
         probability = step.info.clutter_probability
         known = probability if len(probability) == len(step.detections) else np.zeros(len(step.detections))
-        self.maps.add(frame.time, feet, step.detections.xyxy, known)
+        assert self.maps is not None
+        self.maps.add(frame.time, feet(confirmed.xyxy), step.detections.xyxy, known)
+        self.tracks = len(confirmed)
         self._count(len(confirmed), frame.wall)
-        with self._lock:
-            self._shown = (frame.image, rows, step.detections, probability, step.number, step.info.mass)
-        if self._video is not None:
-            picture = self.picture()
-            assert picture is not None
+        recorded = self._video is not None and self._video.due(frame.wall)
+        if not recorded and time.monotonic() - self._asked > _WATCHED:
+            return
+        picture = self._annotate(
+            frame.image, frame.number, rows, step.detections, mass=step.info.mass, clutter_probability=probability
+        )
+        with self._fresh:
+            self._drawn = (frame.number, picture)
+            self._fresh.notify_all()
+        if recorded and self._video is not None:
             self._video.write(picture, frame.wall)
 
-    def _write(self, rows: Tracks, events: tuple[Event, ...], frame: LiveFrame) -> None:
-        """Rows to their hour, events to the log, and word of them to everybody."""
-        walls = dict(self._walls)
-        self._rows.write(rows, [walls.get(number, frame.wall) for number in rows.frame.tolist()])
-        if not events:
+    def _tell(self, events: Sequence[Event], wall: float, names: Mapping[int, str]) -> None:
+        """Events to the log, and word of them to everybody; those that could not be written come first the next time."""
+        self._unwritten.extend(one.as_dict(self.name, stamp(wall), names) for one in events)
+        if not self._unwritten:
             return
-        wall, names = stamp(frame.wall), self.watch.names
-        for event in self.log.write(one.as_dict(self.name, wall, names) for one in events):
-            kind = str(event["kind"])
-            self.counted[kind] = self.counted.get(kind, 0) + 1
+        for event in self.log.write(self._unwritten):
+            self.counted[str(event["kind"])] += 1
+            self.recent.append(event)
             self._send(event)
+        self._unwritten.clear()
         for courier in self._couriers:
             courier.wake()
 

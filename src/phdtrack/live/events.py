@@ -63,12 +63,12 @@ class Event:
 
         Parameters
         ----------
-        source : name of the camera; ``id`` is made of it, of the frame and the index, the same again after a restart.
-        wall : ISO time of the frame.
+        source : name of the camera.
+        wall : ISO time of the frame: ``id`` is made of it, since frames and identities begin anew after a restart.
         names : of the classes.
         """
         found: dict[str, object] = {
-            "id": f"{source}-{self.number}-{self.index}",
+            "id": f"{source}-{wall}-{self.kind}-{self.identity}-{self.index}",
             "time": wall,
             "source": source,
             "kind": self.kind,

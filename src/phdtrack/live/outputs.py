@@ -5,7 +5,7 @@ A folder for each camera:
 * ``tracks/2026-11-24T05.csv``: the online rows of an hour (UTC), or ``.parquet``;
 * ``video/2026-11-24T05-10-00.mp4``: annotated pictures, ten minutes each;
 * ``events.jsonl``: a line for each event;
-* ``events.sqlite``: the same in a table, with what was delivered of them.
+* ``events.sqlite``: the same in a table, with how far each receiver was told of them.
 
 A file that grows ends in ``.part`` and gets its name when it is complete. An event is on disk before it is passed on.
 """
@@ -64,7 +64,7 @@ class Segments:
         start = datetime.fromtimestamp(self._stretch * self._seconds, UTC)
         name = start.strftime("%Y-%m-%dT%H" if self._seconds >= HOUR else "%Y-%m-%dT%H-%M-%S")
         count = 1
-        while self._path(name, count).exists():
+        while any(self._path(name, count).with_suffix(suffix).exists() for suffix in (self._suffix, ".parquet")):
             count += 1
         self.open = self._path(name, count).with_name(self._path(name, count).name + PART)
         return self.open
@@ -85,7 +85,7 @@ class Segments:
 
     def prune(self) -> None:
         """Remove the oldest complete files until all are within the quota."""
-        files = sorted(self.folder.glob(f"*{self._suffix}"))
+        files = sorted(file for file in self.folder.iterdir() if file.suffix != PART)
         sizes = [file.stat().st_size for file in files]
         while self._quota and files and sum(sizes) > self._quota:
             files.pop(0).unlink()
@@ -147,6 +147,10 @@ class VideoLog:
             # Fragments that are complete can be played.
             left.replace(left.with_name(left.name.removesuffix(PART)))
 
+    def due(self, wall: float) -> bool:
+        """Whether a picture of this time would be shown, or is followed too closely by others."""
+        return self._video is None or wall < self._last or round((wall - self._start) * self._fps) >= self._video.frames
+
     def write(self, image: Image, wall: float) -> None:
         """Show (H, W, 3) BGR from this time on."""
         if self._segments.over(wall) or wall - self._last > self._longest or wall < self._last:
@@ -169,7 +173,7 @@ class VideoLog:
 
 
 class EventLog:
-    """Events as JSON lines and in SQLite, each once however often it is given; kept until delivered.
+    """Events as JSON lines and in SQLite, each once however often it is given, and how far each receiver has them.
 
     Raises `InputError` where the files cannot be written.
     """
@@ -183,9 +187,9 @@ class EventLog:
             self._base.execute("PRAGMA synchronous=FULL")
             self._base.execute(
                 "CREATE TABLE IF NOT EXISTS events (id TEXT PRIMARY KEY, time TEXT, kind TEXT, place TEXT, "
-                "identity INTEGER, event TEXT NOT NULL, delivered INTEGER NOT NULL DEFAULT 0)"
+                "identity INTEGER, event TEXT NOT NULL)"
             )
-            self._base.execute("CREATE INDEX IF NOT EXISTS waiting ON events (delivered) WHERE delivered = 0")
+            self._base.execute("CREATE TABLE IF NOT EXISTS receivers (name TEXT PRIMARY KEY, has INTEGER NOT NULL)")
             if self._path.exists():
                 _whole_lines(self._path)
             self._lines = self._path.open("a", encoding="utf-8", newline="\n")
@@ -216,14 +220,25 @@ class EventLog:
             os.fsync(self._lines.fileno())
         return fresh
 
-    def waiting(self, most: int = 100) -> list[tuple[str, str]]:
-        """Identifier and JSON of the oldest events that have not been delivered."""
-        rows = self._base.execute("SELECT id, event FROM events WHERE delivered = 0 ORDER BY rowid LIMIT ?", (most,))
+    def register(self, receiver: str) -> None:
+        """Say that a receiver is to have all events from now on; one that is known goes on where it was."""
+        self._base.execute(
+            "INSERT OR IGNORE INTO receivers (name, has) SELECT ?, COALESCE(MAX(rowid), 0) FROM events", (receiver,)
+        )
+
+    def waiting(self, receiver: str, most: int = 100) -> list[tuple[str, str]]:
+        """Identifier and JSON of the oldest events that a receiver does not have."""
+        rows = self._base.execute(
+            "SELECT id, event FROM events WHERE rowid > (SELECT has FROM receivers WHERE name = ?) ORDER BY rowid LIMIT ?",
+            (receiver, most),
+        )
         return [(str(name), str(event)) for name, event in rows]
 
-    def delivered(self, name: str) -> None:
-        """Say that an event has arrived where it is sent to."""
-        self._base.execute("UPDATE events SET delivered = 1 WHERE id = ?", (name,))
+    def delivered(self, receiver: str, name: str) -> None:
+        """Say that a receiver has an event, and with it all before."""
+        self._base.execute(
+            "UPDATE receivers SET has = (SELECT rowid FROM events WHERE id = ?) WHERE name = ?", (name, receiver)
+        )
 
     def close(self) -> None:
         """Nothing is left to write."""

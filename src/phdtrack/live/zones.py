@@ -17,7 +17,9 @@ A file of places is TOML, in pixels of the video:
 
 from __future__ import annotations
 
+import json
 import math
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
@@ -25,7 +27,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from phdtrack.errors import InputError, did_you_mean
-from phdtrack.files import read_toml
+from phdtrack.files import read_toml, write_text
 
 Point = tuple[float, float]
 Anchor = Literal["feet", "centre"]
@@ -100,6 +102,30 @@ class Place:
 def read_places(path: Path) -> tuple[Place, ...]:
     """The lines and zones of a TOML file. Raises `InputError` where it is none, or a place cannot be used."""
     return places_of(read_toml(path), str(path))
+
+
+def write_places(path: Path, places: Sequence[Place]) -> None:
+    """Write the file of these places, whole or not at all. Raises `InputError` where that cannot be done."""
+    tables = [
+        f"[[{'zone' if one.closed else 'line'}]]\nname = {_text(one.name)}\n"
+        f"points = {json.dumps([list(point) for point in one.points])}\nanchor = {_text(one.anchor)}\n"
+        f"classes = [{', '.join(map(_text, one.classes))}]\n"
+        for one in places
+    ]
+    text = "\n".join(tables)
+    ordered = sorted(places, key=lambda place: place.closed)
+    try:
+        same = places_of(tomllib.loads(text), str(path)) == tuple(ordered)
+    except tomllib.TOMLDecodeError:
+        same = False
+    if not same:
+        raise InputError("a name holds a character that a file of places cannot", where=path)
+    write_text(path, text)
+
+
+def _text(value: str) -> str:
+    """A string as TOML has it."""
+    return json.dumps(value, ensure_ascii=False)
 
 
 def places_of(tables: dict[str, Any], where: str) -> tuple[Place, ...]:

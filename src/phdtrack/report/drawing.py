@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
+from phdtrack.arrays import pixelated
 from phdtrack.errors import InputError
 from phdtrack.types import F8, I8, Bool, Detections, Image, SequenceInfo, Tracks
 
@@ -176,11 +177,13 @@ class _Canvas:
 class Annotator:
     """Draws frame after frame and remembers the trails, which reach ``trail_seconds`` back at the rate of ``info``.
 
-    Labels say the class, too, where ``names`` are given.
+    Labels say the class, too, where ``names`` are given. ``blur`` (`arrays.pixelated`) hides what is in all boxes first.
     """
 
-    def __init__(self, info: SequenceInfo, *, trail_seconds: float = 1.5, names: Mapping[int, str] | None = None) -> None:
-        self._length = max(2, round(trail_seconds * (info.fps if info.fps > 0 else 25.0)))
+    def __init__(
+        self, info: SequenceInfo, *, trail_seconds: float = 1.5, names: Mapping[int, str] | None = None, blur: str = ""
+    ) -> None:
+        self._length, self._blur = max(2, round(trail_seconds * (info.fps if info.fps > 0 else 25.0))), blur
         self._past, self._names = Tracks.empty(), names
 
     def __call__(
@@ -217,7 +220,8 @@ class Annotator:
             raise InputError(f"expected a BGR picture (H, W, 3) of uint8, got {image.shape} of {image.dtype}", where=where)
         if known not in (0, count):
             raise InputError(f"expected a clutter probability for each of {count} detections, got {known}", where=where)
-        canvas, rows = _Canvas(image), tracks.take(tracks.frame == number)
+        rows = tracks.take(tracks.frame == number)
+        canvas = _Canvas(pixelated(image, np.vstack([rows.xyxy, detections.xyxy]), self._blur))
         false_alarm = clutter_probability > 0.5 if known else np.zeros(count, np.bool_)
         canvas.glaze_boxes(detections.xyxy[~false_alarm], _WHITE, canvas.thin, 0.75)
         canvas.glaze_boxes(detections.xyxy[false_alarm], _FALSE_ALARM, canvas.thin, 0.75, crossed=True)

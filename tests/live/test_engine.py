@@ -1,0 +1,234 @@
+"""A camera at work: events and files of what is seen, restarts, reloading, and that it ends whatever hangs."""
+
+from __future__ import annotations
+
+import csv
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from camera_server import CameraServer
+
+from phdtrack.config import build_groups, build_kinds, load
+from phdtrack.live.engine import Camera, CameraSettings, Companies, Making, Maps, _Held
+from phdtrack.live.events import Watch
+from phdtrack.live.sources import LiveFrame, LiveSource
+from phdtrack.live.zones import Place, write_places
+from phdtrack.tracker import Tracker
+from phdtrack.types import Detections, Frame, Image, SequenceInfo
+from phdtrack.video import open_source
+
+DOOR = Place("door", ((80.0, 119.0), (80.0, 0.0)), closed=False)
+SIDE = 24
+
+
+def walker(wall: float) -> Image:
+    """A white square that goes to the right in 2 s, and then back."""
+    image = np.full((120, 160, 3), 30, np.uint8)
+    way = abs((wall % 4) - 2) / 2
+    left = round(8 + way * (160 - SIDE - 16))
+    image[50 : 50 + SIDE, left : left + SIDE] = 255
+    return image
+
+
+class Bright:
+    """Finds what is white; hangs while `hold` is set."""
+
+    def __init__(self) -> None:
+        self.hold = threading.Event()
+
+    def __call__(self, frame: Frame) -> Detections:
+        while self.hold.is_set():
+            time.sleep(0.02)
+        x, y, width, height = cv2.boundingRect((frame.image[..., 0] > 128).astype(np.uint8))
+        return Detections.of(np.array([[x, y, x + width, y + height]][: int(width > 0)], float).reshape(-1, 4))
+
+    def reset(self) -> None: ...
+
+
+@pytest.fixture
+def server() -> Iterator[CameraServer]:
+    server = CameraServer()
+    server.draw = walker
+    yield server
+    server.kill()
+
+
+def camera(
+    server: CameraServer, settings: CameraSettings, detector: Bright | None = None, config: Path | None = None
+) -> Camera:
+    """A started camera; it remembers ten seconds."""
+
+    def make(info: SequenceInfo) -> Making:
+        found = load(config, ["associate.history=10"])
+        return Making(detector or Bright(), build_kinds(found, info), info, fixed={"filter.kind": found.kind("filter")})
+
+    one = Camera("gate", LiveSource(server.url, connect=5.0, read=2.0), make, settings)
+    one.start()
+    return one
+
+
+def until(ready: Callable[[], object], patience: float = 90.0) -> None:
+    """Wait; kernels may have to be compiled first."""
+    end = time.monotonic() + patience
+    while not ready():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def events(folder: Path) -> list[dict[str, object]]:
+    return [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
+
+
+def unfinished(folder: Path) -> list[Path]:
+    return list(folder.rglob("*.part"))
+
+
+def test_who_walks_to_and_fro_is_counted_and_kept(server: CameraServer, tmp_path: Path) -> None:
+    one = camera(server, CameraSettings(tmp_path, watch=Watch((DOOR,)), video=5.0))
+    until(lambda: one.counted["cross"] >= 3)
+    number, picture = one.picture(patience=10.0)
+    assert picture is not None
+    later, _ = one.picture(after=number, patience=10.0)
+    assert later > number
+    assert one.stop(10.0)
+    known = events(tmp_path)
+    crossed = [event["direction"] for event in known if event["kind"] == "cross"]
+    assert len(crossed) >= 3
+    assert all(a != b for a, b in zip(crossed, crossed[1:], strict=False))
+    assert known[0]["kind"] == "appear"
+    assert one.watched[1].counts[0].entered == crossed.count("in")
+    with next((tmp_path / "tracks").glob("*.csv")).open() as file:
+        rows = list(csv.DictReader(file))
+    assert {row["identity"] for row in rows if row["confirmed"] == "1"} == {str(known[0]["identity"])}
+    # While kernels are compiled there are no pictures, and a gap begins a new video.
+    assert sum(len(list(open_source(video))) for video in (tmp_path / "video").glob("*.mp4")) >= 5
+    assert unfinished(tmp_path) == []
+    assert one.minutes[-1].most == 1
+    median, most = one.latency()
+    assert 0 <= median <= most < 5
+    assert one.maps is not None
+    row = int((50 + SIDE) / one.maps.cell)
+    assert one.maps.people[row - 1 : row + 2].sum() > 0.95 * one.maps.people.sum() > 10
+
+
+def test_a_restart_gives_events_names_of_their_own(server: CameraServer, tmp_path: Path) -> None:
+    names = list[object]()
+    for _ in range(2):
+        one = camera(server, CameraSettings(tmp_path, video=0))
+        until(lambda one=one: one.counted["appear"])
+        assert one.stop(10.0)
+        names = [event["id"] for event in events(tmp_path)]
+    assert len(names) == len(set(names)) == 2
+
+
+def test_places_and_settings_change_while_it_runs(server: CameraServer, tmp_path: Path) -> None:
+    places, config = tmp_path / "places.toml", tmp_path / "mine.toml"
+    config.write_text("[sensor]\ndetection_probability = 0.95\n")
+    one = camera(server, CameraSettings(tmp_path / "out", places, config, video=0), config=config)
+    until(lambda: one.counted["appear"])
+    write_places(places, (DOOR,))
+    until(lambda: one.counted["cross"])
+    assert one.problems == []
+    places.write_text("[[line]]\npoints = 3\n")
+    until(lambda: one.problems)
+    assert "the places stay as they were" in one.problems[0]
+    assert one.watched[0].places == (DOOR,)
+    write_places(places, (DOOR,))
+    until(lambda: not one.problems)
+    config.write_text("[sensor]\ndetection_probability = 0.9\n")
+    until(lambda: one._made.kinds.usual.model.sensor.detection_probability == 0.9)
+    config.write_text('[filter]\nkind = "gm-phd"\n')
+    until(lambda: one.problems)
+    assert "filter.kind cannot change while it runs" in one.problems[0]
+    seen = one.frames
+    until(lambda: one.frames > seen + 20)
+    assert one.stop(10.0)
+    # Nobody appeared anew when the settings changed.
+    assert [event["kind"] for event in events(tmp_path / "out")].count("appear") == 1
+
+
+@pytest.mark.parametrize("what", ["camera", "detector"])
+def test_it_ends_in_time_with_whole_files_whatever_hangs(server: CameraServer, tmp_path: Path, what: str) -> None:
+    detector = Bright()
+    one = camera(server, CameraSettings(tmp_path), detector)
+    until(lambda: one.counted["appear"])
+    server.frozen = what == "camera"
+    if what == "detector":
+        detector.hold.set()
+    time.sleep(0.3)
+    begun = time.monotonic()
+    assert one.stop()
+    assert time.monotonic() - begun < 2
+    assert unfinished(tmp_path) == []
+    assert events(tmp_path)
+    detector.hold.clear()
+
+
+def test_events_that_a_full_disk_refused_are_written_later(server: CameraServer, tmp_path: Path) -> None:
+    one = camera(server, CameraSettings(tmp_path, video=0))
+    write, refused = one.log.write, list[object]()
+
+    def full(given):
+        refused.append(given)
+        if len(refused) < 4:
+            raise OSError(28, "No space left on device")
+        return write(given)
+
+    one.log.write = full
+    until(lambda: one.problems or len(refused) > 3)
+    until(lambda: one.counted["appear"])
+    until(lambda: not one.problems)
+    assert len(refused) == 4
+    assert one.stop(10.0)
+    assert [event["kind"] for event in events(tmp_path)] == ["appear"]
+
+
+def test_rows_that_come_late_go_with_their_frames(server: CameraServer, tmp_path: Path) -> None:
+    def make(info: SequenceInfo) -> Making:
+        found = load(None, ["associate.output_delay=3"])
+        return Making(Bright(), build_kinds(found, info), info, delay=3)
+
+    one = Camera("gate", LiveSource(server.url), make, CameraSettings(tmp_path, video=0))
+    one.start()
+    until(lambda: one.counted["appear"])
+    assert one.stop(10.0)
+    with next((tmp_path / "tracks").glob("*.csv")).open() as file:
+        rows = [row for row in csv.DictReader(file) if row["confirmed"] == "1"]
+    for row in rows:
+        assert row["time"].endswith("Z")
+    times = [row["time"] for row in rows]
+    assert times == sorted(times)
+    assert len(set(times)) == len(times)
+
+
+def test_groups_on_the_ground_are_events(tmp_path: Path) -> None:
+    info = SequenceInfo(60, 60, 5.0)
+    found = load(
+        sets=["motion.kind=plane", "sensor.scaling=fixed", "sensor.fixed_noise=0.1", "camera.region=[-30,-30,30,30]"]
+    )
+    kinds = build_kinds(found, info)
+    companies, tracker = Companies(build_groups(found, kinds.usual), kinds), Tracker(stages=kinds, fps=5.0)
+    told = []
+    for k in range(1, 41):
+        # Two walk together, a third far from them.
+        centre = np.array([[0.2 * k - 4, 0.0], [0.2 * k - 4, 0.8], [4 - 0.2 * k, 15.0]])
+        rows = tracker.update(Detections.of(np.hstack([centre - 0.3, centre + 0.3])), k, k / 5)
+        frame = LiveFrame(k, k / 5, 0.0, np.zeros((0, 0, 3), np.uint8))
+        held = _Held(frame, tracker.step, companies.mixture(tracker.state.intensity, tracker.step))
+        told += companies.events(held, rows.take(rows.confirmed))
+    assert [(event.kind, event.place) for event in told] == [("group", "appear")] * 2
+    assert all(0 < event.time < 8 for event in told)
+
+
+def test_maps_fade_and_leave_out_what_is_outside() -> None:
+    maps = Maps.of(640, 480)
+    maps.add(0.0, np.array([[5.0, 5.0], [-1.0, 5.0], [700.0, 5.0]]), np.zeros((0, 4)), np.zeros(0))
+    maps.add(3600.0, np.zeros((0, 2)), np.array([[100.0, 100.0, 110.0, 110.0]]), np.array([0.75]))
+    assert maps.people.sum() == maps.people[0, 0] == pytest.approx(0.5)
+    assert maps.clutter[10, 10] == maps.clutter.sum() == 0.75
