@@ -7,6 +7,7 @@ import json
 import threading
 import time
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -100,7 +101,7 @@ def test_who_walks_to_and_fro_is_counted_and_kept(server: CameraServer, tmp_path
     known = events(tmp_path)
     crossed = [event["direction"] for event in known if event["kind"] == "cross"]
     assert len(crossed) >= 3
-    assert all(a != b for a, b in zip(crossed, crossed[1:], strict=False))
+    assert all(a != b for a, b in pairwise(crossed))
     assert known[0]["kind"] == "appear"
     assert one.watched[1].counts[0].entered == crossed.count("in")
     with next((tmp_path / "tracks").glob("*.csv")).open() as file:

@@ -26,6 +26,7 @@ Command = Callable[..., None]
 
 # What each command does. Its module, of the same name but for these three, is loaded when it is run.
 COMMANDS = {
+    "live": "Track cameras without end: events, rows and videos by the hour, and a page.",
     "demo": "Render a street and track the people in it, with the filter and without.",
     "track": "Track the objects in a video, or in a file of detections.",
     "groups": "Find groups of people on the ground, in a video, in a file of detections, or among known positions.",

@@ -17,6 +17,13 @@ def option(metavar: str, help: str, *name: str, **more: Any) -> Any:
     return typer.Option(*name, metavar=metavar, help=help, **more)
 
 
+def one_of(value: str, *known: str) -> str:
+    """The value, where it is one of those known; `typer.BadParameter` otherwise."""
+    if value not in known:
+        raise typer.BadParameter(f"expected {' or '.join(filter(None, known))}, got {value!r}")
+    return value
+
+
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; everything else goes to stderr.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the files of an earlier run; other files stay.")]
 Seed = Annotated[int, option("N", "Seed of everything random: the same seed gives the same result.", min=0)]
@@ -41,6 +48,8 @@ Classes = Annotated[str, option("NAME,...", "Classes of the detections to track;
 Out = Annotated[Path | None, option("DIR", "Directory to write into; default: runs/ and the source's name.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on with a run that was stopped or killed.")]
 CheckpointEvery = Annotated[float, option("S", "Seconds between checkpoints, for --resume; 0: none.", min=0.0)]
+_BLUR = "Make boxes, or faces (the upper third of boxes), unrecognisable in all pictures and videos."
+Blur = Annotated[str, option("boxes|faces", _BLUR, callback=lambda value: one_of(value, "", "boxes", "faces"))]
 Threads = Annotated[int | None, option("N", "Threads of particle filters; same result (default: 1; 0: all cores).", min=0)]
 
 DEFAULT_DETECTOR = "change"

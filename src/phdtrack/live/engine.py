@@ -37,8 +37,15 @@ _MEASURED, _MEASURING, _WATCHED = 10, 2.0, 3.0
 
 
 class Making(NamedTuple):
-    """What is made once the size of the pictures is known. ``delay``: frames by which online rows come late; ``fixed``:
-    settings, by name, that cannot change while it runs; ``groups``: None where people are not followed on the ground."""
+    """What is made once the size of the pictures is known.
+
+    Attributes
+    ----------
+    delay : frames by which online rows come late.
+    fixed : settings, by name, that cannot change while it runs.
+    groups : None where people are not followed on the ground.
+    seed : of everything random.
+    """
 
     detector: Detector
     kinds: Kinds
@@ -46,6 +53,7 @@ class Making(NamedTuple):
     delay: int = 0
     fixed: Mapping[str, object] = {}
     groups: GroupStages | None = None
+    seed: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,7 +319,7 @@ class Camera:
             raise InputError(
                 f"{', '.join(names)} cannot change while it runs", where=path, cure="End it and start it again."
             )
-        going_on = Tracker(stages=made.kinds, fps=made.info.fps)
+        going_on = Tracker(stages=made.kinds, fps=made.info.fps, seed=made.seed)
         going_on.load_state_dict(tracker.state_dict())
         self._tracker, self._made = going_on, made._replace(detector=old.detector)
 
@@ -324,7 +332,7 @@ class Camera:
             height, width = frame.image.shape[:2]
             self._made = self._make(SequenceInfo(width, height, round(max(status.fps, 1.0), 1), 0, self.name))
             info, kinds, groups = self._made.info, self._made.kinds, self._made.groups
-            self._tracker, names = Tracker(stages=kinds, fps=info.fps), self.watched[0].names
+            self._tracker, names = Tracker(stages=kinds, fps=info.fps, seed=self._made.seed), self.watched[0].names
             self._companies = None if groups is None else Companies(groups, kinds)
             self._annotate = Annotator(info, names=names or None, blur=self.settings.blur)
             self.maps = Maps.of(width, height)

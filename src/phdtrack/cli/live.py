@@ -1,0 +1,269 @@
+"""``phdtrack live``: cameras that never end, with events, rolling files and a page, until a signal ends it.
+
+A signal is how one leaves: the files are completed within two seconds, and the exit status is 0. It is 1 where a file could
+not be completed.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import queue
+import re
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from phdtrack import config
+from phdtrack.cli import options as given
+from phdtrack.cli import run_directory as rundir
+from phdtrack.cli import signals
+from phdtrack.cli.inputs import refuse
+from phdtrack.cli.options import DEFAULT_DETECTOR, TrackingOptions, option
+from phdtrack.cli.output import Output, counted
+from phdtrack.cli.settings import chosen, scene_settings
+from phdtrack.config import Settings
+from phdtrack.detect import make_detector
+from phdtrack.devices import Detector
+from phdtrack.errors import InputError, shown
+from phdtrack.files import json_value
+from phdtrack.live.delivery import Courier, Mqtt, Send, Webhook
+from phdtrack.live.engine import Camera, CameraSettings, Making
+from phdtrack.live.events import Watch
+from phdtrack.live.sources import LiveSource, named
+from phdtrack.models import PlaneSensor
+from phdtrack.types import SequenceInfo
+
+# Seconds that are remembered of tracks; that all cameras may take to end; lines that may wait for a slow reader.
+_REMEMBERED, _ENDING, _LINES = 60.0, 1.5, 10_000
+# Settings that cannot change while it runs, besides the kind of each part: what was learned or is late depends on them.
+_FIXED = ("detector.", "camera.", "classes.", "associate.output_delay")
+_PLACES = "Lines and zones, read again when they change; NAME=FILE for one camera. Default: places.toml in its folder."
+_SOURCES = "rtsp://…, http://…, a camera's number or a file; NAME=ADDRESS gives it a name."
+
+
+@dataclass(frozen=True, slots=True)
+class LiveOptions:
+    """What is written, sent and shown. Empty text, 0 and None stand for an option that was not given."""
+
+    places: Annotated[list[str] | None, option("FILE", _PLACES)] = None
+    webhook: Annotated[list[str] | None, option("URL", "Post each event to this address; repeatable.")] = None
+    allow_private: Annotated[bool, typer.Option("--allow-private", help="Webhooks may be in private networks.")] = False
+    mqtt: Annotated[str, option("URL", "Publish each event: mqtt://[user:password@]host[:port]/topic.")] = ""
+    video: Annotated[float, option("FPS", "Pictures a second of the annotated videos; 0: none.", min=0.0, max=60.0)] = 5.0
+    quota: Annotated[str, option("SIZE", "Of rows, and of videos, keep so much of each camera, as 20GB; default: all.")] = ""
+    parquet: Annotated[bool, typer.Option("--parquet", help="Hours of rows become Parquet instead of CSV.")] = False
+    blur: given.Blur = ""
+    dwell: Annotated[float, option("S", "Seconds in a zone after which a dwell event is said.", min=0.1)] = 60.0
+    leave_after: Annotated[float, option("S", "Seconds without a sighting after which a track has left.", min=0.1)] = 3.0
+
+
+def live(
+    sources: Annotated[list[str], typer.Argument(metavar="SOURCE...", help=_SOURCES)],
+    options: TrackingOptions,
+    write: LiveOptions,
+    output: Output,
+    out: Annotated[Path, option("DIR", "Directory to write into, with a folder for each camera.")] = Path("live"),
+    detector: given.Detector = DEFAULT_DETECTOR,
+    max_width: given.MaxWidth = 0,
+    mask: given.Mask = None,
+    scene: given.SceneFile = None,
+    page: Annotated[bool, typer.Option("--page/--no-page", help="Serve the page.")] = True,
+    host: Annotated[str, option("NAME", "Address of the page; other machines need the printed token.")] = "127.0.0.1",
+    port: Annotated[int, option("N", "Port of the page; 0: any that is free.", min=0, max=65535)] = 0,
+    duration: Annotated[float, option("S", "End after so many seconds; 0: never.", min=0.0)] = 0.0,
+) -> None:
+    """Track cameras without end: events, rows and videos by the hour, and a page with pictures, counts and maps.
+
+    Connections that fail are tried again. Changed files of settings and places are read again, and tracks go on. Ctrl-C,
+    SIGTERM and SIGHUP end it with whole files and exit status 0. With --json stdout has a line for each event and for each
+    change of a source's state.
+    """
+    refuse({"--truth": options.truth}, "a camera has no annotated truth", "phdtrack live")
+    make = Maker(options, tuple(scene_settings(scene)), detector, max_width, mask)
+    make.looking(make.settings())
+    addresses, quota = named_sources(sources), size(write.quota)
+    files = {name: _places(write.places or [], name, out) for name in addresses}
+    for url in write.webhook or []:
+        Webhook(url)
+    rundir.claim(out, False, {})
+    server = _Server(host, port) if page else None
+    # Who reads slowly misses lines, and finds them in the files.
+    lines = queue.Queue[dict[str, object]](_LINES)
+
+    def send(event: dict[str, object]) -> None:
+        with suppress(queue.Full):
+            lines.put_nowait(event)
+
+    cameras = [
+        Camera(
+            name,
+            LiveSource(address),
+            make,
+            CameraSettings(
+                folder=out / name,
+                places=files[name],
+                config=options.config,
+                watch=Watch(dwell=write.dwell, leave_after=write.leave_after),
+                video=write.video,
+                quota=quota,
+                parquet=write.parquet,
+                blur=write.blur,
+            ),
+            send if output.json else lambda event: None,
+        )
+        for name, address in addresses.items()
+    ]
+    try:
+        for one in cameras:
+            one.start([Courier(one.log, send, url) for url, send in _receivers(write)])
+        if server is not None:
+            server.start(cameras, output)
+        _attend(cameras, lines, output, time.monotonic() + (duration or math.inf))
+    except KeyboardInterrupt:
+        signals.last_chance("stopped; the files are being completed")
+    finally:
+        cut = _end(cameras)
+    _print(lines, output)
+    for one in cameras:
+        events = counted(one.counted.total(), "event")
+        output.say(f"{one.name}: {counted(one.frames, 'frame')}, {events}: {out / one.name}")
+    if cut:
+        names = ", ".join(cut)
+        output.warn([f"not all files of {names} are complete: those end in .part, and the next run completes them"])
+        raise typer.Exit(1)
+
+
+@dataclass(frozen=True, slots=True)
+class Maker:
+    """Makes detector and stages of a camera by the options; the file of settings is read each time."""
+
+    options: TrackingOptions
+    first: tuple[str, ...]
+    detector: str
+    max_width: int
+    mask: Path | None
+
+    def settings(self) -> Settings:
+        """Those of `phdtrack track`; the past is forgotten. Raises `InputError` where they cannot be used."""
+        found = config.for_detector(chosen(self.options, self.first, detector=True), self.detector)
+        if found.build("associate").history == 0:
+            found = config.overlay(found, {"associate": {"history": _REMEMBERED}}, "phdtrack live")
+        return found
+
+    def looking(self, found: Settings) -> Detector:
+        """A detector that has seen nothing yet."""
+        return make_detector(self.detector, max_width=self.max_width, mask=self.mask, **found.values("detector"))
+
+    def __call__(self, info: SequenceInfo) -> Making:
+        """Everything for pictures of this size."""
+        found = self.settings()
+        kinds = config.build_kinds(found, info)
+        ground = isinstance(kinds.usual.model.sensor, PlaneSensor)
+        parts = [(part, own) for part, own in found.as_dict().items() if part != "preset"]
+        values = {f"{part}.{name}": one for part, own in parts for name, one in own.items()}
+        fixed = {name: one for name, one in values.items() if name.endswith(".kind") or name.startswith(_FIXED)}
+        groups = config.build_groups(found, kinds.usual) if ground else None
+        delay = found.build("associate").output_delay
+        return Making(self.looking(found), kinds, info, delay, fixed, groups, self.options.seed)
+
+
+def named_sources(given: Sequence[str]) -> dict[str, str]:
+    """Address by name. Raises `InputError` where two have one name, or a file is not there."""
+    found = dict[str, str]()
+    for word in given:
+        match = re.fullmatch(r"([A-Za-z0-9][A-Za-z0-9._-]*)=(.+)", word)
+        name, address = match.groups() if match else (named(word), word)
+        if "://" not in address and not address.isdecimal() and not Path(address).is_file():
+            cure = "Name rtsp://…, http://…, a camera's number or a video."
+            raise InputError("there is no such file", where=address, cure=cure)
+        if name in found:
+            raise InputError(f"two sources are called {name}", where="SOURCE", cure="Say NAME=ADDRESS.")
+        found[name] = address
+    return found
+
+
+def size(text: str) -> int:
+    """Bytes of a size as 20GB, 500M or 1000; 0 for nothing. Raises `InputError` where it is none."""
+    match = re.fullmatch(r"(\d+(?:\.\d+)?) ?([KMGT]?)B?", text.strip().upper())
+    if text and (match is None or float(match[1]) == 0):
+        raise InputError(f"expected a size as 20GB, got {text!r}", where="--quota")
+    return 0 if match is None else int(float(match[1]) * 1000 ** " KMGT".index(match[2] or " "))
+
+
+def _places(given: Sequence[str], name: str, out: Path) -> Path:
+    """The file of lines and zones of a camera."""
+    own = [one.removeprefix(f"{name}=") for one in given if one.startswith(f"{name}=")]
+    all_ = [one for one in given if not re.match(r"[A-Za-z0-9][A-Za-z0-9._-]*=", one)]
+    return Path([*all_, *own][-1]) if own or all_ else out / name / "places.toml"
+
+
+def _receivers(write: LiveOptions) -> Iterator[tuple[str, Send]]:
+    """Where events of a camera are sent to."""
+    for url in write.webhook or []:
+        yield url, Webhook(url, write.allow_private)
+    if write.mqtt:
+        yield write.mqtt, Mqtt(write.mqtt)
+
+
+class _Server:
+    """The page, in a thread of its own. Raises `InputError` where a package or the port is missing."""
+
+    def __init__(self, host: str, port: int) -> None:
+        try:
+            from phdtrack.label.page import listen
+        except ModuleNotFoundError as error:
+            problem, cure = f"the page needs the package {error.name}", "pip install 'phdtrack[web]', or say --no-page"
+            raise InputError(problem, where="phdtrack live", cure=cure) from error
+        self._address = listen(host, port)
+
+    def start(self, cameras: Sequence[Camera], output: Output) -> None:
+        """Answer from now on."""
+        from phdtrack.label.page import serve
+        from phdtrack.live.page import live_app
+
+        threading.Thread(target=serve, args=(live_app(cameras), self._address), name="phdtrack page", daemon=True).start()
+        output.say(f"the page: {self._address.url}   (Ctrl-C ends)")
+
+
+def _attend(cameras: Sequence[Camera], lines: queue.Queue[dict[str, object]], output: Output, end: float) -> None:
+    """Say what happens, until the end."""
+    said = dict[str, tuple[str, ...]]()
+    while time.monotonic() < end:
+        for one in cameras:
+            status = one.source.status()
+            now = (status.state, shown(status.problem), *one.problems)
+            if said.get(one.name) == now:
+                continue
+            said[one.name] = now
+            if output.json:
+                line: dict[str, object] = {"width": status.width, "height": status.height, "fps": round(status.fps, 2)}
+                line |= {"kind": "source", "source": one.name, "state": now[0], "problem": now[1], "problems": now[2:]}
+                with suppress(queue.Full):
+                    lines.put_nowait(line)
+            elif now[0] != "connecting" or now[1:] != ("",):
+                output.note(": ".join(filter(None, (one.name, *now))))
+        _print(lines, output, 0.2)
+
+
+def _print(lines: queue.Queue[dict[str, object]], output: Output, wait: float = 0.0) -> None:
+    """All lines that are there; waits for the first."""
+    with suppress(queue.Empty):
+        line = lines.get(timeout=wait) if wait else lines.get_nowait()
+        while output.json:
+            print(json.dumps(json_value(line), ensure_ascii=False, allow_nan=False), flush=True)
+            line = lines.get_nowait()
+
+
+def _end(cameras: Sequence[Camera]) -> list[str]:
+    """End all, and the names of those whose files are not complete."""
+    end = time.monotonic() + _ENDING
+    for one in cameras:
+        one.ask_to_stop()
+    return [one.name for one in cameras if not one.stop(max(0.1, end - time.monotonic()))]

@@ -1,0 +1,252 @@
+"""The page of cameras at work: pictures, counts, maps, states, events, and lines and zones that are drawn on the picture.
+
+The application is plain; who may use it is decided by what is put around it. Nothing that it answers holds the address of a
+camera.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+
+from phdtrack.errors import InputError, shown
+from phdtrack.files import json_value
+from phdtrack.live.engine import Camera
+from phdtrack.live.zones import places_of, write_places
+
+STATIC = Path(__file__).parent / "static"
+# Of what is sent to save places: bytes, places, corners of all together. Events that are shown.
+MAX_BODY, MAX_PLACES, MAX_CORNERS, _EVENTS = 65536, 50, 400, 60
+# Seconds that a request waits for a new picture; the width of maps.
+_PATIENCE, _MAP_WIDTH = 2.0, 480
+Row = tuple[Mapping[str, str], float]
+METRICS = {
+    "source_up": "1 while pictures come.",
+    "source_fps": "Pictures a second that the camera sends.",
+    "source_connects_total": "Connections that brought pictures.",
+    "source_frames_total": "Pictures that came.",
+    "source_dropped_total": "Pictures that newer ones replaced.",
+    "source_undecodable_total": "Packets without a picture.",
+    "frames_total": "Pictures that were tracked.",
+    "tracks": "Confirmed tracks in the newest picture.",
+    "problems": "Sentences about what is not as it should be.",
+    "latency_seconds": "From a picture's arrival to its events on disk.",
+    "events_total": "Events.",
+    "place_entered_total": "Crossings inwards, or entries.",
+    "place_left_total": "Crossings outwards, or exits.",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """What the page shows of ``cameras``, by name."""
+
+    cameras: Mapping[str, Camera]
+
+    def overview(self) -> list[dict[str, object]]:
+        """Name, state and number of tracks of each camera."""
+        return [{"name": one.name, "state": _state(one), "tracks": one.tracks} for one in self.cameras.values()]
+
+    def camera(self, name: str) -> dict[str, object]:
+        """Everything about one camera but pictures."""
+        one, (watch, state) = self.cameras[name], self.cameras[name].watched
+        status, (median, most) = asdict(one.source.status()), one.latency()
+        places = [
+            {
+                "name": place.name,
+                "kind": "zone" if place.closed else "line",
+                "points": place.points,
+                "anchor": place.anchor,
+                "classes": place.classes,
+                "entered": count.entered,
+                "left": count.left,
+            }
+            for place, count in zip(watch.places, state.counts, strict=True)
+        ]
+        return {
+            **status,
+            "name": name,
+            "state": _state(one),
+            "problem": shown(str(status["problem"])),
+            "problems": one.problems,
+            "tracks": one.tracks,
+            "latency": [median, most],
+            "places": places,
+            "drawable": one.settings.places is not None,
+            "events": list(one.recent)[-_EVENTS:][::-1],
+        }
+
+    def minutes(self, name: str) -> list[object]:
+        """Beginning, mean and largest number of tracks of each minute."""
+        return list(self.cameras[name].minutes)
+
+    def picture(self, name: str, after: int) -> tuple[int, bytes]:
+        """Number and drawn picture (JPEG) of the newest frame, empty where there is none. It waits for one ``after``."""
+        number, image = self.cameras[name].picture(after, _PATIENCE)
+        return number, b"" if image is None else cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
+
+    def map(self, name: str, what: str) -> bytes:
+        """Where people were, or where false alarms, over the darkened picture, as JPEG."""
+        one = self.cameras[name]
+        _, image = one.picture()
+        status = one.source.status()
+        size = (_MAP_WIDTH, max(1, round(_MAP_WIDTH * (status.height or 9) / (status.width or 16))))
+        ground = np.full((size[1], size[0], 3), 40, np.uint8)
+        if image is not None:
+            grey = cv2.cvtColor(cv2.resize(image, size, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2GRAY)
+            ground = np.repeat(grey[..., None] // 3, 3, axis=2)
+        if one.maps is not None:
+            grid = one.maps.people if what == "people" else one.maps.clutter
+            # By the square root a place a quarter as busy as the busiest is still plain to see.
+            share = np.sqrt(grid / grid.max()) if grid.max() > 0 else grid
+            share = np.clip(cv2.resize(share, size, interpolation=cv2.INTER_LINEAR), 0, 1)[..., None]
+            colour = cv2.applyColorMap((255 * share).astype(np.uint8), cv2.COLORMAP_INFERNO)
+            ground = (ground * (1 - share) + colour * share).astype(np.uint8)
+        return cv2.imencode(".jpg", ground, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
+
+    def save(self, name: str, body: bytes) -> dict[str, object]:
+        """Write lines and zones into the camera's file; it reads them when the next picture comes.
+
+        Raises `InputError` where they cannot be used, or the camera has no file of them; nothing has changed then.
+        """
+        where, file = "what was sent", self.cameras[name].settings.places
+        if file is None:
+            raise InputError("this camera has no file of lines and zones", cure="Start it with --places FILE.")
+        if len(body) > MAX_BODY:
+            raise InputError(f"expected at most {MAX_BODY} bytes, got {len(body)}", where=where)
+        try:
+            tables = json.loads(body)
+        except (ValueError, RecursionError):
+            raise InputError("expected JSON", where=where) from None
+        if not isinstance(tables, dict):
+            raise InputError("expected an object with line and zone", where=where)
+        lists = [one for one in tables.values() if isinstance(one, list)]
+        corners = sum(len(row["points"]) for one in lists for row in one if isinstance(row, dict) and _listed(row))
+        if sum(map(len, lists)) > MAX_PLACES or corners > MAX_CORNERS:
+            raise InputError(
+                f"expected at most {MAX_PLACES} lines and zones, of {MAX_CORNERS} corners together", where=where
+            )
+        try:
+            places = places_of(tables, where)
+        except OverflowError:
+            raise InputError("expected numbers of pixels", where=where) from None
+        write_places(file, places)
+        return {"saved": len(places)}
+
+    def metrics(self) -> str:
+        """All numbers in the text format of Prometheus."""
+        found: dict[str, list[Row]] = {name: [] for name in METRICS}
+        for name, one in self.cameras.items():
+            status, (watch, state), camera = one.source.status(), one.watched, {"camera": name}
+            plain = (status.state == "live", status.fps, status.connects, status.frames, status.dropped, status.undecodable)
+            for metric, value in zip(METRICS, (*plain, one.frames, one.tracks, len(one.problems)), strict=False):
+                found[metric].append((camera, value))
+            for quantile, seconds in zip(("0.5", "0.99"), one.latency(), strict=True):
+                found["latency_seconds"].append((camera | {"quantile": quantile}, seconds))
+            for kind, count in sorted(one.counted.items()):
+                found["events_total"].append((camera | {"kind": kind}, count))
+            for place, counts in zip(watch.places, state.counts, strict=True):
+                found["place_entered_total"].append((camera | {"place": place.name}, counts.entered))
+                found["place_left_total"].append((camera | {"place": place.name}, counts.left))
+        lines = list[str]()
+        for name, rows in found.items():
+            kind = "counter" if name.endswith("_total") else "gauge"
+            lines += [f"# HELP phdtrack_{name} {METRICS[name]}", f"# TYPE phdtrack_{name} {kind}"]
+            for labels, value in rows:
+                inside = ",".join(f'{key}="{_escaped(text)}"' for key, text in labels.items())
+                lines.append(f"phdtrack_{name}{{{inside}}} {'NaN' if np.isnan(value) else format(float(value), '.10g')}")
+        return "\n".join(lines) + "\n"
+
+
+def live_app(cameras: Sequence[Camera]) -> Starlette:
+    """The application; what guards it belongs around it."""
+    page = Page({one.name: one for one in cameras})
+
+    async def picture(request: Request) -> Response:
+        after = request.query_params.get("after", "0")
+        wanted = int(after) if after.isascii() and after.isdecimal() and len(after) < 16 else 0
+        number, data = await run_in_threadpool(page.picture, request.path_params["name"], wanted)
+        headers = {"X-Frame": str(number)}
+        return Response(data, 200, headers, "image/jpeg") if data else Response(status_code=204, headers=headers)
+
+    async def drawn(request: Request) -> Response:
+        data = await run_in_threadpool(page.map, request.path_params["name"], request.path_params["what"])
+        return Response(data, media_type="image/jpeg")
+
+    async def save(request: Request) -> Response:
+        try:
+            body = await request.body()
+            return JSONResponse(await run_in_threadpool(page.save, request.path_params["name"], body))
+        except InputError as error:
+            return JSONResponse({"error": str(error)}, 400)
+
+    async def index(request: Request) -> Response:
+        return FileResponse(STATIC / "live.html")
+
+    async def metrics(request: Request) -> Response:
+        return PlainTextResponse(page.metrics(), media_type="text/plain; version=0.0.4")
+
+    async def health(request: Request) -> Response:
+        dead = [one.name for one in cameras if not one.alive]
+        return PlainTextResponse(f"{', '.join(dead)} not working\n" if dead else "ok\n", 503 if dead else 200)
+
+    def known(endpoint: Callable[[Request], Any]) -> Callable[[Request], Any]:
+        """The endpoint for cameras that there are, and maps that there are."""
+
+        async def checked(request: Request) -> Response:
+            given = request.path_params
+            if given["name"] not in page.cameras or given.get("what", "people") not in ("people", "clutter"):
+                return PlainTextResponse("there is no such camera\n", 404)
+            answer: Response = await endpoint(request)
+            return answer
+
+        return checked
+
+    def told(work: Callable[..., object]) -> Callable[[Request], Any]:
+        """The answer of ``work`` as JSON."""
+
+        async def endpoint(request: Request) -> Response:
+            return JSONResponse(json_value(await run_in_threadpool(work, **request.path_params)))
+
+        return endpoint
+
+    return Starlette(
+        routes=[
+            Route("/", index),
+            Route("/metrics", metrics),
+            Route("/healthz", health),
+            Route("/api/cameras", told(page.overview)),
+            Route("/api/camera/{name:str}", known(told(page.camera))),
+            Route("/api/camera/{name:str}/minutes", known(told(page.minutes))),
+            Route("/api/camera/{name:str}/places", known(save), methods=["POST"]),
+            Route("/picture/{name:str}.jpg", known(picture)),
+            Route("/map/{name:str}/{what:str}.jpg", known(drawn)),
+            Mount("/static", StaticFiles(directory=STATIC)),
+        ]
+    )
+
+
+def _state(one: Camera) -> str:
+    """The source's state, or that its thread has ended."""
+    return one.source.status().state if one.alive else "ended"
+
+
+def _listed(row: dict[str, Any]) -> bool:
+    return isinstance(row.get("points"), list)
+
+
+def _escaped(text: str) -> str:
+    """The value of a label."""
+    return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
