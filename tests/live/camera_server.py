@@ -80,3 +80,22 @@ class CameraServer:
                 time.sleep(1 / self.rate)
         except OSError:
             return
+
+
+SIDE = 24
+
+
+def walker(wall: float) -> np.ndarray:
+    """A picture of 160 × 120: a white square that goes to the right in 2 s, and then back."""
+    image = np.full((120, 160, 3), 30, np.uint8)
+    left = round(8 + abs((wall % 4) - 2) / 2 * (160 - SIDE - 16))
+    image[50 : 50 + SIDE, left : left + SIDE] = 255
+    return image
+
+
+def until(ready: Callable[[], object], patience: float = 90.0) -> None:
+    """Wait; kernels may have to be compiled first."""
+    end = time.monotonic() + patience
+    while not ready():
+        assert time.monotonic() < end
+        time.sleep(0.02)

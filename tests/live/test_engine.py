@@ -6,14 +6,14 @@ import csv
 import json
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from camera_server import CameraServer
+from camera_server import SIDE, CameraServer, until, walker
 
 from phdtrack.config import build_groups, build_kinds, load
 from phdtrack.live.engine import Camera, CameraSettings, Companies, Making, Maps, _Held
@@ -21,20 +21,10 @@ from phdtrack.live.events import Watch
 from phdtrack.live.sources import LiveFrame, LiveSource
 from phdtrack.live.zones import Place, write_places
 from phdtrack.tracker import Tracker
-from phdtrack.types import Detections, Frame, Image, SequenceInfo
+from phdtrack.types import Detections, Frame, SequenceInfo
 from phdtrack.video import open_source
 
 DOOR = Place("door", ((80.0, 119.0), (80.0, 0.0)), closed=False)
-SIDE = 24
-
-
-def walker(wall: float) -> Image:
-    """A white square that goes to the right in 2 s, and then back."""
-    image = np.full((120, 160, 3), 30, np.uint8)
-    way = abs((wall % 4) - 2) / 2
-    left = round(8 + way * (160 - SIDE - 16))
-    image[50 : 50 + SIDE, left : left + SIDE] = 255
-    return image
 
 
 class Bright:
@@ -72,14 +62,6 @@ def camera(
     one = Camera("gate", LiveSource(server.url, connect=5.0, read=2.0), make, settings)
     one.start()
     return one
-
-
-def until(ready: Callable[[], object], patience: float = 90.0) -> None:
-    """Wait; kernels may have to be compiled first."""
-    end = time.monotonic() + patience
-    while not ready():
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 def events(folder: Path) -> list[dict[str, object]]:

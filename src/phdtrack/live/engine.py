@@ -199,6 +199,8 @@ class Camera:
         self.maps: Maps | None = None
         self._fresh, self._asked = threading.Condition(), -np.inf
         self._drawn: tuple[int, Image | None] = (0, None)
+        self.ground: Image | None = None
+        """(H, W, 3) a picture to draw maps on."""
         self._couriers: Sequence[Courier] = ()
         self._thread = threading.Thread(target=self._run, name=f"phdtrack {name}", daemon=True)
 
@@ -375,7 +377,7 @@ class Camera:
             frame.image, frame.number, rows, step.detections, mass=step.info.mass, clutter_probability=probability
         )
         with self._fresh:
-            self._drawn = (frame.number, picture)
+            self._drawn, self.ground = (frame.number, picture), picture if self.settings.blur else frame.image
             self._fresh.notify_all()
         if recorded and self._video is not None:
             self._video.write(picture, frame.wall)

@@ -100,13 +100,12 @@ class Page:
     def map(self, name: str, what: str) -> bytes:
         """Where people were, or where false alarms, over the darkened picture, as JPEG."""
         one = self.cameras[name]
-        _, image = one.picture()
-        status = one.source.status()
+        image, status = one.ground, one.source.status()
         size = (_MAP_WIDTH, max(1, round(_MAP_WIDTH * (status.height or 9) / (status.width or 16))))
         ground = np.full((size[1], size[0], 3), 40, np.uint8)
         if image is not None:
             grey = cv2.cvtColor(cv2.resize(image, size, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2GRAY)
-            ground = np.repeat(grey[..., None] // 3, 3, axis=2)
+            ground = np.repeat(grey[..., None] // 2, 3, axis=2)
         if one.maps is not None:
             grid = one.maps.people if what == "people" else one.maps.clutter
             # By the square root a place a quarter as busy as the busiest is still plain to see.

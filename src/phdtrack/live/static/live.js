@@ -135,8 +135,8 @@ function overlay() {
   if (draft) {
     const points = draft.points.map((p) => p.join(",")).join(" ");
     if (draft.points.length > 1) {
-      parts.push(drawn("polyline", { class: "halo", points }));
-      parts.push(drawn(draft.kind === "zone" && draft.points.length > 2 ? "polygon" : "polyline", { class: `shape new ${draft.kind}`, points }));
+      const kind = draft.kind === "zone" && draft.points.length > 2 ? "polygon" : "polyline";
+      parts.push(drawn(kind, { class: "halo", points }), drawn(kind, { class: `shape new ${draft.kind}`, points }));
     }
     parts.push(...draft.points.map(([cx, cy]) => drawn("circle", { class: "corner", cx, cy, r: 5 * unit })));
   }
@@ -231,7 +231,7 @@ $("tools").onsubmit = (event) => {
   save([...known.places, { kind: draft.kind, name, points: draft.points, anchor: "feet", classes: [] }], `${name} was saved`);
 };
 addEventListener("keydown", (event) => { if (event.key === "Escape" && draft) stop(); });
-addEventListener("resize", () => overlay());
+addEventListener("resize", () => { overlay(); chart(); });
 
 const SAID = { appear: "appears", leave: "leaves", enter: "enters", exit: "leaves", dwell: "stays in", cross: "crosses" };
 function events() {
@@ -248,10 +248,12 @@ function events() {
 }
 
 function chart() {
-  const [left, right, top, bottom] = [34, 632, 10, 176], now = Date.now() / 1000, begin = now - 60 * span;
+  // In pixels of the screen, so that letters have their size.
+  const [left, right, top, bottom] = [34, Math.max(200, $("chart").clientWidth - 8), 10, 176], now = Date.now() / 1000, begin = now - 60 * span;
   const inside = minutes.filter(([wall]) => wall + 60 > begin), most = Math.max(1, ...inside.map((row) => row[2]));
   const x = (wall) => left + (right - left) * Math.min(1, Math.max(0, (wall - begin) / (60 * span)));
   const step = [1, 2, 5, 10, 20, 50, 100, 200, 500].find((one) => most / one <= 4) || 1000, high = Math.ceil(most / step) * step;
+  $("chart").setAttribute("viewBox", `0 0 ${right + 8} 200`);
   const y = (value) => bottom - (bottom - top) * value / high, parts = [];
   for (let value = 0; value <= high; value += step) {
     parts.push(drawn("line", { class: "grid", x1: left, x2: right, y1: y(value), y2: y(value) }));

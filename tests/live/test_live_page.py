@@ -1,0 +1,207 @@
+"""The page of live cameras: what it answers, and how it works in a real browser, on a desktop and on a phone."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from camera_server import CameraServer, until, walker
+from starlette.testclient import TestClient
+
+from phdtrack.config import build_kinds, load
+from phdtrack.detect import make_detector
+from phdtrack.live.engine import Camera, CameraSettings, Making
+from phdtrack.live.page import METRICS, live_app
+from phdtrack.live.sources import LiveSource
+from phdtrack.live.zones import Place, read_places, write_places
+from phdtrack.types import SequenceInfo
+
+# Debian's and others' names of the same browser.
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), "")
+needs_browser = pytest.mark.skipif(not CHROMIUM, reason="needs Chromium (Debian: apt-get install chromium)")
+FLAGS = ("--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update", "--disable-sync")
+DOOR = Place('the "door"', ((80.0, 119.0), (80.0, 0.0)), closed=False)
+ROOM = Place("room", ((0.0, 0.0), (100.0, 0.0), (100.0, 119.0)), closed=True, anchor="centre", classes=("person",))
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[CameraServer]:
+    server = CameraServer()
+    server.draw = walker
+    yield server
+    server.kill()
+
+
+@pytest.fixture(scope="module")
+def camera(server: CameraServer, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Camera]:
+    folder = tmp_path_factory.mktemp("live")
+    write_places(folder / "places.toml", (DOOR, ROOM))
+
+    def make(info: SequenceInfo) -> Making:
+        return Making(make_detector("change", min_area=100), build_kinds(load(preset="mot15"), info), info)
+
+    one = Camera("gate", LiveSource(server.url), make, CameraSettings(folder, folder / "places.toml", video=0, blur="boxes"))
+    one.start()
+    until(lambda: one.counted["cross"] >= 2)
+    yield one
+    one.stop(10.0)
+
+
+@pytest.fixture
+def page(camera: Camera) -> TestClient:
+    return TestClient(live_app([camera]))
+
+
+def test_it_shows_pictures_states_counts_and_events(page: TestClient, camera: Camera) -> None:
+    assert page.get("/api/cameras").json() == [{"name": "gate", "state": "live", "tracks": camera.tracks}]
+    known = page.get("/api/camera/gate").json()
+    assert (known["width"], known["height"], known["state"], known["problems"]) == (160, 120, "live", [])
+    door, room = known["places"]
+    assert (door["name"], door["kind"], room["kind"], room["anchor"], room["classes"]) == (
+        'the "door"', "line", "zone", "centre", ["person"],
+    )  # fmt: skip
+    assert door["entered"] + door["left"] >= 2
+    assert known["events"][-1]["kind"] == "appear"
+    assert page.get("/api/camera/gate/minutes").json()[-1][2] >= 1
+    first = page.get("/picture/gate.jpg")
+    assert (first.status_code, first.content[:2]) == (200, b"\xff\xd8")
+    second = page.get(f"/picture/gate.jpg?after={first.headers['x-frame']}")
+    assert int(second.headers["x-frame"]) > int(first.headers["x-frame"])
+    for what in ("people", "clutter"):
+        assert page.get(f"/map/gate/{what}.jpg").content[:2] == b"\xff\xd8"
+    assert 'src="/static/live.js"' in page.get("/").text
+
+
+def test_prometheus_can_read_the_numbers(page: TestClient, camera: Camera) -> None:
+    lines = page.get("/metrics").text.splitlines()
+    assert 'phdtrack_source_up{camera="gate"} 1' in lines
+    assert any(line.startswith('phdtrack_place_left_total{camera="gate",place="the \\"door\\""} ') for line in lines)
+    assert any(line.startswith('phdtrack_events_total{camera="gate",kind="cross"} ') for line in lines)
+    assert {line.split()[2] for line in lines if line.startswith("# TYPE")} == {f"phdtrack_{name}" for name in METRICS}
+    for line in lines:
+        if not line.startswith("#"):
+            float(line.rpartition(" ")[2])
+
+
+@pytest.mark.parametrize(
+    "path", ["/picture/no.jpg", "/map/gate/faces.jpg", "/api/camera/no", "/api/camera/no/minutes", "/x"]
+)
+def test_what_is_not_there_is_404(page: TestClient, path: str) -> None:
+    assert page.get(path).status_code == 404
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        (b"{", "expected JSON"),
+        (b"[" * 30000, "expected JSON"),
+        (b"[]", "expected an object"),
+        (b'{"line": 3}', "[[line]]"),
+        (b'{"circle": []}', "no table 'circle'"),
+        (b'{"line": [{"points": [[0, 0], [NaN, 1]]}]}', "finite"),
+        (b'{"line": [{"points": [[0, 0], [1' + b"0" * 400 + b", 1]]}]}", "pixels"),
+        (b'{"line": [{"points": [[0, 0]]}]}', "at least 2 points"),
+        (b'{"line": [{"name": "a\\ud800", "points": [[0, 0], [1, 1]]}]}', "character"),
+        (b'{"zone": [{"name": "a\\u007f", "points": [[0, 0], [1, 1], [0, 1]]}]}', "character"),
+        (json.dumps({"line": [{"points": [[0, k] for k in range(401)]}]}).encode(), "at most 50 lines and zones"),
+        (b" " * 70000, "at most 65536 bytes"),
+    ],
+)
+def test_places_that_cannot_be_used_change_nothing(page: TestClient, camera: Camera, body: bytes, words: str) -> None:
+    before = camera.settings.places.read_bytes()
+    answer = page.post("/api/camera/gate/places", content=body)
+    assert answer.status_code == 400
+    assert words in answer.json()["error"]
+    assert camera.settings.places.read_bytes() == before
+
+
+def test_a_camera_that_has_ended_is_not_healthy(page: TestClient, tmp_path: Path) -> None:
+    assert page.get("/healthz").text == "ok\n"
+    other = Camera("yard", LiveSource("rtsp://127.0.0.1:9/"), lambda info: None, CameraSettings(tmp_path))
+    answer = TestClient(live_app([other])).get("/healthz")
+    assert (answer.status_code, answer.text) == (503, "yard not working\n")
+    assert other.stop(0.1)
+
+
+@pytest.fixture(scope="module")
+def address(server: CameraServer, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
+    """A page that `phdtrack live` serves, and the folder of its camera."""
+    out = tmp_path_factory.mktemp("live")
+    words = [sys.executable, "-m", "phdtrack", "live", f"gate={server.url}", "--out", str(out), "--video", "0"]
+    with (out / "said").open("wb") as said:
+        child = subprocess.Popen([*words, "--set", "detector.min_area=100"], stdout=said, stderr=said)
+        try:
+            until(lambda: b"the page: " in (out / "said").read_bytes())
+            yield (out / "said").read_text().split("the page: ")[1].split()[0], out / "gate"
+        finally:
+            child.terminate()
+            assert child.wait(20) == 0
+
+
+@pytest.fixture(scope="module")
+def browser():
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
+        yield browser
+        browser.close()
+
+
+@needs_browser
+@pytest.mark.parametrize(("width", "height", "scheme", "kind"), [(1280, 800, "light", "line"), (390, 844, "dark", "zone")])
+def test_in_a_browser(browser, address, server: CameraServer, width: int, height: int, scheme: str, kind: str) -> None:
+    url, folder = address
+    phone, errors = width < 500, list[str]()
+    context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme, has_touch=phone)
+    page = context.new_page()
+    page.set_default_timeout(60_000)
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+    page.goto(url)
+    page.wait_for_selector("body[data-frame]")
+    page.wait_for_selector("body[data-ready=gate]")
+    # The white square is drawn on the canvas.
+    assert page.evaluate("Math.max(...$picture.getContext('2d').getImageData(0, 0, 160, 120).data.filter((_, k) => k % 4 == 0))"
+                         .replace("$picture", "document.querySelector('#picture')")) > 200  # fmt: skip
+    number = page.evaluate("Number(document.body.dataset.frame)")
+    page.wait_for_function(f"Number(document.body.dataset.frame) > {number + 3}")
+    assert page.evaluate("document.documentElement.scrollWidth") == width
+    assert (page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(18, 20, 23)") == (scheme == "dark")
+    # Draw over the middle of the picture, where the square goes to and fro.
+    corners = [(80, 110), (80, 20)] if kind == "line" else [(60, 20), (100, 20), (100, 110), (60, 110)]
+    page.click(f"#{kind}")
+    page.locator("#stage").scroll_into_view_if_needed()
+    area = page.locator("#overlay").bounding_box()
+    for x, y in corners:
+        at = area["x"] + x * area["width"] / 160, area["y"] + y * area["height"] / 120
+        page.touchscreen.tap(*at) if phone else page.mouse.click(*at)
+    page.fill("#name", f"my <b>{kind}</b>")
+    page.click("#save")
+    page.wait_for_selector(f'#hint:text("my <b>{kind}</b> was saved")')
+    place = next(one for one in read_places(folder / "places.toml") if one.name == f"my <b>{kind}</b>")
+    assert place.closed == (kind == "zone")
+    assert all(abs(a - b) < 2 for (x, y), (u, v) in zip(place.points, corners, strict=True) for a, b in ((x, u), (y, v)))
+    # It is watched from then on.
+    page.wait_for_selector(f'#list .what:text("my <b>{kind}</b>")')
+    assert page.locator("#list b").count() == 0
+    page.wait_for_selector("#chart path.most[d^=M]")
+    # And no longer after two clicks.
+    page.click(f'button[aria-label="delete my <b>{kind}</b>"]')
+    page.click('button:text("delete?")')
+    page.wait_for_selector("#none:visible")
+    assert read_places(folder / "places.toml") == ()
+    if not phone:
+        server.kill()
+        page.wait_for_selector('#state dd:text-matches("^(down|connecting)")')
+        server.restart()
+        page.wait_for_selector('#state dd:text-matches("^live")')
+    assert errors == []
+    context.close()
+    time.sleep(0.1)
