@@ -55,7 +55,7 @@ def test_it_ends_on_a_signal_while_a_camera_is_frozen_and_tells_nobody_the_passw
     dead = f"rtsp://bob:{SECRET}@127.0.0.1:{free_port()}/x"
     words = [sys.executable, "-m", "phdtrack", "live", f"gate={address}", f"dead={dead}", "--out", str(out), "--json"]
     words += ["--webhook", f"http://127.0.0.1:{hook.server_port}/{SECRET}", "--allow-private", "--port", str(port)]
-    words += ["--set", "detector.min_area=100", "--config", str(tmp_path / "mine.toml")]
+    words += ["--set", "detector.min_area=0.005", "--config", str(tmp_path / "mine.toml")]
     (tmp_path / "mine.toml").write_text("")
     served = list[bytes]()
 
@@ -116,7 +116,7 @@ def test_it_ends_by_itself_and_says_what_it_did(tmp_path: Path) -> None:
         "--video",
         "0",
         "--set",
-        "detector.min_area=100",
+        "detector.min_area=0.005",
     ]
     status, said = invoked(camera.url, *words)
     camera.kill()

@@ -44,7 +44,7 @@ def camera(server: CameraServer, tmp_path_factory: pytest.TempPathFactory) -> It
     write_places(folder / "places.toml", (DOOR, ROOM))
 
     def make(info: SequenceInfo) -> Making:
-        return Making(make_detector("change", min_area=100), build_kinds(load(preset="mot15"), info), info)
+        return Making(make_detector("change", min_area=0.005), build_kinds(load(preset="mot15"), info), info)
 
     one = Camera("gate", LiveSource(server.url), make, CameraSettings(folder, folder / "places.toml", video=0, blur="boxes"))
     one.start()
@@ -135,7 +135,7 @@ def address(server: CameraServer, tmp_path_factory: pytest.TempPathFactory) -> I
     out = tmp_path_factory.mktemp("live")
     words = [sys.executable, "-m", "phdtrack", "live", f"gate={server.url}", "--out", str(out), "--video", "0"]
     with (out / "said").open("wb") as said:
-        child = subprocess.Popen([*words, "--set", "detector.min_area=100"], stdout=said, stderr=said)
+        child = subprocess.Popen([*words, "--set", "detector.min_area=0.005"], stdout=said, stderr=said)
         try:
             until(lambda: b"the page: " in (out / "said").read_bytes())
             yield (out / "said").read_text().split("the page: ")[1].split()[0], out / "gate"
@@ -171,7 +171,7 @@ def test_in_a_browser(browser, address, server: CameraServer, width: int, height
     assert page.evaluate("Math.max(...$picture.getContext('2d').getImageData(0, 0, 160, 120).data.filter((_, k) => k % 4 == 0))"
                          .replace("$picture", "document.querySelector('#picture')")) > 200  # fmt: skip
     number = page.evaluate("Number(document.body.dataset.frame)")
-    page.wait_for_function(f"Number(document.body.dataset.frame) > {number + 3}")
+    until(lambda: page.evaluate("Number(document.body.dataset.frame)") > number + 3)
     assert page.evaluate("document.documentElement.scrollWidth") == width
     assert (page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(18, 20, 23)") == (scheme == "dark")
     # Draw over the middle of the picture, where the square goes to and fro.

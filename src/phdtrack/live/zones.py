@@ -115,8 +115,8 @@ def write_places(path: Path, places: Sequence[Place]) -> None:
     text = "\n".join(tables)
     ordered = sorted(places, key=lambda place: place.closed)
     try:
-        same = places_of(tomllib.loads(text), str(path)) == tuple(ordered)
-    except tomllib.TOMLDecodeError:
+        same = places_of(tomllib.loads(text.encode().decode()), str(path)) == tuple(ordered)
+    except ValueError:
         same = False
     if not same:
         raise InputError("a name holds a character that a file of places cannot", where=path)
