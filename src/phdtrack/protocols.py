@@ -12,6 +12,7 @@ a method is described here; what implements it says only what is its own.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -39,6 +40,10 @@ class Motion(Protocol):
     @property
     def dim(self) -> int:
         """Number d of state components."""
+
+    @property
+    def survival_probability(self) -> float:
+        """Probability p_S that a target is still there after one second, wherever it is."""
 
     def particle_model(self, dt: float, seconds: float) -> Any:
         """The numbers of f over ``dt`` and p_S over ``seconds``: a record of `kernels.particle_models`."""
@@ -188,6 +193,14 @@ class Model:
     first: float = 1.0
     warp: F8 = field(default_factory=lambda: STILL, compare=False)
 
+    def birth_seconds(self, dt: float) -> float:
+        """Seconds whose births are there after an interval ``dt``: ∫ p_S(t) dt over it, with p_S = 1 in the last second.
+
+        After a long gap those who came in it have mostly left again. The mean life counts as at most `LONGEST_LIFE`.
+        """
+        seconds, leaving = dt / self.rate, max(-math.log(max(self.motion.survival_probability, 1e-300)), 1 / LONGEST_LIFE)
+        return min(seconds, 1.0) + (math.exp(-leaving) - math.exp(-leaving * max(seconds, 1.0))) / leaving
+
     def warp_states(self, x: F8) -> F8:
         """(d, L) states of the frame before, in the pixels of this one."""
         return self.motion.warp_states(x, self.warp) if len(self.warp) else x
@@ -201,6 +214,8 @@ class Model:
 
 
 S = TypeVar("S")
+# Seconds that a target stays at most in the mean, where births of a long gap are counted.
+LONGEST_LIFE = 600.0
 
 
 class Filter(Protocol[S]):

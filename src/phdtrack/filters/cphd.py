@@ -49,7 +49,7 @@ class _CPHD(Filter[Cardinalised]):
     ) -> tuple[Cardinalised, UpdateInfo]:
         """Add the births, then update the number and the intensity [V07]."""
         terms = _intensity(self).terms(state.intensity, z, model, dt, rng)
-        weighing = weigh(state.cardinality, terms, model.birth.expected(z, dt / model.rate))
+        weighing = weigh(state.cardinality, terms, model.birth.expected(z, model.birth_seconds(dt)))
         intensity = terms.weighed(weighing.missed, weighing.detected)
         info = replace(terms.info(intensity.mass), cardinality=weighing.cardinality)
         return Cardinalised(intensity, weighing.cardinality), info

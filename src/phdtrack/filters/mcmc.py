@@ -149,7 +149,7 @@ class MCMC(Filter[JointSamples]):
         near = member, which, distance2, _ = _pairs(state.state, z, model.sensor)
         inside = distance2 <= chi2_quantile(len(model.sensor.observed), 0.99)
         covered = sum_by(which[inside], state.weight[member[inside]], z.shape[1])
-        born = model.birth.sample(z, covered, model.sensor, dt / model.rate, rng)
+        born = model.birth.sample(z, covered, model.sensor, model.birth_seconds(dt), rng)
         candidate, which, member, weight, x = _entries(state, born, near, z, against, model)
         evidence = sum_by(which + 1, weight, z.shape[1] + 1)[1:] * against
         seen = np.unique(candidate[candidate >= old])

@@ -70,7 +70,7 @@ class MHT(PMBM):
             mean, cov = model.sensor.states(z)
             density = np.full(z.shape[1], self.new_target_density / self._sizes(model))
             return seen, NewTargets(density, np.ascontiguousarray(mean.T), cov), undetected
-        births = model.birth.gaussians(z, model.sensor, dt / model.rate)
+        births = model.birth.gaussians(z, model.sensor, model.birth_seconds(dt))
         return seen, new_targets(model, births, seen, gate, self.transform), undetected
 
     def update(

@@ -113,7 +113,7 @@ class ParticlePHD(Checked, Filter[Intensity]):
         gates = make_grid(*model.sensor.gate(z), 0.0, 0.0)
         old = self._part(in_blocks(state, dtype), numbers, gates, region, model)
         covered: F8 = old[0].unit * sum_by(old[2].which, old[2].near, count)
-        newborn = in_blocks(model.birth.sample(z, covered, model.sensor, dt / model.rate, rng), dtype)
+        newborn = in_blocks(model.birth.sample(z, covered, model.sensor, model.birth_seconds(dt), rng), dtype)
         if self.newborn_apart:
             numbers = numbers._replace(detection=np.ones(1, dtype))
         new = self._part(newborn, numbers, gates, region, model)

@@ -57,7 +57,7 @@ def with_births(unseen: GaussianMixture, model: Model, z: F8, dt: float) -> Birt
     -------
     λ⁺, with the births of the interval.
     """
-    births = model.birth.gaussians(z, model.sensor, dt / model.rate)
+    births = model.birth.gaussians(z, model.sensor, model.birth_seconds(dt))
     if len(unseen) == 0:
         return births
     return births._replace(
