@@ -194,10 +194,7 @@ class Model:
     warp: F8 = field(default_factory=lambda: STILL, compare=False)
 
     def birth_seconds(self, dt: float) -> float:
-        """Seconds whose births are there after an interval ``dt``: ∫ p_S(t) dt over it, with p_S = 1 in the last second.
-
-        After a long gap those who came in it have mostly left again. The mean life counts as at most `LONGEST_LIFE`.
-        """
+        """Seconds whose births are still there after ``dt``: ∫ p_S(t) dt, with p_S = 1 in the last second."""
         seconds, leaving = dt / self.rate, max(-math.log(max(self.motion.survival_probability, 1e-300)), 1 / LONGEST_LIFE)
         return min(seconds, 1.0) + (math.exp(-leaving) - math.exp(-leaving * max(seconds, 1.0))) / leaving
 

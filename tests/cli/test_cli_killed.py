@@ -1,4 +1,4 @@
-"""Runs that are killed, stopped, or cannot write: what is there afterwards is whole, and a resumed run's files are the same."""
+"""Runs that are killed, stopped, or cannot write: what is there is whole, and a resumed run writes the same files."""
 
 from __future__ import annotations
 

@@ -168,8 +168,8 @@ def test_in_a_browser(browser, address, server: CameraServer, width: int, height
     page.wait_for_selector("body[data-frame]")
     page.wait_for_selector("body[data-ready=gate]")
     # The white square is drawn on the canvas.
-    assert page.evaluate("Math.max(...$picture.getContext('2d').getImageData(0, 0, 160, 120).data.filter((_, k) => k % 4 == 0))"
-                         .replace("$picture", "document.querySelector('#picture')")) > 200  # fmt: skip
+    drawn = "document.querySelector('#picture').getContext('2d').getImageData(0, 0, 160, 120).data"
+    assert page.evaluate(f"Math.max(...{drawn}.filter((_, k) => k % 4 == 0))") > 200
     number = page.evaluate("Number(document.body.dataset.frame)")
     until(lambda: page.evaluate("Number(document.body.dataset.frame)") > number + 3)
     assert page.evaluate("document.documentElement.scrollWidth") == width

@@ -233,7 +233,7 @@ def finish_document(document: dict[str, object], directory: RunDirectory, *more:
 
 def _track(job: Job, directory: RunDirectory, *, resume: bool) -> _Progress:
     """Every frame through detector and tracker, into files and record, until the source ends or something stops it."""
-    inputs, stages, sensor = job.inputs, job.stages, job.sensor
+    inputs, stages = job.inputs, job.stages
     tracker = Tracker(stages=job.kinds, fps=inputs.info.fps, seed=job.about.seed)
     done = _Progress(tracker, Recorder(inputs.info, job.truth, None if inputs.again else _CHARTED))
     found_in, checkpoint = partial(detected, inputs.detector, mover=job.mover), None
@@ -241,26 +241,8 @@ def _track(job: Job, directory: RunDirectory, *, resume: bool) -> _Progress:
         checkpoint = Checkpoint(directory, job.key, job.every, resume=resume)
         found_in, done.resumed = partial(checkpoint.detected, inputs, mover=job.mover), checkpoint.number
     with ExitStack() as files:
-        detections = DetectionsWriter(directory.file(rundir.DETECTIONS), job.names)
-        states = StatesWriter(directory.file(rundir.STATES))
-        online = TracksWriter(directory.file(rundir.ONLINE), job.names)
-        for writer in (detections, states, online):
-            # What goes wrong when it is closed must not take with it what was computed.
-            files.enter_context(done.saving())
-            files.enter_context(writer)
+        written = _Written(job, directory, done, files)
         advance = files.enter_context(progress("tracking", inputs.info.frames))
-        for observer in job.observers:
-            files.enter_context(done.saving())
-            observer.open(directory, files)
-        once, final = None, None
-        if not inputs.again:
-            # It may never end: tracks go to disk when they are final, and the past is forgotten.
-            done.seen, final = deque(maxlen=_SAMPLE), FinalTracks(tracker)
-            files.enter_context(done.saving())
-            corrected = files.enter_context(TracksWriter(directory.file(rundir.TRACKS), job.names))
-        if job.video and inputs.pictures and not inputs.again:
-            files.enter_context(done.saving())
-            once = files.enter_context(_DrawnOnce(job, directory))
         # To load or to compile a kernel for arguments of new types Numba takes a lock, which is recorded.
         locks, clock = files.enter_context(event.install_recorder("numba:compiler_lock")), time.perf_counter()
         try:
@@ -271,15 +253,7 @@ def _track(job: Job, directory: RunDirectory, *, resume: bool) -> _Progress:
                         rows = tracker.update(found, frame.number, frame.time, warp if len(warp) else None)
                         step = tracker.step
                         assert step is not None
-                        detections.append(frame.number, found)
-                        states.append(step)
-                        online.append(rows, places(sensor, rows.xyxy))
-                        for observer in job.observers:
-                            observer.take(found, step, tracker.state)
-                        if once:
-                            once.take(frame, step, rows)
-                        if final and len(rows := final.due()):
-                            corrected.append(rows, places(sensor, rows.xyxy))
+                        written.take(frame, found, step, rows)
                         image = frame.image if inputs.pictures else None
                         done.recorder.add(image, step, shown_particles(stages, tracker.state.intensity), seconds)
                         seen = _Seen(step.number, step.detections, step.info.mass, step.info.clutter_probability)
@@ -292,21 +266,67 @@ def _track(job: Job, directory: RunDirectory, *, resume: bool) -> _Progress:
                         locks.buffer.clear()
                     else:
                         done.seconds += clock - before
-            held = tracker.flush()
-            online.append(held, places(sensor, held.xyxy))
-            for observer in job.observers:
-                observer.flush(held)
-            if once:
-                once.flush(held)
+            written.flush()
         except (Exception, KeyboardInterrupt) as stop:
             done.stop = _as_meant(stop)
-        if final:
-            rows = final.rest()
-            corrected.append(rows, places(sensor, rows.xyxy))
+        written.rest()
         if isinstance(done.stop, KeyboardInterrupt):
             signals.last_chance(f"stopped after frame {done.last}; its files are being completed")
         done.lost = ". ".join(filter(None, (inputs.source.problem, checkpoint.problem if checkpoint else "")))
     return done
+
+
+class _Written:
+    """The files that grow while frames come, opened in ``files``; what goes wrong when they are closed is in ``done``."""
+
+    def __init__(self, job: Job, directory: RunDirectory, done: _Progress, files: ExitStack) -> None:
+        self._job, self._tracker, again = job, done.tracker, job.inputs.again
+        self._detections = DetectionsWriter(directory.file(rundir.DETECTIONS), job.names)
+        self._states = StatesWriter(directory.file(rundir.STATES))
+        self._online = TracksWriter(directory.file(rundir.ONLINE), job.names)
+        # Of a source that may never end tracks go to disk when they are final, and the past is forgotten.
+        self._corrected = None if again else TracksWriter(directory.file(rundir.TRACKS), job.names)
+        self._final = None if again else FinalTracks(done.tracker)
+        self._once = None if again or not (job.video and job.inputs.pictures) else _DrawnOnce(job, directory)
+        for writer in (self._detections, self._states, self._online, self._corrected, self._once):
+            # What goes wrong when it is closed must not take with it what was computed.
+            files.enter_context(done.saving())
+            if writer is not None:
+                files.enter_context(writer)
+        for observer in job.observers:
+            files.enter_context(done.saving())
+            observer.open(directory, files)
+        if not again:
+            done.seen = deque(maxlen=_SAMPLE)
+
+    def take(self, frame: Frame, found: Detections, step: Step, rows: Tracks) -> None:
+        """A frame, its detections, and the online rows that it brought."""
+        self._detections.append(frame.number, found)
+        self._states.append(step)
+        self._append(self._online, rows)
+        for observer in self._job.observers:
+            observer.take(found, step, self._tracker.state)
+        if self._once:
+            self._once.take(frame, step, rows)
+        if self._final and self._corrected and len(final := self._final.due()):
+            self._append(self._corrected, final)
+
+    def flush(self) -> None:
+        """The online rows that were held back."""
+        held = self._tracker.flush()
+        self._append(self._online, held)
+        for observer in self._job.observers:
+            observer.flush(held)
+        if self._once:
+            self._once.flush(held)
+
+    def rest(self) -> None:
+        """All corrected rows that are not written yet."""
+        if self._final and self._corrected:
+            self._append(self._corrected, self._final.rest())
+
+    def _append(self, writer: TracksWriter, rows: Tracks) -> None:
+        writer.append(rows, places(self._job.sensor, rows.xyxy))
 
 
 class _DrawnOnce:

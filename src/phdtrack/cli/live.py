@@ -88,8 +88,8 @@ def live(
     refuse({"--truth": options.truth}, "a camera has no annotated truth", "phdtrack live")
     make = Maker(options, tuple(scene_settings(scene)), detector, max_width, mask)
     make.looking(make.settings())
-    addresses, quota = named_sources(sources), size(write.quota)
-    files = {name: _places(write.places or [], name, out) for name in addresses}
+    addresses = named_sources(sources)
+    size(write.quota)
     for url in write.webhook or []:
         Webhook(url)
     rundir.claim(out, False, {})
@@ -101,23 +101,9 @@ def live(
         with suppress(queue.Full):
             lines.put_nowait(event)
 
+    told = send if output.json else lambda event: None
     cameras = [
-        Camera(
-            name,
-            LiveSource(address),
-            make,
-            CameraSettings(
-                folder=out / name,
-                places=files[name],
-                config=options.config,
-                watch=Watch(dwell=write.dwell, leave_after=write.leave_after),
-                video=write.video,
-                quota=quota,
-                parquet=write.parquet,
-                blur=write.blur,
-            ),
-            send if output.json else lambda event: None,
-        )
+        Camera(name, LiveSource(address), make, _settings(name, write, options.config, out), told)
         for name, address in addresses.items()
     ]
     try:
@@ -195,6 +181,20 @@ def size(text: str) -> int:
     if text and (match is None or float(match[1]) == 0):
         raise InputError(f"expected a size as 20GB, got {text!r}", where="--quota")
     return 0 if match is None else int(float(match[1]) * 1000 ** " KMGT".index(match[2] or " "))
+
+
+def _settings(name: str, write: LiveOptions, config: Path | None, out: Path) -> CameraSettings:
+    """What a camera of this name watches and writes."""
+    return CameraSettings(
+        folder=out / name,
+        places=_places(write.places or [], name, out),
+        config=config,
+        watch=Watch(dwell=write.dwell, leave_after=write.leave_after),
+        video=write.video,
+        quota=size(write.quota),
+        parquet=write.parquet,
+        blur=write.blur,
+    )
 
 
 def _places(given: Sequence[str], name: str, out: Path) -> Path:

@@ -50,7 +50,7 @@ def leave(code: int) -> None:
 
 
 def _numbers() -> list[int]:
-    return [int(getattr(signal, name)) for name in _ENDING if hasattr(signal, name)]
+    return [int(one) for one in signal.Signals if one.name in _ENDING]
 
 
 def _end(number: int, frame: object) -> None:

@@ -177,7 +177,8 @@ class GMPHD(Checked, Filter[GaussianMixture]):
 
     def _frame(self, rows: Rows, fresh: int, z: F8, model: Model, dt: float) -> Frame:
         """What the model says of a frame of these measurements, with the predicted Gaussians and the next tag."""
-        born, predicted, sensor = model.birth.gaussians(z, model.sensor, model.birth_seconds(dt)), len(rows.weight), model.sensor
+        sensor, predicted = model.sensor, len(rows.weight)
+        born = model.birth.gaussians(z, sensor, model.birth_seconds(dt))
         if len(born.weight):
             tags = fresh + np.arange(len(born.weight))
             given = Rows(born.weight, born.mean, born.covariance, tags)

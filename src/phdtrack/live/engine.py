@@ -106,7 +106,14 @@ class Maps:
         return cls(np.zeros(shape), np.zeros(shape), cell)
 
     def add(self, time: float, feet: F8, xyxy: F8, probability: F8) -> None:
-        """Take in the feet (n, 2) of tracks, and boxes (m, 4) with their probability of being false alarms."""
+        """Take in a frame.
+
+        Parameters
+        ----------
+        time : of the frame, seconds.
+        feet : (n, 2) of confirmed tracks, pixels.
+        xyxy, probability : (m, 4) detections, and (m,) how likely each is a false alarm.
+        """
         fade = 0.5 ** ((time - self.time) / HALF_LIFE)
         self.time = time
         for grid, points, weight in (

@@ -66,6 +66,10 @@ class Event:
         source : name of the camera.
         wall : ISO time of the frame: ``id`` is made of it, since frames and identities begin anew after a restart.
         names : of the classes.
+
+        Returns
+        -------
+        event : what applies, by name.
         """
         found: dict[str, object] = {
             "id": f"{source}-{wall}-{self.kind}-{self.identity}-{self.index}",

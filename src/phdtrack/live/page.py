@@ -213,28 +213,29 @@ def live_app(cameras: Sequence[Camera]) -> Starlette:
 
         return checked
 
-    def told(work: Callable[..., object]) -> Callable[[Request], Any]:
-        """The answer of ``work`` as JSON."""
-
-        async def endpoint(request: Request) -> Response:
-            return JSONResponse(json_value(await run_in_threadpool(work, **request.path_params)))
-
-        return endpoint
-
     return Starlette(
         routes=[
             Route("/", index),
             Route("/metrics", metrics),
             Route("/healthz", health),
-            Route("/api/cameras", told(page.overview)),
-            Route("/api/camera/{name:str}", known(told(page.camera))),
-            Route("/api/camera/{name:str}/minutes", known(told(page.minutes))),
+            Route("/api/cameras", _told(page.overview)),
+            Route("/api/camera/{name:str}", known(_told(page.camera))),
+            Route("/api/camera/{name:str}/minutes", known(_told(page.minutes))),
             Route("/api/camera/{name:str}/places", known(save), methods=["POST"]),
             Route("/picture/{name:str}.jpg", known(picture)),
             Route("/map/{name:str}/{what:str}.jpg", known(drawn)),
             Mount("/static", StaticFiles(directory=STATIC)),
         ]
     )
+
+
+def _told(work: Callable[..., object]) -> Callable[[Request], Any]:
+    """The answer of ``work`` as JSON."""
+
+    async def endpoint(request: Request) -> Response:
+        return JSONResponse(json_value(await run_in_threadpool(work, **request.path_params)))
+
+    return endpoint
 
 
 def _state(one: Camera) -> str:

@@ -1,0 +1,52 @@
+"""After a gap without frames every filter's expected count is right: who was there has left, and few of those born stayed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from phdtrack import Tracker
+from phdtrack.models import PointBirth, PointMotion, PointSensor, UniformClutter
+from phdtrack.protocols import LONGEST_LIFE, Model
+
+KINDS = ["pmb", "pmbm", "mht", "gm-phd", "gm-cphd", "particle-phd", "particle-cphd", "mcmc"]
+NONE = np.zeros((0, 4))
+
+
+def boxes(rng: np.random.Generator) -> np.ndarray:
+    left = 100.0 + 200.0 * np.arange(5)
+    return np.column_stack([left, np.full(5, 100.0), left + 40, np.full(5, 200.0)]) + rng.normal(0, 1, (5, 4))
+
+
+def mass(tracker: Tracker) -> float:
+    assert tracker.step is not None
+    return tracker.step.info.mass
+
+
+@pytest.mark.parametrize("gap", [1.0, 3600.0, 12 * 3600.0, 30 * 86400.0])
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_count_after_a_gap_is_right(kind: str, gap: float) -> None:
+    for seen in (True, False):
+        tracker, rng = Tracker((1280, 720), fps=25, filter=kind), np.random.default_rng(0)
+        for _ in range(30):
+            tracker.update(boxes(rng))
+        settled, time = mass(tracker), 30 / 25 + gap
+        for k in range(20):
+            tracker.update(boxes(rng) if seen else NONE, 31 + k, time + k / 25)
+            # A birth is believed after a second sighting; nobody is believed in for long who is never seen.
+            assert mass(tracker) <= 1.5 * settled
+        assert mass(tracker) == pytest.approx(settled if seen else 0.0, abs=0.3)
+
+
+@pytest.mark.parametrize("survival", [0.5, 0.99, 1.0])
+def test_births_that_are_still_there_are_the_integral_of_survival(survival: float) -> None:
+    model = Model(
+        PointMotion(survival_probability=survival), PointSensor(), PointBirth(), UniformClutter(1.0, 1.0), rate=25.0
+    )
+    for seconds in (0.04, 1.0):
+        assert model.birth_seconds(25.0 * seconds) == seconds
+    life = max(survival, np.exp(-1 / LONGEST_LIFE))
+    for seconds in (2.0, 60.0, 3600.0):
+        at = np.linspace(1.0, seconds, 200_001)
+        wanted = 1.0 + np.trapezoid(life**at, at)
+        assert model.birth_seconds(25.0 * seconds) == pytest.approx(wanted, rel=1e-6)
