@@ -181,8 +181,7 @@ class Model:
     in time units: what happens in it is predicted and born then.
 
     ``warp`` (3, 3) is how the camera has moved since the frame before: the homography that takes pixels of that frame to
-    this one's; `types.STILL` where it stands still. States are warped before they are predicted (`warp_states`,
-    `warp_gaussians`).
+    this one's; `types.STILL` where it stands still. States are warped before they are predicted.
     """
 
     motion: Motion
@@ -195,8 +194,11 @@ class Model:
 
     def birth_seconds(self, dt: float) -> float:
         """Seconds whose births are still there after ``dt``: ∫ p_S(t) dt, with p_S = 1 in the last second."""
-        seconds, leaving = dt / self.rate, max(-math.log(max(self.motion.survival_probability, 1e-300)), 1 / LONGEST_LIFE)
-        return min(seconds, 1.0) + (math.exp(-leaving) - math.exp(-leaving * max(seconds, 1.0))) / leaving
+        seconds = dt / self.rate
+        if seconds <= 1.0:
+            return seconds
+        leaving = max(-math.log(max(self.motion.survival_probability, 1e-300)), 1 / LONGEST_LIFE)
+        return 1.0 + (math.exp(-leaving) - math.exp(-leaving * seconds)) / leaving
 
     def warp_states(self, x: F8) -> F8:
         """(d, L) states of the frame before, in the pixels of this one."""
@@ -211,8 +213,7 @@ class Model:
 
 
 S = TypeVar("S")
-# Seconds that a target stays at most in the mean, where births of a long gap are counted.
-LONGEST_LIFE = 600.0
+LONGEST_LIFE = 600.0  # Seconds that a target stays at most in the mean, where births of a long gap are counted.
 
 
 class Filter(Protocol[S]):

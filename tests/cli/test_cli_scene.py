@@ -77,4 +77,4 @@ def test_who_stays_among_lights_that_tremble_is_held_back(tmp_path: Path):
     assert learned["false_tracks"] < kept["false_tracks"] < plain["false_tracks"]
     assert learned["false_positives"] < 0.6 * kept["false_positives"] < 0.6 * plain["false_positives"]
     assert learned["misses"] <= 1.02 * plain["misses"], "the people are there"
-    assert learned["MOTA"] > max(0.75, plain["MOTA"] + 0.9)
+    assert learned["MOTA"] > max(0.75, plain["MOTA"] + 0.8)

@@ -73,12 +73,12 @@ GAUSSIAN.append((POINT_BIRTHS["point"], SENSORS["point"], BOXES[:2]))
 @pytest.mark.parametrize(("birth", "sensor", "z"), GAUSSIAN)
 def test_their_mixture_has_the_mass_of_their_particles(birth, sensor, z):
     """Averaged over draws: detections far apart, so that regions of γ neither overlap nor leave the image."""
-    d, mixture = dim(sensor), newborn(birth, fixed(z), sensor, 1.5)
+    d, mixture = dim(sensor), newborn(birth, fixed(z), sensor, 0.6)
     assert mixture.mean.shape == (d, len(mixture))
     assert mixture.covariance.shape == (len(mixture), d, d)
     assert (mixture.weight > 0).all()
     assert np.linalg.eigvalsh(mixture.covariance).min() > 0
-    drawn = [birth.sample(z, np.zeros(3), sensor, 1.5, np.random.default_rng(k)).mass for k in range(40)]
+    drawn = [birth.sample(z, np.zeros(3), sensor, 0.6, np.random.default_rng(k)).mass for k in range(40)]
     assert mixture.mass == pytest.approx(np.mean(drawn), rel=0.03)
 
 

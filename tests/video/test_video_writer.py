@@ -54,13 +54,17 @@ def test_odd_sizes_and_fractional_rates(tmp_path: Path, fps: float) -> None:
     assert np.abs(frames[2].image[:47, :63].astype(int) - picture(2, 63, 47)).mean() < 5
 
 
-def test_the_file_is_whole_after_an_error(tmp_path: Path) -> None:
+def test_after_an_error_what_was_written_is_whole_under_another_name(tmp_path: Path) -> None:
     path = tmp_path / "half.mp4"
     with contextlib.suppress(RuntimeError), VideoWriter(path, 64, 48, 25) as out:
         for index in range(9):
             out.write(picture(index))
         raise RuntimeError
-    assert len(list(open_source(path))) == 9
+    assert not path.exists()
+    part = tmp_path / "half.mp4.part"
+    with pytest.raises(InputError, match="not complete"):
+        open_source(part)
+    assert len(list(open_source(part.rename(path)))) == 9
 
 
 def test_other_images_are_refused(tmp_path: Path) -> None:
