@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from phdtrack.kernels import rts
 from phdtrack.models.gaussian import SAME
 from phdtrack.protocols import Motion
 from phdtrack.types import F8, I8, STILL
@@ -54,8 +55,9 @@ def predict(motion: Motion, mean: F8, covariance: F8, dt: float, warp: F8 = STIL
     moved, jacobian, noise = motion.transition(x if slope is None else motion.warp_states(x, warp), dt)
     if len(scale):
         noise = noise * scale[:, :, None] * scale[:, None]
-    f = jacobian if slope is None else jacobian @ slope
-    return Ahead(moved.T, f @ covariance @ f.transpose(0, 2, 1) + noise, f, noise)
+    f = np.ascontiguousarray(jacobian if slope is None else jacobian @ slope)
+    noise = np.ascontiguousarray(noise)
+    return Ahead(np.ascontiguousarray(moved.T), rts.predicted(np.ascontiguousarray(covariance), f, noise), f, noise)
 
 
 def update(mean: F8, covariance: F8, z: F8, noise: F8, rows: I8) -> tuple[F8, F8]:
@@ -71,12 +73,7 @@ def update(mean: F8, covariance: F8, z: F8, noise: F8, rows: I8) -> tuple[F8, F8
     -------
     The means and covariances.
     """
-    part = covariance[:, rows]
-    gain = _solve(part[:, :, rows] + noise, part).transpose(0, 2, 1)
-    left = np.tile(np.eye(mean.shape[1]), (len(mean), 1, 1))
-    left[:, :, rows] -= gain
-    after = _turned(left, covariance) + _turned(gain, noise)
-    return mean + (gain @ (z - mean[:, rows])[:, :, None])[:, :, 0], after
+    return rts.updated(*map(np.ascontiguousarray, (mean, covariance, z, noise)), rows)
 
 
 def smooth_back(mean: F8, covariance: F8, ahead: Ahead, later: F8, later_covariance: F8) -> tuple[F8, F8]:
@@ -92,10 +89,8 @@ def smooth_back(mean: F8, covariance: F8, ahead: Ahead, later: F8, later_covaria
     -------
     The smoothed means and covariances.
     """
-    gain = _solve(ahead.covariance, ahead.jacobian @ covariance).transpose(0, 2, 1)
-    left = np.eye(mean.shape[1]) - gain @ ahead.jacobian
-    before = _turned(left, covariance) + _turned(gain, ahead.noise + later_covariance)
-    return mean + (gain @ (later - ahead.mean)[:, :, None])[:, :, 0], before
+    given = (mean, covariance), ahead, (later, later_covariance)
+    return rts.smoothed(*(tuple(np.ascontiguousarray(part) for part in one) for one in given))
 
 
 def bridge(motion: Motion, ends: tuple[F8, F8, F8, F8], steps: F8, warps: Sequence[F8] = ()) -> F8:
@@ -125,19 +120,3 @@ def bridge(motion: Motion, ends: tuple[F8, F8, F8, F8], steps: F8, warps: Sequen
         mean, cov = smooth_back(*forward[k], mean, cov)
         out[:, k - 1] = mean[0]
     return out
-
-
-def _turned(a: F8, b: F8) -> F8:
-    """a b aᵀ of (n, r, d) and (n, d, d)."""
-    out: F8 = a @ b @ a.transpose(0, 2, 1)
-    return out
-
-
-def _solve(a: F8, b: F8) -> F8:
-    """a⁻¹ b of positive semidefinite a (n, d, d)."""
-    try:
-        out = np.linalg.solve(a, b)
-    except np.linalg.LinAlgError:
-        # A motion without noise in some component may make it singular.
-        out = np.linalg.pinv(a, hermitian=True) @ b
-    return out.astype(np.float64, copy=False)

@@ -32,6 +32,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.errors import InputError, NonNegative, Positive, Share, check
+from phdtrack.kernels.rts import log_densities
 from phdtrack.models.gaussian import SAME
 from phdtrack.models.rts import Ahead, predict, smooth_back, update
 from phdtrack.protocols import Model, Motion
@@ -261,21 +262,10 @@ class Sequence:
                 column, scale = paths.measurement[rows], scales.measurement[path[rows]]
                 noise = self.covariance[column][:, shown[:, None], shown] * scale[:, :, None] * scale[:, None]
                 z = self.state[shown[:, None], column].T
-                evidence[:, path[rows]] += _log_densities(
-                    z - mean[rows][:, shown], cov[rows][:, shown[:, None], shown] + noise
-                )
-                mean[rows], cov[rows] = update(mean[rows], cov[rows], z, noise, shown)
+                before, spread = mean[rows], cov[rows]
+                evidence[:, path[rows]] += log_densities(z - before[:, shown], spread, noise, shown)
+                mean[rows], cov[rows] = update(before, spread, z, noise, shown)
         return _Filtered(mean, cov, Ahead(predicted, expected, jacobian, added), frames, evidence)
-
-
-def _log_densities(step: F8, covariance: F8) -> F8:
-    """(2, n) log densities of the first two components of Gaussians at a distance ``step`` (n, r), and of the others."""
-    out = np.zeros((2, len(step)))
-    for k, part in enumerate((slice(0, 2), slice(2, None))):
-        v, s = step[:, part], covariance[:, part, part]
-        if v.shape[1]:
-            out[k] = -0.5 * (np.linalg.slogdet(s)[1] + (v * np.linalg.solve(s, v[:, :, None])[:, :, 0]).sum(axis=1))
-    return out
 
 
 class _Meeting(NamedTuple):
