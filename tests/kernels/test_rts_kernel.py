@@ -33,7 +33,9 @@ def test_updates(case):
         gain = p[k] @ h.T @ np.linalg.inv(h @ p[k] @ h.T + r[k])
         np.testing.assert_allclose(mean[k], x[k] + gain @ (z[k] - h @ x[k]), rtol=1e-6, atol=1e-8)
         scale = np.sqrt(np.diag(p[k]))
-        np.testing.assert_allclose(cov[k] / np.outer(scale, scale), (p[k] - gain @ h @ p[k]) / np.outer(scale, scale), atol=1e-8)
+        np.testing.assert_allclose(
+            cov[k] / np.outer(scale, scale), (p[k] - gain @ h @ p[k]) / np.outer(scale, scale), atol=1e-8
+        )
 
 
 def test_smoothing_back(case):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import queue
 import re
+import sys
 import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
@@ -27,6 +28,7 @@ from phdtrack.detect.convert import within_frame
 from phdtrack.devices import Detector
 from phdtrack.errors import InputError, shown
 from phdtrack.formats import DetectionsWriter, find_seqinfo, read_detections
+from phdtrack.formats.stream import stream_detections
 from phdtrack.live.sources import LiveSource, named
 from phdtrack.types import F8, STILL, Detections, DetectionTable, Frame, Image, SequenceInfo
 from phdtrack.video import VideoSource, open_source
@@ -38,6 +40,8 @@ TABLES = (".txt", ".csv", ".tsv", ".json", ".xml", ".parquet")
 DEPTH = 3
 # Seconds without a picture after which a run that reads a camera ends.
 GIVE_UP = 60.0
+# Seconds of frames without detections that are gone through; of a longer stretch nothing is left to follow.
+EMPTY = 60.0
 # Seconds that a stage which was stopped may take to end what it does.
 _PATIENCE = 0.7
 T = TypeVar("T")
@@ -103,6 +107,8 @@ def open_inputs(given: SourceOptions, parameters: dict[str, Any], last: int = 0)
     """
     if not 0 <= given.fps < math.inf:
         raise InputError(f"expected frames per second above 0, got {given.fps:g}", where="--fps")
+    if given.detections == Path("-"):
+        return _streamed(given)
     pictures, path = bool(given.source), given.detections
     again = not pictures or comes_again(given.source)
     if path is None:
@@ -119,6 +125,44 @@ def open_inputs(given: SourceOptions, parameters: dict[str, Any], last: int = 0)
     name = shown(given.source) or str(path)
     found = Inputs(frames.info, frames, TableDetector(seen), name, str(path), pictures, again, left_out)
     return replace(found, names=seen.names, classes=classes) if seen.names or classes - {0} else found
+
+
+def _streamed(given: SourceOptions) -> Inputs:
+    """Detections from standard input, which may have no end; size and rate by options."""
+    refuse({"SOURCE": given.source}, "detections from standard input have no pictures", "--detections -")
+    width, height, fps = *frame_size(given.frame_size or "0x0"), given.fps
+    if not fps:
+        raise InputError("the rate of the frames is not known", where="--detections -", cure="Say --fps F.")
+    waiting = dict[int, Detections]()
+
+    def read(source: VideoSource) -> Iterator[tuple[int, float, Image, str]]:
+        last = empty = 0
+        for table in stream_detections(sys.stdin.buffer, "standard input"):
+            seen, _ = within_frame(table, source.info, Path("standard input"))
+            empty += len(table) - len(seen) + table.empty
+            source.problem = f"{empty} boxes without area or outside of the frame are left out" if empty else ""
+            for number in np.unique(table.frame).tolist():
+                first = max(last + 1, number - round(EMPTY * fps)) if last else 1
+                waiting[number], last = seen.at(number), number
+                for frame in range(first, number + 1):
+                    yield frame, (frame - 1) / fps, NO_PICTURE, ""
+
+    info = SequenceInfo(width, height, fps, 0, "stdin")
+    return Inputs(info, VideoSource(info, read), _Waiting(waiting), "standard input", "standard input", False, False)
+
+
+@dataclass(frozen=True, slots=True)
+class _Waiting:
+    """A detector that gives each frame's detections once, where there are any."""
+
+    found: dict[int, Detections]
+
+    def reset(self) -> None:
+        """Nothing to forget."""
+
+    def __call__(self, frame: Frame) -> Detections:
+        """The detections of frame ``frame.number``."""
+        return self.found.pop(frame.number, Detections.empty())
 
 
 def refuse(useless: Mapping[str, object], problem: str, instead: str) -> None:

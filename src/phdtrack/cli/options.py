@@ -43,7 +43,7 @@ Labels = Annotated[Path | None, option("FILE", "What was marked with `phdtrack l
 Config = Annotated[Path | None, option("FILE", "Settings in a TOML file; an unknown name is an error.")]
 Sets = Annotated[list[str] | None, option("NAME=VALUE", "One setting, as sensor.box_noise=0.1; repeatable.", "--set")]
 Preset = Annotated[str, option("NAME", "Settings to start from: default, mot15, m07, m07-extended, m09, m09-mht, e13, …")]
-DetectionsFile = Annotated[Path | None, option("FILE", "File of detections, used instead of a detector.")]
+DetectionsFile = Annotated[Path | None, option("FILE", "Detections instead of a detector's; -: rows from standard input.")]
 Classes = Annotated[str, option("NAME,...", "Classes of the detections to track; default: all, each on its own.")]
 Out = Annotated[Path | None, option("DIR", "Directory to write into; default: runs/ and the source's name.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on with a run that was stopped or killed.")]

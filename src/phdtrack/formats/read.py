@@ -38,7 +38,11 @@ def read_detections(path: AnyPath, *, first_frame: int | None = None) -> Detecti
     ------
     InputError : the file is missing or malformed; the message names the line.
     """
-    table = table_of(Path(path), Kind.DETECTIONS, first_frame)
+    return detections_of(table_of(Path(path), Kind.DETECTIONS, first_frame))
+
+
+def detections_of(table: Table) -> DetectionTable:
+    """The detections in a table, sorted by frame; `InputError` names the first row that is none."""
     label, covariance = table.get(Column.CLASS), None
     rules = [*box_rules(table, least=0.0), whole(label, "class")]
     if table.triangle.shape[1]:

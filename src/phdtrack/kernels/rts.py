@@ -111,9 +111,7 @@ def updated(mean: F8, covariance: F8, z: F8, noise: F8, rows: I8) -> tuple[F8, F
 
 
 @njit(**ENTRY)
-def smoothed(
-    now: tuple[F8, F8], ahead: tuple[F8, F8, F8, F8], later: tuple[F8, F8]
-) -> tuple[F8, F8]:
+def smoothed(now: tuple[F8, F8], ahead: tuple[F8, F8, F8, F8], later: tuple[F8, F8]) -> tuple[F8, F8]:
     """Filtered Gaussians given what the next frame says after all.
 
     ``now`` and ``later`` are means and covariances, ``ahead`` the predictions' with the Jacobian and noise they came of.
