@@ -1,0 +1,225 @@
+"""A day of video time, as fast as it goes: memory and speed of ``phdtrack track`` on a pipe and of a live camera.
+
+    python -m experiments.soak track --hours 24 --out track.json
+    python -m experiments.soak live --hours 24 --out live.json
+
+Ten targets that come back all the time, one detection in ten missing, and false alarms whose rate goes up and down between
+none and six a frame within five minutes, at 25 frames a second. After each hour of video time its resident memory and its
+processor time are noted. Processor time on a shared machine says little by itself: beside it stands that of a fresh tracker
+on the same frames in the same minutes, and what must not grow is the ratio.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from phdtrack.config import build_kinds, load
+from phdtrack.live.engine import Camera, CameraSettings, Making
+from phdtrack.live.events import Watch
+from phdtrack.live.sources import LiveFrame, SourceStatus
+from phdtrack.live.zones import Place
+from phdtrack.tracker import Tracker
+from phdtrack.types import Detections, Frame, SequenceInfo
+
+FPS, WIDTH, HEIGHT, TARGETS = 25, 640, 360, 10
+SIZE = np.array([16.0, 36.0])
+# Frames between two measurements of a fresh tracker, and frames of each.
+_EVERY, _FRESH = 7500, 250
+ROW = "{},-1,{:.2f},{:.2f},{:.2f},{:.2f},{:.2f}\n"
+_WALL = 1_700_000_000.0
+
+
+def boxes(seed: int = 0) -> Iterator[np.ndarray]:
+    """(N, 5) boxes with scores of each frame, without end."""
+    rng = np.random.default_rng(seed)
+    room = np.array([WIDTH, HEIGHT]) - SIZE
+    at, speed = rng.uniform(0, room, (TARGETS, 2)), rng.uniform(-2, 2, (TARGETS, 2))
+    number = 0
+    while True:
+        number += 1
+        at += speed
+        speed[(at < 0) | (at > room)] *= -1
+        np.clip(at, 0, room, out=at)
+        seen = at[rng.random(TARGETS) < 0.9]
+        seen = seen + rng.normal(0, 0.5, seen.shape)
+        false = rng.uniform(0, room, (rng.poisson(3 + 3 * np.sin(number / 1200)), 2))
+        corner = np.vstack([seen, false])
+        score = np.where(np.arange(len(corner)) < len(seen), 0.9, 0.5)
+        yield np.column_stack([corner, corner + SIZE, score])
+
+
+@dataclass(slots=True)
+class Hour:
+    """After so many hours of video time: seconds that the last one took, on the clock and of the processor; what a fresh
+    tracker would have taken in the same minutes; and resident memory in MB."""
+
+    hour: float
+    wall: float
+    cpu: float
+    fresh: float
+    memory: float
+
+
+@dataclass(slots=True)
+class Watching:
+    """Notes an hour when it is over, of a process by its number; 0: this one."""
+
+    process: int
+    per_hour: int
+    hours: list[Hour] = field(default_factory=list)
+    _fresh: list[float] = field(default_factory=list)
+    _before: tuple[float, float] = (0.0, 0.0)
+    _own: float = 0.0
+
+    def frame(self, number: int) -> None:
+        """A frame is through."""
+        if number == 1:
+            self._before = time.monotonic(), self._cpu()
+        if number % min(_EVERY, self.per_hour) == 0:
+            began = time.thread_time()
+            self._fresh.append(fresh_tracker() / _FRESH)
+            self._own += 0.0 if self.process else time.thread_time() - began
+        if number % self.per_hour == 0:
+            now = time.monotonic(), self._cpu()
+            wall, cpu = now[0] - self._before[0], now[1] - self._before[1] - self._own
+            fresh = float(np.median(self._fresh)) * self.per_hour
+            self.hours.append(Hour(number / self.per_hour, wall, cpu, fresh, resident(self.process)))
+            self._before, self._own = now, 0.0
+            self._fresh.clear()
+            last = self.hours[-1]
+            print(
+                f"hour {last.hour:g}: {last.memory:.1f} MB, {cpu / fresh:.2f} of a fresh tracker, {wall:.0f} s", flush=True
+            )
+
+    def _cpu(self) -> float:
+        if not self.process:
+            return time.process_time()
+        words = Path(f"/proc/{self.process}/stat").read_text().rpartition(")")[2].split()
+        return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def resident(process: int = 0) -> float:
+    """Resident memory in MB."""
+    pages = int(Path(f"/proc/{process or 'self'}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def fresh_tracker() -> float:
+    """Processor seconds of this thread for the frames 51 … 50 + `_FRESH` of a tracker that has just begun."""
+    tracker, given = Tracker((WIDTH, HEIGHT), fps=FPS), boxes(1)
+    for _ in range(50):
+        tracker.update(next(given))
+    frames = [next(given) for _ in range(_FRESH)]
+    began = time.thread_time()
+    for one in frames:
+        tracker.update(one)
+    return time.thread_time() - began
+
+
+def track(hours: float, per_hour: int, folder: Path) -> list[Hour]:
+    """The command line, given rows on its standard input."""
+    size = f"{WIDTH}x{HEIGHT}"
+    command = [sys.executable, "-m", "phdtrack", "track", "--detections", "-", "--fps", str(FPS), "--frame-size", size]
+    with subprocess.Popen([*command, "--out", str(folder / "run"), "--overwrite"], stdin=subprocess.PIPE) as process:
+        assert process.stdin is not None
+        watching, given = Watching(process.pid, per_hour), boxes()
+        for number in range(1, round(hours * per_hour) + 1):
+            rows = [(number, x, y, r - x, b - y, score) for x, y, r, b, score in next(given).tolist()]
+            process.stdin.write("".join(ROW.format(*row) for row in rows).encode())
+            watching.frame(number)
+        process.stdin.close()
+        if process.wait() != 0:
+            raise SystemExit(f"phdtrack track ended with status {process.returncode}")
+    return watching.hours
+
+
+class _Replayed:
+    """A source whose pictures come when the one before is through, at the times of 25 a second."""
+
+    def __init__(self, last: int, through: Callable[[int], None]) -> None:
+        self.last, self.number, self._through = last, 0, through
+        self._image = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+
+    def start(self) -> None: ...
+
+    def stop(self) -> None: ...
+
+    def next(self, timeout: float) -> LiveFrame | None:
+        """The next picture."""
+        if self.number:
+            self._through(self.number)
+        if self.number >= self.last:
+            self._through = lambda number: None
+            time.sleep(timeout)
+            return None
+        self.number += 1
+        return LiveFrame(self.number, self.number / FPS, _WALL + self.number / FPS, self._image)
+
+    def status(self) -> SourceStatus:
+        """Always at work."""
+        return SourceStatus("live", frames=max(100, self.number), fps=FPS, width=WIDTH, height=HEIGHT)
+
+
+class _Given:
+    """A detector that has the boxes."""
+
+    def __init__(self) -> None:
+        self._boxes = boxes()
+
+    def __call__(self, frame: Frame) -> Detections:
+        found = next(self._boxes)
+        return Detections.of(found[:, :4], found[:, 4])
+
+    def reset(self) -> None: ...
+
+
+def live(hours: float, per_hour: int, folder: Path) -> list[Hour]:
+    """A camera with a line and a zone, video, files by the hour and a quota, in this process."""
+    middle = Place("middle", ((WIDTH / 2, HEIGHT), (WIDTH / 2, 0.0)), closed=False)
+    corner = Place("corner", ((0.0, 0.0), (WIDTH / 2, 0.0), (WIDTH / 2, HEIGHT / 2), (0.0, HEIGHT / 2)), closed=True)
+
+    def make(info: SequenceInfo) -> Making:
+        return Making(_Given(), build_kinds(load(None, ["associate.history=60"]), info), info)
+
+    watching = Watching(0, per_hour)
+    source = _Replayed(round(hours * per_hour), watching.frame)
+    settings = CameraSettings(folder / "camera", watch=Watch((middle, corner)), quota=50_000_000)
+    camera = Camera("soak", source, make, settings)  # type: ignore[arg-type]
+    camera.start()
+    while len(watching.hours) < int(hours):
+        time.sleep(0.2)
+        if camera.problems or not camera.alive:
+            raise SystemExit(f"the camera: {camera.problems}")
+    if not camera.stop(60.0):
+        raise SystemExit(f"not all files are complete: {camera.problems}")
+    return watching.hours
+
+
+def main() -> None:
+    """Run one part; the result goes into a file."""
+    out = argparse.ArgumentParser(prog="python -m experiments.soak", description=__doc__)
+    out.add_argument("part", choices=("track", "live"))
+    out.add_argument("--hours", type=int, default=24)
+    out.add_argument("--minutes", type=float, default=60.0, help="of video time in what counts as an hour")
+    out.add_argument("--out", type=Path, default=Path("runs/reliability"))
+    given = out.parse_args()
+    with tempfile.TemporaryDirectory(dir=given.out.parent if given.out.parent.is_dir() else None) as folder:
+        hours = {"track": track, "live": live}[given.part](given.hours, round(given.minutes * 60 * FPS), Path(folder))
+    given.out.mkdir(parents=True, exist_ok=True)
+    result = {"minutes": given.minutes, "hours": [asdict(one) for one in hours]}
+    (given.out / f"soak-{given.part}.json").write_text(json.dumps(result, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
