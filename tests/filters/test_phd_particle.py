@@ -65,13 +65,11 @@ def identical(a: ParticleBlocks, b: ParticleBlocks) -> None:
     np.testing.assert_array_equal(a.weight, b.weight)
 
 
-@pytest.mark.parametrize("scaling", ["particle", "detection", "previous", "fixed", "given"])
+@pytest.mark.parametrize("scaling", ["particle", "detection", "fixed", "given"])
 def test_the_update_is_the_dense_one(scaling: str, rng):
     """A gate that lets everything in: the definition, to single precision."""
     model = world(detection_probability=0.9, scaling=scaling, gate_probability=1.0)
     state = crowd(rng, 4, 60, width=200.0)
-    if scaling == "previous":
-        state = Particles(np.vstack([state.state, 1.1 * state.state[4:6]]), state.weight)
     z = seen_by(rng, state, 6)
     if scaling == "given":
         z = np.vstack([z, np.full((4, 6), 16.0)])

@@ -123,7 +123,6 @@ def _model(settings: Settings, size: Size, fps: float) -> Model:
         frame_size=size,
         # A target that has left what can be seen would else live on, as it is never missed there.
         borders=region if plane and sensor.view else EVERYWHERE,
-        remember_size=settings.kind("motion") == "box" and sensor.scaling == "previous",
     )
     birth, clutter = _birth(settings, sensor, size, region), _clutter(settings, size, region)
     if "scene" in (settings.kind("birth"), settings.kind("clutter")):
