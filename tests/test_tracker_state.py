@@ -21,18 +21,17 @@ def scene():
     return street()
 
 
-LEARN = {"learn": {"kind": "online", "memory": 0.05, "verdict_delay": 0.3}}
 DELAY = {"associate": {"output_delay": 3}}
 RATES = {"rates": {"kind": "learned", "detection": True, "clutter": True}}
 
 
 @pytest.mark.parametrize("section", [
-    {}, DELAY, LEARN, RATES, {"merged_measurements": {"kind": "explained"}},
-    {"preset": "default"}, {"preset": "default", **LEARN},
+    {}, DELAY, RATES, {"merged_measurements": {"kind": "explained"}},
+    {"preset": "default"},
     *({"filter": {"kind": kind}} for kind in ("none", "gm-phd", "gm-cphd", "particle-cphd")),
     {"filter": {"kind": "mht"}, **DELAY},
     {"filter": {"kind": "mcmc", "samples": 50, "min_weight": 0.01}},
-    *({"filter": PARTICLES, **more} for more in ({}, DELAY, LEARN)),
+    *({"filter": PARTICLES, **more} for more in ({}, DELAY)),
 ], ids=str)  # fmt: skip
 def test_a_resumed_run_is_bit_identical(section, scene):
     whole, first, second = (tracker_of(**section) for _ in range(3))

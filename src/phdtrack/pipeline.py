@@ -34,7 +34,7 @@ class TrackingState:
     number, time : of the last frame; seconds.
     targets : (d, n) the last frame's states, where the sensor asks which targets hide which; empty otherwise.
     given : which detections the filter was given, of the frames that it may still revise; (0,) where it was given all.
-    learned : what is known of the scene, None where nothing is learned.
+    learned : what was learned while tracking, None where nothing is.
     expected : the targets that merged measurements are divided by, None where they are not.
     pace : how fast the filter's time runs, None where it is the clock's.
     shown : what the boxes of online rows have taught, None where they are the filter's.
@@ -193,22 +193,6 @@ def finish(stages: AnyStages, state: TrackingState) -> Tracks:
     if stages.smoother is None:
         return tracks
     return stages.smoother.smooth(tracks, stages.associator.measurements(state.association), stages.model)
-
-
-@dataclass(frozen=True, slots=True)
-class ShadowTracker:
-    """Other ``stages`` that follow the same frames."""
-
-    stages: AnyStages
-
-    def start(self) -> TrackingState:
-        """Before the first frame."""
-        return start(self.stages, np.random.default_rng(0))
-
-    def advance(self, state: TrackingState, step: Step) -> tuple[TrackingState, Step]:
-        """What these stages make of the detections of ``step``; the random numbers are those of the frame's number."""
-        rng = np.random.default_rng(step.number)
-        return advance(self.stages, state, step.detections, step.number, step.time, rng)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

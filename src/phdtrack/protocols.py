@@ -400,7 +400,7 @@ class CameraEstimator(Protocol[C]):
 
 
 class Learning(Protocol[C]):
-    """What is learned of the scene while it is tracked."""
+    """What is learned while tracking."""
 
     def start(self) -> C:
         """The state before the first frame."""
@@ -423,9 +423,6 @@ class Learning(Protocol[C]):
 
     def advance(self, state: C, step: Step) -> C:
         """Take in what one frame brought."""
-
-    def mode(self, state: C, name: str) -> C | None:
-        """The state with the regime of the scene that has this name, as day or night; None where none is learned."""
 
 
 class Clock(Protocol[S]):
@@ -480,7 +477,7 @@ class Stages(Generic[S, A]):
 
     Attributes
     ----------
-    learning : what is learned of the scene.      explainer : the merged-measurement model.
+    learning : what is learned while tracking.      explainer : the merged-measurement model.
     smoother : of corrected tracks.      clock : of streams of few pictures.      online : boxes of online rows.
     camera : what finds the camera's motion in the detections.
     """

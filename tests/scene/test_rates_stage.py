@@ -9,7 +9,6 @@ from experiments.counting_scene import Counting
 from phdtrack import config, pipeline
 from phdtrack.errors import InputError
 from phdtrack.filters import GMPHD, MHT, ParticlePHD
-from phdtrack.models.learning import RatesState
 from phdtrack.scene.rates import ScoreScale
 from phdtrack.simulate import DetectorModel, detect
 from phdtrack.types import Detections, SequenceInfo
@@ -36,8 +35,7 @@ def boxes(n, rng):
 def knowing(built, scale=SIGMOID, **rates):
     """The learning's state with these rates and this scale."""
     state = built.learning.start()
-    learned = replace(state.learned, scale=scale, rates=replace(state.learned.rates, **rates))
-    return RatesState(learned, state.other)
+    return replace(state, scale=scale, rates=replace(state.rates, **rates))
 
 
 def test_nothing_known_leaves_the_model_as_it_is():
@@ -96,26 +94,15 @@ def test_frames_that_nobody_saw_teach_nothing():
     state = pipeline.start(built, rng)
     for number in range(1, 60):
         state, _ = pipeline.advance(built, state, Detections.empty(observed=False), number, number / 25, rng)
-    learned = state.learned.learned
+    learned = state.learned
     assert learned.sums.frames == 0
     assert not learned.pending.frames
     assert learned.rates.detection == built.model.sensor.detection_probability
 
 
-def test_rates_and_a_scene_are_learned_beside_each_other():
-    built, rng = stages("learn.kind=online"), np.random.default_rng(7)
-    state = pipeline.start(built, rng)
-    place = boxes(5, rng)
-    for number in range(1, 120):
-        found = Detections.of(place + rng.normal(size=(5, 4)), rng.random(5))
-        state, _ = pipeline.advance(built, state, found, number, number / 25, rng)
-    assert state.learned.other.known.last is not None
-    assert state.learned.learned.sums.frames > 0
-
-
 def test_cautious_estimates_are_used_where_nothing_else_explains_them():
     built = stages("rates.cautious=true")
-    set_to, rates = built.model, built.learning.start().learned.rates
+    set_to, rates = built.model, built.learning.start().rates
     higher, lower = {"detection": 0.95, "clutter": 0.05, "births": 1e-4}, {"detection": 0.6, "clutter": 0.9, "births": 0.05}
     model = built.learning.model(knowing(built, **higher), set_to)
     assert (
@@ -156,8 +143,8 @@ def course(filter_name, seed, sets=(), frames=FRAMES, **detector):
     state, rates = pipeline.start(stages, rng), []
     for number in range(1, frames + 1):
         state, _ = pipeline.advance(stages, state, found.at(number), number, (number - 1) / scene.fps, rng)
-        rates.append(state.learned.learned.rates)
-    return rates, len(found) / frames, state.learned.learned
+        rates.append(state.learned.rates)
+    return rates, len(found) / frames, state.learned
 
 
 @pytest.mark.parametrize("p_detect", [0.5, 0.7, 0.9, 0.98])

@@ -20,7 +20,6 @@ from phdtrack.report.drawing import feet, identity_colour
 from phdtrack.report.record import STAGES, HeatMap, RunRecord, shrunk
 from phdtrack.scene import LearnedDensity, Scene
 from phdtrack.scene.mixture import place_map
-from phdtrack.scene.online import SceneUpdate
 from phdtrack.scene.rates import Rates, RatesLearning
 from phdtrack.types import F8, Image, SequenceInfo
 
@@ -135,25 +134,6 @@ def timing_chart(record: RunRecord) -> Picture:
         total = table.sum(axis=1)
         axes.set_ylim(0, max(min(1.25 * float(np.quantile(total, 0.97)), 1.05 * float(total.max())), 1e-3))
     return _chart(axes, len(record))
-
-
-def learning_chart(course: Sequence[SceneUpdate], rate: float) -> Picture:
-    """What was learned of a scene over time: false alarms a frame, births a minute; bars below show when it was in use.
-
-    ``course`` is what was known after each frame that taught something, ``rate`` the model's time units a second.
-    """
-    axes = _axes(_WIDE, 2.8, "time in seconds", "rate")
-    time, alarms, births, in_use, births_in_use = np.array(
-        [(one.time, one.clutter, one.births * rate * 60, one.clutter_used, one.births_used) for one in course]
-    ).T
-    unit = 0.01 * max(alarms.max(), births.max(), 1e-3)
-    for values, colour, label, place, used in (
-        (alarms, _RED, "false alarms a frame", 3, in_use),
-        (births, _GREEN, "births a minute", 7, births_in_use),
-    ):
-        axes.plot(time, values, color=colour, label=label)
-        axes.fill_between(time, -(place + 2) * unit, -place * unit, where=used > 0, color=colour, linewidth=0, step="post")
-    return _chart(axes, len(time))
 
 
 def rates_chart(course: Sequence[Rates], rule: RatesLearning) -> Picture:

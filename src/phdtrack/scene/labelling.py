@@ -1,4 +1,4 @@
-"""Delayed labelling: which detections were false alarms, and where targets were born, decided some seconds later [M09 §VI].
+"""Delayed labelling: which detections were false alarms, and where targets were born, decided some seconds later.
 
 At once a filter gives a detection the probability κ/(κ + C) to be a false alarm. To learn from that alone goes wrong: the
 first detections of a target that enters are doubted, so that entrances become places of false alarms and are doubted more;
@@ -138,18 +138,16 @@ class PendingFrames:
 class Labels:
     """Labels of ``frames`` frames, in which ``seconds`` passed.
 
-    ``box`` (4, N): the detections as centre and size; ``false`` (N,): probability that each is a false alarm; ``births``
-    (6, B): first states of the objects that appeared.
+    ``false`` (N,): probability that each detection is a false alarm; ``births``: how many objects appeared.
     """
 
     frames: int
     seconds: float
-    box: F8
     false: F8
-    births: F8
+    births: int
 
 
-def label(pending: PendingFrames, until: float, detection: float, rate: float) -> tuple[PendingFrames, Labels]:
+def label(pending: PendingFrames, until: float, detection: float) -> tuple[PendingFrames, Labels]:
     """Label the frames up to a time.
 
     Parameters
@@ -157,7 +155,6 @@ def label(pending: PendingFrames, until: float, detection: float, rate: float) -
     pending : frames in order.
     until : time of the last frame to label, seconds.
     detection : p_D.
-    rate : time units per second of the births' velocities.
 
     Returns
     -------
@@ -174,7 +171,7 @@ def label(pending: PendingFrames, until: float, detection: float, rate: float) -
     of_none = np.isin(rows.identity, evidence.identity[evidence.confirmed & ~objects])
     # Tracks that began in these frames or so soon after them that detections in them may be theirs.
     begun = np.flatnonzero(objects & (evidence.first >= place) & (evidence.first < place + due + BACK))
-    states, before, where = _led_back(rows, evidence.identity[begun], number, time, rate)
+    before, where = _led_back(rows, evidence.identity[begun], number, time)
     box = np.concatenate([np.zeros((0, 4)), *(f.xyxy for f in frames[:due])])
     false = np.concatenate([np.zeros(0), *(f.false for f in frames[:due])])
     frame = np.repeat(number[:due], [len(f.xyxy) for f in frames[:due]])
@@ -185,25 +182,24 @@ def label(pending: PendingFrames, until: float, detection: float, rate: float) -
     # A frame that no other follows lasts as long as those before it on average.
     ends = time[min(due, len(time) - 1)] if due else time[0]
     seconds = (ends - time[0]) * (due / max(1, min(due, len(time) - 1)))
-    labels = Labels(due, float(seconds), to_cxcywh(box), false, np.ascontiguousarray(states[:, came]))
+    labels = Labels(due, float(seconds), false, int(came.sum()))
     kept = evidence.since(place - FORGET)
     return PendingFrames(frames[due:], place + due, len(frames) - due, kept), labels
 
 
-def _led_back(rows: Tracks, begun: I8, number: I8, time: F8, rate: float) -> tuple[F8, I8, F8]:
-    """(6, B) first states of the identities ``begun`` (B,), and frame numbers and boxes where they were before."""
-    states, frames, boxes = np.zeros((6, len(begun))), [_NONE], [np.zeros((0, 4))]
-    for b, identity in enumerate(begun):
+def _led_back(rows: Tracks, begun: I8, number: I8, time: F8) -> tuple[I8, F8]:
+    """Frame numbers and boxes where the tracks of the identities ``begun`` (B,) were before."""
+    frames, boxes = [_NONE], [np.zeros((0, 4))]
+    for identity in begun:
         its = np.flatnonzero((rows.identity == identity) & (rows.detection >= 0))
         place = np.searchsorted(number, rows.frame[its])
         box, seconds = to_cxcywh(rows.xyxy[its]), time[place] - time[place[0]]
-        states[:, b] = first_state(box, seconds) if len(its) > 2 else np.insert(box[:, 0], 2, [0, 0])
+        velocity = first_state(box, seconds)[2:4] if len(its) > 2 else np.zeros(2)
         earlier = np.arange(max(0, place[0] - BACK), place[0])
-        back = np.outer(states[2:4, b], time[earlier] - time[place[0]])
+        back = np.outer(velocity, time[earlier] - time[place[0]])
         frames.append(number[earlier])
         boxes.append(to_xyxy(np.concatenate([box[:2, :1] + back, np.tile(box[2:, :1], len(earlier))])))
-    states[2:4] /= rate
-    return states, np.concatenate(frames), np.concatenate(boxes)
+    return np.concatenate(frames), np.concatenate(boxes)
 
 
 def _on(frame: I8, xyxy: F8, row_frame: I8, row_xyxy: F8) -> Bool:

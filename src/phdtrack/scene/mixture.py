@@ -109,12 +109,6 @@ class SceneDensity:
         gaussians: F8 = np.logaddexp.reduce(self.log_parts(x)[1:], axis=0)
         return gaussians - math.log((1 - self.uniform) / self.volume)
 
-    def responsibilities(self, x: F8) -> F8:
-        """(1 + M, L) the probability that a draw of p at ``x`` (d, L) came from the uniform part and from each Gaussian."""
-        parts = self.log_parts(x)
-        out: F8 = np.exp(parts - np.logaddexp.reduce(parts, axis=0))
-        return out
-
     def contains(self, x: F8) -> Bool:
         """(L,) whether the columns of ``x`` (d, L) lie in the volume."""
         inside: Bool = np.logical_and.reduce((x >= self.low[:, None]) & (x <= self.high[:, None]), axis=0)

@@ -271,12 +271,12 @@ class RatesLearning:
         if step.time < state.learned + self.settings.update_interval or not before:
             return state
         successive = _with_successive(state)
-        pending, labels = label(state.pending, step.time - self.delay, state.rates.detection, self.rate)
+        pending, labels = label(state.pending, step.time - self.delay, state.rates.detection)
         number, units, frames = len(labels.false), labels.seconds * self.rate, labels.frames
         counted, tracked = state.counted.updated(pending.evidence)
         new = RateSums(
             tracked.hits, tracked.span, float(labels.false.sum()), number, frames,
-            labels.births.shape[1], units, number * units / max(frames, 1),
+            labels.births, units, number * units / max(frames, 1),
         )  # fmt: skip
         sums = state.sums.plus(new, math.exp(-labels.seconds / self.settings.memory))
         labelled, scale = state.labelled, state.scale

@@ -210,7 +210,7 @@ def _trained(start: SceneDensity, samples: F8, rate: float) -> Training:
     density = predictive(learn(start, inside), inside.shape[1])
     log_ratio, gain = _left_out(start, inside), math.nan
     if len(log_ratio) >= 2:
-        uniform = best_uniform(log_ratio, np.ones(len(log_ratio)))
+        uniform = best_uniform(log_ratio)
         gain = float(np.logaddexp(math.log(uniform), math.log(1 - uniform) + log_ratio).mean())
         density = replace(density, uniform=max(density.uniform, uniform))
     return Training(LearnedDensity(rate, density, inside.shape[1]), gain)
