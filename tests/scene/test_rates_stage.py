@@ -1,4 +1,4 @@
-"""The learned rates in a model: what they replace, how scores enter the filters, states that are saved; near the truth."""
+"""The learned rates in a model: what they replace; near the truth."""
 
 from dataclasses import replace
 
@@ -7,9 +7,6 @@ import pytest
 
 from experiments.counting_scene import Counting
 from phdtrack import config, pipeline
-from phdtrack.errors import InputError
-from phdtrack.filters import GMPHD, MHT, ParticlePHD
-from phdtrack.scene.rates import ScoreScale
 from phdtrack.simulate import DetectorModel, detect
 from phdtrack.types import Detections, SequenceInfo
 
@@ -20,7 +17,6 @@ LEARNED = (
     *(f"rates.{name}=true" for name in ("detection", "clutter", "birth")),
 )
 INFO = SequenceInfo(640, 480, 25.0)
-SIGMOID = ScoreScale(np.array([0.2, 0.8]), np.log([0.1, 10.0]))
 
 
 def stages(*sets, filter_name="gm-phd"):
@@ -32,10 +28,10 @@ def boxes(n, rng):
     return np.hstack([corner, corner + rng.uniform(20, 60, (n, 2))])
 
 
-def knowing(built, scale=SIGMOID, **rates):
-    """The learning's state with these rates and this scale."""
+def knowing(built, **rates):
+    """The learning's state with these rates."""
     state = built.learning.start()
-    return replace(state, scale=scale, rates=replace(state.rates, **rates))
+    return replace(state, rates=replace(state.rates, **rates))
 
 
 def test_nothing_known_leaves_the_model_as_it_is():
@@ -56,37 +52,6 @@ def test_rates_replace_those_of_the_model_in_steps():
     assert again.sensor is model.sensor
     assert again.clutter is model.clutter
     assert again.birth is model.birth
-
-
-@pytest.mark.parametrize("rate", ["clutter_per_frame", "clutter_per_detection"])
-def test_odds_divide_the_false_alarms(rate):
-    built = stages(f"clutter.{rate}=1.5")
-    rng = np.random.default_rng(1)
-    found = Detections.of(boxes(4, rng), [0.1, 0.5, 0.9, np.nan])
-    model = built.learning.with_scores(knowing(built), built.model, found)
-    z = model.sensor.measure(found)
-    plain = built.model.clutter.intensity(z)
-    assert model.clutter.intensity(z) == pytest.approx(plain / np.array([0.1, 1.0, 10.0, 1.0]))
-    with pytest.raises(InputError, match="expected the 4 detections"):
-        model.clutter.intensity(z[:, :2])
-
-
-@pytest.mark.parametrize("recursion", [GMPHD(), MHT(), ParticlePHD(400)])
-def test_a_low_score_confirms_but_starts_nobody(recursion):
-    """One detection each of a new place, scored low and high, and a second low one of a confirmed target."""
-    built, rng = stages(), np.random.default_rng(4)
-    box = np.array([[100.0, 100, 130, 180]])
-
-    def mass(scores):
-        state = recursion.start(built.model, rng)
-        for score in scores:
-            found = Detections.of(box, [score])
-            model = built.learning.with_scores(knowing(built), built.model, found)
-            state, info = recursion.step(state, model.sensor.measure(found), model, 1.0, rng)
-        return info.mass
-
-    assert mass([0.1]) < 0.2 * mass([0.9]) < 0.2
-    assert mass([0.9, 0.9, 0.9, 0.1]) > 0.9
 
 
 def test_frames_that_nobody_saw_teach_nothing():
@@ -174,12 +139,3 @@ def test_a_rate_that_is_far_off_is_mended_within_two_seconds(wrong):
     for seed in (1, 2):
         rates, _, _ = course("gm-phd", seed, sets, frames=60, p_detect=0.9, clutter_rate=5.0)
         assert rates[50].clutter == pytest.approx(5, rel=0.35)
-
-
-def test_scores_that_tell_objects_from_false_alarms_are_found_to():
-    _, _, learned = course("gm-phd", 1, p_detect=0.8, clutter_rate=10.0, informative_scores=True)
-    # Beta(6, 2) against Beta(2, 4): the ratio is 2.1 s⁴/(1 − s)².
-    at = np.array([0.35, 0.5, 0.65])
-    assert np.log(learned.scale.ratio(at)) == pytest.approx(np.log(2.1 * at**4 / (1 - at) ** 2), abs=1.0)
-    _, _, constant_ones = course("gm-phd", 1, frames=100, p_detect=0.8, clutter_rate=10.0)
-    assert len(constant_ones.scale.at) == 0

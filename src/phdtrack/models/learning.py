@@ -11,11 +11,9 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
-import numpy as np
-
 from phdtrack.models.births import MeasurementBirth, PlaneBirth, PointBirth
 from phdtrack.models.box import BoxSensor
-from phdtrack.models.clutter import BoxClutter, PlaneClutter, ScoredClutter, UniformClutter
+from phdtrack.models.clutter import BoxClutter, PlaneClutter, UniformClutter
 from phdtrack.models.plane import PlaneSensor
 from phdtrack.models.point import PointSensor
 from phdtrack.protocols import Learning, Model
@@ -61,18 +59,12 @@ class RateLearning(Learning[LearnedRates]):
         return model
 
     def with_scores(self, state: LearnedRates, model: Model, detections: Detections) -> Model:
-        """The model with the false alarms of a frame by the number and the scores of its detections."""
-        if len(detections) == 0:
-            return model
+        """The model with no more false alarms than the frame has detections, which at first is all that is known."""
         used, priors = self.rule.settings, self.rule.priors
-        if used.clutter and not (used.cautious or priors.clutter_each):
-            # At first the number of detections is all that is known.
-            rate = min(state.rates.clutter, state.detections_per_frame(len(detections)))
-            model = replace(model, clutter=with_rate(model.clutter, _rounded(rate, priors.clutter)))
-        if not used.scores or len(state.scale.at) < 2:
+        if len(detections) == 0 or not used.clutter or used.cautious or priors.clutter_each:
             return model
-        ratio = state.scale.ratio(detections.confidence)
-        return replace(model, clutter=ScoredClutter(model.clutter, ratio, np.log(ratio)))
+        rate = min(state.rates.clutter, state.detections_per_frame(len(detections)))
+        return replace(model, clutter=with_rate(model.clutter, _rounded(rate, priors.clutter)))
 
     def advance(self, state: LearnedRates, step: Step) -> LearnedRates:
         """Take in one frame."""

@@ -137,16 +137,13 @@ def timing_chart(record: RunRecord) -> Picture:
 
 
 def rates_chart(course: Sequence[Rates], rule: RatesLearning) -> Picture:
-    """Estimates of p_D and of false alarms over time, and at the right the odds of the best and the worst score."""
+    """Estimates of p_D and of false alarms over time."""
     alarms = f"false alarms{', share' if rule.priors.clutter_each else ' a frame'}"
-    left = _axes(_WIDE, 2.6, "time in seconds", "rate", 121)
-    right = _styled(left.figure.add_subplot(122), "time in seconds", "odds of a score")
-    time, *values = np.array([(one.time, one.detection, one.clutter, one.highest, one.lowest) for one in course]).T
-    lines = ((left, _BLUE, "p_D"), (left, _RED, alarms), (right, _GREEN, "best"), (right, _ORANGE, "worst"))
-    for estimates, (axes, colour, label) in zip(values, lines, strict=True):
-        axes.plot(time, estimates, color=colour, label=label)
-    left.set_ylim(bottom=0)
-    return _chart(right, len(time), bottom=0)
+    axes = _axes(_WIDE, 2.6, "time in seconds", "rate")
+    time, detection, clutter = np.array([(one.time, one.detection, one.clutter) for one in course]).T
+    axes.plot(time, detection, color=_BLUE, label="p_D")
+    axes.plot(time, clutter, color=_RED, label=alarms)
+    return _chart(axes, len(time), bottom=0)
 
 
 def score_chart(places: F8 | Sequence[str], x_label: str, y_label: str, methods: Mapping[str, F8]) -> Picture:
@@ -274,15 +271,11 @@ def _colour(identity: int) -> str:
     return f"#{bytes(identity_colour(identity)).hex()}"
 
 
-def _axes(width: float, height: float, x_label: str, y_label: str, position: int = 111) -> Axes:
-    """New axes, at this position of a figure of ``width`` × ``height`` inches."""
+def _axes(width: float, height: float, x_label: str, y_label: str) -> Axes:
+    """Axes of ``width`` × ``height`` inches in the style of all charts: a light grid behind, no frame above and right."""
     from matplotlib.figure import Figure
 
-    return _styled(Figure(figsize=(width, height), layout="constrained").add_subplot(position), x_label, y_label)
-
-
-def _styled(axes: Axes, x_label: str, y_label: str) -> Axes:
-    """The axes in the style of all charts: a light grid behind, no frame at the top and right."""
+    axes = Figure(figsize=(width, height), layout="constrained").add_subplot()
     axes.set_xlabel(x_label, fontsize=10, color=_INK)
     axes.set_ylabel(y_label, fontsize=10, color=_INK)
     axes.tick_params(labelsize=9, colors=_INK)

@@ -101,14 +101,13 @@ class TrackEvidence:
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedFrame:
     """An observed frame: its number and time, the boxes detected (N, 4), the filter's probability (N,) that each is a false
-    alarm, the online rows of the frame, and the detections' scores (N,)."""
+    alarm, and the online rows of the frame."""
 
     number: int
     time: float
     xyxy: F8
     false: F8
     rows: Tracks
-    score: F8 = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,8 +128,7 @@ class PendingFrames:
             return self
         n, false = len(step.detections), step.info.clutter_probability
         false = false if len(false) == n else np.ones(n)
-        found = step.detections
-        frame = ObservedFrame(step.number, step.time, found.xyxy, false, step.tracks, found.confidence)
+        frame = ObservedFrame(step.number, step.time, step.detections.xyxy, false, step.tracks)
         return replace(self, frames=(*self.frames, frame))
 
 
