@@ -109,7 +109,6 @@ PLANE_BIRTHS = {
             np.array([0.02, 0.01]), np.array([[0.0, 1], [10, 20], [0, 0], [0, 1]]), np.tile(np.eye(4), (2, 1, 1))
         )
     ),
-    "plane, learned": SceneBirth(0.05, learned([-40, 0, -3, -3], [40, 60, 3, 3]), (0, 1), particles=200),
 }
 POINT_BIRTHS = {
     "point": PointBirth(births_per_second=0.02, particles=200, frame_size=SIZE),

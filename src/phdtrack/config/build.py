@@ -117,7 +117,7 @@ def _model(settings: Settings, size: Size, fps: float) -> Model:
         # A target that has left what can be seen would else live on, as it is never missed there.
         borders=region if plane and sensor.view else EVERYWHERE,
     )
-    birth, clutter = _birth(settings, sensor, size, region), _clutter(settings, size, region)
+    birth, clutter = _birth(settings, size, region), _clutter(settings, size, region)
     if "scene" in (settings.kind("birth"), settings.kind("clutter")):
         from phdtrack.models.scene import in_one_volume
 
@@ -145,27 +145,20 @@ def _ground(ground: CameraSettings, size: Size) -> tuple[Camera | None, Region]:
     return camera, (left, low, right, high)
 
 
-def _birth(settings: Settings, sensor: Any, size: Size, region: Region) -> Birth:
-    """Where targets appear. Raises `InputError` where births were not learned, or for another rate or sensor."""
+def _birth(settings: Settings, size: Size, region: Region) -> Birth:
+    """Where targets appear. Raises `InputError` where births were not learned, or for another rate."""
     kind, birth = settings.kind("birth"), settings.build("birth", frame_size=size, borders=region)
     if kind != "scene":
         made: Birth = birth
         return made
     from phdtrack.models.scene import SceneBirth
 
-    rate, observed = settings.build("time").units_per_second, sensor.observed
+    rate = settings.build("time").units_per_second
     scene = _scene(birth.file, size, rate)
     if scene.births is None:
         raise InputError("births were not learned in this scene", where=birth.file, cure="Leave birth.kind out")
-    # What is not shown are the two velocities.
-    if scene.births.density.dim != len(observed) + 2:
-        problem = f"expected births of {len(observed) + 2} components, got {scene.births.density.dim}"
-        raise InputError(problem, where=birth.file, cure="Learn them with the motion.kind that they are used with")
-    if birth.births_per_detection > 0 and len(observed) != 4:
-        where = "birth.births_per_detection"
-        raise InputError("births around detections are of boxes only", where=where, cure="Leave it out")
     among, per_second = None if scene.followed is None else scene.followed.objects.density, scene.births.rate * rate
-    return SceneBirth(per_second, scene.births.density, observed, birth.particles, birth.births_per_detection, among)
+    return SceneBirth(per_second, scene.births.density, birth.particles, birth.births_per_detection, among)
 
 
 def _clutter(settings: Settings, size: Size, region: Region) -> Clutter:

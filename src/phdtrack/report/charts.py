@@ -225,7 +225,7 @@ def map_picture(learned: LearnedDensity, scene: Scene, image: Image, *, births: 
 
     Parameters
     ----------
-    learned : over pixels or, for births on the ground, over metres: then it is drawn on a plan of their region.
+    learned : over pixels.
     scene : whose they are.
     image : (H, W, 3) BGR frame, or (0, 0, 3).
     births : whether to draw the mean way of the next second as arrows.
@@ -234,23 +234,16 @@ def map_picture(learned: LearnedDensity, scene: Scene, image: Image, *, births: 
     -------
     The picture.
     """
-    p = learned.density
-    (left, top), (wide, high) = p.low[:2], (p.high - p.low)[:2]
-    ground = (left, top, wide, high) != (0, 0, scene.width, scene.height)
-    if ground:
-        axes = _axes(_WIDE, _WIDE * min(max(high / wide, 0.3), 1.5), "x in metres", "y in metres")
-    else:
-        axes = _over_scene(SequenceInfo(scene.width, scene.height, 25.0), image, _WIDE, darkness=0.5)
+    p, wide, high = learned.density, scene.width, scene.height
+    axes = _over_scene(SequenceInfo(wide, high, 25.0), image, _WIDE, darkness=0.5)
     step = max(wide, high) / _CELLS
     shape = (math.ceil(high / step), math.ceil(wide / step))
-    extent = (left, left + shape[1] * step, top + shape[0] * step, top)
-    _shade(axes, place_map(p, shape, step, sized=p.dim == 6 or not births), 1.0, extent, "bilinear")
+    _shade(axes, place_map(p, shape, step), 1.0, (0, shape[1] * step, shape[0] * step, 0), "bilinear")
     for m in np.flatnonzero(p.weight >= _MIN_WEIGHT) if births else ():
         start, way = p.mean[:2, m], p.mean[2:4, m] * scene.rate
         style = {"arrowstyle": "-|>", "color": _CYAN, "linewidth": 1 + 4 * float(p.weight[m])}
         axes.annotate("", xy=tuple(start + way), xytext=tuple(start), arrowprops=style)
-    # Of a plan the far end is above, of a picture row 0.
-    axes.set(xlim=(left, left + wide), ylim=(top, top + high) if ground else (top + high, top))
+    axes.set(xlim=(0, wide), ylim=(high, 0))
     return _saved(axes)
 
 

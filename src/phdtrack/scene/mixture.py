@@ -195,24 +195,23 @@ def _mass_inside(mean: F8, covariance: F8, low: F8, high: F8) -> F8:
     return inside
 
 
-def place_map(p: SceneDensity, shape: tuple[int, int], step: float, *, sized: bool = True) -> F8:
+def place_map(p: SceneDensity, shape: tuple[int, int], step: float) -> F8:
     """Map of where p's Gaussians lie, all sizes and velocities together, with largest value 1 [M09 Figs. 7, 8].
 
     A quarter of the mean size is added as deviation, because what happens at a place is seen as a box and not as its centre.
 
     Parameters
     ----------
-    p : the density; its last two components are width and height where it is ``sized``.
+    p : the density; its last two components are width and height.
     shape : rows and columns of the map, which begins at p's lower bounds.
-    step : side of a cell, pixels or metres.
-    sized : whether the states have a size.
+    step : side of a cell, pixels.
 
     Returns
     -------
     Array of this shape.
     """
     cov = p.covariance.copy()
-    for axis in range(2 if sized else 0):
+    for axis in range(2):
         cov[:, axis, axis] += (0.25 * p.mean[p.dim - 2 + axis]) ** 2
     place = marginal(replace(p, covariance=cov), (0, 1))
     down, across = np.meshgrid((np.arange(shape[0]) + 0.5) * step, (np.arange(shape[1]) + 0.5) * step, indexing="ij")
