@@ -8,8 +8,8 @@ model was fixed before any filter was run, and no parameter was chosen by the ou
 * boxes are jittered by 10 % of the width across, 5 % of the height down (their foot) and 5 % in size;
 * clutter is Poisson, 0.1 or 1 box a frame, boxes of the truth's sizes standing anywhere on the ground that people walk on.
 
-E13's parameters throughout. ``rates`` replaces E13's places of birth (0.011 people a frame; 0.2 a frame come) and its clutter
-density (about 10⁻⁵ a frame) by what is true of the scene, births anywhere, and R by each detection's own
+E13's parameters throughout. ``rates`` replaces E13's places of birth (0.011 people a frame; 0.2 a frame come) and its
+clutter density (about 10⁻⁵ a frame) by what is true of the scene, births anywhere, and R by each detection's own
 covariance: the cardinalised filter takes rates at their word. People are counted as the intensity's mass, E13's head count,
 and as the states extracted. Groups are those of E13's rule (2 m, 1 m/s).
 """
