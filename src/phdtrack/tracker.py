@@ -180,7 +180,7 @@ class Tracker:
 
     @property
     def rates(self) -> Rates | None:
-        """Estimates of p_D, false alarms and births; None where rates are not learned."""
+        """Estimates of p_D and false alarms; None where rates are not learned."""
         if self.state.learned is None:
             return None
         from phdtrack.scene.rates import LearnedRates

@@ -28,7 +28,7 @@ def test_the_rates_are_told_and_their_course_is_kept(street, tmp_path):
     assert [one["time"] for one in course] == sorted(one["time"] for one in course)
     assert course[-1]["detection"] < 0.8
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
-    for words in ("Rates learned from the stream", "probability of detection", "births a second"):
+    for words in ("Rates learned from the stream", "probability of detection", "false alarms around"):
         assert words in page
     assert "estimated from the stream" in " ".join(said.err.split())
     assert run == json.loads((tmp_path / "run" / "run.json").read_text(encoding="utf-8"))

@@ -62,7 +62,6 @@ def test_labels_wait_for_what_became_of_a_detection():
     assert (labels.false[source == 0] == 0.8).all()
     frame = np.concatenate([np.full(len(t), k + 1) for k, t in enumerate(truth[:76])])
     assert (labels.false[(source == -1) & (frame >= 20)] == 1).all()
-    assert labels.births == 1
     assert [frame.number for frame in pending.frames] == list(range(77, 101))
 
 
@@ -76,7 +75,6 @@ def test_labels_do_not_depend_on_how_frames_are_divided():
             pending, labels = label(pending, {60: 1.5, 80: 2.3, 100: 3.0}[k + 1], 0.9)
             parts.append(labels)
     np.testing.assert_array_equal(np.concatenate([p.false for p in parts]), whole.false)
-    assert sum(p.births for p in parts) == whole.births
 
 
 def test_somebody_who_stands_is_no_place_and_a_place_is_nobody():

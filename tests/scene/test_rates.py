@@ -14,7 +14,7 @@ from phdtrack.scene.rates import (
 )
 from phdtrack.types import Tracks
 
-PRIORS = Priors(0.8, 5.0, 0.02, False, False)
+PRIORS = Priors(0.8, 5.0, False)
 
 
 def walk(identity, frames, speed, confirmed=True):
@@ -33,18 +33,16 @@ def evidence(*tracks):
 
 def test_without_frames_the_settings_hold():
     found = RateSums().rates(PRIORS)
-    assert (found.detection, found.clutter, found.births, found.limited) == (0.8, 5.0, 0.02, ())
+    assert (found.detection, found.clutter, found.limited) == (0.8, 5.0, ())
 
 
 def test_estimates_are_posterior_means():
-    known = RateSums(hits=90, span=100, false=200, detections=400, frames=20, births=4, units=100, chances=2000)
+    known = RateSums(hits=90, span=100, false=200, detections=400, frames=20)
     found = known.rates(PRIORS)
     assert found.detection == pytest.approx((PRIOR_TRACKED * 0.8 + 90) / (PRIOR_TRACKED + 100))
     assert found.clutter == pytest.approx((PRIOR_FRAMES * 5 + 200) / (PRIOR_FRAMES + 20))
-    assert found.births == pytest.approx((5 + 4) / (5 / 0.02 + 100))
-    around = known.rates(Priors(0.8, 0.3, 0.01, True, True))
+    around = known.rates(Priors(0.8, 0.3, True))
     assert around.clutter == pytest.approx((50 * 0.3 + 200) / (50 + 400))
-    assert around.births == pytest.approx((5 + 4) / (5 / 0.01 + 2000))
 
 
 def test_much_evidence_outweighs_any_setting_and_limits_are_named():

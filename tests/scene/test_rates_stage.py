@@ -14,7 +14,7 @@ FRAMES = 300
 LEARNED = (
     "rates.kind=learned",
     "rates.cautious=false",
-    *(f"rates.{name}=true" for name in ("detection", "clutter", "birth")),
+    *(f"rates.{name}=true" for name in ("detection", "clutter")),
 )
 INFO = SequenceInfo(640, 480, 25.0)
 
@@ -44,14 +44,12 @@ def test_nothing_known_leaves_the_model_as_it_is():
 
 def test_rates_replace_those_of_the_model_in_steps():
     built = stages()
-    model = built.learning.model(knowing(built, detection=0.9312, clutter=0.7, births=0.003), built.model)
+    model = built.learning.model(knowing(built, detection=0.9312, clutter=0.7), built.model)
     assert model.sensor.detection_probability == pytest.approx(0.93)
     assert model.clutter.clutter_per_detection == pytest.approx(0.7, rel=0.03)
-    assert model.birth.births_per_detection == pytest.approx(25 * 0.003, rel=0.03)
-    again = built.learning.model(knowing(built, detection=0.9308, clutter=0.7001, births=0.003), built.model)
+    again = built.learning.model(knowing(built, detection=0.9308, clutter=0.7001), built.model)
     assert again.sensor is model.sensor
     assert again.clutter is model.clutter
-    assert again.birth is model.birth
 
 
 def test_frames_that_nobody_saw_teach_nothing():
@@ -68,18 +66,13 @@ def test_frames_that_nobody_saw_teach_nothing():
 def test_cautious_estimates_are_used_where_nothing_else_explains_them():
     built = stages("rates.cautious=true")
     set_to, rates = built.model, built.learning.start().rates
-    higher, lower = {"detection": 0.95, "clutter": 0.05, "births": 1e-4}, {"detection": 0.6, "clutter": 0.9, "births": 0.05}
+    higher, lower = {"detection": 0.95, "clutter": 0.05}, {"detection": 0.6, "clutter": 0.9}
     model = built.learning.model(knowing(built, **higher), set_to)
-    assert (
-        model.sensor.detection_probability,
-        model.clutter.clutter_per_detection,
-        model.birth.births_per_detection,
-    ) == pytest.approx((rates.detection, rates.clutter, 25 * rates.births))
+    found = model.sensor.detection_probability, model.clutter.clutter_per_detection
+    assert found == pytest.approx((rates.detection, rates.clutter))
     model = built.learning.model(knowing(built, **lower), set_to)
     assert model.sensor.detection_probability == pytest.approx(0.6)
-    assert (model.clutter.clutter_per_detection, model.birth.births_per_detection) == pytest.approx(
-        (0.9, 25 * 0.05), rel=0.03
-    )
+    assert model.clutter.clutter_per_detection == pytest.approx(0.9, rel=0.03)
 
 
 def test_there_are_no_more_false_alarms_than_detections():

@@ -107,7 +107,7 @@ class RatesObserver(RunObserver):
     def report(self) -> Report:
         """The rates over time, at most 500 of them, and those at the end."""
         given, known = self._rule.settings, {"course": self._course, "rule": self._rule}
-        used = {"detection": given.detection, "clutter": given.clutter, "births": given.birth}
+        used = {"detection": given.detection, "clutter": given.clutter}
         course = [asdict(self._course[k]) for k in _thinned(len(self._course))]
         document = {"set": asdict(self._rule.priors), "used": used, "course": course}
         return Report({"rates": document}, lines("rates.txt", **known), render("rates.html", **known))

@@ -214,7 +214,7 @@ def _rates(settings: Settings, model: Model, info: SequenceInfo) -> Learning[Any
 
     given = settings.build("rates")
     delay = given.verdict_delay + settings.build("associate").output_delay / info.fps
-    return RateLearning(RatesLearning(given, priors_of(model), model.rate, delay))
+    return RateLearning(RatesLearning(given, priors_of(model), delay))
 
 
 def _scene(file: str, size: Size, rate: float = 0.0) -> Scene:

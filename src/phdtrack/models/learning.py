@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
-from phdtrack.models.births import MeasurementBirth, PlaneBirth, PointBirth
 from phdtrack.models.box import BoxSensor
 from phdtrack.models.clutter import BoxClutter, PlaneClutter, UniformClutter
 from phdtrack.models.plane import PlaneSensor
@@ -28,8 +27,6 @@ LEARNABLE: dict[type[Any], tuple[str, ...]] = {
     UniformClutter: ("clutter_per_frame",),
     BoxClutter: ("clutter_per_detection", "clutter_per_frame"),
     PlaneClutter: ("density", "clutter_per_detection", "clutter_per_frame"),
-    **dict.fromkeys((MeasurementBirth, PlaneBirth), ("births_per_detection", "births_per_second")),
-    PointBirth: ("births_per_second",),
 }
 
 
@@ -46,22 +43,19 @@ class RateLearning(Learning[LearnedRates]):
     def model(self, state: LearnedRates, model: Model) -> Model:
         """The model with the rates that are used; cautious ones only where nothing else explains them."""
         used, found, priors = self.rule.settings, state.rates, self.rule.priors
-        detection, clutter, births = found.detection, found.clutter, found.births
+        detection, clutter = found.detection, found.clutter
         if used.cautious:
             detection, clutter = min(detection, priors.detection), max(clutter, priors.clutter)
-            births = max(births, priors.births)
         if used.detection:
             model = replace(model, sensor=with_rate(model.sensor, DETECTION_STEP * round(detection / DETECTION_STEP)))
         if used.clutter:
             model = replace(model, clutter=with_rate(model.clutter, _rounded(clutter, priors.clutter)))
-        if used.birth:
-            model = replace(model, birth=with_rate(model.birth, model.rate * _rounded(births, priors.births)))
         return model
 
     def with_scores(self, state: LearnedRates, model: Model, detections: Detections) -> Model:
         """The model with no more false alarms than the frame has detections, which at first is all that is known."""
         used, priors = self.rule.settings, self.rule.priors
-        if len(detections) == 0 or not used.clutter or used.cautious or priors.clutter_each:
+        if len(detections) == 0 or not used.clutter or used.cautious or priors.each:
             return model
         rate = min(state.rates.clutter, state.detections_per_frame(len(detections)))
         return replace(model, clutter=with_rate(model.clutter, _rounded(rate, priors.clutter)))
@@ -73,14 +67,9 @@ class RateLearning(Learning[LearnedRates]):
 
 def priors_of(model: Model) -> Priors:
     """The rates of a model; 0, or p_D = 1, of parts that have none."""
-    clutter, births = _name(model.clutter), _name(model.birth)
-    return Priors(
-        getattr(model.sensor, _name(model.sensor), 1.0),
-        getattr(model.clutter, clutter, 0.0),
-        getattr(model.birth, births, 0.0) / model.rate,
-        clutter == "clutter_per_detection",
-        births == "births_per_detection",
-    )
+    clutter = _name(model.clutter)
+    detection = getattr(model.sensor, _name(model.sensor), 1.0)
+    return Priors(detection, getattr(model.clutter, clutter, 0.0), clutter == "clutter_per_detection")
 
 
 def _name(part: Any) -> str:

@@ -138,7 +138,7 @@ def timing_chart(record: RunRecord) -> Picture:
 
 def rates_chart(course: Sequence[Rates], rule: RatesLearning) -> Picture:
     """Estimates of p_D and of false alarms over time."""
-    alarms = f"false alarms{', share' if rule.priors.clutter_each else ' a frame'}"
+    alarms = f"false alarms{', share' if rule.priors.each else ' a frame'}"
     axes = _axes(_WIDE, 2.6, "time in seconds", "rate")
     time, detection, clutter = np.array([(one.time, one.detection, one.clutter) for one in course]).T
     axes.plot(time, detection, color=_BLUE, label="p_D")

@@ -1,4 +1,4 @@
-"""Delayed labelling: which detections were false alarms, and where targets were born, decided some seconds later.
+"""Delayed labelling: which detections were false alarms, decided some seconds later.
 
 At once a filter gives a detection the probability κ/(κ + C) to be a false alarm. To learn from that alone goes wrong: the
 first detections of a target that enters are doubted, so that entrances become places of false alarms and are doubted more;
@@ -15,7 +15,7 @@ often as p_D says: with h of n frames detected, if
 
 which holds from h/n = 0.71 on for p_D = 0.9. A false alarm that returns in one place is detected in fewer frames and goes
 nowhere. An object that stands still and is detected in every second frame looks the same, and so does a place that fires in
-nine frames of ten look like an object. Births are the first states of tracks of objects.
+nine frames of ten look like an object.
 """
 
 from __future__ import annotations
@@ -136,13 +136,12 @@ class PendingFrames:
 class Labels:
     """Labels of ``frames`` frames, in which ``seconds`` passed.
 
-    ``false`` (N,): probability that each detection is a false alarm; ``births``: how many objects appeared.
+    ``false`` (N,): probability that each detection is a false alarm.
     """
 
     frames: int
     seconds: float
     false: F8
-    births: int
 
 
 def label(pending: PendingFrames, until: float, detection: float) -> tuple[PendingFrames, Labels]:
@@ -175,12 +174,10 @@ def label(pending: PendingFrames, until: float, detection: float) -> tuple[Pendi
     frame = np.repeat(number[:due], [len(f.xyxy) for f in frames[:due]])
     true = _on(frame, box, np.append(rows.frame[of_object], before), np.concatenate([rows.xyxy[of_object], where]))
     false = np.where(true, 0.0, np.where(_on(frame, box, rows.frame[of_none], rows.xyxy[of_none]), 1.0, false))
-    # Targets of the first frames were not born then.
-    came = (evidence.first[begun] < place + due) & (evidence.first[begun] >= BACK)
     # A frame that no other follows lasts as long as those before it on average.
     ends = time[min(due, len(time) - 1)] if due else time[0]
     seconds = (ends - time[0]) * (due / max(1, min(due, len(time) - 1)))
-    labels = Labels(due, float(seconds), false, int(came.sum()))
+    labels = Labels(due, float(seconds), false)
     kept = evidence.since(place - FORGET)
     return PendingFrames(frames[due:], place + due, len(frames) - due, kept), labels
 

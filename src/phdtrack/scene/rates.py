@@ -1,15 +1,14 @@
-"""Rates that are learned from the stream: p_D, false alarms and births.
+"""Rates that are learned from the stream: p_D and false alarms.
 
 **p_D** is the share of frames, from one detection of a track to its next, in which it was detected: n detections over g
 frames of tracks say n/Σg. Frames before the first and after the last detection of a track do not count, nor do tracks that
 never moved: a place that fires now and then must not teach how often objects are detected. **False alarms** are the sum of
 the probabilities of labelled detections to be false (`scene.labelling`), and until they are labelled, those of the filter,
-so that a rate that is far off is corrected within a few frames. **Births** are the first states of tracks of objects. Every
-estimate is the mean under a prior about the setting (Beta for p_D, Gamma for rates) and is kept within limits.
+so that a rate that is far off is corrected within a few frames. Both are means under a prior about the setting (Beta for
+p_D, Gamma for the rate) and are kept within limits.
 
 A track that breaks at a long gap hides the gap, so that p_D comes out too high; false alarms that return in one place pass
-for objects; an object that was never confirmed is not among the births. *Cautious* estimates therefore only go to the other
-side: p_D below its setting, false alarms and births above theirs.
+for objects. *Cautious* estimates therefore only go to the other side: p_D below its setting, false alarms above theirs.
 
 What the detector's scores say of its false alarms is another matter (`models.scores`).
 """
@@ -26,10 +25,10 @@ from phdtrack.errors import Checked, NonNegative, Positive
 from phdtrack.scene.labelling import PendingFrames, TrackEvidence, label
 from phdtrack.types import F8, I8, Step
 
-# What the settings count for: frames of one track; frames; detections, where a rate is per detection; births.
-PRIOR_TRACKED, PRIOR_FRAMES, PRIOR_DETECTIONS, PRIOR_BIRTHS = 10.0, 2.0, 50.0, 5.0
-# Limits of p_D; of the rates as multiples of the settings; of a share of the detections.
-DETECTION_LIMITS, CLUTTER_LIMIT, BIRTH_LIMIT, SHARE_LIMITS = (0.3, 0.99), 300.0, 30.0, (0.01, 1.0)
+# What the settings count for: frames of one track; frames; detections, where a rate is per detection.
+PRIOR_TRACKED, PRIOR_FRAMES, PRIOR_DETECTIONS = 10.0, 2.0, 50.0
+# Limits of p_D; of the rate as a multiple of the setting; of a share of the detections.
+DETECTION_LIMITS, CLUTTER_LIMIT, SHARE_LIMITS = (0.3, 0.99), 300.0, (0.01, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +39,7 @@ class RatesSettings(Checked):
     ----------
     detection : use the p_D that is learned.
     clutter : use the rate of false alarms that is learned.
-    birth : use the rate of births that is learned.
-    cautious : use p_D only where it is lower, and rates of false alarms and births only where they are higher, than is set.
+    cautious : use p_D only where it is lower, and the rate of false alarms only where it is higher, than is set.
     memory : seconds after which a frame counts for 37 %.
     verdict_delay : seconds until a detection is labelled, beyond ``associate.output_delay``.
     update_interval : seconds between two times of learning.
@@ -49,7 +47,6 @@ class RatesSettings(Checked):
 
     detection: bool = False
     clutter: bool = False
-    birth: bool = False
     cautious: bool = True
     memory: Positive = 120.0
     verdict_delay: NonNegative = 1.0
@@ -58,13 +55,11 @@ class RatesSettings(Checked):
 
 @dataclass(frozen=True, slots=True)
 class Priors:
-    """The settings: p_D, false alarms per frame and births per time unit; both per detection where ``each`` says so."""
+    """The settings: p_D, and false alarms per frame, or per detection where ``each`` says so."""
 
     detection: float
     clutter: float
-    births: float
-    clutter_each: bool
-    births_each: bool
+    each: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +68,7 @@ class Rates:
 
     Attributes
     ----------
-    detection : p_D.      clutter : false alarms per frame.      births : per time unit; both per detection if set so.
+    detection : p_D.      clutter : false alarms per frame, or per detection if set so.
     limited : names of those that were kept within limits.
     """
 
@@ -81,45 +76,34 @@ class Rates:
     time: float
     detection: float
     clutter: float
-    births: float
     limited: tuple[str, ...] = ()
 
 
 class RateSums(NamedTuple):
-    """Sums that fade: ``hits`` in ``span`` frames of tracks; ``false`` alarms among ``detections`` of ``frames``; ``births``
-    in ``units`` of time, and ``chances``, the sum of detections times units."""
+    """Sums that fade: ``hits`` in ``span`` frames of tracks; ``false`` alarms among ``detections`` of ``frames``."""
 
     hits: float = 0.0
     span: float = 0.0
     false: float = 0.0
     detections: float = 0.0
     frames: float = 0.0
-    births: float = 0.0
-    units: float = 0.0
-    chances: float = 0.0
 
     def plus(self, other: RateSums, fade: float = 1.0) -> RateSums:
         """These sums times ``fade``, and others."""
         return RateSums(*(fade * mine + more for mine, more in zip(self, other, strict=True)))
 
     def rates(self, priors: Priors) -> Rates:
-        """The estimates of p_D and of the rates."""
+        """The estimates."""
         detection = (PRIOR_TRACKED * priors.detection + self.hits) / (PRIOR_TRACKED + self.span)
         over, prior, begun = self.frames, PRIOR_FRAMES, priors.clutter
         limits = priors.clutter / CLUTTER_LIMIT, max(priors.clutter, 1.0) * CLUTTER_LIMIT
-        if priors.clutter_each:
+        if priors.each:
             # Of a rate per detection no more than all of them can be false alarms.
             over, prior, begun, limits = self.detections, PRIOR_DETECTIONS, min(begun, 1.0), SHARE_LIMITS
-        clutter, births = (prior * begun + self.false) / (prior + over), priors.births
-        if births > 0:
-            exposure = self.chances if priors.births_each else self.units
-            births = (PRIOR_BIRTHS + self.births) / (PRIOR_BIRTHS / births + exposure)
-        found = np.array([detection, clutter, births])
-        allowed = (DETECTION_LIMITS, limits, (priors.births / BIRTH_LIMIT, priors.births * BIRTH_LIMIT))
-        kept = np.clip(found, *np.transpose(allowed))
-        names = ("detection", "clutter", "births")
-        limited = tuple(name for name, out in zip(names, found != kept, strict=True) if out)
-        return Rates(0, 0.0, float(kept[0]), float(kept[1]), float(kept[2]), limited=limited)
+        found = np.array([detection, (prior * begun + self.false) / (prior + over)])
+        kept = np.clip(found, *np.transpose((DETECTION_LIMITS, limits)))
+        limited = tuple(name for name, out in zip(("detection", "clutter"), found != kept, strict=True) if out)
+        return Rates(0, 0.0, float(kept[0]), float(kept[1]), limited)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,12 +144,10 @@ class LearnedRates:
 
 @dataclass(frozen=True, slots=True)
 class RatesLearning:
-    """How rates are learned: by which settings, from which values, with ``rate`` time units per second and labels ``delay``
-    seconds late."""
+    """How rates are learned: by which settings, from which values, with labels ``delay`` seconds late."""
 
     settings: RatesSettings
     priors: Priors
-    rate: float
     delay: float
 
     def begin(self) -> LearnedRates:
@@ -180,12 +162,8 @@ class RatesLearning:
         if step.time < state.learned + self.settings.update_interval or not state.pending.frames:
             return state
         pending, labels = label(state.pending, step.time - self.delay, state.rates.detection)
-        number, units, frames = len(labels.false), labels.seconds * self.rate, labels.frames
         counted, tracked = state.counted.updated(pending.evidence)
-        new = RateSums(
-            tracked.hits, tracked.span, float(labels.false.sum()), number, frames,
-            labels.births, units, number * units / max(frames, 1),
-        )  # fmt: skip
+        new = RateSums(tracked.hits, tracked.span, float(labels.false.sum()), len(labels.false), labels.frames)
         sums = state.sums.plus(new, math.exp(-labels.seconds / self.settings.memory))
         rates = replace(sums.plus(_waiting(pending)).rates(self.priors), number=step.number, time=step.time)
         return LearnedRates(rates, sums, counted, pending, step.time)
