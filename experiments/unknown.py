@@ -35,9 +35,7 @@ LABELLED = ("mht", "pmb")
 # Scans until a detection is judged and after which one counts for 37 %; over which tracks are linked, and the probability
 # that a target goes on for another scan without a state.
 WAIT, MEMORY, SPAN, MISS = 3.0, 600.0, 5.0, 0.5
-RATES = RatesSettings(
-    detection=True, clutter=True, birth=True, scores=False, cautious=False, memory=MEMORY, update_interval=0.0
-)
+RATES = RatesSettings(detection=True, clutter=True, cautious=False, memory=MEMORY, update_interval=0.0)
 # Half the side of a target's box, metres: any.
 _HALF = 0.3
 
@@ -78,7 +76,7 @@ def whole(model: Model, stages: Stages, learns: bool, labelled: bool) -> AnyStag
     """Filter and extraction with tracks and, where it ``learns``, rates."""
     learning: Learning[Any] | None = None
     if learns:
-        learning = RateLearning(RatesLearning(RATES, priors_of(model), model.rate, WAIT))
+        learning = RateLearning(RatesLearning(RATES, priors_of(model), WAIT))
     associator = Labelled() if labelled else GraphMatching(window=SPAN, gap_cost=-model.rate * math.log(MISS))
     return Whole(model, *stages, associator, learning)
 

@@ -60,20 +60,6 @@ def test_what_does_not_fit_is_told(tmp_path, changes, sets, words):
         config.build(config.load(sets=[*written(tmp_path / "scene.json", **changes), *sets]), INFO)
 
 
-@pytest.mark.parametrize("world", ["plane", "point"])
-def test_without_a_size_births_have_four_components(tmp_path, world):
-    low, high = np.array([-10.0, 0, -3, -3]), np.array([10.0, 40, 3, 3])
-    births = SceneDensity(low, high, 0.5, np.ones(1), np.array([[1.0, 2, 0, 1]]).T, np.eye(4)[None])
-    rate = 1.0 if world == "plane" else 25.0
-    file = written(tmp_path / "scene.json", births=LearnedDensity(0.3, births, 40), rate=rate)[1]
-    kinds = [f"motion.kind={world}", "birth.kind=scene", file, "camera.region=[-10, 0, 10, 40]"]
-    birth = config.build(config.load(sets=kinds[: 4 if world == "plane" else 3]), INFO).model.birth
-    np.testing.assert_array_equal(birth.density.mean, births.mean)
-    assert birth.observed == (0, 1)
-    with pytest.raises(InputError, match="expected births of 6 components, got 4"):
-        config.build(config.load(sets=["birth.kind=scene", file, f"time.units_per_second={rate:g}"]), INFO)
-
-
 # What is added, and which tracks are held back
 
 

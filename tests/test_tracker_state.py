@@ -21,19 +21,17 @@ def scene():
     return street()
 
 
-LEARN = {"learn": {"kind": "online", "memory": 0.05, "verdict_delay": 0.3}}
 DELAY = {"associate": {"output_delay": 3}}
-PREVIOUS = {"sensor": {"scaling": "previous"}}
 RATES = {"rates": {"kind": "learned", "detection": True, "clutter": True}}
 
 
 @pytest.mark.parametrize("section", [
-    {}, DELAY, PREVIOUS, LEARN, RATES, {"merged_measurements": {"kind": "explained"}},
-    {"preset": "default"}, {"preset": "default", **LEARN},
+    {}, DELAY, RATES, {"merged_measurements": {"kind": "explained"}},
+    {"preset": "default"},
     *({"filter": {"kind": kind}} for kind in ("none", "gm-phd", "gm-cphd", "particle-cphd")),
     {"filter": {"kind": "mht"}, **DELAY},
     {"filter": {"kind": "mcmc", "samples": 50, "min_weight": 0.01}},
-    *({"filter": PARTICLES, **more} for more in ({}, DELAY, PREVIOUS, LEARN)),
+    *({"filter": PARTICLES, **more} for more in ({}, DELAY)),
 ], ids=str)  # fmt: skip
 def test_a_resumed_run_is_bit_identical(section, scene):
     whole, first, second = (tracker_of(**section) for _ in range(3))
@@ -124,9 +122,9 @@ def test_what_is_no_saved_state_is_told_and_changes_nothing(changed):
 
 @pytest.mark.parametrize("filter_", ["pmb", "particle-phd", "gm-phd", "gm-cphd", "mht", "mcmc"])
 def test_a_state_of_other_settings_is_told(filter_: str):
-    saved, other = (tracker_of(filter={"kind": filter_}, sensor={"scaling": s}) for s in ("previous", "particle"))
+    saved, other = (tracker_of(filter={"kind": filter_}, motion={"kind": kind}) for kind in ("point", "box"))
     saved.update(boxes(0))
-    with pytest.raises(InputError, match=r"expected states of 6 components, got 8"):
+    with pytest.raises(InputError, match=r"expected states of 6 components, got 4"):
         other.load_state_dict(saved.state_dict())
 
 

@@ -12,7 +12,7 @@ that it is the class with the largest sum of scores. A corrected track has one c
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
 from typing import Any
@@ -164,11 +164,6 @@ class Lanes:
         used = [lane.rng.bit_generator for lane in (*self._lanes.values(), self._blank)]
         # What a generator has drawn moves its state on; what it has spawned it counts.
         return any(one.state != fresh.state or getattr(one.seed_seq, "n_children_spawned", 0) > 0 for one in used)
-
-    def change(self, after: Callable[[AnyStages, TrackingState], TrackingState]) -> None:
-        """Put other states in place of all."""
-        for lane in (*self._lanes.values(), self._blank):
-            lane.state = after(lane.stages, lane.state)
 
     def advance(self, detections: Detections, number: int, time: float, warp: F8 = STILL) -> Step:
         """Everything that a frame brought.

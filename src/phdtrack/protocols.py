@@ -106,13 +106,6 @@ class Sensor(Protocol):
     def p_detect(self, x: F8) -> F8:
         """(L,) detection probability of targets at ``x`` (d, L)."""
 
-    @property
-    def occlusion(self) -> bool:
-        """Whether p_D falls where targets hide each other: what `watching` is for."""
-
-    def watching(self, targets: F8) -> Sensor:
-        """The sensor while targets are expected at these states (d, n), of which the nearer hide those behind them."""
-
     def particle_model(self, z: F8) -> SensorNumbers:
         """The numbers of g and p_D, and a column for each measurement of ``z`` (m, N), for `kernels.particle_models`."""
 
@@ -400,7 +393,7 @@ class CameraEstimator(Protocol[C]):
 
 
 class Learning(Protocol[C]):
-    """What is learned of the scene while it is tracked."""
+    """What is learned while tracking."""
 
     def start(self) -> C:
         """The state before the first frame."""
@@ -423,9 +416,6 @@ class Learning(Protocol[C]):
 
     def advance(self, state: C, step: Step) -> C:
         """Take in what one frame brought."""
-
-    def mode(self, state: C, name: str) -> C | None:
-        """The state with the regime of the scene that has this name, as day or night; None where none is learned."""
 
 
 class Clock(Protocol[S]):
@@ -480,7 +470,7 @@ class Stages(Generic[S, A]):
 
     Attributes
     ----------
-    learning : what is learned of the scene.      explainer : the merged-measurement model.
+    learning : what is learned while tracking.      explainer : the merged-measurement model.
     smoother : of corrected tracks.      clock : of streams of few pictures.      online : boxes of online rows.
     camera : what finds the camera's motion in the detections.
     """

@@ -17,7 +17,7 @@ import threading
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,12 +33,11 @@ from phdtrack.protocols import AnyStages
 from phdtrack.types import I8, STILL, Detections, SequenceInfo, Step, Tracks
 
 if TYPE_CHECKING:
-    from phdtrack.models.learning import SceneState
     from phdtrack.scene.rates import Rates
 
 _LOG = logging.getLogger(__name__)
 # Of a saved state: it changes when a record of the state does.
-FORMAT = 18
+FORMAT = 19
 
 
 class Tracker:
@@ -179,40 +178,15 @@ class Tracker:
         """The corrected tracks of everything so far: short ones left out, gaps bridged, identities of their own."""
         return given_rows(self._lanes.finish(), self._kept)
 
-    def mode(self, name: str) -> None:
-        """Say which mode the scene is in from now on, as ``day`` or ``night``: what is learned and used is that mode's.
-
-        A name that was not there before begins a new mode, which knows nothing yet.
-
-        Raises
-        ------
-        InputError : nothing is learned while tracking.
-        """
-        learned = self.stages.learning and self.stages.learning.mode(self.state.learned, name)
-        if learned is None:
-            raise InputError("a scene has modes where it is learned while tracking", cure="Say learn={'kind': 'online'}")
-        self._lanes.change(
-            lambda stages, state: replace(state, learned=stages.learning and stages.learning.mode(state.learned, name))
-        )
-
-    @property
-    def scene(self) -> SceneState | None:
-        """What was learned of the scene while tracking; None where nothing is."""
-        if self.state.learned is None:
-            return None
-        from phdtrack.models.learning import scene_of
-
-        return scene_of(self.state.learned)
-
     @property
     def rates(self) -> Rates | None:
-        """Estimates of p_D, false alarms, births and the likelihood ratios of scores; None where rates are not learned."""
+        """Estimates of p_D and false alarms; None where rates are not learned."""
         if self.state.learned is None:
             return None
-        from phdtrack.models.learning import RatesState
+        from phdtrack.scene.rates import LearnedRates
 
         learned = self.state.learned
-        return learned.learned.rates if isinstance(learned, RatesState) else None
+        return learned.rates if isinstance(learned, LearnedRates) else None
 
     @property
     def step(self) -> Step | None:

@@ -28,15 +28,6 @@ def test_bridge_is_the_smoother(seed: int, steps: list[float], scaled: bool):
     np.testing.assert_allclose(ours, twin.smoothed(motion, *args), rtol=1e-9, atol=1e-9)
 
 
-def test_bridge_carries_the_remembered_size():
-    """With the previous size in rows 6 and 7 the transition is singular, which the smoother must stand."""
-    motion = model_of(remember_size=True).motion
-    rng = np.random.default_rng(0)
-    before = np.array([100.0, 200.0, 2.0, 0.0, 40.0, 80.0, 40.0, 80.0])
-    args = (before, spread(rng, 8, 2.0), before + 10, spread(rng, 8, 2.0), np.ones(6))
-    np.testing.assert_allclose(bridge(motion, args[:4], args[4]), twin.smoothed(motion, *args), rtol=1e-8, atol=1e-8)
-
-
 def zooming(rng: np.random.Generator, count: int) -> list[np.ndarray]:
     """Pans and zooms, which scale what the noises are multiples of."""
     out = []

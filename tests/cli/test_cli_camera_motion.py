@@ -10,6 +10,7 @@ from cli_runner import phdtrack, refused
 
 from moving_cases import filmed, handheld, moving, points, step
 from phdtrack.formats import read_warps, write_detections, write_truth
+from phdtrack.scene import LearnedDensity, Scene, uniform_density, write_scene
 from phdtrack.simulate import DetectorModel, Rendered, make_scene
 from phdtrack.video import VideoWriter
 
@@ -71,7 +72,9 @@ def test_what_does_not_go_together_is_refused(walk, tmp_path):
     assert "there is no such file" in refused(*alone, "--camera-motion", tmp_path / "none.csv")
     (tmp_path / "still.csv").write_text("2,1,0,0,0,1,0\n", encoding="utf-8")
     given = (*alone, "--camera-motion", tmp_path / "still.csv")
-    assert "stands still" in refused(*given, "--learn-online")
+    anywhere = uniform_density(np.zeros(4), np.array([640.0, 360, 640, 360]))
+    write_scene(tmp_path / "scene.json", Scene(640, 360, 25.0, "", clutter=LearnedDensity(1.0, anywhere)))
+    assert "stands still" in refused(*given, "--scene", tmp_path / "scene.json")
     assert "camera_motion.kind=file does not fit motion.kind=plane" in refused(*given, "--preset", "e13")
     assert not (tmp_path / "out").exists()
 

@@ -116,6 +116,7 @@ def test_mistakes_are_told(street, tmp_path):
     assert "there already" in refused(*options(street), "--out", tmp_path / "scene.json")
     assert (tmp_path / "scene.json").read_text() == "mine"
     assert "expected tracks or hand, got 'feet'" in refused(*options(street), "--births", "feet")
+    assert "for boxes in the image only" in refused(*options(street), "--set", "motion.kind=point", "--out", tmp_path / "p")
     assert "expected labels or unattended" in refused(*options(street), "--clutter", "none")
     assert "no frames from 950 to 899" in refused(*options(street), "--first", "950", "--out", tmp_path / "s.json")
     short = (*options(street)[:-2], "--out", tmp_path / "s.json", "--last", "8")

@@ -60,7 +60,6 @@ SIZE = (640.0, 480.0)
 MOTIONS = {
     "scaled": BoxMotion(frame_size=SIZE),
     "fixed": BoxMotion(acceleration=1.2, size_noise=2.0, scaled_noise=False, frame_size=SIZE),
-    "remembering": BoxMotion(remember_size=True, frame_size=SIZE),
     "borderless": BoxMotion(),
     "still": BoxMotion(acceleration=0.0, size_noise=0.0),
     "plane": PlaneMotion(borders=(0.0, 0.0, 500.0, 400.0)),
@@ -70,9 +69,8 @@ MOTIONS = {
     "turning, piecewise": TurningMotion(form="piecewise", acceleration=0.0),
     "point": PointMotion(),
 }
-SENSORS = {scaling: BoxSensor(scaling=scaling) for scaling in ("particle", "detection", "previous", "fixed", "given")}
+SENSORS = {scaling: BoxSensor(scaling=scaling) for scaling in ("particle", "detection", "fixed", "given")}
 SENSORS["no floor"] = BoxSensor(min_noise=0.0)
-SENSORS["occlusion"] = BoxSensor(occlusion=True)
 SENSORS["plane"] = PlaneSensor(camera=LevelCamera(horizon=-100.0), frame_size=FRAME)
 SENSORS["plane, fixed"] = PlaneSensor(camera=LevelCamera(horizon=-100.0), scaling="fixed")
 SENSORS["plan"] = PlaneSensor(scaling="given")
@@ -82,8 +80,6 @@ SENSORS["point"] = PointSensor(noise_variance=2.0)
 
 def mixture(dim: int) -> GaussianMixture:
     mean = np.array([[100.0, 200.0, 0, 0, 40, 100], [300.0, 100.0, 0, 0, 30, 60]]).T
-    if dim == 8:
-        mean = np.vstack([mean, mean[4:6]])
     return GaussianMixture(np.array([0.02, 0.01]), mean, np.tile(4.0 * np.eye(dim), (2, 1, 1)))
 
 
@@ -112,7 +108,6 @@ PLANE_BIRTHS = {
             np.array([0.02, 0.01]), np.array([[0.0, 1], [10, 20], [0, 0], [0, 1]]), np.tile(np.eye(4), (2, 1, 1))
         )
     ),
-    "plane, learned": SceneBirth(0.05, learned([-40, 0, -3, -3], [40, 60, 3, 3]), (0, 1), particles=200),
 }
 POINT_BIRTHS = {
     "point": PointBirth(births_per_second=0.02, particles=200, frame_size=SIZE),
@@ -178,8 +173,7 @@ def often(birth: MeasurementBirth | SceneBirth) -> MeasurementBirth | SceneBirth
 
 def model_of(sensor: BoxSensor | None = None) -> Model:
     sensor = sensor or SENSORS["particle"]
-    motion = BoxMotion(frame_size=SIZE, remember_size=sensor.scaling == "previous")
-    return Model(motion, sensor, often(BIRTHS["measurement, image"]), CLUTTERS["uniform"])
+    return Model(BoxMotion(frame_size=SIZE), sensor, often(BIRTHS["measurement, image"]), CLUTTERS["uniform"])
 
 
 def detections(rng: np.random.Generator, n: int) -> Detections:

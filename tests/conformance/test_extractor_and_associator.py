@@ -29,7 +29,7 @@ associators = pytest.mark.parametrize("associator", ASSOCIATORS.values(), ids=AS
 
 
 @extractors
-@pytest.mark.parametrize("scaling", ["particle", "detection", "previous", "fixed", "given"])
+@pytest.mark.parametrize("scaling", ["particle", "detection", "fixed", "given"])
 @pytest.mark.parametrize("seed", range(3))
 def test_states_of_an_intensity(extractor, scaling: str, seed: int):
     keeps(Extractor, extractor)

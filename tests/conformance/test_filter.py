@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from shipped import BIRTHS, CLUTTERS, FILTERS, SENSORS, detections, fixed, frozen, keeps, mixture, model_of, often
+from shipped import BIRTHS, CLUTTERS, FILTERS, SENSORS, detections, fixed, frozen, keeps, model_of, often
 
 from composed import composed_step
 from phdtrack.filters import GMCPHD, GMPHD, MCMC, PMB, PMBM, ParticleCPHD, ParticlePHD
@@ -110,15 +110,6 @@ def test_a_step_is_predict_update_and_reduce(filter_, dt: float):
     np.testing.assert_array_less(np.abs(ours.mean(0) - theirs.mean(0)), 4.5 * error + rounding)
 
 
-def test_a_step_without_a_faster_form_is_exactly_that(filter_):
-    """A likelihood that remembers the size has none in the particle filter; the same seed gives the same."""
-    model = model_of(SENSORS["previous"])
-    if isinstance(filter_, STARTED) and filter_.initial is not None:
-        filter_ = replace(filter_, initial=mixture(model.motion.dim))
-    ours = averages(type(filter_).step, filter_, model, 1.0, range(2))
-    np.testing.assert_allclose(ours, averages(composed_step, filter_, model, 1.0, range(2)), rtol=1e-9)
-
-
 def test_two_steady_targets_count_as_two(filter_, rng):
     if isinstance(filter_, PMB):
         # What does not move by a pixel would be a source of false alarms.
@@ -159,11 +150,9 @@ def test_every_learned_scene_will_do(filter_, scene: str):
     assert info.mass == pytest.approx(2, abs=0.35)
 
 
-@pytest.mark.parametrize("scaling", ["detection", "previous", "fixed", "given"])
+@pytest.mark.parametrize("scaling", ["detection", "fixed", "given"])
 def test_every_sensor_will_do(filter_, scaling: str, rng):
     model = model_of(SENSORS[scaling])
-    if isinstance(filter_, STARTED) and filter_.initial is not None:
-        filter_ = replace(filter_, initial=mixture(model.motion.dim))
     state = filter_.start(model, rng)
     z = model.sensor.measure(detections(np.random.default_rng(2), 2))
     for _ in range(6):

@@ -34,8 +34,7 @@ class NoBirth:
 def world(birth=None, clutter=None, **sensor) -> Model:
     """Boxes with the default noises; no births, a clutter of one a frame over the image."""
     seen = BoxSensor(**sensor)
-    motion = BoxMotion(remember_size=seen.scaling == "previous", frame_size=FRAME)
-    return Model(motion, seen, birth or NoBirth(), clutter or UniformClutter(1.0, image_volume(FRAME)))
+    return Model(BoxMotion(frame_size=FRAME), seen, birth or NoBirth(), clutter or UniformClutter(1.0, image_volume(FRAME)))
 
 
 def with_births(model: Model, rate: float = 0.05, most: int = 300) -> Model:

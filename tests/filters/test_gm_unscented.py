@@ -50,12 +50,11 @@ def test_the_sums_are_the_scaled_transform(rng):
     np.testing.assert_allclose(found.covariance[0], cov + q[0], rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("scaling", ["particle", "detection", "fixed", "previous"])
+@pytest.mark.parametrize("scaling", ["particle", "detection", "fixed"])
 def test_it_is_the_linear_one_where_the_model_is_linear(scaling: str, rng):
     """Along a run, every Gaussian to 1e-9; and its step is the composition, though the model is the shipped one."""
     sensor = BoxSensor(detection_probability=0.9, scaling=scaling)
-    motion = BoxMotion(frame_size=FRAME, remember_size=scaling == "previous")
-    model = Model(motion, sensor, MeasurementBirth(births_per_detection=0.25), BoxClutter(0.5))
+    model = Model(BoxMotion(frame_size=FRAME), sensor, MeasurementBirth(births_per_detection=0.25), BoxClutter(0.5))
     linear, unscented = GMPHD(), GMPHD(transform="unscented")
     state = linear.start(model, rng)
     at = mixture(rng, 4).mean

@@ -109,14 +109,12 @@ def test_light_clusters_are_joined_and_the_heavy_enough_kept(seed: int, k: int):
         np.testing.assert_allclose(mine.T, exact.T[want[0] >= 0.6] if exact.ndim < 3 else exact[want[0] >= 0.6].T, atol=1e-9)
 
 
-@pytest.mark.parametrize("d", [6, 8])
-def test_box_states(d: int, rng):
+def test_box_states(rng):
     z = rng.uniform(5, 90, (4, 7))
-    sensor = BoxSensor(scaling="previous" if d == 8 else "particle", min_noise=6.0)
+    sensor = BoxSensor(min_noise=6.0)
     x, _ = sensor.states(z)
     np.testing.assert_array_equal(x[[0, 1, 4, 5]], z)
     np.testing.assert_array_equal(x[2:4], 0)
-    np.testing.assert_array_equal(x[6:], z[2:] if d == 8 else np.zeros((0, 7)))
     np.testing.assert_allclose(sensor.boxes(x)[:, 2:] - sensor.boxes(x)[:, :2], z[2:].T)
     np.testing.assert_allclose(sensor.boxes(x)[:, 2:] + sensor.boxes(x)[:, :2], 2 * z[:2].T)
     noise = sensor.noise(x)

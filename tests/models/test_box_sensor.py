@@ -13,14 +13,13 @@ from phdtrack.errors import InputError
 from phdtrack.models import BoxSensor
 from phdtrack.types import Detections
 
-SCALINGS = ["particle", "detection", "previous", "fixed", "given"]
+SCALINGS = ["particle", "detection", "fixed", "given"]
 ROWS = [0, 1, 4, 5]
 
 
-def states(rng, n: int, scaling: str, smallest: float = 3.0) -> np.ndarray:
+def states(rng, n: int, smallest: float = 3.0) -> np.ndarray:
     size = rng.uniform(smallest, 120, (2, n))
-    x = np.vstack([rng.uniform(0, 640, (2, n)), rng.normal(0, 3, (2, n)), size])
-    return np.vstack([x, size * rng.uniform(0.7, 1.4, (2, n))]) if scaling == "previous" else x
+    return np.vstack([rng.uniform(0, 640, (2, n)), rng.normal(0, 3, (2, n)), size])
 
 
 def near(rng, x: np.ndarray, scaling: str) -> np.ndarray:
@@ -36,7 +35,7 @@ def deviations(sensor: BoxSensor, z, x) -> list[float]:
         return [position, position, size, size]
     if sensor.scaling == "given":
         return [math.sqrt(v) for v in z[4:8]]
-    w, h = {"particle": x[4:6], "detection": z[2:4], "previous": x[6:8]}[sensor.scaling]
+    w, h = {"particle": x[4:6], "detection": z[2:4]}[sensor.scaling]
     sw, sh = max(sensor.box_noise * w, sensor.min_noise), max(sensor.box_noise * h, sensor.min_noise)
     return [sw / 2, sh / 2, sw, sh]
 
@@ -46,7 +45,7 @@ def deviations(sensor: BoxSensor, z, x) -> list[float]:
 def test_likelihood_is_the_named_gaussian(scaling: str, floor: float, rng):
     """With the normaliser, which differs from particle to particle."""
     sensor = BoxSensor(scaling=scaling, min_noise=floor, box_noise=0.2)
-    x = states(rng, 25, scaling)
+    x = states(rng, 25)
     z = near(rng, x, scaling)
     for i in range(25):
         cov = np.diag(np.square(deviations(sensor, z[:, i], x[:, i])))
@@ -57,11 +56,10 @@ def test_likelihood_is_the_named_gaussian(scaling: str, floor: float, rng):
 @pytest.mark.parametrize("scaling", SCALINGS)
 def test_states_at_rest_and_what_one_detection_tells(scaling: str, rng):
     sensor = BoxSensor(scaling=scaling)
-    z = near(rng, states(rng, 6, scaling), scaling)
+    z = near(rng, states(rng, 6), scaling)
     x, cov = sensor.states(z)
-    d = 8 if scaling == "previous" else 6
-    assert x.shape == (d, 6)
-    assert cov.shape == (6, d, d)
+    assert x.shape == (6, 6)
+    assert cov.shape == (6, 6, 6)
     np.testing.assert_array_equal(x[ROWS], z[:4])
     assert not x[2:4].any()
     np.testing.assert_allclose(gaussian_view(sensor, z, x)[0], 0)
@@ -88,7 +86,7 @@ def gated_out(sensor: BoxSensor, z, x) -> np.ndarray:
 def test_no_pair_within_the_gate_is_dropped(scaling: str, spread: float, floor: float, rng):
     """Nothing at Mahalanobis distance ≤ G in position and size is cut, also where σ follows a size that z does not show."""
     sensor = BoxSensor(scaling=scaling, box_noise=spread, min_noise=floor)
-    x = states(rng, 30_000, scaling)
+    x = states(rng, 30_000)
     direction = rng.normal(size=(4, 30_000))
     # On the rim of the ball, where it bulges most: mostly in x and w, sometimes anywhere.
     direction[[1, 3], :20_000] *= 0.01

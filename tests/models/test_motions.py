@@ -104,12 +104,3 @@ def test_sizes_stay_positive(rng):
         assert x[4:6].min() >= 1.0
     x[4:6] = 0.0
     assert drawn(motion, x, 1.0, rng)[4:6].min() >= 1.0
-
-
-def test_remembered_sizes_are_those_before_the_step(rng):
-    motion, x = BoxMotion(remember_size=True), np.repeat(np.vstack([BOX, [[50.0], [140.0]]]), 50, axis=1)
-    np.testing.assert_array_equal(drawn(motion, x, 2.0, rng)[6:8], x[4:6])
-    mean, (jacobian,), (noise,) = motion.transition(x[:, :1], 2.0)
-    np.testing.assert_array_equal(mean[6:8], BOX[4:6])
-    np.testing.assert_allclose(jacobian @ x[:, 0], mean[:, 0])
-    assert not noise[6:].any()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,13 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phdtrack import Tracker
+from phdtrack import Tracker, config
+from phdtrack.errors import InputError
+from phdtrack.filters import GMPHD, MHT, ParticlePHD
 from phdtrack.kernels.box import following
 from phdtrack.kernels.scores import LOGIT, PROBABILITY, RANK, Line, chained, newton, scaled
-from phdtrack.models.clutter import UniformClutter
+from phdtrack.models.clutter import ScoredClutter, UniformClutter
 from phdtrack.models.scores import BOUND, EVEN_LOGIT, KEPT, ScoreOdds, ScoresSeen
 from phdtrack.protocols import Model
-from phdtrack.types import Detections
+from phdtrack.types import Detections, SequenceInfo
 
 RULE, FIRST = ScoreOdds(), ScoreOdds().start()
 
@@ -219,3 +222,31 @@ def test_low_boxes_continue_a_track_and_start_none():
     np.testing.assert_allclose(tracks.xyxy[-1], [277, 100, 317, 200], atol=3)
     # The same boxes, all of one score: both are people.
     assert len(found_with(0.9)[0][-1]) == 2
+
+
+@pytest.mark.parametrize("rate", ["clutter_per_frame", "clutter_per_detection"])
+def test_odds_divide_the_false_alarms(rate: str):
+    model = config.build(config.load(None, (f"clutter.{rate}=1.5",)), SequenceInfo(640, 480, 25.0)).model
+    corner = np.random.default_rng(1).uniform(50, 350, (4, 2))
+    z = model.sensor.measure(Detections.of(np.hstack([corner, corner + 40])))
+    scored = ScoredClutter(model.clutter, np.array([0.1, 1.0, 10.0, 1.0]), np.zeros(4))
+    assert scored.intensity(z) == pytest.approx(model.clutter.intensity(z) / np.array([0.1, 1.0, 10.0, 1.0]))
+    with pytest.raises(InputError, match="expected the 4 detections"):
+        scored.intensity(z[:, :2])
+
+
+@pytest.mark.parametrize("recursion", [GMPHD(), MHT(), ParticlePHD(400)])
+def test_a_low_score_confirms_but_starts_nobody(recursion):
+    """One detection each of a new place, scored low and high, and a second low one of a confirmed target."""
+    built, rng = config.build(config.load(), SequenceInfo(640, 480, 25.0), "gm-phd"), np.random.default_rng(4)
+    z = built.model.sensor.measure(Detections.of(np.array([[100.0, 100, 130, 180]])))
+
+    def mass(odds):
+        state = recursion.start(built.model, rng)
+        for one in odds:
+            model = replace(built.model, clutter=ScoredClutter(built.model.clutter, np.array([one]), np.log([one])))
+            state, info = recursion.step(state, z, model, 1.0, rng)
+        return info.mass
+
+    assert mass([0.1]) < 0.2 * mass([10.0]) < 0.2
+    assert mass([10.0, 10.0, 10.0, 0.1]) > 0.9

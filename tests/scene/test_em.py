@@ -115,25 +115,6 @@ def test_mistakes_are_told():
         learn(p, np.full((4, 3), np.nan))
     with pytest.raises(InputError, match="finite"):
         learn(p, np.full((4, 3), np.inf))
-    for weight in (np.ones(2), np.array([1, -1, 1.0]), np.array([1, np.nan, 1])):
-        with pytest.raises(InputError, match="weights from 0, one for each of 3"):
-            learn(p, np.ones((4, 3)), weight)
-
-
-def test_a_sample_of_weight_two_counts_like_two_and_one_of_weight_0_like_none():
-    dim, counts, _ = CASES["clutter"]
-    p, rng = known(dim), np.random.default_rng(10)
-    samples = p.sample(600, rng)
-    start = begin(p, counts, samples)
-    each = rng.integers(0, 3, 600).astype(float)
-    twice = np.repeat(samples, each.astype(int), axis=1)
-    ours, theirs = learn(start, samples, each), learn(start, twice)
-    unseen = p.sample(4000, rng)
-    # The orders of the samples differ; batch EM would give the same.
-    assert ours.log(unseen).mean() == pytest.approx(theirs.log(unseen).mean(), abs=0.1)
-    beside = np.concatenate([samples, rng.uniform(p.low[:, None], p.high[:, None], (4, 300))], axis=1)
-    ignored = learn(start, beside, np.repeat([1.0, 0.0], [600, 300]))
-    np.testing.assert_array_equal(ignored.mean, learn(start, samples).mean)
 
 
 def test_births_of_which_some_have_no_velocity():

@@ -13,43 +13,32 @@ def door(rng, n):
     return MEAN[:, None] + DEVIATION[:, None] * rng.standard_normal((6, n))
 
 
-@pytest.mark.parametrize("on", ["image", "ground"])
-def test_births_at_a_door(on: str):
-    """On the ground they have no size, and the region does not begin at 0; some velocities are unknown."""
-    rng = np.random.default_rng(4)
-    if on == "image":
-        mean, deviation, region = MEAN, DEVIATION, (SIZE,)
-    else:
-        mean, deviation = np.array([-8.0, 6, 1, 0]), np.array([1.0, 0.7, 0.4, 0.4])
-        region = (30.0, 40.0), (-15.0, -20.0)
-    states = mean[:, None] + deviation[:, None] * rng.standard_normal((len(mean), 200))
-    lesson = learn_births(states, 5000, *region)
+def test_births_at_a_door():
+    """Some velocities are unknown."""
+    mean, deviation, states = MEAN, DEVIATION, door(np.random.default_rng(4), 200)
+    lesson = learn_births(states, 5000, SIZE)
     learned, density = lesson.learned, lesson.learned.density
     assert (learned.rate, learned.samples) == (200 / 5000, 200)
     assert (np.abs(density.mean[:, np.argmax(density.weight)] - mean) < 0.4 * deviation).all()
     # The entropy of the uniform density less that of the door's Gaussian, less what 160 samples leave uncertain.
     entropy = 0.5 * len(mean) * np.log(2 * np.pi * np.e) + np.log(deviation).sum()
     assert lesson.gain == pytest.approx(np.log(density.volume) - entropy, abs=0.5)
-    if on == "ground":
-        np.testing.assert_array_equal([density.low[:2], density.high[:2]], [[-15, -20], [15, 20]])
     states[2:4, ::3] = np.nan
-    fewer = learn_births(states, 5000, *region)
+    fewer = learn_births(states, 5000, SIZE)
     assert (fewer.learned.rate, fewer.learned.samples) == (200 / 5000, 200)
-    known = learn_births(states[:, np.isfinite(states[2])], 5000, *region)
+    known = learn_births(states[:, np.isfinite(states[2])], 5000, SIZE)
     assert fewer.gain == pytest.approx(known.gain, abs=1)
     states[2:4] = np.nan
     with pytest.raises(InputError, match="no birth's velocity is known"):
-        learn_births(states, 5000, *region)
+        learn_births(states, 5000, SIZE)
 
 
 def test_too_little_is_told():
-    """As many births as a component needs to exist: half the numbers that it is told by, 27 with a size and 14 without."""
-    born, ground = door(np.random.default_rng(3), 14), ((30.0, 40.0), (-15.0, -20.0))
+    """As many births as a component needs to exist: half the 27 numbers that it is told by."""
+    born = door(np.random.default_rng(3), 14)
     assert learn_births(born, 100, SIZE).learned.samples == 14
-    assert learn_births(0.01 * born[:4, :10], 100, *ground).learned.rate == 0.1
     for learn, arguments, words in (
         (learn_births, (born[:, 1:], 100, SIZE), "at least 14 births"),
-        (learn_births, (0.01 * born[:4, :9], 100, *ground), "at least 10 births while the scene was watched, got 9"),
         (learn_births, (born, 0, SIZE), "some length"),
         (
             learn_boxes,

@@ -1,4 +1,4 @@
-"""The learned rates in a model: what they replace, how scores enter the filters, states that are saved; near the truth."""
+"""The learned rates in a model: what they replace; near the truth."""
 
 from dataclasses import replace
 
@@ -7,10 +7,6 @@ import pytest
 
 from experiments.counting_scene import Counting
 from phdtrack import config, pipeline
-from phdtrack.errors import InputError
-from phdtrack.filters import GMPHD, MHT, ParticlePHD
-from phdtrack.models.learning import RatesState
-from phdtrack.scene.rates import ScoreScale
 from phdtrack.simulate import DetectorModel, detect
 from phdtrack.types import Detections, SequenceInfo
 
@@ -18,10 +14,9 @@ FRAMES = 300
 LEARNED = (
     "rates.kind=learned",
     "rates.cautious=false",
-    *(f"rates.{name}=true" for name in ("detection", "clutter", "birth")),
+    *(f"rates.{name}=true" for name in ("detection", "clutter")),
 )
 INFO = SequenceInfo(640, 480, 25.0)
-SIGMOID = ScoreScale(np.array([0.2, 0.8]), np.log([0.1, 10.0]))
 
 
 def stages(*sets, filter_name="gm-phd"):
@@ -33,11 +28,10 @@ def boxes(n, rng):
     return np.hstack([corner, corner + rng.uniform(20, 60, (n, 2))])
 
 
-def knowing(built, scale=SIGMOID, **rates):
-    """The learning's state with these rates and this scale."""
+def knowing(built, **rates):
+    """The learning's state with these rates."""
     state = built.learning.start()
-    learned = replace(state.learned, scale=scale, rates=replace(state.learned.rates, **rates))
-    return RatesState(learned, state.other)
+    return replace(state, rates=replace(state.rates, **rates))
 
 
 def test_nothing_known_leaves_the_model_as_it_is():
@@ -50,45 +44,12 @@ def test_nothing_known_leaves_the_model_as_it_is():
 
 def test_rates_replace_those_of_the_model_in_steps():
     built = stages()
-    model = built.learning.model(knowing(built, detection=0.9312, clutter=0.7, births=0.003), built.model)
+    model = built.learning.model(knowing(built, detection=0.9312, clutter=0.7), built.model)
     assert model.sensor.detection_probability == pytest.approx(0.93)
     assert model.clutter.clutter_per_detection == pytest.approx(0.7, rel=0.03)
-    assert model.birth.births_per_detection == pytest.approx(25 * 0.003, rel=0.03)
-    again = built.learning.model(knowing(built, detection=0.9308, clutter=0.7001, births=0.003), built.model)
+    again = built.learning.model(knowing(built, detection=0.9308, clutter=0.7001), built.model)
     assert again.sensor is model.sensor
     assert again.clutter is model.clutter
-    assert again.birth is model.birth
-
-
-@pytest.mark.parametrize("rate", ["clutter_per_frame", "clutter_per_detection"])
-def test_odds_divide_the_false_alarms(rate):
-    built = stages(f"clutter.{rate}=1.5")
-    rng = np.random.default_rng(1)
-    found = Detections.of(boxes(4, rng), [0.1, 0.5, 0.9, np.nan])
-    model = built.learning.with_scores(knowing(built), built.model, found)
-    z = model.sensor.measure(found)
-    plain = built.model.clutter.intensity(z)
-    assert model.clutter.intensity(z) == pytest.approx(plain / np.array([0.1, 1.0, 10.0, 1.0]))
-    with pytest.raises(InputError, match="expected the 4 detections"):
-        model.clutter.intensity(z[:, :2])
-
-
-@pytest.mark.parametrize("recursion", [GMPHD(), MHT(), ParticlePHD(400)])
-def test_a_low_score_confirms_but_starts_nobody(recursion):
-    """One detection each of a new place, scored low and high, and a second low one of a confirmed target."""
-    built, rng = stages(), np.random.default_rng(4)
-    box = np.array([[100.0, 100, 130, 180]])
-
-    def mass(scores):
-        state = recursion.start(built.model, rng)
-        for score in scores:
-            found = Detections.of(box, [score])
-            model = built.learning.with_scores(knowing(built), built.model, found)
-            state, info = recursion.step(state, model.sensor.measure(found), model, 1.0, rng)
-        return info.mass
-
-    assert mass([0.1]) < 0.2 * mass([0.9]) < 0.2
-    assert mass([0.9, 0.9, 0.9, 0.1]) > 0.9
 
 
 def test_frames_that_nobody_saw_teach_nothing():
@@ -96,38 +57,22 @@ def test_frames_that_nobody_saw_teach_nothing():
     state = pipeline.start(built, rng)
     for number in range(1, 60):
         state, _ = pipeline.advance(built, state, Detections.empty(observed=False), number, number / 25, rng)
-    learned = state.learned.learned
+    learned = state.learned
     assert learned.sums.frames == 0
     assert not learned.pending.frames
     assert learned.rates.detection == built.model.sensor.detection_probability
 
 
-def test_rates_and_a_scene_are_learned_beside_each_other():
-    built, rng = stages("learn.kind=online"), np.random.default_rng(7)
-    state = pipeline.start(built, rng)
-    place = boxes(5, rng)
-    for number in range(1, 120):
-        found = Detections.of(place + rng.normal(size=(5, 4)), rng.random(5))
-        state, _ = pipeline.advance(built, state, found, number, number / 25, rng)
-    assert state.learned.other.known.last is not None
-    assert state.learned.learned.sums.frames > 0
-
-
 def test_cautious_estimates_are_used_where_nothing_else_explains_them():
     built = stages("rates.cautious=true")
-    set_to, rates = built.model, built.learning.start().learned.rates
-    higher, lower = {"detection": 0.95, "clutter": 0.05, "births": 1e-4}, {"detection": 0.6, "clutter": 0.9, "births": 0.05}
+    set_to, rates = built.model, built.learning.start().rates
+    higher, lower = {"detection": 0.95, "clutter": 0.05}, {"detection": 0.6, "clutter": 0.9}
     model = built.learning.model(knowing(built, **higher), set_to)
-    assert (
-        model.sensor.detection_probability,
-        model.clutter.clutter_per_detection,
-        model.birth.births_per_detection,
-    ) == pytest.approx((rates.detection, rates.clutter, 25 * rates.births))
+    found = model.sensor.detection_probability, model.clutter.clutter_per_detection
+    assert found == pytest.approx((rates.detection, rates.clutter))
     model = built.learning.model(knowing(built, **lower), set_to)
     assert model.sensor.detection_probability == pytest.approx(0.6)
-    assert (model.clutter.clutter_per_detection, model.birth.births_per_detection) == pytest.approx(
-        (0.9, 25 * 0.05), rel=0.03
-    )
+    assert model.clutter.clutter_per_detection == pytest.approx(0.9, rel=0.03)
 
 
 def test_there_are_no_more_false_alarms_than_detections():
@@ -156,8 +101,8 @@ def course(filter_name, seed, sets=(), frames=FRAMES, **detector):
     state, rates = pipeline.start(stages, rng), []
     for number in range(1, frames + 1):
         state, _ = pipeline.advance(stages, state, found.at(number), number, (number - 1) / scene.fps, rng)
-        rates.append(state.learned.learned.rates)
-    return rates, len(found) / frames, state.learned.learned
+        rates.append(state.learned.rates)
+    return rates, len(found) / frames, state.learned
 
 
 @pytest.mark.parametrize("p_detect", [0.5, 0.7, 0.9, 0.98])
@@ -187,12 +132,3 @@ def test_a_rate_that_is_far_off_is_mended_within_two_seconds(wrong):
     for seed in (1, 2):
         rates, _, _ = course("gm-phd", seed, sets, frames=60, p_detect=0.9, clutter_rate=5.0)
         assert rates[50].clutter == pytest.approx(5, rel=0.35)
-
-
-def test_scores_that_tell_objects_from_false_alarms_are_found_to():
-    _, _, learned = course("gm-phd", 1, p_detect=0.8, clutter_rate=10.0, informative_scores=True)
-    # Beta(6, 2) against Beta(2, 4): the ratio is 2.1 s⁴/(1 − s)².
-    at = np.array([0.35, 0.5, 0.65])
-    assert np.log(learned.scale.ratio(at)) == pytest.approx(np.log(2.1 * at**4 / (1 - at) ** 2), abs=1.0)
-    _, _, constant_ones = course("gm-phd", 1, frames=100, p_detect=0.8, clutter_rate=10.0)
-    assert len(constant_ones.scale.at) == 0

@@ -52,12 +52,6 @@ def test_volumes_are_those_that_uniform_models_use():
     assert np.prod(high - low) == image_volume((640.0, 480.0)) * 60**2
 
 
-def test_rows_may_show_less_than_a_box():
-    tracks = Tracks.concatenate([track(1, 1, 9, (0, 0), (0, 0)), track(2, 3, 70, (50, 60), (2, -1))])
-    metres = 0.1 * (tracks.xyxy[:, :2] + tracks.xyxy[:, 2:]).T / 2
-    np.testing.assert_allclose(births_in(tracks, fps=10, rate=1, shown=metres), np.array([[5, 6, 2, -1]]).T)
-
-
 def test_light_that_trembles_teaches_no_births():
     """In one place for long, and one that moves but is gone within a second: no target has entered."""
     rng = np.random.default_rng(1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict
 from typing import Any, NamedTuple
@@ -13,14 +13,11 @@ from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.config import Settings
 from phdtrack.errors import InputError
 from phdtrack.formats.columns import WarpsWriter, read_warps
-from phdtrack.models.learning import RateLearning, SceneLearning, scene_of
-from phdtrack.models.scene import not_standing, refuse_standing
-from phdtrack.models.scores import ScoreOdds
+from phdtrack.models.learning import RateLearning
+from phdtrack.models.scene import refuse_standing
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import Learning, Model
 from phdtrack.report.pages import lines, render
-from phdtrack.scene import write_scene
-from phdtrack.scene.online import OnlineScene, SceneUpdate
 from phdtrack.scene.rates import Rates
 from phdtrack.types import F8, STILL, Detections, Frame, Image, SequenceInfo, Step, Tracks
 from phdtrack.video.ego_motion import CameraMotion, CameraPath
@@ -64,16 +61,12 @@ class RunObserver:
 
 
 def observers_of(settings: Settings, inputs: Inputs, learning: Learning[Any] | None) -> tuple[RunObserver, ...]:
-    """The observers of a moving camera and of what is learned while tracking, where there are any."""
+    """The observers of a moving camera and of learned rates, where there are any."""
     found = list[RunObserver]()
     if settings.kind("camera_motion") != "none":
         found.append(CameraObserver(settings.kind("camera_motion"), inputs.info))
     if isinstance(learning, RateLearning):
         found.append(RatesObserver(learning))
-    if isinstance(learning, RateLearning | ScoreOdds):
-        learning = learning.other
-    if isinstance(learning, SceneLearning):
-        found.append(SceneObserver(learning, inputs.name))
     return tuple(found)
 
 
@@ -108,70 +101,21 @@ class RatesObserver(RunObserver):
 
     def take(self, found: Detections, step: Step, state: TrackingState) -> None:
         """Keep what this frame taught."""
-        if (rates := state.learned.learned.rates).number == step.number:
+        if (rates := state.learned.rates).number == step.number:
             self._course.append(rates)
 
     def report(self) -> Report:
         """The rates over time, at most 500 of them, and those at the end."""
         given, known = self._rule.settings, {"course": self._course, "rule": self._rule}
-        used = {"detection": given.detection, "clutter": given.clutter, "births": given.birth, "scores": given.scores}
+        used = {"detection": given.detection, "clutter": given.clutter}
         course = [asdict(self._course[k]) for k in _thinned(len(self._course))]
         document = {"set": asdict(self._rule.priors), "used": used, "course": course}
         return Report({"rates": document}, lines("rates.txt", **known), render("rates.html", **known))
 
 
-class SceneObserver(RunObserver):
-    """Writes what was learned of the scene, for another run to begin with: a file for each mode, the active one's first."""
-
-    def __init__(self, learning: SceneLearning, source: str) -> None:
-        self._rule, self._source = learning.rule, source
-        self._course, self._modes = list[SceneUpdate](), list[str]()
-
-    def take(self, found: Detections, step: Step, state: TrackingState) -> None:
-        """Keep what this frame taught."""
-        scene = scene_of(state.learned)
-        assert scene is not None
-        self._known: OnlineScene = scene.known
-        if self._known.last is not None and self._known.last.number == step.number:
-            self._course.append(self._known.last)
-
-    def finish(self, directory: RunDirectory, tracks: Tracks) -> None:
-        """Write all modes that know something."""
-        active = self._known.regime
-        modes = [mode for mode in (active, *(other for other in self._known.regimes if other is not active)) if mode.trusted]
-        self._modes = [mode.name for mode in modes]
-        for file, mode in zip(rundir.SCENES, modes, strict=False):
-            write_scene(directory.file(file), self._rule.scene(mode, self._source))
-
-    def report(self) -> Report:
-        """Rates over time and what changed; at most 500 entries, all that say something among them."""
-        rule = self._rule
-        kept = _thinned(len(self._course), [k for k, one in enumerate(self._course) if one.changes])
-        course = [
-            {
-                "frame": one.number,
-                "seconds": one.time,
-                "mode": one.regime,
-                "births_per_minute": one.births * rule.rate * 60,
-                "false_alarms_per_frame": one.clutter,
-                "births_gain": one.birth_gain,
-                "false_alarms_gain": one.clutter_gain,
-                "births_used": one.births_used,
-                "false_alarms_used": one.clutter_used,
-                "said": list(one.changes),
-            }
-            for one in (self._course[k] for k in kept)
-        ]
-        minutes = rule.memory / 60
-        dropped = sum("out of use" in sentence for one in self._course for sentence in one.changes)
-        known = {"course": self._course, "rate": rule.rate, "memory": minutes, "modes": self._modes, "dropped": dropped}
-        document = {"memory_minutes": minutes, "course": course}
-        return Report({"learning": document}, lines("learning.txt", **known), render("learning.html", **known))
-
-
-def _thinned(count: int, more: Iterable[int] = ()) -> list[int]:
-    """Indices of at most 500 of ``count`` entries, evenly, with the last one and ``more``."""
-    return sorted({*range(0, count, count // _MAX_ENTRIES + 1), *range(count)[-1:], *more})
+def _thinned(count: int) -> list[int]:
+    """Indices of at most 500 of ``count`` entries, evenly, with the last one."""
+    return sorted({*range(0, count, count // _MAX_ENTRIES + 1), *range(count)[-1:]})
 
 
 def mover_of(settings: Settings, inputs: Inputs, model: Model) -> Mover | None:
@@ -183,8 +127,6 @@ def mover_of(settings: Settings, inputs: Inputs, model: Model) -> Mover | None:
     if kind == "none":
         return None
     refuse_standing(model)
-    if settings.kind("learn") != "none":
-        raise not_standing("learning where false alarms and entrances are (learn.kind=online)")
     if kind == "flow":
         if not inputs.pictures:
             problem = "the camera's motion is measured in pictures, and there are detections only"

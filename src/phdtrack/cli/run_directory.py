@@ -27,8 +27,6 @@ GROUPS, MEMBERS, EVENTS, WARNINGS = "groups.csv", "members.csv", "events.csv", "
 VIDEO, PLAN, REPORT, RUN, CAMERA_MOTION = "annotated.mp4", "plan.mp4", "report.html", "run.json", "camera_motion.csv"
 # What a run that was stopped or killed goes on from; removed when it is complete.
 LOG, KNOWN = "checkpoint.log", "checkpoint.detector"
-# What a run that learns leaves of its scene, a file for each mode.
-SCENES = ("scene.json", *(f"scene-{k}.json" for k in range(2, 9)))
 # Every file that a run may write, and what it is; without words it is not listed for people.
 RUN_FILES = {
     TRACKS: "tracks, corrected, MOTChallenge",
@@ -42,8 +40,6 @@ RUN_FILES = {
     VIDEO: "to look at",
     PLAN: "the ground from above",
     CAMERA_MOTION: "how the camera moved, for --camera-motion",
-    **dict.fromkeys(SCENES, ""),
-    SCENES[0]: "what was learned of the scene, for --scene",
     REPORT: "the run in pictures and numbers",
     RUN: "everything that decided it, for programs",
 }

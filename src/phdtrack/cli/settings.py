@@ -63,11 +63,9 @@ def only_classes(text: str) -> list[str]:
     return [f"classes.only={json.dumps([word.strip() for word in text.split(',')])}"] if text else []
 
 
-def scene_settings(scene: Path | None, camera_motion: str = "", *, learn_online: bool = False) -> list[str]:
+def scene_settings(scene: Path | None, camera_motion: str = "") -> list[str]:
     """What the options of a scene and of a moving camera stand for, as ``--set`` has it."""
     sets = [] if scene is None else [f"scene={scene}"]
-    if learn_online:
-        sets.append("learn.kind=online")
     if camera_motion in ("none", "flow"):
         sets.append(f"camera_motion.kind={camera_motion}")
     elif camera_motion:

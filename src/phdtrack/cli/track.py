@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
 from numba.core import event
 
 from phdtrack import config
@@ -47,7 +46,6 @@ def track(
     overwrite: given.Overwrite = False,
     video: given.Video = True,
     scene: given.SceneFile = None,
-    learn_online: Annotated[bool, typer.Option("--learn-online", help="Learn the scene while tracking.")] = False,
     camera_motion: Annotated[str, option("flow|FILE|none", "A camera that moves: measured, or from a file.")] = "",
     resume: given.Resume = False,
     checkpoint_every: given.CheckpointEvery = EVERY,
@@ -59,7 +57,7 @@ def track(
     --resume goes on from there, or from where a run was killed.
     """
     rundir.check(out, overwrite or resume)
-    first = scene_settings(scene, camera_motion, learn_online=learn_online)
+    first = scene_settings(scene, camera_motion)
     settings = chosen(options, first, detector=source.detections is None)
     job = replace(prepare(source, options, settings, video=video), every=checkpoint_every)
     finish(output, job, out, overwrite, resume=resume)

@@ -7,11 +7,10 @@ imported.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from phdtrack.config.kinds import CameraSettings, LearnSettings, SceneClutterSettings
+from phdtrack.config.kinds import CameraSettings, SceneClutterSettings
 from phdtrack.config.settings import Settings, load, overlay
 from phdtrack.errors import InputError
 from phdtrack.models.pace import Pace
@@ -28,8 +27,6 @@ if TYPE_CHECKING:
 Size = tuple[float, float]
 # The share of the weight of a person just missed that a Gaussian must have to count as one: E13's 0.25 of 0.297.
 _MISSED = 0.84
-# Seconds that a run remembers of whose tracks only the newest rows count: longer than a target is out of sight.
-_KEPT = 60.0
 
 
 def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, moving: bool = False) -> AnyStages:
@@ -63,17 +60,13 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
 
         return Stages(model, settings.build("filter"), Raw(), associator, smoother=smoother)
     filter_ = settings.build("filter", frame_size=size)
-    rates, explainer = _rates(settings, model, None, info), settings.build("merged_measurements")
+    rates, explainer = _rates(settings, model, info), settings.build("merged_measurements")
     slowest = settings.build("time").longest_interval
     clock, camera = Pace(slowest) if slowest else None, _camera(settings, size)
     # A detection of several targets says of none where it is.
     online = DetectionShare() if smoother.detection_share and explainer is None else None
     extractor = settings.build("extract")
-    stages = Stages(model, filter_, extractor, associator, rates, explainer, smoother, clock, online, camera)
-    if settings.kind("learn") == "none":
-        return stages
-    unlearned = replace(stages, associator=replace(settings.build("associate"), history=_KEPT))
-    return replace(stages, learning=_rates(settings, model, _learning(settings, unlearned, info), info))
+    return Stages(model, filter_, extractor, associator, rates, explainer, smoother, clock, online, camera)
 
 
 def for_detector(settings: Settings, detector: str) -> Settings:
@@ -123,9 +116,8 @@ def _model(settings: Settings, size: Size, fps: float) -> Model:
         frame_size=size,
         # A target that has left what can be seen would else live on, as it is never missed there.
         borders=region if plane and sensor.view else EVERYWHERE,
-        remember_size=settings.kind("motion") == "box" and sensor.scaling == "previous",
     )
-    birth, clutter = _birth(settings, sensor, size, region), _clutter(settings, size, region)
+    birth, clutter = _birth(settings, size, region), _clutter(settings, size, region)
     if "scene" in (settings.kind("birth"), settings.kind("clutter")):
         from phdtrack.models.scene import in_one_volume
 
@@ -153,27 +145,20 @@ def _ground(ground: CameraSettings, size: Size) -> tuple[Camera | None, Region]:
     return camera, (left, low, right, high)
 
 
-def _birth(settings: Settings, sensor: Any, size: Size, region: Region) -> Birth:
-    """Where targets appear. Raises `InputError` where births were not learned, or for another rate or sensor."""
+def _birth(settings: Settings, size: Size, region: Region) -> Birth:
+    """Where targets appear. Raises `InputError` where births were not learned, or for another rate."""
     kind, birth = settings.kind("birth"), settings.build("birth", frame_size=size, borders=region)
     if kind != "scene":
         made: Birth = birth
         return made
     from phdtrack.models.scene import SceneBirth
 
-    rate, observed = settings.build("time").units_per_second, sensor.observed
+    rate = settings.build("time").units_per_second
     scene = _scene(birth.file, size, rate)
     if scene.births is None:
         raise InputError("births were not learned in this scene", where=birth.file, cure="Leave birth.kind out")
-    # What is not shown are the two velocities.
-    if scene.births.density.dim != len(observed) + 2:
-        problem = f"expected births of {len(observed) + 2} components, got {scene.births.density.dim}"
-        raise InputError(problem, where=birth.file, cure="Learn them with the motion.kind that they are used with")
-    if birth.births_per_detection > 0 and len(observed) != 4:
-        where = "birth.births_per_detection"
-        raise InputError("births around detections are of boxes only", where=where, cure="Leave it out")
     among, per_second = None if scene.followed is None else scene.followed.objects.density, scene.births.rate * rate
-    return SceneBirth(per_second, scene.births.density, observed, birth.particles, birth.births_per_detection, among)
+    return SceneBirth(per_second, scene.births.density, birth.particles, birth.births_per_detection, among)
 
 
 def _clutter(settings: Settings, size: Size, region: Region) -> Clutter:
@@ -212,46 +197,24 @@ def _associator(settings: Settings, size: Size) -> Associator[Any]:
 
 
 def _camera(settings: Settings, size: Size) -> CameraEstimator[Any] | None:
-    """What finds the camera's motion in the detections; None where births or clutter lie at pixels, or are learned there."""
-    places = {settings.kind("birth"), settings.kind("clutter")} & {"places", "scene"}
-    if places or settings.kind("learn") != "none":
+    """What finds the camera's motion in the detections; None where births or clutter lie at pixels."""
+    if {settings.kind("birth"), settings.kind("clutter")} & {"places", "scene"}:
         return None
     camera: CameraEstimator[Any] | None = settings.build("common_motion", frame_size=size)
     return camera
 
 
-def _learning(settings: Settings, stages: AnyStages, info: SequenceInfo) -> Learning[Any]:
-    """What learns the scene from what ``stages`` make of it. Raises `InputError` where a file to begin with does not fit."""
-    from phdtrack.models.learning import SceneLearning
-    from phdtrack.pipeline import ShadowTracker
-    from phdtrack.scene.online import OnlineLearning
-
-    given: LearnSettings = settings.build("learn")
-    size, rate = (float(info.width), float(info.height)), settings.build("time").units_per_second
-    wait = given.verdict_delay + settings.build("associate").output_delay / info.fps
-    rule = OnlineLearning(*size, rate, 60 * given.memory, wait, settings.build("sensor").detection_probability)
-    files = [given.file] if given.file else []
-    if given.file and Path(given.file).is_dir():
-        files = sorted(str(file) for file in Path(given.file).glob("scene*.json"))
-        if not files:
-            raise InputError("there is no scene*.json in this folder", where=given.file, cure="Name a run that has learned")
-    scenes = tuple(_scene(file, size, rate) for file in files)
-    return SceneLearning(rule, stages.model, ShadowTracker(stages), given.particles, scenes)
-
-
-def _rates(settings: Settings, model: Model, other: Learning[Any] | None, info: SequenceInfo) -> Learning[Any] | None:
-    """What learns the rates of ``model``, or what scores say, while tracking, with what ``other`` learns."""
-    if settings.kind("rates") == "none":
-        return other
-    if settings.kind("rates") == "scores":
-        scores: Learning[Any] = settings.build("rates", other=other)
-        return scores
+def _rates(settings: Settings, model: Model, info: SequenceInfo) -> Learning[Any] | None:
+    """What learns the rates of ``model``, or what scores say, while tracking."""
+    if settings.kind("rates") != "learned":
+        chosen: Learning[Any] | None = settings.build("rates")
+        return chosen
     from phdtrack.models.learning import RateLearning, priors_of
     from phdtrack.scene.rates import RatesLearning
 
     given = settings.build("rates")
     delay = given.verdict_delay + settings.build("associate").output_delay / info.fps
-    return RateLearning(RatesLearning(given, priors_of(model), model.rate, delay), other)
+    return RateLearning(RatesLearning(given, priors_of(model), delay))
 
 
 def _scene(file: str, size: Size, rate: float = 0.0) -> Scene:

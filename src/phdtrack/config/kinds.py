@@ -116,24 +116,6 @@ class SceneClutterSettings(Checked):
     immediate_confirmation: NonNegative = 0.1
 
 
-@dataclass(frozen=True, slots=True)
-class LearnSettings(Checked):
-    """Learning births and false alarms while tracking, see `scene.online`.
-
-    Parameters
-    ----------
-    memory : minutes after which what was seen counts for 37 %.
-    verdict_delay : seconds until a detection is judged, beyond ``associate.output_delay``.
-    particles : Jmax, see MeasurementBirth.
-    file : what was learned before; of several regimes a folder with a file of each, as a run leaves them.
-    """
-
-    memory: Positive = 10.0
-    verdict_delay: NonNegative = 2.0
-    particles: PositiveCount = 500
-    file: str = ""
-
-
 Label = int | str
 
 
@@ -178,7 +160,7 @@ FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
 # The sections whose kinds decide others', in the order to lay them over.
 DECIDING = ("motion", "filter")
 # Fields that come from the sequence.
-FROM_SEQUENCE = {"frame_size", "initial", "remember_size", "camera", "hiders", "borders", "volume", "other"}
+FROM_SEQUENCE = {"frame_size", "initial", "camera", "borders", "volume"}
 # Fields that are mixtures of Gaussians, which a user gives as `Places`.
 MIXTURES = ("places", "initial")
 

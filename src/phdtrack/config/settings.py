@@ -275,8 +275,6 @@ def _with_scene(settings: Settings, file: str, options: list[_Entry]) -> list[_E
     from phdtrack.scene import read_scene
 
     said = {entry.section: entry.value for entry in options if entry.key == "kind"}
-    if _replaced(settings, [entry for entry in options if entry.key == "kind"]).kind("learn") == "online":
-        return [*_entries({"learn": {"kind": "online", "file": file}}, "--scene"), *options]
     scene = read_scene(Path(file))
     parts = {"birth": scene.births, "clutter": scene.clutter}
     learned = [name for name, part in parts.items() if part is not None and said.get(name, "scene") == "scene"]

@@ -19,7 +19,7 @@ I8 = NDArray[np.int64]
 Noise = tuple[int, float, float, float, float]
 # Rows of the state that a measurement shows.
 ROWS = (0, 1, 4, 5)
-PARTICLE, DETECTION, FIXED, GIVEN, PREVIOUS = range(5)
+PARTICLE, DETECTION, FIXED, GIVEN = range(4)
 TINY_VARIANCE = 1e-12
 LEAST_SPEED = 1e-6
 # Steps of boxes that are this many times their mean count half in `agreement`; the mean is of the last so many.
@@ -243,14 +243,13 @@ def box_covariances(size: F8, noise: Noise) -> F8:
 
 
 @njit(**ENTRY)
-def states_of_boxes(z: F8, dim: int, noise: Noise, speed: float) -> tuple[F8, F8]:
-    """States at rest (dim, N) that boxes ``z`` (m, N) alone show, and their covariances (N, dim, dim).
+def states_of_boxes(z: F8, noise: Noise, speed: float) -> tuple[F8, F8]:
+    """States at rest (6, N) that boxes ``z`` (m, N) alone show, and their covariances (N, 6, 6).
 
-    ``speed`` is the deviation of each velocity component, in √(wh), or in pixels where the noise is constant. Rows behind
-    the sixth are sizes, too.
+    ``speed`` is the deviation of each velocity component, in √(wh), or in pixels where the noise is constant.
     """
     noise = BoxNoise(*noise)
-    n = z.shape[1]
+    n, dim = z.shape[1], 6
     x, cov = np.empty((dim, n)), np.empty((n, dim, dim))
     for j in range(n):
         for a in range(dim):
@@ -276,9 +275,8 @@ def box_deviations(x: F8, noise: Noise, speed: float) -> F8:
     """(d, n) deviations by which boxes ``x`` (d, n) are resolved: measured ones', and ``speed`` as of `states_of_boxes`."""
     noise = BoxNoise(*noise)
     out = np.empty(x.shape)
-    row = 6 if noise.scaling == PREVIOUS else 4
     for i in range(x.shape[1]):
-        variance = box_variances(noise, x[row, i], x[row + 1, i])
+        variance = box_variances(noise, x[4, i], x[5, i])
         moving = speed * (1.0 if noise.scaling == FIXED else np.sqrt(x[4, i] * x[5, i]))
         for a in range(2):
             out[a, i], out[a + 2, i] = np.sqrt(variance[a]), moving if moving > LEAST_SPEED else LEAST_SPEED

@@ -347,9 +347,7 @@ def _move(mean: F8, cov: F8, step: F8, floor: F8, rate: float) -> None:
 
 
 @njit(**ENTRY)
-def recursive_em(
-    mixture: Gaussians, uniform: float, samples: F8, weight: F8, order: I8, rule: Recursion
-) -> tuple[Gaussians, float]:
+def recursive_em(mixture: Gaussians, uniform: float, samples: F8, order: I8, rule: Recursion) -> tuple[Gaussians, float]:
     """The mixture and the share of a uniform density after one sample at a time [M09 (16)-(20)].
 
     A component whose weight turns negative is removed. After the steady samples, each one counts for the Gaussians by the
@@ -360,7 +358,6 @@ def recursive_em(
     mixture : weights of sum 1, that of the uniform density not among them.
     uniform : share of the uniform density at first.
     samples : (n, d), without gaps.
-    weight : (n,), by which β is multiplied for each sample.
     order : (K,) indices of the samples in the order in which they are taken; they may repeat.
     rule : rate, prior and limits.
     """
@@ -370,7 +367,7 @@ def recursive_em(
     for m in range(left.size):
         log_peak[m] = -0.5 * (factor(cov[m], root[m]) + d * LOG_2PI)
     for k in range(order.size):
-        x, w, alive = samples[order[k]], weight[order[k]], left.size
+        x, alive = samples[order[k]], left.size
         share = np.empty(alive)
         for m in range(alive):
             for r in range(d):
@@ -384,9 +381,9 @@ def recursive_em(
         ratio = math.exp(min(700.0, top + math.log(total) + rule.log_volume)) * (1.0 - uniform) / uniform
         flat, settling = 1.0 / (1.0 + ratio), k >= rule.steady
         rate = min(1.0 / rule.memory, MAX_PRIOR / (rule.prior * alive))
-        prior, beta = rule.prior * rate, min(1.0, rate * w)
+        prior, beta = rule.prior * rate, min(1.0, rate)
         if settling:
-            late += rate * w
+            late += rate
             prior, beta = 0.0, beta / (1.0 + late)
         uniform = min(1.0 - rule.min_uniform, max(rule.min_uniform, uniform + beta * (flat - uniform)))
         beta *= 1.0 - flat if settling else 1.0

@@ -20,8 +20,7 @@ import numpy as np
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from phdtrack.kernels.cache import njit
-from phdtrack.kernels.fast32 import FAST, HALF, ONE, VECTOR, by_type
+from phdtrack.kernels.fast32 import FAST, HALF, ONE, by_type
 
 F8 = NDArray[np.float64]
 Real = NDArray[np.floating[Any]]
@@ -29,7 +28,7 @@ Number = Any
 F = np.float32
 # Particles of a block.
 BLOCK = 256
-X, Y, VX, VY, W, H, W0, H0 = (BLOCK * row for row in range(8))
+X, Y, VX, VY, W, H = (BLOCK * row for row in range(6))
 N0, N1, N2, N3, N4, N5 = (BLOCK * row for row in range(8, 14))
 ZERO, FOUR = F(0.0), F(4.0)
 _COMPILE = {"error_model": "numpy", "no_cfunc_wrapper": True, "no_cpython_wrapper": True, "fastmath": FAST}
@@ -139,7 +138,7 @@ class SensorNumbers(NamedTuple):
 
 def precision(model: Number) -> np.dtype[np.floating[Any]]:
     """The type of numbers in which particles of a model are kept: single precision for boxes."""
-    single = isinstance(model, BoxWalk | OwnSize | SizeBefore | GivenSize)
+    single = isinstance(model, BoxWalk | OwnSize | GivenSize)
     return np.dtype(np.float32 if single else np.float64)
 
 
@@ -182,13 +181,6 @@ class Walk(NamedTuple):
 
 class OwnSize(NamedTuple):
     """`models.BoxSensor` whose deviations follow the particle's size."""
-
-    noise: np.float32
-    min_noise: np.float32
-
-
-class SizeBefore(NamedTuple):
-    """The same, by the size before the last move."""
 
     noise: np.float32
     min_noise: np.float32
@@ -248,8 +240,6 @@ def _survives_box(model: Number, s: Real, i: int) -> Number:
 @implements(move, BoxWalk)
 def _move_box(model: Number, s: Real, i: int) -> None:
     smallest, w, h = model.min_size, s[W + i], s[H + i]
-    # The sizes before the move, which states of eight components carry [M07 §4].
-    s[W0 + i], s[H0 + i] = w, h
     unit_x = ONE + model.scaled * ((w if w > smallest else smallest) - ONE)
     unit_y = ONE + model.scaled * ((h if h > smallest else smallest) - ONE)
     push_x, push_y = model.kick * unit_x * s[N0 + i], model.kick * unit_y * s[N1 + i]
@@ -276,30 +266,20 @@ def _move_plane(model: Number, s: Real, i: int) -> None:
     s[VX + i], s[VY + i] = vx + model.kick * nx, vy + model.kick * ny
 
 
-@implements(seen, OwnSize, SizeBefore)
+@implements(seen, OwnSize)
 def _seen_box(model: Number, table: Real, j: int) -> Number:
     return table[0, j], table[1, j], table[2, j], table[3, j]
 
 
 @implements(prepare, OwnSize)
 def _prepare_own(model: Number, s: Real, i: int) -> None:
-    _write_precisions(model, s, i, s[W + i], s[H + i])
-
-
-@implements(prepare, SizeBefore)
-def _prepare_before(model: Number, s: Real, i: int) -> None:
-    _write_precisions(model, s, i, s[W0 + i], s[H0 + i])
-
-
-@njit(**VECTOR)
-def _write_precisions(model: Number, s: Real, i: int, w: Number, h: Number) -> None:
-    """One over the deviations of a box of this size, and the density's factor."""
-    sw, sh = model.noise * w, model.noise * h
+    # One over the deviations of a box of this size, and the density's factor.
+    sw, sh = model.noise * s[W + i], model.noise * s[H + i]
     iw, ih = ONE / (sw if sw > model.min_noise else model.min_noise), ONE / (sh if sh > model.min_noise else model.min_noise)
     s[N0 + i], s[N1 + i], s[N2 + i] = iw, ih, NORM * (iw * ih) * (iw * ih)
 
 
-@implements(distance, OwnSize, SizeBefore)
+@implements(distance, OwnSize)
 def _distance_box(model: Number, z: Number, s: Real, i: int) -> Number:
     iw, ih = s[N0 + i], s[N1 + i]
     dx, dy, dw, dh = (z[0] - s[X + i]) * iw, (z[1] - s[Y + i]) * ih, (z[2] - s[W + i]) * iw, (z[3] - s[H + i]) * ih
@@ -311,7 +291,7 @@ def _always(model: Number) -> bool:
     return True
 
 
-@implements(sees_velocity, OwnSize, SizeBefore, GivenSize, PlanePoint)
+@implements(sees_velocity, OwnSize, GivenSize, PlanePoint)
 def _never(model: Number) -> bool:
     return False
 
@@ -337,7 +317,7 @@ def _distance_given(model: Number, z: Number, s: Real, i: int) -> Number:
     return (dx * dx + dy * dy) + (dw * dw + dh * dh), z[8]
 
 
-@implements(neighbourhood, OwnSize, SizeBefore, GivenSize)
+@implements(neighbourhood, OwnSize, GivenSize)
 def _neighbourhood_box(model: Number, s: Real, i: int) -> Number:
     return s[W + i], s[H + i]
 

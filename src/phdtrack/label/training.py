@@ -22,16 +22,13 @@ from phdtrack.associate.rejection import without_false_tracks
 from phdtrack.errors import InputError
 from phdtrack.label.samples import Marks, shuffled
 from phdtrack.label.suggestions import TICKED, Evidence, suggest
-from phdtrack.models import PlaneSensor
 from phdtrack.models.scene import FalseAlarmRatio, with_scene
-from phdtrack.models.volumes import EVERYWHERE
 from phdtrack.protocols import AnyStages
 from phdtrack.report.pages import counted
 from phdtrack.scene import LearnedDensity, Scene, TrackedObjects
 from phdtrack.scene.training import FALSE_BOXES, OBJECT_BOXES, Training, births_in, learn_births, learn_boxes, with_prior
-from phdtrack.types import F8, Detections, DetectionTable, SequenceInfo, Tracks
+from phdtrack.types import DetectionTable, SequenceInfo, Tracks
 
-_ONLY_BOXES = "a density of them is learned for boxes in the image only (motion.kind=box)"
 # Frames, drawn at random, whose suggestions are taken where no person labels: M09's false alarms were of as many.
 UNATTENDED = 200
 LIMITS = (
@@ -86,7 +83,14 @@ class SceneTraining:
     advance: Callable[[int], object]
 
     def train(self, births: str, clutter: str) -> Trained:
-        """The scene from ``births`` of "tracks" or marked by "hand", and ``clutter`` of "labels" or "unattended"."""
+        """The scene from ``births`` of "tracks" or marked by "hand", and ``clutter`` of "labels" or "unattended".
+
+        Raises `InputError` where targets are not boxes in the image.
+        """
+        if len(self.stages.model.sensor.observed) != 4:
+            raise InputError(
+                "a scene is learned for boxes in the image only", where="motion.kind", cure="Use motion.kind=box"
+            )
         if clutter == "unattended":
             alarms, marked = self._lesson("false alarms", self._unattended_clutter, LIMITS), None
         else:
@@ -121,7 +125,7 @@ class SceneTraining:
 
     def _marked_clutter(self) -> tuple[Training, str]:
         """False alarms from marks [M09 §IV]."""
-        marks = self._marks(_ONLY_BOXES)
+        marks = self._marked
         frames = len(marks.looked_at)
         training = learn_boxes(marks.false_boxes, frames, self._size, FALSE_BOXES)
         boxes = counted(training.learned.samples, "box", "boxes")
@@ -129,8 +133,6 @@ class SceneTraining:
 
     def _unattended_clutter(self) -> tuple[Training, str]:
         """False alarms from what would be suggested to a person."""
-        if not self._of_boxes:
-            raise InputError(_ONLY_BOXES)
         frames = [self.stretch.start + k - 1 for k in shuffled(len(self.stretch), self.seed)[:UNATTENDED]]
         taken = [one for one in suggest(self._tracked(), frames) if one.score >= TICKED]
         table = self.table
@@ -151,7 +153,7 @@ class SceneTraining:
     def _without_followed(self, alarms: LearnedDensity, tracks: Tracks) -> tuple[Tracks, TrackedObjects | None, str]:
         """The tracks of a run that knew the marked false alarms, but for those that stay among them; which of the false
         alarms it followed all the same, None where that is not known; and a sentence about it."""
-        marks = self._marks(_ONLY_BOXES)
+        marks = self._marked
         try:
             training = learn_boxes(marks.object_boxes, len(marks.looked_at), self._size, OBJECT_BOXES)
             followed = TrackedObjects(marks.share_followed(tracks), self._with_prior(training.learned))
@@ -163,36 +165,19 @@ class SceneTraining:
 
     def _births_of_tracks(self, tracks: Tracks) -> tuple[Training, str]:
         """Births from the tracks that the tracker itself makes and that go somewhere [M09 §IV]."""
-        fps, model, shown = self.info.fps, self.stages.model, None
-        if not self._of_boxes:
-            shown = model.sensor.measure(Detections.of(tracks.xyxy))[: len(model.sensor.observed)]
-        states = births_in(tracks, fps, model.rate, shown)
-        # Feet that no ground is under.
-        states = states[:, np.isfinite(states).all(axis=0)]
+        fps, rate = self.info.fps, self.stages.model.rate
+        states = births_in(tracks, fps, rate)
         text = f"{counted(states.shape[1], 'track')} began in {counted(len(self.stretch), 'frame')}"
-        return self._births(states, len(self.stretch) / fps * model.rate), text
+        return learn_births(states, len(self.stretch) / fps * rate, self._size), text
 
     def _marked_births(self) -> tuple[Training, str]:
         """Births from marks on the clips about the frames that a person has looked at."""
-        marks, rate = self._marks("those marked by hand are boxes in the image (--births tracks)"), self.stages.model.rate
+        marks, rate = self._marked, self.stages.model.rate
         states = marks.birth_states(rate)
         text = f"{counted(states.shape[1], 'birth')} marked by a person on {counted(len(marks.watched), 'frame')}"
         unknown = int(np.isnan(states[2]).sum())
         text += f" ({unknown} of unknown velocity)" if unknown else ""
-        return self._births(states, marks.time_watched(rate)), text
-
-    def _births(self, states: F8, time: float) -> Training:
-        """Births from their states, seen in ``time``: over the frame in pixels, or a region of the ground in metres.
-
-        Raises `InputError` where there are too few, or the ground has no region.
-        """
-        sensor = self.stages.model.sensor
-        if not isinstance(sensor, PlaneSensor):
-            return learn_births(states, time, self._size)
-        if sensor.borders == EVERYWHERE:
-            raise InputError("the ground has no region", where="births", cure="Give camera.file, or camera.region")
-        left, low, right, high = sensor.borders
-        return learn_births(states, time, (right - left, high - low), (left, low))
+        return learn_births(states, marks.time_watched(rate), self._size), text
 
     @property
     def _size(self) -> tuple[float, float]:
@@ -200,14 +185,8 @@ class SceneTraining:
         return float(self.info.width), float(self.info.height)
 
     @property
-    def _of_boxes(self) -> bool:
-        """Whether targets are boxes in the image, and not points in it or people on the ground."""
-        return len(self.stages.model.sensor.observed) == 4
-
-    def _marks(self, otherwise: str) -> Marks:
-        """The marks. Raises `InputError` where there are none, or with ``otherwise`` where targets are no boxes."""
-        if not self._of_boxes:
-            raise InputError(otherwise)
+    def _marked(self) -> Marks:
+        """The marks. Raises `InputError` where there are none."""
         if self.marks is None:
             raise InputError(f"no marks were found (phdtrack label, kept in {self.labels})")
         return self.marks
@@ -221,9 +200,7 @@ class SceneTraining:
         return Evidence.of(self.table, self.info.fps, self.stretch, stages, self.seed, self.advance)
 
     def _with_prior(self, learned: LearnedDensity) -> LearnedDensity:
-        """What was learned, and a little of any size detected in the stretch; on the ground, without sizes, as it is."""
-        if not self._of_boxes:
-            return learned
+        """What was learned, and a little of any size detected in the stretch."""
         table = self.table
         rows = slice(*np.searchsorted(table.frame, [self.stretch.start, self.stretch.stop]))
         return with_prior(learned, to_cxcywh(table.detections.xyxy[rows])[2:])

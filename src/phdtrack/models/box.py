@@ -18,21 +18,17 @@ covariance [M07 §2, M09 §III]; its deviations follow a size (w, h), whose choi
 
     σ_w = max(s·w, floor)   σ_h = max(s·h, floor)   σ_px = σ_w/2   σ_py = σ_h/2
 
-``particle``: the size of the state itself [M09]; ``detection``: the size of the detection [M07 §2]; ``previous``: the size
-of the state before the last prediction [M07 §4]; ``fixed``: constants (M09's fair comparison, FV); ``given``: the covariance
-that each detection brings. The normaliser 1/∏σ differs per particle and is kept.
+``particle``: the size of the state itself [M09]; ``detection``: the size of the detection [M07 §2]; ``fixed``: constants
+(M09's fair comparison, FV); ``given``: the covariance that each detection brings. The normaliser 1/∏σ differs per particle
+and is kept.
 
-p_D is a constant, as in the papers, or, with ``occlusion``, falls with what nearer targets cover of one:
-
-    p_D(x) = p_D · max(1 − covered(x), least)
-
-Of two boxes the one whose lower edge is lower is nearer: true of whatever stands on one ground, seen from above it.
+p_D is a constant, as in the papers.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import ClassVar, Literal
 
@@ -45,26 +41,22 @@ from phdtrack.kernels.box import (
     FIXED,
     GIVEN,
     PARTICLE,
-    PREVIOUS,
     BoxDynamics,
     Noise,
     box_covariances,
     box_deviations,
     states_of_boxes,
 )
-from phdtrack.kernels.particle_models import BoxWalk, GivenSize, OwnSize, SensorNumbers, SizeBefore
+from phdtrack.kernels.particle_models import BoxWalk, GivenSize, OwnSize, SensorNumbers
 from phdtrack.models import warp
-from phdtrack.models.occlusion import Hiders
 from phdtrack.types import F8, Detections
 
-_SCALINGS = {"particle": PARTICLE, "detection": DETECTION, "fixed": FIXED, "given": GIVEN, "previous": PREVIOUS}
-Scaling = Literal["particle", "detection", "previous", "fixed", "given"]
+_SCALINGS = {"particle": PARTICLE, "detection": DETECTION, "fixed": FIXED, "given": GIVEN}
+Scaling = Literal["particle", "detection", "fixed", "given"]
 # Rows of the state that a measurement shows, in the order of its components.
 OBSERVED = (0, 1, 4, 5)
 # Smallest variance of the linear-Gaussian view, pixels².
 TINY = 1e-12
-# Squared Mahalanobis radius of the 99 % region in four dimensions.
-OWN = 13.28
 
 
 @lru_cache(maxsize=8)
@@ -90,9 +82,6 @@ class BoxSensor(Checked):
         is read as the amplitude's, which is 100 along each axis.
     gate_probability : part of the detections of a target that its gate holds; detections touch no particles beyond. 1: no
         gate.
-    occlusion : let p_D fall where nearer targets cover the target.
-    min_detection_probability : share of p_D that is left of a target that is covered altogether.
-    hiders : the targets expected in the frame that is looked at, as `watching` finds them.
     """
 
     detection_probability: Probability = 0.95
@@ -103,9 +92,6 @@ class BoxSensor(Checked):
     birth_speed: NonNegative = 0.06
     birth_speed_pixels: NonNegative = 200.0**0.5
     gate_probability: Share = GATE
-    occlusion: bool = False
-    min_detection_probability: Probability = 0.1
-    hiders: Hiders | None = None
     observed: ClassVar[tuple[int, ...]] = OBSERVED
     linear: ClassVar[bool] = True
     angles: ClassVar[tuple[bool, ...]] = (False, False, False, False)
@@ -136,7 +122,7 @@ class BoxSensor(Checked):
         if detections.covariance is None:
             raise InputError(
                 "the sensor's scaling is 'given', but the detections bring no covariance",
-                cure="Use a detector that states one, or another scaling: particle, detection, previous, fixed",
+                cure="Use a detector that states one, or another scaling: particle, detection, fixed",
             )
         variance = np.diagonal(detections.covariance, axis1=1, axis2=2).T
         if not (variance > 0).all():
@@ -163,8 +149,7 @@ class BoxSensor(Checked):
         """(L, 4, 4) R where it follows the target or is constant, else (0, 4, 4)."""
         if self.scaling in ("detection", "given"):
             return np.zeros((0, 4, 4))
-        row = 6 if self.scaling == "previous" else 4
-        out: F8 = box_covariances(x[row : row + 2], self._numbers)
+        out: F8 = box_covariances(x[4:6], self._numbers)
         return out
 
     def measurement_noise(self, z: F8) -> F8:
@@ -177,32 +162,20 @@ class BoxSensor(Checked):
         return out
 
     def p_detect(self, x: F8) -> F8:
-        """p_D, less where nearer targets cover x, see `models.occlusion`."""
+        """p_D, everywhere."""
         p = np.empty(x.shape[1])
         p.fill(self.detection_probability)
-        if self.hiders is None:
-            return p
-        boxes = self.boxes(x)
-        return p * self.hiders.seen_part(x[list(OBSERVED)], boxes, -boxes[:, 3])
+        return p
 
     def particle_model(self, z: F8) -> SensorNumbers:
         """The numbers of g and p_D for the particle filters, and a column for each measurement [M07 §2, M09 §III]."""
-        detection = np.full(1 if self.hiders is None else 0, self.detection_probability, np.float32)
-        if self.scaling in ("particle", "previous"):
-            own = OwnSize if self.scaling == "particle" else SizeBefore
+        detection = np.full(1, self.detection_probability, np.float32)
+        if self.scaling == "particle":
             # A floor of zero would let the deviation of a vanishing box vanish.
-            model = own(np.float32(self.box_noise), np.float32(max(self.min_noise, 1e-3)))
+            model = OwnSize(np.float32(self.box_noise), np.float32(max(self.min_noise, 1e-3)))
             return SensorNumbers(model, np.ascontiguousarray(z[:4], np.float32), detection)
         table = np.concatenate([z[:4], 1 / self._deviations(z)]).astype(np.float32)
         return SensorNumbers(GivenSize(np.float32((2 * math.pi) ** -2)), table, detection)
-
-    def watching(self, targets: F8) -> BoxSensor:
-        """The sensor where targets are expected at these states; itself without them, or without ``occlusion``."""
-        if not self.occlusion or targets.shape[1] == 0:
-            return self
-        rows, boxes = list(OBSERVED), self.boxes(targets)
-        own = Hiders(boxes, -boxes[:, 3], targets[rows], self.noise(targets)[rows], OWN, self.min_detection_probability)
-        return replace(self, hiders=own)
 
     def gate(self, z: F8) -> tuple[F8, F8]:
         """Rectangles in the image that hold all states of which z is within the gate.
@@ -216,9 +189,6 @@ class BoxSensor(Checked):
             # G·s ≥ 1 would let every larger box in: the size alone no longer bounds the distance.
             reach = g * self.box_noise / 2 / math.sqrt(max(1 - (g * self.box_noise) ** 2, 0.05))
             half = np.maximum(reach * z[2:4], g * self.min_noise / 2)
-        elif self.scaling == "previous":
-            # The size before the last prediction is not known from z.
-            half = np.maximum(g * self.box_noise * z[2:4], g * self.min_noise / 2)
         return z[:2] - half, z[:2] + half
 
     def states(self, z: F8) -> tuple[F8, F8]:
@@ -226,8 +196,7 @@ class BoxSensor(Checked):
 
         The velocity of uniform direction and Gaussian amplitude a has variance a²/2 per axis.
         """
-        dim = 8 if self.scaling == "previous" else 6
-        found: tuple[F8, F8] = states_of_boxes(np.ascontiguousarray(z), dim, self._numbers, self._speed)
+        found: tuple[F8, F8] = states_of_boxes(np.ascontiguousarray(z), self._numbers, self._speed)
         return found
 
     @property
@@ -263,7 +232,6 @@ class BoxMotion(Checked):
     size_noise : standard deviation of the change of size, in widths and heights per √time unit, or in pixels.
     survival_probability : probability p_S that a target is still there after one second.
     scaled_noise : state-dependent variances (SDV); False for fixed ones (FV).
-    remember_size : carry the size before the last prediction in rows 6 and 7, for the likelihood scaling ``previous``.
     min_size : widths and heights are reflected at this many pixels: no particle takes w ≤ 0.
     frame_size : width and height of the image in pixels; a target whose box has left it does not survive. (0, 0): no such
         border.
@@ -275,15 +243,10 @@ class BoxMotion(Checked):
     size_noise: NonNegative = 0.1
     survival_probability: Probability = 0.99**25
     scaled_noise: bool = True
-    remember_size: bool = False
     min_size: Positive = 1.0
     frame_size: tuple[float, float] = (0.0, 0.0)
     roughening: NonNegative = 0.0
-
-    @property
-    def dim(self) -> int:
-        """Number of state components: 6, or 8 with the remembered size."""
-        return 8 if self.remember_size else 6
+    dim: ClassVar[int] = 6
 
     @property
     def _drawn(self) -> float:
@@ -316,9 +279,6 @@ class BoxMotion(Checked):
         f[0, 2] = f[1, 3] = dt
         mean = x.copy()
         mean[0:2] += dt * x[2:4]
-        if d == 8:
-            f[6:8] = np.eye(2, 8, 4)
-            mean[6:8] = x[4:6]
         # By planes, as the kernels that predict many states read it.
         noise, along = np.zeros((d, d, n)), self.dynamics(dt, 0.0)
         unit = np.square(np.maximum(mean[4:6], self.min_size)) if self.scaled_noise else np.ones((2, n))

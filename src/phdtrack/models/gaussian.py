@@ -68,7 +68,7 @@ def predicted(model: Model, mean: F8, covariance: F8, dt: float, transform: Tran
     The predicted Gaussians.
     """
     motion = model.motion
-    if type(motion) is BoxMotion and transform == "linear" and not motion.remember_size:
+    if type(motion) is BoxMotion and transform == "linear":
         boxes: Predicted = predicted_boxes(mean, covariance, tuple(motion.dynamics(dt, dt / model.rate)), factor)
         return boxes
     columns = np.ascontiguousarray(mean.T)

@@ -51,8 +51,7 @@ class SceneBirth(Checked):
     Parameters
     ----------
     births_per_second : s̄, expected births per second.
-    density : p(x|b) on states (d).
-    observed : the rows of the state that measurements show; the others are velocities.
+    density : p(x|b) on states (6).
     particles : Jmax, particles drawn around a detection of which nothing is predicted.
     births_per_detection : births a second in the neighbourhood of a box, where nothing is known; 0: s̄ p(x|b) alone.
     among : p(z|o), for births around detections; None: uniform over the volume.
@@ -60,7 +59,6 @@ class SceneBirth(Checked):
 
     births_per_second: NonNegative
     density: SceneDensity
-    observed: tuple[int, ...] = OBSERVED
     particles: PositiveCount = 1000
     births_per_detection: NonNegative = 0.0
     among: SceneDensity | None = None
@@ -68,7 +66,7 @@ class SceneBirth(Checked):
     def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
         """Particles around the detections with the evidence and the velocities of γT there [M07 §2, M09 (12)]."""
         density, seen = self.around(sensor.states(z), seconds)
-        return particles_about(covered, seen, self.observed, self.particles, density, rng)
+        return particles_about(covered, seen, OBSERVED, self.particles, density, rng)
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
         """γT around the detections, and the learned Gaussians where there are no births around detections.
@@ -79,7 +77,7 @@ class SceneBirth(Checked):
         if self.births_per_detection > 0:
             density, learned = self.around(seen, seconds)
             return births_around(learned, density)
-        contained = self._shown.contains(z[: len(self.observed)])
+        contained = self._shown.contains(z[: len(OBSERVED)])
         flat = np.where(contained, self.births_per_second * self._shown.flat * seconds, 0.0)
         # The parts of the Gaussians inside the volume have their masses.
         weight, mean, covariance = self.density.gaussians
@@ -97,7 +95,7 @@ class SceneBirth(Checked):
         ``seen`` are the states that the detections show, as `Sensor.states` gives them; velocities are those learned.
         """
         (state, noise), shown, (weight, given, gate) = seen, self._shown, self._learned
-        rows, n = np.array(self.observed), state.shape[1]
+        rows, n = np.array(OBSERVED), state.shape[1]
         z, nothing = np.ascontiguousarray(state[rows]), np.zeros(n)
         flat = NewTargets(np.full(n, shown.flat), np.ascontiguousarray(state.T), np.ascontiguousarray(noise))
         measured = Measurements(np.ascontiguousarray(z.T), noise[:, rows[:, None], rows], nothing, (0.0,) * len(rows))
@@ -117,13 +115,13 @@ class SceneBirth(Checked):
     @cached_property
     def _shown(self) -> SceneDensity:
         """p of what measurements show, velocities integrated out."""
-        return marginal(self.density, self.observed)
+        return marginal(self.density, OBSERVED)
 
     @cached_property
     def _learned(self) -> tuple[F8, Expected, float]:
         """The weights of the Gaussians of p, what they say of measurements, and the distance beyond which none counts."""
         weight, columns, covariance = self.density.gaussians
-        mean, rows, k, r = np.ascontiguousarray(columns.T), np.array(self.observed), len(weight), len(self.observed)
+        mean, rows, k, r = np.ascontiguousarray(columns.T), np.array(OBSERVED), len(weight), len(OBSERVED)
         log_det = np.linalg.slogdet(2 * np.pi * covariance[:, rows[:, None], rows])[1]
         peak = float(np.max(np.log(np.maximum(weight, TINY)) - 0.5 * log_det, initial=-math.inf))
         gate = math.sqrt(max(0.0, 2 * (peak - math.log(self._shown.flat) + NEGLIGIBLE)))

@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -56,7 +55,7 @@ _NO_SCORES = np.zeros(0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScoresSeen:
-    """What is known of scores, and the state of ``other`` learning.
+    """What is known of scores.
 
     Attributes
     ----------
@@ -75,7 +74,6 @@ class ScoresSeen:
     waiting: F8 = field(default_factory=lambda: np.zeros((0, LENGTH)))
     length: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
     line: Line | None = None
-    other: Any = None
     alone: tuple[float, float] = (0.0, FIRST_SEEN)
 
     @property
@@ -95,14 +93,12 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
     max_odds : the ratio is at most this, and at least one over it.
     usual_alone : the share of detections that overlap none of the frames beside, up to which false alarms are as many as
         the model says.
-    other : what else is learned.
     """
 
     slope: Positive = 2.0
     even_score: Positive = 0.65
     max_odds: Positive = 400.0
     usual_alone: Share = 0.2
-    other: Learning[Any] | None = None
 
     def __post_init__(self) -> None:
         Checked.__post_init__(self)
@@ -142,24 +138,22 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
 
     def start(self) -> ScoresSeen:
         """No score seen."""
-        return ScoresSeen(other=self.other and self.other.start())
+        return ScoresSeen()
 
     def model(self, state: ScoresSeen, model: Model) -> Model:
-        """The model with what else is learned."""
-        return self.other.model(state.other, model) if self.other else model
+        """The model as it is."""
+        return model
 
     def with_scores(self, state: ScoresSeen, model: Model, detections: Detections) -> Model:
         """The model whose false alarms are weighed by the scores of the detections."""
-        model = self.other.with_scores(state.other, model, detections) if self.other else model
         single, lasting = self.log_odds(detections.confidence, state)
         more = max(state.alone[0] / state.alone[1] / self.usual_alone, 1.0)
         return replace(model, clutter=ScoredClutter(model.clutter, np.exp(single), lasting, more))
 
     def advance(self, state: ScoresSeen, step: Step) -> ScoresSeen:
         """Remember the scores of a frame, prolong the chains, and learn from those on which there is a verdict."""
-        other = self.other and self.other.advance(state.other, step)
         if not step.detections.observed:
-            return replace(state, other=other)
+            return state
         boxes, score, line = step.detections.xyxy, step.detections.confidence, state.line
         extent, kind, x, scores = _scaled(state, score)
         waiting, length, true, false, single = chained(state.boxes, boxes, x, state.waiting, state.length, LINKED)
@@ -172,12 +166,7 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
             # As plain tuples: Numba looks up the class of every named one.
             prior = (PRIOR_PRECISION * self._prior(kind), _PRECISION, PRIOR_VERDICTS)
             line = Line(*newton(tuple(line or prior), true, false, prior, float(KEPT)))
-        return ScoresSeen(scores, extent, boxes, waiting, length, line, other, alone)
-
-    def mode(self, state: ScoresSeen, name: str) -> ScoresSeen | None:
-        """With the regime of this name, of what else is learned."""
-        other = self.other and self.other.mode(state.other, name)
-        return replace(state, other=other) if other else None
+        return ScoresSeen(scores, extent, boxes, waiting, length, line, alone)
 
 
 def _scaled(state: ScoresSeen, score: F8) -> tuple[tuple[float, float], int, F8, F8]:

@@ -20,7 +20,6 @@ from phdtrack.report.drawing import feet, identity_colour
 from phdtrack.report.record import STAGES, HeatMap, RunRecord, shrunk
 from phdtrack.scene import LearnedDensity, Scene
 from phdtrack.scene.mixture import place_map
-from phdtrack.scene.online import SceneUpdate
 from phdtrack.scene.rates import Rates, RatesLearning
 from phdtrack.types import F8, Image, SequenceInfo
 
@@ -137,36 +136,14 @@ def timing_chart(record: RunRecord) -> Picture:
     return _chart(axes, len(record))
 
 
-def learning_chart(course: Sequence[SceneUpdate], rate: float) -> Picture:
-    """What was learned of a scene over time: false alarms a frame, births a minute; bars below show when it was in use.
-
-    ``course`` is what was known after each frame that taught something, ``rate`` the model's time units a second.
-    """
-    axes = _axes(_WIDE, 2.8, "time in seconds", "rate")
-    time, alarms, births, in_use, births_in_use = np.array(
-        [(one.time, one.clutter, one.births * rate * 60, one.clutter_used, one.births_used) for one in course]
-    ).T
-    unit = 0.01 * max(alarms.max(), births.max(), 1e-3)
-    for values, colour, label, place, used in (
-        (alarms, _RED, "false alarms a frame", 3, in_use),
-        (births, _GREEN, "births a minute", 7, births_in_use),
-    ):
-        axes.plot(time, values, color=colour, label=label)
-        axes.fill_between(time, -(place + 2) * unit, -place * unit, where=used > 0, color=colour, linewidth=0, step="post")
-    return _chart(axes, len(time))
-
-
 def rates_chart(course: Sequence[Rates], rule: RatesLearning) -> Picture:
-    """Estimates of p_D and of false alarms over time, and at the right the odds of the best and the worst score."""
-    alarms = f"false alarms{', share' if rule.priors.clutter_each else ' a frame'}"
-    left = _axes(_WIDE, 2.6, "time in seconds", "rate", 121)
-    right = _styled(left.figure.add_subplot(122), "time in seconds", "odds of a score")
-    time, *values = np.array([(one.time, one.detection, one.clutter, one.highest, one.lowest) for one in course]).T
-    lines = ((left, _BLUE, "p_D"), (left, _RED, alarms), (right, _GREEN, "best"), (right, _ORANGE, "worst"))
-    for estimates, (axes, colour, label) in zip(values, lines, strict=True):
-        axes.plot(time, estimates, color=colour, label=label)
-    left.set_ylim(bottom=0)
-    return _chart(right, len(time), bottom=0)
+    """Estimates of p_D and of false alarms over time."""
+    alarms = f"false alarms{', share' if rule.priors.each else ' a frame'}"
+    axes = _axes(_WIDE, 2.6, "time in seconds", "rate")
+    time, detection, clutter = np.array([(one.time, one.detection, one.clutter) for one in course]).T
+    axes.plot(time, detection, color=_BLUE, label="p_D")
+    axes.plot(time, clutter, color=_RED, label=alarms)
+    return _chart(axes, len(time), bottom=0)
 
 
 def score_chart(places: F8 | Sequence[str], x_label: str, y_label: str, methods: Mapping[str, F8]) -> Picture:
@@ -248,7 +225,7 @@ def map_picture(learned: LearnedDensity, scene: Scene, image: Image, *, births: 
 
     Parameters
     ----------
-    learned : over pixels or, for births on the ground, over metres: then it is drawn on a plan of their region.
+    learned : over pixels.
     scene : whose they are.
     image : (H, W, 3) BGR frame, or (0, 0, 3).
     births : whether to draw the mean way of the next second as arrows.
@@ -257,23 +234,16 @@ def map_picture(learned: LearnedDensity, scene: Scene, image: Image, *, births: 
     -------
     The picture.
     """
-    p = learned.density
-    (left, top), (wide, high) = p.low[:2], (p.high - p.low)[:2]
-    ground = (left, top, wide, high) != (0, 0, scene.width, scene.height)
-    if ground:
-        axes = _axes(_WIDE, _WIDE * min(max(high / wide, 0.3), 1.5), "x in metres", "y in metres")
-    else:
-        axes = _over_scene(SequenceInfo(scene.width, scene.height, 25.0), image, _WIDE, darkness=0.5)
+    p, wide, high = learned.density, scene.width, scene.height
+    axes = _over_scene(SequenceInfo(wide, high, 25.0), image, _WIDE, darkness=0.5)
     step = max(wide, high) / _CELLS
     shape = (math.ceil(high / step), math.ceil(wide / step))
-    extent = (left, left + shape[1] * step, top + shape[0] * step, top)
-    _shade(axes, place_map(p, shape, step, sized=p.dim == 6 or not births), 1.0, extent, "bilinear")
+    _shade(axes, place_map(p, shape, step), 1.0, (0, shape[1] * step, shape[0] * step, 0), "bilinear")
     for m in np.flatnonzero(p.weight >= _MIN_WEIGHT) if births else ():
         start, way = p.mean[:2, m], p.mean[2:4, m] * scene.rate
         style = {"arrowstyle": "-|>", "color": _CYAN, "linewidth": 1 + 4 * float(p.weight[m])}
         axes.annotate("", xy=tuple(start + way), xytext=tuple(start), arrowprops=style)
-    # Of a plan the far end is above, of a picture row 0.
-    axes.set(xlim=(left, left + wide), ylim=(top, top + high) if ground else (top + high, top))
+    axes.set(xlim=(0, wide), ylim=(high, 0))
     return _saved(axes)
 
 
@@ -294,15 +264,11 @@ def _colour(identity: int) -> str:
     return f"#{bytes(identity_colour(identity)).hex()}"
 
 
-def _axes(width: float, height: float, x_label: str, y_label: str, position: int = 111) -> Axes:
-    """New axes, at this position of a figure of ``width`` × ``height`` inches."""
+def _axes(width: float, height: float, x_label: str, y_label: str) -> Axes:
+    """Axes of ``width`` × ``height`` inches in the style of all charts: a light grid behind, no frame above and right."""
     from matplotlib.figure import Figure
 
-    return _styled(Figure(figsize=(width, height), layout="constrained").add_subplot(position), x_label, y_label)
-
-
-def _styled(axes: Axes, x_label: str, y_label: str) -> Axes:
-    """The axes in the style of all charts: a light grid behind, no frame at the top and right."""
+    axes = Figure(figsize=(width, height), layout="constrained").add_subplot()
     axes.set_xlabel(x_label, fontsize=10, color=_INK)
     axes.set_ylabel(y_label, fontsize=10, color=_INK)
     axes.tick_params(labelsize=9, colors=_INK)

@@ -13,7 +13,7 @@ A component whose weight turns negative is removed. α_u follows the same rule w
   The samples are taken in several passes, each in another order, with β = min(1/n, ½/(Mτ)) for n samples. Then the estimate
   settles: without the prior, with a rate that falls like 1/k.
 * β o_m/π_m stays below 1, and F, a small diagonal, keeps every covariance above itself.
-* Samples are weighted, and may have gaps (NaN): a birth that a person marked has a place but no velocity. A gap is filled
+* Samples may have gaps (NaN): a birth that a person marked has a place but no velocity. A gap is filled
   from the nearest complete sample.
 * α_u begins at 1 − 1e-3, because from 1 nothing is ever learned, and stays within [1e-3, 1 − 1e-3].
 
@@ -41,6 +41,9 @@ from phdtrack.scene.mixture import SceneDensity, marginal
 from phdtrack.types import F8, I8
 
 MIN_UNIFORM = 1e-3
+# Standard deviations of F as parts of the samples' own; split and merge moves at most.
+FLOOR, MAX_MOVES = 0.01, 20
+_EACH = np.ones(1)
 # Samples taken at the steady rate, at most; passes while the rate falls.
 MAX_TAKEN, SETTLING_PASSES = 1_000_000, 20
 # EM has converged where a step gains fewer nats; steps at most.
@@ -51,51 +54,34 @@ TRIAL_STEPS, NEW_STEPS, FULL_TRIALS = 5, 10, 2
 MAX_CROWD_SAMPLES = 1000
 
 
-def learn(
-    density: SceneDensity, samples: F8, weight: F8 | None = None, *, passes: int = 0, floor: float = 0.01, moves: int = 20
-) -> SceneDensity:
-    """``density`` after the samples: the same for the same samples. Samples outside the volume are left out.
+def learn(density: SceneDensity, samples: F8) -> SceneDensity:
+    """``density``, where learning begins, after the samples (d, n), NaN where one does not show a component.
 
-    Parameters
-    ----------
-    density : where learning begins.
-    samples : (d, n), NaN where a sample does not show a component.
-    weight : (n,) from 0, 1 for each where it is None.
-    passes : passes over the samples at the steady rate; 0 for as many as part two components that explain the same.
-    floor : standard deviations of F as parts of the samples' own.
-    moves : split and merge moves at most; 0 for samples of which more are to come, which the recursion alone takes.
-
-    Returns
-    -------
-    The density; ``density`` itself where there is nothing to learn from.
-
-    Raises
-    ------
-    InputError : samples of another dimension, infinite or without any component; wrong weights; no Gaussians to move.
+    It is the same for the same samples, and ``density`` itself where there is nothing to learn from. Samples outside the
+    volume are left out. Raises `InputError` for samples of another dimension, infinite or without any component, and where
+    there are no Gaussians to move.
     """
-    weights = np.ones(samples.shape[-1]) if weight is None else weight
-    _check_samples(density, samples, weights)
-    used = density.contains(np.where(np.isnan(samples), density.low[:, None], samples)) & (weights > 0)
-    x, weights = np.ascontiguousarray(samples[:, used]), np.ascontiguousarray(weights[used])
+    _check_samples(density, samples)
+    used = density.contains(np.where(np.isnan(samples), density.low[:, None], samples))
+    x = np.ascontiguousarray(samples[:, used])
     n = x.shape[1]
     if n == 0:
         return density
-    tau, total, rng = parameters(density.dim) / 2, float(weights.sum()), np.random.default_rng(0)
-    passes = passes or _passes(n, total, len(density), tau)
+    tau, rng = parameters(density.dim) / 2, np.random.default_rng(0)
+    passes = _passes(n, len(density), tau)
     order = np.concatenate([rng.permutation(n) for _ in range(passes + min(passes, SETTLING_PASSES))])
     x, extent = _filled(x), density.high - density.low
-    mean = np.average(x, axis=1, weights=weights)[:, None]
-    least: F8 = np.maximum(floor**2 * np.average(np.square(x - mean), axis=1, weights=weights), (1e-4 * extent) ** 2)
+    mean = x.mean(axis=1)[:, None]
+    least: F8 = np.maximum(FLOOR**2 * np.square(x - mean).mean(axis=1), (1e-4 * extent) ** 2)
     left, uniform = recursive_em(
         Gaussians(density.weight, density.mean, density.covariance),
         min(density.uniform, 1 - MIN_UNIFORM),
         np.ascontiguousarray(x.T),
-        weights,
         order,
-        Recursion(tau, total, MIN_UNIFORM, float(np.log(extent).sum()), passes * n, least),
+        Recursion(tau, float(n), MIN_UNIFORM, float(np.log(extent).sum()), passes * n, least),
     )
     found = SceneDensity(density.low, density.high, uniform, *left)
-    return _improved(found, Samples(x, weights, least), moves) if moves else found
+    return _improved(found, Samples(x, least))
 
 
 def grid(
@@ -135,44 +121,31 @@ def limited_uniform(share: float) -> float:
     return min(1 - MIN_UNIFORM, max(MIN_UNIFORM, share))
 
 
-def best_uniform(log_ratio: F8, weight: F8, share: float = 0.5, steps: int = 200) -> float:
-    """α_u of the greatest likelihood, by EM.
-
-    Parameters
-    ----------
-    log_ratio : (n,) `SceneDensity.log_ratio` at the samples.
-    weight : (n,) of the samples.
-    share : α_u at first.
-    steps : of EM.
-
-    Returns
-    -------
-    α_u, within its limits.
-    """
-    ratio = np.exp(np.minimum(700.0, log_ratio))
-    for _ in range(steps):
-        share = limited_uniform(float(np.average(share / (share + (1 - share) * ratio), weights=weight)))
+def best_uniform(log_ratio: F8) -> float:
+    """α_u of the greatest likelihood within its limits, by EM, for (n,) `SceneDensity.log_ratio` at the samples."""
+    ratio, share = np.exp(np.minimum(700.0, log_ratio)), 0.5
+    for _ in range(MAX_STEPS):
+        share = limited_uniform(float(np.mean(share / (share + (1 - share) * ratio))))
     return share
 
 
 class Samples(NamedTuple):
-    """Samples ``x`` (d, n), their ``weight`` (n,), and ``floor`` (d,) that is added to variances."""
+    """Samples ``x`` (d, n), and ``floor`` (d,) that is added to variances."""
 
     x: F8
-    weight: F8
     floor: F8
 
     @property
     def total(self) -> float:
-        """Sum of the weights."""
-        return float(self.weight.sum())
+        """How many there are."""
+        return float(self.x.shape[1])
 
 
 def moments(p: SceneDensity, samples: Samples) -> Moments:
     """One step of EM for p, its uniform part included. Truncation is left out."""
-    mixture, n = Gaussians((1 - p.uniform) * p.weight, p.mean, p.covariance), len(samples.weight)
+    mixture, n = Gaussians((1 - p.uniform) * p.weight, p.mean, p.covariance), samples.x.shape[1]
     flat = np.full(n, math.log(p.flat))
-    found: Moments = em_step(samples.x, samples.weight, flat, mixture, one_block(n, len(p)), nothing_known(p.dim))
+    found: Moments = em_step(samples.x, _EACH, flat, mixture, one_block(n, len(p)), nothing_known(p.dim))
     return found._replace(covariance=found.covariance + np.diag(samples.floor))
 
 
@@ -193,11 +166,11 @@ def _fitted(p: SceneDensity, samples: Samples, steps: int = MAX_STEPS) -> SceneD
     return p
 
 
-def _improved(p: SceneDensity, samples: Samples, moves: int) -> SceneDensity:
-    """``p`` fitted to the samples, after at most so many split and merge moves."""
+def _improved(p: SceneDensity, samples: Samples) -> SceneDensity:
+    """``p`` fitted to the samples, after split and merge moves."""
     p = _fitted(p, samples)
     length = criterion(p, samples)
-    for _ in range(moves):
+    for _ in range(MAX_MOVES):
         trials = [_fitted(trial, samples, TRIAL_STEPS) for trial in _moved(p, samples)]
         best = np.argsort([criterion(trial, samples) for trial in trials])[:FULL_TRIALS]
         found = [(criterion(trial, samples), trial) for trial in (_fitted(trials[i], samples) for i in best)]
@@ -244,16 +217,16 @@ def _split(p: SceneDensity, m: int) -> SceneDensity:
 
 def _with_crowds(p: SceneDensity, samples: Samples) -> list[SceneDensity]:
     """``p`` with one more component, fitted while ``p`` stays as it is: each begins in another crowd of samples."""
-    x, weight, floor = samples.x, samples.weight, np.diag(samples.floor)
+    x, n, floor = samples.x, samples.x.shape[1], np.diag(samples.floor)
     parts, found = p.log_parts(x), []
     log_density = np.logaddexp.reduce(parts, axis=0)
     for near in _crowds(p, np.argmax(parts, axis=0), x, samples.floor):
-        share = len(near) / len(weight)
+        share = len(near) / n
         mean, cov = x[:, near].mean(axis=1)[:, None], (np.cov(x[:, near], bias=True) + floor)[None]
         for _ in range(NEW_STEPS):
             mixture = Gaussians(np.array([share]), mean, cov)
             others = log_density + math.log(1 - share)
-            now = em_step(x, weight, others, mixture, one_block(len(weight), 1), nothing_known(len(x)))
+            now = em_step(x, _EACH, others, mixture, one_block(n, 1), nothing_known(len(x)))
             mean, cov, share = now.mean, now.covariance + floor, min(float(now.mass[0]) / samples.total, 0.5)
         if share * samples.total > parameters(p.dim) / 2:
             uniform = (1 - share) * p.uniform
@@ -293,15 +266,15 @@ def _filled(x: F8) -> F8:
     return out
 
 
-def _passes(n: int, total: float, components: int, tau: float) -> int:
-    """Passes over n samples of this total weight, after which one of two equal components has gone.
+def _passes(n: int, components: int, tau: float) -> int:
+    """Passes over n samples after which one of two equal components has gone.
 
     The first takes the memory of the slowest rate, 2Mτ samples; the weights of equal ones part like exp(2τk/n).
     """
-    return min(max(20, math.ceil(6 * components * tau / total), math.ceil(1.5 * total / tau)), max(5, MAX_TAKEN // n))
+    return min(max(20, math.ceil(6 * components * tau / n), math.ceil(1.5 * n / tau)), max(5, MAX_TAKEN // n))
 
 
-def _check_samples(density: SceneDensity, samples: F8, weight: F8) -> None:
+def _check_samples(density: SceneDensity, samples: F8) -> None:
     """Raise `InputError` where the learner cannot take the samples."""
     if samples.ndim != 2 or len(samples) != density.dim:
         raise InputError(f"expected samples ({density.dim}, n), got shape {samples.shape}", where="samples")
@@ -309,7 +282,5 @@ def _check_samples(density: SceneDensity, samples: F8, weight: F8) -> None:
         raise InputError(
             "every sample must be finite in what it shows, and show something", where="samples", cure="Leave the others out"
         )
-    if weight.shape != samples.shape[1:] or not (np.isfinite(weight) & (weight >= 0)).all():
-        raise InputError(f"expected finite weights from 0, one for each of {samples.shape[1]} samples", where="weight")
     if len(density) == 0:
         raise InputError("a density without Gaussians learns nothing", where="density", cure="Begin with scene.grid(…)")

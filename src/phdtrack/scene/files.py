@@ -5,7 +5,6 @@
                 "weight": […], "mean": [[…] per Gaussian], "covariance": [[[…]] per Gaussian]},
      "clutter": the same with r̄ and four components, "followed": {"share": λ, "objects": the same}, "notes": {…}}
 
-Births have six components (boxes), or four: points in the image, pixels, or places on the ground, metres.
 Rates are births per time unit, of which ``rate`` make a second, and false alarms, or detections of objects, per frame. Every
 part may be missing.
 """
@@ -97,7 +96,7 @@ def read_scene(path: Path) -> Scene:
             int(document["height"]),
             float(document["rate"]),
             str(document["source"]),
-            _learned(document["births"], 6, 4),
+            _learned(document["births"], 6),
             _learned(document["clutter"], 4),
             dict(document["notes"]),
             _followed(document.get("followed")),
@@ -115,17 +114,16 @@ def _plain(learned: LearnedDensity) -> dict[str, Any]:
     return {"rate": learned.rate, "samples": learned.samples, "uniform": p.uniform} | plain
 
 
-def _learned(document: Any, *dims: int) -> LearnedDensity | None:
-    """A density of one of these dimensions; None where there is none."""
+def _learned(document: Any, dim: int) -> LearnedDensity | None:
+    """A density of ``dim`` components; None where there is none."""
     if document is None:
         return None
     low, high, weight = (np.array(document[name], np.float64) for name in ("low", "high", "weight"))
     mean = np.array(document["mean"], np.float64).reshape(-1, len(low)).T
     cov = np.array(document["covariance"], np.float64).reshape(-1, len(low), len(low))
     rate = float(document["rate"])
-    if not 0 <= rate < np.inf or len(low) not in dims:
-        wanted = " or ".join(str(dim) for dim in dims)
-        raise InputError(f"expected a rate from 0 and {wanted} components, got {rate:g} and {len(low)}")
+    if not 0 <= rate < np.inf or len(low) != dim:
+        raise InputError(f"expected a rate from 0 and {dim} components, got {rate:g} and {len(low)}")
     density = SceneDensity(low, high, float(document["uniform"]), weight, np.ascontiguousarray(mean), cov)
     return LearnedDensity(rate, density, int(document["samples"]))
 

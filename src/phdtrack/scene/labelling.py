@@ -1,4 +1,4 @@
-"""Delayed labelling: which detections were false alarms, and where targets were born, decided some seconds later [M09 §VI].
+"""Delayed labelling: which detections were false alarms, decided some seconds later.
 
 At once a filter gives a detection the probability κ/(κ + C) to be a false alarm. To learn from that alone goes wrong: the
 first detections of a target that enters are doubted, so that entrances become places of false alarms and are doubted more;
@@ -15,7 +15,7 @@ often as p_D says: with h of n frames detected, if
 
 which holds from h/n = 0.71 on for p_D = 0.9. A false alarm that returns in one place is detected in fewer frames and goes
 nowhere. An object that stands still and is detected in every second frame looks the same, and so does a place that fires in
-nine frames of ten look like an object. Births are the first states of tracks of objects.
+nine frames of ten look like an object.
 """
 
 from __future__ import annotations
@@ -101,14 +101,13 @@ class TrackEvidence:
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedFrame:
     """An observed frame: its number and time, the boxes detected (N, 4), the filter's probability (N,) that each is a false
-    alarm, the online rows of the frame, and the detections' scores (N,)."""
+    alarm, and the online rows of the frame."""
 
     number: int
     time: float
     xyxy: F8
     false: F8
     rows: Tracks
-    score: F8 = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,8 +128,7 @@ class PendingFrames:
             return self
         n, false = len(step.detections), step.info.clutter_probability
         false = false if len(false) == n else np.ones(n)
-        found = step.detections
-        frame = ObservedFrame(step.number, step.time, found.xyxy, false, step.tracks, found.confidence)
+        frame = ObservedFrame(step.number, step.time, step.detections.xyxy, false, step.tracks)
         return replace(self, frames=(*self.frames, frame))
 
 
@@ -138,18 +136,15 @@ class PendingFrames:
 class Labels:
     """Labels of ``frames`` frames, in which ``seconds`` passed.
 
-    ``box`` (4, N): the detections as centre and size; ``false`` (N,): probability that each is a false alarm; ``births``
-    (6, B): first states of the objects that appeared.
+    ``false`` (N,): probability that each detection is a false alarm.
     """
 
     frames: int
     seconds: float
-    box: F8
     false: F8
-    births: F8
 
 
-def label(pending: PendingFrames, until: float, detection: float, rate: float) -> tuple[PendingFrames, Labels]:
+def label(pending: PendingFrames, until: float, detection: float) -> tuple[PendingFrames, Labels]:
     """Label the frames up to a time.
 
     Parameters
@@ -157,7 +152,6 @@ def label(pending: PendingFrames, until: float, detection: float, rate: float) -
     pending : frames in order.
     until : time of the last frame to label, seconds.
     detection : p_D.
-    rate : time units per second of the births' velocities.
 
     Returns
     -------
@@ -174,36 +168,33 @@ def label(pending: PendingFrames, until: float, detection: float, rate: float) -
     of_none = np.isin(rows.identity, evidence.identity[evidence.confirmed & ~objects])
     # Tracks that began in these frames or so soon after them that detections in them may be theirs.
     begun = np.flatnonzero(objects & (evidence.first >= place) & (evidence.first < place + due + BACK))
-    states, before, where = _led_back(rows, evidence.identity[begun], number, time, rate)
+    before, where = _led_back(rows, evidence.identity[begun], number, time)
     box = np.concatenate([np.zeros((0, 4)), *(f.xyxy for f in frames[:due])])
     false = np.concatenate([np.zeros(0), *(f.false for f in frames[:due])])
     frame = np.repeat(number[:due], [len(f.xyxy) for f in frames[:due]])
     true = _on(frame, box, np.append(rows.frame[of_object], before), np.concatenate([rows.xyxy[of_object], where]))
     false = np.where(true, 0.0, np.where(_on(frame, box, rows.frame[of_none], rows.xyxy[of_none]), 1.0, false))
-    # Targets of the first frames were not born then.
-    came = (evidence.first[begun] < place + due) & (evidence.first[begun] >= BACK)
     # A frame that no other follows lasts as long as those before it on average.
     ends = time[min(due, len(time) - 1)] if due else time[0]
     seconds = (ends - time[0]) * (due / max(1, min(due, len(time) - 1)))
-    labels = Labels(due, float(seconds), to_cxcywh(box), false, np.ascontiguousarray(states[:, came]))
+    labels = Labels(due, float(seconds), false)
     kept = evidence.since(place - FORGET)
     return PendingFrames(frames[due:], place + due, len(frames) - due, kept), labels
 
 
-def _led_back(rows: Tracks, begun: I8, number: I8, time: F8, rate: float) -> tuple[F8, I8, F8]:
-    """(6, B) first states of the identities ``begun`` (B,), and frame numbers and boxes where they were before."""
-    states, frames, boxes = np.zeros((6, len(begun))), [_NONE], [np.zeros((0, 4))]
-    for b, identity in enumerate(begun):
+def _led_back(rows: Tracks, begun: I8, number: I8, time: F8) -> tuple[I8, F8]:
+    """Frame numbers and boxes where the tracks of the identities ``begun`` (B,) were before."""
+    frames, boxes = [_NONE], [np.zeros((0, 4))]
+    for identity in begun:
         its = np.flatnonzero((rows.identity == identity) & (rows.detection >= 0))
         place = np.searchsorted(number, rows.frame[its])
         box, seconds = to_cxcywh(rows.xyxy[its]), time[place] - time[place[0]]
-        states[:, b] = first_state(box, seconds) if len(its) > 2 else np.insert(box[:, 0], 2, [0, 0])
+        velocity = first_state(box, seconds)[2:4] if len(its) > 2 else np.zeros(2)
         earlier = np.arange(max(0, place[0] - BACK), place[0])
-        back = np.outer(states[2:4, b], time[earlier] - time[place[0]])
+        back = np.outer(velocity, time[earlier] - time[place[0]])
         frames.append(number[earlier])
         boxes.append(to_xyxy(np.concatenate([box[:2, :1] + back, np.tile(box[2:, :1], len(earlier))])))
-    states[2:4] /= rate
-    return states, np.concatenate(frames), np.concatenate(boxes)
+    return np.concatenate(frames), np.concatenate(boxes)
 
 
 def _on(frame: I8, xyxy: F8, row_frame: I8, row_xyxy: F8) -> Bool:

@@ -109,12 +109,6 @@ class SceneDensity:
         gaussians: F8 = np.logaddexp.reduce(self.log_parts(x)[1:], axis=0)
         return gaussians - math.log((1 - self.uniform) / self.volume)
 
-    def responsibilities(self, x: F8) -> F8:
-        """(1 + M, L) the probability that a draw of p at ``x`` (d, L) came from the uniform part and from each Gaussian."""
-        parts = self.log_parts(x)
-        out: F8 = np.exp(parts - np.logaddexp.reduce(parts, axis=0))
-        return out
-
     def contains(self, x: F8) -> Bool:
         """(L,) whether the columns of ``x`` (d, L) lie in the volume."""
         inside: Bool = np.logical_and.reduce((x >= self.low[:, None]) & (x <= self.high[:, None]), axis=0)
@@ -201,24 +195,23 @@ def _mass_inside(mean: F8, covariance: F8, low: F8, high: F8) -> F8:
     return inside
 
 
-def place_map(p: SceneDensity, shape: tuple[int, int], step: float, *, sized: bool = True) -> F8:
+def place_map(p: SceneDensity, shape: tuple[int, int], step: float) -> F8:
     """Map of where p's Gaussians lie, all sizes and velocities together, with largest value 1 [M09 Figs. 7, 8].
 
     A quarter of the mean size is added as deviation, because what happens at a place is seen as a box and not as its centre.
 
     Parameters
     ----------
-    p : the density; its last two components are width and height where it is ``sized``.
+    p : the density; its last two components are width and height.
     shape : rows and columns of the map, which begins at p's lower bounds.
-    step : side of a cell, pixels or metres.
-    sized : whether the states have a size.
+    step : side of a cell, pixels.
 
     Returns
     -------
     Array of this shape.
     """
     cov = p.covariance.copy()
-    for axis in range(2 if sized else 0):
+    for axis in range(2):
         cov[:, axis, axis] += (0.25 * p.mean[p.dim - 2 + axis]) ** 2
     place = marginal(replace(p, covariance=cov), (0, 1))
     down, across = np.meshgrid((np.arange(shape[0]) + 0.5) * step, (np.arange(shape[1]) + 0.5) * step, indexing="ij")

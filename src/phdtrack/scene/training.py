@@ -47,17 +47,14 @@ class Training:
     gain: float
 
 
-def learn_births(
-    states: F8, time_units: float, frame_size: tuple[float, float], corner: tuple[float, float] = (0.0, 0.0)
-) -> Training:
+def learn_births(states: F8, time_units: float, frame_size: tuple[float, float]) -> Training:
     """Births p(x|b) with s̄, their number per time unit. The volume holds every velocity seen, doubled.
 
     Parameters
     ----------
-    states : (6, n) first states of targets that entered, or (4, n) without a size; velocities may be NaN, unknown.
+    states : (6, n) first states of targets that entered; velocities may be NaN, unknown.
     time_units : length of the stretch.
-    frame_size : width and height of the image, pixels, or of the region of the ground, metres.
-    corner : left and lower end of the region.
+    frame_size : width and height of the image, pixels.
 
     Returns
     -------
@@ -65,7 +62,7 @@ def learn_births(
 
     Raises
     ------
-    InputError : fewer than ten births or than a component needs (τ: 14 with a size), no time, or no known velocity.
+    InputError : fewer births than a component needs (τ: 14), no time, or no known velocity.
     """
     cure, least = "Learn from a longer stretch, or mark more of them", math.ceil(parameters(len(states)) / 2)
     _check_number(states.shape[1], "births while the scene was watched", cure, least)
@@ -74,10 +71,8 @@ def learn_births(
     speeds = np.abs(states[2:4][np.isfinite(states[2:4])])
     if len(speeds) == 0:
         raise InputError("no birth's velocity is known", where="learning births", cure="Mark where detections follow")
-    low, high = (bound[: len(states)] for bound in state_volume(frame_size, 2 * float(speeds.max()) + 1e-6))
-    for bound in (low, high):
-        bound[:2] += corner
-    return _trained(_start(states, low, high, BIRTH_GRID), states, states.shape[1] / time_units)
+    volume = state_volume(frame_size, 2 * float(speeds.max()) + 1e-6)
+    return _trained(_start(states, *volume, BIRTH_GRID), states, states.shape[1] / time_units)
 
 
 def learn_boxes(boxes: F8, frames: int, frame_size: tuple[float, float], what: str) -> Training:
@@ -134,7 +129,7 @@ def with_prior(learned: LearnedDensity, size: F8) -> LearnedDensity:
     return replace(learned, density=replace(density, low=low, high=high, uniform=uniform))
 
 
-def births_in(tracks: Tracks, fps: float, rate: float, shown: F8 | None = None, everything: bool = False) -> F8:
+def births_in(tracks: Tracks, fps: float, rate: float, everything: bool = False) -> F8:
     """(6, n) states (px, py, vx, vy, w, h) in which the tracks began that last and go somewhere; flicker does neither.
 
     Tracks of the first frame began before it [M09 §IV].
@@ -144,24 +139,22 @@ def births_in(tracks: Tracks, fps: float, rate: float, shown: F8 | None = None, 
     tracks : M rows of corrected tracks.
     fps : frames per second.
     rate : time units per second of the velocities.
-    shown : array (r, M), what the rows show, position first, if it is not centre and size of the boxes.
     everything : take all tracks that have a velocity, of three rows, as M09 does.
 
     Returns
     -------
-    The states; (r + 2, n) where ``shown`` is given.
+    The states.
     """
-    boxes = to_cxcywh(tracks.xyxy)
-    box = boxes if shown is None else shown
+    box = to_cxcywh(tracks.xyxy)
     order = np.lexsort((tracks.frame, tracks.identity))
     start = np.flatnonzero(np.diff(tracks.identity[order], prepend=-1))
     opening = int(tracks.frame.min(initial=np.iinfo(np.int64).max))
     states = []
     for rows in np.split(order, start[1:]) if len(order) else []:
         lasting = len(rows) >= (3 if everything else max(5, round(MIN_DURATION * fps))) and tracks.frame[rows[0]] > opening
-        if lasting and (everything or _distance_gone(boxes[:, rows]) >= MIN_DISTANCE):
+        if lasting and (everything or _distance_gone(box[:, rows]) >= MIN_DISTANCE):
             states.append(first_state(box[:, rows], (tracks.frame[rows] - tracks.frame[rows[0]]) / fps))
-    out = np.array(states).reshape(-1, len(box) + 2).T.copy()
+    out = np.array(states).reshape(-1, 6).T.copy()
     out[2:4] /= rate
     return out
 
@@ -210,7 +203,7 @@ def _trained(start: SceneDensity, samples: F8, rate: float) -> Training:
     density = predictive(learn(start, inside), inside.shape[1])
     log_ratio, gain = _left_out(start, inside), math.nan
     if len(log_ratio) >= 2:
-        uniform = best_uniform(log_ratio, np.ones(len(log_ratio)))
+        uniform = best_uniform(log_ratio)
         gain = float(np.logaddexp(math.log(uniform), math.log(1 - uniform) + log_ratio).mean())
         density = replace(density, uniform=max(density.uniform, uniform))
     return Training(LearnedDensity(rate, density, inside.shape[1]), gain)

@@ -236,17 +236,6 @@ def test_the_mixture_finds_means_and_shares_of_overlapping_targets(rng):
     np.testing.assert_allclose(found.state[0, order], [HERE[0], beside[0]], atol=0.7)
 
 
-@both
-def test_remembered_sizes_pass_through(extractor, rng):
-    model = replace(MODEL, sensor=replace(MODEL.sensor, scaling="previous"))
-    small = cloud(rng, HERE, 1.0)
-    state = Particles(np.vstack([small.state, small.state[4:6]]), small.weight)
-    found = extractor.extract(state, seen(HERE), model)
-    assert found.state.shape == (8, 1)
-    np.testing.assert_allclose(found.state[6:8], found.state[4:6])
-    assert np.linalg.eigvalsh(found.covariance[0]).min() > 0
-
-
 def test_raw_detections_are_states():
     found = Raw().extract(Particles(np.zeros((6, 0)), np.zeros(0)), seen(HERE, THERE), MODEL)
     assert isinstance(found, Estimates)
