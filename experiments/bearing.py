@@ -185,6 +185,7 @@ class BearingSensor(PositionSensor):
     gate_probability: Share = GATE
     linear: ClassVar[bool] = False
     angles: ClassVar[tuple[bool, ...]] = (True, False)
+    occlusion: ClassVar[bool] = False
 
     def measure(self, detections: Detections) -> F8:
         """(2, N) bearings and ranges of the middles of boxes on the plane, metres."""
@@ -218,6 +219,10 @@ class BearingSensor(PositionSensor):
         x, y = self.origin
         model = BearingRange(float(x), float(y), 1 / self.bearing, 1 / self.reach, factor, 10 * self.reach)
         return SensorNumbers(model, np.ascontiguousarray(z[:2], np.float64), np.zeros(0))
+
+    def watching(self, targets: F8) -> BearingSensor:
+        """The sensor itself."""
+        return self
 
     def gate(self, z: F8) -> tuple[F8, F8]:
         """Rectangles about the pieces of rings that reach G deviations of bearing and of range."""

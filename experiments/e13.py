@@ -8,8 +8,9 @@ model was fixed before any filter was run, and no parameter was chosen by the ou
 * boxes are jittered by 10 % of the width across, 5 % of the height down (their foot) and 5 % in size;
 * clutter is Poisson, 0.1 or 1 box a frame, boxes of the truth's sizes standing anywhere on the ground that people walk on.
 
-E13's parameters throughout. ``rates`` replaces E13's places of birth (0.011 people a frame; 0.2 a frame come) and its
-clutter density (about 10⁻⁵ a frame) by what is true of the scene, births anywhere, and R by each detection's own
+E13's parameters throughout. ``occlusion`` lets p_D fall where other targets cover a person, from 0.95 for one who is free,
+as the detector has it. ``rates`` replaces E13's places of birth (0.011 people a frame; 0.2 a frame come) and its clutter
+density (about 10⁻⁵ a frame) by what is true of the scene, births anywhere, and R by each detection's own
 covariance: the cardinalised filter takes rates at their word. People are counted as the intensity's mass, E13's head count,
 and as the states extracted. Groups are those of E13's rule (2 m, 1 m/s).
 """
@@ -17,7 +18,7 @@ and as the states extracted. Groups are those of E13's rule (2 m, 1 m/s).
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -39,6 +40,8 @@ SEEDS = 20
 CLUTTER = (0.1, 1.0)
 PICTURED = (10, 40, 80, 120)
 FREE, FALL = 0.95, 0.75
+# What each filter changes of the preset e13.
+AWARE = ("sensor.occlusion=true", f"sensor.detection_probability={FREE}")
 # The ground that the people of the sequence walk on, metres.
 REGION = "camera.region=[-16.0, -18.0, -3.0, 10.0]"
 ARRIVALS = 0.2
@@ -50,12 +53,17 @@ RATES = (
     "clutter.clutter_per_frame=0.3",
     "clutter.density=0.0",
 )
-# What each filter changes of the preset e13.
 FILTERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "GM-PHD": ("gm-phd", ()),
+    "GM-PHD, occlusion": ("gm-phd", AWARE),
     "GM-CPHD": ("gm-cphd", ()),
+    "GM-CPHD, occlusion": ("gm-cphd", AWARE),
     "GM-PHD, rates": ("gm-phd", RATES),
+    "GM-PHD, rates, occlusion": ("gm-phd", RATES + AWARE),
     "GM-CPHD, rates": ("gm-cphd", RATES),
+    "GM-CPHD, rates, occlusion": ("gm-cphd", RATES + AWARE),
+    "GM-PHD, rates, true hiders": ("gm-phd", RATES + AWARE),
+    "GM-CPHD, rates, true hiders": ("gm-cphd", RATES + AWARE),
 }
 
 
@@ -132,11 +140,14 @@ def mixture_of(intensity: GaussianMixture | Cardinalised[GaussianMixture]) -> Ga
 
 def run(job: CrowdRun) -> Iterator[tuple[GaussianMixture, Step]]:
     """The intensity and the step of each frame."""
-    stages = stages_of(job.filter, job.clutter)
+    stages, camera = stages_of(job.filter, job.clutter), read_camera(camera_file())
     drops, rng = np.random.default_rng([job.seed, int(10 * job.clutter)]), np.random.default_rng(job.seed)
     state = pipeline.start(stages, rng)
     for number in range(1, INFO.frames + 1):
         found = detected(number, job.clutter, drops)
+        if "true hiders" in job.filter:
+            place = camera.ground(feet(truth().xyxy[truth().frame == number]))
+            state = replace(state, targets=np.vstack([place, np.zeros_like(place)]))
         state, step = pipeline.advance(stages, state, found, number, (number - 1) / INFO.fps, rng)
         yield mixture_of(state.intensity), step
 

@@ -1,6 +1,6 @@
 """Tracks on the ground plane: PETS09-S2L1 with its real detections and its camera.
 
-World-plane tracks of the Gaussian-mixture filters and of the particle filter, next to the
+World-plane tracks of the Gaussian-mixture filters and of the particle filter, with and without occlusion in p_D, next to the
 tracker in the image as shipped. Foot points are led to the ground by the camera and compared with the truth's own columns
 X, Y (metres). Settings are the shipped ones, ``motion.kind=plane`` and the camera aside.
 """
@@ -37,7 +37,7 @@ FIRST_PIXEL = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """A way to track: a filter, on the ground or in the image.
+    """A way to track: a filter, on the ground or in the image, with or without occlusion in p_D.
 
     ``joined``: states whose boxes overlap by more than `JOINED` are one; without, no states are. ``random``: it has seeds.
     """
@@ -45,19 +45,26 @@ class Variant:
     name: str
     filter: str
     plane: bool
+    occlusion: bool
     joined: bool = True
     random: bool = False
 
 
 VARIANTS = (
-    Variant("GM-PHD", "gm-phd", plane=True),
-    Variant("GM-CPHD", "gm-cphd", plane=True),
-    Variant("particle PHD", "particle-phd", plane=True, random=True),
-    Variant("GM-PHD, not joined", "gm-phd", plane=True, joined=False),
-    Variant("PMB", "pmb", plane=True),
-    Variant("PMB", "pmb", plane=False),
-    Variant("GM-PHD", "gm-phd", plane=False),
-    Variant("particle PHD", "particle-phd", plane=False, random=True),
+    Variant("GM-PHD", "gm-phd", plane=True, occlusion=True),
+    Variant("GM-PHD", "gm-phd", plane=True, occlusion=False),
+    Variant("GM-CPHD", "gm-cphd", plane=True, occlusion=True),
+    Variant("GM-CPHD", "gm-cphd", plane=True, occlusion=False),
+    Variant("particle PHD", "particle-phd", plane=True, occlusion=True, random=True),
+    Variant("particle PHD", "particle-phd", plane=True, occlusion=False, random=True),
+    Variant("GM-PHD, not joined", "gm-phd", plane=True, occlusion=True, joined=False),
+    Variant("GM-PHD, not joined", "gm-phd", plane=True, occlusion=False, joined=False),
+    Variant("PMB", "pmb", plane=True, occlusion=True),
+    Variant("PMB", "pmb", plane=True, occlusion=False),
+    Variant("PMB", "pmb", plane=False, occlusion=False),
+    Variant("GM-PHD", "gm-phd", plane=False, occlusion=True),
+    Variant("GM-PHD", "gm-phd", plane=False, occlusion=False),
+    Variant("particle PHD", "particle-phd", plane=False, occlusion=False, random=True),
 )
 
 
@@ -194,7 +201,7 @@ def with_detections(tracks: Tracks, found: DetectionTable) -> Tracks:
 
 def sets_of(variant: Variant) -> tuple[str, ...]:
     """What a variant changes of the shipped settings."""
-    shown = (f"extract.merge_iou={JOINED if variant.joined else 1.0}",)
+    shown = (f"sensor.occlusion={str(variant.occlusion).lower()}", f"extract.merge_iou={JOINED if variant.joined else 1.0}")
     if not variant.plane:
         return shown
     return ("motion.kind=plane", f"camera.file={camera_file()}", f"camera.first_pixel={FIRST_PIXEL}", *shown)
@@ -262,12 +269,12 @@ def figures(outcomes: dict[GroundRun, GroundErrors], seeds: int) -> dict[str, ob
     }
 
 
-_HEAD = ("detections", "world", "filter")
+_HEAD = ("detections", "world", "filter", "occlusion")
 
 
 def _head(kind: str, variant: Variant) -> tuple[str, ...]:
     """The first cells of a row."""
-    return (kind, "ground" if variant.plane else "image", variant.name)
+    return (kind, "ground" if variant.plane else "image", variant.name, "on" if variant.occlusion else "off")
 
 
 def _means(outcomes: Sequence[GroundErrors]) -> list[str]:
@@ -284,7 +291,7 @@ def _references() -> list[tuple[str, ...]]:
         off = errors(truth, found, FAR)
         near = np.count_nonzero(off <= NEAR) / len(truth.frame)
         numbers_ = (math.sqrt(float((off**2).mean())), float(np.median(off)), float(near))
-        out.append((name, "", "none", "", "", *(f"{number:.3f}" for number in numbers_)))
+        out.append((name, "", "none", "", "", "", *(f"{number:.3f}" for number in numbers_)))
     return out
 
 
@@ -300,5 +307,5 @@ def _raw() -> list[tuple[str, ...]]:
     for kind in KINDS:
         given = case(kind)
         off = numbers(given.table.frame, given.info.frames) - numbers(given.truth.frame, given.info.frames)
-        out.append((kind, "", "number of detections", "", f"{np.abs(off).mean():.3f}", f"{off.mean():.3f}"))
+        out.append((kind, "", "number of detections", "", "", f"{np.abs(off).mean():.3f}", f"{off.mean():.3f}"))
     return out

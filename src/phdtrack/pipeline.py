@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from phdtrack.models.warp import as_warp
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.types import F8, I8, STILL, Detections, Estimates, Explanation, Step, Tracks, UpdateInfo
 
+NO_STATES: F8 = np.zeros((0, 0))
 # Where measurements are put that show nothing of any state: no state is near.
 NOWHERE = 1e9
 ALL: I8 = np.zeros(0, np.int64)
@@ -31,6 +32,7 @@ class TrackingState:
     ----------
     intensity, association : the filter's and the associator's state.
     number, time : of the last frame; seconds.
+    targets : (d, n) the last frame's states, where the sensor asks which targets hide which; empty otherwise.
     given : which detections the filter was given, of the frames that it may still revise; (0,) where it was given all.
     learned : what was learned while tracking, None where nothing is.
     expected : the targets that merged measurements are divided by, None where they are not.
@@ -43,6 +45,7 @@ class TrackingState:
     association: Any
     number: int = 0
     time: float = 0.0
+    targets: F8 = field(default_factory=lambda: NO_STATES)
     given: tuple[I8, ...] = ()
     learned: Any = None
     expected: Any = None
@@ -102,7 +105,7 @@ def advance(
     given = _Given(explanation, measured, np.flatnonzero(np.isfinite(measured).all(axis=0)))
     if detections.observed:
         weighted = learning.with_scores(learned, model, explanation.detections.take(given.usable)) if learning else model
-        intensity, info = stages.filter.step(state.intensity, given.z, weighted, dt, rng)
+        intensity, info = stages.filter.step(state.intensity, given.z, _watching(weighted, state.targets, dt), dt, rng)
     else:
         intensity = stages.filter.predict(state.intensity, model, dt, rng)
         info = UpdateInfo(intensity.mass, 0.0, intensity.mass, np.zeros(0), np.zeros(0))
@@ -118,7 +121,8 @@ def advance(
     step = Step(number, time, detections, info, estimates, tracks, seconds, given.unusable, seen.warp)
     learned = learning and learning.advance(learned, step)
     camera = stages.camera and stages.camera.with_targets(camera, estimates)
-    after = TrackingState(intensity, association, number, time, numbers, learned, expected, pace, shown, camera)
+    targets = estimates.state if model.sensor.occlusion else NO_STATES
+    after = TrackingState(intensity, association, number, time, targets, numbers, learned, expected, pace, shown, camera)
     return after, step
 
 
@@ -247,6 +251,14 @@ def _renumbered(estimates: Estimates, numbers: I8) -> Estimates:
     """The states with each detection k replaced by ``numbers[k]``."""
     # The last place stands for no detection.
     return replace(estimates, detection=np.append(numbers, -1)[estimates.detection])
+
+
+def _watching(model: Model, targets: F8, dt: float) -> Model:
+    """The model whose sensor knows which targets of the last frame may hide others by now."""
+    if targets.shape[1] == 0:
+        return model
+    expected, _, _ = model.motion.transition(model.warp_states(np.ascontiguousarray(targets)), dt)
+    return replace(model, sensor=model.sensor.watching(expected))
 
 
 def _check_order(state: TrackingState, number: int, time: float) -> None:

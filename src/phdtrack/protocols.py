@@ -106,6 +106,13 @@ class Sensor(Protocol):
     def p_detect(self, x: F8) -> F8:
         """(L,) detection probability of targets at ``x`` (d, L)."""
 
+    @property
+    def occlusion(self) -> bool:
+        """Whether p_D falls where targets hide each other: what `watching` is for."""
+
+    def watching(self, targets: F8) -> Sensor:
+        """The sensor while targets are expected at these states (d, n), of which the nearer hide those behind them."""
+
     def particle_model(self, z: F8) -> SensorNumbers:
         """The numbers of g and p_D, and a column for each measurement of ``z`` (m, N), for `kernels.particle_models`."""
 

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 # Of a saved state: it changes when a record of the state does.
-FORMAT = 19
+FORMAT = 18
 
 
 class Tracker:

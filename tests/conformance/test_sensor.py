@@ -120,6 +120,20 @@ def test_detection_probability_and_noise(sensor, z):
     assert (noise > 0).all()
 
 
+def test_watching_lowers_the_detection_probability_and_nothing_else(sensor, z, found):
+    x, _ = sensor.states(z)
+    watching = sensor.watching(x)
+    keeps(Sensor, watching)
+    fewer = watching.p_detect(x)
+    assert ((fewer >= 0) & (fewer <= sensor.p_detect(x) + 1e-15)).all()
+    np.testing.assert_array_equal(watching.measure(found), z)
+    np.testing.assert_array_equal(watching.covariance(z, x), sensor.covariance(z, x))
+    np.testing.assert_array_equal(sensor.watching(x[:, :0]).p_detect(x), sensor.p_detect(x))
+    order = np.random.default_rng(1).permutation(30)
+    np.testing.assert_array_equal(sensor.watching(x[:, order]).p_detect(x), fewer)
+    assert sensor.occlusion or watching is sensor
+
+
 def test_nothing_is_measured_of_nothing(sensor, z):
     none = z[:, :0]
     x, cov = sensor.states(none)

@@ -16,7 +16,6 @@ from phdtrack.filters import ParticleCPHD, ParticlePHD
 from phdtrack.filters.blocks import in_blocks
 from phdtrack.models import (
     BoxMotion,
-    BoxSensor,
     PlaneBirth,
     PlaneMotion,
     PlaneSensor,
@@ -120,21 +119,11 @@ def test_what_the_gate_drops_is_bounded(seed: int):
     assert np.abs(updated.weight - weight).sum() <= 2 * share.sum() + 1e-4
 
 
-class HalfHidden(BoxSensor):
-    """Targets of the left half are seen less often."""
-
-    def p_detect(self, x):
-        return np.where(x[0] < 100, 0.1, 1.0) * super().p_detect(x)
-
-    def particle_model(self, z):
-        return super().particle_model(z)._replace(detection=np.zeros(0, np.float32))
-
-
 def test_detection_probability_may_depend_on_the_state(rng):
-    """p_D is a model."""
-    model = world(gate_probability=1.0, detection_probability=0.8)
+    """p_D is a model: here targets of the left half are hidden by a nearer one."""
+    model = world(gate_probability=1.0, occlusion=True, detection_probability=0.8)
     state = in_blocks(crowd(rng, 4, 40, width=200.0), SINGLE)
-    hidden = replace(model, sensor=HalfHidden(gate_probability=1.0, detection_probability=0.8))
+    hidden = replace(model, sensor=model.sensor.watching(np.array([[100.0, 300, 0, 0, 150, 500]]).T))
     z = seen_by(rng, state.particles(), 5)
     updated, info = ParticlePHD().update(state, z, hidden, 1.0, rng)
     weight, evidence = dense(state.particles(), z, hidden)

@@ -11,6 +11,7 @@ from inner_kernels import from_python
 from phdtrack.arrays import iou, share_inside
 from phdtrack.kernels.box import apart
 from phdtrack.kernels.grid import cell_of, make_grid, overlapping_pairs, points_in_rectangles
+from phdtrack.models.occlusion import Hiders
 
 [cell_of] = from_python(cell_of)
 
@@ -83,6 +84,25 @@ def test_cells_are_clamped():
     cells = {-5.0: 0, 0.0: 0, 0.99: 0, 1.0: 1, 3.5: 3, 99.0: 3, np.inf: 3, -np.inf: 0, np.nan: 0}
     for value, cell in cells.items():
         assert cell_of(value, 0.0, 1.0, 4) == cell
+
+
+def test_shares_of_boxes_that_nearer_boxes_cover():
+    """By the shared area over the box's own, of hiders that are nearer; a depth of NaN hides nothing."""
+    rng = np.random.default_rng(3)
+    xyxy, others = (
+        np.hstack([c, c + rng.integers(1, 30, (len(c), 2))]) for c in (rng.integers(0, 60, (n, 2)) for n in (40, 12))
+    )
+    depth, other_depth = rng.integers(0, 9, 40) + 0.0, rng.integers(0, 9, 12) + 0.0
+    other_depth[3] = np.nan
+    far, some = np.full((2, 12), 1e6), np.ones((2, 12))
+    hiders = Hiders(others + 0.0, other_depth, far, some, 9.21, 0.0)
+    wanted = np.zeros(40)
+    for a, box in enumerate(xyxy):
+        for b, other in enumerate(others):
+            wide, high = np.minimum(box[2:], other[2:]) - np.maximum(box[:2], other[:2])
+            if other_depth[b] < depth[a] and wide > 0 and high > 0:
+                wanted[a] = max(wanted[a], wide * high / np.prod(box[2:] - box[:2]))
+    np.testing.assert_allclose(hiders.seen_part(np.zeros((2, 40)), xyxy + 0.0, depth), 1 - wanted**1.5)
 
 
 def test_shares_of_boxes_inside_the_image():

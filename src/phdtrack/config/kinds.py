@@ -160,7 +160,7 @@ FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {
 # The sections whose kinds decide others', in the order to lay them over.
 DECIDING = ("motion", "filter")
 # Fields that come from the sequence.
-FROM_SEQUENCE = {"frame_size", "initial", "camera", "borders", "volume"}
+FROM_SEQUENCE = {"frame_size", "initial", "camera", "hiders", "borders", "volume"}
 # Fields that are mixtures of Gaussians, which a user gives as `Places`.
 MIXTURES = ("places", "initial")
 

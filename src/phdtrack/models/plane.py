@@ -9,16 +9,20 @@ point that the middle of the box's lower edge shows, metres, and its own covaria
 ``given``: R is the covariance that each detection brings, P_W = J C Jᵀ: C of the foot point in pixels, J the camera's metres
 per pixel there. Far away a pixel is metres, and the filter then knows. ``fixed``: the same for all; E13's R = 0.5 I m².
 
-The detection probability is a constant or, with ``view``, falls with the part of the person's box, at the nominal size,
-that is inside the image: p_D(x) = p_D · visible(x).
+The detection probability is a constant or falls with what is to be seen of the person's box, at the nominal size:
 
-Without a camera the image is a plan in metres: a box's middle is the position.
+    p_D(x) = p_D · visible(x) · max(1 − c(x)^1.5, least)
+
+``visible`` is the part of the box inside the image (``view``), c the largest part that one nearer target covers
+(``occlusion``, see `models.occlusion`).
+
+Without a camera the image is a plan in metres: a box's middle is the position, and no target hides another.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -27,6 +31,7 @@ from phdtrack.arrays import GATE, share_inside, to_cxcywh
 from phdtrack.devices import Camera
 from phdtrack.errors import InputError, NonNegative, Positive, Probability, Share, check
 from phdtrack.ground import ground_covariance
+from phdtrack.models.occlusion import Hiders
 from phdtrack.models.positions import Form, PositionMotion, PositionSensor
 from phdtrack.models.volumes import EVERYWHERE, Region, check_region, inside
 from phdtrack.types import F8, Detections
@@ -52,6 +57,8 @@ class PlaneMotion(PositionMotion):
 
 
 Scatter = Literal["given", "fixed"]
+# Squared Mahalanobis radius of the 99 % region in two dimensions.
+OWN = 9.21
 # Where a state is drawn that no pixel shows: a box of one pixel, far outside of any image.
 OUTSIDE = np.array([-1e4, -1e4, -1e4 + 1, -1e4 + 1])
 # From centre and size of a box to the middle of its lower edge.
@@ -76,9 +83,12 @@ class PlaneSensor(PositionSensor):
         gate.
     view : let p_D fall with the part of the person's box that is outside of the image, or be 0 outside of ``borders`` where
         there is no camera.
+    occlusion : let p_D fall where nearer people cover the person.
+    min_detection_probability : share of p_D that is left of a person who is covered altogether.
     borders : what is watched, left, low, right and high border in metres, where there is no camera. All 0: everything.
     frame_size : width and height of the image, pixels; (0, 0): no border.
     camera : between pixels and ground; None for detections in metres.
+    hiders : the targets expected in the frame that is looked at, as `watching` finds them.
     """
 
     detection_probability: Probability = 0.9
@@ -90,9 +100,12 @@ class PlaneSensor(PositionSensor):
     size: tuple[Positive, Positive] = (0.6, 1.75)
     gate_probability: Share = GATE
     view: bool = True
+    occlusion: bool = True
+    min_detection_probability: Probability = 0.1
     borders: Region = EVERYWHERE
     frame_size: tuple[float, float] = (0.0, 0.0)
     camera: Camera | None = None
+    hiders: Hiders | None = None
     constant_noise: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
@@ -130,14 +143,28 @@ class PlaneSensor(PositionSensor):
         return out
 
     def p_detect(self, x: F8) -> F8:
-        """p_D · visible."""
+        """p_D · visible · max(1 − c^1.5, least)."""
         if self.camera is None:
             watched = inside(x, self.borders) if self.view else np.ones(x.shape[1], np.bool_)
             return np.where(watched, self.detection_probability, 0.0)
         out, (width, height) = np.full(x.shape[1], self.detection_probability), self.frame_size
-        if self.view and width > 0 and height > 0:
-            out *= share_inside(self.boxes(x), width, height)
+        framed = self.view and width > 0 and height > 0
+        if not framed and self.hiders is None:
+            return out
+        boxes = self.boxes(x)
+        if framed:
+            out *= share_inside(boxes, width, height)
+        if self.hiders is not None:
+            out *= self.hiders.seen_part(x[:2], boxes, self.camera.depth(np.ascontiguousarray(x[:2])))
         return out
+
+    def watching(self, targets: F8) -> PlaneSensor:
+        """The sensor where people are expected at these states; itself without them, or where occlusion is not asked for."""
+        if not self.occlusion or self.camera is None or targets.shape[1] == 0:
+            return self
+        place, noise = np.ascontiguousarray(targets[:2]), self.noise(targets)[:2]
+        depth = self.camera.depth(place)
+        return replace(self, hiders=Hiders(self.boxes(targets), depth, place, noise, OWN, self.min_detection_probability))
 
     def noise(self, x: F8) -> F8:
         """(4, n) deviations by which components at ``x`` are resolved: of a person's foot there, of an unknown velocity."""

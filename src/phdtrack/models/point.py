@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -73,6 +74,7 @@ class PointSensor(PositionSensor):
     birth_speed: Positive = 2.0
     size: tuple[Positive, Positive] = (20.0, 50.0)
     gate_probability: Share = GATE
+    occlusion: ClassVar[bool] = False
 
     def _noise(self, z: F8) -> tuple[F8, F8, F8]:
         """r I."""
@@ -90,6 +92,10 @@ class PointSensor(PositionSensor):
     def particle_model(self, z: F8) -> SensorNumbers:
         """The numbers of g and p_D for the particle filters, and a column for each measurement."""
         return SensorNumbers(*position_numbers(z, self.covariance(z, z)), np.array([self.detection_probability]))
+
+    def watching(self, targets: F8) -> PointSensor:
+        """Itself: points hide no others."""
+        return self
 
     def noise(self, x: F8) -> F8:
         """(4, n) deviations by which components are resolved: of a centroid, of an unknown velocity."""
