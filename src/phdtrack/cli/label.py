@@ -24,7 +24,7 @@ import typer
 from phdtrack import __version__
 from phdtrack.cli import options as given
 from phdtrack.cli.inputs import NO_PICTURE, Inputs, ahead, comes_again, open_inputs, write_detected
-from phdtrack.cli.options import DEFAULT_DETECTOR, SourceOptions, TrackingOptions, option
+from phdtrack.cli.options import DEFAULT_DETECTOR, PageOptions, SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, counted, progress
 from phdtrack.cli.settings import chosen
 from phdtrack.config import Settings, build, load
@@ -45,11 +45,10 @@ _CLIP_WIDTH = 640
 
 def label(
     source: SourceOptions,
+    at: PageOptions,
     labels: given.Labels = None,
     frames: Annotated[int, option("N", "How many frames to draw.", min=1)] = 40,
     seed: Annotated[int, option("N", "Seed of the draw.", min=0)] = 0,
-    port: Annotated[int, option("N", "Port of the page; 0: any that is free.", min=0, max=65535)] = 0,
-    host: Annotated[str, option("NAME", "Address to listen on; other machines need the printed token.")] = "127.0.0.1",
     suggest: Annotated[bool, typer.Option("--suggest/--no-suggest", help="Look for detections that may be false.")] = True,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
     config: given.Config = None,
@@ -60,7 +59,8 @@ def label(
     Meanwhile a tracker looks for detections that may be false and suggests them. Ctrl-C ends.
     """
     try:
-        from phdtrack.label.page import Session, label_app, listen, serve
+        from phdtrack.label.page import Session, label_app
+        from phdtrack.live.serving import listen, serve
     except ModuleNotFoundError as error:
         problem = f"the page needs the package {error.name}"
         raise InputError(problem, where="phdtrack label", cure="pip install 'phdtrack[web]'") from error
@@ -70,7 +70,7 @@ def label(
     store = LabelStore.open(file, found.name, found.digest, shuffled(found.info.frames, seed)[:frames])
     numbers = [number for number, _ in store.frames()]
     pictures = _stills(source, numbers, {frame for number in numbers for frame in clip(number, found.info.frames)})
-    address = listen(host, port)
+    address = listen(at.host, at.port, at.allow_host or (), at.certificate, at.key)
     kept = file.with_name(file.name.removesuffix(".sqlite") + ".suggestions.json")
     work = Background(partial(_suggestions, found, settings, numbers, kept)) if suggest else None
     session = Session(store, found.table, pictures, found.info, work)
