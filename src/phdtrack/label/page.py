@@ -169,8 +169,9 @@ class Session:
         store = self.store
         match what:
             case "marks":
+                found = {number: self._boxes(number) for number in {label.frame for label in sent.marks}}
                 for label in sent.marks:
-                    self._box(label.frame, label.box)
+                    _checked(found[label.frame], label.frame, label.box)
                 store.mark(number, sent.marks, sent.who, sent.key)
             case "undo":
                 store.undo(number, sent.key)
@@ -191,15 +192,19 @@ class Session:
 
     def _box(self, number: int, box: int) -> F8:
         """(4,) corners of a detection of such a frame."""
-        found = self._boxes(number)
-        if not 0 <= box < len(found):
-            raise InputError(f"frame {number} has {len(found)} detections, and no number {box}")
-        return np.array(found.xyxy[box])
+        return _checked(self._boxes(number), number, box)
 
     @property
     def _marked(self) -> set[tuple[int, int]]:
         """Frame and box of everything that has a mark."""
         return {(label.frame, label.box) for label in self.store.labels()}
+
+
+def _checked(found: Detections, number: int, box: int) -> F8:
+    """(4,) corners of one of the detections of frame ``number``."""
+    if not 0 <= box < len(found):
+        raise InputError(f"frame {number} has {len(found)} detections, and no number {box}")
+    return np.array(found.xyxy[box])
 
 
 def label_app(session: Session) -> Starlette:

@@ -297,7 +297,7 @@ def serve(app: ASGIApp, address: Address) -> None:
         timeout_keep_alive=int(ANSWER),
         timeout_graceful_shutdown=2,
     )
-    listening = _Listening(address.listening, None if address.tls else _BUSY)
+    listening = _Listening(address.listening)
     # Uvicorn ends in order on Ctrl-C and then raises it again: here it is how one leaves.
     with contextlib.suppress(KeyboardInterrupt), asyncio.Runner(loop_factory=partial(_Loop, address.tls)) as runner:
         runner.run(uvicorn.Server(config).serve(sockets=[listening]))
@@ -306,9 +306,9 @@ def serve(app: ASGIApp, address: Address) -> None:
 class _Listening(socket.socket):
     """Accepts no more connections than it may; what TLS has not greeted yet counts, too."""
 
-    def __init__(self, listening: socket.socket, busy: bytes | None) -> None:
+    def __init__(self, listening: socket.socket) -> None:
         super().__init__(listening.family, listening.type, listening.proto, listening.detach())
-        self._busy, self._open = busy, dict[socket.socket, str]()
+        self._open = dict[socket.socket, str]()
 
     def accept(self) -> tuple[socket.socket, Any]:
         """The next connection. Raises `ConnectionAbortedError` where there are too many."""
@@ -320,8 +320,7 @@ class _Listening(socket.socket):
             return connection, address
         with contextlib.closing(connection), contextlib.suppress(OSError):
             connection.setblocking(False)
-            if self._busy:
-                connection.send(self._busy)
+            connection.send(_BUSY)
         raise ConnectionAbortedError("too many connections")
 
 

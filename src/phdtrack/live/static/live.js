@@ -1,6 +1,8 @@
 // The page of live cameras. Everything that comes from outside goes into text nodes.
 const $ = (id) => document.getElementById(id);
 const SVG = "http://www.w3.org/2000/svg";
+// From now on the cookie says who this is; nobody is to read the token here.
+history.replaceState(null, "", location.pathname);
 let camera = "", known = null, minutes = [], span = 60, draft = null, shown = "";
 
 function element(kind, attributes = {}, text = "", space = null) {
