@@ -246,6 +246,8 @@ def test_what_no_page_sends_is_refused(
         (b"", ("Content-Length: " + "9" * 400,), 400),
         (b"100001\r\n" + b" " * 0x100001 + b"\r\n0\r\n\r\n", ("Transfer-Encoding: chunked",), (413, 0)),
         (b"xyz\r\n{}\r\n0\r\n\r\n", ("Transfer-Encoding: chunked",), 400),
+        # Refused for its Origin while the rest of it cannot be read.
+        (b"zz", ("Transfer-Encoding: chunked", "Origin: http://evil.example"), (400, 403)),
         (b"-1\r\n{}\r\n0\r\n\r\n", ("Transfer-Encoding: chunked",), 400),
         (b'{"marks": ' + b"[" * 100_000, (), 400),
         (b'{"marks": [{"frame": 1' + b"0" * 5000 + b', "box": 0, "mark": "false"}]}', (), 400),
@@ -262,6 +264,12 @@ def test_bodies_that_cannot_be_used(port: int, body: bytes, more: tuple[str, ...
     assert status(answer) in (expected if isinstance(expected, tuple) else (expected,))
     assert b"Traceback" not in answer
     assert b'"false":0' in answered(port, request(port, "GET /api/overview HTTP/1.1"))
+
+
+@pytest.mark.parametrize("what", ["marks", "undo", "redo", "done"])
+def test_frames_that_there_are_not_are_not_changed(port: int, what: str) -> None:
+    for number in ("9" * 30, "9" * 400, "0", "41"):
+        assert status(answered(port, post(port, b"{}", path=f"/api/frame/{number}/{what}"))) == 400
 
 
 def test_marks_of_one_request_are_limited(port: int) -> None:

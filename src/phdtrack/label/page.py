@@ -167,6 +167,7 @@ class Session:
         Raises `InputError` where what was sent cannot be used; nothing has changed then.
         """
         store = self.store
+        self._boxes(number)
         match what:
             case "marks":
                 found = {number: self._boxes(number) for number in {label.frame for label in sent.marks}}

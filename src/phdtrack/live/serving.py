@@ -363,7 +363,9 @@ class _Connection(H11Protocol):
             self._cut.cancel()
 
     def send_400_response(self, msg: str) -> None:
-        # Where an answer is under way already no other can be given.
+        # The application may be about to answer, and must not any more; where it has begun no other answer can be given.
+        if self.cycle is not None:
+            self.cycle.disconnected = True
         try:
             super().send_400_response(msg)
         except h11.LocalProtocolError:
