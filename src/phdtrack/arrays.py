@@ -187,7 +187,7 @@ def pixelated(image: Image, xyxy: F8, blur: str) -> Image:
     margin = _MARGIN / 2 * (boxes[:, 2:] - boxes[:, :2])
     part = np.hstack([boxes[:, :2] - margin, boxes[:, 2:] + margin])
     if blur == "faces":
-        part[:, 3] = part[:, 1] + (part[:, 3] - part[:, 1]) / 3
+        part[:, 3] = boxes[:, 1] + (boxes[:, 3] - boxes[:, 1]) / 3 + margin[:, 1]
     limit = np.array([width, height, width, height])
     for left, top, right, bottom in np.clip(np.hstack([np.floor(part[:, :2]), np.ceil(part[:, 2:])]), 0, limit).astype(int):
         side = max(_CELL, -(-max(right - left, bottom - top) // _CELLS))

@@ -85,6 +85,7 @@ class Page:
             "latency": [median, most],
             "places": places,
             "drawable": one.settings.places is not None,
+            "blur": one.settings.blur,
             "events": list(one.recent)[-_EVENTS:][::-1],
         }
 
