@@ -20,6 +20,7 @@ import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from urllib.parse import quote
 
 OUT = Path("runs/reliability/fuzz-web.json")
 # Seconds for an answer, beyond which a request hangs: what is not complete is cut after 40; until a client without an
@@ -77,6 +78,14 @@ def request(rng: random.Random, host: str) -> bytes:
     for _ in range(rng.choice([0] * 6 + [1, 1, 2, 4])):
         at = rng.randrange(len(path) + 1)
         path = path[:at] + rng.choice(BITS) + path[at:]
+    if rng.random() < 0.5:
+        # All is well but what is asked for and sent.
+        path = re.sub(r"[^!-~]", lambda found: quote(found[0]), path)
+        body = rng.choice(BODIES)
+        verb, more = rng.choice([("GET", ""), ("HEAD", ""), ("POST", f"X-Phdtrack: 1\r\nContent-Length: {len(body)}\r\n")])
+        return f"{verb} {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{more}\r\n".encode() + (
+            body if more else b""
+        )
     method, body = rng.choice(METHODS + ["GET", "POST"] * 30), rng.choice(BODIES)
     headers = [f"Host: {host}"] * rng.choice([1] * 40 + [0, 2]) + rng.choices(
         HEADERS, k=rng.choice([0] * 5 + [1, 1, 1, 2, 3, 8])
