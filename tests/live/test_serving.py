@@ -137,18 +137,16 @@ def test_whoever_is_slow_is_cut(tmp_path: Path, scale: float) -> None:
                     del kinds[name]
         for name, limit in (("silent", 15), ("header", 10), ("body", 20), ("body drips", 20)):
             assert ends[name] > 0.9 * limit * scale, name
-        # The one that does not read: the server does not wait for it longer either.
-        while time.monotonic() - begun < 2.5 * 40 * scale:
-            time.sleep(0.1)
-        with greedy, pytest.raises(OSError):
+        with greedy, pytest.raises((ConnectionResetError, BrokenPipeError)):
             until_it_fails(greedy)
+        assert time.monotonic() - begun > 0.9 * 40 * scale
         assert status(answered(port, request(port))) == 200
 
 
 def until_it_fails(one: socket.socket) -> None:
     while True:
         one.sendall(b"\r\n")
-        time.sleep(0.01)
+        time.sleep(0.05)
 
 
 def test_connections_are_limited(port: int) -> None:

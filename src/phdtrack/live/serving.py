@@ -64,6 +64,7 @@ GUESSES, ALL_GUESSES, GUESSING = 10, 100, 60.0
 _NAME = re.compile(r"([A-Za-z0-9](?:[A-Za-z0-9.-]*[A-Za-z0-9])?|\[[0-9A-Fa-f:.]+\])(?::\d{1,5})?")
 _BUSY = b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 5\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 _METHODS = ("GET", "HEAD", "POST")
+Clock = Callable[[], float]
 
 
 class Guard:
@@ -79,12 +80,7 @@ class Guard:
     """
 
     def __init__(
-        self,
-        app: ASGIApp,
-        hosts: frozenset[str],
-        token: str = "",
-        scheme: str = "http",
-        clock: Callable[[], float] = time.monotonic,
+        self, app: ASGIApp, hosts: frozenset[str], token: str = "", scheme: str = "http", clock: Clock = time.monotonic
     ) -> None:
         self._app, self._hosts, self._token, self._scheme = app, hosts, token, scheme
         # Its name tells servers apart that one browser knows: an old cookie is no wrong guess.
@@ -107,7 +103,7 @@ class Guard:
                     headers.append("Set-Cookie", f"{self._cookie}={self._token}; HttpOnly; Path=/; SameSite=strict{secure}")
             await send(message)
 
-        answer = self._refusal(request, given)
+        answer = _unusable(request) or self._foreign(request) or (self._unknown(request, given) if self._token else None)
         if answer is not None:
             await answer(scope, receive, dressed)
             return
@@ -126,9 +122,6 @@ class Guard:
             return next(whole, None) or await receive()
 
         await self._app(scope, once, dressed)
-
-    def _refusal(self, request: Request, given: str) -> Response | None:
-        return _unusable(request) or self._foreign(request) or (self._unknown(request, given) if self._token else None)
 
     def _foreign(self, request: Request) -> Response | None:
         """What is refused for where it was sent to, and where it comes from."""
