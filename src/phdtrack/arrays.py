@@ -153,15 +153,16 @@ def draw(mixture: GaussianMixture, count: int, scale: float, rng: np.random.Gene
 
 
 BLURS = ("boxes", "faces")
-# A blurred region has at most so many cells along its longer side, and each side is a tenth longer than the box.
-_CELLS, _MARGIN = 6, 0.1
+# A blurred region has at most so many cells along its longer side, none smaller than so many pixels, and each side is a
+# tenth longer than the box.
+_CELLS, _CELL, _MARGIN = 6, 8, 0.1
 
 
 def pixelated(image: Image, xyxy: F8, blur: str) -> Image:
     """A copy of a picture in which boxes, or the upper third of them, are a few cells of one colour each.
 
-    A cell is the mean of what it covers, so that nothing of a face can be had back. No network looks for faces: the
-    upper third of a person's box holds the head.
+    A cell is the mean of what it covers; docs/security.md says what can still be seen. No network looks for faces: the
+    upper third of a standing person's box holds the head.
 
     Parameters
     ----------
@@ -186,10 +187,10 @@ def pixelated(image: Image, xyxy: F8, blur: str) -> Image:
     margin = _MARGIN / 2 * (boxes[:, 2:] - boxes[:, :2])
     part = np.hstack([boxes[:, :2] - margin, boxes[:, 2:] + margin])
     if blur == "faces":
-        part[:, 3] = part[:, 1] + (part[:, 3] - part[:, 1]) / 3
+        part[:, 3] = boxes[:, 1] + (boxes[:, 3] - boxes[:, 1]) / 3 + margin[:, 1]
     limit = np.array([width, height, width, height])
     for left, top, right, bottom in np.clip(np.hstack([np.floor(part[:, :2]), np.ceil(part[:, 2:])]), 0, limit).astype(int):
-        side = -(-max(right - left, bottom - top) // _CELLS)
+        side = max(_CELL, -(-max(right - left, bottom - top) // _CELLS))
         for y in range(top, bottom, side):
             for x in range(left, right, side):
                 cell = out[y : min(y + side, bottom), x : min(x + side, right)]

@@ -10,7 +10,8 @@ from starlette.testclient import TestClient
 
 from phdtrack.errors import InputError
 from phdtrack.label import LabelStore
-from phdtrack.label.page import COOKIE, POLICY, Guard, label_app, listen
+from phdtrack.label.page import label_app
+from phdtrack.live.serving import COOKIE, POLICY, Guard, listen
 
 HOST = "127.0.0.1:8000"
 

@@ -55,6 +55,8 @@ def test_it_ends_on_a_signal_while_a_camera_is_frozen_and_tells_nobody_the_passw
     dead = f"rtsp://bob:{SECRET}@127.0.0.1:{free_port()}/x"
     words = [sys.executable, "-m", "phdtrack", "live", f"gate={address}", f"dead={dead}", "--out", str(out), "--json"]
     words += ["--webhook", f"http://127.0.0.1:{hook.server_port}/{SECRET}", "--allow-private", "--port", str(port)]
+    # One that nobody answers, so that a problem is said.
+    words += ["--webhook", f"http://bob:{SECRET}@127.0.0.1:{free_port()}/{SECRET}?token={SECRET}"]
     words += ["--set", "detector.min_area=0.005", "--config", str(tmp_path / "mine.toml")]
     (tmp_path / "mine.toml").write_text("")
     served = list[bytes]()
@@ -73,6 +75,7 @@ def test_it_ends_on_a_signal_while_a_camera_is_frozen_and_tells_nobody_the_passw
                 asked(path)
             assert asked("/picture/gate.jpg").startswith(b"\xff\xd8")
             assert json.loads(asked("/api/camera/dead"))["problem"]
+            assert "events wait to be sent" in str(json.loads(asked("/api/camera/gate"))["problems"])
             # Settings that cannot be used are said, and change nothing.
             (tmp_path / "mine.toml").write_text(f'[filter]\nkind = "{SECRET}"\n')
             until(lambda: json.loads(asked("/api/camera/gate"))["problems"])

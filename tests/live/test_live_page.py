@@ -10,6 +10,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from camera_server import CameraServer, until, walker
 from starlette.testclient import TestClient
@@ -20,7 +22,8 @@ from phdtrack.live.engine import Camera, CameraSettings, Making
 from phdtrack.live.page import METRICS, live_app
 from phdtrack.live.sources import LiveSource
 from phdtrack.live.zones import Place, read_places, write_places
-from phdtrack.types import SequenceInfo
+from phdtrack.types import Detections, SequenceInfo
+from phdtrack.video import open_source
 
 # Debian's and others' names of the same browser.
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), "")
@@ -51,6 +54,44 @@ def camera(server: CameraServer, tmp_path_factory: pytest.TempPathFactory) -> It
     until(lambda: one.counted["cross"] >= 2)
     yield one
     one.stop(10.0)
+
+
+def test_pictures_videos_and_maps_are_blurred(tmp_path: Path) -> None:
+    """A chequered square that is detected; what the page serves and the video holds is as fine as a cell only."""
+    block = np.kron([[0, 255], [255, 0]], np.ones((2, 2), np.uint8))
+
+    def chequered(wall: float) -> np.ndarray:
+        image = np.full((120, 160, 3), 120, np.uint8)
+        image[30:94, 40:104] = np.tile(block, (16, 16))[..., None]
+        return image
+
+    def make(info: SequenceInfo) -> Making:
+        found = Detections.of(np.array([[40.0, 30, 104, 94]]))
+        return Making(lambda frame: found, build_kinds(load(preset="mot15"), info), info)
+
+    def rough(data: bytes) -> float:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+        scale = image.shape[1] / 160
+        inside = image[round(40 * scale) : round(88 * scale), round(48 * scale) : round(96 * scale)].astype(float)
+        return float(np.abs(np.diff(inside, axis=1)).mean() * scale)
+
+    server = CameraServer()
+    server.draw = chequered
+    for blur in ("", "boxes"):
+        folder = tmp_path / (blur or "plain")
+        one = Camera("gate", LiveSource(server.url), make, CameraSettings(folder, video=5.0, blur=blur))
+        page = TestClient(live_app([one]))
+        one.start()
+        until(lambda page=page: page.get("/picture/gate.jpg").content)
+        shown = [page.get("/picture/gate.jpg").content, page.get("/map/gate/people.jpg").content]
+        until(lambda one=one: one.frames > 20)
+        assert one.stop(30.0)
+        for video in (folder / "video").glob("*.mp4"):
+            shown += [cv2.imencode(".png", frame.image)[1].tobytes() for frame in open_source(video)]
+        assert len(shown) > 3
+        values = [rough(data) for data in shown]
+        assert max(values) < 12 if blur else min(values) > 25, values
+    server.kill()
 
 
 @pytest.fixture
@@ -133,7 +174,8 @@ def test_a_camera_that_has_ended_is_not_healthy(page: TestClient, tmp_path: Path
 def address(server: CameraServer, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
     """A page that `phdtrack live` serves, and the folder of its camera."""
     out = tmp_path_factory.mktemp("live")
-    words = [sys.executable, "-m", "phdtrack", "live", f"gate={server.url}", "--out", str(out), "--video", "0"]
+    sources = [f"gate={server.url}", "dead=rtsp://127.0.0.1:9/"]
+    words = [sys.executable, "-m", "phdtrack", "live", *sources, "--out", str(out), "--video", "0"]
     with (out / "said").open("wb") as said:
         child = subprocess.Popen([*words, "--set", "detector.min_area=0.005"], stdout=said, stderr=said)
         try:
@@ -197,11 +239,24 @@ def test_in_a_browser(browser, address, server: CameraServer, width: int, height
     page.click('button:text("delete?")')
     page.wait_for_selector("#none:visible")
     assert read_places(folder / "places.toml") == ()
+    # The picture of a camera never stands under another's name, and nothing is drawn on a picture that there is not.
+    filled = "document.querySelector('#picture').getContext('2d').getImageData(0, 0, 160, 120).data.some((one) => one > 0)"
+    for _ in range(5):
+        page.click('#cameras button:has-text("dead")')
+        page.wait_for_selector('#state dd:text-matches("^(down|connecting)")')
+        assert not page.evaluate(filled)
+        assert page.is_visible("#waiting")
+        assert page.is_hidden("#line")
+        page.click('#cameras button:has-text("gate")')
+        page.wait_for_selector("#waiting", state="hidden")
+        assert page.evaluate(filled)
     if not phone:
         server.kill()
         page.wait_for_selector('#state dd:text-matches("^(down|connecting)")')
+        page.wait_for_selector('#stage.old #waiting:text-matches("no new pictures")')
         server.restart()
         page.wait_for_selector('#state dd:text-matches("^live")')
+        page.wait_for_selector("#waiting", state="hidden")
     assert errors == []
     context.close()
     time.sleep(0.1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 import sqlite3
 import threading
 import time
@@ -160,10 +161,11 @@ class Receiver(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         body = self.rfile.read(int(self.headers["Content-Length"]))
-        status = self.server.status  # type: ignore[attr-defined]
+        status, self.server.headers = self.server.status, self.headers  # type: ignore[attr-defined]
         if status == 200:
             self.server.taken.append((self.headers["Idempotency-Key"], json.loads(body)))  # type: ignore[attr-defined]
         self.send_response(status)
+        self.send_header("Location", "/elsewhere")
         self.end_headers()
 
     def log_message(self, *_: object) -> None: ...
@@ -203,15 +205,81 @@ def test_events_reach_a_webhook_in_their_order_also_after_failures(tmp_path: Pat
     log.close()
 
 
-@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "10.0.0.1", "169.254.169.254", "[::1]", "0.0.0.0"])
-def test_private_networks_are_refused(host: str) -> None:
-    with pytest.raises(PermissionError, match="--allow-private"):
+PRIVATE = [
+    "127.0.0.1", "localhost", "10.0.0.1", "172.16.0.1", "192.168.0.1", "169.254.169.254", "100.64.0.1", "0.0.0.0",
+    "224.0.0.1",
+    "255.255.255.255", "192.0.2.1", "240.0.0.1",
+    # The same in other forms.
+    "2130706433", "0x7f000001", "0177.0.0.1", "127.1", "0x7f.1", "127.000.000.001", "%31%32%37.0.0.1",
+    "[::1]", "[::]", "[fe80::1]", "[fd00::1]", "[fec0::1]", "[ff02::1]", "[::ffff:127.0.0.1]", "[::ffff:a00:1]",
+    "[::127.0.0.1]",
+    "[2002:7f00:1::1]", "[64:ff9b::7f00:1]", "[64:ff9b::a00:1]", "[64:ff9b:1::1]", "[2001:db8::1]", "[100::1]",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("host", PRIVATE)
+def test_private_networks_are_refused(host: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(socket, "create_connection", lambda *_: pytest.fail("it was connected to"))
+    with pytest.raises(OSError) as found:
         Webhook(f"http://{host}:9/")("a", "{}")
+    # A system without a way to an address, or without a name, says so itself.
+    assert isinstance(found.value, PermissionError | socket.gaierror)
+
+
+@pytest.mark.parametrize("ip", ["8.8.8.8", "2606:4700::1", "64:ff9b::808:808", "::ffff:8.8.8.8"])
+def test_the_internet_is_not_refused_and_what_was_looked_up_is_connected_to(ip: str, monkeypatch) -> None:
+    """A name is looked up once: what it leads to later (DNS rebinding) does not matter."""
+    asked, answers = list[object](), iter([ip, "127.0.0.1", "127.0.0.1"])
+
+    def looked_up(host: str, port: int, **_: object) -> list[object]:
+        return [(0, 0, 0, "", (next(answers), port))]
+
+    def connected(address: object, timeout: float) -> None:
+        asked.append(address)
+        raise ConnectionRefusedError
+
+    monkeypatch.setattr(socket, "getaddrinfo", looked_up)
+    monkeypatch.setattr(socket, "create_connection", connected)
+    hook = Webhook("http://hook.example/x")
+    with pytest.raises(ConnectionRefusedError):
+        hook("a", "{}")
+    assert asked == [(ip, 80)]
+    # The next time the name leads home: that is seen before a connection is made.
+    with pytest.raises(PermissionError, match="is in a private network"):
+        hook("a", "{}")
+    assert len(asked) == 1
+
+
+def test_one_private_address_among_others_is_enough_to_refuse(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = [(0, 0, 0, "", ("8.8.8.8", 80)), (0, 0, 0, "", ("10.0.0.1", 80))]
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
+    with pytest.raises(PermissionError):
+        Webhook("http://hook.example/")("a", "{}")
+
+
+def test_redirections_are_not_followed_and_the_password_is_sent_in_a_header(receiver: ThreadingHTTPServer) -> None:
+    receiver.status = 302  # type: ignore[attr-defined]
+    hook = Webhook(f"http://bob:a%40b@127.0.0.1:{receiver.server_port}/hook", private=True)
+    with pytest.raises(OSError, match="the answer was 302"):
+        hook("a", "{}")
+    receiver.status = 200  # type: ignore[attr-defined]
+    hook("b", "{}")
+    assert [key for key, _ in receiver.taken] == ["b"]  # type: ignore[attr-defined]
+    assert receiver.headers["Authorization"] == "Basic Ym9iOmFAYg=="  # type: ignore[attr-defined]
 
 
 def test_addresses_that_are_none_are_refused() -> None:
-    for url in ("ftp://example.com", "example.com", "http:///x"):
-        with pytest.raises(InputError, match="http"):
+    more = (
+        "http://" + "a" * 300 + ".example:99999/",
+        "http://a:0/",
+        "http://a:x/",
+        "http://a/\r\nX: y",
+        "http://a b/",
+        "http://ä.example/",
+        "http://[::1/",
+    )
+    for url in ("ftp://example.com", "example.com", "http:///x", *more):
+        with pytest.raises(InputError, match="--webhook: expected an address"):
             Webhook(url)
 
 

@@ -23,7 +23,7 @@ from phdtrack.cli.output import Output, progress
 from phdtrack.cli.settings import only_classes, scene_settings
 from phdtrack.cli.track import announced
 from phdtrack.compare import Comparison, Plan
-from phdtrack.compare.failures import worst_frames, write_frames
+from phdtrack.compare.failures import WorstFrame, worst_frames, write_frames
 from phdtrack.compare.results import Results
 from phdtrack.compare.runs import RunResult
 from phdtrack.config import build
@@ -99,6 +99,7 @@ def compare(
     out: Annotated[Path, option("DIR", "Where everything is kept.")] = Path("runs/compare"),
     jobs: Annotated[int, option("N", "Processes; 0: one per core.", min=0)] = 0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Run everything anew, also what is kept already.")] = False,
+    blur: given.Blur = "",
 ) -> None:
     """Compare filters: one table, with confidence intervals over seeds, plots, and the frames in which they differ most.
 
@@ -123,7 +124,8 @@ def compare(
     with progress("comparing", comparing.steps(made), PACE) as advance:
         comparison = comparing.run(made, out, processes, anew=overwrite, advance=advance)
     begun = replace(begun, seconds=time.perf_counter() - clock)
-    finish(output, comparison, wanted, worst, directory, begun, in_turn=processes == 1)
+    frames = list(worst_frames(comparison, worst, blur))
+    finish(output, comparison, wanted, frames, directory, begun, in_turn=processes == 1)
     if comparison.failed:
         raise typer.Exit(1)
 
@@ -137,7 +139,7 @@ def finish(
     out: Output,
     comparison: Comparison,
     wanted: Sequence[str],
-    worst: int,
+    frames: Sequence[WorstFrame],
     directory: rundir.RunDirectory,
     begun: About,
     *,
@@ -145,7 +147,7 @@ def finish(
 ) -> None:
     """Write everything but the runs, which are there already, and say who is ahead of the first method by how much."""
     found = Results.of(comparison, wanted)
-    notes, warnings, frames = found.notes(in_turn=in_turn), doubts(comparison), list(worst_frames(comparison, worst))
+    notes, warnings = found.notes(in_turn=in_turn), doubts(comparison)
     found.write_cells(directory.file(CELLS))
     found.write_runs(directory.file(EACH))
     # Pictures of an earlier comparison go.

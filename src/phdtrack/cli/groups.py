@@ -79,6 +79,7 @@ def groups(
     video: given.Video = True,
     resume: given.Resume = False,
     checkpoint_every: given.CheckpointEvery = EVERY,
+    blur: given.Blur = "",
 ) -> None:
     """Find groups of people on the ground, in a video, in a file of detections, or among known positions.
 
@@ -96,7 +97,9 @@ def groups(
         observer = GroupObserver(grouping, info, _read_edges(edges), World(stages, model, delay, reach))
         # A group may have members of several classes.
         kinds = replace(job.kinds, apart=False)
-        job = replace(job, kinds=kinds, ground=model.sensor, observers=(*job.observers, observer), every=checkpoint_every)
+        job = replace(
+            job, kinds=kinds, ground=model.sensor, observers=(*job.observers, observer), every=checkpoint_every, blur=blur
+        )
         finish(output, job, out, overwrite, resume=resume)
         return
     useless = {f"--{name.replace('_', '-')}": used for name, used in asdict(replace(source, source="", fps=0.0)).items()}

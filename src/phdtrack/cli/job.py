@@ -55,6 +55,7 @@ _WHICH = (
     f"{rundir.TRACKS} holds the corrected tracks of the whole run, {rundir.ONLINE} the rows as they were given "
     "frame by frame, which did not change afterwards."
 )
+_HIDDEN = "In all pictures {} of detections and tracks are hidden; what was neither detected nor tracked can be seen."
 # An object detected so often in a row must have been reported; after more than _SLOW detections the user is warned.
 _TRIED, _SLOW = 25, 5
 # Frames of which is kept what was seen, and what the report shows, where there is no end to them.
@@ -65,7 +66,7 @@ _SAMPLE, _CHARTED = 1000, 100_000
 class Job:
     """What is to be run; ``configuration`` and ``read``, what was read and how, decide the result; ``ground`` measures where
     boxes of tracks in an image stand; ``every``: seconds between checkpoints, 0 for none; ``delay``:
-    frames by which online rows lag."""
+    frames by which online rows lag; ``blur``: what is made unrecognisable in pictures."""
 
     inputs: Inputs
     kinds: Kinds
@@ -79,6 +80,7 @@ class Job:
     ground: Sensor | None = None
     every: float = 0.0
     delay: int = 0
+    blur: str = ""
 
     @property
     def key(self) -> dict[str, object]:
@@ -202,7 +204,7 @@ def run(job: Job, directory: RunDirectory, *, resume: bool = False) -> Outcome:
         left_out=done.left_out,
         scores=() if scores is None else tuple((k, math.nan if v is None else v) for k, v in scores.as_dict().items()),
         warnings=(*_problems(job, done), *(warning for each in doubts for warning in each[1:])),
-        notes=(*(note for each in doubts for note in each[:1]), _WHICH),
+        notes=(*(note for each in doubts for note in each[:1]), _WHICH, *([_HIDDEN.format(job.blur)] if job.blur else ())),
     )
     reports = [observer.report() for observer in job.observers]
     record = replace(record, about=replace(said, sections="\n".join(report.section for report in reports)))
@@ -235,7 +237,7 @@ def _track(job: Job, directory: RunDirectory, *, resume: bool) -> _Progress:
     """Every frame through detector and tracker, into files and record, until the source ends or something stops it."""
     inputs, stages = job.inputs, job.stages
     tracker = Tracker(stages=job.kinds, fps=inputs.info.fps, seed=job.about.seed)
-    done = _Progress(tracker, Recorder(inputs.info, job.truth, None if inputs.again else _CHARTED))
+    done = _Progress(tracker, Recorder(inputs.info, job.truth, None if inputs.again else _CHARTED, job.blur))
     found_in, checkpoint = partial(detected, inputs.detector, mover=job.mover), None
     if job.every > 0 and inputs.pictures and inputs.again:
         checkpoint = Checkpoint(directory, job.key, job.every, resume=resume)
@@ -334,7 +336,7 @@ class _DrawnOnce:
 
     def __init__(self, job: Job, directory: RunDirectory) -> None:
         info, self._delay = job.inputs.info, job.delay
-        self._annotate, self._waiting = Annotator(info, names=job.names), deque[tuple[Frame, Step]]()
+        self._annotate, self._waiting = Annotator(info, names=job.names, blur=job.blur), deque[tuple[Frame, Step]]()
         self._video = VideoWriter(directory.file(rundir.VIDEO), info.width, info.height, info.fps)
 
     def take(self, frame: Frame, step: Step, rows: Tracks) -> None:
@@ -372,9 +374,8 @@ def _draw(job: Job, directory: RunDirectory, done: _Progress, tracks: Tracks) ->
                 video = files.enter_context(VideoWriter(directory.file(rundir.VIDEO), info.width, info.height, info.fps))
                 draw.append(lambda number, picture: video.write(picture))
                 frames = files.enter_context(ahead(job.inputs.source))
-                pictures = files.enter_context(
-                    ahead(_annotated(Annotator(info, names=job.names), done.seen, frames, tracks))
-                )
+                annotate = Annotator(info, names=job.names, blur=job.blur)
+                pictures = files.enter_context(ahead(_annotated(annotate, done.seen, frames, tracks)))
             found = (observer.drawing(directory, files, pictures=pictures_again) for observer in job.observers)
             draw.extend(filter(None, found))
             if not draw:

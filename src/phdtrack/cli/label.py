@@ -22,9 +22,10 @@ import cv2
 import typer
 
 from phdtrack import __version__
+from phdtrack.arrays import pixelated
 from phdtrack.cli import options as given
 from phdtrack.cli.inputs import NO_PICTURE, Inputs, ahead, comes_again, open_inputs, write_detected
-from phdtrack.cli.options import DEFAULT_DETECTOR, SourceOptions, TrackingOptions, option
+from phdtrack.cli.options import DEFAULT_DETECTOR, PageOptions, SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, counted, progress
 from phdtrack.cli.settings import chosen
 from phdtrack.config import Settings, build, load
@@ -37,7 +38,7 @@ from phdtrack.label.suggestions import Background, Evidence, Suggestion, suggest
 from phdtrack.label.training import SceneTraining
 from phdtrack.report.pages import render
 from phdtrack.scene import write_scene
-from phdtrack.types import DetectionTable, SequenceInfo
+from phdtrack.types import DetectionTable, Frame, Image, SequenceInfo
 from phdtrack.video import open_source
 
 _CLIP_WIDTH = 640
@@ -45,13 +46,13 @@ _CLIP_WIDTH = 640
 
 def label(
     source: SourceOptions,
+    at: PageOptions,
     labels: given.Labels = None,
     frames: Annotated[int, option("N", "How many frames to draw.", min=1)] = 40,
     seed: Annotated[int, option("N", "Seed of the draw.", min=0)] = 0,
-    port: Annotated[int, option("N", "Port of the page; 0: any that is free.", min=0, max=65535)] = 0,
-    host: Annotated[str, option("NAME", "Address to listen on; other machines need the printed token.")] = "127.0.0.1",
     suggest: Annotated[bool, typer.Option("--suggest/--no-suggest", help="Look for detections that may be false.")] = True,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
+    blur: given.Blur = "",
     config: given.Config = None,
     sets: given.Sets = None,
 ) -> None:
@@ -60,7 +61,8 @@ def label(
     Meanwhile a tracker looks for detections that may be false and suggests them. Ctrl-C ends.
     """
     try:
-        from phdtrack.label.page import Session, label_app, listen, serve
+        from phdtrack.label.page import Session, label_app
+        from phdtrack.live.serving import listen, serve
     except ModuleNotFoundError as error:
         problem = f"the page needs the package {error.name}"
         raise InputError(problem, where="phdtrack label", cure="pip install 'phdtrack[web]'") from error
@@ -69,8 +71,9 @@ def label(
     found = to_label(source, settings.values("detector"), file, output)
     store = LabelStore.open(file, found.name, found.digest, shuffled(found.info.frames, seed)[:frames])
     numbers = [number for number, _ in store.frames()]
-    pictures = _stills(source, numbers, {frame for number in numbers for frame in clip(number, found.info.frames)})
-    address = listen(host, port)
+    around = {frame for number in numbers for frame in clip(number, found.info.frames)}
+    pictures = _stills(source, numbers, around, partial(_shown, found.table, blur))
+    address = listen(at.host, at.port, at.allow_host or (), at.certificate, at.key)
     kept = file.with_name(file.name.removesuffix(".sqlite") + ".suggestions.json")
     work = Background(partial(_suggestions, found, settings, numbers, kept)) if suggest else None
     session = Session(store, found.table, pictures, found.info, work)
@@ -131,8 +134,11 @@ def _kept_detections(
         part.unlink(missing_ok=True)
 
 
-def _stills(source: SourceOptions, numbers: Collection[int], around: Collection[int]) -> dict[int, bytes]:
-    """The frames ``numbers`` of a video as JPEG, and those ``around`` them as small ones; it is read up to the last."""
+def _stills(
+    source: SourceOptions, numbers: Collection[int], around: Collection[int], shown: Callable[[Frame], Image]
+) -> dict[int, bytes]:
+    """The frames ``numbers`` of a video as JPEG, as they are to be ``shown``, and those ``around`` them as small ones; it is
+    read up to the last."""
     kept = dict[int, bytes]()
     if not source.source or not numbers:
         return kept
@@ -143,11 +149,17 @@ def _stills(source: SourceOptions, numbers: Collection[int], around: Collection[
             whole, (height, width) = frame.number in numbers, frame.image.shape[:2]
             if whole or frame.number in around:
                 small = not whole and width > _CLIP_WIDTH
-                image = cv2.resize(frame.image, (_CLIP_WIDTH, round(height * _CLIP_WIDTH / width))) if small else frame.image
+                image = shown(frame)
+                image = cv2.resize(image, (_CLIP_WIDTH, round(height * _CLIP_WIDTH / width))) if small else image
                 _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 92 if whole else 80])
                 kept[frame.number] = data.tobytes()
             advance(frame.number)
     return kept
+
+
+def _shown(table: DetectionTable, blur: str, frame: Frame) -> Image:
+    """A frame with its detections hidden, if need be."""
+    return pixelated(frame.image, table.at(frame.number).xyxy, blur)
 
 
 def _suggestions(
@@ -191,6 +203,7 @@ def learn(
     sets: given.Sets = None,
     preset: given.Preset = "",
     seed: given.Seed = 0,
+    blur: given.Blur = "",
 ) -> None:
     """Learn where people enter and where the detector is wrong: births from the tracker's own tracks, or marked by hand;
     false alarms from the marks that a person made (`phdtrack label`), or unattended."""
@@ -220,7 +233,7 @@ def learn(
         raise InputError("nothing could be learned", where=found.name, cure="Mark false detections, or learn longer")
     write_scene(target, scene)
     frames = open_source(source.source, fps=source.fps) if source.source else ()
-    picture = next((frame.image for frame in frames), NO_PICTURE)
+    picture = next((_shown(found.table, blur, frame) for frame in frames), NO_PICTURE)
     page = target.with_name(target.name.removesuffix(".json") + ".html")
     use = f"phdtrack track {source.source or f'--detections {source.detections}'} --scene {target}"
     words = {"title": "Learned scene", "command": use}

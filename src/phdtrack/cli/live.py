@@ -25,7 +25,7 @@ from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli import signals
 from phdtrack.cli.inputs import refuse
-from phdtrack.cli.options import DEFAULT_DETECTOR, TrackingOptions, option
+from phdtrack.cli.options import DEFAULT_DETECTOR, PageOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, counted
 from phdtrack.cli.settings import chosen, scene_settings
 from phdtrack.config import Settings
@@ -68,6 +68,7 @@ def live(
     sources: Annotated[list[str], typer.Argument(metavar="SOURCE...", help=_SOURCES)],
     options: TrackingOptions,
     write: LiveOptions,
+    at: PageOptions,
     output: Output,
     out: Annotated[Path, option("DIR", "Directory to write into, with a folder for each camera.")] = Path("live"),
     detector: given.Detector = DEFAULT_DETECTOR,
@@ -75,8 +76,6 @@ def live(
     mask: given.Mask = None,
     scene: given.SceneFile = None,
     page: Annotated[bool, typer.Option("--page/--no-page", help="Serve the page.")] = True,
-    host: Annotated[str, option("NAME", "Address of the page; other machines need the printed token.")] = "127.0.0.1",
-    port: Annotated[int, option("N", "Port of the page; 0: any that is free.", min=0, max=65535)] = 0,
     duration: Annotated[float, option("S", "End after so many seconds; 0: never.", min=0.0)] = 0.0,
 ) -> None:
     """Track cameras without end: events, rows and videos by the hour, and a page with pictures, counts and maps.
@@ -93,7 +92,7 @@ def live(
     for url in write.webhook or []:
         Webhook(url)
     rundir.claim(out, False, {})
-    server = _Server(host, port) if page else None
+    server = _Server(at) if page else None
     # Who reads slowly misses lines, and finds them in the files.
     lines = queue.Queue[dict[str, object]](_LINES)
 
@@ -215,18 +214,18 @@ def _receivers(write: LiveOptions) -> Iterator[tuple[str, Send]]:
 class _Server:
     """The page, in a thread of its own. Raises `InputError` where a package or the port is missing."""
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, at: PageOptions) -> None:
         try:
-            from phdtrack.label.page import listen
+            from phdtrack.live.serving import listen
         except ModuleNotFoundError as error:
             problem, cure = f"the page needs the package {error.name}", "pip install 'phdtrack[web]', or say --no-page"
             raise InputError(problem, where="phdtrack live", cure=cure) from error
-        self._address = listen(host, port)
+        self._address = listen(at.host, at.port, at.allow_host or (), at.certificate, at.key)
 
     def start(self, cameras: Sequence[Camera], output: Output) -> None:
         """Answer from now on."""
-        from phdtrack.label.page import serve
         from phdtrack.live.page import live_app
+        from phdtrack.live.serving import serve
 
         threading.Thread(target=serve, args=(live_app(cameras), self._address), name="phdtrack page", daemon=True).start()
         output.say(f"the page: {self._address.url}   (Ctrl-C ends)")

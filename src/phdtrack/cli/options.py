@@ -80,3 +80,16 @@ class TrackingOptions:
     truth: TruthFile = None
     threads: Threads = None
     classes: Classes = ""
+
+
+@dataclass(frozen=True, slots=True)
+class PageOptions:
+    """Where a page is served, and to whom (docs/security.md)."""
+
+    host: Annotated[str, option("NAME", "Address to listen on; other machines need the printed token.")] = "127.0.0.1"
+    port: Annotated[int, option("N", "Port of the page; 0: any that is free.", min=0, max=65535)] = 0
+    allow_host: Annotated[
+        list[str] | None, option("NAME", "Name or address by which browsers ask for the page; repeatable.")
+    ] = None
+    certificate: Annotated[Path | None, option("FILE", "Certificate (PEM): the page is served by https.")] = None
+    key: Annotated[Path | None, option("FILE", "Private key (PEM) of the certificate.")] = None

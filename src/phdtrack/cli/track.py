@@ -49,6 +49,7 @@ def track(
     camera_motion: Annotated[str, option("flow|FILE|none", "A camera that moves: measured, or from a file.")] = "",
     resume: given.Resume = False,
     checkpoint_every: given.CheckpointEvery = EVERY,
+    blur: given.Blur = "",
 ) -> None:
     """Track the objects in a video, or in a file of detections.
 
@@ -59,7 +60,7 @@ def track(
     rundir.check(out, overwrite or resume)
     first = scene_settings(scene, camera_motion)
     settings = chosen(options, first, detector=source.detections is None)
-    job = replace(prepare(source, options, settings, video=video), every=checkpoint_every)
+    job = replace(prepare(source, options, settings, video=video), every=checkpoint_every, blur=blur)
     finish(output, job, out, overwrite, resume=resume)
 
 

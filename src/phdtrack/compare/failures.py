@@ -10,6 +10,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from phdtrack.arrays import pixelated
 from phdtrack.compare.plans import Case, Run
 from phdtrack.compare.runs import TRACKS, Comparison, Failed, RunInput, run_input
 from phdtrack.errors import InputError
@@ -35,8 +36,19 @@ class WorstFrame(NamedTuple):
     image: Image
 
 
-def worst_frames(comparison: Comparison, number: int) -> Iterator[WorstFrame]:
-    """Of each sequence with truth ``number`` frames in which the methods differ most, and as many with most mistakes."""
+def worst_frames(comparison: Comparison, number: int, blur: str = "") -> Iterator[WorstFrame]:
+    """Frames that show where methods go wrong.
+
+    Parameters
+    ----------
+    comparison : with its results.
+    number : of frames of each sequence with truth in which the methods differ most, and as many with most mistakes.
+    blur : what is hidden of the boxes of detections, tracks and truth (`arrays.pixelated`).
+
+    Yields
+    ------
+    The pictures.
+    """
     for sequence in dict.fromkeys(case.sequence for case in comparison.plan.cases) if number > 0 else ():
         found = list(conditions(comparison, sequence))
         chosen = _chosen(found, number)
@@ -46,7 +58,10 @@ def worst_frames(comparison: Comparison, number: int) -> Iterator[WorstFrame]:
             heading = f"{case.name}{clutter}, frame {frame}"
             size, here = (given.info.width, given.info.height), {name: rows.at(frame) for name, rows in mistakes.items()}
             boxes = given.table.at(frame).xyxy
-            picture = side_by_side(pictures.get(frame), size, f"{heading}: {why}", boxes, here)
+            image = pictures.get(frame)
+            if image is not None:
+                image = pixelated(image, np.vstack([boxes, *(rows.xyxy for rows in here.values())]), blur)
+            picture = side_by_side(image, size, f"{heading}: {why}", boxes, here)
             caption = "; ".join(f"{name}: {rows}" for name, rows in here.items())
             name = f"{'-'.join(case.place.parts)}-clutter-{rate:g}-frame-{frame}.png"
             yield WorstFrame(name, f"{heading} ({why}). {caption}.", picture)

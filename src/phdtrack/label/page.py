@@ -1,66 +1,37 @@
-"""The page on which a person marks false detections and births: what it shows, who may use it, and how it is started.
-
-Only the browser on this machine, or a client with the token, may talk to it:
-
-* ``Host`` must be one that the server was started for: a foreign name that leads here (DNS rebinding) is refused.
-* What changes anything must come from the page itself: ``Origin``, where sent, must be the server's, and a header is
-  required that no form on another site can send.
-* With a token, every request must bring it: as ``?token=…`` the first time, then as a cookie that only this server gets.
-* Every answer has a content security policy that lets the page load from here and from nowhere else.
-"""
+"""The page on which a person marks false detections and births: what it shows. `live.serving` decides who may use it."""
 
 from __future__ import annotations
 
-import contextlib
-import hmac
-import ipaddress
-import secrets
-import socket
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
-import uvicorn
 from pydantic import BaseModel, Field, ValidationError
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
-from starlette.middleware.base import BaseHTTPMiddleware, RequestResponseEndpoint
 from starlette.requests import Request
-from starlette.responses import JSONResponse, PlainTextResponse, Response
-from starlette.routing import Mount, Route
-from starlette.staticfiles import StaticFiles
-from starlette.types import ASGIApp
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
 
 from phdtrack.arrays import iou
 from phdtrack.errors import InputError
 from phdtrack.label.samples import boxes_of, clip, last_frame
 from phdtrack.label.store import Label, LabelStore
 from phdtrack.label.suggestions import ALIKE, TICKED, Background
+from phdtrack.live.serving import static
 from phdtrack.scene.mixture import place_map
 from phdtrack.scene.training import box_density
 from phdtrack.types import F8, Detections, DetectionTable, Image, SequenceInfo
 
-POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
-    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-)
-HEADERS = {
-    "Content-Security-Policy": POLICY,
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
-    "Cross-Origin-Opener-Policy": "same-origin",
-    "Cross-Origin-Resource-Policy": "same-origin",
-}
 # Of answers of a media type: pictures never change, and the labels are a file to keep.
 _OF_TYPE = {
     "image/jpeg": {"Cache-Control": "private, max-age=86400, immutable"},
     "text/csv": {"Content-Disposition": 'attachment; filename="labels.csv"'},
 }
 JSON = "application/json"
-ASKED, COOKIE = "x-phdtrack", "phdtrack_token"
 STATIC = Path(__file__).parent / "static"
 # A map is drawn from so many marks on, in red or green (BGR), of this width.
 _MIN_MARKS, _MAP_WIDTH = 10, 320
@@ -68,6 +39,8 @@ _COLOURS = {"false": (40, 40, 220), "birth": (90, 170, 30)}
 _OUTLINE, _GREY = (62, 210, 255), 96
 # Crops that are shown at once; the next ones follow when these are dealt with. Their size in pixels.
 _CROPS, _SIDE = 600, 96
+# Marks that may be sent at once.
+MAX_MARKS = 10_000
 
 
 class Sent(BaseModel):
@@ -76,7 +49,7 @@ class Sent(BaseModel):
     ``key`` tells that the same is sent again.
     """
 
-    marks: list[Label] = []
+    marks: Annotated[list[Label], Field(max_length=MAX_MARKS)] = []
     who: Annotated[str, Field(max_length=100)] = ""
     key: Annotated[str, Field(max_length=100)] = ""
     done: bool = True
@@ -175,6 +148,8 @@ class Session:
 
     def place_map(self, mark: str) -> bytes:
         """What was learned of the marked boxes' places so far: coloured where they are likely, clear where not."""
+        if mark not in _COLOURS:
+            raise InputError(f"expected {' or '.join(_COLOURS)}, got {mark!r}")
         scale = min(1.0, _MAP_WIDTH / self.info.width)
         shape = (max(1, round(self.info.height * scale)), max(1, round(self.info.width * scale)))
         picture = np.zeros((*shape, 4), np.uint8)
@@ -192,10 +167,12 @@ class Session:
         Raises `InputError` where what was sent cannot be used; nothing has changed then.
         """
         store = self.store
+        self._boxes(number)
         match what:
             case "marks":
+                found = {number: self._boxes(number) for number in {label.frame for label in sent.marks}}
                 for label in sent.marks:
-                    self._box(label.frame, label.box)
+                    _checked(found[label.frame], label.frame, label.box)
                 store.mark(number, sent.marks, sent.who, sent.key)
             case "undo":
                 store.undo(number, sent.key)
@@ -216,15 +193,19 @@ class Session:
 
     def _box(self, number: int, box: int) -> F8:
         """(4,) corners of a detection of such a frame."""
-        found = self._boxes(number)
-        if not 0 <= box < len(found):
-            raise InputError(f"frame {number} has {len(found)} detections, and no number {box}")
-        return np.array(found.xyxy[box])
+        return _checked(self._boxes(number), number, box)
 
     @property
     def _marked(self) -> set[tuple[int, int]]:
         """Frame and box of everything that has a mark."""
         return {(label.frame, label.box) for label in self.store.labels()}
+
+
+def _checked(found: Detections, number: int, box: int) -> F8:
+    """(4,) corners of one of the detections of frame ``number``."""
+    if not 0 <= box < len(found):
+        raise InputError(f"frame {number} has {len(found)} detections, and no number {box}")
+    return np.array(found.xyxy[box])
 
 
 def label_app(session: Session) -> Starlette:
@@ -242,7 +223,7 @@ def label_app(session: Session) -> Starlette:
     }
     routes = [Route(path, _endpoint(work, media)) for path, (work, media) in answers.items()]
     change = Route("/api/frame/{number:int}/{what:str}", _endpoint(session._change, JSON), methods=["POST"])
-    return Starlette(routes=[*routes, change, Mount("/static", StaticFiles(directory=STATIC))])
+    return Starlette(routes=[*routes, change, *static(STATIC)])
 
 
 def _endpoint(work: Callable[..., Any], media: str) -> Callable[[Request], Any]:
@@ -267,69 +248,3 @@ def _endpoint(work: Callable[..., Any], media: str) -> Callable[[Request], Any]:
 def _encoded(image: Image, suffix: str = ".jpg") -> bytes:
     quality = [cv2.IMWRITE_JPEG_QUALITY, 90] if suffix == ".jpg" else []
     return cv2.imencode(suffix, image, quality)[1].tobytes()
-
-
-class Guard(BaseHTTPMiddleware):
-    """Refuses who may not use the page, and puts the headers on every answer.
-
-    ``hosts`` are the values of ``Host`` that are answered; every request must bring the ``token``, unless it is empty.
-    """
-
-    def __init__(self, app: ASGIApp, hosts: frozenset[str], token: str = "") -> None:
-        super().__init__(app)
-        self._hosts, self._token = hosts, token
-
-    async def dispatch(self, request: Request, call_next: RequestResponseEndpoint) -> Response:
-        """The answer, or a refusal."""
-        given = request.query_params.get("token") or request.cookies.get(COOKIE, "")
-        answer = self._refusal(request, given) or await call_next(request)
-        answer.headers.update(HEADERS)
-        answer.headers.setdefault("Cache-Control", "no-store")
-        if self._token and given == self._token:
-            answer.set_cookie(COOKIE, self._token, httponly=True, samesite="strict")
-        return answer
-
-    def _refusal(self, request: Request, given: str) -> Response | None:
-        host, origin = request.headers.get("host", ""), request.headers.get("origin")
-        if host not in self._hosts:
-            return PlainTextResponse(f"this server is not {host!r}\n", 421)
-        if origin is not None and origin not in {f"http://{known}" for known in self._hosts}:
-            return PlainTextResponse("requests of other sites are refused\n", 403)
-        if request.method not in ("GET", "HEAD") and request.headers.get(ASKED) != "1":
-            return PlainTextResponse(f"the header {ASKED}: 1 is missing\n", 403)
-        if self._token and not hmac.compare_digest(given.encode(), self._token.encode()):
-            return PlainTextResponse("open the address with ?token=… that the terminal shows\n", 401)
-        return None
-
-
-class Address(NamedTuple):
-    """Where a page is: the open socket, the address to open, and the token in it (empty on loopback)."""
-
-    listening: socket.socket
-    url: str
-    token: str
-    hosts: frozenset[str]
-
-
-def listen(host: str = "127.0.0.1", port: int = 0) -> Address:
-    """Take ``port``, or any that is free with 0. Raises `InputError` where it cannot be had."""
-    try:
-        loopback = host == "localhost" or ipaddress.ip_address(host).is_loopback
-        listening = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
-    except (OSError, ValueError) as error:
-        problem = getattr(error, "strerror", None) or error
-        raise InputError(f"cannot listen on {host}:{port} ({problem})", where="--port", cure="Choose another port") from None
-    taken, shown = listening.getsockname()[1], f"[{host}]" if ":" in host else host
-    names = {"127.0.0.1", "localhost", "[::1]"} if loopback else {host, socket.gethostname(), socket.getfqdn()}
-    token = "" if loopback else secrets.token_urlsafe(16)
-    url = f"http://{shown}:{taken}/" + (f"?token={token}" if token else "")
-    return Address(listening, url, token, frozenset(f"{name}:{taken}" for name in names))
-
-
-def serve(app: ASGIApp, address: Address) -> None:
-    """Answer until Ctrl-C."""
-    guarded = Guard(app, address.hosts, address.token)
-    config = uvicorn.Config(guarded, log_level="warning", lifespan="off", server_header=False, timeout_graceful_shutdown=2)
-    # Uvicorn ends in order on Ctrl-C and then raises it again: here it is how one leaves.
-    with contextlib.suppress(KeyboardInterrupt):
-        uvicorn.Server(config).run(sockets=[address.listening])

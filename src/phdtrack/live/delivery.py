@@ -5,6 +5,7 @@ A receiver may get an event twice, when its answer is lost: ``id`` is the same t
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import http.client
 import ipaddress
@@ -14,21 +15,24 @@ import sqlite3
 import ssl
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, unquote, urlsplit
 
 from phdtrack.errors import InputError
 from phdtrack.live.outputs import EventLog
 
 TIMEOUT, FIRST_PAUSE, LONGEST_PAUSE = 10.0, 1.0, 300.0
+# IPv6 that a gateway makes IPv4 of; all other addresses of single machines.
+_NAT64, _UNICAST = ipaddress.IPv6Network("64:ff9b::/96"), ipaddress.IPv6Network("2000::/3")
 Send = Callable[[str, str], None]
 """Sends an event, by its identifier and its JSON. Raises `OSError` where it did not arrive."""
 
 
 @dataclass(frozen=True, slots=True)
 class Webhook:
-    """Posts each event as JSON to an address.
+    """Posts each event as JSON to an address, with its user and password, where it has them (Basic).
 
     The address is looked up each time, and the connection goes to what was looked up: a name that leads to this machine or
     to a private network is refused, unless ``private`` networks are allowed. Redirections are not followed.
@@ -38,7 +42,7 @@ class Webhook:
     private: bool = False
 
     def __post_init__(self) -> None:
-        parts = urlsplit(self.url)
+        parts = _parts(self.url, "--webhook")
         if parts.scheme not in ("http", "https") or not parts.hostname:
             raise InputError("expected an address that begins with http:// or https://", where="--webhook")
 
@@ -48,10 +52,13 @@ class Webhook:
         host, port = str(parts.hostname), parts.port or (443 if parts.scheme == "https" else 80)
         connection = http.client.HTTPConnection(host, port, timeout=TIMEOUT)
         try:
-            connection.sock = socket.create_connection((self._address(host, port), port), TIMEOUT)
+            connection.sock = self._connected(host, port)
             if parts.scheme == "https":
                 connection.sock = ssl.create_default_context().wrap_socket(connection.sock, server_hostname=host)
             headers = {"Content-Type": "application/json", "Idempotency-Key": name}
+            if parts.username:
+                user = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
+                headers["Authorization"] = "Basic " + base64.b64encode(user.encode()).decode()
             path = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
             connection.request("POST", path, event.encode(), headers)
             status = connection.getresponse().status
@@ -62,12 +69,39 @@ class Webhook:
         if not 200 <= status < 300:
             raise OSError(f"the answer was {status}")
 
-    def _address(self, host: str, port: int) -> str:
-        """What the name leads to; `OSError` where that is not allowed."""
-        found = [str(info[4][0]) for info in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)]
-        if not self.private and not all(ipaddress.ip_address(one).is_global for one in found):
+    def _connected(self, host: str, port: int) -> socket.socket:
+        """A connection to what the name leads to; `OSError` where that is not allowed, or none of it answers."""
+        try:
+            found = [str(info[4][0]) for info in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)]
+        except UnicodeError as error:
+            raise OSError(f"{host} is no name") from error
+        if not self.private and not all(map(_public, found)):
             raise PermissionError(f"{host} is in a private network: allow it with --allow-private")
-        return found[0]
+        for one in found[:-1]:
+            with suppress(OSError):
+                return socket.create_connection((one, port), TIMEOUT)
+        return socket.create_connection((found[-1], port), TIMEOUT)
+
+
+def _public(text: str) -> bool:
+    """Whether an address is on the internet; of IPv6 that stands for IPv4 what it stands for."""
+    address = ipaddress.ip_address(text)
+    if isinstance(address, ipaddress.IPv6Address):
+        inner = ipaddress.IPv4Address(int(address) & 0xFFFFFFFF) if address in _NAT64 else None
+        inner = inner or address.ipv4_mapped or address.sixtofour
+        if inner is None and address not in _UNICAST:
+            return False
+        address = inner or address
+    return address.is_global and not (address.is_multicast or address.is_reserved)
+
+
+def _parts(url: str, where: str) -> SplitResult:
+    """The parts of an address. Raises `InputError` for what is none."""
+    with suppress(ValueError):
+        parts = urlsplit(url)
+        if parts.port != 0 and url.isascii() and url.isprintable() and " " not in url:
+            return parts
+    raise InputError("expected an address in printable ASCII, others as %XX, with a port up to 65535", where=where)
 
 
 class Mqtt:
@@ -82,14 +116,14 @@ class Mqtt:
             from paho.mqtt.enums import CallbackAPIVersion
         except ModuleNotFoundError:
             raise InputError("MQTT needs the package paho-mqtt", cure="pip install 'phdtrack[mqtt]'") from None
-        parts = urlsplit(url)
+        parts = _parts(url, "--mqtt")
         if parts.scheme not in ("mqtt", "mqtts") or not parts.hostname:
             raise InputError("expected an address that begins with mqtt:// or mqtts://", where="--mqtt")
         self._topic = parts.path.strip("/") or "phdtrack"
         self._host, self._port = parts.hostname, parts.port or (8883 if parts.scheme == "mqtts" else 1883)
         self._client: Any = Client(CallbackAPIVersion.VERSION2)
         if parts.username:
-            self._client.username_pw_set(parts.username, parts.password)
+            self._client.username_pw_set(unquote(parts.username), unquote(parts.password or ""))
         if parts.scheme == "mqtts":
             self._client.tls_set()
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from phdtrack.arrays import pixelated
 from phdtrack.classes import Kinds
 from phdtrack.devices import Detector
 from phdtrack.errors import InputError, shown
@@ -384,7 +385,8 @@ class Camera:
             frame.image, frame.number, rows, step.detections, mass=step.info.mass, clutter_probability=probability
         )
         with self._fresh:
-            self._drawn, self.ground = (frame.number, picture), picture if self.settings.blur else frame.image
+            boxes = np.vstack([rows.xyxy, step.detections.xyxy])
+            self._drawn, self.ground = (frame.number, picture), pixelated(frame.image, boxes, self.settings.blur)
             self._fresh.notify_all()
         if recorded and self._video is not None:
             self._video.write(picture, frame.wall)

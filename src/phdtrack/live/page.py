@@ -17,13 +17,13 @@ import numpy as np
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
-from starlette.routing import Mount, Route
-from starlette.staticfiles import StaticFiles
+from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
+from starlette.routing import Route
 
 from phdtrack.errors import InputError, shown
 from phdtrack.files import json_value
 from phdtrack.live.engine import Camera
+from phdtrack.live.serving import static
 from phdtrack.live.zones import places_of, write_places
 
 STATIC = Path(__file__).parent / "static"
@@ -85,6 +85,7 @@ class Page:
             "latency": [median, most],
             "places": places,
             "drawable": one.settings.places is not None,
+            "blur": one.settings.blur,
             "events": list(one.recent)[-_EVENTS:][::-1],
         }
 
@@ -192,7 +193,7 @@ def live_app(cameras: Sequence[Camera]) -> Starlette:
             return JSONResponse({"error": str(error)}, 400)
 
     async def index(request: Request) -> Response:
-        return FileResponse(STATIC / "live.html")
+        return HTMLResponse((STATIC / "live.html").read_bytes())
 
     async def metrics(request: Request) -> Response:
         return PlainTextResponse(page.metrics(), media_type="text/plain; version=0.0.4")
@@ -224,7 +225,7 @@ def live_app(cameras: Sequence[Camera]) -> Starlette:
             Route("/api/camera/{name:str}/places", known(save), methods=["POST"]),
             Route("/picture/{name:str}.jpg", known(picture)),
             Route("/map/{name:str}/{what:str}.jpg", known(drawn)),
-            Mount("/static", StaticFiles(directory=STATIC)),
+            *static(STATIC),
         ]
     )
 

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from phdtrack.arrays import pixelated
 from phdtrack.types import F8, I8, ChainInfo, Image, Particles, SequenceInfo, Step, Tracks, Truth
 
 STAGES = ("detect", "filter", "extract", "associate")
@@ -204,13 +205,14 @@ class Recorder:
     """Collects a `RunRecord` while a run goes on: `add` every frame in order, `record` at the end or when it breaks off.
 
     Pictures are kept of frames whose index is a multiple of a stride, which doubles when they become too many. ``truth`` is
-    None where nothing is annotated. Of more than ``most`` frames the last ones are kept.
+    None where nothing is annotated. Of more than ``most`` frames the last ones are kept. ``blur`` (`arrays.pixelated`) hides
+    the boxes of detections, estimates and tracks.
     """
 
-    def __init__(self, info: SequenceInfo, truth: Truth | None = None, most: int | None = None) -> None:
-        self._info, self._truth, self._seen = info, truth, 0
+    def __init__(self, info: SequenceInfo, truth: Truth | None = None, most: int | None = None, blur: str = "") -> None:
+        self._info, self._truth, self._seen, self._blur = info, truth, 0, blur
         self._rows, self._chains = deque[tuple[float, ...]](maxlen=most), deque[ChainInfo](maxlen=most)
-        self._kept: list[tuple[int, Image, HeatMap | None]] = []
+        self._kept: list[tuple[int, int, Image, HeatMap | None]] = []
         self._stride = 1
 
     def add(self, image: Image | None, step: Step, particles: Particles | None, detect_seconds: float) -> None:
@@ -233,12 +235,15 @@ class Recorder:
         index = self._seen
         if index % self._stride or not (size.width > 0 and size.height > 0):
             return
-        small, heat = NO_IMAGE if image is None else shrunk(image, _PICTURE_WIDTH).copy(), None
+        small, heat = NO_IMAGE, None
+        if image is not None:
+            boxes = np.vstack([step.detections.xyxy, step.estimates.xyxy])
+            small = shrunk(pixelated(image, boxes, self._blur), _PICTURE_WIDTH).copy()
         if particles is not None:
             cell = max(1.0, round(max(size.width, size.height) / _CELLS_ACROSS))
             density = _density_map(particles, size, cell)
             heat = HeatMap(step.number, small, density, cell, step.detections.xyxy, step.estimates.xyxy)
-        self._kept.append((index, small, heat))
+        self._kept.append((index, step.number, small, heat))
         if len(self._kept) > 3 * _HEAT_MAPS:
             self._stride *= 2
             self._kept = [each for each in self._kept if each[0] % self._stride == 0]
@@ -247,8 +252,9 @@ class Recorder:
         """Everything so far, with the corrected tracks of the whole run; collecting may go on."""
         truth, table = self._truth, np.array(self._rows, dtype=np.float64).reshape(-1, 8 + len(STAGES))
         numbers, ranges = table[:, 0].astype(np.int64), table[:, 6:8]
-        maps = [heat for _, _, heat in self._kept if heat is not None]
-        images = [image for _, image, _ in self._kept if image.size]
+        kept = [(self._hidden(image, number, tracks), heat) for _, number, image, heat in self._kept]
+        maps = [heat._replace(image=image) for image, heat in kept if heat is not None]
+        images = [image for image, _ in kept if image.size]
         # Evenly spaced, the last one among them.
         shown = np.linspace(len(maps), 0, min(_HEAT_MAPS, len(maps)), endpoint=False)[::-1].round().astype(int) - 1
         return RunRecord(
@@ -268,6 +274,11 @@ class Recorder:
             chain=ChainSummary.of(list(self._chains)),
             log_evidence=table[:, 5],
         )
+
+    def _hidden(self, image: Image, number: int, tracks: Tracks) -> Image:
+        """The small picture of a frame with what is in the boxes of its tracks hidden, too."""
+        scale = image.shape[1] / max(1, self._info.width)
+        return pixelated(image, scale * tracks.xyxy[tracks.frame == number], self._blur)
 
 
 def _density_map(particles: Particles, info: SequenceInfo, cell: float) -> F8:

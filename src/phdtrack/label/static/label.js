@@ -15,6 +15,9 @@ let here = 0;
 let alike = [];
 let mapTimer = 0;
 
+// From now on the cookie says who this is; nobody is to read the token here.
+history.replaceState(null, "", location.pathname);
+
 const who = (localStorage.getItem("phdtrack-who") ?? Math.random().toString(36).slice(2, 10));
 localStorage.setItem("phdtrack-who", who);
 

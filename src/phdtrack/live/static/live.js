@@ -1,6 +1,8 @@
 // The page of live cameras. Everything that comes from outside goes into text nodes.
 const $ = (id) => document.getElementById(id);
 const SVG = "http://www.w3.org/2000/svg";
+// From now on the cookie says who this is; nobody is to read the token here.
+history.replaceState(null, "", location.pathname);
 let camera = "", known = null, minutes = [], span = 60, draft = null, shown = "";
 
 function element(kind, attributes = {}, text = "", space = null) {
@@ -42,6 +44,8 @@ async function picture() {
   if (of !== camera) return;
   if (answer.status === 204) return void await new Promise((done) => setTimeout(done, 300));
   const image = await createImageBitmap(await answer.blob());
+  // Another camera may have been chosen meanwhile: its name must not stand over this picture.
+  if (of !== camera) return;
   const canvas = $("picture");
   if (canvas.width !== image.width || canvas.height !== image.height) Object.assign(canvas, { width: image.width, height: image.height });
   canvas.getContext("2d").drawImage(image, 0, 0);
@@ -55,7 +59,7 @@ async function state() {
   if (!all.some((one) => one.name === camera)) choose(all.length ? all[0].name : "");
   $("cameras").replaceChildren(...all.map((one) => {
     const button = element("button", { "aria-current": one.name === camera, title: one.state });
-    button.append(element("i", { class: one.state }), one.name, ` ${one.tracks}`);
+    button.append(element("i", { class: one.state }), one.name, one.state === "live" ? ` ${one.tracks}` : "");
     button.onclick = () => { choose(one.name); state(); };
     return button;
   }));
@@ -81,6 +85,7 @@ function choose(name) {
   $("picture").getContext("2d").clearRect(0, 0, $("picture").width, $("picture").height);
 }
 
+const HIDDEN = { boxes: "boxes", faces: "upper third of boxes" };
 const seconds = (value) => value === null ? "–" : value < 1 ? `${Math.round(1000 * value)} ms` : value < 120 ? `${value.toFixed(value < 10 ? 1 : 0)} s`
   : value < 7200 ? `${Math.round(value / 60)} min` : `${Math.round(value / 3600)} h`;
 
@@ -90,8 +95,12 @@ function source() {
     ["lag: median, 99 %", `${seconds(known.latency[0])}, ${seconds(known.latency[1])}`],
     ["left out, of all", `${known.dropped.toLocaleString()} of ${known.frames.toLocaleString()}`],
     ["reconnections", Math.max(0, known.connects - 1)], ["size", known.width ? `${known.width} × ${known.height}` : "–"],
-    ["last problem", known.problem || "none"],
+    ["last problem", known.problem || "none"], ...(known.blur ? [["hidden", HIDDEN[known.blur]]] : []),
   ];
+  const old = known.state !== "live";
+  $("stage").classList.toggle("old", old);
+  $("waiting").textContent = old && number ? `no new pictures: ${known.state}` : "waiting for a picture …";
+  $("waiting").hidden = number > 0 && !old;
   $("state").replaceChildren(...rows.flatMap(([what, value], k) => {
     const right = element("dd", {}, String(value));
     if (k === 0) right.prepend(element("i", { class: known.state }));
@@ -100,10 +109,13 @@ function source() {
   $("problems").replaceChildren(...known.problems.map((sentence) => element("li", {}, sentence)));
 }
 
+// Before the first picture its size is not known.
+const drawable = () => Boolean(known?.drawable && known.width);
+
 function places() {
   $("none").hidden = known.places.length > 0;
   $("places").hidden = known.places.length === 0;
-  $("line").hidden = $("zone").hidden = draft !== null || !known.drawable;
+  $("line").hidden = $("zone").hidden = draft !== null || !drawable();
   const key = JSON.stringify(known.places);
   if (key === shown) return;
   shown = key;
@@ -178,7 +190,7 @@ function stop(words = "", bad = false) {
   draft = null;
   $("stage").classList.remove("drawing");
   $("drawing").hidden = true;
-  $("line").hidden = $("zone").hidden = known !== null && !known.drawable;
+  $("line").hidden = $("zone").hidden = !drawable();
   hint(words, bad);
   overlay();
 }
