@@ -1,8 +1,10 @@
-"""A camera for tests: MJPEG over HTTP on loopback that can be frozen, killed, restarted, slowed down and resized."""
+"""Cameras for tests: MJPEG over HTTP on loopback that can be frozen, killed, restarted, slowed down and resized; and a
+source without a network, whose pictures and times are given, for what must not depend on how fast the machine is."""
 
 from __future__ import annotations
 
 import contextlib
+import math
 import socket
 import threading
 import time
@@ -10,6 +12,8 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
+
+from phdtrack.live.sources import LiveFrame, SourceStatus
 
 HEAD = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=frame\r\n\r\n"
 
@@ -19,7 +23,8 @@ class CameraServer:
 
     ``rate`` pictures a second of ``size`` (width, height). While ``frozen`` nothing is sent on any connection; while
     ``mute`` connections are accepted and nothing is said on them. ``broken`` pictures are cut in half. ``draw`` makes
-    another picture (H, W, 3) of the seconds since 1970.
+    another picture (H, W, 3) of the seconds since 1970. ``sent``: when each picture began to be sent, on any connection
+    (monotonic).
     """
 
     def __init__(self) -> None:
@@ -27,6 +32,7 @@ class CameraServer:
         self.frozen = self.mute = self.broken = False
         self.draw: Callable[[float], np.ndarray] | None = None
         self.asked: list[str] = []
+        self.sent: list[float] = []
         self._open: list[socket.socket] = []
         self._listening: socket.socket | None = None
         self.port = 0
@@ -76,6 +82,7 @@ class CameraServer:
                 image = image if self.draw is None else self.draw(time.time())
                 data = cv2.imencode(".jpg", image)[1].tobytes()
                 data = data[: len(data) // 2] if self.broken else data
+                self.sent.append(time.monotonic())
                 connection.sendall(b"--frame\r\nContent-Type: image/jpeg\r\n\r\n" + data + b"\r\n")
                 time.sleep(1 / self.rate)
         except OSError:
@@ -83,6 +90,8 @@ class CameraServer:
 
 
 SIDE = 24
+# Of scripted pictures; the walker is at the right then.
+WALL = 1_795_500_000.0
 
 
 def walker(wall: float) -> np.ndarray:
@@ -93,8 +102,41 @@ def walker(wall: float) -> np.ndarray:
     return image
 
 
-def until(ready: Callable[[], object], patience: float = 90.0) -> None:
-    """Wait; kernels may have to be compiled first."""
+class Scripted:
+    """In place of `LiveSource`: ``rate`` pictures a second by their own times, each taken however long that takes.
+
+    It is silent while it is ``frozen``, and after picture ``last``. Times since 1970 begin at ``wall``. ``through``: the
+    last picture that is done with, since another one was asked for.
+    """
+
+    def __init__(self, last: float = math.inf, wall: float = WALL, rate: float = 20.0) -> None:
+        self.last, self.wall, self.rate, self.number, self.frozen = last, wall, rate, 0, False
+        self.through, self.dropped, self.connect = 0, 0, 10.0
+        self._stopped = threading.Event()
+
+    def start(self) -> None: ...
+
+    def stop(self) -> None:
+        self._stopped.set()
+
+    def next(self, timeout: float) -> LiveFrame | None:
+        self.through = self.number
+        if self.frozen or self.number >= self.last:
+            self._stopped.wait(timeout)
+        if self._stopped.is_set() or self.frozen or self.number >= self.last:
+            return None
+        self.number += 1
+        at = self.number / self.rate
+        return LiveFrame(self.number, at, self.wall + at, walker(self.wall + at))
+
+    def status(self) -> SourceStatus:
+        return SourceStatus(
+            "live", frames=self.number, dropped=self.dropped, fps=self.rate, width=160, height=120, sent=(160, 120)
+        )
+
+
+def until(ready: Callable[[], object], patience: float = 600.0) -> None:
+    """Wait: kernels may have to be compiled first, and others may need the machine."""
     end = time.monotonic() + patience
     while not ready():
         assert time.monotonic() < end

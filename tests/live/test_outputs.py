@@ -179,7 +179,7 @@ def receiver() -> Iterator[ThreadingHTTPServer]:
     server.server_close()
 
 
-def until(ready: object, patience: float = 10.0) -> None:
+def until(ready: object, patience: float = 600.0) -> None:
     end = time.monotonic() + patience
     while not ready():  # type: ignore[operator]
         assert time.monotonic() < end
