@@ -4,12 +4,18 @@ source without a network, whose pictures and times are given, for what must not 
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
 import socket
+import subprocess
 import threading
 import time
 from collections.abc import Callable
+from fractions import Fraction
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 
@@ -100,6 +106,100 @@ def walker(wall: float) -> np.ndarray:
     left = round(8 + abs((wall % 4) - 2) / 2 * (160 - SIDE - 16))
     image[50 : 50 + SIDE, left : left + SIDE] = 255
     return image
+
+
+def square(wall: float, width: int = 640, height: int = 480) -> np.ndarray:
+    """A grey picture with a white square that goes over its width in 8 s by the clock, and back."""
+    image, side = np.full((height, width, 3), 30, np.uint8), height // 6
+    left = round(abs(wall % 16 - 8) / 8 * (width - side))
+    image[height // 2 : height // 2 + side, left : left + side] = 255
+    return image
+
+
+class RtspServer:
+    """`rtsp_server.py` in a process of its own: `square` as H.264.
+
+    Raises `LookupError` where Debian's packages for it are missing.
+    """
+
+    def __init__(self, size: tuple[int, int] = (640, 480), rate: float = 25.0) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as one:
+            self.port = one.getsockname()[1]
+        self._words = ["/usr/bin/python3", str(Path(__file__).with_name("rtsp_server.py")), str(self.port)]
+        self._words += [str(size[0]), str(size[1]), str(rate)]
+        self.url = f"rtsp://127.0.0.1:{self.port}/stream"
+        self.restart()
+
+    def restart(self) -> None:
+        try:
+            self._child = subprocess.Popen(
+                self._words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+            )
+        except FileNotFoundError as error:
+            raise LookupError("there is no /usr/bin/python3") from error
+        assert self._child.stdout is not None
+        if self._child.stdout.readline() != "READY\n":
+            self.kill()
+            raise LookupError("needs gir1.2-gst-rtsp-server-1.0, python3-gi, gstreamer1.0-plugins-{base,good,ugly}")
+
+    def say(self, command: str) -> None:
+        """``rate 5``, ``size 320 240``, ``freeze`` or ``thaw``."""
+        assert self._child.stdin is not None
+        self._child.stdin.write(command + "\n")
+        self._child.stdin.flush()
+
+    def kill(self) -> None:
+        self._child.kill()
+        with self._child:
+            pass
+
+
+class HlsServer:
+    """`square` in pieces of a second, made and served while it is not killed."""
+
+    def __init__(self, folder: Path, size: tuple[int, int] = (640, 480), rate: float = 25.0) -> None:
+        self.size, self.rate, self.frozen, self._ended, self._folder, self.port = size, rate, False, False, folder, 0
+        self.restart()
+        self._thread = threading.Thread(target=self._make, daemon=True)
+        self._thread.start()
+        self.url = f"http://127.0.0.1:{self.port}/live.m3u8"
+
+    def restart(self) -> None:
+        handler = functools.partial(_Quiet, directory=str(self._folder))
+        self._server = ThreadingHTTPServer(("127.0.0.1", self.port), handler)
+        self.port = self._server.server_port
+        threading.Thread(target=self._server.serve_forever, args=(0.05,), daemon=True).start()
+
+    def kill(self) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+
+    def end(self) -> None:
+        """Make no more pieces."""
+        self._ended = True
+        self._thread.join()
+
+    def _make(self) -> None:
+        options = {"hls_time": "1", "hls_list_size": "4", "hls_flags": "delete_segments"}
+        with av.open(str(self._folder / "live.m3u8"), "w", format="hls", options=options) as container:
+            stream = container.add_stream(
+                "libx264", rate=25, options={"preset": "ultrafast", "tune": "zerolatency", "g": "250"}
+            )
+            stream.width, stream.height, stream.pix_fmt = *self.size, "yuv420p"
+            stream.codec_context.time_base, begun, key = Fraction(1, 1000), time.time(), 0.0
+            while not self._ended:
+                time.sleep(1 / self.rate)
+                if not self.frozen:
+                    frame = av.VideoFrame.from_ndarray(square(time.time(), *self.size), format="bgr24")
+                    frame.pts, frame.time_base = round((time.time() - begun) * 1000), Fraction(1, 1000)
+                    if time.time() - key >= 1:
+                        # A piece begins.
+                        key, frame.pict_type = time.time(), av.video.frame.PictureType.I
+                    container.mux(stream.encode(frame))
+
+
+class _Quiet(SimpleHTTPRequestHandler):
+    def log_message(self, *_: object) -> None: ...
 
 
 class Scripted:
