@@ -1,9 +1,9 @@
-"""What live does when cameras fail: ``python -m experiments.recovery [servers|latency|kills] [--quick] [--server mjpeg]``.
+"""What live does when cameras fail: ``python -m experiments.recovery [servers|latency|kills] [--quick]``.
 
-``servers``: `phdtrack live` on an RTSP, an MJPEG and an HLS server of this machine, which is killed and started again, freezes,
-accepts and says nothing, slows down, and changes its size. A square moves to and fro by the clock, so that times, speeds and
-identities in the rows can be checked. ``latency``: from a picture's arrival to its events on disk. ``kills``: `phdtrack live`
-itself is killed at random times and started again. Figures go to runs/reliability, as JSON.
+``servers``: `phdtrack live` on an RTSP, an MJPEG and an HLS server of this machine, which is killed and started again,
+freezes, accepts and says nothing, slows down, and changes its size. A square moves to and fro by the clock, so that times,
+speeds and identities in the rows can be checked. ``latency``: from a picture's arrival to its events on disk. ``kills``:
+`phdtrack live` itself is killed at random times and started again. Figures go to runs/reliability, as JSON.
 """
 
 from __future__ import annotations
@@ -48,12 +48,9 @@ class Mjpeg:
         self._server = CameraServer()
         self._server.rate, self._server.size, self.url = 25.0, (640, 480), self._server.url
         self._server.draw = lambda wall: square(wall, *self._server.size)
-        self.port, self.kill, self.restart, self.end = (
-            self._server.port,
-            self._server.kill,
-            self._server.restart,
-            lambda: None,
-        )
+        self.port, self.kill, self.restart = self._server.port, self._server.kill, self._server.restart
+
+    def end(self) -> None: ...
 
     def say(self, command: str) -> None:
         obey(self._server, command)
@@ -166,14 +163,10 @@ def trial(server: Any, what: str, seconds: float) -> None:
         with mute(server):
             time.sleep(seconds)
     else:
-        there, back = {
-            "frozen": ("freeze", "thaw"),
-            "slow": ("rate 1", "rate 25"),
-            "size": ("size 320 240", "size 640 480"),
-        }[what]
+        there = {"frozen": "freeze", "slow": "rate 1", "size": "size 320 240"}[what]
         server.say(there)
         time.sleep(seconds)
-        server.say(back)
+        server.say({"frozen": "thaw", "slow": "rate 25", "size": "size 640 480"}[what])
 
 
 def plan(quick: bool) -> list[tuple[str, float]]:
@@ -187,7 +180,7 @@ def measured(rows: Rows, what: str, seconds: float, begun: float, back: float) -
     before, after = rows.between(begun - 1, begun), rows.between(back, back + 60)
     found: dict[str, object] = {"what": what, "seconds": seconds, "gap": round(back - begun, 2)}
     found["recovered"] = round(float(after[0, 0]) - back, 3)
-    found["kept"] = bool(len(before)) and after[0, 1] == before[-1, 1]
+    found["kept"] = bool(len(before) and after[0, 1] == before[-1, 1])
     # The first half second may hold pictures that were sent before.
     still = after[(after[:, 0] > after[0, 0] + 0.5) & (after[:, 0] // 8 == after[0, 0] // 8)]
     if len(still) > 10 and np.ptp(still[:, 0]) > 1:
@@ -222,12 +215,11 @@ def on_server(name: str, quick: bool) -> dict[str, object]:
     server.kill()
     server.end()
     times = {what: [one["recovered"] for one in found if one["what"] == what] for what in dict(plan(quick))}
+    speeds = [one["speed"] for one in found if "speed" in one]
     return {
         "recovered_median_worst": {what: (float(np.median(each)), max(each)) for what, each in times.items()},
         "kept_short_gaps": [sum(bool(one["kept"]) for one in found if one["gap"] < 3), sum(one["gap"] < 3 for one in found)],
-        "speed_to_truth_least_most": [
-            f([one["speed"] for one in found if "speed" in one], default=None) for f in (min, max)
-        ],
+        "speed_to_truth_least_most": (min(speeds), max(speeds)),
         "resident_mb": memory,
         "exit_status_and_seconds": (status, round(ended, 2)),
         "trials": found,

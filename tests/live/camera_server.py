@@ -182,9 +182,8 @@ class HlsServer:
     def _make(self) -> None:
         options = {"hls_time": "1", "hls_list_size": "4", "hls_flags": "delete_segments"}
         with av.open(str(self._folder / "live.m3u8"), "w", format="hls", options=options) as container:
-            stream = container.add_stream(
-                "libx264", rate=25, options={"preset": "ultrafast", "tune": "zerolatency", "g": "250"}
-            )
+            quick = {"preset": "ultrafast", "tune": "zerolatency", "g": "250"}
+            stream = container.add_stream("libx264", rate=25, options=quick)
             stream.width, stream.height, stream.pix_fmt = *self.size, "yuv420p"
             stream.codec_context.time_base, begun, key = Fraction(1, 1000), time.time(), 0.0
             while not self._ended:

@@ -95,7 +95,7 @@ def test_a_camera_that_dies_is_found_again(server: CameraServer, source: LiveSou
     assert source.status().connects == 4
 
 
-def test_it_is_tried_again_at_least_once_a_second(server: CameraServer) -> None:
+def test_it_is_tried_again_twice_a_second(server: CameraServer) -> None:
     """However long the camera is away, it is found within two seconds of its return."""
     server.kill()
     source, pauses = LiveSource(server.url), list[float]()
@@ -109,10 +109,10 @@ def test_it_is_tried_again_at_least_once_a_second(server: CameraServer) -> None:
     source.start()
     until(lambda: len(pauses) > 30)
     source.stop()
-    assert max(pauses) <= 1.0
+    assert max(pauses) <= 0.5
     # And not without a pause.
     assert min(pauses) > 0.05
-    assert min(pauses[10:]) > 0.5
+    assert min(pauses[10:]) > 0.3
 
 
 def test_a_camera_that_freezes_goes_on_where_time_is(server: CameraServer, source: LiveSource) -> None:

@@ -4,7 +4,7 @@ A thread of its own reads and decodes everything that a camera sends and keeps t
 tracker is busy is dropped and counted, so that nothing lags. A picture's time is that of its arrival. Streams that arrive in
 pieces of seconds (HLS), and files, are played at the pace of their time stamps instead, and these are the times then.
 
-A camera that cannot be reached, ends, or says nothing for longer than a time-out is tried again, at most once a second. A
+A camera that cannot be reached, ends, or says nothing for longer than a time-out is tried again, about twice a second. A
 read that hangs in spite of that is left behind, and another thread begins anew.
 """
 
@@ -28,7 +28,7 @@ from phdtrack.types import Image
 
 State = Literal["connecting", "live", "silent", "down"]
 # Seconds between two tries: the first, and the longest.
-FIRST_PAUSE, LONGEST_PAUSE = 0.1, 1.0
+FIRST_PAUSE, LONGEST_PAUSE = 0.1, 0.5
 # A read that takes so much longer than its time-out is left behind. Pictures of which the rate is measured.
 GRACE, RECENT = 2.0, 64
 
