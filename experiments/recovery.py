@@ -299,7 +299,7 @@ def kills(quick: bool) -> dict[str, object]:
             found[f"{name} {status}"] += 1
             if name == "SIGTERM":
                 found["slowest SIGTERM, ms"] = max(found["slowest SIGTERM, ms"], round(1000 * (time.monotonic() - begun)))
-                found["left .part after SIGTERM"] += len(list(out.rglob("*.part")))
+                found["left .part after SIGTERM with status 0"] += len(list(out.rglob("*.part"))) if status == 0 else 0
             text = (out / "said").read_bytes()
         said += [json.loads(line) for line in text[: text.rfind(b"\n") + 1].splitlines()]
         if folder.exists():
