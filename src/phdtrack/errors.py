@@ -15,6 +15,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
+import signal
 from collections.abc import Iterable
 from dataclasses import fields
 from functools import cache
@@ -63,6 +64,19 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     names = list(known)
     close = difflib.get_close_matches(name, names, 1)
     return f"Did you mean {close[0]}?" if close else f"There are {', '.join(names) or 'none'}."
+
+
+INTERRUPTING: list[object] = [signal.default_int_handler]
+"""Handlers of Ctrl-C that raise KeyboardInterrupt."""
+DEFERRED: list[int] = []
+"""Signals that wait for the end of a block that must not be interrupted."""
+
+
+def later(number: int, frame: object) -> None:
+    """The handler of Ctrl-C in such a block. A second one does not wait."""
+    DEFERRED.append(number)
+    if len(DEFERRED) > 1:
+        raise KeyboardInterrupt
 
 
 def interrupted(error: BaseException) -> bool:

@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 from phdtrack import config, pipeline
 from phdtrack.classes import Kinds, Lanes, given_rows, remember
 from phdtrack.detect.convert import as_detections, with_size
-from phdtrack.errors import InputError
+from phdtrack.errors import DEFERRED, INTERRUPTING, InputError, later
 from phdtrack.models.warp import as_warp
 from phdtrack.protocols import AnyStages
 from phdtrack.types import I8, STILL, Detections, SequenceInfo, Step, Tracks
@@ -305,26 +305,22 @@ def uninterrupted() -> Iterator[None]:
     """Ctrl-C that comes within the block is raised at its end, a second one at once.
 
     Numba makes Python objects of what compiled code gives back, and crashes where that is interrupted. This is for the main
-    thread, where Ctrl-C comes, and where it raises KeyboardInterrupt; handlers of one's own are left alone.
+    thread, where Ctrl-C comes, and where it raises KeyboardInterrupt (`INTERRUPTING`); other handlers are left alone.
     """
-    main = threading.current_thread() is threading.main_thread()
-    if not main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+    main, handler = threading.current_thread() is threading.main_thread(), signal.getsignal(signal.SIGINT)
+    if not main or handler not in INTERRUPTING:
         yield
         return
-    came: list[int] = []
-
-    def later(number: int, frame: object) -> None:
-        came.append(number)
-        if len(came) > 1:
-            raise KeyboardInterrupt
-
     signal.signal(signal.SIGINT, later)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGINT, handler)
+        came = [*DEFERRED]
+        DEFERRED.clear()
     if came:
-        raise KeyboardInterrupt
+        assert callable(handler)
+        handler(came[0], None)
 
 
 def pack(value: Any) -> Any:

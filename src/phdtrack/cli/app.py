@@ -144,4 +144,7 @@ def main() -> None:
         sentence = " ".join(error.format_message().split())
         end = "" if sentence.endswith((".", "?")) else "."
         status = failed(f"{sentence}{end} See {where.command_path if where else 'phdtrack'} --help.", 2).exit_code
+    except KeyboardInterrupt:
+        # While a command was loaded.
+        status = failed("stopped", signals.status()).exit_code
     signals.leave(int(status or 0))

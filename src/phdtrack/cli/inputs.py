@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from phdtrack.cli.options import DEFAULT_DETECTOR, SourceOptions
-from phdtrack.cli.output import progress
+from phdtrack.cli.output import counted, progress
 from phdtrack.detect import TableDetector, make_detector
 from phdtrack.detect.convert import within_frame
 from phdtrack.devices import Detector
@@ -187,8 +187,11 @@ def _camera(address: str) -> VideoSource:
 
     A file on a server has an end and comes in order, with time-outs. Raises `InputError` where nothing comes.
     """
-    if "://" in address and not address.startswith("rtsp") and not endless(address):
-        return open_source(address)
+    if "://" in address and not address.startswith("rtsp"):
+        # In a thread: an address that does not answer must not keep Ctrl-C waiting.
+        with ahead(map(_with_an_end, [address])) as found:
+            if (source := next(found)[0]) is not None:
+                return source
     live, began = LiveSource(address), list[tuple[int, float, Image, str]]()
     live.start()
     for frame in _pictures(live, live.connect):
@@ -206,13 +209,22 @@ def _camera(address: str) -> VideoSource:
         try:
             for number, at, image, where in chain(began, _pictures(live, GIVE_UP)):
                 yield number, at - zero, image, where
-            source.problem = f"{shown(address)}: no picture in {GIVE_UP:g} s ({live.status().problem or 'it is silent'})"
+            said = live.status().problem or "it is silent"
+            raise ConnectionError(f"{shown(address)}: no picture in {GIVE_UP:g} s ({said})")
         finally:
             live.stop()
+            if dropped := live.status().dropped:
+                said = f"{counted(dropped, 'picture')} left out, which came while earlier ones were worked on"
+                source.problem = f"{shown(address)}: {said}"
 
     info = SequenceInfo(status.width, status.height, max(1.0, round(status.fps, 1)), 0, named(address))
     note = f"{shown(address)}: about {info.fps:g} pictures a second, each taken at the time at which it arrived"
     return VideoSource(info, read, note)
+
+
+def _with_an_end(address: str) -> tuple[VideoSource | None]:
+    """The frames of a file on a server; None where it is a stream that never ends."""
+    return (None if endless(address) else open_source(address),)
 
 
 def _pictures(live: LiveSource, patience: float) -> Iterator[tuple[int, float, Image, str]]:

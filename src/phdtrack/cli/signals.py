@@ -1,15 +1,28 @@
-"""Signals that end a command: SIGTERM and SIGHUP do what Ctrl-C does, and a second signal ends it at once."""
+"""Signals that end a command: SIGTERM and SIGHUP do what Ctrl-C does, and a second signal ends it at once.
+
+Python hears of a signal when compiled code has returned. A thread hears of it at once, and ends the process where the main
+thread does not move for a second and a half: in a kernel, in its compilation, or in an encoder that waits for its file.
+"""
 
 from __future__ import annotations
 
 import os
 import signal
+import socket
 import sys
 import threading
+import time
+
+from phdtrack.errors import DEFERRED, INTERRUPTING, later
 
 _ENDING = ("SIGINT", "SIGTERM", "SIGHUP")
+# Signals that came, and those that have raised KeyboardInterrupt.
 _came: list[int] = []
+_answered: list[int] = []
 _listening: list[bool] = []
+# Between two looks at the main thread, seconds; looks without a move after which it hangs. They are counted, not timed: on a
+# busy machine both threads are slow.
+_LOOK, _HANGS = 0.05, 28
 
 
 def listen() -> None:
@@ -17,7 +30,12 @@ def listen() -> None:
     _listening.append(True)
     for number in _numbers():
         if signal.getsignal(number) not in (signal.SIG_IGN, None):
-            signal.signal(number, _end if number != signal.SIGINT else signal.default_int_handler)
+            signal.signal(number, _end)
+    INTERRUPTING.append(_end)
+    ends = socket.socketpair()
+    ends[1].setblocking(False)
+    signal.set_wakeup_fd(ends[1].fileno(), warn_on_full_buffer=False)
+    threading.Thread(target=_watch, args=ends, name="phdtrack signals", daemon=True).start()
 
 
 def last_chance(what: str) -> None:
@@ -25,7 +43,7 @@ def last_chance(what: str) -> None:
     if _listening and threading.current_thread() is threading.main_thread():
         print(f"phdtrack: {what} (again: end at once)", file=sys.stderr, flush=True)
         for number in _numbers():
-            if signal.getsignal(number) in (_end, signal.default_int_handler):
+            if signal.getsignal(number) is _end:
                 signal.signal(number, signal.SIG_DFL)
 
 
@@ -57,7 +75,32 @@ def _end(number: int, frame: object) -> None:
     """Do what Ctrl-C would do here and now: it may have to wait for compiled code."""
     _came.append(number)
     ctrl_c = signal.getsignal(signal.SIGINT)
-    if callable(ctrl_c):
-        ctrl_c(signal.SIGINT, None)
+    if callable(ctrl_c) and ctrl_c != _end:
+        ctrl_c(number, None)
         return
+    _answered.append(number)
     raise KeyboardInterrupt
+
+
+def _watch(told: socket.socket, _: socket.socket) -> None:
+    """End the process where a signal came and the main thread hangs."""
+    for count in range(1, 1000):
+        number, before, still = told.recv(1)[0], 0, 0
+        while len(_answered) < count and (DEFERRED or signal.getsignal(number) in (_end, later)):
+            time.sleep(_LOOK)
+            now = _place()
+            before, still = now, still + 1 if now == before else 0
+            if still >= _HANGS:
+                said = f"phdtrack: {signal.Signals(number).name}, while a step did not end: .part files hold what was done\n"
+                os.write(2, said.encode())
+                os._exit(128 + number)
+
+
+def _place() -> int:
+    """Where the main thread is; the same for all of a compilation."""
+    top = frame = sys._current_frames().get(threading.main_thread().ident or 0)
+    while frame is not None:
+        if str(frame.f_globals.get("__name__")).startswith("numba.core."):
+            return -1
+        frame = frame.f_back
+    return 0 if top is None else hash((id(top), top.f_lasti))

@@ -196,7 +196,7 @@ class Camera:
         self.watched: tuple[Watch, WatchState] = (settings.watch, settings.watch.start())
         """The settings of what is watched, and its state: who is there, and the counts."""
         # What went wrong, by what it concerns; when each file was changed that was read.
-        self._problems, self._seen = dict[str, str](), dict[str, int]()
+        self._problems, self._seen = dict[str, str](), dict[str, tuple[int, int]]()
         self._stopped, self._files, self._open = threading.Event(), threading.Lock(), True
         self._held, self._unwritten = deque[_Held](), deque[dict[str, object]](maxlen=_UNWRITTEN)
         self._latency: deque[float] = deque(maxlen=_LATENCIES)
@@ -303,7 +303,11 @@ class Camera:
             ("settings", self.settings.config, self._settings),
         ):
             try:
-                if path is None or (changed := path.stat().st_mtime_ns) == self._seen.get(what):
+                if path is None:
+                    continue
+                # The size too: times of files are coarse, and this one may be read while it is written.
+                changed = (path.stat().st_mtime_ns, path.stat().st_size)
+                if changed == self._seen.get(what):
                     continue
                 first, self._seen[what] = what not in self._seen, changed
                 use(path, first)

@@ -144,8 +144,10 @@ class VideoLog:
         self._video: VideoWriter | None = None
         self._start = self._last = 0.0
         for left in self._segments.left():
-            # Fragments that are complete can be played.
-            left.replace(left.with_name(left.name.removesuffix(PART)))
+            if _whole_fragments(left):
+                left.replace(left.with_name(left.name.removesuffix(PART)))
+            else:
+                left.unlink()
 
     def due(self, wall: float) -> bool:
         """Whether a picture of this time would be shown, or is followed too closely by others."""
@@ -259,6 +261,22 @@ def _whole_lines(path: Path) -> None:
                 return
             end = start
         file.truncate(0)
+
+
+def _whole_fragments(path: Path) -> bool:
+    """Cut a fragmented video after its last complete fragment; whether it has one."""
+    with path.open("r+b") as file:
+        end, at, whole = file.seek(0, os.SEEK_END), 0, 0
+        while at + 8 <= end:
+            file.seek(at)
+            size, kind = int.from_bytes(file.read(4), "big"), file.read(4)
+            if size < 8 or at + size > end:
+                break
+            at += size
+            # The pictures of a fragment, after what describes them.
+            whole = at if kind == b"mdat" else whole
+        file.truncate(whole)
+    return whole > 0
 
 
 def _to_parquet(path: Path) -> None:

@@ -2,14 +2,15 @@
 
 A thread of its own reads and decodes everything that a camera sends and keeps the newest picture only: what comes while the
 tracker is busy is dropped and counted, so that nothing lags. A picture's time is that of its arrival. Streams that arrive in
-pieces of seconds (HLS), and files, are played at the pace of their time stamps instead.
+pieces of seconds (HLS), and files, are played at the pace of their time stamps instead, and these are the times then.
 
-A camera that cannot be reached, ends, or says nothing for longer than a time-out is tried again, at most once a second. A
+A camera that cannot be reached, ends, or says nothing for longer than a time-out is tried again, about twice a second. A
 read that hangs in spite of that is left behind, and another thread begins anew.
 """
 
 from __future__ import annotations
 
+import math
 import random
 import re
 import threading
@@ -27,7 +28,7 @@ from phdtrack.types import Image
 
 State = Literal["connecting", "live", "silent", "down"]
 # Seconds between two tries: the first, and the longest.
-FIRST_PAUSE, LONGEST_PAUSE = 0.1, 1.0
+FIRST_PAUSE, LONGEST_PAUSE = 0.1, 0.5
 # A read that takes so much longer than its time-out is left behind. Pictures of which the rate is measured.
 GRACE, RECENT = 2.0, 64
 
@@ -174,7 +175,7 @@ class LiveSource:
                     return
                 self._set("connecting")
             try:
-                for picture in self._pictures(generation):
+                for picture, at in self._pictures(generation):
                     with self._change:
                         if not self._current(generation):
                             return
@@ -182,7 +183,7 @@ class LiveSource:
                             self._status = replace(self._status, connects=self._status.connects + 1)
                             self._set("live")
                             self._times.clear()
-                        self._arrived(picture)
+                        self._arrived(picture, at or time.monotonic())
                     pause = FIRST_PAUSE
                 problem = "the stream ended"
             except (av.FFmpegError, OSError, ValueError) as error:
@@ -197,23 +198,23 @@ class LiveSource:
                 self._change.wait_for(lambda: self._stopped, pause * random.uniform(0.7, 1.0))
             pause = min(2 * pause, LONGEST_PAUSE)
 
-    def _arrived(self, picture: Any) -> None:
-        """Keep a picture in place of the one before."""
-        now, status = time.monotonic(), self._status
+    def _arrived(self, picture: Any, at: float) -> None:
+        """Keep a picture, of a time on the monotonic clock, in place of the one before."""
+        status, wall = self._status, time.time() - (time.monotonic() - at)
         size = picture.shape[1::-1] if isinstance(picture, np.ndarray) else (picture.width, picture.height)
         width, height = (status.width, status.height) if status.width else size
         dropped = status.dropped + (self._newest is not None)
         self._status = replace(
             status, frames=status.frames + 1, dropped=dropped, width=width, height=height, sent=(int(size[0]), int(size[1]))
         )
-        self._times.append(now)
-        self._newest = (self._status.frames, now, time.time(), picture)
+        self._times.append(at)
+        self._newest = (self._status.frames, at, wall, picture)
         self._change.notify_all()
 
-    def _pictures(self, generation: int) -> Iterator[Any]:
-        """The pictures of one connection, as they come: (H, W, 3) arrays, or PyAV's."""
+    def _pictures(self, generation: int) -> Iterator[tuple[Any, float]]:
+        """The pictures of one connection: (H, W, 3) arrays, or PyAV's, each with its time, 0 for that of its arrival."""
         if self.address.isdecimal():
-            yield from self._camera(int(self.address))
+            yield from ((picture, 0.0) for picture in self._camera(int(self.address)))
             return
         import av
 
@@ -224,7 +225,7 @@ class LiveSource:
         with av.open(self.address, options=options, timeout=(self.connect, self.read) if remote else None) as container:
             stream = container.streams.video[0]
             stream.thread_type = "SLICE"
-            paced, begun, first = not remote or "hls" in container.format.name, 0.0, 0.0
+            paced, begun, first, last = not remote or "hls" in container.format.name, 0.0, 0.0, -math.inf
             for packet in container.demux(stream):
                 with self._change:
                     if not self._current(generation):
@@ -236,15 +237,18 @@ class LiveSource:
                         self._status = replace(self._status, undecodable=self._status.undecodable + 1)
                     continue
                 for picture in pictures:
+                    at = 0.0
                     if paced and picture.time is not None:
-                        begun, first = (begun, first) if begun else (time.monotonic(), picture.time)
-                        late = time.monotonic() - begun - (picture.time - first)
-                        if abs(late) > self.read:
-                            # The time stamps jumped, or the stream was held up: from here on anew.
+                        at = begun + (picture.time - first)
+                        late = time.monotonic() - at
+                        if abs(late) > self.read or at <= last:
+                            # The first one; or the time stamps jumped, or the stream was held up: from here on anew.
                             begun, first = time.monotonic(), picture.time
+                            at = begun
                         elif late < 0:
                             time.sleep(-late)
-                    yield picture
+                        last = at
+                    yield picture, at
 
     def _camera(self, index: int) -> Iterator[Image]:
         """The pictures of a camera of this machine."""

@@ -343,8 +343,11 @@ class VideoWriter:
             parameters = f"threads={_THREADS}:sliced-threads=0:mbtree=0"
             options = {"crf": str(quality), "preset": "veryfast", "x264-params": parameters}
         try:
-            flags = "+frag_keyframe+empty_moov" if fragmented else "+faststart"
-            self._container: Any = av.open(str(self._grown), "w", format="mp4", options={"movflags": flags})
+            muxing = {"movflags": "+faststart"}
+            if fragmented:
+                # A fragment a second, which goes to the file at once.
+                muxing = {"movflags": "+frag_keyframe+empty_moov", "frag_duration": "1000000", "flush_packets": "1"}
+            self._container: Any = av.open(str(self._grown), "w", format="mp4", options=muxing)
             self._stream: Any = self._container.add_stream(name, rate=rate, options=options)
             self._stream.width, self._stream.height = padded
             self._stream.pix_fmt = "yuv420p"
