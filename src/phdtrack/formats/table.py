@@ -25,8 +25,8 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.formats.checks import Origin
-from phdtrack.formats.text import Text, is_number, normalise, numbers
+from phdtrack.formats.checks import LeftOut, Origin
+from phdtrack.formats.text import Text, is_number, normalise, numbers, readable
 from phdtrack.types import F8, I8, Bool
 
 
@@ -80,12 +80,14 @@ _COVARIANCE = tuple(f"cov_{a}_{b}" for i, a in enumerate("xywh") for b in "xywh"
 
 
 class Source(NamedTuple):
-    """A file to be read: ``content`` are its bytes, ``first`` is the number that it gives the first frame."""
+    """A file to be read: ``content`` are its bytes, ``first`` is the number that it gives the first frame. Rows that are
+    wrong end the reading, or go to ``left_out``."""
 
     path: Path
     content: bytes
     kind: Kind
     first: int
+    left_out: LeftOut | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,8 +142,13 @@ def table_of_text(source: Source, text: Text) -> Table:
         raise InputError(problem, where=text.origin.at(0), cure=cure)
     header = text.header or _by_position(source.kind, text.width or 6)
     layout = _layout(source, header, text.empty)
+    columns = {i: header[i] for i in layout.at}
+    if source.left_out is not None:
+        words = _word(text, layout, lambda cell: bool(cell) and not is_number(cell))
+        text = readable(text, {i: name for i, name in columns.items() if i != words}, source.left_out)
+        text = _of_words(text, words, source.left_out)
     text, names = _numbered(text, layout)
-    return replace(_table(source, text.origin, layout, numbers(text, {i: header[i] for i in layout.at})), names=names)
+    return replace(_table(source, text.origin, layout, numbers(text, columns)), names=names)
 
 
 def table_of_parquet(source: Source) -> Table:
@@ -209,10 +216,31 @@ def _layout(source: Source, header: Sequence[str], empty: Callable[[int], bool])
     return _Layout(columns, at)
 
 
+def _word(text: Text, layout: _Layout, is_word: Callable[[str], bool]) -> int:
+    """The place of the class, where the first row that has one has a word for it; −1 otherwise."""
+    at = next((i for column, i in zip(layout.columns, layout.at, strict=False) if column is Column.CLASS), -1)
+    cells = (text.cells(row)[at : at + 1] for row in range(len(text)))
+    return at if at >= 0 and is_word(next((one[0] for one in cells if one), "0")) else -1
+
+
+def _of_words(text: Text, at: int, left_out: LeftOut) -> Text:
+    """The rows that have a word for the class at this place, where it has one."""
+    kept = list(range(len(text)))
+    if at >= 0:
+        for row in range(len(text)):
+            if is_number(cell := text.cells(row)[at]) or not cell:
+                error = InputError(
+                    f"expected a word for the class, as before, came '{cell[:40]}'", where=text.origin.at(row)
+                )
+                left_out.take(error, float(text.origin.number[row]))
+                kept.remove(row)
+    return text.take(kept)
+
+
 def _numbered(text: Text, layout: _Layout) -> tuple[Text, dict[int, str]]:
     """The table with numbers in place of classes that are words, and the words by number."""
-    at = next((i for column, i in zip(layout.columns, layout.at, strict=False) if column is Column.CLASS), -1)
-    if at < 0 or not len(text) or is_number(text.cells(0)[at]):
+    at = _word(text, layout, lambda cell: not is_number(cell))
+    if at < 0:
         return text, {}
     rows = [text.cells(row) for row in range(len(text))]
     words = sorted({row[at] for row in rows if len(row) > at})

@@ -63,6 +63,8 @@ class HomographyCamera:
         h = np.asarray(self.matrix, dtype=np.float64)
         if h.shape != (3, 3) or not np.isfinite(h).all():
             raise InputError("expected a matrix of 3 x 3 finite numbers", where="homography")
+        # Any scale will do; that of the largest keeps squares in range.
+        h = h / (np.abs(h).max() or 1.0)
         rows, columns = np.linalg.norm(h, axis=1), np.linalg.norm(h, axis=0)
         if min(rows.min(), columns.min()) == 0 or np.linalg.cond(h / rows[:, None] / columns) > 1e12:
             raise InputError(
