@@ -6,7 +6,8 @@ exception (warnings count), a process that dies, one that takes longer than the 
 bound. Its input is kept, in a file that the report names (its first byte is the number of the sample); index and seed make
 it again.
 
-`campaign` does this for anything that makes bytes and reads them.
+A campaign that was stopped goes on where its report says, with one process. `campaign` does all this for anything that makes
+bytes and reads them.
 """
 
 from __future__ import annotations
@@ -73,6 +74,7 @@ class _Child:
     says: connection.Connection
     state: mmap.mmap
     base: int = 0
+    suspect: int = -1
 
     def read(self) -> tuple[int, float, int, int, int, float]:
         """Index, the time when it was begun, numbers of accepted, refused and failed, longest time."""
@@ -96,11 +98,27 @@ class Report:
     memory: int = 0
     findings: dict[str, Finding] = field(default_factory=dict)
 
+    @property
+    def done(self) -> int:
+        """How many inputs were read."""
+        return self.accepted + self.refused + self.failed
+
     def document(self) -> dict[str, Any]:
         """As JSON has it."""
-        found = [asdict(one) for one in self.findings.values()]
-        done = self.accepted + self.refused + self.failed
-        return asdict(self) | {"done": done, "inputs_per_second": done / max(self.seconds, 1e-9), "findings": found}
+        more = {"done": self.done, "inputs_per_second": self.done / max(self.seconds, 1e-9)}
+        return asdict(self) | more
+
+    @classmethod
+    def of(cls, file: Path, family: str, seed: int) -> Report | None:
+        """What a file holds of the same campaign; None where it holds none."""
+        try:
+            known = json.loads(file.read_text(encoding="utf-8"))
+            limits, found = Limits(**known.pop("limits")), known.pop("findings")
+            kept = {name: known[name] for name in known if name not in ("done", "inputs_per_second")}
+            report = cls(**kept, limits=limits, findings={name: Finding(**one) for name, one in found.items()})
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        return report if (report.family, report.seed, report.limits) == (family, seed, Limits()) else None
 
 
 def random_of(seed: int, index: int) -> random.Random:
@@ -156,6 +174,7 @@ def campaign(
     limits: Limits | None = None,
     kept: Path | None = None,
     progress: Callable[[Report], None] = lambda report: None,
+    begun: Report | None = None,
 ) -> Report:
     """Read ``inputs`` inputs, and say what came of them.
 
@@ -169,14 +188,16 @@ def campaign(
     limits : for each input.
     kept : the folder for inputs that were findings; None: a temporary one.
     progress : called whenever a child has ended.
+    begun : what an earlier campaign came to that this one goes on with.
 
     Returns
     -------
     The report.
     """
     limits, kept = limits or Limits(), kept or Path(tempfile.mkdtemp(prefix=f"fuzz-{family}-"))
-    report, began = Report(family, inputs, seed, limits), time.monotonic()
-    waiting = [(at, min(at + _BLOCK, inputs)) for at in range(0, inputs, _BLOCK)][::-1]
+    report = begun or Report(family, inputs, seed, limits)
+    report.inputs, began = inputs, time.monotonic() - report.seconds
+    waiting = [(at, min(at + _BLOCK, inputs)) for at in range(report.done, inputs, _BLOCK)][::-1]
     running: list[_Child] = []
     context = multiprocessing.get_context("fork")
 
@@ -241,10 +262,12 @@ def _watch(child: _Child, limits: Limits, report: Report, found: Callable[..., N
         name = signal.Signals(-code).name if code < 0 else f"exit {code}"
         ended(child) if done else ended(child, "crash", name)
         return
-    used, (_, since, *_) = _rss(child.process.pid), child.read()
+    used, (index, since, *_) = _rss(child.process.pid), child.read()
     child.base = child.base or used
     report.memory = max(report.memory, used - child.base)
-    late, large = time.monotonic() - since > limits.seconds, used - child.base > limits.memory
+    # What is read while the child writes may be of two inputs: it counts when it is read twice.
+    slow, large = time.monotonic() - since > limits.seconds, used - child.base > limits.memory
+    late, child.suspect = slow and child.suspect == index, index if slow else -1
     if late or large:
         child.process.kill()
         child.process.join()
@@ -707,10 +730,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             jobs=given.jobs,
             kept=file.parent / "fuzz-findings",
             progress=partial(_write, file),
+            begun=Report.of(file, family, given.seed) if given.jobs == 1 else None,
         )
-        done = report.document()["done"]
+        rate = report.done / max(report.seconds, 1e-9)
         print(
-            f"{family}: {done} inputs in {report.seconds:.0f} s ({done / max(report.seconds, 1e-9):.0f} a second): "
+            f"{family}: {report.done} inputs in {report.seconds:.0f} s ({rate:.0f} a second): "
             f"{report.accepted} read, {report.refused} refused, {len(report.findings)} findings",
             flush=True,
         )
