@@ -40,6 +40,7 @@ def xml_of(path: Path) -> object:
         (read_toml, b"a = 1\nb = " + b"9" * 5000, ", line 2", "hundreds of digits"),
         (read_toml, b"a = 0x" + b"f" * 5000, ", line 1", "hundreds of digits"),
         (json_of, b"[" * 100_000, "", "nested without end"),
+        (read_toml, b"b = 1\n" + b"a." * 20_000 + b"a = 1", ", line 2", "a name, came one of a hundred parts"),
         (read_toml, b"a = " + b"[" * 100_000, "", "nested without end"),
         (read_toml, b"a = " + b"{a=" * 100_000, "", "nested without end"),
         (read_toml, b"a = 1\nb = [3\n", ", line 2", "not TOML"),
@@ -81,6 +82,26 @@ def test_a_sentence_with_the_place(
     with pytest.raises(InputError, match=words) as caught:
         reader(path)
     assert caught.value.where.startswith(f"{path}{where}")
+
+
+@pytest.mark.parametrize("distortion", [1e300, 4.9e-324])
+def test_lenses_beyond_all_numbers(tmp_path: Path, distortion: float) -> None:
+    """What is next to nothing bends nothing."""
+    text = (
+        f"camera_matrix = [[800, 0, 320], [0, 800, 240], [0, 0, 1]]\ndistortion_coefficients = [{distortion}, 0.1, 0, 0]\n"
+    )
+    path = put(tmp_path, (text + "rvec = [1.9, 0.1, 0.2]\ntvec = [0, 0, 9]\n").encode())
+    if distortion < 1:
+        read_camera(path)
+        return
+    with pytest.raises(InputError, match="finite distortion coefficients of at most"):
+        read_camera(path)
+
+
+def test_a_setting_of_thousands_of_digits_is_a_mistake() -> None:
+    for value in ("9" * 5000, "[" * 100_000):
+        with pytest.raises(InputError, match="detection_probability"):
+            load_settings(sets=[f"sensor.detection_probability={value}"])
 
 
 def test_names_with_nul() -> None:

@@ -28,6 +28,8 @@ PART = ".part"
 SIZE_LIMIT, MAX_SIZE = "PHDTRACK_MAX_FILE_SIZE", 4_000_000_000
 # Digits of a whole number: it is none that a float has.
 _LONG_NUMBER = re.compile(rb"\d[\d_]{299}|0x[\da-fA-F_]{250}")
+# A name of a hundred parts in TOML, whose parser takes minutes for ten thousand.
+_LONG_NAME = re.compile(rb"(?<![\w\"'-])(?:[\w\"'-]++\s*+\.\s*+){100}")
 # Elements within each other: each one knows those around it.
 _DEEPEST = 100
 
@@ -144,6 +146,9 @@ def parse_toml(path: Path, content: bytes) -> dict[str, Any]:
     import tomllib
 
     _refuse_long_numbers(path, content)
+    if found := _LONG_NAME.search(content):
+        line = content.count(b"\n", 0, found.start()) + 1
+        raise InputError("expected a name, came one of a hundred parts", where=f"{path}, line {line}")
     try:
         return tomllib.loads(content.decode("utf-8-sig"))
     except UnicodeDecodeError:
@@ -153,8 +158,8 @@ def parse_toml(path: Path, content: bytes) -> dict[str, Any]:
     except ValueError as error:
         # Its own words end in the place.
         reason, _, place = str(error).partition(" (at ")
-        found = re.match(r"line (\d+)", place)
-        line = int(found[1]) if found else content.rstrip().count(b"\n") + 1
+        number = re.match(r"line (\d+)", place)
+        line = int(number[1]) if number else content.rstrip().count(b"\n") + 1
         raise InputError(f"not TOML: {reason}", where=f"{path}, line {line}") from None
 
 
