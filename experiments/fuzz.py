@@ -109,7 +109,7 @@ class Report:
         return asdict(self) | more
 
     @classmethod
-    def of(cls, file: Path, family: str, seed: int) -> Report | None:
+    def of(cls, file: Path, family: str, seed: int, bounds: Limits) -> Report | None:
         """What a file holds of the same campaign; None where it holds none."""
         try:
             known = json.loads(file.read_text(encoding="utf-8"))
@@ -118,7 +118,7 @@ class Report:
             report = cls(**kept, limits=limits, findings={name: Finding(**one) for name, one in found.items()})
         except (OSError, ValueError, KeyError, TypeError):
             return None
-        return report if (report.family, report.seed, report.limits) == (family, seed, Limits()) else None
+        return report if (report.family, report.seed, report.limits) == (family, seed, bounds) else None
 
 
 def random_of(seed: int, index: int) -> random.Random:
@@ -702,7 +702,8 @@ FAMILIES: dict[str, Callable[[], tuple[list[bytes], Try]]] = {
 }
 
 
-def _write(file: Path, report: Report) -> None:
+def write(file: Path, report: Report) -> None:
+    """Write the report as JSON."""
     file.write_text(json.dumps(report.document(), indent=1) + "\n", encoding="utf-8")
 
 
@@ -713,12 +714,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     out.add_argument("--inputs", type=int, default=1000, metavar="N")
     out.add_argument("--seed", type=int, default=0, metavar="S")
     out.add_argument("--jobs", type=int, default=1, metavar="J")
-    out.add_argument("--out", type=Path, metavar="FILE.json", help="default: runs/reliability/fuzz-FAMILY.json")
+    out.add_argument("--seconds", type=float, default=Limits().seconds, metavar="S", help="for one input")
+    out.add_argument("--out", type=Path, metavar="PATH", help="FILE.json, or a folder; default: runs/reliability")
     given = out.parse_args(arguments)
-    worst = 0
+    worst, limits = 0, Limits(given.seconds)
     for family in FAMILIES if given.family == "all" else [given.family]:
         samples, try_one = FAMILIES[family]()
-        file = given.out or ROOT / "runs" / "reliability" / f"fuzz-{family}.json"
+        file = given.out or ROOT / "runs" / "reliability"
+        file = file if file.suffix == ".json" else file / f"fuzz-{family}.json"
         make = repacked if family == "cameras" else mutated
         file.parent.mkdir(parents=True, exist_ok=True)
         report = campaign(
@@ -729,8 +732,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             seed=given.seed,
             jobs=given.jobs,
             kept=file.parent / "fuzz-findings",
-            progress=partial(_write, file),
-            begun=Report.of(file, family, given.seed) if given.jobs == 1 else None,
+            progress=partial(write, file),
+            limits=limits,
+            begun=Report.of(file, family, given.seed, limits) if given.jobs == 1 else None,
         )
         rate = report.done / max(report.seconds, 1e-9)
         print(

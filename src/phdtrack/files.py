@@ -110,6 +110,8 @@ def load(path: AnyPath) -> bytes:
     """
     path = Path(path)
     refuse_part(path)
+    if "\0" in str(path):
+        raise InputError("expected the name of a file, which has no NUL in it", where=repr(str(path)))
     try:
         with path.open("rb") as file:
             check_size(path, os.fstat(file.fileno()).st_size)
@@ -120,10 +122,6 @@ def load(path: AnyPath) -> bytes:
         raise InputError("expected a file, came a folder", where=path, cure=_inside(path)) from None
     except OSError as error:
         raise InputError(f"the file cannot be read: {error.strerror or error}", where=path) from None
-    except InputError:
-        raise
-    except ValueError as error:
-        raise InputError(f"expected the name of a file, which has no NUL in it ({error})", where=repr(str(path))) from None
 
 
 def check_size(path: AnyPath, size: int) -> None:

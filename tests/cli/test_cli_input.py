@@ -77,7 +77,7 @@ def test_so_it_is_in_groups_and_comparisons(far: Path, tmp_path: Path) -> None:
         "compare", far, "--filters", "none", "--clutter", "5", "--seeds", "1", "--jobs", "1", "--out", tmp_path / "b"
     )
     assert clutter.status == 1
-    assert "frames and boxes of clutter" in clutter.out + clutter.err
+    assert "frames to add clutter to, at most 10,000,000" in clutter.out + clutter.err
 
 
 @pytest.mark.parametrize("command", ["label", "learn"])

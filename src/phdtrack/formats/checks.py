@@ -50,11 +50,11 @@ class LeftOut:
     first: InputError | None = None
     place: float = math.inf
 
-    def take(self, error: InputError, place: float, rows: int = 1) -> None:
-        """Count rows, of which the first has this error."""
-        self.rows += rows
-        if place < self.place:
-            self.first, self.place = error, place
+    def take(self, error: InputError, *places: float) -> None:
+        """Count the rows at these places, of which the first has this error."""
+        self.rows += len(places)
+        if places[0] < self.place:
+            self.first, self.place = error, places[0]
 
     def document(self) -> dict[str, object]:
         """For run.json; empty where nothing was left out."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.formats.checks import LeftOut, Origin
+from phdtrack.formats.checks import Origin
 from phdtrack.formats.text import Text, is_number
 
 _NEIGHBOURS = {"car": ("van",), "pedestrian": ("person", "person_sitting")}
@@ -25,21 +25,14 @@ def is_kitti(text: Text) -> bool:
     return len(text) > 0 and text.width in (17, 18) and not text.header and not is_number(text.cells(0)[2])
 
 
-def rows_of_all(text: Text, left_out: LeftOut | None = None) -> Text:
-    """The rows of all types but regions, as a table with a header and a class; `InputError` where one is cut short, or it
-    goes to ``left_out``."""
-    lines, kept = list[str](), list[int]()
-    for row in range(len(text)):
+def rows_of_all(text: Text) -> Text:
+    """The rows of all types but regions, as a table with a header and a class; `InputError` where one is cut short."""
+    kept = [row for row in range(len(text)) if "".join(text.cells(row)[2:3]).lower() != _REGION]
+    lines = []
+    for row in kept:
         cells = text.cells(row)
-        if "".join(cells[2:3]).lower() == _REGION:
-            continue
         if len(cells) != text.width:
-            error = InputError(f"expected {text.width} columns, came {len(cells)}", where=text.origin.at(row))
-            if left_out is None:
-                raise error
-            left_out.take(error, float(text.origin.number[row]))
-            continue
-        kept.append(row)
+            raise InputError(f"expected {text.width} columns, came {len(cells)}", where=text.origin.at(row))
         lines.append(",".join([*cells[:2], *cells[6:10], cells[17] if text.width == 18 else "1", cells[2]]))
     origin = Origin(text.origin.path, text.origin.unit, text.origin.number[np.array(kept, np.int64)])
     return Text(origin, lines, ",", len(_HEADER[:7]) + 1, (*_HEADER[:7], "class"))

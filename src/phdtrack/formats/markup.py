@@ -101,12 +101,12 @@ def _names(path: Path, document: Any) -> dict[int, str]:
     """What a data set calls its categories."""
     if not isinstance(document, dict) or not document.get("categories"):
         return {}
-    known = _entries(path, _list(path, document, "categories"), "category", "id and name")
-    number = [one.number("id") for one in known]
-    for one, value in zip(known, number, strict=True):
-        if not value.is_integer():
-            raise InputError(f"expected a whole number for id, came {value:g}", where=one.where)
-    return {int(value): str(one.values.get("name", one.values["id"])) for one, value in zip(known, number, strict=True)}
+    names = dict[int, str]()
+    for one in _entries(path, _list(path, document, "categories"), "category", "id and name"):
+        if not (number := one.number("id")).is_integer():
+            raise InputError(f"expected a whole number for id, came {number:g}", where=one.where)
+        names[int(number)] = str(one.values.get("name", one.values["id"]))
+    return names
 
 
 def table_of_cvml(source: Source) -> Table:

@@ -77,7 +77,7 @@ def _note(origin: Origin, rules: list[Rule], bad: Bool, left_out: LeftOut) -> No
     try:
         enforce(origin, *rules)
     except InputError as error:
-        left_out.take(error, float(origin.number[np.argmax(bad)]), int(bad.sum()))
+        left_out.take(error, *origin.number[bad].tolist())
 
 
 def read_tracks(path: AnyPath, *, first_frame: int | None = None, kitti: str = "") -> Tracks:
@@ -154,7 +154,8 @@ def table_of(path: Path, kind: Kind, first_frame: int | None, kitti: str = "", l
     if is_kitti(text):
         source = source._replace(first=0 if first_frame is None else first_frame)
         if not kitti and kind is not Kind.TRUTH:
-            return replace(table_of_text(source, rows_of_all(text, left_out)), kitti=True)
+            text = text if left_out is None else text.readable({}, left_out)
+            return replace(table_of_text(source, rows_of_all(text)), kitti=True)
         text = rows_of_type(text, kitti)
     elif kitti and kind is Kind.TRUTH:
         problem = f"expected a KITTI label file of 17 columns with types as {kitti}, came another table"

@@ -55,6 +55,17 @@ class Text:
         origin = replace(self.origin, number=self.origin.number[np.array(rows, np.int64)])
         return replace(self, origin=origin, lines=[self.lines[row] for row in rows])
 
+    def readable(self, columns: Mapping[int, str], left_out: LeftOut) -> Text:
+        """The lines that have values for the ``columns`` (see `numbers`); the others go to ``left_out``."""
+        kept = []
+        for row in range(len(self)):
+            try:
+                _parse(self, row, columns)
+                kept.append(row)
+            except InputError as error:
+                left_out.take(error, float(self.origin.number[row]))
+        return self.take(kept)
+
     def empty(self, column: int) -> bool:
         """Whether no line has a value in this column."""
         return not any("".join(self.cells(row)[column : column + 1]) for row in range(len(self)))
@@ -96,18 +107,6 @@ def numbers(text: Text, columns: Mapping[int, str]) -> F8:
     except ValueError:
         pass  # the slow way finds the line
     return np.array([_parse(text, row, columns) for row in range(len(text))])
-
-
-def readable(text: Text, columns: Mapping[int, str], left_out: LeftOut) -> Text:
-    """The lines that have values for the ``columns`` (see `numbers`); the others go to ``left_out``."""
-    kept = []
-    for row in range(len(text)):
-        try:
-            _parse(text, row, columns)
-            kept.append(row)
-        except InputError as error:
-            left_out.take(error, float(text.origin.number[row]))
-    return text.take(kept)
 
 
 def read_columns(path: AnyPath, names: Sequence[str], widths: Sequence[int]) -> tuple[Origin, F8]:

@@ -146,6 +146,7 @@ _NAMES = {
     "R": ("R", "rotation", "rotation_matrix"),
     "tvec": ("tvec", "T", "t", "translation", "translation_vector"),
 }
+_types = cache(get_type_hints)
 _EXPECTED = "expected a camera: Tsai XML, OpenCV YAML, XML or JSON, a homography in text or MATLAB 5, or camera.toml"
 
 
@@ -169,17 +170,11 @@ class MatrixForm:
     variable: str = ""
 
     def __post_init__(self) -> None:
-        for name, kind in _form_types().items():
+        for name, kind in _types(MatrixForm).items():
             value, known = getattr(self, name), get_args(kind)
             if not isinstance(value, str) or (known and value not in known):
                 expected = f"expected {name} = {' or '.join(known[1:]) or 'a name'}, came {reprlib.repr(value)}"
                 raise InputError(expected, where="form of the homography")
-
-
-@cache
-def _form_types() -> dict[str, Any]:
-    """The types of `MatrixForm`'s fields."""
-    return get_type_hints(MatrixForm)
 
 
 def read_camera(path: AnyPath, form: MatrixForm | None = None) -> Camera:

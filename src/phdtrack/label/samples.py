@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.arrays import to_cxcywh
-from phdtrack.errors import InputError
 from phdtrack.label.store import Label, LabelStore
 from phdtrack.types import F8, I8, DetectionTable, SequenceInfo, Tracks
 
@@ -43,13 +42,6 @@ def clip(number: int, last: int) -> range:
 def last_frame(info: SequenceInfo, table: DetectionTable) -> int:
     """The last frame; that of the last detection where the video does not say how many there are."""
     return info.frames or table.last
-
-
-def check_length(last: int, where: str) -> None:
-    """Raise `InputError` where a sequence is too long for frames to be drawn at random."""
-    if last > LONGEST:
-        problem = f"expected a sequence of at most {LONGEST:,} frames to draw from, came one that ends with frame {last}"
-        raise InputError(problem, where=where, cure="Is a frame number wrong? Otherwise cut the sequence.")
 
 
 def boxes_of(labels: list[Label], table: DetectionTable) -> F8:
