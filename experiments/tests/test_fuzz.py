@@ -16,7 +16,7 @@ WHOLE = fuzz.Limits(seconds=60.0)
 
 def test_every_family_in_its_short_form(tmp_path: Path) -> None:
     """In a process without threads, because it is forked."""
-    words = [sys.executable, "-m", "experiments.fuzz", "all", "--inputs", "150", "--seconds", "60"]
+    words = [sys.executable, "-m", "experiments.fuzz", "all", "--inputs", "80", "--seconds", "60"]
     done = subprocess.run([*words, "--out", tmp_path], cwd=fuzz.ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     lines = done.stdout.splitlines()
@@ -24,7 +24,7 @@ def test_every_family_in_its_short_form(tmp_path: Path) -> None:
     for family in fuzz.FAMILIES:
         report = fuzz.Report.of(tmp_path / f"fuzz-{family}.json", family, 0, WHOLE)
         assert report is not None
-        assert (report.done, report.failed) == (150, 0)
+        assert (report.done, report.failed) == (80, 0)
         assert min(report.accepted, report.refused) > 0, family
 
 
@@ -45,6 +45,7 @@ def bad(content: bytes) -> None:
 
 
 def made(draw: random.Random) -> bytes:
+    """One of the first twelve with seed 3 hangs."""
     return bytes([draw.randrange(5)])
 
 
@@ -53,12 +54,12 @@ def test_exceptions_crashes_and_hangs_are_found_and_the_rest_is_read(tmp_path: P
         "from pathlib import Path\n"
         "from experiments import fuzz\n"
         "from experiments.tests.test_fuzz import bad, made\n"
-        "limits = fuzz.Limits(0.3)\n"
+        "limits = fuzz.Limits(5.0)\n"
         f"report = fuzz.campaign('bad', made, bad, inputs=12, seed=3, limits=limits, kept=Path({str(tmp_path)!r}))\n"
         f"fuzz.write(Path({str(tmp_path / 'bad.json')!r}), report)\n"
     )
     subprocess.run([sys.executable, "-c", program], cwd=fuzz.ROOT, check=True)
-    report = fuzz.Report.of(tmp_path / "bad.json", "bad", 3, fuzz.Limits(0.3))
+    report = fuzz.Report.of(tmp_path / "bad.json", "bad", 3, fuzz.Limits(5.0))
     assert report is not None
     kinds = [made(fuzz.random_of(3, index))[0] for index in range(12)]
     assert set(kinds) == {0, 1, 2, 3, 4}
