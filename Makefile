@@ -33,14 +33,14 @@ help:
 env: $(STAMP)
 
 # The stamp is newer than what it was made from, so an environment that is up to date costs nothing.
-# The build backend is installed first, by the same constraints, because pip would fetch its newest otherwise.
-# TrackEval comes without its dependencies: they would put OpenCV 5, which has no cascades, over OpenCV 4.
+# Everything is installed as constraints.txt pins it, the build backend too, and pip checks each file by its hash; the project
+# itself has none, so it comes after. Nothing follows dependencies: those of TrackEval would put OpenCV 5, which has no
+# cascades, over OpenCV 4. That nothing is missing is checked by the tests.
 $(STAMP): pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "phdtrack needs Python 3.11 or later, and none was found: install it, or say make PYTHON=/path/to/python3" >&2; exit 1; }
 	@$(PY) -m pip --version >/dev/null 2>&1 || "$(PYTHON)" -m venv --clear $(VENV) || { echo "$(PYTHON) cannot make an environment: on Debian and Ubuntu, apt-get install python3-venv" >&2; exit 1; }
-	$(PY) -m pip install --quiet -c constraints.txt hatchling editables
-	$(PY) -m pip install --quiet -c constraints.txt --no-build-isolation -e '.[dev]'
-	$(PY) -m pip install --quiet -c constraints.txt --no-deps trackeval
+	$(PY) -m pip install --quiet --require-hashes --no-deps -r constraints.txt
+	$(PY) -m pip install --quiet --no-deps --no-build-isolation -e .
 	@touch $@
 
 test: lint pytest-plain pytest
@@ -84,7 +84,7 @@ peers: $(PEERS)/.installed
 
 $(PEERS)/.installed: benchmarks/peers-constraints.txt | env
 	@{ test -x $(PEERS)/bin/python || $(PY) -m venv $(PEERS); } \
-		&& $(PEERS)/bin/python -m pip install --quiet -c $< trackers norfair-enough && touch $@ \
+		&& $(PEERS)/bin/python -m pip install --quiet --require-hashes --no-deps -r $< && touch $@ \
 		|| echo "the environment of the other trackers could not be made; the benchmark goes on without them" >&2
 
 format: env

@@ -6,6 +6,7 @@ from __future__ import annotations
 import errno
 import math
 import os
+import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, is_dataclass
@@ -22,6 +23,15 @@ _USUAL = ("gt/gt.txt", "det/det.txt", "gt.txt", "det.txt", "tracks.csv", "detect
 
 # What the name of a file ends in as long as it is not complete.
 PART = ".part"
+
+# Bytes of a file that is read whole, where this variable of the environment does not say otherwise.
+SIZE_LIMIT, MAX_SIZE = "PHDTRACK_MAX_FILE_SIZE", 4_000_000_000
+# Digits of a whole number: it is none that a float has.
+_LONG_NUMBER = re.compile(rb"\d[\d_]{299}|0x[\da-fA-F_]{250}")
+# A name of a hundred parts in TOML, whose parser takes minutes for ten thousand.
+_LONG_NAME = re.compile(rb"(?<![\w\"'-])(?:[\w\"'-]++\s*+\.\s*+){100}")
+# Elements within each other: each one knows those around it.
+_DEEPEST = 100
 
 
 def part_of(path: Path) -> Path:
@@ -96,12 +106,16 @@ def load(path: AnyPath) -> bytes:
 
     Raises
     ------
-    InputError : there is no such file, it is a folder, it is not complete, or it may not be read.
+    InputError : there is no such file, it is a folder, it is not complete, it is too large, or it may not be read.
     """
     path = Path(path)
     refuse_part(path)
+    if "\0" in str(path):
+        raise InputError("expected the name of a file, which has no NUL in it", where=repr(str(path)))
     try:
-        return path.read_bytes()
+        with path.open("rb") as file:
+            check_size(path, os.fstat(file.fileno()).st_size)
+            return file.read()
     except FileNotFoundError:
         raise InputError("there is no such file", where=path, cure=_nearest(path)) from None
     except IsADirectoryError:
@@ -110,16 +124,48 @@ def load(path: AnyPath) -> bytes:
         raise InputError(f"the file cannot be read: {error.strerror or error}", where=path) from None
 
 
+def check_size(path: AnyPath, size: int) -> None:
+    """Raise `InputError` where a file, or what it expands to, is larger than is read whole."""
+    given = os.environ.get(SIZE_LIMIT, str(MAX_SIZE))
+    if not given.isdecimal() or len(given) > 18:
+        raise InputError(f"expected a number of bytes, came {given[:40]!r}", where=SIZE_LIMIT)
+    if size > int(given):
+        problem = f"expected a file of at most {int(given):,} bytes, came {size:,}"
+        raise InputError(problem, where=Path(path), cure="Is it the right file? If so, say --max-file-size SIZE.")
+
+
 def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a TOML file; `InputError` where it cannot be read, or is none."""
+    return parse_toml(path, load(path))
+
+
+def parse_toml(path: Path, content: bytes) -> dict[str, Any]:
+    """The tables in TOML; `InputError` names the line where it is none."""
     import tomllib
 
+    _refuse_long_numbers(path, content)
+    if found := _LONG_NAME.search(content):
+        line = content.count(b"\n", 0, found.start()) + 1
+        raise InputError("expected a name, came one of a hundred parts", where=f"{path}, line {line}")
     try:
-        return tomllib.loads(load(path).decode("utf-8"))
+        return tomllib.loads(content.decode("utf-8-sig"))
     except UnicodeDecodeError:
         raise InputError("expected a TOML file, got bytes that are no text", where=path) from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"not TOML: {error}", where=path) from None
+    except RecursionError:
+        raise InputError("expected TOML, came brackets nested without end", where=path) from None
+    except ValueError as error:
+        # Its own words end in the place.
+        reason, _, place = str(error).partition(" (at ")
+        number = re.match(r"line (\d+)", place)
+        line = int(number[1]) if number else content.rstrip().count(b"\n") + 1
+        raise InputError(f"not TOML: {reason}", where=f"{path}, line {line}") from None
+
+
+def _refuse_long_numbers(path: Path, content: bytes) -> None:
+    """Raise `InputError` for a whole number of hundreds of digits, which has its place nowhere, and breaks what reads it."""
+    if found := _LONG_NUMBER.search(content):
+        line = content.count(b"\n", 0, found.start()) + 1
+        raise InputError("expected numbers, came one of hundreds of digits", where=f"{path}, line {line}")
 
 
 def lazy(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
@@ -174,6 +220,7 @@ def read_json(path: Path, content: bytes) -> Any:
     """What a JSON file holds; `InputError` names the line where it is none."""
     import json
 
+    _refuse_long_numbers(path, content)
     try:
         return json.loads(content)
     except UnicodeDecodeError:
@@ -224,6 +271,9 @@ def read_xml(path: Path, content: bytes) -> list[Element]:
     parser, found, open_ = expat.ParserCreate(), list[Element](), list[Element]()
 
     def start(name: str, attributes: dict[str, str]) -> None:
+        if len(open_) >= _DEEPEST:
+            where = f"{path}, line {parser.CurrentLineNumber}"
+            raise InputError(f"expected XML of at most {_DEEPEST} elements within each other", where=where)
         found.append(Element(name, attributes, path, parser.CurrentLineNumber, tuple(open_)))
         open_.append(found[-1])
 
@@ -240,6 +290,8 @@ def read_xml(path: Path, content: bytes) -> list[Element]:
     except expat.ExpatError as error:
         reason, where = expat.ErrorString(error.code), f"{path}, line {error.lineno}"
         raise InputError(f"expected XML, which breaks here: {reason}", where=where, cure="Is it complete?") from None
-    except LookupError as error:
+    except (LookupError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
         raise InputError(f"expected XML in UTF-8, came {error}", where=f"{path}, line 1") from None
     return found

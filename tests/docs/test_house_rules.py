@@ -6,12 +6,16 @@ import ast
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+import tomllib
+from collections.abc import Iterable, Iterator
 from functools import cache
+from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = ROOT / "src" / "phdtrack"
@@ -225,7 +229,33 @@ def test_a_tracker_and_one_update_load_little() -> None:
     assert sum(lines(path) for path in paths) <= MAX_LOADED_LINES
 
 
-def test_constraints_pin_versions_without_addresses() -> None:
-    pinned = (ROOT / "constraints.txt").read_text(encoding="utf-8").split()
+CONSTRAINTS = [ROOT / "constraints.txt", ROOT / "benchmarks" / "peers-constraints.txt"]
+
+
+@pytest.mark.parametrize("path", CONSTRAINTS, ids=lambda path: path.name)
+def test_constraints_pin_versions_and_hashes_without_addresses(path: Path) -> None:
+    """One package a line, each with a hash at least; `scripts/hashes.py` fills them in."""
+    pinned = path.read_text(encoding="utf-8").splitlines()
     assert pinned
-    assert [line for line in pinned if not re.fullmatch(r"[A-Za-z0-9_.-]+==[A-Za-z0-9_.]+", line)] == []
+    good = re.compile(r"[A-Za-z0-9_.-]+==[A-Za-z0-9_.]+( --hash=sha256:[0-9a-f]{64})+")
+    assert [line[:60] for line in pinned if not good.fullmatch(line)] == []
+
+
+def test_constraints_hold_everything_that_is_needed() -> None:
+    """They are installed without following dependencies: what the packages of this machine ask for must be among them.
+
+    TrackEval comes without its own, which would put OpenCV 5 over OpenCV 4.
+    """
+
+    def asked(requirements: Iterable[str], extras: Iterable[str] = ("",)) -> set[str]:
+        found = map(Requirement, requirements)
+        kept = [one for one in found if one.marker is None or any(one.marker.evaluate({"extra": extra}) for extra in extras)]
+        return {canonicalize_name(one.name) for one in kept}
+
+    pinned = {canonicalize_name(line.partition("==")[0]) for line in CONSTRAINTS[0].read_text(encoding="utf-8").splitlines()}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    wanted = asked(project["project"]["dependencies"]) | asked(project["build-system"]["requires"])
+    wanted |= asked(project["project"]["optional-dependencies"]["dev"])
+    for name in pinned - {"trackeval", "colorama"}:
+        wanted |= asked(metadata.requires(name) or ())
+    assert wanted - pinned == set()

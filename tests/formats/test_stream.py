@@ -81,8 +81,8 @@ def test_what_cannot_be_used_is_said_with_its_line(content: str, words: str, pie
 
 def test_the_command_tracks_a_pipe_as_it_tracks_the_file(tmp_path: Path) -> None:
     """Frames without rows are frames in which nothing was detected."""
-    frames = [*range(3, 40), *range(45, 80)]
-    rows = "".join(f"{k},-1,{100 * j + 3 * k},{20 + 90 * j},30,60,0.9\n" for k in frames for j in range(3))
+    frames = [*range(3, 40), *range(45, 80), *range(100_000, 100_030)]
+    rows = "".join(f"{k},-1,{100 * j + 3 * (k % 100)},{20 + 90 * j},30,60,0.9\n" for k in frames for j in range(3))
     (tmp_path / "det.txt").write_text(rows)
     command = [sys.executable, "-m", "phdtrack", "track", "--fps", "25", "--frame-size", "640x480", "--detections"]
     for name, source, given in (("file", tmp_path / "det.txt", ""), ("pipe", "-", rows)):

@@ -65,6 +65,7 @@ class PlanOptions:
     max_width: given.MaxWidth = 0
     iou: given.Iou = 0.5
     classes: given.Classes = ""
+    max_file_size: given.MaxFileSize = ""
 
     def plan(self, sequences: list[str]) -> Plan:
         """Every sequence with these detections, methods, rates of clutter and seeds. Raises `InputError` for mistakes."""

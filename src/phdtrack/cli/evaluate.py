@@ -50,6 +50,7 @@ class EvaluateOptions:
     errors: ErrorCauses = False
     detections: Annotated[Path | None, option("FILE", "For --errors: what the tracker was given.")] = None
     worst: Annotated[int, option("N", "For --errors: how many objects and tracks are named.", min=0)] = 5
+    max_file_size: given.MaxFileSize = ""
 
 
 def evaluate(

@@ -14,21 +14,25 @@ import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from phdtrack.arrays import share_inside
 from phdtrack.cli.options import DEFAULT_DETECTOR, SourceOptions
 from phdtrack.cli.output import counted, progress
 from phdtrack.detect import TableDetector, make_detector
 from phdtrack.detect.convert import within_frame
+from phdtrack.detect.registry import frames_up_to, frames_walked
 from phdtrack.devices import Detector
 from phdtrack.errors import InputError, shown
 from phdtrack.formats import DetectionsWriter, find_seqinfo, read_detections
 from phdtrack.formats.stream import stream_detections
+from phdtrack.formats.checks import LeftOut
 from phdtrack.live.sources import LiveSource, named
 from phdtrack.types import F8, STILL, Detections, DetectionTable, Frame, Image, SequenceInfo
 from phdtrack.video import VideoSource, open_source
@@ -40,8 +44,6 @@ TABLES = (".txt", ".csv", ".tsv", ".json", ".xml", ".parquet")
 DEPTH = 3
 # Seconds without a picture after which a run that reads a camera ends.
 GIVE_UP = 60.0
-# Seconds of frames without detections that are gone through; of a longer stretch nothing is left to follow.
-EMPTY = 60.0
 # Seconds that a stage which was stopped may take to end what it does.
 _PATIENCE = 0.7
 T = TypeVar("T")
@@ -53,7 +55,7 @@ Mover = Callable[[Frame, Detections], F8]
 class Inputs:
     """What a run reads. ``pictures``: the frames have any. ``again``: they can be read a second time (a camera's cannot).
     ``name`` is for people; ``described`` says where the detections come from. ``classes`` are those of detections in a file,
-    and ``names`` what it calls them; None where it has none."""
+    and ``names`` what it calls them; None where it has none. ``left_out``: wrong rows of the file, for run.json."""
 
     info: SequenceInfo
     source: VideoSource
@@ -65,6 +67,7 @@ class Inputs:
     warnings: tuple[str, ...] = ()
     names: Mapping[int, str] | None = None
     classes: frozenset[int] | None = None
+    left_out: Mapping[str, object] = field(default_factory=dict)
 
 
 class Detected(NamedTuple):
@@ -118,12 +121,15 @@ def open_inputs(given: SourceOptions, parameters: dict[str, Any], last: int = 0)
     useless = {"--detector": given.detector not in ("", "file"), "--max-width": given.max_width, "--mask": given.mask}
     problem = f"the detections come from {path}, so there is no detector that this could change"
     refuse(useless, problem, "--detections")
-    table = read_detections(path)
+    left_out = None if given.on_error == "stop" else LeftOut()
+    table = read_detections(path, left_out=left_out)
     frames = _video(given) if pictures else _blank(given, path, table, last)
-    seen, left_out = within_frame(table, frames.info, path)
+    seen, warnings = within_frame(table, frames.info, path)
+    warnings = (*(left_out.sentences() if left_out else ()), *warnings)
     classes = frozenset(np.unique(seen.detections.class_id).tolist())
     name = shown(given.source) or str(path)
-    found = Inputs(frames.info, frames, TableDetector(seen), name, str(path), pictures, again, left_out)
+    found = Inputs(frames.info, frames, TableDetector(seen), name, str(path), pictures, again, warnings)
+    found = replace(found, left_out=left_out.document()) if left_out else found
     return replace(found, names=seen.names, classes=classes) if seen.names or classes - {0} else found
 
 
@@ -138,14 +144,14 @@ def _streamed(given: SourceOptions) -> Inputs:
     def read(source: VideoSource) -> Iterator[tuple[int, float, Image, str]]:
         last = empty = 0
         for table in stream_detections(sys.stdin.buffer, "standard input"):
-            seen, _ = within_frame(table, source.info, Path("standard input"))
-            empty += len(table) - len(seen) + table.empty
-            source.problem = f"{empty} boxes without area or outside of the frame are left out" if empty else ""
+            inside = share_inside(table.detections.xyxy, width, height) > 0
+            empty += int((~inside).sum()) + table.empty
+            source.problem = f"{counted(empty, 'box')} without area or outside of the frame left out" if empty else ""
             for number in np.unique(table.frame).tolist():
-                first = max(last + 1, number - round(EMPTY * fps)) if last else 1
-                waiting[number], last = seen.at(number), number
-                for frame in range(first, number + 1):
+                waiting[number] = table.detections.take(np.flatnonzero(inside & (table.frame == number)))
+                for frame in frames_up_to(number, last, fps):
                     yield frame, (frame - 1) / fps, NO_PICTURE, ""
+                last = number
 
     info = SequenceInfo(width, height, fps, 0, "stdin")
     return Inputs(info, VideoSource(info, read), _Waiting(waiting), "standard input", "standard input", False, False)
@@ -275,8 +281,8 @@ def _blank(given: SourceOptions, path: Path, table: DetectionTable, last: int) -
     if not fps:
         raise InputError("the rate of the frames is not known", where=path, cure=f"Say --fps F, {where_else}")
     info = replace(found, width=width, height=height, fps=fps, frames=max(found.frames, table.last, last))
-    numbers = range(1, info.frames + 1)
-    return VideoSource(info, lambda _: ((number, (number - 1) / fps, NO_PICTURE, "") for number in numbers))
+    walked = partial(frames_walked, table, info.frames, fps)
+    return VideoSource(info, lambda _: ((number, (number - 1) / fps, NO_PICTURE, "") for number in walked()))
 
 
 def comes_again(source: str) -> bool:

@@ -32,8 +32,9 @@ from phdtrack.config import Settings, build, load
 from phdtrack.errors import InputError
 from phdtrack.files import write_text
 from phdtrack.formats import read_detections
+from phdtrack.formats.checks import LeftOut
 from phdtrack.label import LabelStore
-from phdtrack.label.samples import Marks, clip, last_frame, shuffled
+from phdtrack.label.samples import LONGEST, Marks, clip, last_frame, shuffled
 from phdtrack.label.suggestions import Background, Evidence, Suggestion, suggest
 from phdtrack.label.training import SceneTraining
 from phdtrack.report.pages import render
@@ -108,11 +109,17 @@ def to_label(source: SourceOptions, parameters: dict[str, Any], labels: Path, ou
         raise InputError("frames of a camera come once only", where=source.source, cure="Record a video and label that")
     inputs = open_inputs(source, parameters)
     output.warn(inputs.warnings)
-    table = read_detections(source.detections or _kept_detections(source, parameters, labels, inputs, output))
+    left_out = None if source.on_error == "stop" else LeftOut()
+    table = read_detections(
+        source.detections or _kept_detections(source, parameters, labels, inputs, output), left_out=left_out
+    )
     if len(table) == 0:
         raise InputError("there are no detections to label", where=inputs.name)
+    if (last := last_frame(inputs.info, table)) > LONGEST:
+        problem = f"expected a sequence of at most {LONGEST:,} frames to draw from, came one that ends with frame {last}"
+        raise InputError(problem, where=inputs.name, cure="Is a frame number wrong? Otherwise cut the sequence.")
     digest = hashlib.sha256(table.frame.tobytes() + table.detections.xyxy.round(3).tobytes()).hexdigest()[:32]
-    return Labelled(inputs.name, replace(inputs.info, frames=last_frame(inputs.info, table)), table, digest)
+    return Labelled(inputs.name, replace(inputs.info, frames=last), table, digest)
 
 
 def _kept_detections(

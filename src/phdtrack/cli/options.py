@@ -5,11 +5,15 @@ A command may have one of the records below among its parameters: `app.command` 
 
 from __future__ import annotations
 
+import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+
+from phdtrack.files import SIZE_LIMIT
 
 
 def option(metavar: str, help: str, *name: str, **more: Any) -> Any:
@@ -44,6 +48,28 @@ Config = Annotated[Path | None, option("FILE", "Settings in a TOML file; an unkn
 Sets = Annotated[list[str] | None, option("NAME=VALUE", "One setting, as sensor.box_noise=0.1; repeatable.", "--set")]
 Preset = Annotated[str, option("NAME", "Settings to start from: default, mot15, m07, m07-extended, m09, m09-mht, e13, …")]
 DetectionsFile = Annotated[Path | None, option("FILE", "Detections instead of a detector's; -: rows from standard input.")]
+OnError = Annotated[
+    str,
+    option(
+        "skip|stop",
+        "Rows of a file of detections that are wrong: left out and counted, or the end.",
+        callback=lambda value: one_of(value, "skip", "stop"),
+    ),
+]
+
+
+def limit_files(size: str) -> str:
+    """Let files be as large as this; the processes that a command starts know it, too."""
+    match = re.fullmatch(r"(\d{1,15})\s*([kMGT]?)B?", size)
+    if size and not match:
+        raise typer.BadParameter(f"expected a size as 500MB or 4GB, got {size!r}")
+    if match:
+        os.environ[SIZE_LIMIT] = str(int(match[1]) * 1000 ** " kMGT".index(match[2] or " "))
+    return size
+
+
+_SIZE = "Largest file that is read whole, as 500MB; videos have no limit (default: 4GB)."
+MaxFileSize = Annotated[str, option("SIZE", _SIZE, callback=limit_files)]
 Classes = Annotated[str, option("NAME,...", "Classes of the detections to track; default: all, each on its own.")]
 Out = Annotated[Path | None, option("DIR", "Directory to write into; default: runs/ and the source's name.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on with a run that was stopped or killed.")]
@@ -66,6 +92,8 @@ class SourceOptions:
     fps: Fps = 0.0
     max_width: MaxWidth = 0
     mask: Mask = None
+    on_error: OnError = "stop"
+    max_file_size: MaxFileSize = ""
 
 
 @dataclass(frozen=True, slots=True)

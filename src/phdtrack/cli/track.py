@@ -112,7 +112,7 @@ def prepare(source: SourceOptions, options: TrackingOptions, settings: Settings,
         settings = config.overlay(settings, {"associate": {"history": REMEMBERED}}, "a camera")
     kinds = config.build_kinds(settings, inputs.info, inputs.names, inputs.classes, moving=True)
     stages = kinds.usual
-    read: dict[str, object] = {"detections": str(source.detections)}
+    read: dict[str, object] = {"detections": str(source.detections), **inputs.left_out}
     if source.detections is None:
         mask, fps = str(source.mask or ""), inputs.info.fps
         read = {"detector": inputs.described, "max_width": source.max_width, "mask": mask, "fps": fps}

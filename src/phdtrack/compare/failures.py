@@ -113,13 +113,16 @@ def _chosen(found: Sequence[Condition], number: int) -> list[tuple[Condition, in
     """
     reasons: dict[tuple[int, int], list[str]] = {}
     apart = [_MIN_SECONDS_BETWEEN * given.info.fps for _, _, given, _ in found]
-    counts = [np.array([rows.counts(given.info.frames) for rows in each.values()]) for _, _, given, each in found]
+    numbers = [np.unique(np.concatenate([rows.frame for rows in each.values()])) for *_, each in found]
+    counts = [
+        np.array([rows.counts(known) for rows in each.values()]) for known, (*_, each) in zip(numbers, found, strict=True)
+    ]
     for why, values in (
         ("differ most", [np.ptp(count, axis=0) for count in counts]),
         ("most mistakes", [count.sum(axis=0) for count in counts]),
     ):
-        places = [(i, frame) for i, value in enumerate(values) for frame in np.flatnonzero(value > 0).tolist()]
-        places.sort(key=lambda place: (-values[place[0]][place[1]], place not in reasons, place))
+        worth = {(i, int(numbers[i][k])): value[k] for i, value in enumerate(values) for k in np.flatnonzero(value > 0)}
+        places = sorted(worth, key=lambda place: (-worth[place], place not in reasons, place))
         taken: list[tuple[int, int]] = []
         for i, frame in places:
             if len(taken) < number and all(abs(frame - other) >= apart[i] for _, other in taken):

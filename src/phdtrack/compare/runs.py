@@ -37,6 +37,7 @@ from phdtrack.classes import Lanes
 from phdtrack.compare.plans import Case, Plan, Run
 from phdtrack.detect import make_detector
 from phdtrack.detect.convert import within_frame
+from phdtrack.detect.registry import frames_walked
 from phdtrack.errors import InputError, interrupted
 from phdtrack.files import json_value, write_text
 from phdtrack.formats import DetectionsWriter, read_detections, read_truth, write_tracks
@@ -322,13 +323,14 @@ def run_input(run: Run, kept: Path) -> RunInput:
         info = replace(info, frames=int(numbers.max(initial=0)))
     else:
         table, warnings = within_frame(read_detections(case.file), info, case.file)
-        numbers = np.arange(1, info.frames + 1)
-        times = (numbers - 1) / info.fps
     truth = None if case.truth is None else read_truth(case.truth)
     if run.rate:
         sizes = np.zeros((0, 2)) if truth is None else truth.xyxy[:, 2:] - truth.xyxy[:, :2]
         name = zlib.crc32(case.sequence.encode("utf-8", "surrogateescape"))
         table = add_clutter(table, info, run.rate, np.random.default_rng([run.seed, round(1e6 * run.rate), name]), sizes)
+    if case.file is not None:
+        numbers = np.fromiter(frames_walked(table, info.frames, info.fps), np.int64)
+        times = (numbers - 1) / info.fps
     return RunInput(info, table, numbers, times, truth, "; ".join(filter(None, warnings)))
 
 

@@ -311,7 +311,7 @@ def parsed_value(value: str) -> Any:
         parsed = tomllib.loads(f"value = {plain}")["value"]
         # No setting is a moment; TOML takes 19:30:00 for one.
         parsed = value if isinstance(parsed, (datetime.date, datetime.time)) else parsed
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         parsed = value
     return parsed
 

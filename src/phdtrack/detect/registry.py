@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,8 @@ from phdtrack.types import Bool, Detections, DetectionTable, Frame, Image
 
 _WORDS = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
 _INSIDE = 0.5
+# Seconds without a detection after which empty frames are passed over, and the least and largest number of these frames.
+_EMPTY, _FEWEST_EMPTY, _MOST_EMPTY = 60.0, 250, 100_000
 # Pixels on a side below which no detector sees anything, and the clean-up's windows are larger than the picture.
 _SMALLEST = 16
 _BUILD: dict[str, Any] = {
@@ -46,6 +50,47 @@ class TableDetector:
     def __call__(self, frame: Frame) -> Detections:
         """The detections of frame ``frame.number``."""
         return self.table.at(frame.number)
+
+
+def frames_walked(table: DetectionTable, last: int, fps: float) -> Iterator[int]:
+    """The numbers of the frames 1 … ``last`` that a tracker goes through where there are detections and no video.
+
+    After a minute without a detection (and 250 frames) no target is left that one more empty frame could change: of each it
+    would be known that it was missed so often. The frames up to the next detection are passed over, as one interval without
+    frames, so that a gap takes no time however long it is. The last frame counts as one with detections.
+
+    Parameters
+    ----------
+    table : the detections.
+    last : the last frame.
+    fps : frames per second.
+
+    Yields
+    ------
+    The numbers, ascending.
+    """
+    before = 0
+    for number in chain(np.unique(table.frame[table.frame <= last]).tolist(), [last]):
+        yield from frames_up_to(number, before, fps)
+        before = number
+
+
+def frames_up_to(number: int, before: int, fps: float) -> Iterator[int]:
+    """The frames after ``before`` up to ``number`` that `frames_walked` gives, where none in between has detections.
+
+    Parameters
+    ----------
+    number, before : two frames with detections, or 0 before the first.
+    fps : frames per second.
+
+    Yields
+    ------
+    The numbers, ascending.
+    """
+    longest = max(_FEWEST_EMPTY, int(min(_EMPTY * fps, _MOST_EMPTY)))
+    yield from range(before + 1, min(before + longest, number - 1) + 1)
+    if number > before:
+        yield number
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ The first bad row is reported, by its place in the file, with the number of furt
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -15,6 +16,8 @@ from phdtrack.errors import InputError
 from phdtrack.types import F8, I8, Bool
 
 _LARGEST = 2.0**53  # beyond it a float no longer tells neighbouring integers apart
+# The highest frame number: three years at a hundred frames a second. Products of it with a picture's size are exact.
+LAST_FRAME = 10_000_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +40,30 @@ class Rule(NamedTuple):
     problem: str
     values: F8 | I8
     cure: str = ""
+
+
+@dataclass(slots=True)
+class LeftOut:
+    """What is wrong in a file and was left out: how many ``rows``, and the ``first`` error, at ``place`` among the rows."""
+
+    rows: int = 0
+    first: InputError | None = None
+    place: float = math.inf
+
+    def take(self, error: InputError, *places: float) -> None:
+        """Count the rows at these places, of which the first has this error."""
+        self.rows += len(places)
+        if places[0] < self.place:
+            self.first, self.place = error, places[0]
+
+    def document(self) -> dict[str, object]:
+        """For run.json; empty where nothing was left out."""
+        return {"rows_left_out": self.rows, "first_left_out": str(self.first)} if self.rows else {}
+
+    def sentences(self) -> tuple[str, ...]:
+        """What was left out, for people."""
+        many = "1 row that is wrong is" if self.rows == 1 else f"{self.rows} rows that are wrong are"
+        return (f"{many} left out, the first: {self.first}",) if self.rows else ()
 
 
 def enforce(origin: Origin, *rules: Rule) -> None:
@@ -70,6 +97,11 @@ def whole(values: F8, name: str, *, low: float = -_LARGEST, high: float = _LARGE
     limits = f" of {low:.0f} or more" if low > -_LARGEST else ""
     limits = f" from {low:.0f} to {high:.0f}" if high < _LARGEST else limits
     return Rule(~good, f"expected a whole number{limits} for the {name}, came {{:.15g}}", values, cure)
+
+
+def far(frame: F8) -> Rule:
+    """The fault of a frame number beyond `LAST_FRAME`."""
+    return Rule(frame > LAST_FRAME, f"expected frame {LAST_FRAME:,} or earlier, came {{:.15g}}", frame)
 
 
 def repeated(*columns: F8 | I8) -> I8:

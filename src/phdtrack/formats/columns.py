@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.files import AnyPath
-from phdtrack.formats.checks import Rule, enforce, repeated, whole
+from phdtrack.formats.checks import Rule, enforce, far, repeated, whole
 from phdtrack.formats.text import read_columns
 from phdtrack.formats.write import Lines
 from phdtrack.models.warp import after, as_warp
@@ -56,7 +56,7 @@ def read_warps(path: AnyPath) -> Warps:
     number = values[:, 0]
     cure = "Frames count from 1; the matrix of frame 2 leads there from frame 1."
     twice = Rule(repeated(number) >= 0, "frame {:.0f} comes twice", number)
-    enforce(origin, whole(number, "frame number", low=1, cure=cure), twice)
+    enforce(origin, whole(number, "frame number", low=1, cure=cure), far(number), twice)
     order = np.argsort(number, kind="stable")
     matrix = [as_warp(values[k, 1:].reshape(-1, 3), origin.at(int(k))) for k in order]
     return Warps(number[order].astype(np.int64), np.array(matrix).reshape(-1, 3, 3))
@@ -108,6 +108,7 @@ def read_positions(path: AnyPath) -> Positions:
         origin,
         Rule(bad, "expected finite numbers, came one that is not", values),
         whole(values[:, 0], "frame"),
+        far(np.abs(values[:, 0])),
         whole(values[:, 1], "identity"),
         Rule(again, "expected each identity at most once in a frame, came one twice", values),
     )

@@ -27,7 +27,7 @@ def is_kitti(text: Text) -> bool:
 
 def rows_of_all(text: Text) -> Text:
     """The rows of all types but regions, as a table with a header and a class; `InputError` where one is cut short."""
-    kept = [row for row in range(len(text)) if text.cells(row)[2].lower() != _REGION]
+    kept = [row for row in range(len(text)) if "".join(text.cells(row)[2:3]).lower() != _REGION]
     lines = []
     for row in kept:
         cells = text.cells(row)

@@ -17,6 +17,7 @@ over.
 from __future__ import annotations
 
 import re
+import reprlib
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
@@ -67,21 +68,32 @@ def table_of_coco(source: Source) -> Table:
     if isinstance(document, dict):
         unit = "annotation"
         images = _entries(path, _list(path, document, "images"), "image", "id and file_name") if "images" in document else []
-        entries = _entries(path, _list(path, document, "annotations"), unit, "image_id and bbox")
+        given = _list(path, document, "annotations")
     elif isinstance(document, list):
-        unit, images = "entry", []
-        entries = _entries(path, document, unit, "image_id and bbox")
+        unit, images, given = "entry", [], document
     else:
         raise InputError(f"expected a list of results or a COCO data set, came {_brief(document)}", where=path)
+    frame_of, entries, kept = _frame_of(path, images) if images else None, list[_Entry](), list[int]()
+    for i, one in enumerate(given):
+        try:
+            entry = _entry(path, one, unit, i + 1, "image_id and bbox")
+            _check(entry, frame_of)
+        except InputError as error:
+            if source.left_out is None:
+                raise
+            source.left_out.take(error, i + 1.0)
+            continue
+        entries.append(entry)
+        kept.append(i + 1)
     boxes = np.array([entry.box() for entry in entries], np.float64).reshape(-1, 4)
     values = dict(zip(LTWH, boxes.T, strict=True))
     numbers = [entry.number("image_id") for entry in entries]
-    values[Column.FRAME] = np.array(_frames(path, images, numbers, entries) if images else numbers, np.float64)
+    values[Column.FRAME] = np.array([frame_of[key] for key in numbers] if frame_of else numbers, np.float64)
     for column, keys in _KEYS.items():
         if column is not Column.IDENTITY or source.kind is not Kind.DETECTIONS:
             found = [entry.number(*keys, default=column.default) for entry in entries]
             values[column] = np.array(found, np.float64)
-    origin = Origin(path, unit, np.arange(1, len(entries) + 1))
+    origin = Origin(path, unit, np.array(kept, np.int64))
     return Table(origin, source.first, values, np.zeros((len(entries), 0)), _names(path, document))
 
 
@@ -89,8 +101,12 @@ def _names(path: Path, document: Any) -> dict[int, str]:
     """What a data set calls its categories."""
     if not isinstance(document, dict) or not document.get("categories"):
         return {}
-    known = _entries(path, _list(path, document, "categories"), "category", "id and name")
-    return {int(one.number("id")): str(one.values.get("name", one.values["id"])) for one in known}
+    names = dict[int, str]()
+    for one in _entries(path, _list(path, document, "categories"), "category", "id and name"):
+        if not (number := one.number("id")).is_integer():
+            raise InputError(f"expected a whole number for id, came {number:g}", where=one.where)
+        names[int(number)] = str(one.values.get("name", one.values["id"]))
+    return names
 
 
 def table_of_cvml(source: Source) -> Table:
@@ -123,18 +139,29 @@ def _list(path: Path, document: dict[str, Any], key: str) -> list[Any]:
 
 
 def _entries(path: Path, objects: list[Any], unit: str, keys: str) -> list[_Entry]:
-    entries = []
-    for i, values in enumerate(objects, start=1):
-        where = f"{path}, {unit} {i}"
-        if not isinstance(values, dict):
-            raise InputError(f"expected an object with {keys}, came {_brief(values)}", where=where)
-        more = values.get("attributes")
-        entries.append(_Entry({**more, **values} if isinstance(more, dict) else values, where))
-    return entries
+    return [_entry(path, values, unit, i, keys) for i, values in enumerate(objects, start=1)]
 
 
-def _frames(path: Path, images: list[_Entry], numbers: list[float], entries: list[_Entry]) -> list[float]:
-    """The frame number of each annotation, by the number of its image."""
+def _entry(path: Path, values: Any, unit: str, number: int, keys: str) -> _Entry:
+    where = f"{path}, {unit} {number}"
+    if not isinstance(values, dict):
+        raise InputError(f"expected an object with {keys}, came {_brief(values)}", where=where)
+    more = values.get("attributes")
+    return _Entry({**more, **values} if isinstance(more, dict) else values, where)
+
+
+def _check(entry: _Entry, frame_of: dict[float, float] | None) -> None:
+    """Raise `InputError` where an entry has no box, a value that is no number, or an image that there is not."""
+    entry.box()
+    for column, keys in _KEYS.items():
+        entry.number(*keys, default=column.default if column is not Column.IDENTITY else 0.0)
+    key = entry.number("image_id")
+    if frame_of is not None and key not in frame_of:
+        raise InputError(f"expected the id of one of the images, came image_id {key:.15g}", where=entry.where)
+
+
+def _frame_of(path: Path, images: list[_Entry]) -> dict[float, float]:
+    """The frame number of each image, by its id."""
     videos = {entry.values["video_id"] for entry in images if isinstance(entry.values.get("video_id"), int | str)}
     if len(videos) > 1:
         raise InputError(f"expected one video, came {len(videos)}", where=path, cure="Split the file by video_id.")
@@ -146,11 +173,7 @@ def _frames(path: Path, images: list[_Entry], numbers: list[float], entries: lis
     for name in ("frame_number", "frame_index", "frame_id"):
         if all(name in entry.values for entry in images):
             frame = [entry.number(name) for entry in images]
-    frame_of = dict(zip(ids, frame, strict=True))
-    for key, entry in zip(numbers, entries, strict=True):
-        if key not in frame_of:
-            raise InputError(f"expected the id of one of the images, came image_id {key:.15g}", where=entry.where)
-    return [frame_of[key] for key in numbers]
+    return dict(zip(ids, frame, strict=True))
 
 
 def _number(value: object, name: str, where: str) -> float:
@@ -166,5 +189,5 @@ def _number(value: object, name: str, where: str) -> float:
 
 
 def _brief(value: object) -> str:
-    text = repr(value)
+    text = reprlib.repr(value)
     return text if len(text) <= 40 else f"{text[:37]}..."

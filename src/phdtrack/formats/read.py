@@ -17,7 +17,7 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.files import AnyPath, load
-from phdtrack.formats.checks import Origin, Rule, enforce, flag, repeated, whole
+from phdtrack.formats.checks import LeftOut, Origin, Rule, enforce, far, flag, repeated, whole
 from phdtrack.formats.kitti import is_kitti, rows_of_all, rows_of_type
 from phdtrack.formats.markup import table_of_coco, table_of_cvml
 from phdtrack.formats.table import Column, Kind, Source, Table, table_of_parquet, table_of_text
@@ -27,22 +27,32 @@ from phdtrack.types import F8, I8, Bool, Detections, DetectionTable, Tracks
 NO_ROWS = Table(Origin(Path(), "line", np.zeros(0, np.int64)), 1, {}, np.zeros((0, 0)))
 
 
-def read_detections(path: AnyPath, *, first_frame: int | None = None) -> DetectionTable:
+def read_detections(path: AnyPath, *, first_frame: int | None = None, left_out: LeftOut | None = None) -> DetectionTable:
     """The detections in a MOTChallenge ``det.txt``, CSV, Parquet, COCO JSON or CVML file, sorted by frame.
 
     Boxes in pixels, xyxy. Confidence is 1 and class 0 where the file has none; confidence has no bounds. Classes that are
     words get numbers, see `DetectionTable.names`; KITTI's label files have all types but regions. Real detectors give boxes
     of width or height 0 now and then: they are left out and counted in `DetectionTable.empty`.
 
+    Parameters
+    ----------
+    path : the file.
+    first_frame : the number that the file gives the first frame; None: what is usual in its format.
+    left_out : counts rows that are wrong, and these are left out; None: the first of them is an error.
+
+    Returns
+    -------
+    The detections.
+
     Raises
     ------
-    InputError : the file is missing or malformed; the message names the line.
+    InputError : the file is missing or malformed, or no row is right; the message names the line.
     """
-    return detections_of(table_of(Path(path), Kind.DETECTIONS, first_frame))
+    return detections_of(table_of(Path(path), Kind.DETECTIONS, first_frame, left_out=left_out), left_out)
 
 
-def detections_of(table: Table) -> DetectionTable:
-    """The detections in a table, sorted by frame; `InputError` names the first row that is none."""
+def detections_of(table: Table, left_out: LeftOut | None = None) -> DetectionTable:
+    """The detections in a table, sorted by frame; `InputError` names the first row that is none, if none is left out."""
     label, covariance = table.get(Column.CLASS), None
     rules = [*box_rules(table, least=0.0), whole(label, "class")]
     if table.triangle.shape[1]:
@@ -50,12 +60,28 @@ def detections_of(table: Table) -> DetectionTable:
         i, j = np.triu_indices(4)
         covariance[:, i, j] = covariance[:, j, i] = table.triangle
         rules.append(_definite(covariance))
-    enforce(table.origin, *rules)
+    if left_out is None:
+        enforce(table.origin, *rules)
+    else:
+        bad = np.any([rule.bad for rule in rules], axis=0)
+        _note(table.origin, rules, bad, left_out)
+        table, label = table.take(~bad), label[~bad]
+        covariance = None if covariance is None else covariance[~bad]
+        if not len(label) and left_out.first is not None:
+            raise left_out.first
     frame, box = frames_of(table), table.xyxy()
     order = np.argsort(frame, kind="stable")
     order = order[np.all(box[order, 2:] > box[order, :2], axis=1)]
     found = Detections(box, table.get(Column.CONFIDENCE), label.astype(np.int64), covariance)
     return DetectionTable(frame[order], found.take(order), len(frame) - len(order), table.names)
+
+
+def _note(origin: Origin, rules: list[Rule], bad: Bool, left_out: LeftOut) -> None:
+    """Count the rows that break rules."""
+    try:
+        enforce(origin, *rules)
+    except InputError as error:
+        left_out.take(error, *origin.number[bad].tolist())
 
 
 def read_tracks(path: AnyPath, *, first_frame: int | None = None, kitti: str = "") -> Tracks:
@@ -97,7 +123,7 @@ def _tracks_of(table: Table) -> Tracks:
     return everything.take(np.lexsort((identity, frame)))
 
 
-def table_of(path: Path, kind: Kind, first_frame: int | None, kitti: str = "") -> Table:
+def table_of(path: Path, kind: Kind, first_frame: int | None, kitti: str = "", left_out: LeftOut | None = None) -> Table:
     """The rows of a file, not checked yet.
 
     Parameters
@@ -106,6 +132,7 @@ def table_of(path: Path, kind: Kind, first_frame: int | None, kitti: str = "") -
     kind : what it is read as.
     first_frame : the number that it gives the first frame; None: what is usual in its format.
     kitti : the type of objects of which a KITTI file is read.
+    left_out : takes rows that cannot be read, in text and JSON; None: they are errors.
 
     Returns
     -------
@@ -118,7 +145,7 @@ def table_of(path: Path, kind: Kind, first_frame: int | None, kitti: str = "") -
     content = load(path)
     start = content[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()[:4]  # without a byte order mark
     usual = 0 if start.startswith(b"<") else 1
-    source = Source(path, content, kind, usual if first_frame is None else first_frame)
+    source = Source(path, content, kind, usual if first_frame is None else first_frame, left_out)
     if not content.strip():
         return replace(NO_ROWS, origin=Origin(path, "line", np.zeros(0, np.int64)))
     if start == b"PAR1":
@@ -131,6 +158,7 @@ def table_of(path: Path, kind: Kind, first_frame: int | None, kitti: str = "") -
     if is_kitti(text):
         source = source._replace(first=0 if first_frame is None else first_frame)
         if not kitti and kind is not Kind.TRUTH:
+            text = text if left_out is None else text.readable({}, left_out)
             return replace(table_of_text(source, rows_of_all(text)), kitti=True)
         text = rows_of_type(text, kitti)
     elif kitti and kind is Kind.TRUTH:
@@ -172,6 +200,7 @@ def box_rules(table: Table, *, least: float | None = None) -> list[Rule]:
     return [
         number,
         Rule(early & ~number.bad, f"expected frame {first} or later, came {{:.15g}}", frame, cure),
+        far(np.where(number.bad, 0.0, frame)),
         Rule(~finite, f"expected finite numbers for the box, came {came}", box, "Remove the row."),
         Rule(flat & finite, empty, size, "Mend or remove the row."),
         Rule(~np.isfinite(confidence), "expected a finite confidence, came {}", confidence),

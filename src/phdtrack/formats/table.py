@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.formats.checks import Origin
+from phdtrack.formats.checks import LeftOut, Origin
 from phdtrack.formats.text import Text, is_number, normalise, numbers
 from phdtrack.types import F8, I8, Bool
 
@@ -80,12 +80,14 @@ _COVARIANCE = tuple(f"cov_{a}_{b}" for i, a in enumerate("xywh") for b in "xywh"
 
 
 class Source(NamedTuple):
-    """A file to be read: ``content`` are its bytes, ``first`` is the number that it gives the first frame."""
+    """A file to be read: ``content`` are its bytes, ``first`` is the number that it gives the first frame. Rows that are
+    wrong end the reading, or go to ``left_out``."""
 
     path: Path
     content: bytes
     kind: Kind
     first: int
+    left_out: LeftOut | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,8 +142,12 @@ def table_of_text(source: Source, text: Text) -> Table:
         raise InputError(problem, where=text.origin.at(0), cure=cure)
     header = text.header or _by_position(source.kind, text.width or 6)
     layout = _layout(source, header, text.empty)
-    text, names = _numbered(text, layout)
-    return replace(_table(source, text.origin, layout, numbers(text, {i: header[i] for i in layout.at})), names=names)
+    columns = {i: header[i] for i in layout.at}
+    if source.left_out is not None:
+        at = _word(text, layout)
+        text = text.readable({i: name for i, name in columns.items() if i != at}, source.left_out)
+    text, names = _numbered(text, layout, source.left_out)
+    return replace(_table(source, text.origin, layout, numbers(text, columns)), names=names)
 
 
 def table_of_parquet(source: Source) -> Table:
@@ -209,16 +215,29 @@ def _layout(source: Source, header: Sequence[str], empty: Callable[[int], bool])
     return _Layout(columns, at)
 
 
-def _numbered(text: Text, layout: _Layout) -> tuple[Text, dict[int, str]]:
-    """The table with numbers in place of classes that are words, and the words by number."""
+def _word(text: Text, layout: _Layout) -> int:
+    """The place of the class, where the first row that has one has no number for it; −1 otherwise."""
     at = next((i for column, i in zip(layout.columns, layout.at, strict=False) if column is Column.CLASS), -1)
-    if at < 0 or not len(text) or is_number(text.cells(0)[at]):
+    cells = (text.cells(row)[at : at + 1] for row in range(len(text)))
+    return at if at >= 0 and not is_number(next((one[0] for one in cells if one), "0")) else -1
+
+
+def _numbered(text: Text, layout: _Layout, left_out: LeftOut | None) -> tuple[Text, dict[int, str]]:
+    """The table with numbers in place of classes that are words, and the words by number."""
+    at = _word(text, layout)
+    if at < 0:
         return text, {}
     rows = [text.cells(row) for row in range(len(text))]
-    words = sorted({row[at] for row in rows if len(row) > at})
-    bad = next((k for k, row in enumerate(rows) if len(row) > at and (is_number(row[at]) or not row[at])), -1)
-    if bad >= 0:
-        raise InputError(f"expected a word for the class, as before, came '{rows[bad][at]}'", where=text.origin.at(bad))
+    words = sorted({row[at] for row in rows if len(row) > at and not is_number(row[at])} - {""})
+    bad = [k for k, row in enumerate(rows) if len(row) > at and (is_number(row[at]) or not row[at])]
+    if bad:
+        problem = f"expected a word for the class, as before, came '{rows[bad[0]][at]}'"
+        error = InputError(problem, where=text.origin.at(bad[0]))
+        if left_out is None:
+            raise error
+        left_out.take(error, *text.origin.number[bad].tolist())
+        kept = np.delete(np.arange(len(rows)), bad).tolist()
+        text, rows = text.take(kept), [rows[k] for k in kept]
     number = {word: str(k) for k, word in enumerate(words, start=1)}
     lines = [",".join(number[c] if i == at else c.replace(",", ".") for i, c in enumerate(row)) for row in rows]
     return replace(text, lines=lines, delimiter=","), dict(enumerate(words, start=1))

@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.files import AnyPath, load
-from phdtrack.formats.checks import Origin
+from phdtrack.formats.checks import LeftOut, Origin
 from phdtrack.types import F8
 
 
@@ -49,6 +49,22 @@ class Text:
         """The values of line ``row`` (0-based among ``lines``) as text, without empty ones beyond the last column."""
         cells = _split(self.lines[row], self.delimiter)
         return cells[: max(self.width, _filled(cells))]
+
+    def take(self, rows: Sequence[int]) -> Text:
+        """The lines ``rows``, from 0."""
+        origin = replace(self.origin, number=self.origin.number[np.array(rows, np.int64)])
+        return replace(self, origin=origin, lines=[self.lines[row] for row in rows])
+
+    def readable(self, columns: Mapping[int, str], left_out: LeftOut) -> Text:
+        """The lines that have values for the ``columns`` (see `numbers`); the others go to ``left_out``."""
+        kept = []
+        for row in range(len(self)):
+            try:
+                _parse(self, row, columns)
+                kept.append(row)
+            except InputError as error:
+                left_out.take(error, float(self.origin.number[row]))
+        return self.take(kept)
 
     def empty(self, column: int) -> bool:
         """Whether no line has a value in this column."""

@@ -112,7 +112,7 @@ def ignoring(truth: Truth, path: AnyPath) -> Truth:
     text = _list(scan(path, load(path)))
     # Frame 0 stands for all frames.
     table = table_of_text(Source(path, b"", Kind.IGNORED, 0), text) if len(text) else NO_ROWS
-    enforce(table.origin, *box_rules(table))
+    enforce(table.origin, *box_rules(table), whole(table.get(Column.IDENTITY), "identity", low=-1))
     region = table.get(Column.IDENTITY) < 0
     distractors, frame = table.take(~region), table.get(Column.FRAME).astype(np.int64)
     enforce(distractors.origin, Rule(frame[~region] == 0, "a row with an identity needs a frame", frame[~region]))

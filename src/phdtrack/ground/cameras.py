@@ -40,6 +40,8 @@ _FAR = 1e6
 # Newton's steps in OpenCV's lens, the error in pixels that counts as solved, and its starts: shares of the fold at most.
 _STEPS, _SOLVED, _STARTS = 12, 1e-9, (0.5, 0.8, 0.95)
 _TINY = float(np.finfo(np.float64).tiny)
+# Distortion coefficients: larger ones are none of a lens, and smaller ones bend nothing.
+_MOST_DISTORTION, _TINY_DISTORTION = 1e6, 1e-30
 # Points along an edge of the frame, points of the grid that a visible centre is looked for on, halvings of a pixel's way.
 _EDGE, _GRID, _HALVINGS = 64, 33, 50
 
@@ -63,6 +65,8 @@ class HomographyCamera:
         h = np.asarray(self.matrix, dtype=np.float64)
         if h.shape != (3, 3) or not np.isfinite(h).all():
             raise InputError("expected a matrix of 3 x 3 finite numbers", where="homography")
+        # Any scale will do; that of the largest keeps squares in range.
+        h = h / (np.abs(h).max() or 1.0)
         rows, columns = np.linalg.norm(h, axis=1), np.linalg.norm(h, axis=0)
         if min(rows.min(), columns.min()) == 0 or np.linalg.cond(h / rows[:, None] / columns) > 1e12:
             raise InputError(
@@ -202,9 +206,9 @@ class OpenCVLens:
         if np.any(k[[0, 1, 2, 2], [1, 0, 0, 1]] != 0) or k[2, 2] != 1:
             problem = "expected a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], came other entries than 0 and 1"
             raise InputError(problem, where="lens of the camera")
-        if d.ndim != 1 or len(d) not in (0, 4, 5, 8, 12) or not np.isfinite(d).all():
+        if d.ndim != 1 or len(d) not in (0, 4, 5, 8, 12) or not (np.abs(d) <= _MOST_DISTORTION).all():
             raise InputError(
-                f"expected 0, 4, 5, 8 or 12 finite distortion coefficients, came {d.size}",
+                f"expected 0, 4, 5, 8 or 12 finite distortion coefficients of at most {_MOST_DISTORTION:g}, came {d.size}",
                 where="lens of the camera",
                 cure="The two of a tilted sensor (14 coefficients) are not understood; leave them out where they are 0.",
             )
@@ -255,7 +259,8 @@ class OpenCVLens:
 
 def _fold(coefficients: F8) -> float:
     """The least slope at which r q(r²) stops to grow, or has a pole; infinite where there is none."""
-    k1, k2, _, _, k3, k4, k5, k6, *_ = coefficients
+    # What is next to nothing would put roots beyond all numbers.
+    k1, k2, _, _, k3, k4, k5, k6, *_ = np.where(np.abs(coefficients) < _TINY_DISTORTION, 0.0, coefficients)
     above, below = np.polynomial.Polynomial([1, k1, k2, k3]), np.polynomial.Polynomial([1, k4, k5, k6])
     squared = np.polynomial.Polynomial([0, 2])
     # d(r q)/dr is this over the square of the lower polynomial, in t = r².

@@ -20,12 +20,12 @@ distances in the image, where the clicks err, gives the final one. Layouts that 
 
 from __future__ import annotations
 
-import io
 import re
-import tomllib
+import reprlib
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal, get_args, get_type_hints
 
@@ -34,8 +34,9 @@ import numpy as np
 
 from phdtrack.devices import Camera
 from phdtrack.errors import InputError, did_you_mean
-from phdtrack.files import AnyPath, Element, load, read_json, read_xml
+from phdtrack.files import AnyPath, Element, load, parse_toml, read_json, read_xml
 from phdtrack.ground.cameras import HomographyCamera, OpenCVLens, PosedCamera, TsaiLens
+from phdtrack.ground.matlab import read_matlab
 from phdtrack.ground.terrain import Line, read_terrain
 from phdtrack.types import F8
 
@@ -145,6 +146,7 @@ _NAMES = {
     "R": ("R", "rotation", "rotation_matrix"),
     "tvec": ("tvec", "T", "t", "translation", "translation_vector"),
 }
+_types = cache(get_type_hints)
 _EXPECTED = "expected a camera: Tsai XML, OpenCV YAML, XML or JSON, a homography in text or MATLAB 5, or camera.toml"
 
 
@@ -168,10 +170,10 @@ class MatrixForm:
     variable: str = ""
 
     def __post_init__(self) -> None:
-        for name, kind in get_type_hints(MatrixForm).items():
+        for name, kind in _types(MatrixForm).items():
             value, known = getattr(self, name), get_args(kind)
             if not isinstance(value, str) or (known and value not in known):
-                expected = f"expected {name} = {' or '.join(known[1:]) or 'a name'}, came {value!r}"
+                expected = f"expected {name} = {' or '.join(known[1:]) or 'a name'}, came {reprlib.repr(value)}"
                 raise InputError(expected, where="form of the homography")
 
 
@@ -208,7 +210,7 @@ def calibration_text(fitted: Calibration, frame_size: tuple[int, int] | None = N
 def _read(path: Path, form: MatrixForm, *, nested: bool = False) -> Camera:
     """The camera of a file; ``nested``: a description has named it, so that it must not name another one."""
     content = load(path)
-    if content.startswith((b"MATLAB 5.0", b"MATLAB 7.3")):
+    if content.startswith((b"MATLAB", b"\x89HDF")) or path.suffix.lower() == ".mat":
         return _homography_camera(_matlab_matrix(path, content, form), replace(form, vectors=form.vectors or "row"))
     try:
         text = content.decode("utf-8-sig")
@@ -228,7 +230,7 @@ def _read(path: Path, form: MatrixForm, *, nested: bool = False) -> Camera:
     if re.match(r"(\s*(#.*)?\n)*\s*[-+]?(\d|\.\d|nan\b|inf\b)", text, re.IGNORECASE):
         usual: Literal["xy", "row-column"] = "row-column" if (path.parent / "obsmat.txt").is_file() else "xy"
         return _homography_camera(_text_matrix(text), replace(form, pixel=form.pixel or usual))
-    return _described(path, _toml(text), nested)
+    return _described(path, _toml(path, content), nested)
 
 
 def _described(path: Path, values: Description, nested: bool) -> Camera:
@@ -241,7 +243,7 @@ def _described(path: Path, values: Description, nested: bool) -> Camera:
         raise InputError("expected a camera, came a description of yet another file")
     for key in ("file", "terrain"):
         if not isinstance(values.get(key, ""), str):
-            raise InputError(f"expected the name of a file, came {values[key]!r}", where=key)
+            raise InputError(f"expected the name of a file, came {reprlib.repr(values[key])}", where=key)
     form = {field.name: values[field.name] for field in fields(MatrixForm) if field.name in values}
     if kinds == ["camera_matrix"]:
         camera: Camera = _opencv_camera(values)
@@ -267,7 +269,7 @@ def _homography_camera(matrix: F8, form: MatrixForm, inside: tuple[float, float]
     if form.pixel == "row-column":
         h = h[:, [1, 0, 2]]
     metres = _METRES[form.unit or "m"]
-    return HomographyCamera(np.diag([metres, metres, 1.0]) @ h, inside)
+    return HomographyCamera(np.array([[metres], [metres], [1.0]]) * h, inside)
 
 
 def _opencv_camera(values: Description) -> PosedCamera:
@@ -297,8 +299,8 @@ def _array(values: Description, name: str, shape: tuple[int, ...] | None = None)
     wanted = " x ".join(map(str, shape)) + " numbers" if shape else "a list of numbers"
     try:
         value = np.asarray(values[name], dtype=np.float64)
-    except (ValueError, TypeError):
-        raise InputError(f"expected {wanted}, came {str(values[name])[:60]}", where=name) from None
+    except (ValueError, TypeError, OverflowError):
+        raise InputError(f"expected {wanted}, came {reprlib.repr(values[name])[:60]}", where=name) from None
     if not np.isfinite(value).all():
         raise InputError(f"expected {wanted}, came some that are not finite", where=name)
     if shape is None:
@@ -309,14 +311,13 @@ def _array(values: Description, name: str, shape: tuple[int, ...] | None = None)
     return value.reshape(shape)
 
 
-def _toml(text: str) -> Description:
+def _toml(path: Path, content: bytes) -> Description:
     """The keys and values of a TOML file, all of them known."""
     try:
-        values = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        place = re.search(r"\(at (line \d+)", str(error))
-        problem = f"{_EXPECTED}; as TOML it breaks here: {str(error).partition(' (at')[0]}"
-        raise InputError(problem, where=place[1] if place else "") from None
+        values = parse_toml(path, content)
+    except InputError as error:
+        problem = f"{_EXPECTED}; as TOML it breaks here: {error.problem.removeprefix('not TOML: ')}"
+        raise InputError(problem, where=error.where) from None
     names = [name for group in _NAMES.values() for name in group]
     known = ["homography", "inside", *(field.name for field in fields(MatrixForm)), "file", "terrain", *names]
     for key in values:
@@ -361,19 +362,14 @@ def _text_matrix(text: str) -> F8:
 
 def _matlab_matrix(path: Path, content: bytes, form: MatrixForm) -> F8:
     """(3, 3) the matrix of a MATLAB file, or of a transform (`maketform`); the form must say which, and its unit."""
-    from scipy.io import loadmat  # takes long to import
 
     def matrix_of(value: Any) -> F8 | None:
-        if isinstance(value, np.ndarray) and value.shape == (3, 3) and value.dtype.kind in "fiu":
-            return value.astype(np.float64)
+        if isinstance(value, np.ndarray) and value.shape == (3, 3):
+            return value
         inner = value.get("tdata", value) if isinstance(value, dict) else None
         return matrix_of(inner.get("T")) if isinstance(inner, dict) else None
 
-    source: Any = io.BytesIO(content)  # SciPy takes an open file, its types know of names only
-    try:
-        held = loadmat(source, simplify_cells=True)
-    except Exception as error:  # a file cut short makes SciPy fail in a dozen ways
-        raise InputError(f"the MATLAB file cannot be read: {error}", cure="Save it with -v7.") from None
+    held = read_matlab(content)
     found = {name: matrix for name, value in held.items() if (matrix := matrix_of(value)) is not None}
     name, others = form.variable or next(iter(found), "NAME"), ", ".join(found)
     if form.variable and name not in found:

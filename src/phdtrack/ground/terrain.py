@@ -12,6 +12,7 @@ NODATA_value), followed by the heights, the northernmost row first. All lengths 
 from __future__ import annotations
 
 import io
+import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -19,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.files import AnyPath, load
+from phdtrack.files import AnyPath, check_size, load
 from phdtrack.types import F8
 
 _HALVINGS = 60
@@ -192,6 +193,8 @@ def _arrays(path: Path, content: bytes) -> tuple[F8, F8, F8]:
     """Origin, step and heights of an .npz file."""
     expected = "expected an .npz file with the arrays heights (ny, nx), origin (2,) and step (2,)"
     try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            check_size(path, sum(one.file_size for one in archive.infolist()))
         with np.load(io.BytesIO(content), allow_pickle=False) as held:
             found = {name: held[name].astype(np.float64) for name in ("heights", "origin", "step") if name in held}
     except Exception as error:  # a broken archive makes NumPy fail in a dozen ways

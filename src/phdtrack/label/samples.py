@@ -17,6 +17,8 @@ from phdtrack.arrays import to_cxcywh
 from phdtrack.label.store import Label, LabelStore
 from phdtrack.types import F8, I8, DetectionTable, SequenceInfo, Tracks
 
+# Frames of a sequence: five days at 25 a second.
+LONGEST = 10_000_000
 # Frames of a clip before the drawn one, and behind it.
 REACH = 10
 # Frames behind a mark whose detections give the velocity, and how many of them at least.

@@ -27,6 +27,7 @@ import numpy as np
 
 from phdtrack import pipeline
 from phdtrack.arrays import iou, to_cxcywh
+from phdtrack.detect.registry import frames_walked
 from phdtrack.protocols import AnyStages
 from phdtrack.types import F8, I8, Bool, DetectionTable, Tracks
 
@@ -91,7 +92,8 @@ class Evidence:
         """
         rows = np.arange(*np.searchsorted(table.frame, [frames.start, frames.stop]))
         rng, clutter = np.random.default_rng(seed), []
-        given = ((number, (number - 1) / fps, table.at(number)) for number in frames)
+        walked = (number for number in frames_walked(table, frames.stop - 1, fps) if number >= frames.start)
+        given = ((number, (number - 1) / fps, table.at(number)) for number in walked)
         for after, step in pipeline.run(stages, given, rng):
             state, found = after, step.info.clutter_probability
             clutter.append(found if len(found) else np.zeros(len(step.detections)))

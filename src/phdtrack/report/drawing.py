@@ -269,9 +269,10 @@ class Mistakes(NamedTuple):
         """Those of one frame."""
         return Mistakes(*(column[self.frame == number] for column in self))
 
-    def counts(self, frames: int) -> I8:
-        """(frames + 1,) number of mistakes in each frame, from number 0."""
-        return np.bincount(self.frame[self.kind != RIGHT], minlength=frames + 1)
+    def counts(self, numbers: I8) -> I8:
+        """(F,) how many mistakes there are in each of these frames."""
+        first, end = (np.searchsorted(np.sort(self.frame[self.kind != RIGHT]), numbers, side) for side in ("left", "right"))
+        return end - first
 
     def __str__(self) -> str:
         """Their numbers in words."""

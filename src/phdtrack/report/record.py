@@ -314,7 +314,8 @@ def shrunk(image: Image, width: int) -> Image:
 
 def _count(frame: I8, numbers: I8) -> I8:
     """(F,) how many entries of ``frame`` (M,) equal each of ``numbers`` (F,)."""
-    return np.bincount(frame, minlength=int(numbers.max(initial=0)) + 1)[numbers]
+    first, end = (np.searchsorted(np.sort(frame), numbers, side) for side in ("left", "right"))
+    return end - first
 
 
 def _likely_range(cardinality: F8) -> tuple[float, float]:

@@ -12,6 +12,7 @@ part may be missing.
 from __future__ import annotations
 
 import json
+import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -89,7 +90,9 @@ def read_scene(path: Path) -> Scene:
     document = read_json(path, load(path))
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         found = document.get("format") if isinstance(document, dict) else type(document).__name__
-        raise InputError(f"expected a learned scene of format {FORMAT}, got {found!r}", where=path, cure="Learn it again")
+        raise InputError(
+            f"expected a learned scene of format {FORMAT}, got {reprlib.repr(found)}", where=path, cure="Learn it again"
+        )
     try:
         return Scene(
             int(document["width"]),
@@ -101,7 +104,7 @@ def read_scene(path: Path) -> Scene:
             dict(document["notes"]),
             _followed(document.get("followed")),
         )
-    except (InputError, KeyError, TypeError, ValueError) as error:
+    except (InputError, KeyError, TypeError, ValueError, OverflowError) as error:
         what = str(error) if isinstance(error, InputError) else f"{type(error).__name__} {error}"
         raise InputError(f"no learned scene: {what}", where=path, cure="Learn it again") from None
 

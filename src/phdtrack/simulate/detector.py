@@ -19,6 +19,7 @@ HEIGHTS, ASPECTS = (0.08, 0.5), (1 / 3, 1.0)
 """Log-uniform clutter: heights in frame heights, and width over height."""
 # A jittered width or height stays above this part of the true one.
 _MIN_SIZE = 0.2
+_MOST_FRAMES = 10_000_000
 # Points a side at which it is seen how much of a box is hidden.
 _GRID = 9
 
@@ -147,8 +148,9 @@ def add_clutter(
     ------
     InputError : the number of frames is not known, or ``rate`` is not a number of boxes.
     """
-    if info.frames < 1:
-        raise InputError("expected a known number of frames to add clutter to", where=info.name, cure="Count the frames")
+    if not 1 <= info.frames <= _MOST_FRAMES:
+        problem = f"expected a known number of frames to add clutter to, at most {_MOST_FRAMES:,}, came {info.frames}"
+        raise InputError(problem, where=info.name, cure="Count the frames. Is a frame number wrong?")
     if not 0 <= rate < np.inf:
         raise InputError(f"expected a clutter rate in boxes per frame, got {rate}", cure="Give 0 or more")
     boxes_rng, donor_rng, order_rng = rng.spawn(3)

@@ -247,8 +247,8 @@ def _open(path: str) -> tuple[Any, Any]:
 
     remote = "://" in path
     try:
-        container: Any = av.open(path, timeout=(CONNECT, READ) if remote else None)
-    except (av.FFmpegError, OSError) as error:
+        container: Any = av.open(path, timeout=(CONNECT, READ) if remote else None, metadata_errors="replace")
+    except (av.FFmpegError, OSError, ValueError) as error:
         cure = "Check that it is a whole video file: an mp4 cut off while it was recorded or copied has no index. "
         cure += "`ffmpeg -i IN -c:v libx264 OUT.mp4` converts most other kinds."
         if remote:
@@ -280,8 +280,10 @@ def _pictures(container: Any, stream: Any, losses: list[tuple[int, str]]) -> Ite
                     losses.append((number, "parts of a picture are missing"))
                 number += 1
                 yield picture
-    except av.FFmpegError as error:
-        losses.append((number, _reason(error)))
+    except (av.FFmpegError, IndexError) as error:
+        # PyAV knows no streams but those that there were at the beginning.
+        reason = "it goes on with other streams" if isinstance(error, IndexError) else _reason(error)
+        losses.append((number, reason))
 
 
 def _upright(picture: Any) -> Image:
