@@ -31,8 +31,8 @@ from phdtrack.detect.registry import frames_up_to, frames_walked
 from phdtrack.devices import Detector
 from phdtrack.errors import InputError, shown
 from phdtrack.formats import DetectionsWriter, find_seqinfo, read_detections
-from phdtrack.formats.stream import stream_detections
 from phdtrack.formats.checks import LeftOut
+from phdtrack.formats.stream import stream_detections
 from phdtrack.live.sources import LiveSource, named
 from phdtrack.types import F8, STILL, Detections, DetectionTable, Frame, Image, SequenceInfo
 from phdtrack.video import VideoSource, open_source

@@ -73,7 +73,8 @@ def update(mean: F8, covariance: F8, z: F8, noise: F8, rows: I8) -> tuple[F8, F8
     -------
     The means and covariances.
     """
-    return rts.updated(*map(np.ascontiguousarray, (mean, covariance, z, noise)), rows)
+    after: tuple[F8, F8] = rts.updated(*map(np.ascontiguousarray, (mean, covariance, z, noise)), rows)
+    return after
 
 
 def smooth_back(mean: F8, covariance: F8, ahead: Ahead, later: F8, later_covariance: F8) -> tuple[F8, F8]:
@@ -90,7 +91,8 @@ def smooth_back(mean: F8, covariance: F8, ahead: Ahead, later: F8, later_covaria
     The smoothed means and covariances.
     """
     given = (mean, covariance), ahead, (later, later_covariance)
-    return rts.smoothed(*(tuple(np.ascontiguousarray(part) for part in one) for one in given))
+    smoothed: tuple[F8, F8] = rts.smoothed(*(tuple(np.ascontiguousarray(part) for part in one) for one in given))
+    return smoothed
 
 
 def bridge(motion: Motion, ends: tuple[F8, F8, F8, F8], steps: F8, warps: Sequence[F8] = ()) -> F8:
