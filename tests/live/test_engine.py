@@ -174,6 +174,9 @@ def test_it_ends_in_time_though_an_encoder_hangs_and_says_that_a_file_is_not_com
     assert time.monotonic() - begun < 20
     assert events(tmp_path)
     encoder.hold.clear()
+    # Once it moves again, all can be completed.
+    assert one.stop(600.0)
+    assert unfinished(tmp_path) == []
 
 
 def test_events_that_a_full_disk_refused_are_written_later(tmp_path: Path) -> None:
