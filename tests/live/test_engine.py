@@ -161,6 +161,24 @@ def test_it_ends_in_time_with_whole_files_whatever_hangs(tmp_path: Path, what: s
     detector.hold.clear()
 
 
+def test_it_ends_in_time_though_an_encoder_hangs_and_says_that_a_file_is_not_complete(tmp_path: Path) -> None:
+    one = camera(Scripted(), CameraSettings(tmp_path))
+    until(lambda: one.counted["appear"])
+    assert one._video is not None
+    encoder = Bright()
+    encoder.hold.set()
+    one._video.write = lambda image, wall: encoder(Frame(1, 0.0, image))
+    until(encoder.hangs.is_set)
+    begun = time.monotonic()
+    assert not one.stop()
+    assert time.monotonic() - begun < 20
+    assert events(tmp_path)
+    encoder.hold.clear()
+    # Once it moves again, all can be completed.
+    assert one.stop(600.0)
+    assert unfinished(tmp_path) == []
+
+
 def test_events_that_a_full_disk_refused_are_written_later(tmp_path: Path) -> None:
     one = camera(Scripted(), CameraSettings(tmp_path, video=0))
     write, refused = one.log.write, list[object]()

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from camera_server import CameraServer, until
+from camera_server import CameraServer, HlsServer, RtspServer, until
 
 from phdtrack.live.sources import LiveFrame, LiveSource, named, shown
 from phdtrack.video import VideoWriter
@@ -93,6 +94,69 @@ def test_a_camera_that_dies_is_found_again(server: CameraServer, source: LiveSou
         assert now.time > last.time
         last = now
     assert source.status().connects == 4
+
+
+def place(frame: LiveFrame) -> int:
+    """The left edge of the square of `square`."""
+    return int(np.argmax(frame.image[frame.image.shape[0] // 2 + 20, :, 0] > 128))
+
+
+@pytest.fixture
+def gstreamer() -> Iterator[RtspServer]:
+    try:
+        server = RtspServer()
+    except LookupError as error:
+        pytest.skip(f"no RTSP server: {error}")
+    yield server
+    server.kill()
+
+
+@pytest.mark.slow
+def test_an_rtsp_camera_that_dies_freezes_and_changes_its_size(gstreamer: RtspServer) -> None:
+    """On GStreamer's server, which is not ours."""
+    server = gstreamer
+    source = LiveSource(server.url, connect=300.0, read=300.0)
+    source.start()
+    first, *_, last = frames(source, 25)
+    assert first.image.shape == (480, 640, 3)
+    assert last.image[10, 10, 0] < 60 < 200 < last.image[290, place(last) + 40, 0]
+    server.say("size 320 240")
+    until(lambda: frames(source, 1) and source.status().sent == (320, 240))
+    assert frames(source, 1)[0].image.shape == (480, 640, 3)
+    server.say("freeze")
+    waited(source, "silent")
+    server.say("thaw")
+    waited(source, "live")
+    server.kill()
+    waited(source, "down")
+    server.restart()
+    returned = time.monotonic()
+    waited(source, "live")
+    (after,) = frames(source, 1)
+    assert after.time > returned - source._start > last.time
+    assert source.status().connects == 2
+    source.stop()
+
+
+@pytest.mark.slow
+def test_hls_is_played_at_the_pace_of_its_stamps_and_found_again(tmp_path: Path) -> None:
+    server = HlsServer(tmp_path)
+    until(lambda: (tmp_path / "live2.ts").exists())
+    source = LiveSource(server.url, connect=300.0, read=300.0)
+    source.start()
+    found = frames(source, 40)
+    assert all(a.time < b.time for a, b in pairwise(found))
+    # The square's speed is right, however late the pieces were: 70 pixels a second; it turns at most once.
+    speeds = [abs(place(b) - place(a)) / (b.time - a.time) for a, b in zip(found[:-10], found[10:], strict=True)]
+    assert np.median(speeds) == pytest.approx(70, rel=0.05)
+    server.kill()
+    waited(source, "down")
+    server.restart()
+    waited(source, "live")
+    assert frames(source, 1)[0].time > found[-1].time
+    source.stop()
+    server.kill()
+    server.end()
 
 
 def test_it_is_tried_again_twice_a_second(server: CameraServer) -> None:

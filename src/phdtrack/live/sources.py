@@ -219,13 +219,15 @@ class LiveSource:
         import av
 
         remote = "://" in self.address
-        options = {"fflags": "nobuffer", "flags": "low_delay"} if remote else {}
+        # What is read to find out the codec is kept: all until the next key frame depends on it.
+        options = {"flags": "low_delay", "fpsprobesize": "0"} if remote else {}
         if urlsplit(self.address).scheme.startswith("rtsp"):
             options["rtsp_transport"] = "tcp"
         with av.open(self.address, options=options, timeout=(self.connect, self.read) if remote else None) as container:
             stream = container.streams.video[0]
             stream.thread_type = "SLICE"
             paced, begun, first, last = not remote or "hls" in container.format.name, 0.0, 0.0, -math.inf
+            behind, before, stamp = remote and not paced and container.format.name != "mpjpeg", 0.0, 0.0
             for packet in container.demux(stream):
                 with self._change:
                     if not self._current(generation):
@@ -237,6 +239,13 @@ class LiveSource:
                         self._status = replace(self._status, undecodable=self._status.undecodable + 1)
                     continue
                 for picture in pictures:
+                    if behind and picture.time is not None:
+                        # What came while the connection was made is older than its arrival, and comes all at once.
+                        now = time.monotonic()
+                        behind = not before or now - before < (picture.time - stamp) / 2
+                        before, stamp = now, picture.time
+                        if behind:
+                            continue
                     at = 0.0
                     if paced and picture.time is not None:
                         at = begun + (picture.time - first)
