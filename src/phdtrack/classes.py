@@ -20,6 +20,8 @@ from typing import Any
 import numpy as np
 
 from phdtrack import pipeline
+from phdtrack.detect.convert import LeftOut, Limits
+from phdtrack.kernels.grid import uncrowded
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages
 from phdtrack.types import F8, I8, STILL, Bool, Detections, Estimates, Step, Tracks, UpdateInfo
@@ -47,6 +49,7 @@ class Kinds:
     least : by class the least score, and the least length of a box's longer side in pixels, that are tracked.
     apart : False: classes are not looked at.
     names : what they are called.
+    limits : how many detections a frame may have.
     """
 
     usual: AnyStages
@@ -56,6 +59,7 @@ class Kinds:
     least: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     apart: bool = True
     names: Mapping[int, str] = field(default_factory=dict)
+    limits: Limits = field(default_factory=Limits)
 
     def stages(self, kind: int) -> AnyStages:
         """The stages of a class."""
@@ -77,6 +81,33 @@ class Kinds:
             size = (detections.xyxy[:, 2:] - detections.xyxy[:, :2]).max(axis=1, initial=0.0)
             good &= (label != one) | ((detections.confidence >= score) & (size >= side))
         return good
+
+    def taken(self, found: Detections) -> tuple[I8, LeftOut]:
+        """(k,) which detections are tracked, and how many others there are."""
+        rows, out = self.limits.plausible(found)
+        wanted = rows[self.wanted(found.take(rows))]
+        apart = wanted[self._uncrowded(found.take(wanted))]
+        best = apart[self.limits.best(found.confidence[apart])]
+        counts = len(rows) - len(wanted), len(wanted) - len(apart), len(apart) - len(best)
+        return best, LeftOut(*out[:2], *counts)
+
+    def _uncrowded(self, found: Detections) -> Bool:
+        """(N,) whether each detection is one of the best in its place, of those of its class."""
+        most, kept = self.limits.max_in_one_place, np.ones(len(found), np.bool_)
+        if len(found) <= most:
+            return kept
+        label = self.of(found)
+        for kind in np.unique(label).tolist():
+            order = np.flatnonzero(label == kind)
+            order = order[np.argsort(-found.confidence[order], kind="stable")]
+            sensor = self.stages(kind).model.sensor
+            z = sensor.measure(found.take(order))
+            reach = np.subtract(*sensor.gate(z)[::-1]) / 2
+            # A foot above the horizon is in no place.
+            known = np.isfinite(z).all(axis=0) & np.isfinite(reach).all(axis=0)
+            at, half = np.ascontiguousarray(z[:2, known]), np.ascontiguousarray(reach[:, known])
+            kept[order[known]] = uncrowded(at, half, most)
+        return kept
 
 
 @dataclass(slots=True)

@@ -89,7 +89,11 @@ def particles_about(
         possible = (weight > 0) & (state[4:] > 0).all(axis=0)
         first = np.concatenate([[0], np.cumsum(possible)])[first]
         state, weight = state[:, possible], weight[possible]
-    return Particles(state, weight, np.unique(first))
+    start = np.unique(first)
+    if len(weight) and (mass := np.add.reduceat(weight, start[:-1])).max() > 1:
+        # A detection is of one target at most.
+        weight = weight / np.repeat(np.maximum(mass, 1), np.diff(start)).astype(dtype)
+    return Particles(state, weight, start)
 
 
 def births_around(seen: tuple[F8, F8], density: F8, given: GaussianMixture | None = None, seconds: float = 1.0) -> Births:
@@ -153,7 +157,7 @@ class _AroundDetections(abc.ABC):
 
     def expected(self, z: F8, seconds: float) -> float:
         """The mass of γT."""
-        rate: float = self.births_per_second + self.births_per_detection * z.shape[1]
+        rate: float = self.births_per_second + min(self.births_per_detection, 1 / seconds) * z.shape[1]
         return rate * seconds
 
 
