@@ -51,7 +51,7 @@ CheckpointEvery = Annotated[float, option("S", "Seconds between checkpoints, for
 _BLUR = "Make boxes, or faces (the upper third of boxes), unrecognisable in all pictures and videos."
 Blur = Annotated[str, option("boxes|faces", _BLUR, callback=lambda value: one_of(value, "", "boxes", "faces"))]
 Threads = Annotated[int | None, option("N", "Threads of particle filters; same result (default: 1; 0: all cores).", min=0)]
-_MOST = "Most detections of a frame; of more the highest scores are taken (default: 1000; of mcmc 100)."
+_MOST = "Most detections of a frame; of more the highest scores are taken (default: 1000; less with some filters)."
 MaxDetections = Annotated[int | None, option("N", _MOST, min=1)]
 
 DEFAULT_DETECTOR = "change"

@@ -38,6 +38,8 @@ from phdtrack.types import F8, GaussianMixture, Particles
 KEPT = 0.99
 # So many more points are drawn than one detection needs, so that detections have different ones.
 SPARE = 128
+# Particles that are born in a frame at most: each detection has fewer where there are very many.
+MOST_BORN = 300_000
 
 
 def particles_about(
@@ -69,6 +71,7 @@ def particles_about(
     """
     mean, cov = seen
     observed = list(rows)
+    particles = min(particles, MOST_BORN // max(len(covered), 1) + 1)
     counts = np.ceil(particles * np.clip(1.0 - covered, 0.0, 1.0)).astype(np.int64)
     if not counts.any():
         return Particles(np.zeros((len(mean), 0)), np.zeros(0))
