@@ -141,7 +141,7 @@ class Tracker:
         if timestamp is not None:
             time = _number(timestamp, f"frame {number}, update(timestamp=…)")
         found = as_detections(detections, where=f"frame {number}")
-        kept, left_out = self.kinds.taken(found)
+        kept, left_out = self.kinds.taken(found, self._lanes.states)
         moved = STILL if warp is None else as_warp(warp, f"frame {number}, update(warp=…)")
         if len(moved):
             from phdtrack.models.scene import refuse_standing

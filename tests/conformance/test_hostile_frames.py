@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phdtrack import Tracker
+from phdtrack import Tracker, pipeline
 from phdtrack.config import load
 from phdtrack.detect.convert import LeftOut, Limits
 from phdtrack.errors import InputError
@@ -177,3 +177,26 @@ def test_the_links_of_a_vertex_are_bounded():
         tracker.update(one_place(400))
     links = np.diff(tracker.state.association.window.start)
     assert links.max() == 512
+
+
+def test_the_empty_frames_before_new_classes_are_gone_through_once(monkeypatch: pytest.MonkeyPatch):
+    """However many classes a frame brings, of which the first hundred are tracked."""
+    many, alone, done = tracker_of("none"), tracker_of("none"), []
+    for tracker in (many, alone):
+        tracker.update(np.hstack([one_place(1), [[1.0, 3.0]]]))
+        for _ in range(20):
+            tracker.update(np.zeros((0, 4)))
+
+    def counted(*given, advance=pipeline.advance):
+        done.append(1)
+        return advance(*given)
+
+    boxes = np.column_stack([spread(300), np.ones(300), np.arange(10, 310)])
+    with monkeypatch.context() as patched:
+        patched.setattr(pipeline, "advance", counted)
+        many.update(boxes)
+    # 21 frames for all of them, then a step of each.
+    assert len(done) == 21 + 100
+    assert many.left_out == LeftOut(classes=201)
+    alone.update(boxes[:1])
+    assert many.states[10].number == alone.states[10].number == 22

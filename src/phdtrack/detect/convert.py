@@ -63,6 +63,7 @@ class LeftOut(NamedTuple):
     empty: int = 0
     misplaced: int = 0
     unwanted: int = 0
+    classes: int = 0
     crowded: int = 0
     surplus: int = 0
 
@@ -81,6 +82,7 @@ _REASONS = LeftOut(*(
     "their width or height is not above 0",
     f"a side is below {SHORTEST:g} pixels or above {LONGEST:g} frames, or their centre is so far outside",
     "their class was not asked for, or their size or score is below the least of their class",
+    "there are more classes than limits.max_classes",
     "more are in one place than limits.max_in_one_place",
     "a frame has more than limits.max_detections",
 ))  # fmt: skip
@@ -93,11 +95,13 @@ class Limits(Checked):
     Parameters
     ----------
     max_detections : detections of a frame.
+    max_classes : classes that are tracked apart, the first.
     max_in_one_place : detections that lie in each other's gates, so that each could be any other's target.
     frame_size : the image's width and height in pixels; (0, 0): not known.
     """
 
     max_detections: PositiveCount = 1000
+    max_classes: PositiveCount = 100
     max_in_one_place: PositiveCount = 25
     frame_size: tuple[float, float] = (0.0, 0.0)
 

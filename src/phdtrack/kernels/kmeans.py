@@ -27,7 +27,7 @@ DUST = 1e-12
 # mass: its farthest particles were strays, and peeling them off one by one would not end.
 PATIENCE, STRAY = 4, 0.05
 # Pairs of a block and a centre in its reach after which nothing is divided any more: hundreds of targets in one heap.
-MOST_PAIRS = 1_000_000
+MOST_PAIRS = 400_000
 
 
 class Rule(NamedTuple):

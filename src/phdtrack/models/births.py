@@ -40,6 +40,8 @@ KEPT = 0.99
 SPARE = 128
 # Particles that are born in a frame at most: each detection has fewer where there are very many.
 MOST_BORN = 300_000
+# Expected births at most: after a long gap what else is computed with them would be as many numbers.
+MOST_EXPECTED = 3000.0
 
 
 def particles_about(
@@ -160,8 +162,8 @@ class _AroundDetections(abc.ABC):
 
     def expected(self, z: F8, seconds: float) -> float:
         """The mass of γT."""
-        rate: float = self.births_per_second + min(self.births_per_detection, 1 / seconds) * z.shape[1]
-        return rate * seconds
+        rate: float = self.births_per_second + self.births_per_detection * z.shape[1]
+        return min(rate * seconds, MOST_EXPECTED)
 
 
 @dataclass(frozen=True, slots=True)
