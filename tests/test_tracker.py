@@ -80,7 +80,7 @@ def test_boxes_without_size_are_left_out_counted_and_said_once(kind: str, caplog
     assert other.empty == 8
     assert plain.empty == 0
     assert [record.getMessage() for record in caplog.records if record.name == "phdtrack.tracker"] == [
-        "frame 2: boxes whose width or height is not above 0 are left out (2 here)"
+        "frame 2: 2 boxes left out: their width or height is not above 0"
     ]
     one, two = plain.tracks(), other.tracks()
     moved = one.frame % 3 == 2

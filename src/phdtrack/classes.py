@@ -12,7 +12,7 @@ that it is the class with the largest sum of scores. A corrected track has one c
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
 from typing import Any
@@ -20,6 +20,8 @@ from typing import Any
 import numpy as np
 
 from phdtrack import pipeline
+from phdtrack.detect.convert import LeftOut, Limits
+from phdtrack.kernels.grid import uncrowded
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages
 from phdtrack.types import F8, I8, STILL, Bool, Detections, Estimates, Step, Tracks, UpdateInfo
@@ -47,6 +49,7 @@ class Kinds:
     least : by class the least score, and the least length of a box's longer side in pixels, that are tracked.
     apart : False: classes are not looked at.
     names : what they are called.
+    limits : how many detections a frame may have.
     """
 
     usual: AnyStages
@@ -56,6 +59,7 @@ class Kinds:
     least: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     apart: bool = True
     names: Mapping[int, str] = field(default_factory=dict)
+    limits: Limits = field(default_factory=Limits)
 
     def stages(self, kind: int) -> AnyStages:
         """The stages of a class."""
@@ -77,6 +81,40 @@ class Kinds:
             size = (detections.xyxy[:, 2:] - detections.xyxy[:, :2]).max(axis=1, initial=0.0)
             good &= (label != one) | ((detections.confidence >= score) & (size >= side))
         return good
+
+    def taken(self, found: Detections, seen: Collection[int] = ()) -> tuple[I8, LeftOut]:
+        """(k,) which detections are tracked, and how many others there are; ``seen`` are the classes of earlier frames."""
+        rows, out = self.limits.plausible(found)
+        wanted = rows[self.wanted(found.take(rows))]
+        known = wanted[self._among_classes(found.take(wanted), seen)]
+        out, wanted = out._replace(unwanted=len(rows) - len(wanted), classes=len(wanted) - len(known)), known
+        apart = wanted[self._uncrowded(found.take(wanted))]
+        best = apart[self.limits.best(found.confidence[apart])]
+        return best, out._replace(crowded=len(wanted) - len(apart), surplus=len(apart) - len(best))
+
+    def _among_classes(self, found: Detections, seen: Collection[int]) -> Bool:
+        """(N,) whether the class of each detection is seen already, or one of those that there is room for."""
+        label = self.of(found)
+        best = dict.fromkeys(label[np.argsort(-found.confidence, kind="stable")].tolist())
+        return np.isin(label, [*seen, *(kind for kind in best if kind not in seen)][: self.limits.max_classes])
+
+    def _uncrowded(self, found: Detections) -> Bool:
+        """(N,) whether each detection is one of the best in its place, of those of its class."""
+        most, kept = self.limits.max_in_one_place, np.ones(len(found), np.bool_)
+        if len(found) <= most:
+            return kept
+        label = self.of(found)
+        for kind in np.unique(label).tolist():
+            order = np.flatnonzero(label == kind)
+            order = order[np.argsort(-found.confidence[order], kind="stable")]
+            sensor = self.stages(kind).model.sensor
+            z = sensor.measure(found.take(order))
+            reach = np.subtract(*sensor.gate(z)[::-1]) / 2
+            # A foot above the horizon is in no place.
+            known = np.isfinite(z).all(axis=0) & np.isfinite(reach).all(axis=0)
+            at, half = np.ascontiguousarray(z[:2, known]), np.ascontiguousarray(reach[:, known])
+            kept[order[known]] = uncrowded(at, half, most)
+        return kept
 
 
 @dataclass(slots=True)
@@ -180,10 +218,10 @@ class Lanes:
         ------
         InputError : as `pipeline.advance`.
         """
-        label = self.kinds.of(detections)
+        label, gone_through = self.kinds.of(detections), dict[int, _Lane]()
         for kind in np.unique(label).tolist():
             if kind not in self._lanes:
-                self._open(kind)
+                self._open(kind, gone_through)
         lanes = self._lanes or {0: self._blank}
         if len(lanes) == 1:
             ((kind, lane),) = lanes.items()
@@ -235,15 +273,21 @@ class Lanes:
         self._lanes = {kind: _restored(self.kinds.stages(kind), one) for kind, one in lanes.items()}
         self._past = deque(past, maxlen=_REPLAYED)
 
-    def _open(self, kind: int) -> None:
-        """Follow a class from now on: the empty frames so far lie behind it."""
+    def _open(self, kind: int, gone_through: dict[int, _Lane]) -> None:
+        """Follow a class from now on: the empty frames so far lie behind it.
+
+        They are gone through once in a frame for classes of the same stages; ``gone_through`` is added to.
+        """
         stages, together = self.kinds.stages(kind), kind in self.kinds.first.values() and self.kinds.apart
         if not self._lanes and stages is self.kinds.usual:
             self._blank.together, self._lanes[kind] = together, self._blank
             return
-        lane = _Lane.begin(stages, self._seed, together=together)
-        for number, time, warp, observed in self._past:
-            lane.advance(Detections.empty(observed=observed), number, time, warp)
+        before = gone_through.get(id(stages))
+        if before is None:
+            before = gone_through[id(stages)] = _Lane.begin(stages, self._seed)
+            for number, time, warp, observed in self._past:
+                before.advance(Detections.empty(observed=observed), number, time, warp)
+        lane = _restored(stages, (before.rng.bit_generator.state, before.state, together))
         self._alone = self._highest if len(self._lanes) == 1 else self._alone
         self._lanes[kind] = lane
 

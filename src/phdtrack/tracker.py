@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 
 from phdtrack import config, pipeline
 from phdtrack.classes import Kinds, Lanes, given_rows, remember
-from phdtrack.detect.convert import as_detections, with_size
+from phdtrack.detect.convert import LeftOut, as_detections
 from phdtrack.errors import DEFERRED, INTERRUPTING, InputError, later
 from phdtrack.models.warp import as_warp
 from phdtrack.protocols import AnyStages
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 # Of a saved state: it changes when a record of the state does.
-FORMAT = 18
+FORMAT = 19
 
 
 class Tracker:
@@ -99,8 +99,8 @@ class Tracker:
         """Forget everything: the next frame is the first of a new sequence, and identities start at 1 again."""
         self._lanes = Lanes(self.kinds, self.seed)
         self._step: Step | None = None
-        # Boxes that were left out, of width or height 0 or not asked for, and the rows that stayed of frames that had any.
-        self._empty, self._unwanted, self._kept = 0, 0, dict[int, I8]()
+        # Boxes that were left out, and the rows that stayed of frames that had any.
+        self._left_out, self._kept = LeftOut(), dict[int, I8]()
 
     def update(
         self,
@@ -115,8 +115,8 @@ class Tracker:
         ----------
         detections : (N, 4…6) array of left, top, right, bottom[, confidence[, class]] in pixels, or an object with
             ``.xyxy`` (and ``.confidence``, ``.class_id``); empty for a frame in which nothing was detected;
-            `Detections.empty(observed=False)` for a frame without detection. Boxes whose width or height is not above 0 are
-            left out and counted in `empty`.
+            `Detections.empty(observed=False)` for a frame without detection. Boxes that no picture shows, and those that are
+            too many (``limits``), are left out and counted in `left_out`.
         frame : its number from 1; default one more than the last. Numbers left out are frames that were dropped.
         timestamp : its time in seconds; default from the number and ``fps``.
         warp : how the camera moved since the last update: the (3, 3) homography, or (2, 3) affine map, that takes pixels of
@@ -140,9 +140,7 @@ class Tracker:
         if timestamp is not None:
             time = _number(timestamp, f"frame {number}, update(timestamp=…)")
         found = as_detections(detections, where=f"frame {number}")
-        kept = with_size(found)
-        left_out = len(found) - len(kept)
-        kept = kept[self.kinds.wanted(found.take(kept))]
+        kept, left_out = self.kinds.taken(found, self._lanes.states)
         moved = STILL if warp is None else as_warp(warp, f"frame {number}, update(warp=…)")
         if len(moved):
             from phdtrack.models.scene import refuse_standing
@@ -151,24 +149,28 @@ class Tracker:
         given = found.take(kept) if len(kept) < len(found) else found
         with uninterrupted():
             self._step = self._lanes.advance(given, number, time, moved)
-        if left_out:
-            if not self._empty:
-                _LOG.warning("frame %d: boxes whose width or height is not above 0 are left out (%d here)", number, left_out)
-            self._empty += left_out
+        # What was not asked for is no fault.
+        for sentence in left_out.sentences(self._left_out._replace(unwanted=1)):
+            _LOG.warning("frame %d: %s", number, sentence)
         if len(kept) < len(found):
-            self._unwanted += len(found) - len(kept) - left_out
+            self._left_out = self._left_out.with_more(left_out)
             remember(self._kept, number, kept)
         return given_rows(self._step.tracks, self._kept)
 
     @property
     def empty(self) -> int:
         """How many boxes were left out because their width or height was not above 0."""
-        return self._empty
+        return self._left_out.empty
 
     @property
     def unwanted(self) -> int:
         """How many boxes were left out because their class is not tracked, or their score or size too small for it."""
-        return self._unwanted
+        return self._left_out.unwanted
+
+    @property
+    def left_out(self) -> LeftOut:
+        """How many boxes were left out, and why."""
+        return self._left_out
 
     def flush(self) -> Tracks:
         """The online rows that the output delay holds back; none without a delay."""
@@ -205,7 +207,7 @@ class Tracker:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that decides what comes next, as plain dictionaries, lists, numbers and arrays (it can be pickled)."""
-        left_out = pack((self._empty, self._unwanted, self._kept))
+        left_out = pack((self._left_out, self._kept))
         state = pack(self._lanes.saved())
         return {"format": FORMAT, "dim": self.stages.model.motion.dim, "state": state, "left_out": left_out}
 
@@ -225,7 +227,7 @@ class Tracker:
         try:
             dim, lanes = saved["dim"], Lanes(self.kinds, self.seed)
             lanes.restore(unpack(saved["state"]))
-            empty, unwanted, kept = unpack(saved["left_out"])
+            left_out, kept = unpack(saved["left_out"])
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise InputError(f"this is no state of a tracker ({error})", where="load_state_dict") from error
         if dim != self.stages.model.motion.dim:
@@ -234,7 +236,7 @@ class Tracker:
                 where="load_state_dict",
                 cure="Load it into a tracker with the settings of the one that it is from",
             )
-        self._lanes, self._step, self._empty, self._unwanted, self._kept = lanes, None, empty, unwanted, kept
+        self._lanes, self._step, self._left_out, self._kept = lanes, None, left_out, kept
 
 
 class FinalTracks:

@@ -38,6 +38,31 @@ def test_the_count_after_a_gap_is_right(kind: str, gap: float) -> None:
         assert mass(tracker) == pytest.approx(settled if seen else 0.0, abs=0.3)
 
 
+WORLDS = {
+    "learned rates": {"rates": {"kind": "learned"}},
+    "learned scene": {"learn": {"kind": "online"}},
+    "slow": {"fps": 0.5},
+    "ground": {"motion": {"kind": "plane"}, "sensor": {"scaling": "fixed", "fixed_noise": 1.0}},
+}
+
+
+@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("kind", ["pmb", "gm-phd", "gm-cphd"])
+def test_a_month_without_a_frame_is_no_more_work_than_a_frame(kind: str, world: str) -> None:
+    for seen in (True, False):
+        tracker, rng = Tracker((1280, 720), filter=kind, **({"fps": 25.0} | WORLDS[world])), np.random.default_rng(0)
+        held, most = 0, 0.0
+        for _ in range(30):
+            tracker.update(boxes(rng))
+            held, most = max(held, len(tracker.state.intensity)), max(most, mass(tracker))
+        time = tracker.state.time + 30 * 86400.0
+        for k in range(20):
+            tracker.update(boxes(rng) if seen else NONE, 31 + k, time + k / tracker.fps)
+            assert len(tracker.state.intensity) <= held
+            assert mass(tracker) <= most + 1.0
+        assert mass(tracker) == pytest.approx(most if seen else 0.0, abs=1.0)
+
+
 @pytest.mark.parametrize("survival", [0.5, 0.99, 1.0])
 def test_births_that_are_still_there_are_the_integral_of_survival(survival: float) -> None:
     model = Model(

@@ -106,7 +106,7 @@ def groups(
     useless |= {"SOURCE": source.source, "--camera": camera, "--scene": scene, "--truth": options.truth}
     useless["--resume"] = resume
     useless["--filter"] = options.filter_name
-    useless["--threads"] = options.threads is not None
+    useless |= {"--threads": options.threads is not None, "--max-detections": options.max_detections is not None}
     refuse(useless, "the positions are known, so there is nothing that this could change", "--positions")
     lines, known = _read_edges(edges), read_positions(positions)
     if not len(known):

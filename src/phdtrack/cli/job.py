@@ -31,7 +31,7 @@ from phdtrack.cli.checkpoint import Checkpoint, source_of
 from phdtrack.cli.doctor import versions
 from phdtrack.cli.inputs import NO_PICTURE, Inputs, Mover, ahead, detected
 from phdtrack.cli.observers import Draw, RunObserver
-from phdtrack.cli.output import counted, progress
+from phdtrack.cli.output import progress
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.errors import InputError, interrupted, shown
 from phdtrack.files import write_text
@@ -213,6 +213,7 @@ def run(job: Job, directory: RunDirectory, *, resume: bool = False) -> Outcome:
     complete = done.ended is None
     document = run_document(record, job.configuration) | {"complete": complete, "input": job.read}
     document |= {"resumed_from_frame": done.resumed} if done.resumed else {}
+    document |= {"boxes_left_out": done.tracker.left_out._asdict()}
     with done.saving():
         document = finish_document(document, directory, *(report.document for report in reports))
     if complete and done.ended is None:
@@ -417,9 +418,7 @@ def _problems(job: Job, done: _Progress) -> Iterator[str]:
     asked = f"stopped by {signals.which()}"
     why = [asked if isinstance(stop, KeyboardInterrupt) else stop for stop in (done.stop, done.cut)]
     yield from lines("problems.txt", stop=why[0], cut=why[1], last=done.last, annotated=annotated, video=rundir.VIDEO)
-    if done.tracker.unwanted:
-        left_out = counted(done.tracker.unwanted, "box")
-        yield f"{left_out} left out: their class was not asked for, or their size or score is below the least of their class"
+    yield from done.tracker.left_out.sentences()
 
 
 def _confirmation(job: Job, done: _Progress) -> tuple[str, ...]:

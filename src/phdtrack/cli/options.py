@@ -77,6 +77,8 @@ CheckpointEvery = Annotated[float, option("S", "Seconds between checkpoints, for
 _BLUR = "Make boxes, or faces (the upper third of boxes), unrecognisable in all pictures and videos."
 Blur = Annotated[str, option("boxes|faces", _BLUR, callback=lambda value: one_of(value, "", "boxes", "faces"))]
 Threads = Annotated[int | None, option("N", "Threads of particle filters; same result (default: 1; 0: all cores).", min=0)]
+_MOST = "Most detections of a frame; of more the highest scores are taken (default: 1000; less with some filters)."
+MaxDetections = Annotated[int | None, option("N", _MOST, min=1)]
 
 DEFAULT_DETECTOR = "change"
 
@@ -108,6 +110,7 @@ class TrackingOptions:
     truth: TruthFile = None
     threads: Threads = None
     classes: Classes = ""
+    max_detections: MaxDetections = None
 
 
 @dataclass(frozen=True, slots=True)

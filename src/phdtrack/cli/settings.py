@@ -41,6 +41,8 @@ def chosen(options: TrackingOptions, first: Sequence[str] = (), *, detector: boo
     settings = load(options.config, sets, options.preset, options.filter_name)
     if detector and options.config is None:
         settings = load(None, sets, usual_preset(settings, options.preset), options.filter_name)
+    if options.max_detections is not None:
+        settings = overlay(settings, {"limits": {"max_detections": options.max_detections}}, "--max-detections")
     if options.threads is None:
         return settings
     # Filter and extraction, where they can use more than one.

@@ -72,7 +72,10 @@ def build_kinds(
             )
             raise InputError(f"a class has no {rest or 'such setting'} of its own", where=f"classes.{text}", cure=cure)
     own = {code: build(overlay(settings, one, "classes"), info, moving=moving) for code, one in sections.items()}
-    return Kinds(usual, own, first, only, least, names=known)
+    # Without a camera positions are in metres, which the image's size says nothing of.
+    pictured = settings.kind("motion") != "plane" or settings.build("camera").file
+    size = (float(info.width), float(info.height)) if pictured else (0.0, 0.0)
+    return Kinds(usual, own, first, only, least, names=known, limits=settings.build("limits", frame_size=size))
 
 
 def _words(given: ClassSettings) -> set[str]:

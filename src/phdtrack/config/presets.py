@@ -36,6 +36,7 @@ _FILE = read_toml(Path(__file__).with_name("presets.toml"))
 _ON_THE_GROUND: Table = _FILE.pop("on-the-ground")
 _DEFAULT_ON_THE_GROUND: Table = _FILE.pop("default-on-the-ground")
 _WITH: Mapping[str, Table] = _complete(_FILE.pop("default-with"))
+_WITH_ALL: Mapping[str, Table] = _FILE.pop("with")
 PRESETS: Mapping[str, Table] = _complete(_FILE)
 
 
@@ -71,7 +72,7 @@ def values_of(preset: str, motion: str = "", filter_name: str = "") -> dict[str,
         table["filter"] = {**(table.get("filter", {}) if preset == "default" else {}), "kind": filter_name}
         for section, kinds in FITTING["filter", filter_name].items():
             table[section] = table.get(section, {}) | {"kind": kinds[0]}
-    more = [_ON_THE_GROUND] if motion == "plane" else []
+    more = [_WITH_ALL.get(filter_name, {}), *([_ON_THE_GROUND] if motion == "plane" else [])]
     if (preset, motion, filter_name) == ("default", "plane", "pmb"):
         more.append(_DEFAULT_ON_THE_GROUND)
     if filter_name == "none":

@@ -7,17 +7,22 @@ Accepted: a `Detections`; anything with ``.xyxy`` and, where it has them, ``.con
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from phdtrack.arrays import share_inside
-from phdtrack.errors import InputError
+from phdtrack.errors import Checked, InputError, PositiveCount
 from phdtrack.types import F8, I8, Detections, DetectionTable, SequenceInfo
 
 _COLUMNS = "boxes as (N, 4) left, top, right, bottom; (N, 5) with confidence; (N, 6) with confidence and class"
 _LARGEST_CLASS = 2.0**53
+# The shortest side of a box, pixels; the longest, and how far its centre may be outside, in frames. Where the frame's size is
+# not known, a side of it that no camera has.
+SHORTEST, LONGEST, UNKNOWN = 1e-3, 10.0, 1e6
 
 
 def as_detections(obj: object, *, where: str = "") -> Detections:
@@ -52,9 +57,69 @@ def as_detections(obj: object, *, where: str = "") -> Detections:
     return _checked(Detections.of(table[:, :4] if n else [], score, label.astype(np.int64)), where)
 
 
-def with_size(found: Detections) -> I8:
-    """(k,) rows of the boxes with a width and a height above 0; detectors give others now and then, which say nothing."""
-    return np.flatnonzero((found.xyxy[:, 2:] > found.xyxy[:, :2]).all(axis=1))
+class LeftOut(NamedTuple):
+    """How many boxes are left out: of those no picture shows, that are not asked for, and that are too many."""
+
+    empty: int = 0
+    misplaced: int = 0
+    unwanted: int = 0
+    classes: int = 0
+    crowded: int = 0
+    surplus: int = 0
+
+    def with_more(self, other: LeftOut) -> LeftOut:
+        """The sums."""
+        return LeftOut(*(a + b for a, b in zip(self, other, strict=True)))
+
+    def sentences(self, known: LeftOut | None = None) -> Iterator[str]:
+        """How many and why, but for reasons that are ``known``."""
+        for count, reason, before in zip(self, _REASONS, known or LeftOut(), strict=True):
+            if count and not before:
+                yield f"{count} box{'es' * (count > 1)} left out: {reason}"
+
+
+_REASONS = (
+    "their width or height is not above 0",
+    f"a side is below {SHORTEST:g} pixels or above {LONGEST:g} frames, or their centre is so far outside",
+    "their class was not asked for, or their size or score is below the least of their class",
+    "there are more classes than limits.max_classes",
+    "more are in one place than limits.max_in_one_place",
+    "a frame has more than limits.max_detections",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Limits(Checked):
+    """How many detections a frame may have. Of more those of the highest scores are taken, of equal ones the first.
+
+    Parameters
+    ----------
+    max_detections : detections of a frame.
+    max_classes : classes that are tracked apart, the first.
+    max_in_one_place : detections that lie in each other's gates, so that each could be any other's target.
+    frame_size : the image's width and height in pixels; (0, 0): not known.
+    """
+
+    max_detections: PositiveCount = 1000
+    max_classes: PositiveCount = 100
+    max_in_one_place: PositiveCount = 25
+    frame_size: tuple[float, float] = (0.0, 0.0)
+
+    def plausible(self, found: Detections) -> tuple[I8, LeftOut]:
+        """(k,) rows of the boxes that a picture may show; detectors give others now and then, which say nothing."""
+        low, high = found.xyxy[:, :2], found.xyxy[:, 2:]
+        frame = np.array(self.frame_size) if min(self.frame_size) > 0 else np.full(2, UNKNOWN)
+        with np.errstate(over="ignore"):
+            sides, away = high - low, np.abs(low / 2 + high / 2 - frame / 2)
+        sized = (sides > 0).all(axis=1)
+        near = ((sides >= SHORTEST) & (sides <= LONGEST * frame) & (away <= (LONGEST + 0.5) * frame)).all(axis=1)
+        return np.flatnonzero(near), LeftOut(int((~sized).sum()), int((sized & ~near).sum()))
+
+    def best(self, confidence: F8) -> I8:
+        """(k,) rows of those that are taken of boxes with these scores (N,), ascending."""
+        if len(confidence) <= self.max_detections:
+            return np.arange(len(confidence))
+        return np.sort(np.argsort(-confidence, kind="stable")[: self.max_detections])
 
 
 def within_frame(table: DetectionTable, info: SequenceInfo, path: Path) -> tuple[DetectionTable, tuple[str, ...]]:

@@ -94,7 +94,7 @@ class ParticleCPHD(_CPHD):
     Parameters
     ----------
     particles_per_target : ρ, particles per expected target after resampling.
-    min_particles, max_particles : bounds on the number of particles, 0 for none.
+    min_particles, max_particles : bounds on the number of particles; 0 stands for none and for 300 000.
     threads : threads that share a frame's work, 0 for one per core; the result is the same to the bit.
     initial : the intensity before the first frame; its number is Poisson distributed.
     """

@@ -18,6 +18,9 @@ from phdtrack.kernels.association import competing, components
 from phdtrack.kernels.branching import children, equal_rows
 from phdtrack.types import F8, I8, Bool, GaussianMixture
 
+# Steps that a cluster's assignments may take, about: a larger cluster keeps fewer hypotheses. With 300 of them it is reached
+# where about 150 measurements compete.
+WORK = 4e7
 # A target that has existed with no greater probability in any frame has never been reported by anyone.
 BELIEVED = 0.1
 
@@ -193,13 +196,14 @@ def branched(state: Hypotheses, scores: Scores, limits: Limits) -> Branches:
     free = np.flatnonzero(apart[many:] & (scores.p_new >= limits.existence_threshold))
     out = [_missed(state.clusters[c], scores, limits) for c in np.flatnonzero(apart[lone:many])]
     unassigned, begins = np.ones(count), scores.p_new >= limits.existence_threshold
-    most = limits.max_hypotheses, math.log(limits.hypothesis_threshold)
     members, measured = _lists(part[:many], joint), _lists(part[many:], joint)
     for clusters, pairs, columns in zip(members, _lists(part[cluster_of[scores.leaf]], joint), measured, strict=True):
-        parts = [
-            Cluster(np.array([[state.lone[c]]]), np.ones(1)) if c < lone else state.clusters[c - lone] for c in clusters
-        ]
-        whole = _product(parts, limits)
+        alone = state.lone[clusters[clusters < lone]]
+        parts = [state.clusters[c - lone] for c in clusters if c >= lone]
+        size = len(columns) * (len(pairs) + len(alone) + sum(one.leaf.shape[1] for one in parts))
+        fewer = replace(limits, max_hypotheses=max(1, min(limits.max_hypotheses, int(WORK / size))))
+        most = fewer.max_hypotheses, math.log(limits.hypothesis_threshold)
+        whole = _product([Cluster(alone[None], np.ones(1)), *parts] if len(alone) else parts, fewer)
         leaf, weight, unassigned[columns] = children(
             whole.leaf, whole.weight, (scores.leaf[pairs], scores.measurement[pairs], scores.gain[pairs]), columns,
             scores.missed, scores.unassigned, begins, most,

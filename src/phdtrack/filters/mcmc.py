@@ -211,10 +211,13 @@ def _entries(
 
 def _rivals(first: I8, seen_by: I8) -> I8:
     """(K, 2) pairs of candidates that may have given the same measurement, a < b."""
-    candidate = np.repeat(np.arange(len(first) - 1), np.diff(first))
-    shared = (seen_by[:, None] == seen_by) & (seen_by >= 0)
-    one, two = np.nonzero(shared & (candidate[:, None] < candidate))
-    return np.unique(np.stack([candidate[one], candidate[two]], axis=1), axis=0)
+    candidate, order = np.repeat(np.arange(len(first) - 1), np.diff(first)), np.argsort(seen_by, kind="stable")
+    order = order[seen_by[order] >= 0]
+    parts = [np.zeros((0, 2), np.int64)]
+    for some in np.split(candidate[order], np.flatnonzero(np.diff(seen_by[order])) + 1):
+        one, two = np.triu_indices(len(some), 1)
+        parts.append(np.stack([some[one], some[two]], axis=1))
+    return np.unique(np.concatenate(parts), axis=0)
 
 
 def effective_samples(series: F8) -> float:

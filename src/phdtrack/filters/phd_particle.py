@@ -12,7 +12,6 @@ linearly with the number of targets; what the gate drops is bounded by the senso
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +29,8 @@ from phdtrack.types import F8, GaussianMixture, ParticleBlocks, Particles, Updat
 
 # κ + C below this counts as 0 where likelihoods are in single precision: they have no tail below 1e-38.
 FAINT = 1e-30
+# Particles at most, where nothing else is said.
+MOST = 300_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +42,8 @@ class ParticlePHD(Checked, Filter[Intensity]):
     particles_per_target : ρ, particles per expected target after resampling.
     min_particles : lower bound on the number of particles while there are any. At first, when hardly any target is
         expected, ρ would leave a handful to each that has just begun, too few to hold its velocity.
-    max_particles : upper bound on the number of particles; 0 for none.
+    max_particles : upper bound on the number of particles; 0: 300 000, of which each target has fewer than it should where
+        there are very many.
     skip_empty_frames : leave the intensity as predicted when a frame brings no detection, as D14 does. The default is the
         filter's update, (1 − p_D) D⁺.
     newborn_apart : newborn targets are kept apart from those that were there: they are those that this frame shows, p_D is 1
@@ -163,7 +165,7 @@ class ParticlePHD(Checked, Filter[Intensity]):
         count = round(self.particles_per_target * mass)
         if count == 0:
             return ParticleBlocks.empty(len(first), first.dtype)
-        count = min(max(count, self.min_particles), self.max_particles or sys.maxsize)
+        count = min(max(count, self.min_particles), self.max_particles or MOST)
         teeth, start = comb(masses, np.concatenate([sums.extents for sums in state.sums]), count, offset)
         out, begin = reused((len(first), count), first.dtype), 0
         for part, sums in zip(state.parts, state.sums, strict=True):

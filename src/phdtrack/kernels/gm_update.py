@@ -178,6 +178,8 @@ def terms_of(before: Rows, e: Expected, m: Measurements, new: Newborn, reach: Re
     for j in range(n):
         if weight[j] > 0.0:
             weight[j] *= density[j] / shared[j]
+            # A detection is of one target at most.
+            weight[j] = weight[j] if weight[j] < 1.0 else 1.0
             predicted += weight[j]
             missed += weight[j] * (1.0 - said.p_detect[j])
             born += weight[j]

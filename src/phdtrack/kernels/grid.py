@@ -16,6 +16,7 @@ from phdtrack.kernels.fast32 import ENTRY, INNER
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
+B1 = NDArray[np.bool_]
 
 
 class Grid(NamedTuple):
@@ -183,3 +184,27 @@ def points_in_rectangles(px: F8, py: F8, lower: F8, upper: F8) -> tuple[I8, I8]:
         raise ValueError("positions and rectangles must be finite")
     rectangle, point = overlapping_pairs(lower, upper, make_grid(at, at, 0.0, 0.0))
     return point, rectangle
+
+
+@njit(**ENTRY)
+def uncrowded(at: F8, half: F8, most: int) -> B1:
+    """(N,) which points are kept, in their order: those that with fewer than ``most`` kept ones lie in each other's boxes.
+
+    Parameters
+    ----------
+    at, half : (2, N) the points, and half the sides of a closed box about each, finite.
+    most : from 1.
+    """
+    grid, kept = make_grid(at - half, at + half, 0.0, 0.0), np.ones(at.shape[1], np.bool_)
+    for i in range(at.shape[1]):
+        row, column = cell_of(at[1, i], grid.y0, grid.per_y, grid.rows), cell_of(at[0, i], grid.x0, grid.per_x, grid.columns)
+        cell, near = row * grid.columns + column, 0
+        for k in range(grid.start[cell], grid.start[cell + 1]):
+            j = grid.item[k]
+            if j >= i or near == most:
+                break
+            x, y = abs(at[0, j] - at[0, i]), abs(at[1, j] - at[1, i])
+            mutual = x <= half[0, i] and x <= half[0, j] and y <= half[1, i] and y <= half[1, j]
+            near += kept[j] and mutual
+        kept[i] = near < most
+    return kept

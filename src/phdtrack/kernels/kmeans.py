@@ -26,6 +26,8 @@ DUST = 1e-12
 # A cluster is not divided any more after this many divisions in which one part got less than this share of the split
 # mass: its farthest particles were strays, and peeling them off one by one would not end.
 PATIENCE, STRAY = 4, 0.05
+# Pairs of a block and a centre in its reach after which nothing is divided any more: hundreds of targets in one heap.
+MOST_PAIRS = 400_000
 
 
 class Rule(NamedTuple):
@@ -432,7 +434,7 @@ def kmeans(blocks: Blocks, centres: F8, scales: F8, rule: Rule) -> Gaussians:
     now, steps, strays = _begun(centres.copy(), 1.0 / scales, rule.reach), np.zeros(k, np.int64), np.zeros(k, np.int64)
     near, moved = reaching(blocks, now.window[:2], now.window[2:]), np.ones(k, np.int64)
     sums, parent = np.zeros((near.component.size, 1 + d)), np.empty(0, np.int64)
-    far = parent
+    far, pairs = parent, 0 * k
     for turn in range(1 + int(np.ceil(2.0 * blocks.mass.sum() / rule.split))):
         if turn > 0:
             new = _divided(blocks, now, far, parent, rule.reach)
@@ -456,7 +458,8 @@ def kmeans(blocks: Blocks, centres: F8, scales: F8, rule: Rule) -> Gaussians:
         heavy = ((mass > rule.split) & (strays < PATIENCE)).astype(np.int64)
         far = _farthest(blocks, box, near, now, heavy, scratch)
         parent = np.flatnonzero(far >= 0)
-        if parent.size == 0:
+        pairs += near.component.size
+        if parent.size == 0 or pairs > MOST_PAIRS:
             break
     out: Gaussians = _moments(blocks, box, near, now, scratch, sums)
     return out

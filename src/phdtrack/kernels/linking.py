@@ -21,6 +21,8 @@ from phdtrack.kernels.grid import make_grid, overlapping
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
+# Links that a vertex may have, the best. Where 25 states are about it in each of 50 frames there are more.
+MOST_LINKS = 512
 
 
 class Window(NamedTuple):
@@ -117,6 +119,19 @@ def _log_det(covariance: F8, i: int, other: F8, j: int, observed: I8, block: F8,
 
 
 @njit(**INNER)
+def _best_links(target: I8, gain: F8) -> int:
+    """How many edges of a vertex are kept, the best, which are moved to the front in their order: at most `MOST_LINKS`."""
+    if gain.size <= MOST_LINKS:
+        return gain.size
+    least, kept = np.sort(gain)[gain.size - MOST_LINKS], 0
+    for k in range(gain.size):
+        if gain[k] >= least and kept < MOST_LINKS:
+            target[kept], gain[kept] = target[k], gain[k]
+            kept += 1
+    return kept
+
+
+@njit(**INNER)
 def _add_edges(
     mean: F8, covariance: F8, since: F8, fresh: Fresh, terms: Terms, dt: float, row: int, start: I8, target: I8, gain: F8
 ) -> tuple[I8, F8]:
@@ -168,6 +183,7 @@ def _add_edges(
             if value > 0.0 and distance2 <= farthest:
                 target[count], gain[count] = row + c, value
                 count += 1
+        count = start[old + i] + _best_links(target[start[old + i] : count], gain[start[old + i] : count])
         start[old + 1 + i] = count
     return target, gain
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from phdtrack.kernels.box import overlap_of
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.grid import make_grid, overlapping
 from phdtrack.kernels.particle_models import BLOCK, distance, prepare, seen
 
 F8 = NDArray[np.float64]
@@ -46,6 +47,8 @@ class Options(NamedTuple):
     start : (O + 1,) its entries are start[o] … start[o + 1] − 1.
     running, member : (T,) sums of weights within each option, and the state of each entry.
     box : (L, 4) left, top, right, bottom of each state; (0, 4) without interaction.
+    near, near_start : (K,), (C + 1,) the candidates with a box that may overlap one of candidate c, ascending, are
+        near[near_start[c]] … near[near_start[c + 1] − 1]; none without interaction.
     """
 
     first: I8
@@ -55,6 +58,8 @@ class Options(NamedTuple):
     running: F8
     member: I8
     box: F8
+    near: I8
+    near_start: I8
 
 
 class Sample(NamedTuple):
@@ -104,7 +109,29 @@ def make_options(candidate: I8, which: I8, member: I8, weight: F8, absent: F8, b
                 e += 1
             o += 1
     first[count], start[o] = o, e
-    return Options(first, seen_by[:o].copy(), total[:o].copy(), start[: o + 1].copy(), running, member, box)
+    near, near_start = _neighbours(candidate, member, box, count)
+    return Options(
+        first, seen_by[:o].copy(), total[:o].copy(), start[: o + 1].copy(), running, member, box, near, near_start
+    )
+
+
+@njit(**INNER)
+def _neighbours(candidate: I8, member: I8, box: F8, count: int) -> tuple[I8, I8]:
+    """The candidates near each of ``count``, as `Options` has them: those whose states' boxes together overlap its own."""
+    low, high, start = np.full((2, count), np.inf), np.full((2, count), -np.inf), np.zeros(count + 1, np.int64)
+    near, found = np.empty(0, np.int64), np.empty(count, np.int64)
+    if len(box) == 0:
+        return near, start
+    for e in range(candidate.size):
+        c, i = candidate[e], member[e]
+        for a in range(2):
+            low[a, c], high[a, c] = min(low[a, c], box[i, a]), max(high[a, c], box[i, a + 2])
+    grid = make_grid(low, high, 0.0, 0.0)
+    for c in range(count):
+        some = overlapping(low[0, c], low[1, c], high[0, c], high[1, c], grid, found)
+        near = np.concatenate((near, np.sort(found[:some])))
+        start[c + 1] = near.size
+    return near, start
 
 
 @njit(**INNER)
@@ -165,10 +192,19 @@ def _kind(was: int, becomes: int, absence: int, newborn: bool, can: Options) -> 
 def _crowd(a: int, b: int, i: int, k: int, can: Options, now: Sample) -> float:
     """Overlaps of ``a`` in state ``i`` and ``b`` in state ``k`` (−1: none) with all other targets and each other."""
     total = overlap_of(can.box, i, can.box, k) if i >= 0 and k >= 0 else 0.0
-    for c in range(now.state.size):
-        if now.state[c] >= 0 and c != a and c != b:
-            total += overlap_of(can.box, i, can.box, now.state[c]) if i >= 0 else 0.0
-            total += overlap_of(can.box, k, can.box, now.state[c]) if k >= 0 else 0.0
+    p, q, ends = can.near_start[a], 0 * a, (can.near_start[a + 1], 0 * a)
+    if b >= 0:
+        q, ends = can.near_start[b], (ends[0], can.near_start[b + 1])
+    while p < ends[0] or q < ends[1]:
+        # The next candidate that is near one of the two.
+        c = can.near[p] if q == ends[1] or (p < ends[0] and can.near[p] <= can.near[q]) else can.near[q]
+        there = now.state[c] >= 0 and c != a and c != b
+        if p < ends[0] and can.near[p] == c:
+            total += overlap_of(can.box, i, can.box, now.state[c]) if there and i >= 0 else 0.0
+            p += 1
+        if q < ends[1] and can.near[q] == c:
+            total += overlap_of(can.box, k, can.box, now.state[c]) if there and k >= 0 else 0.0
+            q += 1
     return total
 
 

@@ -38,6 +38,10 @@ from phdtrack.types import F8, GaussianMixture, Particles
 KEPT = 0.99
 # So many more points are drawn than one detection needs, so that detections have different ones.
 SPARE = 128
+# Particles that are born in a frame at most: each detection has fewer where there are very many.
+MOST_BORN = 300_000
+# Expected births at most: after a long gap what else is computed with them would be as many numbers.
+MOST_EXPECTED = 3000.0
 
 
 def particles_about(
@@ -69,6 +73,7 @@ def particles_about(
     """
     mean, cov = seen
     observed = list(rows)
+    particles = min(particles, MOST_BORN // max(len(covered), 1) + 1)
     counts = np.ceil(particles * np.clip(1.0 - covered, 0.0, 1.0)).astype(np.int64)
     if not counts.any():
         return Particles(np.zeros((len(mean), 0)), np.zeros(0))
@@ -89,7 +94,11 @@ def particles_about(
         possible = (weight > 0) & (state[4:] > 0).all(axis=0)
         first = np.concatenate([[0], np.cumsum(possible)])[first]
         state, weight = state[:, possible], weight[possible]
-    return Particles(state, weight, np.unique(first))
+    start = np.unique(first)
+    if len(weight) and (mass := np.add.reduceat(weight, start[:-1])).max() > 1:
+        # A detection is of one target at most.
+        weight = weight / np.repeat(np.maximum(mass, 1), np.diff(start)).astype(dtype)
+    return Particles(state, weight, start)
 
 
 def births_around(seen: tuple[F8, F8], density: F8, given: GaussianMixture | None = None, seconds: float = 1.0) -> Births:
@@ -154,7 +163,7 @@ class _AroundDetections(abc.ABC):
     def expected(self, z: F8, seconds: float) -> float:
         """The mass of γT."""
         rate: float = self.births_per_second + self.births_per_detection * z.shape[1]
-        return rate * seconds
+        return min(rate * seconds, MOST_EXPECTED)
 
 
 @dataclass(frozen=True, slots=True)
