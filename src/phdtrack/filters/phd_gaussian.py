@@ -40,6 +40,10 @@ from phdtrack.types import F8, GaussianMixture, UpdateInfo
 
 # Mass within this region of a detection explains it, M(z), and births around it have the mass of γ there.
 REGION = 0.99
+# Gaussians at most, where nothing else is said.
+MOST = 3000
+# Pairs of a Gaussian and a measurement from which on light ones are left out at once.
+HEAP = 50_000
 _NONE, _NOTHING = np.zeros((0, 0)), np.zeros((0, 0, 0))
 
 
@@ -71,9 +75,9 @@ class GMPHD(Checked, Filter[GaussianMixture]):
     weight_threshold : Gaussians that weigh less are dropped.
     merge_distance : Mahalanobis distance (not squared) up to which a Gaussian is united with a stronger one, in its own
         covariance.
-    max_components : J_max, Gaussians kept, the heaviest; 0 for all, of which there are at most the mass divided by
-        ``weight_threshold``. In practice there are some for each target, and for each false alarm as long as one that was
-        not seen again takes to fade, log(weight / weight_threshold) / −log(1 − p_D) frames. E13's is 100.
+    max_components : J_max, Gaussians kept, the heaviest; 0: 3000. In practice there are some for each target, and for each
+        false alarm as long as one that was not seen again takes to fade, log(weight / weight_threshold) / −log(1 − p_D)
+        frames. E13's is 100.
     keep_mass : what pruning and capping drop is given to the rest, so that the expected number stays; False is as Vo and Ma
         print it.
     gate_probability : part of the measurements of a Gaussian inside its gate; those beyond do not touch it; 1: no gate.
@@ -135,7 +139,11 @@ class GMPHD(Checked, Filter[GaussianMixture]):
         t = terms_of(*frame)
 
         def weighed(missed: float, detected: F8) -> GaussianMixture:
-            rows, _, fresh = mixture_of(*frame[:-1], t, (missed, detected), frame.reach.fresh, 0.0)
+            # Of a heap of targets what pruning would drop is not made.
+            least = float(self.weight_threshold) if len(t.pairs) > HEAP else 0.0
+            rows, mass, fresh = mixture_of(*frame[:-1], t, (missed, detected), frame.reach.fresh, least)
+            if least and len(rows.weight):
+                rows = rows._replace(weight=rows.weight * (mass / rows.weight.sum()))
             return _mixture(rows, fresh)
 
         return UpdateTerms(t.predicted, t.born, t.missed, t.evidence, frame.measurements.clutter, weighed)
@@ -208,7 +216,7 @@ class GMPHD(Checked, Filter[GaussianMixture]):
     def _merging(self) -> Merging:
         """What a reduction needs."""
         return Merging(
-            float(self.weight_threshold), float(self.merge_distance), self.max_components, float(self.split_weight),
+            float(self.weight_threshold), float(self.merge_distance), self.max_components or MOST, float(self.split_weight),
             self.keep_mass,
         )  # fmt: skip
 
