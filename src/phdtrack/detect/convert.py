@@ -78,14 +78,14 @@ class LeftOut(NamedTuple):
                 yield f"{count} box{'es' * (count > 1)} left out: {reason}"
 
 
-_REASONS = LeftOut(*(
+_REASONS = (
     "their width or height is not above 0",
     f"a side is below {SHORTEST:g} pixels or above {LONGEST:g} frames, or their centre is so far outside",
     "their class was not asked for, or their size or score is below the least of their class",
     "there are more classes than limits.max_classes",
     "more are in one place than limits.max_in_one_place",
     "a frame has more than limits.max_detections",
-))  # fmt: skip
+)
 
 
 @dataclass(frozen=True, slots=True)
