@@ -25,7 +25,7 @@ KINDS = [*GAUSSIAN, "particle-phd", "particle-cphd", "mcmc"]
 
 def spread(count: int, seed: int = 0) -> np.ndarray:
     left = np.random.default_rng(seed).uniform((0, 0), (1880, 980), (count, 2))
-    return np.hstack([left, [*left, 40, 100]])
+    return np.hstack([left, left + np.array([40, 100])])
 
 
 def one_place(count: int) -> np.ndarray:

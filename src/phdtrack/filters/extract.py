@@ -20,6 +20,7 @@ as many are reported as the most probable number of targets [V07].
 
 from __future__ import annotations
 
+import heapq
 import math
 from dataclasses import dataclass, replace
 from typing import Any
@@ -387,23 +388,30 @@ def join_unresolved(peaks: Gaussians, sensor: Sensor, overlap: float) -> tuple[G
     lower, upper = np.ascontiguousarray(boxes[:, :2].T), np.ascontiguousarray(boxes[:, 2:].T)
     first, second = overlapping_pairs(lower, upper, make_grid(lower, upper))
     first, second = first[first < second], second[first < second]
-    pairs = {
-        (int(i), int(j)): share for i, j, share in zip(first, second, _iou(boxes[first], boxes[second]), strict=True)
+    # By overlap, then by number; pairs of a peak that has been joined since are passed over.
+    queue = [
+        (-share, int(i), int(j), 0, 0) for i, j, share in zip(first, second, _iou(boxes[first], boxes[second]), strict=True)
         if share > overlap
-    }  # fmt: skip
-    if not pairs:
+    ]  # fmt: skip
+    if not queue:
         return peaks, group
-    boxes, mass = boxes.copy(), peaks.weight.copy()
-    while pairs:
-        i, j = min(pairs, key=lambda pair: (-pairs[pair], pair))
+    heapq.heapify(queue)
+    boxes, mass, joined = boxes.copy(), peaks.weight.copy(), [0] * k
+    while queue:
+        _, i, j, *before = heapq.heappop(queue)
+        if before != [joined[i], joined[j]]:
+            continue
         mass[i] += mass[j]
         boxes[i] += mass[j] / mass[i] * (boxes[j] - boxes[i])
         group[group == j] = i
         boxes[j] = np.nan
-        pairs = {pair: share for pair, share in pairs.items() if i not in pair and j not in pair}
+        joined[i] += 1
+        joined[j] += 1
         shared = iou(boxes[i : i + 1], boxes)[0]
         shared[i] = 0.0
-        pairs |= {(min(i, int(a)), max(i, int(a))): shared[a] for a in np.flatnonzero(shared > overlap)}
+        for c in np.flatnonzero(shared > overlap).tolist():
+            low, high = min(i, c), max(i, c)
+            heapq.heappush(queue, (-shared[c], low, high, joined[low], joined[high]))
     heads, group = np.unique(group, return_inverse=True)
     order = np.lexsort((-np.arange(k), peaks.weight))
     part = np.empty(len(heads), np.int64)
