@@ -94,7 +94,7 @@ def test_a_saved_state_holds_plain_values_only(kind: str, scene):
 
 
 def test_the_state_of_an_earlier_version_is_told():
-    with pytest.raises(InputError, match=r"^load_state_dict: this state is of format 1, .* reads format 18"):
+    with pytest.raises(InputError, match=r"^load_state_dict: this state is of format 1, .* reads format 19"):
         tracker_of().load_state_dict(tracker_of().state_dict() | {"format": 1})
 
 
@@ -116,7 +116,7 @@ def test_what_is_no_saved_state_is_told_and_changes_nothing(changed):
     with pytest.raises(InputError, match="load_state_dict"):
         tracker.load_state_dict(tracker.state_dict() | changed if changed else changed)
     saved = tracker.state_dict()
-    saved["state"][0]["values"][0][1]["fields"]["intensity"] = {"record": "Mystery", "fields": {}}
+    saved["lanes"][0]["fields"]["state"]["fields"]["intensity"] = {"record": "Mystery", "fields": {}}
     with pytest.raises(InputError, match="load_state_dict"):
         tracker.load_state_dict(saved)
     assert equal(tracker.update(boxes(10)), plain.update(boxes(10)))

@@ -15,13 +15,15 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from phdtrack import pipeline
+from phdtrack.errors import InputError
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages
+from phdtrack.state import World, held_moments, restored
 from phdtrack.types import F8, I8, STILL, Bool, Detections, Estimates, Step, Tracks, UpdateInfo
 
 # Empty frames that a class seen for the first time has been through: what is learned of them is the same with more.
@@ -31,7 +33,53 @@ _MOST_KEPT = 100_000
 # A score counts as a probability; one that is none counts a little.
 _LEAST_SCORE = 0.01
 
-State = tuple[dict[int, tuple[Any, ...]], tuple[Any, ...], tuple[Any, ...], dict[tuple[int, int], int], int, int]
+
+class Seed(NamedTuple):
+    """The state of PCG64, NumPy's usual generator."""
+
+    state: int
+    increment: int
+    has_word: int
+    word: int
+
+    @classmethod
+    def of(cls, rng: np.random.Generator) -> Seed:
+        """Of a generator."""
+        held: Any = rng.bit_generator.state
+        return cls(held["state"]["state"], held["state"]["inc"], held["has_uint32"], held["uinteger"])
+
+    def generator(self) -> np.random.Generator:
+        """A generator that goes on from here."""
+        kind, inside = "PCG64", {"state": self.state, "inc": self.increment}
+        rng = np.random.default_rng(0)
+        rng.bit_generator.state = {
+            "bit_generator": kind,
+            "state": inside,
+            "has_uint32": self.has_word,
+            "uinteger": self.word,
+        }
+        return rng
+
+
+class SavedLane(NamedTuple):
+    """What a state holds of a class; see `_Lane`."""
+
+    seed: Seed
+    state: TrackingState
+    together: bool
+    rows: dict[int, I8]
+    labels: dict[int, tuple[I8, F8]]
+    sums: dict[tuple[int, int], float]
+
+
+class SavedLanes(NamedTuple):
+    """What a state holds of all classes, besides the lanes of ``kinds``; see `Lanes`."""
+
+    kinds: tuple[int, ...]
+    past: tuple[tuple[int, float, F8, bool], ...]
+    names: dict[tuple[int, int], int]
+    alone: int
+    highest: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,17 +276,29 @@ class Lanes:
         rank[np.argsort(first, kind="stable")] = np.arange(1, len(first) + 1)
         return Tracks.concatenate([_replaced(rows, rank[place], rows.class_id)])
 
-    def saved(self) -> State:
-        """Everything that decides what comes next."""
-        lanes = {k: _saved(lane) for k, lane in self._lanes.items()}
-        return lanes, _saved(self._blank), tuple(self._past), dict(self._names), self._alone, self._highest
+    def saved(self) -> tuple[SavedLanes, tuple[SavedLane, ...]]:
+        """Everything that decides what comes next: values that no later frame changes."""
+        whole = SavedLanes(tuple(self._lanes), tuple(self._past), dict(self._names), self._alone, self._highest)
+        return whole, tuple(_saved(lane) for lane in self._lanes.values() or (self._blank,))
 
-    def restore(self, saved: State) -> None:
-        """Go on from what was `saved`."""
-        lanes, blank, past, self._names, self._alone, self._highest = saved
-        self._blank = _restored(self.kinds.usual, blank)
-        self._lanes = {kind: _restored(self.kinds.stages(kind), one) for kind, one in lanes.items()}
+    def restore(self, whole: Any, lanes: Any) -> None:
+        """Go on from what was `saved` and packed. Raises `InputError` where it is damaged, or of other settings."""
+        found = restored(whole, SavedLanes, None, World.of(self.kinds.usual), "state")
+        kinds, past, self._names, self._alone, self._highest = found
+        if not isinstance(lanes, list) or len(lanes) != max(len(kinds), 1):
+            raise InputError(f"expected states of {max(len(kinds), 1)} classes", where="lanes")
+        made = [_restored(self.kinds.stages(k) if kinds else self.kinds.usual, one, f"lanes[{k}]")
+                for k, one in zip(kinds or (0,), lanes, strict=True)]  # fmt: skip
+        self._blank, self._lanes = made[0], dict(zip(kinds, made, strict=False))
         self._past = deque(past, maxlen=_REPLAYED)
+
+    def counts(self) -> dict[int, int]:
+        """Above the greatest place of a detection that the rows of each frame may name."""
+        lanes = self._lanes.values() or (self._blank,)
+        found = {m.number: m.z.shape[1] for lane in lanes for m in held_moments(lane.state.association)}
+        for lane in lanes:
+            found |= {number: int(rows.max(initial=-1)) + 1 for number, rows in lane.rows.items()}
+        return found
 
     def _open(self, kind: int) -> None:
         """Follow a class from now on: the empty frames so far lie behind it."""
@@ -294,19 +354,16 @@ def remember(kept: dict[int, Any], number: int, value: Any) -> None:
         del kept[next(iter(kept))]
 
 
-def _saved(lane: _Lane) -> tuple[Any, ...]:
+def _saved(lane: _Lane) -> SavedLane:
     """What `_restored` makes the lane of."""
-    return lane.rng.bit_generator.state, lane.state, lane.together, dict(lane.rows), dict(lane.labels), dict(lane.sums)
+    return SavedLane(Seed.of(lane.rng), lane.state, lane.together, dict(lane.rows), dict(lane.labels), dict(lane.sums))
 
 
-def _restored(stages: AnyStages, saved: tuple[Any, ...]) -> _Lane:
-    """The lane with these stages. Raises ``TypeError`` where it is none."""
-    random, state, *more = saved
-    if not isinstance(state, TrackingState):
-        raise TypeError(f"expected a TrackingState, got a {type(state).__name__}")
-    rng = np.random.default_rng(0)
-    rng.bit_generator.state = random
-    return _Lane(stages, rng, state, *more)
+def _restored(stages: AnyStages, packed: Any, where: str) -> _Lane:
+    """The lane with these stages. Raises `InputError` where what was packed is damaged, or of others."""
+    like = _saved(_Lane.begin(stages, 0))
+    found: SavedLane = restored(packed, SavedLane, like, World.of(stages), where)
+    return _Lane(stages, found.seed.generator(), *found[1:])
 
 
 def _replaced(rows: Tracks, identity: I8, label: I8) -> Tracks:

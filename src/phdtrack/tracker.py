@@ -9,17 +9,16 @@ corrected = tracker.tracks()
 
 from __future__ import annotations
 
-import importlib
 import logging
 import math
 import signal
 import threading
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,6 +29,7 @@ from phdtrack.detect.convert import as_detections, with_size
 from phdtrack.errors import InputError
 from phdtrack.models.warp import as_warp
 from phdtrack.protocols import AnyStages
+from phdtrack.state import World, pack, restored
 from phdtrack.types import I8, STILL, Detections, SequenceInfo, Step, Tracks
 
 if TYPE_CHECKING:
@@ -38,7 +38,15 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 # Of a saved state: it changes when a record of the state does.
-FORMAT = 18
+FORMAT = 19
+
+
+class LeftOut(NamedTuple):
+    """Boxes that were left out, of width or height 0 or not asked for, and the rows that stayed of frames that had any."""
+
+    empty: int
+    unwanted: int
+    kept: dict[int, I8]
 
 
 class Tracker:
@@ -231,9 +239,13 @@ class Tracker:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that decides what comes next, as plain dictionaries, lists, numbers and arrays (it can be pickled)."""
-        left_out = pack((self._empty, self._unwanted, self._kept))
-        state = pack(self._lanes.saved())
-        return {"format": FORMAT, "dim": self.stages.model.motion.dim, "state": state, "left_out": left_out}
+        return self.snapshot()()
+
+    def snapshot(self) -> Callable[[], dict[str, Any]]:
+        """What gives the `state_dict` of now, also later and in another thread: to ask for it costs next to nothing."""
+        (whole, lanes), left_out = self._lanes.saved(), LeftOut(self._empty, self._unwanted, dict(self._kept))
+        about = {"format": FORMAT, "dim": self.stages.model.motion.dim}
+        return lambda: about | {"state": pack(whole), "lanes": pack(lanes), "left_out": pack(left_out)}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Go on from a `state_dict` of a tracker with the same settings.
@@ -248,19 +260,26 @@ class Tracker:
                 where="load_state_dict",
                 cure="Load it with the version that saved it, or begin anew",
             )
-        try:
-            dim, lanes = saved["dim"], Lanes(self.kinds, self.seed)
-            lanes.restore(unpack(saved["state"]))
-            empty, unwanted, kept = unpack(saved["left_out"])
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise InputError(f"this is no state of a tracker ({error})", where="load_state_dict") from error
-        if dim != self.stages.model.motion.dim:
+        if not isinstance(saved, dict) or saved.keys() != {"format", "dim", "state", "lanes", "left_out"}:
+            raise InputError("this is no state of a tracker", where="load_state_dict")
+        dim, lanes = self.stages.model.motion.dim, Lanes(self.kinds, self.seed)
+        if saved["dim"] != dim:
             raise InputError(
-                f"expected states of {self.stages.model.motion.dim} components, got {dim}",
+                f"expected states of {dim} components, got {saved['dim']!r}",
                 where="load_state_dict",
                 cure="Load it into a tracker with the settings of the one that it is from",
             )
-        self._lanes, self._step, self._empty, self._unwanted, self._kept = lanes, None, empty, unwanted, kept
+        try:
+            lanes.restore(saved["state"], saved["lanes"])
+            left: LeftOut = restored(saved["left_out"], LeftOut, None, World(self.stages, {}), "left_out")
+            counts = lanes.counts()
+            if any(rows.ndim != 1 or len(rows) < counts.get(number, 0) for number, rows in left.kept.items()):
+                raise InputError("fewer rows than a frame has detections", where="left_out.kept")
+        except InputError as error:
+            raise InputError(error.problem, where=f"load_state_dict, {error.where}", cure=error.cure) from None
+        except (OverflowError, RecursionError) as error:
+            raise InputError(f"this is no state of a tracker ({error})", where="load_state_dict") from None
+        self._lanes, self._step, (self._empty, self._unwanted, self._kept) = lanes, None, left
 
 
 class FinalTracks:
@@ -351,66 +370,6 @@ def uninterrupted() -> Iterator[None]:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if came:
         raise KeyboardInterrupt
-
-
-def pack(value: Any) -> Any:
-    """Dictionaries, lists, numbers and copies of arrays, of which `unpack` makes the same value.
-
-    Raises
-    ------
-    InputError : the value holds something else than numbers, arrays, tuples, dictionaries and this package's records.
-    """
-    kind = type(value)
-    if _is_record(kind):
-        inside = {name: pack(getattr(value, name)) for name in _names(kind)}
-        return {"record": f"{kind.__module__}:{kind.__name__}", "fields": inside}
-    if isinstance(value, np.ndarray):
-        return value.copy()
-    if isinstance(value, tuple):
-        return [pack(item) for item in value]
-    if isinstance(value, dict):
-        return {"record": "dict", "keys": list(value), "values": [pack(item) for item in value.values()]}
-    if value is None or isinstance(value, (bool, int, float, str)):
-        return value
-    raise InputError(f"a state of type {kind.__name__} cannot be saved", where="state_dict")
-
-
-def unpack(value: Any) -> Any:
-    """The value that `pack` was given. Only records of this package are made.
-
-    Raises
-    ------
-    InputError : a record that this version does not know.
-    """
-    if isinstance(value, np.ndarray):
-        return value.copy()
-    if isinstance(value, list):
-        return tuple(unpack(item) for item in value)
-    if not isinstance(value, dict):
-        return value
-    name = value["record"]
-    if name == "dict":
-        return dict(zip(value["keys"], (unpack(item) for item in value["values"]), strict=True))
-    module, _, record = name.partition(":")
-    kind: Any = None
-    try:
-        if module.startswith("phdtrack."):
-            kind = getattr(importlib.import_module(module), record)
-    except (ImportError, AttributeError):
-        pass
-    if not _is_record(kind):
-        raise InputError(f"the saved state holds a record {name!r}, which this version does not know")
-    return kind(**{key: unpack(item) for key, item in value["fields"].items()})
-
-
-def _is_record(kind: Any) -> bool:
-    """Whether this is a dataclass or a named tuple of this package."""
-    ours = isinstance(kind, type) and kind.__module__.startswith("phdtrack.")
-    return ours and (is_dataclass(kind) or issubclass(kind, tuple))
-
-
-def _names(kind: type[Any]) -> tuple[str, ...]:
-    return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else kind._fields
 
 
 def _number(value: Any, where: str) -> float:

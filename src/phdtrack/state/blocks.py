@@ -23,6 +23,11 @@ _LONGEST = 1 << 30
 _KINDS = "biuf"
 
 
+def _plain(dtype: np.dtype[Any]) -> bool:
+    """Whether these are numbers, or records of numbers."""
+    return all(dtype[name].kind in _KINDS for name in dtype.names) if dtype.names else dtype.kind in _KINDS
+
+
 def to_bytes(value: Any) -> bytes:
     """A block that holds dictionaries with texts as keys, lists, tuples, numbers, texts and arrays of numbers.
 
@@ -33,9 +38,9 @@ def to_bytes(value: Any) -> bytes:
     arrays = list[bytes]()
 
     def plain(one: Any) -> Any:
-        if isinstance(one, np.ndarray) and one.dtype.kind in _KINDS:
+        if isinstance(one, np.ndarray) and _plain(one.dtype):
             arrays.append(np.ascontiguousarray(one).tobytes())
-            return {"array": [one.dtype.str, list(one.shape)]}
+            return {"array": [one.dtype.descr if one.dtype.names else one.dtype.str, list(one.shape)]}
         if isinstance(one, tuple):
             return {"tuple": [plain(item) for item in one]}
         if isinstance(one, list):
@@ -79,9 +84,10 @@ def from_bytes(block: bytes, where: str | Path = "") -> Any:
             return tuple(value(item) for item in inside)
         if kind == "dict":
             return {str(key): value(item) for key, item in inside.items()}
-        dtype, shape = np.dtype(inside[0]), [int(n) for n in inside[1]]
+        named = isinstance(inside[0], list)
+        dtype, shape = np.dtype([tuple(column) for column in inside[0]] if named else inside[0]), [int(n) for n in inside[1]]
         size = math.prod(shape) * dtype.itemsize
-        if kind != "array" or dtype.kind not in _KINDS or min(shape, default=0) < 0 or at + size > len(content):
+        if kind != "array" or not _plain(dtype) or min(shape, default=0) < 0 or at + size > len(content):
             raise ValueError
         made = np.frombuffer(content[at : at + size], dtype).reshape(shape).copy()
         at += size
