@@ -1,4 +1,4 @@
-"""Broken saved states and checkpoints: ``python -m experiments.fuzz_states --inputs N [--minutes M] [--seed S] [--out FILE.json]``.
+"""Broken saved states and checkpoints: ``python -m experiments.fuzz_states --inputs N [--seed S] [--out FILE.json]``.
 
 Every filter tracks a few frames of several targets and clutter, some with classes, with what is learned, a delay, a camera
 that moves. What is saved is changed: arrays are shorter, longer, of another type or shape, their values NaN, infinite, huge,
@@ -15,22 +15,20 @@ import json
 import pickle
 import random
 import struct
-import time
 import warnings
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from experiments.fuzz import ROOT, Limits, Report, campaign
+from experiments.fuzz import ROOT, Limits, campaign
 from phdtrack import Tracker
-from phdtrack.errors import InputError
 from phdtrack.state import from_bytes, to_bytes
 from phdtrack.types import Detections
 
-FRAMES, SIZE = 7, (640, 480)
+FRAMES, SIZE = 6, (640, 480)
 _RATES = {"rates": {"kind": "learned", "detection": True, "clutter": True, "verdict_delay": 0.05, "update_interval": 0.05}}
 _SCENE = {"learn": {"kind": "online", "memory": 0.02, "verdict_delay": 0.05}}
 _FEW = {"particles_per_target": 30}
@@ -61,15 +59,15 @@ SETTINGS: dict[str, dict[str, Any]] = {
 MOVED = np.array([[1.0, 0.0, 2.0], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
 
 
-def frame(k: int, rng: np.random.Generator) -> Detections:
-    """Four who walk, one false alarm, scores and two classes."""
+def frame(k: int, rng: np.random.Generator, *, classes: bool) -> Detections:
+    """Four who walk, one false alarm, scores and, if asked, three classes."""
     boxes = [
         [60 + 150.0 * j + 3 * k * (-1) ** j, 100 + 40.0 * j, 100 + 150.0 * j + 3 * k * (-1) ** j, 200 + 40.0 * j]
         for j in range(4)
     ]
     found = np.array([*boxes, [rng.uniform(0, 500), rng.uniform(0, 350), 0, 0]]) + rng.normal(0, 1, (5, 4))
     found[4, 2:] = found[4, :2] + rng.uniform(30, 80, 2)
-    return Detections(found, rng.uniform(0.4, 0.95, 5), np.array([2, 7, 2, 1, 7]))
+    return Detections(found, rng.uniform(0.4, 0.95, 5), np.array([2, 7, 2, 1, 7]) * classes)
 
 
 def tracker_of(name: str) -> Tracker:
@@ -81,17 +79,15 @@ def saved_of(name: str, frames: int = FRAMES) -> dict[str, Any]:
     """The state after some frames."""
     tracker, rng = tracker_of(name), np.random.default_rng(3)
     for k in range(frames):
-        tracker.update(frame(k, rng), warp=MOVED if name == "pmb" and k else None)
+        tracker.update(frame(k, rng, classes="classes" in name), warp=MOVED if name == "pmb" and k else None)
     return tracker.state_dict()
 
 
-def go_on(tracker: Tracker) -> None:
+def go_on(tracker: Tracker, name: str) -> None:
     """Three updates and what comes of them."""
-    rng, at = np.random.default_rng(4), tracker.state.number
-    for k in range(3):
-        tracker.update(
-            frame(at % 20 + k, rng), number := at + 1 + k, timestamp=tracker.state.time + 0.04 if number > 1 else None
-        )
+    rng, at, time = np.random.default_rng(4), tracker.state.number, tracker.state.time
+    for k in range(1, 4):
+        tracker.update(frame(at % 20 + k, rng, classes="classes" in name), at + k, time + 0.04 * k)
     tracker.flush()
     tracker.tracks()
 
@@ -181,19 +177,9 @@ def changed(value: Any, rng: random.Random) -> Any:
         )
     if isinstance(value, list) and value and rng.random() < 0.9:
         k, j = rng.randrange(len(value)), rng.randrange(len(value))
-        return rng.choice(
-            (
-                value[:k] + value[k + 1 :],
-                [*value, value[k]],
-                value[:k],
-                [
-                    value[(i, k, j)[(i == k) + 2 * (i == j) and 1 + (i == k)] if i in (k, j) else i]
-                    for i in range(len(value))
-                ],
-                value[::-1],
-                [],
-            )
-        )
+        swapped = list(value)
+        swapped[k], swapped[j] = value[j], value[k]
+        return rng.choice((value[:k] + value[k + 1 :], [*value, value[k]], value[:k], swapped, value[::-1], []))
     if isinstance(value, dict) and value and rng.random() < 0.8:
         key = rng.choice(list(value))
         return {k: v for k, v in value.items() if k != key} if rng.random() < 0.5 else value | {key: rng.choice(ODD)}
@@ -212,7 +198,7 @@ class States:
         for name, one in self.saved.items():
             for state in (one, self.begun[name], from_bytes(to_bytes(one))):
                 self.trackers[name].load_state_dict(state)
-                go_on(self.trackers[name])
+                go_on(self.trackers[name], name)
 
     def make(self, rng: random.Random) -> bytes:
         """The number of the settings, and a changed state; one in four is the bytes of a checkpoint."""
@@ -258,7 +244,7 @@ class States:
         saved = from_bytes(content[2:]) if content[1] else pickle.loads(content[2:])
         tracker = self.trackers[name]
         tracker.load_state_dict(saved)
-        go_on(tracker)
+        go_on(tracker, name)
 
 
 def _put(value: Any, way: Sequence[Any], new: Any) -> Any:
@@ -268,3 +254,29 @@ def _put(value: Any, way: Sequence[Any], new: Any) -> Any:
     out = value.copy() if isinstance(value, (dict, list)) else value
     out[way[0]] = _put(value[way[0]], way[1:], new)
     return out
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command; 1 where there are findings."""
+    out = argparse.ArgumentParser(prog="python -m experiments.fuzz_states", description=__doc__)
+    out.add_argument("--inputs", type=int, default=1000, metavar="N")
+    out.add_argument("--seed", type=int, default=0, metavar="S")
+    out.add_argument("--jobs", type=int, default=1, metavar="J")
+    out.add_argument("--out", type=Path, default=ROOT / "runs" / "reliability" / "fuzz-states.json", metavar="FILE.json")
+    given = out.parse_args(arguments)
+    states = States()
+    report = campaign(
+        "states", states.make, states.try_one, inputs=given.inputs, seed=given.seed, jobs=given.jobs,
+        limits=Limits(30.0, 1 << 30), kept=given.out.parent / "fuzz-findings",
+    )  # fmt: skip
+    given.out.parent.mkdir(parents=True, exist_ok=True)
+    given.out.write_text(json.dumps(report.document() | {"settings": list(SETTINGS)}, indent=1) + "\n", encoding="utf-8")
+    took = f"{report.inputs} inputs in {report.seconds / 60:.1f} minutes"
+    print(f"{took}: {report.accepted} accepted, {report.refused} refused, {len(report.findings)} findings")
+    for one in report.findings.values():
+        print(f"  {one.kind} {one.what} ({one.times} times; {one.file})")
+    return int(bool(report.findings))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

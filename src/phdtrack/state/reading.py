@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from functools import cache, partial
 from importlib import import_module
@@ -196,10 +197,8 @@ def _open(packed: Any, like: Any, world: World, where: str) -> Any:
     if kind.__name__ == record:
         return _reader(kind)(packed, like, world, where)
     kind = None
-    try:
+    with suppress(ImportError, AttributeError):
         kind = getattr(import_module(module), record)
-    except (ImportError, AttributeError):
-        pass
     if not is_record(kind):
         raise _wrong(where, f"this version does not know a record {found!r}")
     return _reader(kind)(packed, None, world, where)
