@@ -254,16 +254,17 @@ class Tracker:
         ------
         InputError : it is no such state, or one of another version or of states of other components.
         """
-        if isinstance(saved, dict) and saved.get("format", FORMAT) != FORMAT:
+        form = saved.get("format", FORMAT) if isinstance(saved, dict) else FORMAT
+        if isinstance(form, int) and form != FORMAT:
             raise InputError(
-                f"this state is of format {saved['format']!r}, and this version of phdtrack reads format {FORMAT}",
+                f"this state is of format {form}, and this version of phdtrack reads format {FORMAT}",
                 where="load_state_dict",
                 cure="Load it with the version that saved it, or begin anew",
             )
-        if not isinstance(saved, dict) or saved.keys() != {"format", "dim", "state", "lanes", "left_out"}:
+        if not (isinstance(saved, dict) and isinstance(form, int)) or saved.keys() != {"format", "dim", "state", "lanes", "left_out"}:
             raise InputError("this is no state of a tracker", where="load_state_dict")
         dim, lanes = self.stages.model.motion.dim, Lanes(self.kinds, self.seed)
-        if saved["dim"] != dim:
+        if not isinstance(saved["dim"], int) or saved["dim"] != dim:
             raise InputError(
                 f"expected states of {dim} components, got {saved['dim']!r}",
                 where="load_state_dict",

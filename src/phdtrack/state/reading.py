@@ -123,6 +123,12 @@ def _wrong(where: str, problem: str) -> InputError:
     return InputError(problem, where=where, cure="It is damaged, or of a tracker with other settings")
 
 
+def _named(packed: Any) -> str:
+    """The name of the record that this is; empty where it is none."""
+    name = packed.get("record") if isinstance(packed, dict) else None
+    return name if isinstance(name, str) else ""
+
+
 @cache
 def _reader(hint: Any) -> Reader:
     """What reads values of a type."""
@@ -164,7 +170,7 @@ def _tuple(readers: list[Reader], endless: bool, packed: Any, like: Any, world: 
 
 
 def _dictionary(key: Reader, value: Reader, packed: Any, like: Any, world: World, where: str) -> Any:
-    if not isinstance(packed, dict) or packed.keys() != {"record", "keys", "values"} or packed["record"] != "dict":
+    if _named(packed) != "dict" or packed.keys() != {"record", "keys", "values"}:
         raise _wrong(where, "expected keys and values")
     keys, values = (packed[name] for name in ("keys", "values"))
     if not isinstance(keys, list) or not isinstance(values, list) or len(keys) != len(values):
@@ -176,8 +182,7 @@ def _dictionary(key: Reader, value: Reader, packed: Any, like: Any, world: World
 def _one_of(readers: dict[str, Reader], packed: Any, like: Any, world: World, where: str) -> Any:
     if packed is None and "NoneType" in readers:
         return None
-    named = str(packed.get("record")).partition(":")[2] if isinstance(packed, dict) else ""
-    return (readers.get(named) or next(iter(readers.values())))(packed, like, world, where)
+    return (readers.get(_named(packed).partition(":")[2]) or next(iter(readers.values())))(packed, like, world, where)
 
 
 def _open(packed: Any, like: Any, world: World, where: str) -> Any:
@@ -185,8 +190,8 @@ def _open(packed: Any, like: Any, world: World, where: str) -> Any:
     name = where.rpartition(".")[2]
     if packed is None and (like is None or name in _OPEN):
         return None
-    found = packed.get("record") if isinstance(packed, dict) else None
-    module, _, record = found.partition(":") if isinstance(found, str) else ("", "", "")
+    found = _named(packed)
+    module, _, record = found.partition(":")
     usual = type(like).__name__
     allowed = _OPEN.get(name) or ((usual, "ParticleBlocks") if usual == "Particles" else (usual,))
     if record not in allowed or not module.startswith("phdtrack."):
@@ -219,7 +224,7 @@ def _plan(kind: type[Any]) -> tuple[dict[str, Reader], list[_Field]]:
 def _record(kind: Any, packed: Any, like: Any, world: World, where: str) -> Any:
     """A record of this type."""
     full = f"{kind.__module__}:{kind.__name__}"
-    inside = packed.get("fields") if isinstance(packed, dict) and packed.get("record") == full else None
+    inside = packed.get("fields") if _named(packed) == full else None
     readers, form = _plan(kind)
     if not isinstance(inside, dict) or inside.keys() != readers.keys():
         raise _wrong(where, f"expected a {kind.__name__}")
