@@ -30,6 +30,8 @@ from phdtrack.types import F8, I8, STILL, Bool, Detections, Estimates, Step, Tra
 _REPLAYED = 250
 # Frames of which is remembered whose detections they were; a loop may be endless.
 _MOST_KEPT = 100_000
+# Identities that are remembered, those seen last.
+_MOST_NAMED = 10_000
 # A score counts as a probability; one that is none counts a little.
 _LEAST_SCORE = 0.01
 
@@ -156,6 +158,11 @@ class _Lane:
             remember(self.labels, number, (found.class_id, np.clip(found.confidence, _LEAST_SCORE, 1.0)))
         return step
 
+    @property
+    def oldest(self) -> int:
+        """The number of the first frame that is remembered."""
+        return next((moment.number for moment in held_moments(self.state.association)), 0)
+
     def votes(self, rows: Tracks, sums: dict[tuple[int, int], float]) -> dict[tuple[int, int], float]:
         """``sums`` of scores by identity and class, with those of the detections that the rows rest on."""
         places = zip(rows.frame.tolist(), rows.identity.tolist(), rows.detection.tolist(), strict=True)
@@ -163,7 +170,8 @@ class _Lane:
             if detection >= 0 and frame in self.labels:
                 label, score = self.labels[frame]
                 key = identity, int(label[detection])
-                sums[key] = sums.get(key, 0.0) + float(score[detection])
+                # Those that are used come last.
+                sums[key] = sums.pop(key, 0.0) + float(score[detection])
         return sums
 
     def classed(self, rows: Tracks, kind: int, sums: Mapping[tuple[int, int], float]) -> I8:
@@ -204,6 +212,11 @@ class Lanes:
     def states(self) -> dict[int, TrackingState]:
         """The states of all classes."""
         return {kind: lane.state for kind, lane in self._lanes.items()}
+
+    @property
+    def oldest(self) -> int:
+        """The number of the first frame that any of them remembers."""
+        return min(lane.oldest for lane in self._lanes.values() or (self._blank,))
 
     @property
     def drawn(self) -> bool:
@@ -249,6 +262,10 @@ class Lanes:
                 remember(lane.rows, number, index[kind])
             tracks = Tracks.concatenate([self._given(kind, lanes[kind], one.tracks) for kind, one in steps.items()])
             step = _merged(list(steps.values()), list(index.values()), detections)
+        for lane in lanes.values():
+            if lane.rows or lane.labels:
+                forget(lane.rows, lane.oldest)
+                forget(lane.labels, lane.oldest)
         self._past.append((number, time, warp, detections.observed))
         return _with_tracks(step, tracks)
 
@@ -315,17 +332,18 @@ class Lanes:
     def _given(self, kind: int, lane: _Lane, rows: Tracks) -> Tracks:
         """Online rows with the class, with detections as they were given, and with identities among all classes."""
         if lane.together:
-            lane.votes(rows, lane.sums)
+            newest(lane.votes(rows, lane.sums))
         label, identity = lane.classed(rows, kind, lane.sums), rows.identity
         if len(self._lanes) <= 1:
             self._highest = max(self._highest, int(identity.max(initial=0)))
             return _replaced(rows, identity, label)
         mine = next(iter(self._lanes)) == kind
-        fresh = sorted({one for one in identity.tolist() if not (mine and one <= self._alone)})
-        for one in fresh:
-            if (kind, one) not in self._names:
-                self._highest += 1
-                self._names[kind, one] = self._highest
+        for one in sorted({one for one in identity.tolist() if not (mine and one <= self._alone)}):
+            known = self._names.pop((kind, one), 0)
+            self._highest += not known
+            # Those that are used come last.
+            self._names[kind, one] = known or self._highest
+        newest(self._names)
         named = np.array([self._names.get((kind, one), one) for one in identity.tolist()], np.int64)
         return _replaced(given_rows(rows, lane.rows), named, label)
 
@@ -351,6 +369,18 @@ def remember(kept: dict[int, Any], number: int, value: Any) -> None:
     """
     kept[number] = value
     if len(kept) > _MOST_KEPT:
+        del kept[next(iter(kept))]
+
+
+def forget(kept: dict[int, Any], before: int) -> None:
+    """Drop what is of frames before that one."""
+    while kept and next(iter(kept)) < before:
+        del kept[next(iter(kept))]
+
+
+def newest(kept: dict[tuple[int, int], Any]) -> None:
+    """Drop all but the last `_MOST_NAMED`."""
+    while len(kept) > _MOST_NAMED:
         del kept[next(iter(kept))]
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from phdtrack import config, pipeline
-from phdtrack.classes import Kinds, Lanes, given_rows, remember
+from phdtrack.classes import Kinds, Lanes, forget, given_rows, remember
 from phdtrack.detect.convert import as_detections, with_size
 from phdtrack.errors import InputError
 from phdtrack.models.warp import as_warp
@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 # Of a saved state: it changes when a record of the state does.
 FORMAT = 19
+# Seconds that are remembered where nothing is said of it.
+HISTORY = 600.0
 
 
 class LeftOut(NamedTuple):
@@ -51,6 +53,10 @@ class LeftOut(NamedTuple):
 
 class Tracker:
     """Detections in, tracks with identities out; one call per frame.
+
+    Memory is bounded: the last ten minutes are remembered, some 100 MB with ten targets at 25 fps, and `tracks` goes back so
+    far and a little more. `FinalTracks` gives the corrected rows of a loop without end. ``associate={"history": S}``
+    remembers S seconds, and 0 everything, as do ``stages`` of one's own that do not say otherwise.
 
     Parameters
     ----------
@@ -88,6 +94,8 @@ class Tracker:
             raise InputError(f"expected frames per second above 0, got {fps!r}", where="Tracker(fps=…)")
         if _whole(seed, "Tracker(seed=…)") < 0:
             raise InputError(f"expected a seed from 0, got {seed}", where="Tracker(seed=…)")
+        # Whether it is to be said that something was forgotten.
+        self._forgets = False
         if stages is None:
             if frame_size is None:
                 raise InputError(
@@ -97,6 +105,9 @@ class Tracker:
             if filter:
                 sections["filter"] = {"kind": filter} if isinstance(filter, str) else filter
             loaded = config.overlay(config.load(path, preset=preset), sections, "Tracker")
+            self._forgets = "history" not in loaded.given.get("associate", {})
+            if self._forgets:
+                loaded = config.overlay(loaded, {"associate": {"history": HISTORY}}, "Tracker")
             stages = config.build_kinds(loaded, SequenceInfo(*_size(frame_size), float(fps)))
         elif sections or settings is not None or preset or filter:
             raise InputError("stages are complete; settings beside them would be ignored", where="Tracker")
@@ -108,6 +119,7 @@ class Tracker:
         """Forget everything: the next frame is the first of a new sequence, and identities start at 1 again."""
         self._lanes = Lanes(self.kinds, self.seed)
         self._step: Step | None = None
+        self._begun = math.nan
         # Boxes that were left out, of width or height 0 or not asked for, and the rows that stayed of frames that had any.
         self._empty, self._unwanted, self._kept = 0, 0, dict[int, I8]()
 
@@ -160,6 +172,7 @@ class Tracker:
         given = found.take(kept) if len(kept) < len(found) else found
         with uninterrupted():
             self._step = self._lanes.advance(given, number, time, moved)
+        self._say_what_is_forgotten(time)
         if left_out:
             if not self._empty:
                 _LOG.warning("frame %d: boxes whose width or height is not above 0 are left out (%d here)", number, left_out)
@@ -167,7 +180,19 @@ class Tracker:
         if len(kept) < len(found):
             self._unwanted += len(found) - len(kept) - left_out
             remember(self._kept, number, kept)
+        forget(self._kept, self._lanes.oldest if self._kept else 0)
         return given_rows(self._step.tracks, self._kept)
+
+    def _say_what_is_forgotten(self, time: float) -> None:
+        """Once, where nobody has asked for it."""
+        self._begun = time if math.isnan(self._begun) else self._begun
+        if self._forgets and time - self._begun > HISTORY:
+            self._forgets = False
+            _LOG.warning(
+                "what is older than %g minutes is forgotten from now on, so that memory stays bounded: tracks() goes no "
+                "further back. FinalTracks gives corrected rows as they become final; associate={'history': 0} keeps all",
+                HISTORY / 60,
+            )
 
     @property
     def empty(self) -> int:
@@ -261,7 +286,13 @@ class Tracker:
                 where="load_state_dict",
                 cure="Load it with the version that saved it, or begin anew",
             )
-        if not (isinstance(saved, dict) and isinstance(form, int)) or saved.keys() != {"format", "dim", "state", "lanes", "left_out"}:
+        if not (isinstance(saved, dict) and isinstance(form, int)) or saved.keys() != {
+            "format",
+            "dim",
+            "state",
+            "lanes",
+            "left_out",
+        }:
             raise InputError("this is no state of a tracker", where="load_state_dict")
         dim, lanes = self.stages.model.motion.dim, Lanes(self.kinds, self.seed)
         if not isinstance(saved["dim"], int) or saved["dim"] != dim:

@@ -7,7 +7,7 @@ arrays and numbers are, `RELATIONS` how they fit each other, and `reading` makes
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -206,21 +206,20 @@ def _labelled(r: Any, w: World) -> bool:
     return grows and bool(np.isin(tags, r.table.label).all()) and _within(r.table.identity, 0, r.used + 1)
 
 
-def held_moments(association: Any) -> list[Any]:
-    """The moments of an associator's state; none of one that is not ours."""
+def held_moments(association: Any) -> Iterator[Any]:
+    """The frames that an associator's state remembers, the oldest first; none of one that is not ours."""
     while type(association).__name__ == "RejectionState":
         association = association.inner
-    match type(association).__name__:
-        case "GraphState":
-            return list(association.history)
-        case "LabelledState":
-            return [*association.history, *association.recent]
-    return []
+    name = type(association).__name__
+    if name in ("GraphState", "LabelledState"):
+        yield from association.history
+    if name == "LabelledState":
+        yield from association.recent
 
 
 def _tracking(r: Any, w: World) -> bool:
     """Detections that are named were in their frames; what comes later is there as soon as it is used."""
-    moments, slow = held_moments(r.association), w.stages.clock is not None
+    moments, slow = list(held_moments(r.association)), w.stages.clock is not None
     counts = {m.number: m.z.shape[1] for m in moments}
     if (r.pace is None) == (slow and r.number > 0) or (moments[-1].number if moments else 0) != r.number:
         return False

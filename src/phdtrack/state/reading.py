@@ -64,13 +64,15 @@ def _limit(word: str) -> float | str:
         return word
 
 
+@cache
 def is_record(kind: Any) -> bool:
     """Whether this is a dataclass or a named tuple of this package."""
     ours = isinstance(kind, type) and kind.__module__.startswith("phdtrack.")
     return ours and (is_dataclass(kind) or issubclass(kind, tuple))
 
 
-def names_of(kind: type[Any]) -> tuple[str, ...]:
+@cache
+def names_of(kind: Any) -> tuple[str, ...]:
     """The fields of a record."""
     return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else kind._fields
 
