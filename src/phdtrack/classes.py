@@ -13,13 +13,16 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from phdtrack import pipeline
+from phdtrack.associate.graph import GraphState
+from phdtrack.associate.labels import LabelledState
+from phdtrack.associate.rejection import RejectionState
 from phdtrack.errors import InputError
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages
@@ -219,6 +222,18 @@ class Lanes:
         return min(lane.oldest for lane in self._lanes.values() or (self._blank,))
 
     @property
+    def highest(self) -> int:
+        """The highest identity that was given online."""
+        return self._highest
+
+    def skip(self, count: int) -> None:
+        """Leave out as many identities, as another run may have given them."""
+        self._highest += count
+        if len(self._lanes) <= 1:
+            lane = next(iter(self._lanes.values()), self._blank)
+            lane.state = replace(lane.state, association=_skipped(lane.state.association, count))
+
+    @property
     def drawn(self) -> bool:
         """Whether anything was drawn at random."""
         fresh = np.random.default_rng(self._seed).bit_generator
@@ -370,6 +385,18 @@ def remember(kept: dict[int, Any], number: int, value: Any) -> None:
     kept[number] = value
     if len(kept) > _MOST_KEPT:
         del kept[next(iter(kept))]
+
+
+def _skipped(association: Any, count: int) -> Any:
+    """An associator's state that leaves out as many identities."""
+    match association:
+        case RejectionState():
+            return replace(association, inner=_skipped(association.inner, count))
+        case GraphState():
+            return replace(association, given=replace(association.given, used=association.given.used + count))
+        case LabelledState():
+            return replace(association, used=association.used + count)
+    return association
 
 
 def forget(kept: dict[int, Any], before: int) -> None:

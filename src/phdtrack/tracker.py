@@ -248,6 +248,15 @@ class Tracker:
         return learned.learned.rates if isinstance(learned, RatesState) else None
 
     @property
+    def highest(self) -> int:
+        """The highest identity that online rows had so far."""
+        return self._lanes.highest
+
+    def skip_identities(self, count: int) -> None:
+        """Give none of the next ``count`` identities, as those of another run."""
+        self._lanes.skip(count)
+
+    @property
     def step(self) -> Step | None:
         """Everything the last update brought: detections but those left out, info, states, rows, times. None at first."""
         return self._step

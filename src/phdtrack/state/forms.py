@@ -73,6 +73,8 @@ FORMS: dict[str, str] = {
     "Evidence": "count::0.. squares::0..",
     "OnlineMixture": "memory::1e-9.. samples:k,n:-far..far weight:n:0..many time:n:0.. amount::0.. exposure::0.. clock::0..",
     "OnlineScene": "active::0.. learned:::nan",
+    "HeldFrame": "number::1.. xyxy:N,4:-far..far",
+    "SavedCamera": "number::1.. people:h,w:0.. clutter:h,w:0..",
     "Seed": "state::0..4e38 increment::0..4e38 has_word::0..1 word::0..4294967295",
     "SavedLanes": "alone::0..highest highest::0..",
 }  # fmt: skip
@@ -323,6 +325,10 @@ RELATIONS: dict[str, Callable[[Any, World], Any]] = {
         _rises([frame[0] for frame in r.past])
         and _rises([frame[1] for frame in r.past])
         and all(_is_warp(f[2]) for f in r.past)
+    ),
+    "SavedCamera": lambda r, w: (
+        {len(r.places)}
+        == {len(r.watch.counts), *(len(x) for v in r.watch.visitors.values() for x in (v.net, v.since, v.dwelled))}
     ),
     "Seed": lambda r, w: max(r.state, r.increment) < 1 << 128 and r.increment % 2,
 }

@@ -9,7 +9,7 @@ from dataclasses import fields, is_dataclass
 from functools import cache, partial
 from importlib import import_module
 from types import UnionType
-from typing import Any, NamedTuple, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -50,10 +50,8 @@ class _Field(NamedTuple):
         """Of a word of `FORMS`."""
         name, shape, bounds, more = (*line.split(":"), "", "", "")[:4]
         (name, _, column), (low, _, high) = name.partition("."), bounds.partition("..")
-        limits = [_limit(low), _limit(high)]
-        return cls(
-            name, column, tuple(shape.split(",")) if shape else None, *limits, frozenset(filter(None, more.split(",")))
-        )
+        words = frozenset(filter(None, more.split(",")))
+        return cls(name, column, tuple(shape.split(",")) if shape else None, _limit(low), _limit(high), words)
 
 
 def _limit(word: str) -> float | str:
@@ -84,7 +82,7 @@ def pack(value: Any) -> Any:
     ------
     InputError : the value holds something else than numbers, arrays, tuples, dictionaries and this package's records.
     """
-    kind = type(value)
+    kind: Any = type(value)
     if is_record(kind):
         inside = {name: pack(getattr(value, name)) for name in names_of(kind)}
         return {"record": f"{kind.__module__}:{kind.__name__}", "fields": inside}
@@ -137,6 +135,8 @@ def _reader(hint: Any) -> Reader:
     kind, inside = get_origin(hint), get_args(hint)
     if hint in (int, float, bool, str):
         return partial(_number, {int: (int,), float: (float, int), bool: (bool,), str: (str,)}[hint])
+    if kind is Literal:
+        return partial(_number, (str,))
     if kind is np.ndarray:
         return partial(_array, _DTYPES.get(get_args(inside[1])[0], _REAL))
     if kind is tuple:
@@ -212,7 +212,7 @@ def _open(packed: Any, like: Any, world: World, where: str) -> Any:
 
 
 @cache
-def _plan(kind: type[Any]) -> tuple[dict[str, Reader], list[_Field]]:
+def _plan(kind: Any) -> tuple[dict[str, Reader], list[_Field]]:
     """How the fields of a record are read, and their forms: of numbers, that they are finite, where nothing else is said."""
     hints, names = get_type_hints(kind), names_of(kind)
     form = [_Field.of(line) for line in FORMS.get(kind.__name__, "").split()]
