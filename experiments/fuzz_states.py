@@ -1,4 +1,4 @@
-"""Broken saved states and checkpoints: ``python -m experiments.fuzz_states --inputs N [--seed S] [--out FILE.json]``.
+"""Broken saved states and checkpoints: ``python -m experiments.fuzz_states --inputs N [--minutes M] [--out FILE.json]``.
 
 Every filter tracks a few frames of several targets and clutter, some with classes, with what is learned, a delay, a camera
 that moves. What is saved is changed: arrays are shorter, longer, of another type or shape, their values NaN, infinite, huge,
@@ -12,9 +12,11 @@ from __future__ import annotations
 import argparse
 import copy
 import json
+import math
 import pickle
 import random
 import struct
+import time
 import warnings
 import zlib
 from collections.abc import Sequence
@@ -23,12 +25,14 @@ from typing import Any
 
 import numpy as np
 
-from experiments.fuzz import ROOT, Limits, campaign
+from experiments.fuzz import ROOT, Limits, Report, campaign
 from phdtrack import Tracker
 from phdtrack.state import from_bytes, to_bytes
 from phdtrack.types import Detections
 
 FRAMES, SIZE = 6, (640, 480)
+# Inputs of one seed.
+CHUNK = 5000
 _RATES = {"rates": {"kind": "learned", "detection": True, "clutter": True, "verdict_delay": 0.05, "update_interval": 0.05}}
 _SCENE = {"learn": {"kind": "online", "memory": 0.02, "verdict_delay": 0.05}}
 _FEW = {"particles_per_target": 30}
@@ -85,9 +89,9 @@ def saved_of(name: str, frames: int = FRAMES) -> dict[str, Any]:
 
 def go_on(tracker: Tracker, name: str) -> None:
     """Three updates and what comes of them."""
-    rng, at, time = np.random.default_rng(4), tracker.state.number, tracker.state.time
+    rng, at, begun = np.random.default_rng(4), tracker.state.number, tracker.state.time
     for k in range(1, 4):
-        tracker.update(frame(at % 20 + k, rng, classes="classes" in name), at + k, time + 0.04 * k)
+        tracker.update(frame(at % 20 + k, rng, classes="classes" in name), at + k, begun + 0.04 * k)
     tracker.flush()
     tracker.tracks()
 
@@ -256,6 +260,19 @@ def _put(value: Any, way: Sequence[Any], new: Any) -> Any:
     return out
 
 
+def joined(total: Report, more: Report) -> None:
+    """Add a further campaign, of the next seed."""
+    total.inputs, total.seconds, total.failed = (
+        total.inputs + more.inputs,
+        total.seconds + more.seconds,
+        total.failed + more.failed,
+    )
+    total.accepted, total.refused = total.accepted + more.accepted, total.refused + more.refused
+    total.slowest, total.memory = max(total.slowest, more.slowest), max(total.memory, more.memory)
+    for key, one in more.findings.items():
+        total.findings.setdefault(key, one).times += one.times * (key in total.findings and total.findings[key] is not one)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; 1 where there are findings."""
     out = argparse.ArgumentParser(prog="python -m experiments.fuzz_states", description=__doc__)
@@ -263,19 +280,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     out.add_argument("--seed", type=int, default=0, metavar="S")
     out.add_argument("--jobs", type=int, default=1, metavar="J")
     out.add_argument("--out", type=Path, default=ROOT / "runs" / "reliability" / "fuzz-states.json", metavar="FILE.json")
+    out.add_argument("--minutes", type=float, default=math.inf, metavar="M", help="end after so many, with what was done")
     given = out.parse_args(arguments)
-    states = States()
-    report = campaign(
-        "states", states.make, states.try_one, inputs=given.inputs, seed=given.seed, jobs=given.jobs,
-        limits=Limits(30.0, 1 << 30), kept=given.out.parent / "fuzz-findings",
-    )  # fmt: skip
-    given.out.parent.mkdir(parents=True, exist_ok=True)
-    given.out.write_text(json.dumps(report.document() | {"settings": list(SETTINGS)}, indent=1) + "\n", encoding="utf-8")
-    took = f"{report.inputs} inputs in {report.seconds / 60:.1f} minutes"
-    print(f"{took}: {report.accepted} accepted, {report.refused} refused, {len(report.findings)} findings")
-    for one in report.findings.values():
+    states, kept, end = States(), given.out.parent / "fuzz-findings", time.monotonic() + 60 * given.minutes
+    total = Report("states", 0, given.seed, Limits(60.0, 1 << 30))
+    while total.inputs < given.inputs and time.monotonic() < end:
+        count, seed = min(CHUNK, given.inputs - total.inputs), given.seed + total.inputs // CHUNK
+        joined(total, campaign("states", states.make, states.try_one, inputs=count, seed=seed, jobs=given.jobs,
+                               limits=total.limits, kept=kept))  # fmt: skip
+        given.out.parent.mkdir(parents=True, exist_ok=True)
+        given.out.write_text(json.dumps(total.document() | {"settings": list(SETTINGS)}, indent=1) + "\n", encoding="utf-8")
+    took = f"{total.inputs} inputs in {total.seconds / 60:.1f} minutes"
+    print(f"{took}: {total.accepted} accepted, {total.refused} refused, {len(total.findings)} findings")
+    for one in total.findings.values():
         print(f"  {one.kind} {one.what} ({one.times} times; {one.file})")
-    return int(bool(report.findings))
+    return int(bool(total.findings))
 
 
 if __name__ == "__main__":

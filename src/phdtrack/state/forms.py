@@ -200,10 +200,11 @@ def _graph(r: Any, w: World) -> bool:
 def _labelled(r: Any, w: World) -> bool:
     """States have labels, and those whose rows may still change are in the table."""
     moments = [*r.history, *r.recent]
-    if any(len(m.estimates.tag) != len(m.estimates) or m.first for m in moments):
+    names = [m.estimates.tag for m in moments]
+    if any(len(x) != len(m.estimates) or m.first or len(np.unique(x)) < len(x) for x, m in zip(names, moments, strict=True)):
         return False
     open_ = moments[-max(len(r.recent), w.sizes["delay"]) :] if moments else []
-    tags = np.concatenate([np.zeros(0, np.int64), *(m.estimates.tag for m in open_)])
+    tags = np.concatenate([np.zeros(0, np.int64), *names[len(names) - len(open_) :]])
     grows = _rises([m.number for m in moments]) and _rises([m.time for m in moments])
     return grows and bool(np.isin(tags, r.table.label).all()) and _within(r.table.identity, 0, r.used + 1)
 
