@@ -254,7 +254,8 @@ def _check(found: dict[str, Any], form: list[_Field], world: World, where: str) 
     for field in form:
         value = found[field.name][field.column] if field.column else found[field.name]
         if not _is_good(value, field, found, known):
-            bounds = f"from {field.low} to {field.high}".removesuffix(" to ") if field.low != "" else "that are finite"
+            low, high = (f"{one:g}" if isinstance(one, float) else one for one in (field.low, field.high))
+            bounds = f"from {low} to {high}".removesuffix(" to ") if low else "that are finite"
             more = " and ".join(sorted(_SAID[one] for one in field.more if one in _SAID))
             raise _wrong(f"{where}.{field.name}", f"expected numbers {bounds}{more and f', {more}'}")
 
