@@ -32,7 +32,7 @@ from phdtrack.types import Detections
 
 FRAMES, SIZE = 6, (640, 480)
 # Inputs of one seed.
-CHUNK = 5000
+CHUNK = 1000
 _RATES = {"rates": {"kind": "learned", "detection": True, "clutter": True, "verdict_delay": 0.05, "update_interval": 0.05}}
 _SCENE = {"learn": {"kind": "online", "memory": 0.02, "verdict_delay": 0.05}}
 _FEW = {"particles_per_target": 30}
