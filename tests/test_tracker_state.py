@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import pickle
+import struct
+import zlib
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +14,8 @@ import pytest
 from phdtrack import Tracker, config
 from phdtrack.errors import InputError
 from phdtrack.filters import NoFilter
-from phdtrack.types import SequenceInfo
+from phdtrack.state import from_bytes, to_bytes
+from phdtrack.types import Detections, SequenceInfo
 from tracker_cases import PARTICLES, SIZE, boxes, equal, feed, street, tracker_of
 
 
@@ -92,7 +96,7 @@ def test_a_saved_state_holds_plain_values_only(kind: str, scene):
 
 
 def test_the_state_of_an_earlier_version_is_told():
-    with pytest.raises(InputError, match=r"^load_state_dict: this state is of format 1, .* reads format 18"):
+    with pytest.raises(InputError, match=r"^load_state_dict: this state is of format 1, .* reads format 19"):
         tracker_of().load_state_dict(tracker_of().state_dict() | {"format": 1})
 
 
@@ -114,7 +118,7 @@ def test_what_is_no_saved_state_is_told_and_changes_nothing(changed):
     with pytest.raises(InputError, match="load_state_dict"):
         tracker.load_state_dict(tracker.state_dict() | changed if changed else changed)
     saved = tracker.state_dict()
-    saved["state"][0]["values"][0][1]["fields"]["intensity"] = {"record": "Mystery", "fields": {}}
+    saved["lanes"][0]["fields"]["state"]["fields"]["intensity"] = {"record": "Mystery", "fields": {}}
     with pytest.raises(InputError, match="load_state_dict"):
         tracker.load_state_dict(saved)
     assert equal(tracker.update(boxes(10)), plain.update(boxes(10)))
@@ -141,3 +145,183 @@ def test_a_state_of_ones_own_that_cannot_be_saved_is_told():
     made = config.build(config.load(), SequenceInfo(*SIZE, 25.0))
     with pytest.raises(InputError, match="Odd"):
         Tracker(stages=replace(made, filter=OddFilter())).state_dict()
+
+
+# What is damaged
+
+
+FILTERS = ("pmb", "pmbm", "mht", "gm-phd", "gm-cphd", "particle-phd", "particle-cphd", "mcmc", "none")
+
+
+def arrays(value, way: tuple = ()):
+    """The ways to all arrays within that have elements."""
+    if isinstance(value, np.ndarray):
+        if value.size:
+            yield way
+        return
+    for key, one in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+        yield from arrays(one, (*way, key))
+
+
+def at(value, way: tuple):
+    for key in way:
+        value = value[key]
+    return value
+
+
+def put(value, way: tuple, new):
+    """A copy with another value there."""
+    if not way:
+        return new
+    out = value.copy()
+    out[way[0]] = put(value[way[0]], way[1:], new)
+    return out
+
+
+def few(kind: str) -> dict:
+    return {"filter": {"kind": kind, **({"samples": 20, "burn_in": 2} if kind == "mcmc" else {})}}
+
+
+@pytest.mark.parametrize("kind", FILTERS)
+def test_a_shortened_array_is_refused_or_does_no_harm(kind: str, scene):
+    """It was a segmentation fault in the next update."""
+    tracker = tracker_of(**few(kind))
+    feed(tracker, scene[:6])
+    saved = tracker.state_dict()
+    ways = list(arrays(saved))
+    chosen = np.random.default_rng(1).permutation(len(ways))[:20]
+    refused = []
+    for k in chosen:
+        try:
+            tracker.load_state_dict(put(saved, ways[k], at(saved, ways[k])[:-1]))
+            feed(tracker, scene[6:8])
+            tracker.tracks()
+        except InputError as error:
+            refused.append(str(error))
+    assert len(refused) > 0.8 * len(chosen)
+    assert all(text.startswith("load_state_dict, ") for text in refused)
+
+
+LANE = ("lanes", 0, "fields")
+STATE = (*LANE, "state", "fields")
+LAYER = (*STATE, "intensity", "fields", "layers", -1, "fields")
+MIXTURE = (*STATE, "intensity", "fields")
+LINKS = (*STATE, "association", "fields")
+LEARNED = (*STATE, "learned", "fields")
+MOMENT = (*LINKS, "recent", -1, "fields")
+
+
+def element(value, place=0, column: str = ""):
+    """What puts a value into an array."""
+
+    def change(array: np.ndarray) -> np.ndarray:
+        out = array.copy()
+        (out[column] if column else out).reshape(-1)[place] = value
+        return out
+
+    return change
+
+
+@pytest.mark.parametrize(("section", "way", "change", "says"), [
+    ({}, (*LAYER, "targets"), element(10**9, 0, "end"), "targets: expected numbers from 0"),
+    ({}, (*LAYER, "targets"), element(0, 0, "end"), "layers.* do not fit each other"),
+    ({}, (*LAYER, "hypotheses"), element(10**6, 0, "parent"), "intensity: .* do not fit each other"),
+    ({}, (*LAYER, "hypotheses"), element(99, 0, "motion"), "do not fit each other"),
+    ({}, (*LAYER, "hypotheses"), element(10**12, 0, "detection"), "do not fit each other"),
+    ({}, (*LAYER, "mean"), element(np.nan), "mean: expected numbers from -1e"),
+    ({}, (*LAYER, "covariance"), element(-1.0), "covariance: .* variances above 0"),
+    ({}, (*LAYER, "mean"), lambda a: a[:, :5], r"expected an array of shape \(C, d\)"),
+    ({}, (*LAYER, "mean"), lambda a: a.astype(">f8"), "expected an array of float64, got >f8"),
+    ({}, (*MOMENT, "estimates", "fields", "tag"), lambda a: a * 0, "do not fit each other"),
+    ({}, (*MOMENT, "estimates", "record"), lambda a: np.zeros(2), "expected a Estimates"),
+    ({}, (*MOMENT, "number"), lambda a: -1, "number: expected numbers from 1"),
+    ({}, ("state", "fields", "past", 1, 1), lambda a: -1e300, "past|do not fit"),
+    ({}, (*LANE, "seed", "fields", "increment"), lambda a: 2, "Seed do not fit"),
+    ({}, (*LANE, "seed", "fields", "word"), lambda a: 1 << 40, "word: expected numbers from 0"),
+    ({}, ("left_out", "fields", "empty"), lambda a: "", "expected int, got str"),
+    ({}, ("dim",), lambda a: np.zeros(3), "expected states of 6"),
+    ({}, ("format",), lambda a: np.zeros(3), "no state of a tracker"),
+    (few("gm-phd"), (*MIXTURE, "weight"), element(-0.5), "weight: expected numbers from 0"),
+    (few("gm-phd"), (*MIXTURE, "fresh"), lambda a: 0, "tag: expected numbers from 0"),
+    (few("gm-phd"), (*LINKS, "window", "fields", "previous"), element(10**6), "GraphState do not fit"),
+    (few("gm-phd"), (*LINKS, "window", "fields", "start"), element(10**6, -1), "start: expected numbers from 0"),
+    (few("gm-phd"), (*LINKS, "given", "fields", "track"), lambda a: a[:-1], "GraphState do not fit"),
+    (few("particle-phd"), (*MIXTURE, "start"), element(5), "start: .* ascending|do not fit"),
+    (few("particle-phd"), (*MIXTURE, "state"), lambda a: a.astype(np.float64), "do not fit"),
+    (few("mht"), (*LAYER, "parent"), element(10**6), "Hypotheses do not fit"),
+    (few("mht"), (*MIXTURE, "lone"), lambda a: np.array([10**6]), "Hypotheses do not fit"),
+    (RATES, (*LEARNED, "learned", "fields", "pending", "fields", "counted"), lambda a: 99, "PendingFrames"),
+    ({}, (*LEARNED, "alone"), lambda a: [0.0, 0.0], "ScoresSeen do not fit"),
+    ({}, (*STATE, "camera", "fields", "scale"), element(0.0), "scale: expected numbers from 0.01"),
+])  # fmt: skip
+def test_what_is_damaged_is_named_and_changes_nothing(section, way, change, says, scene):
+    section = section | ({"preset": "default"} if section == {} else {})
+    tracker = tracker_of(**section)
+    feed(tracker, scene[:6])
+    saved = tracker.state_dict()
+    number = tracker.state.number
+    with pytest.raises(InputError, match=f"^load_state_dict.*({says})"):
+        tracker.load_state_dict(put(saved, way, change(at(saved, way))))
+    assert tracker.state.number == number
+    tracker.load_state_dict(saved)
+
+
+@pytest.mark.parametrize("kind", ["08", "f8,f8", "O", "U3", "V8", 3, [["a", "O"]], [["a"]]])
+def test_a_block_holds_arrays_of_numbers_only(kind):
+    """Texts of types are not given to anything that reads programs."""
+    block = to_bytes(np.arange(3.0)).replace(b'"<f8"', json.dumps(kind).encode())
+    content = block[8:]
+    head = content.index(b"}") + 1
+    content = struct.pack("<I", head - 4) + content[4:]
+    with pytest.raises(InputError, match="cut off or changed"):
+        from_bytes(struct.pack("<II", len(content), zlib.crc32(content)) + content)
+
+
+def test_a_state_as_bytes_is_the_same(scene):
+    for kind in ("pmb", "mht"):
+        tracker, other = tracker_of(filter={"kind": kind}), tracker_of(filter={"kind": kind})
+        feed(tracker, scene[:8])
+        other.load_state_dict(from_bytes(to_bytes(tracker.state_dict())))
+        assert equal(tracker.update(scene[8]), other.update(scene[8]))
+
+
+# What is remembered
+
+
+def test_memory_is_bounded_unless_everything_is_asked_for(caplog, monkeypatch):
+    """A frame a second, and one minute instead of ten."""
+    assert tracker_of().stages.associator.history == 600
+    monkeypatch.setattr("phdtrack.tracker.HISTORY", 60.0)
+    bounded, whole = (tracker_of(fps=1.0, filter={"kind": "none"}, **more) for more in ({}, {"associate": {"history": 0}}))
+    sizes = []
+    for k in range(400):
+        # Somebody comes every 20 seconds.
+        found = boxes(k % 20) if k % 20 < 16 else np.zeros((0, 4))
+        bounded.update(found)
+        if k < 100:
+            whole.update(found)
+        if k in (199, 299, 399):
+            sizes.append(len(to_bytes(bounded.state_dict())))
+    assert max(sizes) < 1.1 * min(sizes)
+    assert 280 < bounded.tracks().frame.min() <= 341
+    assert whole.tracks().frame.min() < 10
+    said = [record.getMessage() for record in caplog.records if "forgotten" in record.getMessage()]
+    assert len(said) == 1
+    assert "associate={'history': 0}" in said[0]
+
+
+def test_what_is_kept_of_classes_is_forgotten_too():
+    tracker = tracker_of(fps=5.0, associate={"history": 4.0})
+    for k in range(150):
+        tracker.update(Detections.of(boxes(k % 40), class_id=[1, 2]))
+    lanes = tracker.snapshot()()["lanes"]
+    assert all(len(lane["fields"]["rows"]["keys"]) < 100 for lane in lanes)
+
+
+def test_identities_can_be_left_out():
+    tracker = tracker_of()
+    tracker.skip_identities(40)
+    for k in range(10):
+        rows = tracker.update(boxes(k))
+    assert set(rows.identity) == {41, 42}
+    assert tracker.highest == 42

@@ -11,29 +11,83 @@ that it is the class with the largest sum of scores. A corrected track has one c
 
 from __future__ import annotations
 
+import copy
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import reduce
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from phdtrack import pipeline
+from phdtrack.associate.graph import GraphState
+from phdtrack.associate.labels import LabelledState
+from phdtrack.associate.rejection import RejectionState
 from phdtrack.detect.convert import LeftOut, Limits
+from phdtrack.errors import InputError
 from phdtrack.kernels.grid import uncrowded
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages
+from phdtrack.state import World, held_moments, restored
 from phdtrack.types import F8, I8, STILL, Bool, Detections, Estimates, Step, Tracks, UpdateInfo
 
 # Empty frames that a class seen for the first time has been through: what is learned of them is the same with more.
 _REPLAYED = 250
 # Frames of which is remembered whose detections they were; a loop may be endless.
 _MOST_KEPT = 100_000
+# Identities that are remembered, those seen last.
+_MOST_NAMED = 10_000
 # A score counts as a probability; one that is none counts a little.
 _LEAST_SCORE = 0.01
 
-State = tuple[dict[int, tuple[Any, ...]], tuple[Any, ...], tuple[Any, ...], dict[tuple[int, int], int], int, int]
+
+class Seed(NamedTuple):
+    """The state of PCG64, NumPy's usual generator."""
+
+    state: int
+    increment: int
+    has_word: int
+    word: int
+
+    @classmethod
+    def of(cls, rng: np.random.Generator) -> Seed:
+        """Of a generator."""
+        held: Any = rng.bit_generator.state
+        return cls(held["state"]["state"], held["state"]["inc"], held["has_uint32"], held["uinteger"])
+
+    def generator(self) -> np.random.Generator:
+        """A generator that goes on from here."""
+        kind, inside = "PCG64", {"state": self.state, "inc": self.increment}
+        rng = np.random.default_rng(0)
+        rng.bit_generator.state = {
+            "bit_generator": kind,
+            "state": inside,
+            "has_uint32": self.has_word,
+            "uinteger": self.word,
+        }
+        return rng
+
+
+class SavedLane(NamedTuple):
+    """What a state holds of a class; see `_Lane`."""
+
+    seed: Seed
+    state: TrackingState
+    together: bool
+    rows: dict[int, I8]
+    labels: dict[int, tuple[I8, F8]]
+    sums: dict[tuple[int, int], float]
+
+
+class SavedLanes(NamedTuple):
+    """What a state holds of all classes, besides the lanes of ``kinds``; see `Lanes`."""
+
+    kinds: tuple[int, ...]
+    past: tuple[tuple[int, float, F8, bool], ...]
+    names: dict[tuple[int, int], int]
+    alone: int
+    highest: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,6 +200,11 @@ class _Lane:
             remember(self.labels, number, (found.class_id, np.clip(found.confidence, _LEAST_SCORE, 1.0)))
         return step
 
+    @property
+    def oldest(self) -> int:
+        """The number of the first frame that is remembered."""
+        return next((moment.number for moment in held_moments(self.state.association)), 0)
+
     def votes(self, rows: Tracks, sums: dict[tuple[int, int], float]) -> dict[tuple[int, int], float]:
         """``sums`` of scores by identity and class, with those of the detections that the rows rest on."""
         places = zip(rows.frame.tolist(), rows.identity.tolist(), rows.detection.tolist(), strict=True)
@@ -153,7 +212,8 @@ class _Lane:
             if detection >= 0 and frame in self.labels:
                 label, score = self.labels[frame]
                 key = identity, int(label[detection])
-                sums[key] = sums.get(key, 0.0) + float(score[detection])
+                # Those that are used come last.
+                sums[key] = sums.pop(key, 0.0) + float(score[detection])
         return sums
 
     def classed(self, rows: Tracks, kind: int, sums: Mapping[tuple[int, int], float]) -> I8:
@@ -196,6 +256,23 @@ class Lanes:
         return {kind: lane.state for kind, lane in self._lanes.items()}
 
     @property
+    def oldest(self) -> int:
+        """The number of the first frame that any of them remembers."""
+        return min(lane.oldest for lane in self._lanes.values() or (self._blank,))
+
+    @property
+    def highest(self) -> int:
+        """The highest identity that was given online."""
+        return self._highest
+
+    def skip(self, count: int) -> None:
+        """Leave out as many identities, as another run may have given them."""
+        self._highest += count
+        if len(self._lanes) <= 1:
+            lane = next(iter(self._lanes.values()), self._blank)
+            lane.state = replace(lane.state, association=_skipped(lane.state.association, count))
+
+    @property
     def drawn(self) -> bool:
         """Whether anything was drawn at random."""
         fresh = np.random.default_rng(self._seed).bit_generator
@@ -234,6 +311,10 @@ class Lanes:
                 remember(lane.rows, number, index[kind])
             tracks = Tracks.concatenate([self._given(kind, lanes[kind], one.tracks) for kind, one in steps.items()])
             step = _merged(list(steps.values()), list(index.values()), detections)
+        for lane in lanes.values():
+            if lane.rows or lane.labels:
+                forget(lane.rows, lane.oldest)
+                forget(lane.labels, lane.oldest)
         self._past.append((number, time, warp, detections.observed))
         return _with_tracks(step, tracks)
 
@@ -261,17 +342,29 @@ class Lanes:
         rank[np.argsort(first, kind="stable")] = np.arange(1, len(first) + 1)
         return Tracks.concatenate([_replaced(rows, rank[place], rows.class_id)])
 
-    def saved(self) -> State:
-        """Everything that decides what comes next."""
-        lanes = {k: _saved(lane) for k, lane in self._lanes.items()}
-        return lanes, _saved(self._blank), tuple(self._past), dict(self._names), self._alone, self._highest
+    def saved(self) -> tuple[SavedLanes, tuple[SavedLane, ...]]:
+        """Everything that decides what comes next: values that no later frame changes."""
+        whole = SavedLanes(tuple(self._lanes), tuple(self._past), dict(self._names), self._alone, self._highest)
+        return whole, tuple(_saved(lane) for lane in self._lanes.values() or (self._blank,))
 
-    def restore(self, saved: State) -> None:
-        """Go on from what was `saved`."""
-        lanes, blank, past, self._names, self._alone, self._highest = saved
-        self._blank = _restored(self.kinds.usual, blank)
-        self._lanes = {kind: _restored(self.kinds.stages(kind), one) for kind, one in lanes.items()}
+    def restore(self, whole: Any, lanes: Any) -> None:
+        """Go on from what was `saved` and packed. Raises `InputError` where it is damaged, or of other settings."""
+        found = restored(whole, SavedLanes, None, World.of(self.kinds.usual), "state")
+        kinds, past, self._names, self._alone, self._highest = found
+        if not isinstance(lanes, list) or len(lanes) != max(len(kinds), 1):
+            raise InputError(f"expected states of {max(len(kinds), 1)} classes", where="lanes")
+        made = [_restored(self.kinds.stages(k) if kinds else self.kinds.usual, one, f"lanes[{k}]")
+                for k, one in zip(kinds or (0,), lanes, strict=True)]  # fmt: skip
+        self._blank, self._lanes = made[0], dict(zip(kinds, made, strict=False))
         self._past = deque(past, maxlen=_REPLAYED)
+
+    def counts(self) -> dict[int, int]:
+        """Above the greatest place of a detection that the rows of each frame may name."""
+        lanes = self._lanes.values() or (self._blank,)
+        found = {m.number: m.z.shape[1] for lane in lanes for m in held_moments(lane.state.association)}
+        for lane in lanes:
+            found |= {number: int(rows.max(initial=-1)) + 1 for number, rows in lane.rows.items()}
+        return found
 
     def _open(self, kind: int, gone_through: dict[int, _Lane]) -> None:
         """Follow a class from now on: the empty frames so far lie behind it.
@@ -287,24 +380,25 @@ class Lanes:
             before = gone_through[id(stages)] = _Lane.begin(stages, self._seed)
             for number, time, warp, observed in self._past:
                 before.advance(Detections.empty(observed=observed), number, time, warp)
-        lane = _restored(stages, (before.rng.bit_generator.state, before.state, together))
+        lane = _Lane(stages, copy.deepcopy(before.rng), before.state, together)
         self._alone = self._highest if len(self._lanes) == 1 else self._alone
         self._lanes[kind] = lane
 
     def _given(self, kind: int, lane: _Lane, rows: Tracks) -> Tracks:
         """Online rows with the class, with detections as they were given, and with identities among all classes."""
         if lane.together:
-            lane.votes(rows, lane.sums)
+            newest(lane.votes(rows, lane.sums))
         label, identity = lane.classed(rows, kind, lane.sums), rows.identity
         if len(self._lanes) <= 1:
             self._highest = max(self._highest, int(identity.max(initial=0)))
             return _replaced(rows, identity, label)
         mine = next(iter(self._lanes)) == kind
-        fresh = sorted({one for one in identity.tolist() if not (mine and one <= self._alone)})
-        for one in fresh:
-            if (kind, one) not in self._names:
-                self._highest += 1
-                self._names[kind, one] = self._highest
+        for one in sorted({one for one in identity.tolist() if not (mine and one <= self._alone)}):
+            known = self._names.pop((kind, one), 0)
+            self._highest += not known
+            # Those that are used come last.
+            self._names[kind, one] = known or self._highest
+        newest(self._names)
         named = np.array([self._names.get((kind, one), one) for one in identity.tolist()], np.int64)
         return _replaced(given_rows(rows, lane.rows), named, label)
 
@@ -333,19 +427,40 @@ def remember(kept: dict[int, Any], number: int, value: Any) -> None:
         del kept[next(iter(kept))]
 
 
-def _saved(lane: _Lane) -> tuple[Any, ...]:
+def _skipped(association: Any, count: int) -> Any:
+    """An associator's state that leaves out as many identities."""
+    match association:
+        case RejectionState():
+            return replace(association, inner=_skipped(association.inner, count))
+        case GraphState():
+            return replace(association, given=replace(association.given, used=association.given.used + count))
+        case LabelledState():
+            return replace(association, used=association.used + count)
+    return association
+
+
+def forget(kept: dict[int, Any], before: int) -> None:
+    """Drop what is of frames before that one."""
+    while kept and next(iter(kept)) < before:
+        del kept[next(iter(kept))]
+
+
+def newest(kept: dict[tuple[int, int], Any]) -> None:
+    """Drop all but the last `_MOST_NAMED`."""
+    while len(kept) > _MOST_NAMED:
+        del kept[next(iter(kept))]
+
+
+def _saved(lane: _Lane) -> SavedLane:
     """What `_restored` makes the lane of."""
-    return lane.rng.bit_generator.state, lane.state, lane.together, dict(lane.rows), dict(lane.labels), dict(lane.sums)
+    return SavedLane(Seed.of(lane.rng), lane.state, lane.together, dict(lane.rows), dict(lane.labels), dict(lane.sums))
 
 
-def _restored(stages: AnyStages, saved: tuple[Any, ...]) -> _Lane:
-    """The lane with these stages. Raises ``TypeError`` where it is none."""
-    random, state, *more = saved
-    if not isinstance(state, TrackingState):
-        raise TypeError(f"expected a TrackingState, got a {type(state).__name__}")
-    rng = np.random.default_rng(0)
-    rng.bit_generator.state = random
-    return _Lane(stages, rng, state, *more)
+def _restored(stages: AnyStages, packed: Any, where: str) -> _Lane:
+    """The lane with these stages. Raises `InputError` where what was packed is damaged, or of others."""
+    like = _saved(_Lane.begin(stages, 0))
+    found: SavedLane = restored(packed, SavedLane, like, World.of(stages), where)
+    return _Lane(stages, found.seed.generator(), *found[1:])
 
 
 def _replaced(rows: Tracks, identity: I8, label: I8) -> Tracks:

@@ -9,27 +9,26 @@ corrected = tracker.tracks()
 
 from __future__ import annotations
 
-import importlib
 import logging
 import math
 import signal
 import threading
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from phdtrack import config, pipeline
-from phdtrack.classes import Kinds, Lanes, given_rows, remember
+from phdtrack.classes import Kinds, Lanes, forget, given_rows, remember
 from phdtrack.detect.convert import LeftOut, as_detections
 from phdtrack.errors import DEFERRED, INTERRUPTING, InputError, later
 from phdtrack.models.warp import as_warp
 from phdtrack.protocols import AnyStages
+from phdtrack.state import World, pack, restored
 from phdtrack.types import I8, STILL, Detections, SequenceInfo, Step, Tracks
 
 if TYPE_CHECKING:
@@ -38,10 +37,23 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 # Of a saved state: it changes when a record of the state does.
 FORMAT = 19
+# Seconds that are remembered where nothing is said of it.
+HISTORY = 600.0
+
+
+class SavedBoxes(NamedTuple):
+    """Boxes that were left out, and the rows that stayed of frames that had any."""
+
+    left_out: LeftOut
+    kept: dict[int, I8]
 
 
 class Tracker:
     """Detections in, tracks with identities out; one call per frame.
+
+    Memory is bounded: the last ten minutes are remembered, some 100 MB with ten targets at 25 fps, and `tracks` goes back so
+    far and a little more. `FinalTracks` gives the corrected rows of a loop without end. ``associate={"history": S}``
+    remembers S seconds, and 0 everything, as do ``stages`` of one's own that do not say otherwise.
 
     Parameters
     ----------
@@ -79,6 +91,8 @@ class Tracker:
             raise InputError(f"expected frames per second above 0, got {fps!r}", where="Tracker(fps=…)")
         if _whole(seed, "Tracker(seed=…)") < 0:
             raise InputError(f"expected a seed from 0, got {seed}", where="Tracker(seed=…)")
+        # Whether it is to be said that something was forgotten.
+        self._forgets = False
         if stages is None:
             if frame_size is None:
                 raise InputError(
@@ -88,6 +102,9 @@ class Tracker:
             if filter:
                 sections["filter"] = {"kind": filter} if isinstance(filter, str) else filter
             loaded = config.overlay(config.load(path, preset=preset), sections, "Tracker")
+            self._forgets = "history" not in loaded.given.get("associate", {})
+            if self._forgets:
+                loaded = config.overlay(loaded, {"associate": {"history": HISTORY}}, "Tracker")
             stages = config.build_kinds(loaded, SequenceInfo(*_size(frame_size), float(fps)))
         elif sections or settings is not None or preset or filter:
             raise InputError("stages are complete; settings beside them would be ignored", where="Tracker")
@@ -101,6 +118,7 @@ class Tracker:
         self._step: Step | None = None
         # Boxes that were left out, and the rows that stayed of frames that had any.
         self._left_out, self._kept = LeftOut(), dict[int, I8]()
+        self._begun = math.nan
 
     def update(
         self,
@@ -152,10 +170,23 @@ class Tracker:
         # What was not asked for is no fault.
         for sentence in left_out.sentences(self._left_out._replace(unwanted=1)):
             _LOG.warning("frame %d: %s", number, sentence)
+        self._say_what_is_forgotten(time)
         if len(kept) < len(found):
             self._left_out = self._left_out.with_more(left_out)
             remember(self._kept, number, kept)
+        forget(self._kept, self._lanes.oldest if self._kept else 0)
         return given_rows(self._step.tracks, self._kept)
+
+    def _say_what_is_forgotten(self, time: float) -> None:
+        """Once, where nobody has asked for it."""
+        self._begun = time if math.isnan(self._begun) else self._begun
+        if self._forgets and time - self._begun > HISTORY:
+            self._forgets = False
+            _LOG.warning(
+                "what is older than %g minutes is forgotten from now on, so that memory stays bounded: tracks() goes no "
+                "further back. FinalTracks gives corrected rows as they become final; associate={'history': 0} keeps all",
+                HISTORY / 60,
+            )
 
     @property
     def empty(self) -> int:
@@ -191,6 +222,15 @@ class Tracker:
         return learned.rates if isinstance(learned, LearnedRates) else None
 
     @property
+    def highest(self) -> int:
+        """The highest identity that online rows had so far."""
+        return self._lanes.highest
+
+    def skip_identities(self, count: int) -> None:
+        """Give none of the next ``count`` identities, as those of another run."""
+        self._lanes.skip(count)
+
+    @property
     def step(self) -> Step | None:
         """Everything the last update brought: detections but those left out, info, states, rows, times. None at first."""
         return self._step
@@ -207,9 +247,13 @@ class Tracker:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that decides what comes next, as plain dictionaries, lists, numbers and arrays (it can be pickled)."""
-        left_out = pack((self._left_out, self._kept))
-        state = pack(self._lanes.saved())
-        return {"format": FORMAT, "dim": self.stages.model.motion.dim, "state": state, "left_out": left_out}
+        return self.snapshot()()
+
+    def snapshot(self) -> Callable[[], dict[str, Any]]:
+        """What gives the `state_dict` of now, also later and in another thread: to ask for it costs next to nothing."""
+        (whole, lanes), left_out = self._lanes.saved(), SavedBoxes(self._left_out, dict(self._kept))
+        about = {"format": FORMAT, "dim": self.stages.model.motion.dim}
+        return lambda: about | {"state": pack(whole), "lanes": pack(lanes), "left_out": pack(left_out)}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Go on from a `state_dict` of a tracker with the same settings.
@@ -218,25 +262,39 @@ class Tracker:
         ------
         InputError : it is no such state, or one of another version or of states of other components.
         """
-        if isinstance(saved, dict) and saved.get("format", FORMAT) != FORMAT:
+        form = saved.get("format", FORMAT) if isinstance(saved, dict) else FORMAT
+        if isinstance(form, int) and form != FORMAT:
             raise InputError(
-                f"this state is of format {saved['format']!r}, and this version of phdtrack reads format {FORMAT}",
+                f"this state is of format {form}, and this version of phdtrack reads format {FORMAT}",
                 where="load_state_dict",
                 cure="Load it with the version that saved it, or begin anew",
             )
-        try:
-            dim, lanes = saved["dim"], Lanes(self.kinds, self.seed)
-            lanes.restore(unpack(saved["state"]))
-            left_out, kept = unpack(saved["left_out"])
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise InputError(f"this is no state of a tracker ({error})", where="load_state_dict") from error
-        if dim != self.stages.model.motion.dim:
+        if not (isinstance(saved, dict) and isinstance(form, int)) or saved.keys() != {
+            "format",
+            "dim",
+            "state",
+            "lanes",
+            "left_out",
+        }:
+            raise InputError("this is no state of a tracker", where="load_state_dict")
+        dim, lanes = self.stages.model.motion.dim, Lanes(self.kinds, self.seed)
+        if not isinstance(saved["dim"], int) or saved["dim"] != dim:
             raise InputError(
-                f"expected states of {self.stages.model.motion.dim} components, got {dim}",
+                f"expected states of {dim} components, got {saved['dim']!r}",
                 where="load_state_dict",
                 cure="Load it into a tracker with the settings of the one that it is from",
             )
-        self._lanes, self._step, self._left_out, self._kept = lanes, None, left_out, kept
+        try:
+            lanes.restore(saved["state"], saved["lanes"])
+            left: SavedBoxes = restored(saved["left_out"], SavedBoxes, None, World(self.stages, {}), "left_out")
+            counts = lanes.counts()
+            if any(rows.ndim != 1 or len(rows) < counts.get(number, 0) for number, rows in left.kept.items()):
+                raise InputError("fewer rows than a frame has detections", where="left_out.kept")
+        except InputError as error:
+            raise InputError(error.problem, where=f"load_state_dict, {error.where}", cure=error.cure) from None
+        except (OverflowError, RecursionError) as error:
+            raise InputError(f"this is no state of a tracker ({error})", where="load_state_dict") from None
+        self._lanes, self._step, (self._left_out, self._kept) = lanes, None, left
 
 
 class FinalTracks:
@@ -323,66 +381,6 @@ def uninterrupted() -> Iterator[None]:
     if came:
         assert callable(handler)
         handler(came[0], None)
-
-
-def pack(value: Any) -> Any:
-    """Dictionaries, lists, numbers and copies of arrays, of which `unpack` makes the same value.
-
-    Raises
-    ------
-    InputError : the value holds something else than numbers, arrays, tuples, dictionaries and this package's records.
-    """
-    kind = type(value)
-    if _is_record(kind):
-        inside = {name: pack(getattr(value, name)) for name in _names(kind)}
-        return {"record": f"{kind.__module__}:{kind.__name__}", "fields": inside}
-    if isinstance(value, np.ndarray):
-        return value.copy()
-    if isinstance(value, tuple):
-        return [pack(item) for item in value]
-    if isinstance(value, dict):
-        return {"record": "dict", "keys": list(value), "values": [pack(item) for item in value.values()]}
-    if value is None or isinstance(value, (bool, int, float, str)):
-        return value
-    raise InputError(f"a state of type {kind.__name__} cannot be saved", where="state_dict")
-
-
-def unpack(value: Any) -> Any:
-    """The value that `pack` was given. Only records of this package are made.
-
-    Raises
-    ------
-    InputError : a record that this version does not know.
-    """
-    if isinstance(value, np.ndarray):
-        return value.copy()
-    if isinstance(value, list):
-        return tuple(unpack(item) for item in value)
-    if not isinstance(value, dict):
-        return value
-    name = value["record"]
-    if name == "dict":
-        return dict(zip(value["keys"], (unpack(item) for item in value["values"]), strict=True))
-    module, _, record = name.partition(":")
-    kind: Any = None
-    try:
-        if module.startswith("phdtrack."):
-            kind = getattr(importlib.import_module(module), record)
-    except (ImportError, AttributeError):
-        pass
-    if not _is_record(kind):
-        raise InputError(f"the saved state holds a record {name!r}, which this version does not know")
-    return kind(**{key: unpack(item) for key, item in value["fields"].items()})
-
-
-def _is_record(kind: Any) -> bool:
-    """Whether this is a dataclass or a named tuple of this package."""
-    ours = isinstance(kind, type) and kind.__module__.startswith("phdtrack.")
-    return ours and (is_dataclass(kind) or issubclass(kind, tuple))
-
-
-def _names(kind: type[Any]) -> tuple[str, ...]:
-    return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else kind._fields
 
 
 def _number(value: Any, where: str) -> float:

@@ -33,6 +33,7 @@ from phdtrack.detect import make_detector
 from phdtrack.devices import Detector
 from phdtrack.errors import InputError, shown
 from phdtrack.files import json_value
+from phdtrack.live.checkpoint import EVERY
 from phdtrack.live.delivery import Courier, Mqtt, Send, Webhook
 from phdtrack.live.engine import Camera, CameraSettings, Making
 from phdtrack.live.events import Watch
@@ -45,6 +46,7 @@ _REMEMBERED, _ENDING, _LINES = 60.0, 1.5, 10_000
 # Settings that cannot change while it runs, besides the kind of each part: what was learned or is late depends on them.
 _FIXED = ("detector.", "camera.", "classes.", "associate.output_delay")
 _PLACES = "Lines and zones, read again when they change; NAME=FILE for one camera. Default: places.toml in its folder."
+_SAVED = "Seconds between two times that is saved from which a restart goes on; 0: never, and it begins anew."
 _SOURCES = "rtsp://…, http://…, a camera's number or a file; NAME=ADDRESS gives it a name."
 
 
@@ -60,6 +62,7 @@ class LiveOptions:
     quota: Annotated[str, option("SIZE", "Of rows, and of videos, keep so much of each camera, as 20GB; default: all.")] = ""
     parquet: Annotated[bool, typer.Option("--parquet", help="Hours of rows become Parquet instead of CSV.")] = False
     blur: given.Blur = ""
+    checkpoint_every: Annotated[float, option("S", _SAVED, min=0.0)] = EVERY
     dwell: Annotated[float, option("S", "Seconds in a zone after which a dwell event is said.", min=0.1)] = 60.0
     leave_after: Annotated[float, option("S", "Seconds without a sighting after which a track has left.", min=0.1)] = 3.0
 
@@ -193,6 +196,7 @@ def _settings(name: str, write: LiveOptions, config: Path | None, out: Path) -> 
         quota=size(write.quota),
         parquet=write.parquet,
         blur=write.blur,
+        checkpoint=write.checkpoint_every,
     )
 
 

@@ -19,6 +19,7 @@ from phdtrack.errors import InputError, shown
 from phdtrack.groups.life_cycle import LifeCycleState
 from phdtrack.groups.pairs import Pairs, PairState, Walkers
 from phdtrack.groups.pipeline import GroupStages, carriers, mixture_of
+from phdtrack.live.checkpoint import LOST, HeldFrame, SavedCamera, key_of, load, save
 from phdtrack.live.delivery import Courier
 from phdtrack.live.events import Event, Watch, WatchState
 from phdtrack.live.outputs import EventLog, RowsLog, VideoLog, stamp
@@ -27,7 +28,18 @@ from phdtrack.live.zones import read_places
 from phdtrack.report import Annotator
 from phdtrack.report.drawing import feet
 from phdtrack.tracker import Tracker
-from phdtrack.types import F8, Detections, Frame, GaussianMixture, Image, SequenceInfo, Step, Tracks
+from phdtrack.types import (
+    F8,
+    Detections,
+    Estimates,
+    Frame,
+    GaussianMixture,
+    Image,
+    SequenceInfo,
+    Step,
+    Tracks,
+    UpdateInfo,
+)
 
 # Minutes of counts that are kept; cells of the maps across; a cell forgets half of what it knows in so many seconds.
 MINUTES, CELLS, HALF_LIFE = 24 * 60, 64, 3600.0
@@ -70,6 +82,7 @@ class CameraSettings:
     quota : bytes of rows, and of videos, that are kept; 0: all.
     parquet : hours of rows become Parquet.
     blur : what is made unrecognisable in every picture: ``boxes``, ``faces`` or nothing.
+    checkpoint : seconds between two times that all is saved from which a restart goes on; 0 for never.
     """
 
     folder: Path
@@ -80,6 +93,7 @@ class CameraSettings:
     quota: int = 0
     parquet: bool = False
     blur: str = ""
+    checkpoint: float = 0.0
 
 
 class Minute(NamedTuple):
@@ -201,6 +215,10 @@ class Camera:
         self._held, self._unwritten = deque[_Held](), deque[dict[str, object]](maxlen=_UNWRITTEN)
         self._latency: deque[float] = deque(maxlen=_LATENCIES)
         self._minute, self._begun = list[int](), 0.0
+        # Of the next checkpoint the time, and what writes the last one; what lies between the source's numbers and times and
+        # those of tracks, which go on after a restart; number, time and time of day of the last frame.
+        self._due, self._saving = 0.0, threading.Thread()
+        self._ahead, self._last = (0, 0.0), (0, 0.0, 0.0)
         self.minutes: deque[Minute] = deque(maxlen=MINUTES)
         self.recent: deque[dict[str, object]] = deque(maxlen=_EVENTS)
         self.counted, self.frames, self.tracks = Counter[str](), 0, 0
@@ -246,6 +264,10 @@ class Camera:
             if self._video is not None:
                 self._video.finish()
             self.log.close()
+            if self.settings.checkpoint and self._open and self._last[0] and not self._thread.is_alive():
+                if self._saving.ident is not None:
+                    self._saving.join()
+                self._saver(ended=True)()
             return not self._unwritten
         except (InputError, OSError) as error:
             self._problems["files"] = str(error)
@@ -350,19 +372,81 @@ class Camera:
             self._companies = None if groups is None else Companies(groups, kinds)
             self._annotate = Annotator(info, names=names or None, blur=self.settings.blur)
             self.maps = Maps.of(width, height)
+            self._go_on(frame)
+        frame = frame._replace(number=frame.number + self._ahead[0], time=frame.time + self._ahead[1])
         found = self._made.detector(Frame(frame.number, frame.time, frame.image))
         rows = self._tracker.update(found, frame.number, frame.time)
         step = self._tracker.step
         assert step is not None
         mixture = None if self._companies is None else self._companies.mixture(self._tracker.state.intensity, step)
         self._held.append(_Held(frame, step, mixture))
-        self.frames += 1
+        self.frames, self._last = self.frames + 1, (frame.number, frame.time, frame.wall)
         if len(self._held) > self._made.delay:
             held = self._held.popleft()
             with self._files:
                 # When it was stopped while it hung, its files are complete already.
                 if self._open:
                     self._finish(held, rows)
+        if self.settings.checkpoint and time.monotonic() >= self._due and not self._saving.is_alive():
+            self._due = time.monotonic() + self.settings.checkpoint
+            self._saving = threading.Thread(
+                target=self._saver(ended=False), name=f"phdtrack {self.name} checkpoint", daemon=True
+            )
+            self._saving.start()
+
+    def _saver(self, *, ended: bool) -> Callable[[], None]:
+        """What writes all that is known now, later and in any thread."""
+        made, tracker, maps, (watch, state) = self._made, self._tracker, self.maps, self.watched
+        assert made is not None
+        assert tracker is not None
+        assert maps is not None
+        held = tuple(HeldFrame(f.number, f.time, f.wall, step.detections.xyxy) for f, step, _ in self._held)
+        seen = SavedCamera(*self._last, watch.places, state, held, maps.people.copy(), maps.clutter.copy(), maps.time)
+        what = key_of(made.fixed, made.info.width, made.info.height), tracker.snapshot(), seen, tracker.highest
+
+        def write() -> None:
+            try:
+                save(self.settings.folder, *what, ended=ended)
+                self._problems.pop("checkpoint", None)
+            except InputError as error:
+                self._problems["checkpoint"] = f"there is no newer checkpoint: {error}"
+
+        return write
+
+    def _go_on(self, frame: LiveFrame) -> None:
+        """Take up what the run before has saved. What cannot be used is said; its identities are not given again."""
+        made, tracker, maps, (watch, _) = self._made, self._tracker, self.maps, self.watched
+        assert made is not None
+        assert tracker is not None
+        assert maps is not None
+        if not self.settings.checkpoint:
+            return
+        self._due, highest = time.monotonic() + self.settings.checkpoint, self.log.highest() + LOST
+        try:
+            found = load(self.settings.folder, key_of(made.fixed, made.info.width, made.info.height))
+            if found is None:
+                tracker.skip_identities(highest if highest > LOST else 0)
+                return
+            highest, ended, packed, seen = max(found[0], highest), *found[1:]
+            if isinstance(seen, InputError):
+                raise seen
+            if seen.people.shape != maps.people.shape:
+                raise InputError("its maps are of another picture")
+            tracker.load_state_dict(packed)
+        except InputError as error:
+            self._problems["checkpoint"] = f"the checkpoint cannot be used, tracks and counts begin anew: {error}"
+            tracker.skip_identities(highest)
+            return
+        if not ended:
+            tracker.skip_identities(highest - tracker.highest)
+        interval = max(frame.wall - seen.wall, 1 / made.info.fps)
+        self._ahead = (seen.number + 1 - frame.number, seen.time + interval - frame.time)
+        self.watched = (watch, watch.carried(seen.watch, replace(watch, places=seen.places)))
+        self.maps = Maps(seen.people, seen.clutter, maps.cell, seen.mapped)
+        nothing = UpdateInfo(0.0, 0.0, 0.0, np.zeros(0), np.zeros(0))
+        for one in seen.held:
+            step = Step(one.number, one.time, Detections.of(one.xyxy), nothing, Estimates.empty(0), Tracks.empty())
+            self._held.append(_Held(LiveFrame(one.number, one.time, one.wall, np.zeros((0, 0, 3), np.uint8)), step, None))
 
     def _finish(self, held: _Held, rows: Tracks) -> None:
         """A frame whose rows are final: events, files, counts, maps, picture."""
@@ -370,7 +454,7 @@ class Camera:
         state, events = watch.advance(state, rows, frame.number, frame.time)
         self.watched = (watch, state)
         confirmed = rows.take(rows.confirmed)
-        if self._companies is not None:
+        if self._companies is not None and held.mixture is not None:
             groups = self._companies.events(held, confirmed)
             events = (*events, *(replace(one, index=k) for k, one in enumerate(groups, len(events))))
         self._tell(events, frame.wall, watch.names)
@@ -382,6 +466,9 @@ class Camera:
         self.maps.add(frame.time, feet(confirmed.xyxy), step.detections.xyxy, known)
         self.tracks = len(confirmed)
         self._count(len(confirmed), frame.wall)
+        if not frame.image.size:
+            # It was seen by the run before.
+            return
         recorded = self._video is not None and self._video.due(frame.wall)
         if not recorded and time.monotonic() - self._asked > _WATCHED:
             return

@@ -222,6 +222,11 @@ class EventLog:
             os.fsync(self._lines.fileno())
         return fresh
 
+    def highest(self) -> int:
+        """The highest identity of all events."""
+        ((found,),) = self._base.execute("SELECT MAX(identity) FROM events")
+        return int(found or 0)
+
     def register(self, receiver: str) -> None:
         """Say that a receiver is to have all events from now on; one that is known goes on where it was."""
         self._base.execute(

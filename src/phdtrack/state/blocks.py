@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import struct
 import zlib
 from collections.abc import Iterator
@@ -21,6 +22,20 @@ _HEAD = struct.Struct("<II")
 # Bytes of a block; more is no block of ours.
 _LONGEST = 1 << 30
 _KINDS = "biuf"
+_DTYPE = re.compile(r"[<>|][biuf](1|2|4|8)")
+
+
+def _plain(dtype: np.dtype[Any]) -> bool:
+    """Whether these are numbers, or records of numbers."""
+    return all(dtype[name].kind in _KINDS for name in dtype.names) if dtype.names else dtype.kind in _KINDS
+
+
+def _dtype(said: Any) -> np.dtype[Any]:
+    """The type of an array that a block names. Raises ``ValueError`` or ``TypeError`` where it is none of ours."""
+    columns = said if isinstance(said, list) else [("", said)]
+    if not all(_DTYPE.fullmatch(kind) for _, kind in columns):
+        raise ValueError
+    return np.dtype([(str(name), kind) for name, kind in said] if isinstance(said, list) else said)
 
 
 def to_bytes(value: Any) -> bytes:
@@ -33,9 +48,9 @@ def to_bytes(value: Any) -> bytes:
     arrays = list[bytes]()
 
     def plain(one: Any) -> Any:
-        if isinstance(one, np.ndarray) and one.dtype.kind in _KINDS:
+        if isinstance(one, np.ndarray) and _plain(one.dtype):
             arrays.append(np.ascontiguousarray(one).tobytes())
-            return {"array": [one.dtype.str, list(one.shape)]}
+            return {"array": [one.dtype.descr if one.dtype.names else one.dtype.str, list(one.shape)]}
         if isinstance(one, tuple):
             return {"tuple": [plain(item) for item in one]}
         if isinstance(one, list):
@@ -79,9 +94,9 @@ def from_bytes(block: bytes, where: str | Path = "") -> Any:
             return tuple(value(item) for item in inside)
         if kind == "dict":
             return {str(key): value(item) for key, item in inside.items()}
-        dtype, shape = np.dtype(inside[0]), [int(n) for n in inside[1]]
+        dtype, shape = _dtype(inside[0]), [int(n) for n in inside[1]]
         size = math.prod(shape) * dtype.itemsize
-        if kind != "array" or dtype.kind not in _KINDS or min(shape, default=0) < 0 or at + size > len(content):
+        if kind != "array" or min(shape, default=0) < 0 or at + size > len(content):
             raise ValueError
         made = np.frombuffer(content[at : at + size], dtype).reshape(shape).copy()
         at += size

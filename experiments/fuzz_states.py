@@ -1,0 +1,301 @@
+"""Broken saved states and checkpoints: ``python -m experiments.fuzz_states --inputs N [--minutes M] [--out FILE.json]``.
+
+Every filter tracks a few frames of several targets and clutter, some with classes, with what is learned, a delay, a camera
+that moves. What is saved is changed: arrays are shorter, longer, of another type or shape, their values NaN, infinite, huge,
+negative or out of range; records change places, keys are missing. It is loaded, and where it is accepted, three updates and
+`tracks` follow. Checkpoint files are changed byte by byte, with checksums that are right again, and read. All else is as in
+`experiments.fuzz`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import json
+import math
+import pickle
+import random
+import struct
+import time
+import warnings
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.fuzz import ROOT, Limits, Report, campaign
+from phdtrack import Tracker
+from phdtrack.state import from_bytes, to_bytes
+from phdtrack.types import Detections
+
+FRAMES, SIZE = 6, (640, 480)
+# Inputs of one seed.
+CHUNK = 1000
+_RATES = {"rates": {"kind": "learned", "detection": True, "clutter": True, "verdict_delay": 0.05, "update_interval": 0.05}}
+_SCENE = {"learn": {"kind": "online", "memory": 0.02, "verdict_delay": 0.05}}
+_FEW = {"particles_per_target": 30}
+_GRAPH = {"associate": {"kind": "graph"}}
+SETTINGS: dict[str, dict[str, Any]] = {
+    "pmb": {},
+    "pmb delay": {"associate": {"output_delay": 2}},
+    "pmb classes": {"classes": {"together": [[2, 7]]}},
+    "pmb graph": {**_GRAPH, "extract": {"min_weight": 0.3}},
+    "pmb rates": _RATES,
+    "pmb scene": _SCENE,
+    "pmb rates scene": _RATES | _SCENE,
+    "pmb slow": {"time": {"longest_interval": 0.01}},
+    "pmb merged": {"merged_measurements": {"kind": "explained"}},
+    "pmbm": {"filter": {"kind": "pmbm"}},
+    "pmbm graph": {"filter": {"kind": "pmbm"}, **_GRAPH},
+    "mht": {"filter": {"kind": "mht", "history": 3}, "associate": {"output_delay": 2}},
+    "gm-phd": {"filter": {"kind": "gm-phd"}},
+    "gm-phd delay": {"filter": {"kind": "gm-phd"}, "associate": {"output_delay": 2}},
+    "gm-cphd": {"filter": {"kind": "gm-cphd"}},
+    "particle-phd": {"filter": {"kind": "particle-phd", **_FEW}, "birth": {"particles": 30}},
+    "particle-phd scene": {"filter": {"kind": "particle-phd", **_FEW}, "birth": {"particles": 30}, **_SCENE},
+    "particle-cphd": {"filter": {"kind": "particle-cphd", **_FEW}, "birth": {"particles": 30}},
+    "mcmc": {"filter": {"kind": "mcmc", "samples": 12, "burn_in": 4}},
+    "none": {"filter": {"kind": "none"}},
+    "d14": {"preset": "d14", "filter": {"particles_per_target": 50, "max_particles": 100}},
+}
+MOVED = np.array([[1.0, 0.0, 2.0], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
+
+
+def frame(k: int, rng: np.random.Generator, *, classes: bool) -> Detections:
+    """Four who walk, one false alarm, scores and, if asked, three classes."""
+    boxes = [
+        [60 + 150.0 * j + 3 * k * (-1) ** j, 100 + 40.0 * j, 100 + 150.0 * j + 3 * k * (-1) ** j, 200 + 40.0 * j]
+        for j in range(4)
+    ]
+    found = np.array([*boxes, [rng.uniform(0, 500), rng.uniform(0, 350), 0, 0]]) + rng.normal(0, 1, (5, 4))
+    found[4, 2:] = found[4, :2] + rng.uniform(30, 80, 2)
+    return Detections(found, rng.uniform(0.4, 0.95, 5), np.array([2, 7, 2, 1, 7]) * classes)
+
+
+def tracker_of(name: str) -> Tracker:
+    """Before the first frame."""
+    return Tracker(SIZE, seed=1, **SETTINGS[name])
+
+
+def saved_of(name: str, frames: int = FRAMES) -> dict[str, Any]:
+    """The state after some frames."""
+    tracker, rng = tracker_of(name), np.random.default_rng(3)
+    for k in range(frames):
+        tracker.update(frame(k, rng, classes="classes" in name), warp=MOVED if name == "pmb" and k else None)
+    return tracker.state_dict()
+
+
+def go_on(tracker: Tracker, name: str) -> None:
+    """Three updates and what comes of them."""
+    rng, at, begun = np.random.default_rng(4), tracker.state.number, tracker.state.time
+    for k in range(1, 4):
+        tracker.update(frame(at % 20 + k, rng, classes="classes" in name), at + k, begun + 0.04 * k)
+    tracker.flush()
+    tracker.tracks()
+
+
+# ---------------------------------------------------------------------------------------------------------- mutations
+
+FLOATS = (np.nan, np.inf, -np.inf, 1e300, -1e300, 1e18, -1.0, 0.0, 5e-324, 2.0, 1e9, -1e-9)
+INTEGERS = (-1, -2, -3, 0, 1, 2, 7, 100, 1 << 31, (1 << 63) - 1, -(1 << 63), 1_000_000)
+ODD = (
+    None,
+    True,
+    "",
+    "dict",
+    [],
+    {},
+    -1,
+    0,
+    1,
+    2,
+    1 << 40,
+    10**400,
+    0.5,
+    float("nan"),
+    float("inf"),
+    1e300,
+    [[]],
+    {"record": "dict"},
+)
+
+
+def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """The ways to every value within."""
+    inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    found = [path] if path else []
+    for key, one in inside:
+        found += places(one, (*path, key))
+    return found
+
+
+def _at(value: Any, path: Sequence[Any]) -> Any:
+    for key in path:
+        value = value[key]
+    return value
+
+
+def _array(a: np.ndarray, rng: random.Random) -> Any:
+    """Another array, or one of its values another."""
+    what = rng.randrange(12)
+    if what < 5 and a.size:
+        b, at = a.copy(), rng.randrange(a.size)
+        flat = b.reshape(-1)
+        if b.dtype.names:
+            column = rng.choice(b.dtype.names)
+            flat[column][at] = rng.choice(FLOATS if b.dtype[column].kind == "f" else INTEGERS)
+        elif b.dtype.kind == "f":
+            with np.errstate(all="ignore"):
+                flat[at] = rng.choice((*FLOATS, float(flat[at]) * rng.choice((-1, 0.5, 3, 1e6))))
+        else:
+            near = int(flat[at]) + rng.choice((-1, 1, 2, 5))
+            flat[at] = rng.choice((*INTEGERS, near, near, near)) if b.dtype.kind == "i" else not flat[at]
+        return b
+    if what == 5 and a.ndim:
+        return a[: rng.randrange(len(a) + 1)]
+    if what == 6 and a.ndim:
+        return np.concatenate([a, a[:1]])
+    if what == 7 and a.ndim > 1:
+        return a[:, : rng.randrange(a.shape[1] + 1)]
+    if what == 8 and not a.dtype.names:
+        with np.errstate(all="ignore"):
+            return a.astype(rng.choice(("f4", ">f8", "i4", "u8", "?", "f8", "i8")))
+    if what == 9:
+        return a.reshape(rng.choice(((-1,), (1, *a.shape), (*a.shape, 1))))
+    if what == 10 and a.ndim:
+        return a[::-1]
+    return a.T if what == 11 else rng.choice((np.zeros(0), np.zeros((0, 0)), np.zeros(3, np.int64), np.array(3.0)))
+
+
+def changed(value: Any, rng: random.Random) -> Any:
+    """What stands in a place of a state: another value."""
+    if isinstance(value, np.ndarray) and rng.random() < 0.95:
+        return _array(value, rng)
+    if isinstance(value, bool):
+        return rng.choice((not value, *ODD))
+    if isinstance(value, (int, float)) and rng.random() < 0.9:
+        return rng.choice(
+            (value + rng.choice((-1, 1, 5)), -value, value * 1000, *(FLOATS if isinstance(value, float) else INTEGERS))
+        )
+    if isinstance(value, list) and value and rng.random() < 0.9:
+        k, j = rng.randrange(len(value)), rng.randrange(len(value))
+        swapped = list(value)
+        swapped[k], swapped[j] = value[j], value[k]
+        return rng.choice((value[:k] + value[k + 1 :], [*value, value[k]], value[:k], swapped, value[::-1], []))
+    if isinstance(value, dict) and value and rng.random() < 0.8:
+        key = rng.choice(list(value))
+        return {k: v for k, v in value.items() if k != key} if rng.random() < 0.5 else value | {key: rng.choice(ODD)}
+    return rng.choice(ODD)
+
+
+class States:
+    """Makes and tries changed states."""
+
+    def __init__(self) -> None:
+        self.saved = {name: saved_of(name) for name in SETTINGS}
+        self.begun = {name: saved_of(name, 0) for name in SETTINGS}
+        self.ways = {name: places(one) for name, one in self.saved.items()}
+        self.trackers = {name: tracker_of(name) for name in SETTINGS}
+        self.names = list(SETTINGS)
+        for name, one in self.saved.items():
+            for state in (one, self.begun[name], from_bytes(to_bytes(one))):
+                self.trackers[name].load_state_dict(state)
+                go_on(self.trackers[name], name)
+
+    def make(self, rng: random.Random) -> bytes:
+        """The number of the settings, and a changed state; one in four is the bytes of a checkpoint."""
+        which = rng.randrange(len(self.names))
+        name = self.names[which]
+        if rng.random() < 0.25:
+            return bytes((which, 1)) + self.bytes_of(name, rng)
+        # Only what is changed is copied.
+        state = dict(self.saved[name])
+        for _ in range(rng.choice((1, 1, 1, 1, 2, 3))):
+            state = self.with_change(state, self.ways[name], rng)
+        return bytes((which, 0)) + pickle.dumps(state)
+
+    def with_change(self, state: dict[str, Any], ways: list[tuple[Any, ...]], rng: random.Random) -> dict[str, Any]:
+        way = rng.choice(ways)
+        try:
+            new = changed(_at(state, way), rng)
+            if rng.random() < 0.1:
+                new = copy.deepcopy(_at(state, rng.choice(ways)))
+            return _put(state, way, new)
+        except (KeyError, IndexError, TypeError, OverflowError, ValueError):
+            return state
+
+    def bytes_of(self, name: str, rng: random.Random) -> bytes:
+        """A changed block, half of them with a checksum that is right."""
+        block = bytearray(to_bytes(self.saved[name]))
+        for _ in range(rng.choice((1, 1, 2, 5))):
+            at = (
+                rng.randrange(8, len(block)) if rng.random() < 0.5 else 12 + min(int(rng.expovariate(1e-3)), len(block) - 13)
+            )
+            block[at] = rng.choice((0, 255, block[at] ^ (1 << rng.randrange(8)), *b'0123456789",:[]{}'))
+        if rng.random() < 0.1:
+            del block[rng.randrange(len(block)) :]
+        if rng.random() < 0.9 and len(block) > 12:
+            content = bytes(block[8:])
+            block[:8] = struct.pack("<II", len(content), zlib.crc32(content))
+        return bytes(block)
+
+    def try_one(self, content: bytes) -> None:
+        """Load it and go on."""
+        warnings.simplefilter("ignore")
+        name = self.names[content[0]]
+        saved = from_bytes(content[2:]) if content[1] else pickle.loads(content[2:])
+        tracker = self.trackers[name]
+        tracker.load_state_dict(saved)
+        go_on(tracker, name)
+
+
+def _put(value: Any, way: Sequence[Any], new: Any) -> Any:
+    """A copy with another value there."""
+    if not way:
+        return new
+    out = value.copy() if isinstance(value, (dict, list)) else value
+    out[way[0]] = _put(value[way[0]], way[1:], new)
+    return out
+
+
+def joined(total: Report, more: Report) -> None:
+    """Add a further campaign, of the next seed."""
+    total.inputs, total.seconds, total.failed = (
+        total.inputs + more.inputs,
+        total.seconds + more.seconds,
+        total.failed + more.failed,
+    )
+    total.accepted, total.refused = total.accepted + more.accepted, total.refused + more.refused
+    total.slowest, total.memory = max(total.slowest, more.slowest), max(total.memory, more.memory)
+    for key, one in more.findings.items():
+        total.findings.setdefault(key, one).times += one.times * (key in total.findings and total.findings[key] is not one)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command; 1 where there are findings."""
+    out = argparse.ArgumentParser(prog="python -m experiments.fuzz_states", description=__doc__)
+    out.add_argument("--inputs", type=int, default=1000, metavar="N")
+    out.add_argument("--seed", type=int, default=0, metavar="S")
+    out.add_argument("--jobs", type=int, default=1, metavar="J")
+    out.add_argument("--out", type=Path, default=ROOT / "runs" / "reliability" / "fuzz-states.json", metavar="FILE.json")
+    out.add_argument("--minutes", type=float, default=math.inf, metavar="M", help="end after so many, with what was done")
+    given = out.parse_args(arguments)
+    states, kept, end = States(), given.out.parent / "fuzz-findings", time.monotonic() + 60 * given.minutes
+    total = Report("states", 0, given.seed, Limits(60.0, 1 << 30))
+    while total.inputs < given.inputs and time.monotonic() < end:
+        count, seed = min(CHUNK, given.inputs - total.inputs), given.seed + total.inputs // CHUNK
+        joined(total, campaign("states", states.make, states.try_one, inputs=count, seed=seed, jobs=given.jobs,
+                               limits=total.limits, kept=kept))  # fmt: skip
+        given.out.parent.mkdir(parents=True, exist_ok=True)
+        given.out.write_text(json.dumps(total.document() | {"settings": list(SETTINGS)}, indent=1) + "\n", encoding="utf-8")
+    took = f"{total.inputs} inputs in {total.seconds / 60:.1f} minutes"
+    print(f"{took}: {total.accepted} accepted, {total.refused} refused, {len(total.findings)} findings")
+    for one in total.findings.values():
+        print(f"  {one.kind} {one.what} ({one.times} times; {one.file})")
+    return int(bool(total.findings))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,150 @@
+"""Restarts of a live camera: tracks, counts and identities go on, and what cannot be used is said."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from phdtrack.config import build_kinds, load
+from phdtrack.live.checkpoint import LOST, NAME
+from phdtrack.live.engine import Camera, CameraSettings, Making
+from phdtrack.live.events import Watch
+from phdtrack.live.sources import LiveFrame, SourceStatus
+from phdtrack.live.zones import Place
+from phdtrack.types import Detections, SequenceInfo
+
+DOOR = Place("door", ((80.0, 119.0), (80.0, 0.0)), closed=False)
+START = 1_790_000_000.0
+
+
+def run(folder: Path, *, sets: tuple[str, ...] = (), delay: int = 0, every: float = 1e9) -> Camera:
+    """A camera whose detector finds what the pictures say, and whose source is this test."""
+
+    def make(info: SequenceInfo) -> Making:
+        found = load(None, ["associate.history=10", f"associate.output_delay={delay}", *sets])
+        fixed = {"filter.kind": found.kind("filter")}
+        return Making(detect, build_kinds(found, info), info, delay=delay, fixed=fixed)  # type: ignore[arg-type]
+
+    def detect(frame: Any) -> Detections:
+        left = int(frame.image[0, 0, 0])
+        return Detections.of([[left, 50, left + 24, 90]] if left else np.zeros((0, 4)))
+
+    source: Any = SimpleNamespace(status=lambda: SourceStatus(frames=100, fps=10.0), stop=lambda: None)
+    settings = CameraSettings(folder, watch=Watch((DOOR,)), video=0, checkpoint=every)
+    return Camera("gate", source, make, settings)
+
+
+def show(one: Camera, lefts: list[int], wall: float, first: int = 0) -> None:
+    """Pictures in which somebody is so far on the left, ten a second; 0: nobody. Numbers and times begin anew."""
+    for k, left in enumerate(lefts, start=first):
+        image = np.full((120, 160, 3), left, np.uint8)
+        one._take(LiveFrame(k + 1, k / 10, wall + k / 10, image))
+
+
+def crashed(one: Camera) -> None:
+    """A process that was killed after a checkpoint."""
+    one._saver(ended=False)()
+    one.log.close()
+    if one._rows._file is not None:
+        one._rows._file.close()
+
+
+def events(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
+
+
+def rows(folder: Path) -> list[dict[str, str]]:
+    """All rows, by time."""
+    found = list[dict[str, str]]()
+    for path in (folder / "tracks").iterdir():
+        with path.open() as file:
+            found += csv.DictReader(file)
+    return sorted(found, key=lambda row: row["time"])
+
+
+@pytest.mark.parametrize("delay", [0, 2])
+def test_who_is_there_when_it_is_killed_goes_on(tmp_path: Path, delay: int) -> None:
+    first = run(tmp_path, delay=delay)
+    show(first, [20 + 3 * k for k in range(20)], START)
+    crashed(first)
+    second = run(tmp_path, delay=delay)
+    # Half a second was lost: five steps.
+    show(second, [95 + 3 * k for k in range(12)], START + 2.4)
+    assert second.problems == []
+    assert second._tracker is not None
+    assert second._tracker.state.time == pytest.approx(1.9 + 0.5 + 1.1)
+    assert [event["kind"] for event in events(tmp_path)] == ["appear", "cross"]
+    assert second.watched[1].counts[0].entered + second.watched[1].counts[0].left == 1
+    assert second.maps is not None
+    assert second.maps.people.sum() > 20
+    # Somebody else, later: identities that the killed run may have given are left out.
+    show(second, [0] * 60 + [20 + 3 * k for k in range(12)], START + 2.4, 12)
+    assert second.stop(10.0)
+    assert [event["kind"] for event in events(tmp_path)] == ["appear", "cross", "leave", "appear"]
+    found = [int(row["identity"]) for row in rows(tmp_path) if row["confirmed"] == "1"]
+    assert set(found[:20]) == {1}
+    assert max(found) > LOST
+    assert len(set(found)) == 2
+    frames = [row["frame"] for row in rows(tmp_path)]
+    assert len(frames) == len(set(frames)), "no frame comes twice"
+
+
+def test_after_an_end_in_order_identities_go_on_without_a_gap(tmp_path: Path) -> None:
+    for k in range(3):
+        one = run(tmp_path)
+        show(one, [20 + 3 * k for k in range(10)], START + 100 * k)
+        assert one.stop(10.0)
+        assert one.problems == []
+    assert [event["identity"] for event in events(tmp_path) if event["kind"] == "appear"] == [1, 2, 3]
+
+
+@pytest.mark.parametrize(("what", "says"), [
+    ("damaged", "cut off or changed"), ("settings", "another settings"), ("state", "lanes"), ("missing", ""),
+])  # fmt: skip
+def test_what_cannot_be_used_is_said_and_identities_are_new(tmp_path: Path, what: str, says: str) -> None:
+    first = run(tmp_path)
+    show(first, [20 + 3 * k for k in range(10)], START)
+    if what == "state":
+        assert first._tracker is not None
+        saved = first._tracker.state_dict() | {"lanes": []}
+        first._tracker.snapshot = lambda: lambda: saved  # type: ignore[method-assign]
+    crashed(first)
+    file = tmp_path / NAME
+    if what == "damaged":
+        file.write_bytes(file.read_bytes()[:-20])
+    if what == "missing":
+        file.unlink()
+    second = run(tmp_path, sets=("filter.kind=gm-phd",) if what == "settings" else ())
+    show(second, [20 + 3 * k for k in range(10)], START + 5)
+    assert ["begin anew" in problem and says in problem for problem in second.problems] == [True] * (what != "missing")
+    assert second.watched[1].counts[0].entered == 0
+    appeared = [event["identity"] for event in events(tmp_path) if event["kind"] == "appear"]
+    assert appeared[0] == 1
+    assert appeared[1] > LOST
+    assert second.stop(10.0)
+    assert not second.alive
+
+
+def test_without_the_option_there_is_none(tmp_path: Path) -> None:
+    one = run(tmp_path, every=0.0)
+    show(one, [20 + 3 * k for k in range(10)], START)
+    assert one.stop(10.0)
+    assert not (tmp_path / NAME).exists()
+
+
+def test_it_is_written_beside_the_loop_when_it_is_due(tmp_path: Path) -> None:
+    one = run(tmp_path)
+    show(one, [20, 23], START)
+    assert not (tmp_path / NAME).exists()
+    one._due = 0.0
+    one._take(LiveFrame(3, 0.2, START + 0.2, np.full((120, 160, 3), 26, np.uint8)))
+    one._saving.join()
+    assert (tmp_path / NAME).exists()
+    assert one._due > 0
+    assert one.stop(10.0)
