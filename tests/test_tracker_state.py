@@ -94,7 +94,7 @@ def test_a_saved_state_holds_plain_values_only(kind: str, scene):
 
 
 def test_the_state_of_an_earlier_version_is_told():
-    with pytest.raises(InputError, match=r"^load_state_dict: this state is of format 1, .* reads format 18"):
+    with pytest.raises(InputError, match=r"^load_state_dict: this state is of format 1, .* reads format 19"):
         tracker_of().load_state_dict(tracker_of().state_dict() | {"format": 1})
 
 
