@@ -235,6 +235,8 @@ def element(value, place=0, column: str = ""):
     ({}, (*MOMENT, "estimates", "fields", "tag"), lambda a: a * 0, "do not fit each other"),
     ({}, (*MOMENT, "estimates", "record"), lambda a: np.zeros(2), "expected a Estimates"),
     ({}, (*MOMENT, "number"), lambda a: -1, "number: expected numbers from 1"),
+    ({}, (*MOMENT, "z"), lambda a: a[:0], r"expected an array of shape \(m, N\)"),
+    ({}, (*LINKS, "history", "fields", "forgotten"), lambda a: 1 << 31, "History do not fit"),
     ({}, ("state", "fields", "past", 1, 1), lambda a: -1e300, "past|do not fit"),
     ({}, (*LANE, "seed", "fields", "increment"), lambda a: 2, "Seed do not fit"),
     ({}, (*LANE, "seed", "fields", "word"), lambda a: 1 << 40, "word: expected numbers from 0"),
@@ -302,7 +304,7 @@ def test_memory_is_bounded_unless_everything_is_asked_for(caplog, monkeypatch):
             whole.update(found)
         if k in (199, 299, 399):
             sizes.append(len(to_bytes(bounded.state_dict())))
-    assert max(sizes) < 1.1 * min(sizes)
+    assert max(sizes) < 1.5 * min(sizes), "but for the 32 frames that are forgotten at once"
     assert 280 < bounded.tracks().frame.min() <= 341
     assert whole.tracks().frame.min() < 10
     said = [record.getMessage() for record in caplog.records if "forgotten" in record.getMessage()]

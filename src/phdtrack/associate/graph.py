@@ -175,7 +175,7 @@ class GraphMatching(Checked):
 
     def finish(self, state: GraphState, model: Model) -> Tracks:
         """The corrected tracks: short ones left out, gaps bridged, identities from 1 in order of appearance."""
-        moments = list(state.history)
+        moments = list(iter(state.history))
         parts, taken, identity = [], set[tuple[int, int]](), 1
         for path in self._paths(moments, state.window):
             before, boxes = _back_dated(moments, path[0], self.back_dating, taken, model)

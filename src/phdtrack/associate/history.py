@@ -88,7 +88,8 @@ def open_links(window: Window, most: int | None = None) -> Links:
 
 def measurements(moments: Iterable[Moment]) -> MeasurementHistory:
     """The measurements of all moments."""
-    held = list(moments)
+    # As an iterator: by its length, which counts what is forgotten, a list would ask for too much memory.
+    held = list(iter(moments))
     shown = [m.z for m in held if m.z.shape[1]] or [m.z for m in held[:1]] or [np.zeros((0, 0))]
     moved = any(len(m.warp) for m in held)
     count = [m.z.shape[1] for m in held]

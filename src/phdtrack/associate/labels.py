@@ -16,6 +16,7 @@ frames left out.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -184,7 +185,7 @@ class Labelled(Checked):
 
     def finish(self, state: LabelledState, model: Model) -> Tracks:
         """The corrected tracks, identities from 1 in order of appearance, from first to last detection."""
-        moments = [*state.history, *state.recent]
+        moments = [*iter(state.history), *state.recent]
         paths: dict[int, list[tuple[int, int]]] = {}
         for k, moment in enumerate(moments):
             for i in np.flatnonzero(moment.estimates.detection >= 0).tolist():
@@ -196,7 +197,7 @@ class Labelled(Checked):
 
     def measurements(self, state: LabelledState) -> MeasurementHistory:
         """The measurements of everything that is remembered."""
-        return measurements((*state.history, *state.recent))
+        return measurements(itertools.chain(state.history, state.recent))
 
     def _give(self, state: LabelledState, due: int, present: LabelTable, model: Model) -> tuple[LabelledState, Tracks]:
         """The state with the identities of the frame at place ``due``, and its rows as it is seen now."""

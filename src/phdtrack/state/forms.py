@@ -38,7 +38,7 @@ FORMS: dict[str, str] = {
     "Estimates": "state:d?,n:-far..far covariance:n,d?,d?::cov0 weight:n:0..many xyxy:n,4:-far..far detection:n:-1.. "
     "tag:t:0..",
     "Links": "later:l:0.. earlier:l:0.. gain:l",
-    "Moment": "number::1.. time::0.. first::0.. z:m?,N:-far..far warp:w,3:-far..far",
+    "Moment": "number::1.. time::0.. first::0.. z:m,N:-far..far warp:w,3:-far..far",
     "History": "forgotten::0..",
     "Window": "column::0..row row::0.. next:C:-2.. column_price:C since:R:0.. previous:R:-1.. gain:R row_price:R "
     "start:R+1:0..E:up target:E:0.. edge_gain:E mean:R,d?:-far..far covariance:R,d?,d?::cov0",
@@ -153,14 +153,16 @@ def _is_warp(warp: Any) -> bool:
 
 def _history(r: Any, w: World) -> bool:
     """Chunks of moments, one after the other."""
-    moments = list(r)
+    moments = list(iter(r))
+    if r.forgotten >= (moments[0].number if moments else 1):
+        return False
     whole = all(len(chunk) == 32 for chunk in r.full) and len(r.recent) < 64
     return whole and _rises([m.number for m in moments]) and _rises([m.time for m in moments])
 
 
 def _graph(r: Any, w: World) -> bool:
     """Links and identities name vertices that there are, and only earlier ones; the matching is one."""
-    x, given, n, moments = r.window, r.given, r.vertices, list(r.history)
+    x, given, n, moments = r.window, r.given, r.vertices, list(iter(r.history))
     firsts = [m.first for m in moments] + [n]
     if any(m.first + len(m.estimates) != after for m, after in zip(moments, firsts[1:], strict=True)):
         return False
@@ -186,7 +188,7 @@ def _graph(r: Any, w: World) -> bool:
 
 def _labelled(r: Any, w: World) -> bool:
     """States have labels, and those whose rows may still change are in the table."""
-    moments = [*r.history, *r.recent]
+    moments = [*iter(r.history), *r.recent]
     names = [m.estimates.tag for m in moments]
     if any(len(x) != len(m.estimates) or m.first or len(np.unique(x)) < len(x) for x, m in zip(names, moments, strict=True)):
         return False

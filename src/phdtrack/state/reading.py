@@ -263,13 +263,14 @@ def _has_shape(value: Any, shape: tuple[str, ...], known: dict[str, int], world:
     """Whether an array has this shape; lengths that are not known yet are known then."""
     if value.ndim != len(shape):
         return False
+    nothing = any(length == 0 and not word.endswith("?") for length, word in zip(value.shape, shape, strict=True))
     for length, word in zip(value.shape, shape, strict=True):
         if word.isdecimal():
             if length != int(word):
                 return False
             continue
         letter, less = word[0], 1 if word.endswith("+1") else 0
-        if word.endswith("?") and length == 0:
+        if word.endswith("?") and length == 0 and nothing:
             continue
         if length < less or (world if letter in "dm" else known).setdefault(letter, length - less) != length - less:
             return False
