@@ -24,7 +24,7 @@ SETTINGS = ("src/phdtrack/config/presets.toml", "src/phdtrack/config/kinds.toml"
 # Not part of what a page shows.
 APART = ("experiments/made.py", "experiments/__main__.py")
 # Pages whose words and figures are put together by hand, from what a command prints.
-BY_HAND = {"speed": "python -m benchmarks"}
+BY_HAND = {"speed": "python -m benchmarks", "reliability": "python -m experiments.fuzz and the like"}
 
 
 def fingerprint(path: Path) -> str:
