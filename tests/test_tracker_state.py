@@ -273,6 +273,16 @@ def test_what_is_damaged_is_named_and_changes_nothing(section, way, change, says
     tracker.load_state_dict(saved)
 
 
+def test_a_whole_number_is_a_number(scene):
+    """Kernels could not be compiled for it."""
+    tracker = tracker_of(preset="default")
+    feed(tracker, scene[:6])
+    saved = tracker.state_dict()
+    tracker.load_state_dict(put(saved, (*LEARNED, "extent"), [0, 1]))
+    assert tracker.state.learned.extent == (0.0, 1.0)
+    feed(tracker, scene[6:8])
+
+
 @pytest.mark.parametrize("kind", ["08", "f8,f8", "O", "U3", "V8", 3, [["a", "O"]], [["a"]]])
 def test_a_block_holds_arrays_of_numbers_only(kind):
     """Texts of types are not given to anything that reads programs."""

@@ -151,7 +151,8 @@ def _reader(hint: Any) -> Reader:
 def _number(kinds: tuple[type, ...], packed: Any, like: Any, world: World, where: str) -> Any:
     if not isinstance(packed, kinds) or (isinstance(packed, bool) and bool not in kinds):
         raise _wrong(where, f"expected {kinds[0].__name__}, got {type(packed).__name__}")
-    return packed
+    # Compiled code makes a difference between 1 and 1.0.
+    return float(packed) if kinds[0] is float else packed
 
 
 def _array(dtypes: tuple[str, ...], packed: Any, like: Any, world: World, where: str) -> Any:
