@@ -29,7 +29,6 @@ from phdtrack.detect.convert import as_detections, with_size
 from phdtrack.errors import InputError
 from phdtrack.models.warp import as_warp
 from phdtrack.protocols import AnyStages
-from phdtrack.state import World, pack, restored
 from phdtrack.types import I8, STILL, Detections, SequenceInfo, Step, Tracks
 
 if TYPE_CHECKING:
@@ -277,6 +276,8 @@ class Tracker:
 
     def snapshot(self) -> Callable[[], dict[str, Any]]:
         """What gives the `state_dict` of now, also later and in another thread: to ask for it costs next to nothing."""
+        from phdtrack.state import pack
+
         (whole, lanes), left_out = self._lanes.saved(), LeftOut(self._empty, self._unwanted, dict(self._kept))
         about = {"format": FORMAT, "dim": self.stages.model.motion.dim}
         return lambda: about | {"state": pack(whole), "lanes": pack(lanes), "left_out": pack(left_out)}
@@ -288,6 +289,8 @@ class Tracker:
         ------
         InputError : it is no such state, or one of another version or of states of other components.
         """
+        from phdtrack.state import World, restored
+
         form = saved.get("format", FORMAT) if isinstance(saved, dict) else FORMAT
         if isinstance(form, int) and form != FORMAT:
             raise InputError(
