@@ -237,6 +237,9 @@ def element(value, place=0, column: str = ""):
     ({}, (*MOMENT, "number"), lambda a: -1, "number: expected numbers from 1"),
     ({}, (*MOMENT, "z"), lambda a: a[:0], r"expected an array of shape \(m, N\)"),
     ({}, (*LINKS, "history", "fields", "forgotten"), lambda a: 1 << 31, "History do not fit"),
+    ({}, (*LINKS, "time"), lambda a: 5e-324, "LabelledState do not fit"),
+    (few("gm-phd"), (*LINKS, "time"), lambda a: 5e-324, "GraphState do not fit"),
+    (few("particle-cphd"), (*MIXTURE, "intensity", "fields", "unit"), lambda a: 0.0, "Cardinalised do not fit"),
     ({}, ("state", "fields", "past", 1, 1), lambda a: -1e300, "past|do not fit"),
     ({}, (*LANE, "seed", "fields", "increment"), lambda a: 2, "Seed do not fit"),
     ({}, (*LANE, "seed", "fields", "word"), lambda a: 1 << 40, "word: expected numbers from 0"),
@@ -266,6 +269,16 @@ def test_what_is_damaged_is_named_and_changes_nothing(section, way, change, says
         tracker.load_state_dict(put(saved, way, change(at(saved, way))))
     assert tracker.state.number == number
     tracker.load_state_dict(saved)
+
+
+def test_a_whole_number_is_a_number(scene):
+    """Kernels could not be compiled for it."""
+    tracker = tracker_of(preset="default")
+    feed(tracker, scene[:6])
+    saved = tracker.state_dict()
+    tracker.load_state_dict(put(saved, (*LEARNED, "extent"), [0, 1]))
+    assert tracker.state.learned.extent == (0.0, 1.0)
+    feed(tracker, scene[6:8])
 
 
 @pytest.mark.parametrize("kind", ["08", "f8,f8", "O", "U3", "V8", 3, [["a", "O"]], [["a"]]])

@@ -21,15 +21,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from phdtrack import pipeline
-from phdtrack.associate.graph import GraphState
-from phdtrack.associate.labels import LabelledState
-from phdtrack.associate.rejection import RejectionState
 from phdtrack.detect.convert import LeftOut, Limits
 from phdtrack.errors import InputError
 from phdtrack.kernels.grid import uncrowded
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages
-from phdtrack.state import World, held_moments, restored
 from phdtrack.types import F8, I8, STILL, Bool, Detections, Estimates, Step, Tracks, UpdateInfo
 
 # Empty frames that a class seen for the first time has been through: what is learned of them is the same with more.
@@ -203,6 +199,8 @@ class _Lane:
     @property
     def oldest(self) -> int:
         """The number of the first frame that is remembered."""
+        from phdtrack.state import held_moments
+
         return next((moment.number for moment in held_moments(self.state.association)), 0)
 
     def votes(self, rows: Tracks, sums: dict[tuple[int, int], float]) -> dict[tuple[int, int], float]:
@@ -349,6 +347,8 @@ class Lanes:
 
     def restore(self, whole: Any, lanes: Any) -> None:
         """Go on from what was `saved` and packed. Raises `InputError` where it is damaged, or of other settings."""
+        from phdtrack.state import World, restored
+
         found = restored(whole, SavedLanes, None, World.of(self.kinds.usual), "state")
         kinds, past, self._names, self._alone, self._highest = found
         if not isinstance(lanes, list) or len(lanes) != max(len(kinds), 1):
@@ -360,6 +360,8 @@ class Lanes:
 
     def counts(self) -> dict[int, int]:
         """Above the greatest place of a detection that the rows of each frame may name."""
+        from phdtrack.state import held_moments
+
         lanes = self._lanes.values() or (self._blank,)
         found = {m.number: m.z.shape[1] for lane in lanes for m in held_moments(lane.state.association)}
         for lane in lanes:
@@ -428,13 +430,14 @@ def remember(kept: dict[int, Any], number: int, value: Any) -> None:
 
 
 def _skipped(association: Any, count: int) -> Any:
-    """An associator's state that leaves out as many identities."""
-    match association:
-        case RejectionState():
+    """An associator's state that leaves out as many identities; of one's own it stays."""
+    # By name: nothing is loaded for it.
+    match type(association).__name__:
+        case "RejectionState":
             return replace(association, inner=_skipped(association.inner, count))
-        case GraphState():
+        case "GraphState":
             return replace(association, given=replace(association.given, used=association.given.used + count))
-        case LabelledState():
+        case "LabelledState":
             return replace(association, used=association.used + count)
     return association
 
@@ -458,6 +461,8 @@ def _saved(lane: _Lane) -> SavedLane:
 
 def _restored(stages: AnyStages, packed: Any, where: str) -> _Lane:
     """The lane with these stages. Raises `InputError` where what was packed is damaged, or of others."""
+    from phdtrack.state import World, restored
+
     like = _saved(_Lane.begin(stages, 0))
     found: SavedLane = restored(packed, SavedLane, like, World.of(stages), where)
     return _Lane(stages, found.seed.generator(), *found[1:])

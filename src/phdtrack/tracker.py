@@ -28,7 +28,6 @@ from phdtrack.detect.convert import LeftOut, as_detections
 from phdtrack.errors import DEFERRED, INTERRUPTING, InputError, later
 from phdtrack.models.warp import as_warp
 from phdtrack.protocols import AnyStages
-from phdtrack.state import World, pack, restored
 from phdtrack.types import I8, STILL, Detections, SequenceInfo, Step, Tracks
 
 if TYPE_CHECKING:
@@ -251,6 +250,8 @@ class Tracker:
 
     def snapshot(self) -> Callable[[], dict[str, Any]]:
         """What gives the `state_dict` of now, also later and in another thread: to ask for it costs next to nothing."""
+        from phdtrack.state import pack
+
         (whole, lanes), left_out = self._lanes.saved(), SavedBoxes(self._left_out, dict(self._kept))
         about = {"format": FORMAT, "dim": self.stages.model.motion.dim}
         return lambda: about | {"state": pack(whole), "lanes": pack(lanes), "left_out": pack(left_out)}
@@ -262,6 +263,8 @@ class Tracker:
         ------
         InputError : it is no such state, or one of another version or of states of other components.
         """
+        from phdtrack.state import World, restored
+
         form = saved.get("format", FORMAT) if isinstance(saved, dict) else FORMAT
         if isinstance(form, int) and form != FORMAT:
             raise InputError(

@@ -59,7 +59,17 @@ class SavedCamera(NamedTuple):
 
 
 def key_of(fixed: Mapping[str, object], width: int, height: int) -> str:
-    """What must be the same for a checkpoint to be taken up, as text."""
+    """What must be the same for a checkpoint to be taken up.
+
+    Parameters
+    ----------
+    fixed : settings that cannot change while it runs, by name.
+    width, height : of the pictures.
+
+    Returns
+    -------
+    key : as text.
+    """
     what = {"version": __version__, "width": width, "height": height, "settings": fixed}
     return json.dumps(json_value(what), sort_keys=True)
 

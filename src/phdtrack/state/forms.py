@@ -164,6 +164,8 @@ def _graph(r: Any, w: World) -> bool:
     """Links and identities name vertices that there are, and only earlier ones; the matching is one."""
     x, given, n, moments = r.window, r.given, r.vertices, list(iter(r.history))
     firsts = [m.first for m in moments] + [n]
+    if moments and r.time != moments[-1].time:
+        return False
     if any(m.first + len(m.estimates) != after for m, after in zip(moments, firsts[1:], strict=True)):
         return False
     if x.row + len(x.since) != n or x.column + len(x.next) != n or not _tiles(x.start, len(x.target)):
@@ -190,6 +192,8 @@ def _labelled(r: Any, w: World) -> bool:
     """States have labels, and those whose rows may still change are in the table."""
     moments = [*iter(r.history), *r.recent]
     names = [m.estimates.tag for m in moments]
+    if moments and r.time != moments[-1].time:
+        return False
     if any(len(x) != len(m.estimates) or m.first or len(np.unique(x)) < len(x) for x, m in zip(names, moments, strict=True)):
         return False
     open_ = moments[-max(len(r.recent), w.sizes["delay"]) :] if moments else []
@@ -283,7 +287,9 @@ RELATIONS: dict[str, Callable[[Any, World], Any]] = {
     "Particles": lambda r, w: not len(r.start) or _tiles(r.start, len(r.weight)),
     "ParticleBlocks": _blocks,
     "GaussianMixture": lambda r, w: len(r.tag) in (0, len(r.weight)),
-    "Cardinalised": lambda r, w: len(r.cardinality) and abs(r.cardinality.sum() - 1) < 1e-3,
+    "Cardinalised": lambda r, w: (
+        len(r.cardinality) and abs(r.cardinality.sum() - 1) < 1e-3 and (r.mass > 0 or len(r.intensity) == 0)
+    ),
     "Layer": _layer,
     "Bernoullis": _bernoullis,
     "Hypotheses": _hypotheses,

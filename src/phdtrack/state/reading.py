@@ -14,7 +14,6 @@ from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_ty
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.kernels.pmb import HYPOTHESIS, TARGET
 from phdtrack.state.forms import FORMS, LARGEST, RELATIONS, SYMBOLS, World
 
 # Probabilities are sums.
@@ -28,7 +27,6 @@ _OPEN = {
 }
 _DTYPES: dict[Any, tuple[str, ...]] = {np.float64: ("f8",), np.int64: ("i8",), np.bool_: ("?",), np.void: ("V",)}
 _REAL = ("f4", "f8")
-_COLUMNS = {"targets": TARGET, "hypotheses": HYPOTHESIS}
 
 Reader = Callable[[Any, Any, World, str], Any]
 
@@ -146,21 +144,30 @@ def _reader(hint: Any) -> Reader:
     return partial(_record, hint) if is_record(hint) else _open
 
 
-def _number(kinds: tuple[type, ...], packed: Any, like: Any, world: World, where: str) -> Any:
+def _number(kinds: tuple[type[Any], ...], packed: Any, like: Any, world: World, where: str) -> Any:
     if not isinstance(packed, kinds) or (isinstance(packed, bool) and bool not in kinds):
         raise _wrong(where, f"expected {kinds[0].__name__}, got {type(packed).__name__}")
-    return packed
+    # Compiled code makes a difference between 1 and 1.0.
+    made: Any = packed
+    return float(made) if kinds[0] is float else made
 
 
 def _array(dtypes: tuple[str, ...], packed: Any, like: Any, world: World, where: str) -> Any:
     name = where.rpartition(".")[2]
     records = dtypes == ("V",)
-    wanted = [_COLUMNS[name]] if records else [np.dtype(one) for one in dtypes]
+    wanted = [_columns(name)] if records else [np.dtype(one) for one in dtypes]
     if type(packed) is not np.ndarray or packed.dtype.descr not in [one.descr for one in wanted]:
         got = packed.dtype if isinstance(packed, np.ndarray) else type(packed).__name__
         raise _wrong(where, f"expected an array of {' or '.join(map(str, wanted))}, got {got}")
     made = packed.copy()
     return made.view(wanted[0]) if records else made
+
+
+def _columns(name: str) -> np.dtype[np.void]:
+    """The type of the records of `kernels.pmb`, which is loaded where there are some."""
+    from phdtrack.kernels.pmb import HYPOTHESIS, TARGET
+
+    return TARGET if name == "targets" else HYPOTHESIS
 
 
 def _tuple(readers: list[Reader], endless: bool, packed: Any, like: Any, world: World, where: str) -> Any:
