@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import time
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -278,12 +277,12 @@ def test_two_trackers_share_nothing(kind: str, scene):
     assert set(b.tracks().identity) == {1, 2}
 
 
-def test_a_long_empty_sequence_is_quick_and_targets_are_found_after_it():
-    tracker, began = Tracker(SIZE), time.perf_counter()
+def test_nothing_is_followed_in_a_long_empty_sequence_and_targets_are_found_after_it():
+    tracker = Tracker(SIZE)
     for _ in range(3000):
         assert len(tracker.update([])) == 0
+        assert len(tracker.state.intensity) == 0
     assert len(tracker.tracks()) == 0
-    assert time.perf_counter() - began < 6
     rows = feed(tracker, [boxes(k) for k in range(12)])[-1]
     assert sorted(rows.identity.tolist()) == [1, 2]
     assert rows.frame.tolist() == [3012, 3012]

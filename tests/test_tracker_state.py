@@ -243,7 +243,7 @@ def element(value, place=0, column: str = ""):
     ({}, ("state", "fields", "past", 1, 1), lambda a: -1e300, "past|do not fit"),
     ({}, (*LANE, "seed", "fields", "increment"), lambda a: 2, "Seed do not fit"),
     ({}, (*LANE, "seed", "fields", "word"), lambda a: 1 << 40, "word: expected numbers from 0"),
-    ({}, ("left_out", "fields", "empty"), lambda a: "", "expected int, got str"),
+    ({}, ("left_out", "fields", "left_out", "fields", "empty"), lambda a: "", "expected int, got str"),
     ({}, ("dim",), lambda a: np.zeros(3), "expected states of 6"),
     ({}, ("format",), lambda a: np.zeros(3), "no state of a tracker"),
     (few("gm-phd"), (*MIXTURE, "weight"), element(-0.5), "weight: expected numbers from 0"),
@@ -255,7 +255,7 @@ def element(value, place=0, column: str = ""):
     (few("particle-phd"), (*MIXTURE, "state"), lambda a: a.astype(np.float64), "do not fit"),
     (few("mht"), (*LAYER, "parent"), element(10**6), "Hypotheses do not fit"),
     (few("mht"), (*MIXTURE, "lone"), lambda a: np.array([10**6]), "Hypotheses do not fit"),
-    (RATES, (*LEARNED, "learned", "fields", "pending", "fields", "counted"), lambda a: 99, "PendingFrames"),
+    (RATES, (*LEARNED, "pending", "fields", "counted"), lambda a: 99, "PendingFrames"),
     ({}, (*LEARNED, "alone"), lambda a: [0.0, 0.0], "ScoresSeen do not fit"),
     ({}, (*STATE, "camera", "fields", "scale"), element(0.0), "scale: expected numbers from 0.01"),
 ])  # fmt: skip

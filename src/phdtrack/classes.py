@@ -13,9 +13,8 @@ from __future__ import annotations
 
 import copy
 from collections import deque
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
-from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +25,7 @@ from phdtrack.errors import InputError
 from phdtrack.kernels.grid import uncrowded
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages
-from phdtrack.types import F8, I8, STILL, Bool, Detections, Estimates, Step, Tracks, UpdateInfo
+from phdtrack.types import F8, I8, STILL, Bool, Detections, Step, Tracks
 
 # Empty frames that a class seen for the first time has been through: what is learned of them is the same with more.
 _REPLAYED = 250
@@ -308,7 +307,7 @@ class Lanes:
             for kind, lane in lanes.items():
                 remember(lane.rows, number, index[kind])
             tracks = Tracks.concatenate([self._given(kind, lanes[kind], one.tracks) for kind, one in steps.items()])
-            step = _merged(list(steps.values()), list(index.values()), detections)
+            step = pipeline.merged(list(steps.values()), list(index.values()), detections)
         for lane in lanes.values():
             if lane.rows or lane.labels:
                 forget(lane.rows, lane.oldest)
@@ -477,38 +476,3 @@ def _with_tracks(step: Step, tracks: Tracks) -> Step:
     """The step with other rows."""
     s = step
     return Step(s.number, s.time, s.detections, s.info, s.estimates, tracks, s.seconds, s.unusable, s.warp)
-
-
-def _merged(steps: Sequence[Step], index: Sequence[I8], detections: Detections) -> Step:
-    """One step of all classes, whose detections were those at ``index``; its rows are those of the first."""
-    infos, first = [step.info for step in steps], steps[0]
-    evidence, clutter = np.zeros((2, len(detections)))
-    whole = all(len(info.evidence) == len(at) for info, at in zip(infos, index, strict=True))
-    for info, at in zip(infos, index, strict=True) if whole else ():
-        evidence[at], clutter[at] = info.evidence, info.clutter
-    known = all(len(info.cardinality) for info in infos)
-    info = UpdateInfo(
-        sum(info.mass_predicted for info in infos),
-        sum(info.mass_born for info in infos),
-        sum(info.mass for info in infos),
-        evidence if whole else np.zeros(0),
-        clutter if whole else np.zeros(0),
-        sum(info.vanished for info in infos),
-        reduce(np.convolve, [info.cardinality for info in infos]) if known else np.zeros(0),
-        next((info.chain for info in infos if info.chain is not None), None),
-        sum(info.detected for info in infos),
-    )
-    parts = [step.estimates for step in steps]
-    tagged = all(len(part.tag) == len(part) for part in parts)
-    estimates = Estimates(
-        np.concatenate([part.state for part in parts], axis=1),
-        np.concatenate([part.covariance for part in parts]),
-        np.concatenate([part.weight for part in parts]),
-        np.concatenate([part.xyxy for part in parts]),
-        np.concatenate([np.append(at, -1)[part.detection] for part, at in zip(parts, index, strict=True)]),
-        # One that no other class has.
-        np.concatenate([len(parts) * part.tag + k for k, part in enumerate(parts)]) if tagged else np.zeros(0, np.int64),
-    )
-    a, b, c = np.sum([step.seconds for step in steps], axis=0).tolist()
-    unusable = sum(step.unusable for step in steps)
-    return Step(first.number, first.time, detections, info, estimates, first.tracks, (a, b, c), unusable, first.warp)

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -193,6 +194,52 @@ def finish(stages: AnyStages, state: TrackingState) -> Tracks:
     if stages.smoother is None:
         return tracks
     return stages.smoother.smooth(tracks, stages.associator.measurements(state.association), stages.model)
+
+
+def merged(steps: Sequence[Step], index: Sequence[I8], detections: Detections) -> Step:
+    """One step of several pipelines that share a frame.
+
+    Parameters
+    ----------
+    steps : of each.
+    index : (n,) which of the frame's detections each was given.
+    detections : of the frame, (N).
+
+    Returns
+    -------
+    step : of all; its rows are those of the first.
+    """
+    infos, first = [step.info for step in steps], steps[0]
+    evidence, clutter = np.zeros((2, len(detections)))
+    whole = all(len(info.evidence) == len(at) for info, at in zip(infos, index, strict=True))
+    for info, at in zip(infos, index, strict=True) if whole else ():
+        evidence[at], clutter[at] = info.evidence, info.clutter
+    known = all(len(info.cardinality) for info in infos)
+    info = UpdateInfo(
+        sum(info.mass_predicted for info in infos),
+        sum(info.mass_born for info in infos),
+        sum(info.mass for info in infos),
+        evidence if whole else np.zeros(0),
+        clutter if whole else np.zeros(0),
+        sum(info.vanished for info in infos),
+        reduce(np.convolve, [info.cardinality for info in infos]) if known else np.zeros(0),
+        next((info.chain for info in infos if info.chain is not None), None),
+        sum(info.detected for info in infos),
+    )
+    parts = [step.estimates for step in steps]
+    tagged = all(len(part.tag) == len(part) for part in parts)
+    estimates = Estimates(
+        np.concatenate([part.state for part in parts], axis=1),
+        np.concatenate([part.covariance for part in parts]),
+        np.concatenate([part.weight for part in parts]),
+        np.concatenate([part.xyxy for part in parts]),
+        np.concatenate([np.append(at, -1)[part.detection] for part, at in zip(parts, index, strict=True)]),
+        # One that no other class has.
+        np.concatenate([len(parts) * part.tag + k for k, part in enumerate(parts)]) if tagged else np.zeros(0, np.int64),
+    )
+    a, b, c = np.sum([step.seconds for step in steps], axis=0).tolist()
+    unusable = sum(step.unusable for step in steps)
+    return Step(first.number, first.time, detections, info, estimates, first.tracks, (a, b, c), unusable, first.warp)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

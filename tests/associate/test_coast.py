@@ -10,9 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_labels import seen
 
-from phdtrack.associate.labels import PATIENCE, REMEMBERED, Labelled
+from phdtrack.associate.labels import PATIENCE, REMEMBERED, Labelled, LabelledState
 from phdtrack.kernels.coasting import STEPS, Followed, Reported, after_frame, returning, step_of
-from phdtrack.tracker import pack, unpack
+from phdtrack.state import pack, restored
+from phdtrack.state.forms import World
 from phdtrack.types import Estimates
 
 MODEL = model_of()
@@ -93,7 +94,7 @@ def test_who_is_missing_is_remembered_for_a_while_only():
 def test_a_saved_state_goes_on_as_if_nothing_had_happened():
     frames = lives(["back", "never"] * 4 + ["back"] * 8)
     whole, at = run(EVIDENCE, frames), 101
-    state = unpack(pack(whole.states[at - 1]))
+    state = restored(pack(whole.states[at - 1]), LabelledState, None, World(None, {"delay": 0}), "state")
     assert len(state.followed.label)
     for number, estimates in enumerate(frames[at:], start=at + 1):
         state, rows = EVIDENCE.extend(state, estimates, estimates.state[[0, 1, 4, 5]], number, 1.0, MODEL)

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from association_cases import model_of, run, same, states, table
 
-from phdtrack.associate.labels import Labelled
+from phdtrack.associate.labels import Labelled, LabelledState
 from phdtrack.errors import InputError
-from phdtrack.tracker import pack, unpack
+from phdtrack.state import pack, restored
+from phdtrack.state.forms import World
 from phdtrack.types import Estimates
 
 MODEL = model_of()
@@ -116,7 +117,7 @@ def test_a_saved_state_goes_on_as_if_nothing_had_happened(depth: int):
     frames = with_past([seen((7, 10.0 + k), *([(k, 300.0)] if k % 9 == 0 else [])) for k in range(100)], depth)
     held = replace(PLAIN, output_delay=3)
     whole = run(held, frames)
-    half = unpack(pack(whole.states[69]))
+    half = restored(pack(whole.states[69]), LabelledState, None, World(None, {"delay": 3}), "state")
     for number, estimates in enumerate(frames[70:], start=71):
         half, rows = held.extend(half, estimates, estimates.state[[0, 1, 4, 5]], number, 1.0, MODEL)
         assert same(rows, whole.given[number - 1])

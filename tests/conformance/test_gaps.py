@@ -40,7 +40,6 @@ def test_the_count_after_a_gap_is_right(kind: str, gap: float) -> None:
 
 WORLDS = {
     "learned rates": {"rates": {"kind": "learned"}},
-    "learned scene": {"learn": {"kind": "online"}},
     "ground": {"motion": {"kind": "plane"}, "sensor": {"scaling": "fixed", "fixed_noise": 1.0}},
 }
 

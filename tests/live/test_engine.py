@@ -15,8 +15,8 @@ import pytest
 from camera_server import SIDE, WALL, Scripted, until
 
 from phdtrack.config import build_groups, build_kinds, load
-from phdtrack.live.engine import Camera, CameraSettings, Companies, Making, Maps, _Held
-from phdtrack.live.events import Watch
+from phdtrack.live.engine import Camera, CameraSettings, Companies, Making, _Held
+from phdtrack.live.events import Maps, Watch
 from phdtrack.live.outputs import stamp
 from phdtrack.live.sources import LiveFrame
 from phdtrack.live.zones import Place, write_places

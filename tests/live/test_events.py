@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from phdtrack.groups.life_cycle import Event as GroupEvent
 from phdtrack.live.events import Event, Watch, WatchState
 from phdtrack.live.zones import Place
-from phdtrack.tracker import pack, unpack
+from phdtrack.state import pack, restored
+from phdtrack.state.forms import World
 from phdtrack.types import F8, Tracks
 
 DOOR = Place("door", ((0.0, 100.0), (200.0, 100.0)), closed=False)
@@ -41,7 +42,7 @@ def watched(
         state, new = watch.advance(state, rows(k, feet), k, k / FPS)
         events += new
         if saved:
-            state = unpack(pack(state))
+            state = restored(pack(state), WatchState, None, World(None, {}), "watch")
     return state, events
 
 

@@ -152,8 +152,8 @@ def density(mean: list[list[float]], cov: list[F8], weight: list[float], uniform
     return SceneDensity(LOW, HIGH, uniform, np.array(weight), np.array(mean, np.float64).T, np.array(cov))
 
 
-def samples_of(x: F8, weight: F8 | None = None, floor: float = 1e-4) -> Samples:
-    return Samples(x, np.ones(x.shape[1]) if weight is None else weight, np.full(len(x), floor))
+def samples_of(x: F8, floor: float = 1e-4) -> Samples:
+    return Samples(x, np.full(len(x), floor))
 
 
 def likelihood_of(p: SceneDensity, seen: Samples) -> float:
@@ -184,8 +184,8 @@ def test_a_component_with_less_than_half_its_parameters_goes_and_the_last_stays(
     x = two().sample(100, np.random.default_rng(3))
     far = density([[320, 240, 40, 90], [10, 10, 5, 5]], [WIDE, PLACE], [0.9, 0.1])
     assert len(_fitted(far, samples_of(x))) == 1
-    # Worth little, one component is kept all the same.
-    assert len(_fitted(far, samples_of(x, np.full(100, 0.01)))) == 1
+    # Of one sample, one component is kept all the same.
+    assert len(_fitted(far, samples_of(x[:, :1]))) == 1
 
 
 def places(rng: np.random.Generator) -> F8:

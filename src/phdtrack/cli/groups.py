@@ -102,7 +102,11 @@ def groups(
         )
         finish(output, job, out, overwrite, resume=resume)
         return
-    useless = {f"--{name.replace('_', '-')}": used for name, used in asdict(replace(source, source="", fps=0.0)).items()}
+    useless = {
+        f"--{name.replace('_', '-')}": used
+        for name, used in asdict(replace(source, source="", fps=0.0, on_error="", max_file_size="")).items()
+    }
+    useless |= {"--on-error": source.on_error == "skip"}
     useless |= {"SOURCE": source.source, "--camera": camera, "--scene": scene, "--truth": options.truth}
     useless["--resume"] = resume
     useless["--filter"] = options.filter_name

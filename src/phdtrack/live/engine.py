@@ -21,7 +21,7 @@ from phdtrack.groups.pairs import Pairs, PairState, Walkers
 from phdtrack.groups.pipeline import GroupStages, carriers, mixture_of
 from phdtrack.live.checkpoint import LOST, HeldFrame, SavedCamera, key_of, load, save
 from phdtrack.live.delivery import Courier
-from phdtrack.live.events import Event, Watch, WatchState
+from phdtrack.live.events import Event, Maps, Watch, WatchState
 from phdtrack.live.outputs import EventLog, RowsLog, VideoLog, stamp
 from phdtrack.live.sources import LiveFrame, LiveSource
 from phdtrack.live.zones import read_places
@@ -29,7 +29,6 @@ from phdtrack.report import Annotator
 from phdtrack.report.drawing import feet
 from phdtrack.tracker import Tracker
 from phdtrack.types import (
-    F8,
     Detections,
     Estimates,
     Frame,
@@ -42,7 +41,7 @@ from phdtrack.types import (
 )
 
 # Minutes of counts that are kept; cells of the maps across; a cell forgets half of what it knows in so many seconds.
-MINUTES, CELLS, HALF_LIFE = 24 * 60, 64, 3600.0
+MINUTES = 24 * 60
 # Latencies of which the percentiles are; events to show, and to write again after a full disk.
 _LATENCIES, _EVENTS, _UNWRITTEN = 2048, 200, 1000
 # Pictures, or seconds, from which the rate of a source is taken; seconds for which a page that asked is drawn for.
@@ -102,43 +101,6 @@ class Minute(NamedTuple):
     wall: float
     mean: float
     most: int
-
-
-@dataclass(slots=True)
-class Maps:
-    """Where people were, and where false alarms, in cells of the picture (h, w); both fade with a half-life of an hour."""
-
-    people: F8
-    clutter: F8
-    cell: float
-    time: float = 0.0
-
-    @classmethod
-    def of(cls, width: int, height: int) -> Maps:
-        """Empty maps of a picture."""
-        cell = width / CELLS
-        shape = (max(1, round(height / cell)), CELLS)
-        return cls(np.zeros(shape), np.zeros(shape), cell)
-
-    def add(self, time: float, feet: F8, xyxy: F8, probability: F8) -> None:
-        """Take in a frame.
-
-        Parameters
-        ----------
-        time : of the frame, seconds.
-        feet : (n, 2) of confirmed tracks, pixels.
-        xyxy, probability : (m, 4) detections, and (m,) how likely each is a false alarm.
-        """
-        fade = 0.5 ** ((time - self.time) / HALF_LIFE)
-        self.time = time
-        for grid, points, weight in (
-            (self.people, feet, np.ones(len(feet))),
-            (self.clutter, (xyxy[:, :2] + xyxy[:, 2:]) / 2, probability),
-        ):
-            grid *= fade
-            at = np.floor(points[:, ::-1] / self.cell).astype(np.int64)
-            inside = ((at >= 0) & (at < grid.shape)).all(axis=1)
-            np.add.at(grid, tuple(at[inside].T), weight[inside])
 
 
 class _Held(NamedTuple):

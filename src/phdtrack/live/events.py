@@ -14,11 +14,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+import numpy as np
+
 from phdtrack.errors import Checked, NonNegative, Positive
 from phdtrack.groups.life_cycle import Event as GroupEvent
 from phdtrack.live.zones import Place, Point
-from phdtrack.types import Tracks
+from phdtrack.types import F8, Tracks
 
+# Cells of the maps across; a cell forgets half of what it knows in so many seconds.
+CELLS, HALF_LIFE = 64, 3600.0
 Kind = Literal["appear", "leave", "cross", "enter", "exit", "dwell", "group"]
 
 
@@ -283,3 +287,40 @@ class _Frame:
 def _rounded(value: float) -> float | None:
     """Two decimals; None for NaN."""
     return None if math.isnan(value) else round(value, 2)
+
+
+@dataclass(slots=True)
+class Maps:
+    """Where people were, and where false alarms, in cells of the picture (h, w); both fade with a half-life of an hour."""
+
+    people: F8
+    clutter: F8
+    cell: float
+    time: float = 0.0
+
+    @classmethod
+    def of(cls, width: int, height: int) -> Maps:
+        """Empty maps of a picture."""
+        cell = width / CELLS
+        shape = (max(1, round(height / cell)), CELLS)
+        return cls(np.zeros(shape), np.zeros(shape), cell)
+
+    def add(self, time: float, feet: F8, xyxy: F8, probability: F8) -> None:
+        """Take in a frame.
+
+        Parameters
+        ----------
+        time : of the frame, seconds.
+        feet : (n, 2) of confirmed tracks, pixels.
+        xyxy, probability : (m, 4) detections, and (m,) how likely each is a false alarm.
+        """
+        fade = 0.5 ** ((time - self.time) / HALF_LIFE)
+        self.time = time
+        for grid, points, weight in (
+            (self.people, feet, np.ones(len(feet))),
+            (self.clutter, (xyxy[:, :2] + xyxy[:, 2:]) / 2, probability),
+        ):
+            grid *= fade
+            at = np.floor(points[:, ::-1] / self.cell).astype(np.int64)
+            inside = ((at >= 0) & (at < grid.shape)).all(axis=1)
+            np.add.at(grid, tuple(at[inside].T), weight[inside])
