@@ -102,10 +102,8 @@ def groups(
         )
         finish(output, job, out, overwrite, resume=resume)
         return
-    useless = {
-        f"--{name.replace('_', '-')}": used
-        for name, used in asdict(replace(source, source="", fps=0.0, on_error="", max_file_size="")).items()
-    }
+    other = asdict(replace(source, source="", fps=0.0, on_error="", max_file_size=""))
+    useless = {f"--{name.replace('_', '-')}": used for name, used in other.items()}
     useless |= {"--on-error": source.on_error == "skip"}
     useless |= {"SOURCE": source.source, "--camera": camera, "--scene": scene, "--truth": options.truth}
     useless["--resume"] = resume
