@@ -200,7 +200,7 @@ def places(rng: np.random.Generator) -> F8:
 @pytest.mark.parametrize("seed", range(6))
 def test_a_place_that_a_wide_component_has_swallowed_is_found(seed):
     seen = samples_of(places(np.random.default_rng(seed)), floor=0.1)
-    found = _improved(density([[320, 240, 30, 75]], [WIDE], [1.0]), seen, 20)
+    found = _improved(density([[320, 240, 30, 75]], [WIDE], [1.0]), seen)
     for place in ([300.0, 200, 32, 80], [500, 330, 28, 70]):
         deviation = np.sqrt(np.einsum("mrr->rm", found.covariance))
         near = np.flatnonzero((np.abs(found.mean - np.array(place)[:, None]) < [[3], [8], [3], [8]]).all(axis=0))
@@ -216,8 +216,8 @@ def test_components_too_many_go():
     seen = samples_of(np.hstack([flat, place]))
     same = [[297, 195, 30, 75], [303, 205, 34, 85]]
     begun = density([*same, [320, 240, 60, 120]], [PLACE, PLACE, np.diag([180.0, 130, 35, 70]) ** 2], [0.4, 0.4, 0.2], 1e-3)
-    found = _improved(begun, seen, 20)
+    found = _improved(begun, seen)
     # One for the place; what is spread evenly over the volume is the uniform part's.
     assert len(found) == 1
     assert found.uniform == pytest.approx(60 / 260, abs=0.01)
-    assert len(_improved(begun, seen, 0)) == 3
+    assert len(_fitted(begun, seen)) == 3
