@@ -118,7 +118,14 @@ def test_a_killed_run_is_resumed_and_writes_the_same(
     assert "nothing to go on with" in phdtrack(*given(clip, out, "--resume")).out
 
 
-@pytest.mark.parametrize(("name", "status"), [("SIGTERM", 143), ("SIGHUP", 129), ("SIGINT", 130)])
+@pytest.mark.parametrize(
+    ("name", "status"),
+    [
+        ("SIGTERM", 143),
+        pytest.param("SIGHUP", 129, marks=pytest.mark.slow),
+        pytest.param("SIGINT", 130, marks=pytest.mark.slow),
+    ],
+)
 def test_a_signal_finishes_what_was_done_and_the_rest_can_follow(
     name: str, status: int, clip: Path, whole: Path, tmp_path: Path
 ) -> None:
@@ -218,7 +225,14 @@ def test_a_signal_ends_a_run_that_hangs(what: str, name: str, clip: Path, tmp_pa
     assert not [path.name for path in out.iterdir() if path.name in (*SAME, rundir.RUN)]
 
 
-@pytest.mark.parametrize(("limit", "lost"), [(3_000, rundir.STATES), (8_000, rundir.VIDEO), (60_000, rundir.REPORT)])
+@pytest.mark.parametrize(
+    ("limit", "lost"),
+    [
+        pytest.param(3_000, rundir.STATES, marks=pytest.mark.slow),
+        (8_000, rundir.VIDEO),
+        pytest.param(60_000, rundir.REPORT, marks=pytest.mark.slow),
+    ],
+)
 def test_a_full_disk_leaves_no_cut_file_and_is_said(limit: int, lost: str, clip: Path, whole: Path, tmp_path: Path) -> None:
     """A file cannot grow beyond a limit, which hits one after the other."""
     out = tmp_path / "run"

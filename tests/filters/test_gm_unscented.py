@@ -46,7 +46,7 @@ def test_the_sums_are_the_scaled_transform(rng):
     moved, _, q = TURNING.motion.transition(points, 1.5)
     mean, cov = scaled_transform(points, moved)
     found = GMPHD(transform="unscented").predict(wide, TURNING, 1.5, rng)
-    np.testing.assert_allclose(found.mean[:, 0], mean, rtol=1e-9)
+    np.testing.assert_allclose(found.mean[:, 0], mean, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(found.covariance[0], cov + q[0], rtol=1e-9, atol=1e-9)
 
 

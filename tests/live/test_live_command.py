@@ -50,7 +50,7 @@ def invoked(*words: str) -> tuple[int, str]:
     return result.exit_code, result.output
 
 
-@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("name", ["SIGTERM", pytest.param("SIGHUP", marks=pytest.mark.slow)])
 def test_it_ends_on_a_signal_while_a_camera_is_frozen_and_tells_nobody_the_password(tmp_path: Path, name: str) -> None:
     camera, hook = CameraServer(), ThreadingHTTPServer(("127.0.0.1", 0), Hook)
     hook.taken, camera.draw = [], walker  # type: ignore[attr-defined]
@@ -133,7 +133,9 @@ def test_it_ends_by_itself_and_says_what_it_did(tmp_path: Path) -> None:
 def test_options_are_the_cameras(tmp_path: Path) -> None:
     write = LiveOptions(places=["a=mine.toml", "all.toml"], video=0.0, quota="2k", parquet=True, dwell=7.0, leave_after=2.0)
     found = {name: _settings(name, write, None, tmp_path) for name in ("a", "b")}
-    usual = CameraSettings(tmp_path / "b", Path("all.toml"), None, Watch(dwell=7.0, leave_after=2.0), 0.0, 2000, True)
+    usual = CameraSettings(
+        tmp_path / "b", Path("all.toml"), None, Watch(dwell=7.0, leave_after=2.0), 0.0, 2000, True, checkpoint=10.0
+    )
     assert found == {"a": replace(usual, folder=tmp_path / "a", places=Path("mine.toml")), "b": usual}
     assert _settings("c", LiveOptions(), None, tmp_path).places == tmp_path / "c" / "places.toml"
 

@@ -78,7 +78,7 @@ def test_a_camera_that_dies_returns_and_freezes(tmp_path: Path) -> None:
     camera.kill()
 
 
-@pytest.mark.parametrize(("name", "what"), [("SIGINT", "mute"), ("SIGHUP", "frozen")])
+@pytest.mark.parametrize(("name", "what"), [("SIGINT", "mute"), pytest.param("SIGHUP", "frozen", marks=pytest.mark.slow)])
 def test_a_signal_ends_a_run_whose_camera_says_nothing(tmp_path: Path, name: str, what: str) -> None:
     camera, out = CameraServer(), tmp_path / "run"
     camera.draw, camera.mute = walker, what == "mute"
@@ -168,6 +168,7 @@ def walk(k: int) -> list[list[float]]:
     return there + ([[300.0 + k % 200, 600, 340 + k % 200, 700]] if k % 200 < 120 else [])
 
 
+@pytest.mark.slow
 def test_final_tracks_are_those_of_a_tracker_that_forgets_nothing() -> None:
     endless = Tracker((1280, 800), fps=10, associate={"history": 60.0})
     whole = Tracker((1280, 800), fps=10)

@@ -54,7 +54,7 @@ def test_parts_may_be_missing_and_older_files_know_of_fewer(tmp_path):
         (lambda document: document.pop("width"), "KeyError 'width'"),
         (lambda document: document["clutter"].update(rate=-1), "a rate from 0"),
         (lambda document: document["clutter"].update(weight=[0.4]), "of sum 1"),
-        (lambda document: document["births"].update(low=[0, 0]), "6 or 4 components, got 0.02 and 2"),
+        (lambda document: document["births"].update(low=[0, 0]), "from 0 and 6 components, got 0.02 and 2"),
         (lambda document: document["followed"].update(share=1.5), "a share from 0 to 1, got 1.5"),
         (lambda document: document["followed"].update(share=float("nan")), "a share from 0 to 1, got nan"),
         (lambda document: document["followed"].update(objects=document["births"]), "and 4 components, got 0.02 and 6"),
