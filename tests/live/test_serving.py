@@ -139,8 +139,6 @@ def test_whoever_is_slow_is_cut(tmp_path: Path, scale: float) -> None:
             assert ends[name] > 0.9 * limit * scale, name
         with greedy, pytest.raises((ConnectionResetError, BrokenPipeError)):
             until_it_fails(greedy)
-        # How much the system takes of the answer for a reader who does not read decides when the waiting begins.
-        assert scale < 1 or time.monotonic() - begun > 0.9 * 40 * scale
         assert status(answered(port, request(port))) == 200
 
 
