@@ -1,7 +1,7 @@
 """A day of video time, as fast as it goes: memory and speed of ``phdtrack track`` on a pipe and of a live camera.
 
-    python -m experiments.soak track --hours 24 --out track.json
-    python -m experiments.soak live --hours 24 --out live.json
+    python -m experiments.soak track --hours 24
+    python -m experiments.soak live --hours 24
 
 Ten targets that come back all the time, one detection in ten missing, and false alarms whose rate goes up and down between
 none and six a frame within five minutes, at 25 frames a second. After each hour of video time its resident memory and its
