@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from cli_runner import phdtrack
+from cli_runner import phdtrack, refused
 
 from phdtrack.files import SIZE_LIMIT
 from phdtrack.formats import read_tracks
@@ -116,3 +116,16 @@ def test_the_largest_file_can_be_chosen(far: Path, tmp_path: Path) -> None:
     assert "at most 500 bytes" in said.err
     said = phdtrack("track", "--detections", path, "--max-file-size", "much")
     assert "expected a size as 500MB or 4GB" in said.err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--fps", "25"], "--frame-size"),
+        (["--frame-size", "64x48"], "--fps"),
+        (["--frame-size", "64x48", "--fps", "25", "--on-error", "skip"], "--on-error"),
+        (["--frame-size", "64x48", "--fps", "25", "--detector", "mog2"], "--detector"),
+    ],
+)
+def test_what_a_pipe_needs_and_what_it_leaves_nothing_to_do_for_is_said(words: list[str], said: str, tmp_path: Path) -> None:
+    assert said in refused("track", "--detections", "-", "--out", str(tmp_path / "run"), *words)

@@ -135,10 +135,13 @@ def open_inputs(given: SourceOptions, parameters: dict[str, Any], last: int = 0)
 
 def _streamed(given: SourceOptions) -> Inputs:
     """Detections from standard input, which may have no end; size and rate by options."""
-    refuse({"SOURCE": given.source}, "detections from standard input have no pictures", "--detections -")
-    width, height, fps = *frame_size(given.frame_size or "0x0"), given.fps
-    if not fps:
-        raise InputError("the rate of the frames is not known", where="--detections -", cure="Say --fps F.")
+    pictures = {"SOURCE": given.source, "--detector": given.detector, "--max-width": given.max_width, "--mask": given.mask}
+    refuse(pictures, "detections from standard input have no pictures", "--detections -")
+    refuse({"--on-error": given.on_error == "skip"}, "a wrong row of a stream ends it", "--detections -")
+    for what, option in ((given.frame_size, "--frame-size WxH"), (given.fps, "--fps F")):
+        if not what:
+            raise InputError("size and rate of the frames are not known", where="--detections -", cure=f"Say {option}.")
+    width, height, fps = *frame_size(given.frame_size), given.fps
     waiting = dict[int, Detections]()
 
     def read(source: VideoSource) -> Iterator[tuple[int, float, Image, str]]:
