@@ -11,7 +11,7 @@ from format_cases import put
 from phdtrack.detect.registry import frames_walked
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections, read_tracks, read_truth
-from phdtrack.formats.checks import LeftOut
+from phdtrack.formats.checks import WrongRows
 from phdtrack.types import Detections, DetectionTable
 
 MOT = [f"{k},-1,{10 * k},20,30,60,0.5" for k in range(1, 6)]
@@ -42,7 +42,7 @@ def test_in_text(tmp_path: Path, rows: list[str], at: int, bad: str, words: str)
     with pytest.raises(InputError, match=words) as caught:
         read_detections(path)
     assert caught.value.where.startswith(f"{path}, line {at + 1}")
-    left_out = LeftOut()
+    left_out = WrongRows()
     table = read_detections(path, left_out=left_out)
     without = read_detections(put(tmp_path, "\n".join([*rows[:at], *rows[at + 1 :]]), "good.txt"))
     assert table.frame.tolist() == without.frame.tolist()
@@ -55,7 +55,7 @@ def test_in_text(tmp_path: Path, rows: list[str], at: int, bad: str, words: str)
 
 def test_the_first_of_several_is_named_and_all_are_counted(tmp_path: Path) -> None:
     rows = [*MOT[:1], "2,-1,5,5,-5,5,1", "2,-1,x,5,5,5,1", MOT[2], "3,-1,5,5,-5,5,1"]
-    left_out = LeftOut()
+    left_out = WrongRows()
     assert len(read_detections(put(tmp_path, "\n".join(rows)), left_out=left_out)) == 2
     assert left_out.rows == 3
     assert ", line 2: expected a width" in str(left_out.first)
@@ -68,7 +68,7 @@ def test_in_json(tmp_path: Path) -> None:
     path = put(tmp_path, json.dumps(entries), "boxes.json")
     with pytest.raises(InputError, match="four numbers for bbox"):
         read_detections(path)
-    left_out = LeftOut()
+    left_out = WrongRows()
     assert read_detections(path, left_out=left_out).frame.tolist() == [1, 2, 3, 4]
     assert left_out.rows == 3
     assert left_out.first is not None
@@ -78,7 +78,7 @@ def test_in_json(tmp_path: Path) -> None:
 def test_a_file_without_a_right_row_is_refused_all_the_same(tmp_path: Path) -> None:
     for content in ("1,-1,5,5,-5,5,1\n", "1,-1,a,5,5,5,1\n2,-1,b,5,5,5,1\n"):
         with pytest.raises(InputError, match="line 1"):
-            read_detections(put(tmp_path, content), left_out=LeftOut())
+            read_detections(put(tmp_path, content), left_out=WrongRows())
 
 
 def test_frame_numbers_end_somewhere(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ from phdtrack.detect.registry import frames_up_to, frames_walked
 from phdtrack.devices import Detector
 from phdtrack.errors import InputError, shown
 from phdtrack.formats import DetectionsWriter, find_seqinfo, read_detections
-from phdtrack.formats.checks import LeftOut
+from phdtrack.formats.checks import WrongRows
 from phdtrack.formats.stream import stream_detections
 from phdtrack.live.sources import LiveSource, named
 from phdtrack.types import F8, STILL, Detections, DetectionTable, Frame, Image, SequenceInfo
@@ -121,7 +121,7 @@ def open_inputs(given: SourceOptions, parameters: dict[str, Any], last: int = 0)
     useless = {"--detector": given.detector not in ("", "file"), "--max-width": given.max_width, "--mask": given.mask}
     problem = f"the detections come from {path}, so there is no detector that this could change"
     refuse(useless, problem, "--detections")
-    left_out = None if given.on_error == "stop" else LeftOut()
+    left_out = None if given.on_error == "stop" else WrongRows()
     table = read_detections(path, left_out=left_out)
     frames = _video(given) if pictures else _blank(given, path, table, last)
     seen, warnings = within_frame(table, frames.info, path)

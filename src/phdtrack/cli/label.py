@@ -32,7 +32,7 @@ from phdtrack.config import Settings, build, load
 from phdtrack.errors import InputError
 from phdtrack.files import write_text
 from phdtrack.formats import read_detections
-from phdtrack.formats.checks import LeftOut
+from phdtrack.formats.checks import WrongRows
 from phdtrack.label import LabelStore
 from phdtrack.label.samples import LONGEST, Marks, clip, last_frame, shuffled
 from phdtrack.label.suggestions import Background, Evidence, Suggestion, suggest
@@ -109,7 +109,7 @@ def to_label(source: SourceOptions, parameters: dict[str, Any], labels: Path, ou
         raise InputError("frames of a camera come once only", where=source.source, cure="Record a video and label that")
     inputs = open_inputs(source, parameters)
     output.warn(inputs.warnings)
-    left_out = None if source.on_error == "stop" else LeftOut()
+    left_out = None if source.on_error == "stop" else WrongRows()
     table = read_detections(
         source.detections or _kept_detections(source, parameters, labels, inputs, output), left_out=left_out
     )

@@ -43,7 +43,7 @@ class Rule(NamedTuple):
 
 
 @dataclass(slots=True)
-class LeftOut:
+class WrongRows:
     """What is wrong in a file and was left out: how many ``rows``, and the ``first`` error, at ``place`` among the rows."""
 
     rows: int = 0

@@ -17,7 +17,7 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.files import AnyPath, load
-from phdtrack.formats.checks import LeftOut, Origin, Rule, enforce, far, flag, repeated, whole
+from phdtrack.formats.checks import Origin, Rule, WrongRows, enforce, far, flag, repeated, whole
 from phdtrack.formats.kitti import is_kitti, rows_of_all, rows_of_type
 from phdtrack.formats.markup import table_of_coco, table_of_cvml
 from phdtrack.formats.table import Column, Kind, Source, Table, table_of_parquet, table_of_text
@@ -27,7 +27,7 @@ from phdtrack.types import F8, I8, Bool, Detections, DetectionTable, Tracks
 NO_ROWS = Table(Origin(Path(), "line", np.zeros(0, np.int64)), 1, {}, np.zeros((0, 0)))
 
 
-def read_detections(path: AnyPath, *, first_frame: int | None = None, left_out: LeftOut | None = None) -> DetectionTable:
+def read_detections(path: AnyPath, *, first_frame: int | None = None, left_out: WrongRows | None = None) -> DetectionTable:
     """The detections in a MOTChallenge ``det.txt``, CSV, Parquet, COCO JSON or CVML file, sorted by frame.
 
     Boxes in pixels, xyxy. Confidence is 1 and class 0 where the file has none; confidence has no bounds. Classes that are
@@ -51,7 +51,7 @@ def read_detections(path: AnyPath, *, first_frame: int | None = None, left_out: 
     return detections_of(table_of(Path(path), Kind.DETECTIONS, first_frame, left_out=left_out), left_out)
 
 
-def detections_of(table: Table, left_out: LeftOut | None = None) -> DetectionTable:
+def detections_of(table: Table, left_out: WrongRows | None = None) -> DetectionTable:
     """The detections in a table, sorted by frame; `InputError` names the first row that is none, if none is left out."""
     label, covariance = table.get(Column.CLASS), None
     rules = [*box_rules(table, least=0.0), whole(label, "class")]
@@ -76,7 +76,7 @@ def detections_of(table: Table, left_out: LeftOut | None = None) -> DetectionTab
     return DetectionTable(frame[order], found.take(order), len(frame) - len(order), table.names)
 
 
-def _note(origin: Origin, rules: list[Rule], bad: Bool, left_out: LeftOut) -> None:
+def _note(origin: Origin, rules: list[Rule], bad: Bool, left_out: WrongRows) -> None:
     """Count the rows that break rules."""
     try:
         enforce(origin, *rules)
@@ -123,7 +123,7 @@ def _tracks_of(table: Table) -> Tracks:
     return everything.take(np.lexsort((identity, frame)))
 
 
-def table_of(path: Path, kind: Kind, first_frame: int | None, kitti: str = "", left_out: LeftOut | None = None) -> Table:
+def table_of(path: Path, kind: Kind, first_frame: int | None, kitti: str = "", left_out: WrongRows | None = None) -> Table:
     """The rows of a file, not checked yet.
 
     Parameters

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.formats.checks import LeftOut, Origin
+from phdtrack.formats.checks import Origin, WrongRows
 from phdtrack.formats.text import Text, is_number, normalise, numbers
 from phdtrack.types import F8, I8, Bool
 
@@ -87,7 +87,7 @@ class Source(NamedTuple):
     content: bytes
     kind: Kind
     first: int
-    left_out: LeftOut | None = None
+    left_out: WrongRows | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -222,7 +222,7 @@ def _word(text: Text, layout: _Layout) -> int:
     return at if at >= 0 and not is_number(next((one[0] for one in cells if one), "0")) else -1
 
 
-def _numbered(text: Text, layout: _Layout, left_out: LeftOut | None) -> tuple[Text, dict[int, str]]:
+def _numbered(text: Text, layout: _Layout, left_out: WrongRows | None) -> tuple[Text, dict[int, str]]:
     """The table with numbers in place of classes that are words, and the words by number."""
     at = _word(text, layout)
     if at < 0:

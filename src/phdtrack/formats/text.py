@@ -19,7 +19,7 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.files import AnyPath, load
-from phdtrack.formats.checks import LeftOut, Origin
+from phdtrack.formats.checks import Origin, WrongRows
 from phdtrack.types import F8
 
 
@@ -55,7 +55,7 @@ class Text:
         origin = replace(self.origin, number=self.origin.number[np.array(rows, np.int64)])
         return replace(self, origin=origin, lines=[self.lines[row] for row in rows])
 
-    def readable(self, columns: Mapping[int, str], left_out: LeftOut) -> Text:
+    def readable(self, columns: Mapping[int, str], left_out: WrongRows) -> Text:
         """The lines that have values for the ``columns`` (see `numbers`); the others go to ``left_out``."""
         kept = []
         for row in range(len(self)):
