@@ -116,7 +116,7 @@ def process(scale: Scale, say: Callable[[str], None]) -> Outcome:
         if found["frames_per_second"] is None:
             raise Skipped(found["reason"])
         entry[detector] = found
-        note = f"detection and tracking {found['tracking_frames_per_second']:.0f} frames/s; stages, ms: "
+        note = f"without start and report {found['without_start']:.0f} frames/s; stages, ms: "
         note += ", ".join(f"{name} {ms:.2g}" for name, ms in found["stage_ms"].items())
         rows.append(Row(f"{found['video']}, {detector}", found["frames_per_second"], "frames/s", note=note))
     return Outcome(tuple(rows), {"process": entry})

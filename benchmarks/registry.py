@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from benchmarks import (
     c_kernel,
+    command,
     d14,
     memory,
     mht,
@@ -35,4 +36,5 @@ PARTS: tuple[Part, ...] = (
     Part("detectors", "Detectors, ms per frame", others.detectors, ("detectors",)),
     Part("first-use", "First use and start", others.first_use, ("first_use",)),
     Part("process", "phdtrack track, whole process", others.process, ("process",)),
+    Part("command", "phdtrack track beside MOG2 + SORT + VideoWriter", command.run, ("command",)),
 )

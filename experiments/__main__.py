@@ -36,6 +36,7 @@ EXPERIMENTS = {
     "e13": Experiment("E13 Figs. 1 and 2: people and groups on E13's own sequence"),
     "d14": Experiment("D14 Tables I-III: SMC PHD and MCMC filters on centroids, by particles and noise"),
     "videos": Experiment("from a video to tracks, with the package's detectors"),
+    "counting": Experiment("lines and zones counted in real video, against the truth"),
     "blobs": Experiment("merged and split blobs: with and without a model of merged measurements"),
     "m07": Experiment("M07 Table 1 and M09 Fig. 16: PHD against no filter and multiple hypotheses"),
     "m09": Experiment("M09 Figs. 14-16: the paper's own method, births and false alarms learned, by number of marks"),

@@ -133,6 +133,15 @@ def _rss(pid: int) -> int:
         return 0
 
 
+def tell(state: Any, *values: float) -> None:
+    """Write what a child tells, all at once.
+
+    ``pack_into`` fills the place with 0 first: a child that has to wait just then seems to have begun
+    long ago, for as long as it waits, and is taken for one that hangs.
+    """
+    state[:] = _STATE.pack(*values)
+
+
 def _child(make: Make, try_one: Try, span: tuple[int, int], seed: int, limits: Limits, says: Any, state: mmap.mmap) -> None:
     """Read the inputs of a span; what is wrong with one is said, and the next one is read."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -147,7 +156,7 @@ def _child(make: Make, try_one: Try, span: tuple[int, int], seed: int, limits: L
     for index in range(*span):
         content = make(random_of(seed, index))
         began = time.monotonic()
-        _STATE.pack_into(state, 0, index, began, accepted, refused, failed, longest)
+        tell(state, index, began, accepted, refused, failed, longest)
         try:
             try_one(content)
             accepted += 1
@@ -159,7 +168,7 @@ def _child(make: Make, try_one: Try, span: tuple[int, int], seed: int, limits: L
             ours = [place for place in places if not place.startswith("fuzz")]
             says.send((index, type(error).__name__, f"{' '.join(ours[-4:])}: {str(error)[:200]}", " ".join(ours[-4:])))
         longest = max(longest, time.monotonic() - began)
-    _STATE.pack_into(state, 0, span[1], time.monotonic(), accepted, refused, failed, longest)
+    tell(state, span[1], time.monotonic(), accepted, refused, failed, longest)
     says.send(None)
 
 
@@ -229,14 +238,14 @@ def campaign(
     while waiting or running:
         while waiting and len(running) < jobs:
             span = waiting.pop()
-            hear, tell = context.Pipe(duplex=False)
+            hear, says = context.Pipe(duplex=False)
             state = mmap.mmap(-1, _STATE.size)
-            _STATE.pack_into(state, 0, span[0], time.monotonic(), 0, 0, 0, 0.0)
+            tell(state, span[0], time.monotonic(), 0, 0, 0, 0.0)
             process = context.Process(
-                target=_child, args=(make_inputs, try_one, span, seed, limits, tell, state), daemon=True
+                target=_child, args=(make_inputs, try_one, span, seed, limits, says, state), daemon=True
             )
             process.start()
-            tell.close()
+            says.close()
             running.append(_Child(process, span[1], hear, state, _rss(process.pid or 0)))
         connection.wait([child.says for child in running], timeout=0.05)
         for child in list(running):

@@ -1,10 +1,11 @@
-"""Broken saved states and checkpoints: ``python -m experiments.fuzz_states --inputs N [--minutes M] [--out FILE.json]``.
+"""Broken saved states: ``python -m experiments.fuzz_states [states|track|live] --inputs N [--minutes M] [--out FILE.json]``.
 
 Every filter tracks a few frames of several targets and clutter, some with classes, with what is learned, a delay, a camera
 that moves. What is saved is changed: arrays are shorter, longer, of another type or shape, their values NaN, infinite, huge,
 negative or out of range; records change places, keys are missing. It is loaded, and where it is accepted, three updates and
-`tracks` follow. Checkpoint files are changed byte by byte, with checksums that are right again, and read. All else is as in
-`experiments.fuzz`.
+`tracks` follow. Checkpoint files are changed byte by byte, with checksums that are right again, and read. So it is with what
+`phdtrack track` resumes from (``track``: checkpoint.log and checkpoint.detector, whose frames then go through a tracker) and
+a camera of `phdtrack live` (``live``: checkpoint.state, with three more frames). All else is as in `experiments.fuzz`.
 """
 
 from __future__ import annotations
@@ -13,28 +14,40 @@ import argparse
 import copy
 import json
 import math
+import os
 import pickle
 import random
 import struct
+import tempfile
 import time
 import warnings
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from experiments.fuzz import ROOT, Limits, Report, campaign
+from experiments.fuzz import ROOT, Limits, Report, _shared, campaign
 from phdtrack import Tracker
-from phdtrack.state import from_bytes, to_bytes
-from phdtrack.types import Detections
+from phdtrack.cli.checkpoint import Checkpoint
+from phdtrack.cli.run_directory import KNOWN, LOG
+from phdtrack.config import build_kinds, load
+from phdtrack.detect import make_detector
+from phdtrack.errors import InputError
+from phdtrack.live.checkpoint import NAME as STATE
+from phdtrack.live.engine import Camera, CameraSettings, Making
+from phdtrack.live.events import Watch
+from phdtrack.live.page import Page
+from phdtrack.live.sources import LiveFrame, SourceStatus
+from phdtrack.live.zones import Place
+from phdtrack.state import blocks, from_bytes, to_bytes
+from phdtrack.types import Detections, Frame, SequenceInfo
 
 FRAMES, SIZE = 6, (640, 480)
 # Inputs of one seed.
-CHUNK = 1000
-_RATES = {"rates": {"kind": "learned", "detection": True, "clutter": True, "verdict_delay": 0.05, "update_interval": 0.05}}
-_SCENE = {"learn": {"kind": "online", "memory": 0.02, "verdict_delay": 0.05}}
+CHUNK = 250
 _FEW = {"particles_per_target": 30}
 _GRAPH = {"associate": {"kind": "graph"}}
 SETTINGS: dict[str, dict[str, Any]] = {
@@ -42,9 +55,6 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "pmb delay": {"associate": {"output_delay": 2}},
     "pmb classes": {"classes": {"together": [[2, 7]]}},
     "pmb graph": {**_GRAPH, "extract": {"min_weight": 0.3}},
-    "pmb rates": _RATES,
-    "pmb scene": _SCENE,
-    "pmb rates scene": _RATES | _SCENE,
     "pmb slow": {"time": {"longest_interval": 0.01}},
     "pmb merged": {"merged_measurements": {"kind": "explained"}},
     "pmbm": {"filter": {"kind": "pmbm"}},
@@ -54,7 +64,6 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "gm-phd delay": {"filter": {"kind": "gm-phd"}, "associate": {"output_delay": 2}},
     "gm-cphd": {"filter": {"kind": "gm-cphd"}},
     "particle-phd": {"filter": {"kind": "particle-phd", **_FEW}, "birth": {"particles": 30}},
-    "particle-phd scene": {"filter": {"kind": "particle-phd", **_FEW}, "birth": {"particles": 30}, **_SCENE},
     "particle-cphd": {"filter": {"kind": "particle-cphd", **_FEW}, "birth": {"particles": 30}},
     "mcmc": {"filter": {"kind": "mcmc", "samples": 12, "burn_in": 4}},
     "none": {"filter": {"kind": "none"}},
@@ -190,6 +199,33 @@ def changed(value: Any, rng: random.Random) -> Any:
     return rng.choice(ODD)
 
 
+def with_change(state: dict[str, Any], ways: list[tuple[Any, ...]], rng: random.Random) -> dict[str, Any]:
+    """A copy of the state in which one place is another; the same where a change before has taken that place away."""
+    way = rng.choice(ways)
+    try:
+        new = changed(_at(state, way), rng)
+        if rng.random() < 0.1:
+            new = copy.deepcopy(_at(state, rng.choice(ways)))
+        out: dict[str, Any] = _put(state, way, new)
+        return out
+    except (KeyError, IndexError, TypeError, OverflowError, ValueError):
+        return state
+
+
+def flipped(content: bytes, rng: random.Random) -> bytes:
+    """A changed block, most of them with a checksum that is right."""
+    block = bytearray(content)
+    for _ in range(rng.choice((1, 1, 2, 5))):
+        at = rng.randrange(8, len(block)) if rng.random() < 0.5 else 12 + min(int(rng.expovariate(1e-3)), len(block) - 13)
+        block[at] = rng.choice((0, 255, block[at] ^ (1 << rng.randrange(8)), *b'0123456789",:[]{}'))
+    if rng.random() < 0.1:
+        del block[rng.randrange(len(block)) :]
+    if rng.random() < 0.9 and len(block) > 12:
+        held = bytes(block[8:])
+        block[:8] = struct.pack("<II", len(held), zlib.crc32(held))
+    return bytes(block)
+
+
 class States:
     """Makes and tries changed states."""
 
@@ -209,37 +245,12 @@ class States:
         which = rng.randrange(len(self.names))
         name = self.names[which]
         if rng.random() < 0.25:
-            return bytes((which, 1)) + self.bytes_of(name, rng)
+            return bytes((which, 1)) + flipped(to_bytes(self.saved[name]), rng)
         # Only what is changed is copied.
         state = dict(self.saved[name])
         for _ in range(rng.choice((1, 1, 1, 1, 2, 3))):
-            state = self.with_change(state, self.ways[name], rng)
+            state = with_change(state, self.ways[name], rng)
         return bytes((which, 0)) + pickle.dumps(state)
-
-    def with_change(self, state: dict[str, Any], ways: list[tuple[Any, ...]], rng: random.Random) -> dict[str, Any]:
-        way = rng.choice(ways)
-        try:
-            new = changed(_at(state, way), rng)
-            if rng.random() < 0.1:
-                new = copy.deepcopy(_at(state, rng.choice(ways)))
-            return _put(state, way, new)
-        except (KeyError, IndexError, TypeError, OverflowError, ValueError):
-            return state
-
-    def bytes_of(self, name: str, rng: random.Random) -> bytes:
-        """A changed block, half of them with a checksum that is right."""
-        block = bytearray(to_bytes(self.saved[name]))
-        for _ in range(rng.choice((1, 1, 2, 5))):
-            at = (
-                rng.randrange(8, len(block)) if rng.random() < 0.5 else 12 + min(int(rng.expovariate(1e-3)), len(block) - 13)
-            )
-            block[at] = rng.choice((0, 255, block[at] ^ (1 << rng.randrange(8)), *b'0123456789",:[]{}'))
-        if rng.random() < 0.1:
-            del block[rng.randrange(len(block)) :]
-        if rng.random() < 0.9 and len(block) > 12:
-            content = bytes(block[8:])
-            block[:8] = struct.pack("<II", len(content), zlib.crc32(content))
-        return bytes(block)
 
     def try_one(self, content: bytes) -> None:
         """Load it and go on."""
@@ -249,6 +260,120 @@ class States:
         tracker = self.trackers[name]
         tracker.load_state_dict(saved)
         go_on(tracker, name)
+
+
+class Resumed:
+    """Makes and tries changed files of a run that is resumed."""
+
+    last = 8
+
+    def __init__(self) -> None:
+        self.frames = [Frame(k, k / 25, self.picture(k)) for k in range(1, self.last + 1)]
+        self.inputs: Any = SimpleNamespace(detector=make_detector("change", min_area=0.005))
+        self.folder = SimpleNamespace(file=lambda name: _shared() / f"phdtrack-fuzz-{os.getpid()}.{name}")
+        checkpoint = Checkpoint(self.folder, {}, 0.0, resume=False)  # type: ignore[arg-type]
+        for _ in checkpoint.detected(self.inputs, self.frames[:5], None):
+            checkpoint._saving and checkpoint._saving.join()
+        known, log = (self.folder.file(name) for name in (KNOWN, LOG))
+        held: dict[str, Any] = {"known": from_bytes(zlib.decompress(known.read_bytes()))}
+        with log.open("rb") as file:
+            self.saved = held | {"log": [one for _, one in blocks(file)]}
+        self.ways = places(self.saved)
+        self.try_one(pickle.dumps((known.read_bytes(), log.read_bytes())))
+
+    @staticmethod
+    def picture(k: int) -> np.ndarray:
+        """A white square that goes to the right."""
+        image = np.full((60, 80, 3), 30, np.uint8)
+        image[20:40, 4 * k : 4 * k + 12] = 255
+        return image
+
+    def make(self, rng: random.Random) -> bytes:
+        """Both files, one or both of them changed."""
+        state = dict(self.saved)
+        for _ in range(rng.choice((1, 1, 1, 2, 3))):
+            state = with_change(state, self.ways, rng)
+        known, log = state.get("known"), state.get("log")
+        parts = [block_of(one, self.saved["log"][0]) for one in (log if isinstance(log, list) else [])]
+        if parts and rng.random() < 0.2:
+            k = rng.randrange(len(parts))
+            parts[k] = flipped(parts[k], rng)
+        if isinstance(known, dict) and rng.random() < 0.7:
+            known = known | {"size": sum(map(len, parts)), "number": rng.choice((len(parts), known.get("number")))}
+        block = block_of(known, self.saved["known"])
+        return pickle.dumps((zlib.compress(flipped(block, rng) if rng.random() < 0.1 else block, 1), b"".join(parts)))
+
+    def try_one(self, content: bytes) -> None:
+        """Resume, and track what comes of it."""
+        warnings.simplefilter("ignore")
+        for name, held in zip((KNOWN, LOG), pickle.loads(content), strict=True):
+            self.folder.file(name).write_bytes(held)
+        tracker = Tracker((80, 60))
+        for one in Checkpoint(self.folder, {}, 1e9, resume=True).detected(self.inputs, self.frames, None):  # type: ignore[arg-type]
+            tracker.update(one.found, one.frame.number, one.frame.time, one.warp if len(one.warp) else None)
+        tracker.tracks()
+
+
+class Live:
+    """Makes and tries changed checkpoints of a camera."""
+
+    def __init__(self) -> None:
+        self.folder = Path(tempfile.mkdtemp(prefix="phdtrack-fuzz-"))
+        first = self.camera()
+        self.show(first, 1, 12)
+        first._saver(ended=False)()
+        first.log.close()
+        self.saved = from_bytes(zlib.decompress((self.folder / STATE).read_bytes()))
+        self.ways = places(self.saved)
+        self.try_one((self.folder / STATE).read_bytes())
+
+    def camera(self) -> Camera:
+        """One with a line, a zone and a delay."""
+        source: Any = SimpleNamespace(status=lambda: SourceStatus(frames=100, fps=25.0), stop=lambda: None)
+        line = Place("line", ((40.0, 59.0), (40.0, 0.0)), closed=False)
+        zone = Place("zone", ((0.0, 0.0), (50.0, 0.0), (50.0, 59.0)), closed=True)
+        watch, detector = Watch((line, zone)), make_detector("change", min_area=0.005)
+
+        def make(info: SequenceInfo) -> Making:
+            found = load(None, ["associate.history=10", "associate.output_delay=2"])
+            return Making(detector, build_kinds(found, info), info, 2)
+
+        return Camera("gate", source, make, CameraSettings(self.folder, watch=watch, video=0, checkpoint=1e9))
+
+    def show(self, one: Camera, first: int, last: int) -> None:
+        """Frames of the walk."""
+        for k in range(first, last + 1):
+            one._take(LiveFrame(k, k / 25, 1_790_000_000.0 + k / 25, Resumed.picture(k)))
+
+    def make(self, rng: random.Random) -> bytes:
+        """The file."""
+        state = dict(self.saved)
+        for _ in range(rng.choice((1, 1, 1, 2, 3))):
+            state = with_change(state, self.ways, rng)
+        block = block_of(state, self.saved)
+        return zlib.compress(flipped(block, rng) if rng.random() < 0.2 else block, 1)
+
+    def try_one(self, content: bytes) -> None:
+        """Start again and go on; what is said of the checkpoint refuses it."""
+        warnings.simplefilter("ignore")
+        (self.folder / STATE).write_bytes(content)
+        one = self.camera()
+        try:
+            self.show(one, 13, 15)
+            Page({"gate": one}).camera("gate")
+            said = one.problems
+        finally:
+            one.stop(0.0)
+        if said:
+            raise InputError(said[0])
+
+
+def block_of(value: Any, usual: Any) -> bytes:
+    """A block of the value, or of the ``usual`` one where none can be made."""
+    try:
+        return to_bytes(value)
+    except (InputError, TypeError, ValueError, OverflowError):
+        return to_bytes(usual)
 
 
 def _put(value: Any, way: Sequence[Any], new: Any) -> Any:
@@ -273,23 +398,28 @@ def joined(total: Report, more: Report) -> None:
         total.findings.setdefault(key, one).times += one.times * (key in total.findings and total.findings[key] is not one)
 
 
+FAMILIES: dict[str, Callable[[], Any]] = {"states": States, "track": Resumed, "live": Live}
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; 1 where there are findings."""
     out = argparse.ArgumentParser(prog="python -m experiments.fuzz_states", description=__doc__)
+    out.add_argument("family", nargs="?", choices=FAMILIES, default="states")
     out.add_argument("--inputs", type=int, default=1000, metavar="N")
     out.add_argument("--seed", type=int, default=0, metavar="S")
     out.add_argument("--jobs", type=int, default=1, metavar="J")
-    out.add_argument("--out", type=Path, default=ROOT / "runs" / "reliability" / "fuzz-states.json", metavar="FILE.json")
+    out.add_argument("--out", type=Path, metavar="FILE.json", help="default: runs/reliability/fuzz-FAMILY.json")
     out.add_argument("--minutes", type=float, default=math.inf, metavar="M", help="end after so many, with what was done")
     given = out.parse_args(arguments)
-    states, kept, end = States(), given.out.parent / "fuzz-findings", time.monotonic() + 60 * given.minutes
-    total = Report("states", 0, given.seed, Limits(60.0, 1 << 30))
+    file = given.out or ROOT / "runs" / "reliability" / f"fuzz-{given.family}.json"
+    states, kept, end = FAMILIES[given.family](), file.parent / "fuzz-findings", time.monotonic() + 60 * given.minutes
+    total = Report(given.family, 0, given.seed, Limits(60.0, 1 << 30))
     while total.inputs < given.inputs and time.monotonic() < end:
         count, seed = min(CHUNK, given.inputs - total.inputs), given.seed + total.inputs // CHUNK
-        joined(total, campaign("states", states.make, states.try_one, inputs=count, seed=seed, jobs=given.jobs,
+        joined(total, campaign(given.family, states.make, states.try_one, inputs=count, seed=seed, jobs=given.jobs,
                                limits=total.limits, kept=kept))  # fmt: skip
-        given.out.parent.mkdir(parents=True, exist_ok=True)
-        given.out.write_text(json.dumps(total.document() | {"settings": list(SETTINGS)}, indent=1) + "\n", encoding="utf-8")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(json.dumps(total.document() | {"settings": list(SETTINGS)}, indent=1) + "\n", encoding="utf-8")
     took = f"{total.inputs} inputs in {total.seconds / 60:.1f} minutes"
     print(f"{took}: {total.accepted} accepted, {total.refused} refused, {len(total.findings)} findings")
     for one in total.findings.values():

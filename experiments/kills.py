@@ -84,7 +84,7 @@ def ended(
             break
         if not strike or run.returncode not in (-number, 128 + number):
             came["failed"] += 1
-            print(said.decode()[-2000:], flush=True)
+            print(f"status {run.returncode} after {signal.Signals(number).name}: {said.decode()[-2000:]}", flush=True)
             break
         more = ("--resume",) if out.exists() else ()
     names = {path.name for path in out.iterdir()} if out.exists() else set()

@@ -2,11 +2,15 @@
 
     python -m experiments.soak track --hours 24
     python -m experiments.soak live --hours 24
+    python -m experiments.soak pause
 
 Ten targets that come back all the time, one detection in ten missing, and false alarms whose rate goes up and down between
 none and six a frame within five minutes, at 25 frames a second. After each hour of video time its resident memory and its
 processor time are noted. Processor time on a shared machine says little by itself: beside it stands that of a fresh tracker
 on the same frames in the same minutes, and what must not grow is the ratio.
+
+`pause` says for how long a checkpoint keeps `phdtrack track` and a camera waiting, and how large it is, after 1 000 and
+after 20 000 frames with ten targets: milliseconds, the median and the longest of the last hundred, and MB.
 """
 
 from __future__ import annotations
@@ -18,19 +22,27 @@ import subprocess
 import sys
 import tempfile
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
+from phdtrack.cli.checkpoint import Checkpoint
+from phdtrack.cli.inputs import Inputs
+from phdtrack.cli.run_directory import KNOWN, LOG, claim
 from phdtrack.config import build_kinds, load
+from phdtrack.detect import make_detector
 from phdtrack.live.engine import Camera, CameraSettings, Making
 from phdtrack.live.events import Watch
 from phdtrack.live.sources import LiveFrame, SourceStatus
 from phdtrack.live.zones import Place
+from phdtrack.state import to_bytes
 from phdtrack.tracker import Tracker
 from phdtrack.types import Detections, Frame, SequenceInfo
+from phdtrack.video import VideoSource
 
 FPS, WIDTH, HEIGHT, TARGETS = 25, 640, 360, 10
 SIZE = np.array([16.0, 36.0])
@@ -206,17 +218,72 @@ def live(hours: float, per_hour: int, folder: Path) -> list[Hour]:
     return watching.hours
 
 
+def _pictures(last: int) -> VideoSource:
+    """Ten boxes on noise."""
+    ground = np.random.default_rng(5).integers(120, 136, (HEIGHT, WIDTH, 3)).astype(np.uint8)
+
+    def read(source: VideoSource) -> Iterator[tuple[int, float, np.ndarray, str]]:
+        for number, found in zip(range(1, last + 1), boxes(), strict=False):
+            image = ground.copy()
+            for left, top, right, bottom in found[found[:, 4] > 0.8, :4].astype(int).tolist():
+                image[max(top, 0) : bottom, max(left, 0) : right] = 30
+            yield number, (number - 1) / FPS, image, ""
+
+    return VideoSource(SequenceInfo(WIDTH, HEIGHT, FPS, last, "soak"), read)
+
+
+class _Timed(Checkpoint):
+    """Notes the seconds for which each checkpoint keeps the run waiting."""
+
+    waits: tuple[float, ...] = ()
+
+    def _save(self, inputs: Inputs, number: int, log: BinaryIO) -> None:
+        due, began = self._due, time.perf_counter()
+        super()._save(inputs, number, log)
+        if self._due != due:
+            self.waits = (*self.waits[-99:], time.perf_counter() - began)
+
+
+def pause(frames: int, folder: Path) -> dict[str, float]:
+    """Of a video's detector and of a camera's tracker, which remembers 60 s, after so many frames."""
+    source, directory = _pictures(frames), claim(folder / f"run{frames}", overwrite=False, name="soak")
+    inputs = Inputs(source.info, source, make_detector("change"), "soak", "change", pictures=True, again=True)
+    checkpoint = _Timed(directory, {"frames": frames}, {}, 0.05, resume=False)
+    for _ in checkpoint.detected(inputs, source, None):
+        pass
+    track = {"ms": 1000 * float(np.median(checkpoint.waits)), "longest": 1000 * max(checkpoint.waits)}
+    size = {
+        "MB": directory.file(KNOWN).stat().st_size / 1e6,
+        "log, bytes a frame": directory.file(LOG).stat().st_size / frames,
+    }
+    tracker, given, began = Tracker((WIDTH, HEIGHT), fps=FPS, associate={"history": 60}), boxes(), list[float]()
+    for number in range(1, frames + 1):
+        tracker.update(next(given))
+        if number > frames - 100:
+            clock = time.perf_counter()
+            later = tracker.snapshot()
+            began.append(time.perf_counter() - clock)
+    live = {"live ms": 1000 * float(np.median(began)), "live longest": 1000 * max(began)}
+    return track | size | live | {"live MB": len(zlib.compress(to_bytes(later()), 1)) / 1e6}
+
+
 def main() -> None:
     """Run one part; the result goes into a file."""
     out = argparse.ArgumentParser(prog="python -m experiments.soak", description=__doc__)
-    out.add_argument("part", choices=("track", "live"))
+    out.add_argument("part", choices=("track", "live", "pause"))
     out.add_argument("--hours", type=int, default=24)
     out.add_argument("--minutes", type=float, default=60.0, help="of video time in what counts as an hour")
     out.add_argument("--out", type=Path, default=Path("runs/reliability"))
     given = out.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    if given.part == "pause":
+        with tempfile.TemporaryDirectory() as folder:
+            pauses = {frames: pause(frames, Path(folder)) for frames in (1000, 20_000)}
+        (given.out / "soak-pause.json").write_text(json.dumps(pauses, indent=1) + "\n")
+        print(json.dumps(pauses, indent=1))
+        return
     with tempfile.TemporaryDirectory(dir=given.out.parent if given.out.parent.is_dir() else None) as folder:
         hours = {"track": track, "live": live}[given.part](given.hours, round(given.minutes * 60 * FPS), Path(folder))
-    given.out.mkdir(parents=True, exist_ok=True)
     result = {"minutes": given.minutes, "hours": [asdict(one) for one in hours]}
     (given.out / f"soak-{given.part}.json").write_text(json.dumps(result, indent=1) + "\n")
 

@@ -44,7 +44,6 @@ FILTERS: dict[str, Stages] = {
     # Of points p_D is constant, and nothing fires in one place.
     "pmb": (PMB(mean_visible_time=0.0, static_clutter_prior=0.0), BestBernoullis()),
     "gm-phd, anywhere": (GMPHD(1e-5, 2.0, 100), Components(repeat=True)),
-    "gm-phd, anywhere, apart": (GMPHD(1e-5, 2.0, 100, newborn_apart=True), Components(repeat=True)),
     AGILITY: (PMB(mean_visible_time=0.0, static_clutter_prior=0.0, acceleration_factors=(1.0, 0.3, 0.1)), BestBernoullis()),
 }
 

@@ -1,7 +1,7 @@
 """The standard linear-Gaussian scenario with p_D and λ unknown, or λ wrong by a factor of three: a section of vo.md.
 
-The filter begins with wrong rates and learns them from the scans (`rates`), or keeps them. p_D is learned from the tracks:
-those of the association, or the MHT's own.
+The filter begins with wrong rates and learns them from the scans (`learned_rates`), or keeps them. p_D is learned from the
+tracks: those of the association, or the MHT's own.
 """
 
 from __future__ import annotations
@@ -16,15 +16,14 @@ import numpy as np
 
 from experiments import standard
 from experiments.common import Options, filled, table
+from experiments.learned_rates import RateLearning, RatesLearning, RatesSettings, priors_of, with_rate
 from experiments.scans import FilterRun, Realisation, SetErrors, Stages, apart, measure, measured
 from phdtrack import pipeline
 from phdtrack.associate.graph import GraphMatching
 from phdtrack.associate.labels import Labelled
 from phdtrack.models import UniformClutter
-from phdtrack.models.learning import RateLearning, priors_of, with_rate
 from phdtrack.protocols import AnyStages, Learning, Model
 from phdtrack.protocols import Stages as Whole
-from phdtrack.scene.rates import RatesLearning, RatesSettings
 from phdtrack.types import Detections, Estimates
 
 RUNS, FEW = 8, 2

@@ -1,23 +1,30 @@
 """From a video to tracks: `phdtrack track` on real video, with and without the filter.
 
-PETS09-S2L1 with three detectors, TUD-Campus and CAVIAR's shop corridor with two; shipped defaults for all. The run
-directories are kept under runs/videos/, to be looked at. They are made anew each time, but for
-what was detected.
+PETS09-S2L1 with three detectors, TUD-Campus and CAVIAR's shop corridor with two, rendered scenes with leaves and light with
+the change detector; shipped defaults for all. And three videos whose truth is a mask of what moves, with whose scorer
+(`bench/score_masks.py` next to the real sequences) the boxes of the tracks are compared. The run directories are kept under
+runs/videos/, to be looked at. They are made anew each time, but for what was detected.
 """
 
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from experiments.common import ROOT, Options, in_parallel, need_data, table, write
-from phdtrack.detect import BACKGROUND
+from phdtrack import config
+from phdtrack.formats import read_tracks
 
 FILTERS = ("none", "pmb")
 SCORES = ("MODA", "MODP", "MOTA", "MOTP", "IDF1", "HOTA")
+# With leaves and light that move; a thousand frames of each.
+RENDERED = ("yard", "garden", "arcade")
 # The short form's.
 SHORT = "TUD-Campus"
 
@@ -40,7 +47,11 @@ VIDEOS = (
     Video("TUD-Campus", "mot15/TUD-Campus/TUD-Campus.mp4", "mot15/TUD-Campus/gt/gt.txt", "person"),
     Video("OneLeaveShop1cor", "caviar/OneLeaveShop1cor.mpg", "caviar/cols1gt.xml", "change"),
     Video("OneLeaveShop1cor", "caviar/OneLeaveShop1cor.mpg", "caviar/cols1gt.xml", "person"),
+    *(Video(name, f"{name}/scene.mp4", f"{name}/gt/gt.txt", "change") for name in RENDERED),
 )
+MASKS = ("cdnet-highway", "cdnet-traffic-jitter")
+# In the first frames of this one nothing moves but a tree.
+TREE, EMPTY = "wallflower-WavingTrees", 242
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,28 +67,53 @@ class VideoRun:
         """What was detected on the video."""
         return self.runs / f"{self.video.name}-{self.video.detector}"
 
+    def path(self, name: str) -> str:
+        """The video or its truth: a rendered one lies among the runs."""
+        return str((self.runs if self.video.name in RENDERED else need_data()) / name)
+
 
 def detect(job: VideoRun) -> None:
     """Detect once per video and detector; what is there already is used again."""
     video, out = job.video, job.found
+    if video.name in RENDERED and not Path(job.path(video.source)).exists():
+        _phdtrack("simulate", video.name, "--out", str(job.runs / video.name))
     if not (out / "detections.csv").exists():
-        _phdtrack("detect", str(need_data() / video.source), "--detector", video.detector, "--out", str(out))
+        _phdtrack("detect", job.path(video.source), "--detector", video.detector, "--out", str(out))
 
 
 def work(job: VideoRun) -> dict[str, object]:
     """One run of the command line on the video and its detections; its JSON."""
     video, filter_name, found = job.video, job.filter, job.found
-    data = need_data()
-    given: tuple[str, ...] = ("--detections", str(found / "detections.csv"), "--truth", str(data / video.truth))
+    given: tuple[str, ...] = ("--detections", str(found / "detections.csv"), "--truth", job.path(video.truth))
     given = (*given, "--filter", filter_name)
-    if video.detector in BACKGROUND and filter_name != "none":
-        # As `phdtrack track` does with such a detector; of a file it does not know what made it.
-        given = (*given, "--set", "merged_measurements.kind=explained")
+    if filter_name != "none":
+        # What `phdtrack track` sets for the detector; of a file it does not know what made it.
+        chosen = config.for_detector(config.load(), video.detector).given
+        values = (f"{section}.{name}={value}" for section, one in chosen.items() for name, value in one.items())
+        given = (*given, *(word for value in values for word in ("--set", value)))
     if filter_name == "pmb":
         given = (*given, "--preset", "mot15")
-    text = _phdtrack("track", str(data / video.source), *given, "--out", str(found / filter_name), "--overwrite", "--json")
+    text = _phdtrack("track", job.path(video.source), *given, "--out", str(found / filter_name), "--overwrite", "--json")
     document: dict[str, object] = json.loads(text)
     return document
+
+
+def masked(job: tuple[str, Path]) -> list[object]:
+    """A video with masks: found, false boxes a frame, tracks, and those of which most boxes are false; not known is "–"."""
+    name, out = job[0], job[1] / job[0]
+    folder = need_data() / "video" / name
+    _phdtrack("track", str(folder / f"{name}.mp4"), "--no-video", "--out", str(out), "--overwrite", "--detect-again")
+    if name == TREE:
+        rows = read_tracks(out / "tracks.csv")
+        early = rows.take(rows.frame <= EMPTY)
+        return [name, "–", len(early) / EMPTY, len(np.unique(early.identity)), len(np.unique(early.identity))]
+    scorer = need_data().parent / "bench" / "score_masks.py"
+    command = [sys.executable, str(scorer), str(folder), str(out / "tracks.csv")]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    pattern = r"found ([\d.]+) .*false ([\d.]+) boxes a frame, tracks (\d+), false (\d+)"
+    match = re.search(pattern, said)
+    assert match is not None, said
+    return [name, float(match[1]), float(match[2]), int(match[3]), int(match[4])]
 
 
 def _phdtrack(*arguments: str) -> str:
@@ -98,7 +134,11 @@ def main(options: Options) -> Path:
     jobs = [VideoRun(video, name, runs) for video in videos for name in FILTERS]
     rows = [_row(job, document) for job, document in zip(jobs, in_parallel(work, jobs, "videos", options), strict=True)]
     header = ("video", "detector", "filter", *SCORES, "switches", "delay", "false tracks")
-    return write("videos", options, table=table(header, rows))
+    masks = [] if options.quick else [(name, runs) for name in (*MASKS, TREE)]
+    moving = table(
+        ("video", "found", "false boxes a frame", "tracks", "false"), in_parallel(masked, masks, "masks", options)
+    )
+    return write("videos", options, table=table(header, rows), masks=moving)
 
 
 def _row(job: VideoRun, document: dict[str, object]) -> list[object]:

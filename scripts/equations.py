@@ -25,7 +25,6 @@ PAPERS = {
     "E13": "Edman, Andersson, Jamrog, Gustafsson: Pedestrian group tracking using the GM-PHD filter. EUSIPCO 2013",
     "D14": "Daniyan: Performance analysis of sequential Monte Carlo MCMC and PHD filters on multi-target tracking in video",
     "S05": "Shafique, Shah: A noniterative greedy algorithm for multiframe point correspondence. IEEE Trans. PAMI, 2005",
-    "P09": "Panta, Clark, Vo: Data association and track management for the GM-PHD filter. IEEE Trans. AES, 2009",
     "V06": "Vo, Ma: The Gaussian mixture probability hypothesis density filter. IEEE Trans. Signal Processing, 2006",
     "V05": "Vo, Singh, Doucet: Sequential Monte Carlo methods for multi-target filtering with random finite sets. 2005",
     "V07": "Vo, Vo, Cantoni: Analytic implementations of the cardinalized PHD filter. IEEE Trans. Signal Processing, 2007",
@@ -41,7 +40,6 @@ PAPERS = {
     "T20": "García-Fernández, Svensson, Williams, Xia, Granström: Trajectory Poisson multi-Bernoulli filters. 2020",
     "W14": "Williams, Lau: Approximate evaluation of marginal association probabilities with belief propagation. "
     "IEEE Trans. AES, 2014",
-    "R12": "Ristic, Clark, Vo, Vo: Adaptive target birth intensity for PHD and CPHD filters. IEEE Trans. AES, 2012",
     "C04": "Cavallaro, Ebrahimi: Interaction between high-level and low-level image analysis for video objects. 2004",
     "Z04": "Zivkovic, van der Heijden: Recursive unsupervised learning of finite mixture models. IEEE Trans. PAMI, 2004",
     "S78": "Schwarz: Estimating the dimension of a model. Annals of Statistics, 1978",

@@ -8,8 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 ROOT = Path(__file__).resolve().parent.parent
+
+# On a busy machine a call may take long: time decides no test.
+settings.register_profile("phdtrack", deadline=None)
+settings.load_profile("phdtrack")
 
 # A shell starts what it puts in the background with Ctrl-C ignored, and so would be every process that a test starts to
 # see what Ctrl-C does to it.
@@ -18,6 +23,14 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 # The same of nohup and the end of a terminal.
 if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests that are given the real sequences."""
+    for item in items:
+        if "data" in getattr(item, "fixturenames", ()):
+            item.add_marker("data")
 
 
 @pytest.fixture(scope="session")

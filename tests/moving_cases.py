@@ -62,4 +62,4 @@ def filmed(frame: Frame, path: np.ndarray, size: tuple[int, int]) -> Frame:
     """What of the still picture the camera shows, (width, height)."""
     by_middles = warp_of.back(MIDDLE) @ path[frame.number] @ MIDDLE
     picture = cv2.warpPerspective(frame.image, by_middles, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
-    return replace(frame, image=picture)
+    return replace(frame, picture=picture)

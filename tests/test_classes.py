@@ -96,7 +96,7 @@ def test_what_is_not_asked_for_is_left_out_and_rows_count_detections_as_given() 
         tracker.update([walking(k, *one) for one in seen])
     rows = tracker.tracks()
     assert (set(rows.class_id.tolist()), set(rows.detection.tolist())) == ({1}, {3})
-    assert (tracker.unwanted, tracker.empty) == (60, 0)
+    assert (tracker.left_out.unwanted, tracker.left_out.empty) == (60, 0)
 
 
 @pytest.mark.parametrize(("settings", "message"), [

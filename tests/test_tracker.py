@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import pickle
 import signal
+import subprocess
+import sys
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -76,8 +80,8 @@ def test_boxes_without_size_are_left_out_counted_and_said_once(kind: str, caplog
             again = tracker_of(**made)
             again.load_state_dict(other.state_dict())
             other = again
-    assert other.empty == 8
-    assert plain.empty == 0
+    assert other.left_out.empty == 8
+    assert plain.left_out.empty == 0
     assert [record.getMessage() for record in caplog.records if record.name == "phdtrack.tracker"] == [
         "frame 2: 2 boxes left out: their width or height is not above 0"
     ]
@@ -87,13 +91,13 @@ def test_boxes_without_size_are_left_out_counted_and_said_once(kind: str, caplog
     assert np.array_equal(np.where(moved, 2 * one.detection + 1, one.detection), two.detection)
     assert equal(replace(one, detection=two.detection), two)
     other.reset()
-    assert other.empty == 0
+    assert other.left_out.empty == 0
 
 
 def test_a_frame_of_boxes_without_size_has_no_detections():
     tracker = tracker_of()
     assert len(tracker.update([FLAT, FLAT])) == 0
-    assert (tracker.empty, len(tracker.step.detections)) == (2, 0)
+    assert (tracker.left_out.empty, len(tracker.step.detections)) == (2, 0)
 
 
 @pytest.mark.parametrize(("bad", "says"), [
@@ -408,3 +412,44 @@ def test_ctrl_c_comes_after_the_frame(monkeypatch: pytest.MonkeyPatch) -> None:
         signal.signal(signal.SIGINT, before)
     assert called == [signal.SIGINT]
     assert tracker.state.number == 2
+
+
+@pytest.mark.parametrize("made", [{}, {"filter": PARTICLES}, {"associate": {"output_delay": 3}}, {"classes": {"only": [0]}}])
+def test_to_warm_up_changes_nothing(made: dict[str, Any], scene: list[Detections]):
+    plain, warm = tracker_of(seed=2, **made), tracker_of(seed=2, **made)
+    for k, found in enumerate(scene[:30]):
+        if k in (0, 17):
+            warm.warm_up()
+        assert equal(plain.update(found), warm.update(found))
+    assert pickle.dumps(plain.state_dict()) == pickle.dumps(warm.state_dict())
+    assert equal(plain.tracks(), warm.tracks())
+
+
+LOADED = """
+import sys
+from numba.core import event
+from phdtrack import Tracker
+from tracker_cases import SIZE, street
+
+tracker, frames = Tracker(SIZE, filter=sys.argv[1]), street()
+if sys.argv[2] == "warm":
+    tracker.warm_up()
+# Numba takes it to compile a kernel and to load one.
+with event.install_recorder("numba:compiler_lock") as taken:
+    for found in frames:
+        tracker.update(found)
+    tracker.tracks()
+print(len(taken.buffer))
+"""
+FEWER = ("gm-phd", "particle-phd", "gm-cphd", "particle-cphd", "mht", "pmbm", "mcmc", "none")
+
+
+@pytest.mark.parametrize("kind", ["pmb", *(pytest.param(kind, marks=pytest.mark.slow) for kind in FEWER)])
+def test_after_it_no_kernel_is_compiled_or_loaded(kind: str):
+    def loads(how: str) -> int:
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(os.path.abspath, filter(None, sys.path)))}
+        command = [sys.executable, "-c", LOADED, kind, how]
+        return int(subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stdout)
+
+    assert loads("cold") > 20
+    assert loads("warm") == 0

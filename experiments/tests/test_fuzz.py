@@ -1,10 +1,12 @@
 """Some hundred broken files for every reader, and that what is wrong with one is found."""
 
 import random
+import struct
 import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 
@@ -73,6 +75,20 @@ def test_exceptions_crashes_and_hangs_are_found_and_the_rest_is_read(tmp_path: P
     }
     assert found["crash"].what == "SIGSEGV"
     assert Path(found["KeyError"].file).read_bytes() == b"\x01"
+
+
+def test_what_a_child_tells_is_never_there_in_part() -> None:
+    class State(bytearray):
+        written: ClassVar = []
+
+        def __setitem__(self, where: slice, what: bytes) -> None:
+            self.written.append((where, what))
+
+    state = State(48)
+    fuzz.tell(state, 3, 5.0, 1, 1, 1, 0.5)
+    # Nothing else was changed in between.
+    assert bytes(state) == bytes(48)
+    assert State.written == [(slice(None), struct.pack("<qdqqqd", 3, 5.0, 1, 1, 1, 0.5))]
 
 
 @pytest.mark.parametrize("family", ["detections", "cameras"])

@@ -170,10 +170,6 @@ def pixelated(image: Image, xyxy: F8, blur: str) -> Image:
     xyxy : (N, 4) boxes in its pixels; those that are not finite are left out.
     blur : ``boxes``, ``faces``, or nothing: the picture itself.
 
-    Returns
-    -------
-    image : (H, W, 3) uint8.
-
     Raises
     ------
     InputError : ``blur`` is something else.

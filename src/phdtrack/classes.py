@@ -145,7 +145,10 @@ class Kinds:
         """(N,) whether the class of each detection is seen already, or one of those that there is room for."""
         label = self.of(found)
         best = dict.fromkeys(label[np.argsort(-found.confidence, kind="stable")].tolist())
-        return np.isin(label, [*seen, *(kind for kind in best if kind not in seen)][: self.limits.max_classes])
+        known = [*seen, *(kind for kind in best if kind not in seen)]
+        if len(known) <= self.limits.max_classes:
+            return np.ones(len(found), np.bool_)
+        return np.isin(label, known[: self.limits.max_classes])
 
     def _uncrowded(self, found: Detections) -> Bool:
         """(N,) whether each detection is one of the best in its place, of those of its class."""

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from phdtrack.types import F8, Detections, Frame
+import numpy as np
+
+from phdtrack.types import F8, Detections, Frame, Image
 
 
 class Camera(Protocol):
@@ -25,6 +27,27 @@ class Camera(Protocol):
 
     def depth(self, world: F8) -> F8:
         """(N,) distance along the viewing direction, metres, of points (3, N), or (2, N) of the ground; negative behind."""
+
+
+class Picture(Protocol):
+    """A picture as a decoder gives it; BGR is made of it where somebody needs that."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+
+    def bgr(self, size: tuple[int, int] | None = None) -> Image:
+        """(H, W, 3) BGR uint8 of this width and height, or of its own."""
+
+    def planes(self) -> Image | None:
+        """(3H/2, W) uint8, a copy of brightness and below it the colours (YUV 4:2:0); None where it is kept otherwise."""
+
+
+def size_of(frame: Frame) -> tuple[int, int]:
+    """Width and height in pixels of a frame; no image is made for that."""
+    picture = frame.picture
+    width, height = picture.shape[1::-1] if isinstance(picture, np.ndarray) else picture.size
+    return width, height
 
 
 class Detector(Protocol):

@@ -19,6 +19,7 @@ import signal
 from collections.abc import Iterable
 from dataclasses import fields
 from functools import cache
+from importlib import import_module
 from numbers import Real
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
@@ -33,6 +34,18 @@ Count = Annotated[int, Ge(0)]
 PositiveCount = Annotated[int, Ge(1)]
 
 _TESTS = {Ge: ("at least", "ge"), Gt: ("above", "gt"), Le: ("at most", "le"), Lt: ("below", "lt")}
+
+EXTRAS = {
+    "av": "phdtrack[video]",
+    "matplotlib": "phdtrack[report]",
+    "starlette": "phdtrack[web]",
+    "uvicorn": "phdtrack[web]",
+    "onnxruntime": "phdtrack[onnx]",
+    "pyarrow": "phdtrack[parquet]",
+    "paho": "phdtrack[mqtt]",
+    "ray": "phdtrack[ray]",
+}
+"""What installs the packages that `Tracker` does without, by the names of their modules."""
 
 _SECRET = re.compile(r"(?i)([?&](?:[^=&]*(?:pass|pwd|token|secret|key|auth)[^=&]*)=)[^&#\s]*")
 _USER = re.compile(r"([a-z][a-z0-9+.-]*://)[^/\s]+@")
@@ -64,6 +77,23 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     names = list(known)
     close = difflib.get_close_matches(name, names, 1)
     return f"Did you mean {close[0]}?" if close else f"There are {', '.join(names) or 'none'}."
+
+
+def needed(module: str) -> Any:
+    """The module, of a package that need not be installed with this one; `InputError` says what to install."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise absent(error, module) from None
+
+
+def absent(error: ImportError, module: str = "") -> InputError:
+    """What to install where a ``module``, or one that it needs, is missing. Raises ``error`` where that is not known."""
+    name = (error.name or module).partition(".")[0]
+    package = EXTRAS.get((module or name).partition(".")[0]) or EXTRAS.get(name)
+    if not (package or module):
+        raise error
+    return InputError(f"this needs the package {name}", cure=f"pip install '{package or module}'")
 
 
 INTERRUPTING: list[object] = [signal.default_int_handler]

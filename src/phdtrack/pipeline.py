@@ -37,7 +37,7 @@ class TrackingState:
     given : which detections the filter was given, of the frames that it may still revise; (0,) where it was given all.
     learned : what was learned while tracking, None where nothing is.
     expected : the targets that merged measurements are divided by, None where they are not.
-    pace : how fast the filter's time runs, None where it is the clock's.
+    pace : how many intervals there were, and the sum of the logarithms of their seconds.
     shown : what the boxes of online rows have taught, None where they are the filter's.
     camera : what is known of the camera's motion, None where it is not looked for.
     """
@@ -50,7 +50,7 @@ class TrackingState:
     given: tuple[I8, ...] = ()
     learned: Any = None
     expected: Any = None
-    pace: Any = None
+    pace: tuple[int, float] = (0, 0.0)
     shown: Any = None
     camera: Any = None
 
@@ -85,10 +85,6 @@ def advance(
     number, time, rng : from 1; seconds; the filter's randomness.
     warp : (3, 3) homography from pixels of the frame before to this one's; `types.STILL` where the camera stands still.
 
-    Returns
-    -------
-    state, step : after the frame, and what it brought.
-
     Raises
     ------
     InputError : number or time does not grow or is no number, or the warp is no homography.
@@ -97,7 +93,7 @@ def advance(
     learning, explainer, learned, expected = stages.learning, stages.explainer, state.learned, state.expected
     camera, seen = _seen(stages, state, detections, warp, (number, time))
     model = learning.model(learned, seen) if learning else seen
-    pace, dt = _paced(stages, state, detections, time, model)
+    pace, dt = _paced(stages, state, time, model)
     began = clock.perf_counter()
     explanation = Explanation.unchanged(detections)
     if explainer:
@@ -127,17 +123,19 @@ def advance(
     return after, step
 
 
-def _paced(stages: AnyStages, state: TrackingState, detections: Detections, time: float, model: Model) -> tuple[Any, float]:
-    """How fast the filter's time runs, and the interval before this frame in the model's time units."""
-    seconds = time - state.time
-    if stages.clock is None:
-        return None, seconds * model.rate if state.number else model.first
-    z = model.sensor.measure(detections if detections.observed else Detections.empty(observed=False))
-    z = z[:, np.isfinite(z).all(axis=0)]
+def _paced(stages: AnyStages, state: TrackingState, time: float, model: Model) -> tuple[tuple[int, float], float]:
+    """`TrackingState.pace`, and the interval before this frame in the model's time units.
+
+    Streams of few pictures show slow things: where the usual interval, the geometric mean, is longer than
+    ``Stages.longest_interval``, the filter's time runs slower, so that it is as long as that.
+    """
     if state.number == 0:
-        return stages.clock.start(z), model.first
-    pace = stages.clock.advance(state.pace, z, seconds, model)
-    return pace, seconds * pace.factor * model.rate
+        return (0, 0.0), model.first
+    seconds = time - state.time
+    count, logs = state.pace[0] + 1, state.pace[1] + math.log(seconds)
+    factor = stages.longest_interval / math.exp(logs / count)
+    # 1e-6: an interval of 0.2 s is one, whatever rounding makes of it.
+    return (count, logs), seconds * (factor if 0 < factor <= 1 - 1e-6 else 1.0) * model.rate
 
 
 def _seen(
@@ -171,10 +169,6 @@ def run(
     stages : the tracker's parts.
     frames : number, seconds and detections of each.
     rng : the filter's randomness.
-
-    Yields
-    ------
-    state, step : as of `advance`.
     """
     state = start(stages, rng)
     for number, time, detections in frames:

@@ -139,10 +139,6 @@ class Birth(Protocol):
         ----------
         z, covered : (m, N) measurements, and (N,) the mass predicted at each.
         sensor, seconds, rng : that gave them; the interval T; of the draws.
-
-        Returns
-        -------
-        particles : the newborn.
         """
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
@@ -151,10 +147,6 @@ class Birth(Protocol):
         Parameters
         ----------
         z, sensor, seconds : as in `sample`.
-
-        Returns
-        -------
-        births : of the kernels.
 
         Raises
         ------
@@ -231,10 +223,6 @@ class Filter(Protocol[S]):
         model : of the present frame; where the camera has moved (`Model.warp`), states are carried into its pixels first.
         dt : interval since the frame before, in the model's time unit.
         rng : the filter's randomness.
-
-        Returns
-        -------
-        state : the predicted one.
         """
 
     def update(self, state: S, z: F8, model: Model, dt: float, rng: np.random.Generator) -> tuple[S, UpdateInfo]:
@@ -245,10 +233,6 @@ class Filter(Protocol[S]):
         state : the predicted one.
         z : (m, N) measurements.
         model, dt, rng : as in `predict`; targets may have been born in the interval.
-
-        Returns
-        -------
-        state, info : the updated state, and what was learned.
         """
 
     def reduce(self, state: S, rng: np.random.Generator) -> S:
@@ -262,10 +246,6 @@ class Filter(Protocol[S]):
         ----------
         state : after the frame before.
         z, model, dt, rng : as in `update`.
-
-        Returns
-        -------
-        state, info : after the frame, and what was learned.
         """
         updated, info = self.update(self.predict(state, model, dt, rng), z, model, dt, rng)
         return self.reduce(updated, rng), info
@@ -308,10 +288,6 @@ class Associator(Protocol[A]):
         state, dt : of the frame before, and the model time since then.
         estimates, z, number : the extracted states, the (m, N) measurements and the frame number.
         model : of this frame; states of earlier frames are warped where the camera has moved (`Model.warp`).
-
-        Returns
-        -------
-        state, rows : the new state, and the online rows.
         """
 
     def flush(self, state: A, model: Model) -> Tracks:
@@ -406,7 +382,8 @@ class Learning(Protocol[C]):
         """The state before the first frame."""
 
     def model(self, state: C, model: Model) -> Model:
-        """``model`` with what was learned so far."""
+        """``model`` with what was learned so far; as it is where only scores are learned."""
+        return model
 
     def with_scores(self, state: C, model: Model, detections: Detections) -> Model:
         """A model with what the scores of a frame's detections say; the same where they are not learned.
@@ -414,37 +391,11 @@ class Learning(Protocol[C]):
         Parameters
         ----------
         state, model, detections : what was learned, the model as `model` gave it, and the frame's detections.
-
-        Returns
-        -------
-        model : with the likelihood ratios of the scores.
         """
         return model
 
     def advance(self, state: C, step: Step) -> C:
         """Take in what one frame brought."""
-
-
-class Clock(Protocol[S]):
-    """How fast the time of the filter runs in a stream."""
-
-    def start(self, z: F8) -> S:
-        """After the first frame, of the measurements ``z`` (m, n)."""
-
-    def advance(self, state: S, z: F8, seconds: float, model: Model) -> S:
-        """The state after a frame, ``seconds`` later; its ``factor`` makes of seconds those of the filter.
-
-        Parameters
-        ----------
-        state : after the frame before.
-        z : (m, n) measurements of the frame.
-        seconds : since the frame before.
-        model : of the frame.
-
-        Returns
-        -------
-        state : after the frame.
-        """
 
 
 class OnlineBoxes(Protocol):
@@ -478,8 +429,9 @@ class Stages(Generic[S, A]):
     Attributes
     ----------
     learning : what is learned while tracking.      explainer : the merged-measurement model.
-    smoother : of corrected tracks.      clock : of streams of few pictures.      online : boxes of online rows.
+    smoother : of corrected tracks.      online : boxes of online rows.
     camera : what finds the camera's motion in the detections.
+    longest_interval : seconds between pictures up to which targets move as in videos; 0: however long it is.
     """
 
     model: Model
@@ -489,9 +441,9 @@ class Stages(Generic[S, A]):
     learning: Learning[Any] | None = None
     explainer: Explainer[Any] | None = None
     smoother: Smoother | None = None
-    clock: Clock[Any] | None = None
     online: OnlineBoxes | None = None
     camera: CameraEstimator[Any] | None = None
+    longest_interval: float = 0.0
 
 
 AnyStages = Stages[Any, Any]

@@ -15,27 +15,24 @@ import signal
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from phdtrack import config, pipeline
 from phdtrack.classes import Kinds, Lanes, forget, given_rows, remember
-from phdtrack.detect.convert import LeftOut, as_detections
+from phdtrack.detect.convert import LeftOut, as_detections, doubtful
 from phdtrack.errors import DEFERRED, INTERRUPTING, InputError, later
 from phdtrack.models.warp import as_warp
 from phdtrack.protocols import AnyStages
 from phdtrack.types import I8, STILL, Detections, SequenceInfo, Step, Tracks
 
-if TYPE_CHECKING:
-    from phdtrack.scene.rates import Rates
-
 _LOG = logging.getLogger(__name__)
 # Of a saved state: it changes when a record of the state does.
-FORMAT = 19
+FORMAT = 20
 # Seconds that are remembered where nothing is said of it.
 HISTORY = 600.0
 
@@ -117,7 +114,7 @@ class Tracker:
         self._step: Step | None = None
         # Boxes that were left out, and the rows that stayed of frames that had any.
         self._left_out, self._kept = LeftOut(), dict[int, I8]()
-        self._begun = math.nan
+        self._begun, self._doubted = math.nan, False
 
     def update(
         self,
@@ -169,12 +166,42 @@ class Tracker:
         # What was not asked for is no fault.
         for sentence in left_out.sentences(self._left_out._replace(unwanted=1)):
             _LOG.warning("frame %d: %s", number, sentence)
+        if not self._doubted and (doubt := doubtful(found, self.kinds.limits.frame_size)):
+            self._doubted = True
+            _LOG.warning("frame %d: %s", number, doubt)
         self._say_what_is_forgotten(time)
         if len(kept) < len(found):
             self._left_out = self._left_out.with_more(left_out)
             remember(self._kept, number, kept)
         forget(self._kept, self._lanes.oldest if self._kept else 0)
         return given_rows(self._step.tracks, self._kept)
+
+    def warm_up(self) -> None:
+        """Compile the kernels that these settings use, or load those that are kept, now and not in the first updates.
+
+        Another tracker of the same settings is given frames of boxes that are made up; what this one gives is the same to
+        the bit. Without it the first update of a new installation takes some ten seconds, which the logger ``phdtrack``
+        says, and that of each later process one or two.
+        """
+        lanes, rng, n = Lanes(self.kinds, self.seed), np.random.default_rng(0), 8
+        size = np.array(self.kinds.limits.frame_size if min(self.kinds.limits.frame_size) > 0 else (1920.0, 1080.0))
+        # Side by side, so that some compete for detections, and through the lower half, where a camera sees the ground.
+        start, step = np.linspace([0.2, 0.55], [0.7, 0.9], n), np.array([0.004, 0.001])
+        for k in range(1, 25):
+            seen = start[rng.random(n) < 0.8] if k % 8 else start[:0]
+            corner = np.vstack([seen + k * step, rng.random((k % 3, 2))]) * size
+            box = np.hstack([corner, corner + [0.03, 0.15] * size])
+            label = np.resize([*self.kinds.only, *self.kinds.own] or [0], len(box))
+            found = Detections.of(box, rng.uniform(0.3, 1.0, len(box)), label)
+            with uninterrupted():
+                lanes.advance(found.take(self.kinds.taken(found)[0]), k, k / self.fps)
+        lanes.flush()
+        lanes.finish()
+        # More than may be in one place.
+        self.kinds.taken(found.take(np.repeat(np.arange(len(found)), self.kinds.limits.max_in_one_place + 1)))
+        # Models on the ground take no warp.
+        with uninterrupted(), suppress(InputError):
+            lanes.advance(found, 25, 25 / self.fps, np.eye(3))
 
     def _say_what_is_forgotten(self, time: float) -> None:
         """Once, where nobody has asked for it."""
@@ -188,16 +215,6 @@ class Tracker:
             )
 
     @property
-    def empty(self) -> int:
-        """How many boxes were left out because their width or height was not above 0."""
-        return self._left_out.empty
-
-    @property
-    def unwanted(self) -> int:
-        """How many boxes were left out because their class is not tracked, or their score or size too small for it."""
-        return self._left_out.unwanted
-
-    @property
     def left_out(self) -> LeftOut:
         """How many boxes were left out, and why."""
         return self._left_out
@@ -209,16 +226,6 @@ class Tracker:
     def tracks(self) -> Tracks:
         """The corrected tracks of everything so far: short ones left out, gaps bridged, identities of their own."""
         return given_rows(self._lanes.finish(), self._kept)
-
-    @property
-    def rates(self) -> Rates | None:
-        """Estimates of p_D and false alarms; None where rates are not learned."""
-        if self.state.learned is None:
-            return None
-        from phdtrack.scene.rates import LearnedRates
-
-        learned = self.state.learned
-        return learned.rates if isinstance(learned, LearnedRates) else None
 
     @property
     def highest(self) -> int:

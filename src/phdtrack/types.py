@@ -22,11 +22,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
+from phdtrack.errors import needed
+
 F8 = NDArray[np.float64]
 F4 = NDArray[np.float32]
 Real = NDArray[np.floating[Any]]
 I8 = NDArray[np.int64]
 Bool = NDArray[np.bool_]
+Ints = I8 | int
 Image = NDArray[np.uint8]
 STILL: F8 = np.zeros((0, 3))  # stands for a (3, 3) homography between the pixels of two frames: there is none
 
@@ -44,11 +47,17 @@ class SequenceInfo:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """One picture of a video: ``number`` from 1, ``time`` in seconds from the stream, ``image`` (H, W, 3) BGR uint8."""
+    """One picture of a video: ``number`` from 1, ``time`` in seconds from the stream, ``picture``: its ``image``, or a
+    `devices.Picture`, of which that is made when it is asked for."""
 
     number: int
     time: float
-    image: Image
+    picture: Any
+
+    @property
+    def image(self) -> Image:
+        """(H, W, 3) BGR uint8."""
+        return self.picture if isinstance(self.picture, np.ndarray) else self.picture.bgr()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,8 +67,7 @@ class Detections:
     Attributes
     ----------
     xyxy : (N, 4) float64, pixels.
-    confidence : (N,) float64; 1 where the detector gives none.
-    class_id : (N,) int64; 0 where the detector gives none.
+    confidence, class_id : (N,) float64, int64; 1 and 0 where the detector gives none.
     covariance : (N, 4, 4) of (centre x, centre y, width, height) in pixels², or None where the detector states none.
     observed : False for a frame without detection (predict only), which is not the same as an empty frame.
     """
@@ -155,8 +163,7 @@ class Particles:
 
     Attributes
     ----------
-    state : (d, L) float64.
-    weight : (L,) float64 ≥ 0, whose sum is the expected number of targets.
+    state : (d, L) float64.      weight : (L,) float64 ≥ 0, whose sum is the expected number of targets.
     start : (R + 1,) where runs of neighbouring particles begin, 0 … L; (0,) where the order says nothing.
     """
 
@@ -223,16 +230,11 @@ class GaussianMixture:
     Attributes
     ----------
     weight : (J,) float64 ≥ 0.      mean : (d, J) float64.      covariance : (J, d, d) float64.
-    tag : (J,) int64 from 0, by which a Gaussian's history can be read, see `filters.phd_gaussian`; (0,) in a mixture that
-        is no filter's state.
-    fresh : the tag that the next new Gaussian is given: none that was ever given is as large.
     """
 
     weight: F8
     mean: F8
     covariance: F8
-    tag: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
-    fresh: int = 0
 
     @classmethod
     def empty(cls, dim: int) -> GaussianMixture:
@@ -272,11 +274,8 @@ class UpdateInfo:
 
     Attributes
     ----------
-    mass_predicted : mass before the update, newborn included.
-    mass_born : mass of the newborn within it.
-    mass : mass after the update.
-    evidence : (N,) C(z_j) = ∫ p_D g(z_j|x) D⁺(x) dx, per unit of measurement volume.
-    clutter : (N,) κ(z_j), in the same unit.
+    mass_predicted, mass_born, mass : before the update with the newborn, of the newborn, and after the update.
+    evidence, clutter : (N,) C(z_j) = ∫ p_D g(z_j|x) D⁺(x) dx and κ(z_j), per unit of measurement volume.
     vanished : number of detections with κ + C = 0, whose term is 0 by definition.
     cardinality : probabilities of 0, 1, 2, … targets after the update; (0,) from filters that carry none.
     chain : how well the chain of an MCMC filter moved; None from other filters.
@@ -338,14 +337,12 @@ class Estimates:
 
     Attributes
     ----------
-    state : (d, n) float64.
-    covariance : (n, d, d) float64.
+    state : (d, n) float64.      covariance : (n, d, d) float64.
     weight : (n,) mass of the intensity behind each state.
     xyxy : (n, 4) the box that each state predicts in the image, pixels.
     detection : (n,) index of the detection that each state rests on in this frame, −1 where it is predicted only.
-    tag : (n,) `GaussianMixture.tag` of the Gaussian that each state is, of the heaviest where several were joined; (0,) if
-        the filter has none. Two states have the same where a Gaussian is reported more than once, or where they are lighter
-        than `GMPHD.split`. Filters that follow targets one by one give a target's label, its own for life.
+    tag : (n,) the label of the target that each state is of, its own for life, of filters that follow targets one by one;
+        (0,) of others.
     past : the states of the frames before this one, oldest first, ending with the frame just before, as this frame sees
         them, None where that is as the frame before saw them: for filters that revise the past. Empty: the past stands. One
         frame's reaches no further back than the last one's did.
@@ -369,15 +366,9 @@ class Estimates:
 
     def take(self, index: I8 | Bool) -> Estimates:
         """The states at ``index`` (integers or a mask), in that order."""
-        return Estimates(
-            np.ascontiguousarray(self.state[:, index]),
-            self.covariance[index],
-            self.weight[index],
-            self.xyxy[index],
-            self.detection[index],
-            self.tag[index] if len(self.tag) else self.tag,
-            self.past,
-        )
+        state, tag = np.ascontiguousarray(self.state[:, index]), self.tag[index] if len(self.tag) else self.tag
+        boxes, found = self.xyxy[index], self.detection[index]
+        return Estimates(state, self.covariance[index], self.weight[index], boxes, found, tag, self.past)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -432,13 +423,7 @@ class Tracks:
 
     @classmethod
     def of(
-        cls,
-        frame: I8 | int,
-        identity: I8 | int,
-        xyxy: F8,
-        confidence: F8 | float,
-        detection: I8 | int,
-        confirmed: Bool | bool = True,
+        cls, frame: Ints, identity: Ints, xyxy: F8, confidence: F8 | float, detection: Ints, confirmed: Bool | bool = True
     ) -> Tracks:
         """Rows of which a number stands for all.
 
@@ -469,6 +454,21 @@ class Tracks:
     def take(self, index: I8 | Bool) -> Tracks:
         """The rows at ``index`` (integers or a mask), in that order."""
         return Tracks(*(getattr(self, name)[index] for name in self.__slots__))
+
+    def __getitem__(self, index: int | slice | I8 | Bool) -> Tracks:
+        """The rows at ``index``: one, a slice, integers or a mask, in that order."""
+        return self.take(np.atleast_1d(np.arange(len(self))[index]))
+
+    def to_dataframe(self) -> Any:
+        """A pandas DataFrame, a row each, with left, top, right, bottom for boxes. `InputError` without pandas."""
+        boxes = dict(zip(("left", "top", "right", "bottom"), self.xyxy.T, strict=True))
+        return needed("pandas").DataFrame({name: getattr(self, name) for name in self.__slots__ if name != "xyxy"} | boxes)
+
+    def to_supervision(self) -> Any:
+        """supervision's Detections: identities are ``tracker_id``, the rest ``data``. `InputError` without supervision."""
+        data = {name: getattr(self, name) for name in ("frame", "detection", "confirmed")}
+        known = {"confidence": self.confidence, "class_id": self.class_id, "tracker_id": self.identity}
+        return needed("supervision").Detections(self.xyxy.astype(np.float32), data=data, **known)
 
     @property
     def predicted(self) -> Bool:

@@ -23,9 +23,11 @@ def test_bridge_is_the_smoother(seed: int, steps: list[float], scaled: bool):
     before = np.array([100.0, 200.0, *rng.normal(0, 3, 2), 40.0, 80.0])
     after = before + rng.normal(0, 20, 6)
     args = (before, spread(rng, 6, 4.0), after, spread(rng, 6, 4.0), np.array(steps))
-    ours = bridge(motion, args[:4], args[4])
-    assert ours.shape == (6, len(steps) - 1)
-    np.testing.assert_allclose(ours, twin.smoothed(motion, *args), rtol=1e-9, atol=1e-9)
+    other = (before + 5.0, args[1], after - 3.0, args[3], args[4])
+    ours = bridge(motion, tuple(np.stack(pair) for pair in zip(args[:4], other[:4], strict=True)), args[4])
+    assert ours.shape == (6, 2, len(steps) - 1)
+    for n, one in enumerate((args, other)):
+        np.testing.assert_allclose(ours[:, n], twin.smoothed(motion, *one), rtol=1e-9, atol=1e-9)
 
 
 def zooming(rng: np.random.Generator, count: int) -> list[np.ndarray]:
@@ -40,11 +42,12 @@ def test_a_bridge_under_a_moving_camera_is_the_still_one_carried_along(rng):
     motion, warps = model_of(scaled_noise=True).motion, zooming(rng, 5)
     before = np.array([300.0, 200.0, 2.0, -1.0, 40.0, 80.0])
     after, cov_before, cov_after = before + rng.normal(0, 9, 6), spread(rng, 6, 3.0), spread(rng, 6, 3.0)
-    still = bridge(motion, (before, cov_before, after, cov_after), np.ones(5))
+    still = bridge(motion, (before[None], cov_before[None], after[None], cov_after[None]), np.ones(5))[:, 0]
     whole = warp_of.after(warps)
     slope = warp_of.warp_jacobian(after[:, None], whole)[0]
     seen = warp_of.warp_states(after[:, None], whole)[:, 0]
-    moving = bridge(motion, (before, cov_before, seen, slope @ cov_after @ slope.T), np.ones(5), warps)
+    ends = before[None], cov_before[None], seen[None], (slope @ cov_after @ slope.T)[None]
+    moving = bridge(motion, ends, np.ones(5), warps)[:, 0]
     for k in range(4):
         wanted = warp_of.warp_states(still[:, k : k + 1], warp_of.after(warps[: k + 1]))[:, 0]
         np.testing.assert_allclose(moving[:, k], wanted, rtol=1e-8, atol=1e-8)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -14,12 +16,14 @@ from cli_runner import phdtrack, walkers
 from phdtrack import __version__
 from phdtrack.cli.app import COMMANDS, guarded
 from phdtrack.cli.options import TrackingOptions
+from phdtrack.cli.output import _SHOWN, Output, progress
 from phdtrack.cli.settings import chosen
 from phdtrack.errors import InputError
 
 
-def run(*command: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+def run(*command: str, environment: Mapping[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    known = os.environ | (environment or {})
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, env=known)
 
 
 def test_help_names_every_command_and_starts_quickly() -> None:
@@ -49,6 +53,55 @@ def test_both_entry_points_are_the_same() -> None:
     for command in ([str(script)], [sys.executable, "-m", "phdtrack"]):
         done = run(*command, "--version")
         assert (done.returncode, done.stdout.strip()) == (0, f"phdtrack {__version__}")
+
+
+@pytest.mark.parametrize(
+    ("line", "found"),
+    [
+        ("phdtrack tra", ["track"]),
+        ("phdtrack track --pres", ["--preset"]),
+        ("phdtrack export --t", ["--to"]),
+        ("phdtrack x", []),
+    ],
+)
+def test_a_shell_completes_commands_and_their_options(line: str, found: list[str]) -> None:
+    asked = {"_PHDTRACK_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))}
+    done = run(sys.executable, "-m", "phdtrack", environment=asked)
+    assert (done.returncode, done.stdout.split()) == (0, found)
+    asked = {"_PHDTRACK_COMPLETE": "complete_zsh", "_TYPER_COMPLETE_ARGS": line}
+    done = run(sys.executable, "-m", "phdtrack", environment=asked)
+    assert done.returncode == 0
+    assert all(f'"{word}"' in done.stdout for word in found)
+
+
+def test_the_lines_that_a_shell_needs_are_printed() -> None:
+    done = run(sys.executable, "-m", "phdtrack", "--show-completion", "bash")
+    assert done.returncode == 0
+    assert "_PHDTRACK_COMPLETE=complete_bash" in done.stdout
+
+
+def test_quiet_says_warnings_only(tmp_path: Path) -> None:
+    detections = walkers(tmp_path / "walkers", seqinfo=False) / "det" / "det.txt"
+    detections.write_text(detections.read_text() + "3,-1,5000,60,24,60,1,-1,-1,-1\n")
+    words = ("track", "--detections", detections, "--frame-size", "320x240", "--fps", 25, "--out", tmp_path / "run")
+    said = phdtrack(*words, "--quiet")
+    assert (said.status, said.out) == (0, "")
+    assert said.err.count("\n") == said.err.count("phdtrack: warning: ") > 0
+    assert (tmp_path / "run" / "report.html").exists()
+    said = phdtrack(*words, "--overwrite", "--quiet", "--json")
+    assert said.object["complete"] is True
+    assert "report.html" in phdtrack(*words, "--overwrite").out
+
+
+def test_quiet_shows_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    shown = []
+    for quiet in (True, False):
+        Output(quiet=quiet)
+        with progress("tracking", 10) as advance:
+            shown.append(bool(_SHOWN))
+            advance(3, total=5, description="drawing")
+    assert shown == [False, True]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -135,14 +188,15 @@ def test_tracking_detections_loads_what_it_needs(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "detector", "preset"),
     [
-        (TrackingOptions(), True, "mot15"),
-        (TrackingOptions(), False, "default"),
-        (TrackingOptions(preset="default"), True, "default"),
-        (TrackingOptions(filter_name="gm-phd"), True, "default"),
-        (TrackingOptions(sets=["filter.kind=mht"]), True, "default"),
-        (TrackingOptions(sets=["motion.kind=plane"]), True, "default"),
-        (TrackingOptions(sets=["sensor.box_noise=0.2"]), True, "mot15"),
+        (TrackingOptions(), "change", "mot15"),
+        (TrackingOptions(), "", "default"),
+        (TrackingOptions(), "onnx:net.onnx", "default"),
+        (TrackingOptions(preset="default"), "change", "default"),
+        (TrackingOptions(filter_name="gm-phd"), "change", "default"),
+        (TrackingOptions(sets=["filter.kind=mht"]), "change", "default"),
+        (TrackingOptions(sets=["motion.kind=plane"]), "change", "default"),
+        (TrackingOptions(sets=["sensor.box_noise=0.2"]), "change", "mot15"),
     ],
 )
-def test_own_detectors_have_the_preset_for_noisy_boxes(options: TrackingOptions, detector: bool, preset: str) -> None:
+def test_own_detectors_have_the_preset_for_noisy_boxes(options: TrackingOptions, detector: str, preset: str) -> None:
     assert chosen(options, detector=detector).preset == preset

@@ -40,13 +40,13 @@ def test_a_missing_cascade_is_told_with_its_cure(monkeypatch: pytest.MonkeyPatch
 
 def test_something_essential_missing_is_status_1(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken() -> str:
-        raise ImportError("libav: cannot open shared object file")
+        raise ImportError("libGL: cannot open shared object file")
 
-    checks = [(name, broken if name == "video in" else trial, *rest) for name, trial, *rest in doctor.CHECKS]
+    checks = [(name, broken if name == "OpenCV" else trial, *rest) for name, trial, *rest in doctor.CHECKS]
     monkeypatch.setattr(doctor, "CHECKS", checks)
     said = phdtrack("doctor")
     assert said.status == 1
-    assert "MISSING  video in: ImportError: libav: cannot open shared object file" in said.out
+    assert "MISSING  OpenCV: ImportError: libGL: cannot open shared object file" in said.out
     assert phdtrack("doctor", "--json").object["ok"] is False
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import resource
 import shutil
@@ -11,6 +12,7 @@ import subprocess
 import sys
 import time
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -54,8 +56,7 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def given(clip: Path, out: Path, *more: str) -> list[str]:
-    learn = ["--set", "rates.kind=learned"]
-    return ["track", str(clip), "--out", str(out), "--checkpoint-every", "0.001", "--fps", "25", *learn, *more]
+    return ["track", str(clip), "--out", str(out), "--checkpoint-every", "0.001", "--fps", "25", *more]
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +90,7 @@ def same(out: Path, whole: Path) -> None:
         assert (out / name).read_bytes() == (whole / name).read_bytes(), name
     document, usual = (json.loads((folder / rundir.RUN).read_text()) for folder in (out, whole))
     assert document["complete"] is True
-    for key in ("frames", "tracks", "configuration", "rates", "summary"):
+    for key in ("frames", "tracks", "configuration", "summary"):
         if key in usual and key != "summary":
             assert document[key] == usual[key], key
 
@@ -139,6 +140,34 @@ def test_a_signal_finishes_what_was_done_and_the_rest_can_follow(
     assert len(list(open_source(out / rundir.VIDEO))) == 40
     assert phdtrack(*given(clip, out, "--resume")).status == 0
     same(out, whole)
+
+
+def test_the_status_names_the_signal_also_where_python_takes_it_for_another(tmp_path: Path) -> None:
+    """After an interrupt in a text that is executed, Python ends a module that is run with the status of SIGINT."""
+    (tmp_path / "ended.py").write_text(
+        "import os, signal\n"
+        "from phdtrack.cli import signals\n"
+        "signals.listen()\n"
+        "try:\n"
+        "    exec('os.kill(os.getpid(), signal.SIGTERM)\\nwhile True: pass')\n"
+        "except KeyboardInterrupt:\n"
+        "    signals.leave(signals.status())\n"
+    )
+    done = subprocess.run([sys.executable, "-m", "ended"], cwd=tmp_path, check=False)
+    assert done.returncode == 143
+
+
+def test_the_status_names_the_signal_while_the_command_line_is_read() -> None:
+    code = (
+        "import os, signal, sys\n"
+        "from phdtrack.cli import app\n"
+        "from typer import core\n"
+        "core.TyperCommand.parse_args = lambda *_: os.kill(os.getpid(), signal.SIGTERM)\n"
+        "sys.argv = ['phdtrack', 'track', 'a.mp4']\n"
+        "app.main()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr.strip().splitlines()[-1]) == (143, "phdtrack: stopped")
 
 
 def test_a_second_signal_ends_at_once(clip: Path, tmp_path: Path) -> None:
@@ -285,13 +314,20 @@ def test_a_checkpoint_of_another_run_is_refused(clip: Path, tmp_path: Path) -> N
     ended(given(clip, out), ("phdtrack.formats", "StatesWriter", "append", 50), "SIGKILL")
     assert "another seed" in refused(*given(clip, out, "--resume", "--seed", "3"))
     assert "another settings" in refused(*given(clip, out, "--resume", "--filter", "gm-phd"))
+
+    def other(**more: object) -> Callable[[bytes], bytes]:
+        return lambda held: zlib.compress(to_bytes({**from_bytes(zlib.decompress(held)), **more}))
+
+    knew = from_bytes(zlib.decompress((out / rundir.KNOWN).read_bytes()))["detector"]
+    damaged = ({"key": "{"}, {"key": "[1]"}, {"key": np.zeros(3)}, {"number": math.inf}, {"size": []})
     for change, words in (
         (lambda held: held[: len(held) // 2], "no checkpoint can be read"),
-        (
-            lambda held: zlib.compress(to_bytes({**from_bytes(zlib.decompress(held)), "number": 2})),
-            "does not fit|ends before",
-        ),
-        (lambda held: zlib.compress(to_bytes({**from_bytes(zlib.decompress(held)), "detector": {}})), "not that of this"),
+        (lambda held: zlib.compress(to_bytes(np.ones(3))), "no checkpoint can be read"),
+        *((other(**more), "no checkpoint can be read") for more in damaged),
+        (other(format=np.ones(3)), "of another version"),
+        (other(number=2), "does not fit|ends before"),
+        (other(detector={}), "not that of this"),
+        (other(detector=knew | {"_time": 1e300}), "not that of this"),
     ):
         held = (out / rundir.KNOWN).read_bytes()
         (out / rundir.KNOWN).write_bytes(change(held))
@@ -300,7 +336,9 @@ def test_a_checkpoint_of_another_run_is_refused(clip: Path, tmp_path: Path) -> N
         assert any(word in said.err for word in words.split("|")), said.err
         (out / rundir.KNOWN).write_bytes(held)
     with (out / rundir.LOG).open("rb") as log:
-        assert [value["number"] for _, value in blocks(log)][:3] == [1, 2, 3]
+        assert [value.get("number") for _, value in blocks(log)][:4] == [None, 1, 2, 3]
+    (out / rundir.LOG).write_bytes(2 * to_bytes(np.ones(3)))
+    assert "does not fit the source" in phdtrack(*given(clip, out, "--resume")).err
 
 
 def test_nothing_that_grows_is_read(clip: Path, tmp_path: Path) -> None:

@@ -66,7 +66,7 @@ def test_a_video(clip: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     said = phdtrack("track", clip, "--out", out, "--json")
     assert said.status == 0, said.err
-    assert {path.name for path in out.iterdir()} == FILES | {rundir.VIDEO}
+    assert {path.name for path in out.iterdir()} == FILES | {rundir.VIDEO, rundir.DETECTED}
     assert said.object["frames"] == 40
     assert len(list(open_source(out / rundir.VIDEO))) == 40
     assert len(read_tracks(out / rundir.TRACKS)) > 30
@@ -98,6 +98,16 @@ def test_boxes_outside_the_frame_are_left_out_and_told(tmp_path: Path) -> None:
     assert "1 of 81 boxes" in said.err
     assert "frame 7" in said.err
     assert said.object["detections"] == 80
+
+
+def test_detections_beyond_the_most_are_left_out_and_counted(sequence: Path, tmp_path: Path) -> None:
+    file, run = sequence / "det" / "det.txt", tmp_path / "run"
+    said = phdtrack("track", "--detections", file, "--out", run, "--filter", "none", "--max-detections", 1)
+    assert said.status == 0
+    left_out = json.loads((run / "run.json").read_text())["boxes_left_out"]
+    frames = [line.split(",")[0] for line in file.read_text().splitlines()]
+    assert {reason: count for reason, count in left_out.items() if count} == {"surplus": len(frames) - len(set(frames))}
+    assert f"{left_out['surplus']} boxes left out: a frame has more than limits.max_detections" in said.err
 
 
 def test_an_empty_file_of_detections_is_an_empty_run(tmp_path: Path) -> None:

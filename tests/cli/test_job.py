@@ -17,7 +17,7 @@ import pytest
 from phdtrack.associate.graph import GraphMatching
 from phdtrack.classes import Kinds
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.inputs import DEPTH, Inputs
+from phdtrack.cli.inputs import DEPTH, Inputs, expected
 from phdtrack.cli.job import Job, Outcome, detections_needed, run
 from phdtrack.config import build, load
 from phdtrack.errors import InputError
@@ -48,8 +48,15 @@ class Clip:
     once: bool = False
     problem: str = ""
     note: str = ""
+    share: float = 0.0
+    announced: int = 0
     info: SequenceInfo = INFO
     passes: int = 0
+
+    @staticmethod
+    def sample(_: int) -> Iterator[Frame]:
+        """It cannot jump."""
+        return iter(())
 
     def __iter__(self) -> Iterator[Frame]:
         self.passes += 1
@@ -237,3 +244,25 @@ def test_the_object_that_is_tried_moves(rate: float) -> None:
     """One that stands from its first frame on may be a false alarm that lasts: the note would warn of every run."""
     info = SequenceInfo(768, 576, rate)
     assert 1 <= detections_needed(build(load(), info), info, (40.0, 100.0)) <= 5
+
+
+@pytest.mark.parametrize(
+    ("frames", "announced", "share", "done", "total", "estimated"),
+    [
+        (300, 0, 0.0, 20, 300, False),
+        (0, 795, 0.001, 1, 795, False),
+        # A key frame of many bytes, and a scene that grows calm: the header holds.
+        (0, 795, 0.2, 20, 795, False),
+        (0, 795, 0.6, 350, 795, False),
+        # Cut in the middle; more frames than announced; no header.
+        (0, 795, 0.5, 200, 400, True),
+        (0, 795, 0.5, 900, 1800, True),
+        (0, 0, 0.01, 8, None, False),
+        (0, 0, 0.1, 80, 800, True),
+    ],
+)
+def test_the_end_of_a_bar(frames: int, announced: int, share: float, done: int, total: int | None, estimated: bool) -> None:
+    """What the file tells, as long as it does not contradict what was read of it; what is estimated is called so."""
+    source = Clip(info=replace(INFO, frames=frames), share=share, announced=announced)
+    said = expected(source, done, "detecting")
+    assert (said["total"], "estimated" in said["description"]) == (total, estimated)

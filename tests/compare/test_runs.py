@@ -14,9 +14,10 @@ from compare_cases import FRAMES, planned, sequence, small
 import phdtrack
 from phdtrack.compare import run, runs, steps
 from phdtrack.compare.plans import Run
-from phdtrack.compare.runs import Failed, RunResult, read_about, run_input
+from phdtrack.compare.runs import RunResult, read_about, run_input
 from phdtrack.formats import read_detections, read_tracks, read_truth
 from phdtrack.metrics import evaluate
+from phdtrack.parallel import Failed
 
 
 def deciding(folder: Path) -> dict[str, object]:

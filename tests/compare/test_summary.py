@@ -11,9 +11,10 @@ from compare_cases import small
 
 from phdtrack.compare import Comparison, run, summary
 from phdtrack.compare.results import Results
-from phdtrack.compare.runs import Failed, RunResult
+from phdtrack.compare.runs import RunResult
 from phdtrack.compare.statistics import Row, interval
 from phdtrack.metrics import Scores, pool
+from phdtrack.parallel import Failed
 
 
 @pytest.fixture(scope="module")

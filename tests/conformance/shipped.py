@@ -123,7 +123,6 @@ FILTERS = {
     "bounded": ParticlePHD(particles_per_target=200, max_particles=150),
     "skipping": ParticlePHD(particles_per_target=200, skip_empty_frames=True),
     "started": ParticlePHD(particles_per_target=200, initial=mixture(6)),
-    "newborn apart": ParticlePHD(particles_per_target=200, newborn_apart=True),
     "gm-phd": GMPHD(),
     "gm-phd, started": GMPHD(initial=mixture(6), max_components=20, skip_empty_frames=True),
     "gm-cphd": GMCPHD(),

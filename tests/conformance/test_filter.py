@@ -15,6 +15,7 @@ from phdtrack.filters.hypotheses import Hypotheses
 from phdtrack.filters.pmb import Bernoullis
 from phdtrack.protocols import Filter
 from phdtrack.types import GaussianMixture, ParticleBlocks
+from views import mixture_of
 
 STARTED = ParticlePHD | GMPHD | ParticleCPHD | GMCPHD | MCMC | PMBM | PMB
 pytestmark = pytest.mark.parametrize("filter_", FILTERS.values(), ids=FILTERS)
@@ -23,7 +24,7 @@ pytestmark = pytest.mark.parametrize("filter_", FILTERS.values(), ids=FILTERS)
 def intensity(state):
     """The intensity alone of what a filter carries."""
     if isinstance(state, Bernoullis):
-        return state.mixture()
+        return mixture_of(state)
     if isinstance(state, Hypotheses):
         return GaussianMixture(state.probability * state.leaves.r, state.leaves.mean.T.copy(), state.leaves.covariance)
     return state.intensity if isinstance(state, Cardinalised) else state

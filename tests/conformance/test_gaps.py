@@ -39,7 +39,7 @@ def test_the_count_after_a_gap_is_right(kind: str, gap: float) -> None:
 
 
 WORLDS = {
-    "learned rates": {"rates": {"kind": "learned"}},
+    "scores": {"rates": {"kind": "scores"}},
     "ground": {"motion": {"kind": "plane"}, "sensor": {"scaling": "fixed", "fixed_noise": 1.0}},
 }
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phdtrack.detect.convert import as_detections
+from phdtrack.detect.convert import as_detections, doubtful
 from phdtrack.errors import InputError
 from phdtrack.types import Detections
 
@@ -37,6 +37,56 @@ def test_objects() -> None:
     assert (found.confidence[0], found.class_id[0]) == (0.5, 2)
     ours = Detections.of(box)
     assert as_detections(ours) is ours
+
+
+class Tensor:
+    """Like torch's on a GPU with gradients: NumPy cannot read it before it is detached, copied, and of a usual type."""
+
+    def __init__(self, values: Any, there: bool = False) -> None:
+        self._values, self._there = values, there
+
+    def detach(self) -> Tensor:
+        return self
+
+    def cpu(self) -> Tensor:
+        return Tensor(self._values, True)
+
+    def double(self) -> Any:
+        assert self._there
+        return np.array(self._values, np.float64)
+
+    def __array__(self, *_: Any, **__: Any) -> Any:
+        raise TypeError("can't convert cuda:0 device type tensor to numpy")
+
+
+@pytest.mark.parametrize("wrapped", [lambda whole: whole, lambda whole: [whole], lambda whole: (whole,)])
+def test_a_whole_result_of_ultralytics(wrapped: Any) -> None:
+    inner = SimpleNamespace(xyxy=Tensor([[0, 1, 10, 20]]), conf=Tensor([0.5]), cls=Tensor([2.0]))
+    found = as_detections(wrapped(SimpleNamespace(boxes=inner, obb=None, names={2: "car"})))
+    assert found.xyxy.tolist() == [[0, 1, 10, 20]]
+    assert (found.confidence[0], found.class_id[0]) == (0.5, 2)
+    empty = SimpleNamespace(xyxy=Tensor(np.zeros((0, 4))), conf=Tensor([]), cls=Tensor([]))
+    assert len(as_detections(wrapped(SimpleNamespace(boxes=empty, obb=None)))) == 0
+    with pytest.raises(InputError, match="oriented"):
+        as_detections(wrapped(SimpleNamespace(boxes=None, obb=inner)))
+
+
+@pytest.mark.parametrize(
+    ("box", "words"),
+    [
+        ([-9, 5, 0, 9], "1 of 2 boxes lie outside of the frame of 640x480 pixels"),
+        ([10, 480, 20, 500], "1 of 2 boxes lie outside"),
+        ([-9, -9, 1, 1], ""),
+    ],
+)
+def test_boxes_outside_of_the_frame(box: list[float], words: str) -> None:
+    assert doubtful(as_detections([[100, 100, 120, 140], box]), (640, 480)).startswith(words)
+    assert doubtful(as_detections([[100, 100, 120, 140], box]), (0, 0)) == ""
+
+
+def test_boxes_in_shares_of_the_frame() -> None:
+    assert "not shares of its size" in doubtful(as_detections([[0.1, 0.2, 0.3, 0.9]]), (640, 480))
+    assert doubtful(as_detections([]), (640, 480)) == ""
 
 
 @pytest.mark.parametrize("nothing", [[], (), np.zeros((0, 4)), np.zeros((0, 6)), np.zeros(0), boxes(np.zeros((0, 4)))])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
+
 import cv2
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from detect_scenes import Scene
 from phdtrack.arrays import iou
 from phdtrack.detect import make_detector
 from phdtrack.detect.change import ChangeDetector, MeanBackgroundDetector
+from phdtrack.detect.registry import knowledge, restore
 from phdtrack.devices import Detector
 from phdtrack.errors import InputError
 from phdtrack.types import Detections, Frame, Image
@@ -163,3 +166,20 @@ def test_what_flies_past_once_leaves_no_ghost(rng: np.random.Generator) -> None:
             image = (image * (1 - blot) + 130 * blot).astype(np.uint8)
         found.append(len(detector(Frame(number, number / 25, image))))
     assert sum(found[160:169]) == 0
+
+
+@pytest.mark.parametrize("name", ["change", "mean-background"])
+def test_what_it_has_learned_goes_on_in_another_one(rng: np.random.Generator, name: str) -> None:
+    images = rng.integers(80, 90, (80, 60, 80, 3), dtype=np.uint8)
+    for k, image in enumerate(images):
+        image[20:40, k % 60 : k % 60 + 12] = 200
+    frames = [Frame(k + 1, k / 25, image) for k, image in enumerate(images)]
+    first, second = build(name), build(name)
+    for frame in frames[:60]:
+        first(frame)
+    # A copy: some arrays are changed in place.
+    restore(second, deepcopy(knowledge(first)), frames[60])
+    boxes = [(first(frame).xyxy, second(frame).xyxy) for frame in frames[60:]]
+    assert sum(map(len, (before for before, _ in boxes))) >= 10
+    for before, after in boxes:
+        np.testing.assert_array_equal(after, before)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from phdtrack.detect.components import BlobSettings
+from phdtrack.detect.components import BlobSettings, Heights
 from phdtrack.detect.convert import as_detections
 from phdtrack.types import Image
 
@@ -70,3 +70,32 @@ def test_one_behind_the_other_is_not_joined() -> None:
     assert len(BlobSettings(join=0.15).detections(slender)) == 2
     beside = mask_of((40, 20, 60, 60), (70, 20, 90, 60))
     assert len(BlobSettings(join=0.15).detections(beside)) == 2
+
+
+def boxes_on_the_ground(rng: np.random.Generator, count: int) -> np.ndarray:
+    """(N, 4) boxes of height 20 at row 100 of 400 and 80 at row 380, a sixth of them cut, in columns of their own."""
+    foot, left = rng.uniform(100, 380, count), 30.0 + 40 * np.arange(count)
+    height = 20 * 4 ** ((foot - 100) / 280) * rng.normal(1, 0.08, count)
+    height[: count // 6] *= 0.4
+    return np.stack([left, foot - height, left + 20, foot], axis=1)
+
+
+def test_components_teach_how_high_objects_are_where(rng: np.random.Generator) -> None:
+    shape, found = (400, 1000), [boxes_on_the_ground(rng, 20) for _ in range(5)]
+    usual = Heights.learned(found, shape)
+    assert usual is not None
+    np.testing.assert_allclose([usual.at(100), usual.at(240), usual.at(380)], [20, 40, 80], rtol=0.12)
+    # Fragments of one body, and what the border cuts, teach nothing.
+    fragments = np.array([[10, 300, 30, 318], [10, 324, 30, 342], [400, 380, 420, 400]], np.float64)
+    assert Heights.learned([*found, *[fragments] * 60], shape) == usual
+    assert Heights.learned([one[:3] for one in found[:3]], shape) is None
+    left, foot = 30.0 + 40 * np.arange(20), np.full(20, 380.0)
+    anything = [np.stack([left, foot - high, left + 20, foot], axis=1) for high in (9, 300)]
+    assert Heights.learned(anything, shape) is None
+
+
+def test_two_that_stand_one_behind_the_other_are_not_one_where_heights_are_known() -> None:
+    contours = BlobSettings().components(mask_of((60, 20, 92, 60), (60, 68, 92, 110)))
+    assert len(BlobSettings().boxes(contours, (144, 192))) == 1
+    assert len(BlobSettings().boxes(contours, (144, 192), Heights(np.log(90.0), 0.0))) == 1
+    assert len(BlobSettings().boxes(contours, (144, 192), Heights(np.log(45.0), 0.0))) == 2

@@ -11,9 +11,9 @@ import pytest
 
 from phdtrack.arrays import iou
 from phdtrack.detect import DETECTORS, detector_parameters, make_detector
-from phdtrack.detect.registry import Masked, Rescaled
+from phdtrack.detect.registry import Masked, Rescaled, working_width
 from phdtrack.errors import InputError
-from phdtrack.types import Detections, Frame
+from phdtrack.types import Detections, Frame, SequenceInfo
 
 
 @dataclass
@@ -143,3 +143,12 @@ def test_every_name_makes_a_detector_and_every_parameter_is_taken(name: str) -> 
 def test_what_is_wrong_is_named(name: str, parameters: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
         make_detector(name, **parameters)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("size", "width"), [((3840, 2160), 640), ((1920, 1080), 640), ((1080, 1920), 360), ((960, 540), 0), ((768, 576), 0)]
+)
+def test_the_working_width_is_chosen_from_the_video(size: tuple[int, int], width: int) -> None:
+    info = SequenceInfo(*size, 25.0)
+    assert [working_width(name, None, info) for name in ("change", "mog2", "person")] == [width, width, 0]
+    assert [working_width("change", given, info) for given in (0, 320)] == [0, 320]

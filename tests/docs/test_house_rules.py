@@ -22,10 +22,10 @@ SOURCES = ROOT / "src" / "phdtrack"
 MODULES = sorted(SOURCES.rglob("*.py"))
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
-MAX_LINES, MAX_FILES, MAX_TOP_LEVEL = 38_600, 190, 10
+MAX_LINES, MAX_FILES, MAX_TOP_LEVEL = 40_400, 192, 10
 MAX_FILE, MIN_FILE, MAX_FUNCTION = 500, 60, 60
 MAX_PARAMETERS, MAX_KERNEL_PARAMETERS = 8, 10
-MAX_TEST_LINES = 30_100
+MAX_TEST_LINES = 32_800
 MAX_LOADED_MODULES, MAX_LOADED_LINES = 90, 11_550
 
 
@@ -163,9 +163,10 @@ def test_no_function_takes_many_parameters() -> None:
     check("many parameters", found)
 
 
-def test_public_functions_say_what_goes_in_and_what_comes_back() -> None:
+def test_public_functions_say_what_goes_in() -> None:
     """Kernels and the command line are no part of the public library: their records and options say what goes in.
 
+    What comes back the first line of a docstring says; a section Returns is for what that line does not hold.
     The arguments of a method of a protocol are described there, once for all that implement it.
     """
     methods = (part for part in functions() if part.path.name == "protocols.py")
@@ -173,12 +174,10 @@ def test_public_functions_say_what_goes_in_and_what_comes_back() -> None:
     found = []
     for part in functions():
         if part.public and len(parameters(part.node)) >= 3 and not {"kernels", "cli"} & set(part.path.parts):
-            text, returns = ast.get_docstring(part.node) or "", part.node.returns
-            silent = returns is None or ast.unparse(returns) == "None"
             implements = (part.node.name, *(one.arg for one in parameters(part.node))) in described
             if implements and part.path.name != "protocols.py":
                 continue
-            if "Parameters\n-----" not in text or not (silent or re.search("(Returns|Yields)\n-----", text)):
+            if "Parameters\n-----" not in (ast.get_docstring(part.node) or ""):
                 found.append(part.place)
     check("no sections", found)
 
@@ -255,7 +254,9 @@ def test_constraints_hold_everything_that_is_needed() -> None:
     pinned = {canonicalize_name(line.partition("==")[0]) for line in CONSTRAINTS[0].read_text(encoding="utf-8").splitlines()}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     wanted = asked(project["project"]["dependencies"]) | asked(project["build-system"]["requires"])
-    wanted |= asked(project["project"]["optional-dependencies"]["dev"])
+    # Of the extras paho-mqtt and Ray are not here: the tests of one have a stand-in, those of the other skip without it.
+    for extra in project["project"]["optional-dependencies"].values():
+        wanted |= asked(extra) - {"phdtrack", "paho-mqtt", "ray"}
     for name in pinned - {"trackeval", "colorama"}:
         wanted |= asked(metadata.requires(name) or ())
     assert wanted - pinned == set()

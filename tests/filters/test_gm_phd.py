@@ -1,4 +1,4 @@
-"""Laws of the GM-PHD filter: the Kalman filter of one target, the printed update, mass, gates, tags."""
+"""Laws of the GM-PHD filter: the Kalman filter of one target, the printed update, mass, gates."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from phd_cases import FRAME, NoBirth, world
+from phd_cases import NoBirth, world
 
-from composed import composed_step, drawn
-from phdtrack.filters import GMCPHD, GMPHD, ParticlePHD
+from composed import drawn
+from phdtrack.filters import GMCPHD, GMPHD
 from phdtrack.models import (
     BoxClutter,
     BoxMotion,
@@ -150,94 +150,3 @@ def test_births_stop_where_mass_explains_the_detection(rng):
         for info in (GMPHD().update(state, z, model, 1.0, rng)[1], GMPHD().step(state, z, model, 1.0, rng)[1]):
             assert (info.mass_born > 0) == born
             assert info.mass_born < 0.1
-
-
-@pytest.mark.parametrize("kind", [GMPHD, ParticlePHD])
-def test_newborn_that_are_kept_apart_are_those_that_a_frame_shows(kind, rng):
-    """Among false alarms without number: of those that were there what was missed is left, and of newborn nothing [R12]."""
-    model = replace(
-        LINEAR,
-        sensor=BoxSensor(detection_probability=0.7, scaling="fixed"),
-        birth=MeasurementBirth(births_per_detection=2.5),
-        clutter=UniformClutter(1e30, 1.0),
-    )
-    before = GaussianMixture(np.ones(1), MEAN[:, None], COV[None])
-    z = np.array([[100.0], [100], [50], [90]])
-    apart, mixed = (
-        kind(newborn_apart=one, initial=before).update(kind(initial=before).start(model, rng), z, model, 25.0, rng)[0].mass
-        for one in (True, False)
-    )
-    assert apart == pytest.approx(0.3, rel=1e-6)
-    assert mixed > 0.3001
-
-
-def test_what_is_kept_apart_is_seen_for_sure(rng):
-    """One detection, one newborn: its mass is γ/(κ + γ) there, p_D does not come into it."""
-    frames = []
-    for p_detect in (0.5, 1.0):
-        sensor, birth = BoxSensor(detection_probability=p_detect, scaling="fixed"), MeasurementBirth(0.1, frame_size=FRAME)
-        model = replace(LINEAR, sensor=sensor, birth=birth, clutter=UniformClutter(1.0, 640.0**4))
-        z, step = np.array([[100.0], [100], [50], [90]]), GMPHD(newborn_apart=True)
-        frames.append(step.update(step.start(model, rng), z, model, 1.0, rng)[0].mass)
-    assert frames[0] == frames[1] > 0
-
-
-def walking(k: int) -> np.ndarray:
-    """(4, 2) two people who pass each other at some distance."""
-    return np.array([[100 + 6.0 * k, 150, 40, 100], [520 - 6.0 * k, 330, 44, 110]]).T
-
-
-@pytest.mark.parametrize("general", [False, True])
-def test_a_target_keeps_its_tag(general: bool, rng):
-    """Through misses and false alarms, in both forms; every target has one of its own, and none is given twice."""
-    model = Model(
-        BoxMotion(frame_size=FRAME),
-        BoxSensor(detection_probability=0.9),
-        MeasurementBirth(births_per_detection=0.25),
-        BoxClutter(0.3),
-    )
-    recursion, known = GMPHD(), []
-    state = recursion.start(model, rng)
-    for k in range(60):
-        z = walking(k) + rng.normal(0, 1, (4, 2))
-        false = rng.uniform([0, 0, 25, 60], [*FRAME, 60, 130], (2, 4)).T
-        z = np.hstack([z[:, rng.random(2) < 0.92], false])
-        before = state
-        state, _ = (
-            composed_step(recursion, state, z, model, 1.0, rng) if general else recursion.step(state, z, model, 1.0, rng)
-        )
-        given = np.setdiff1d(state.tag, before.tag)
-        assert (given >= before.fresh).all()
-        assert (state.tag < state.fresh).all()
-        heavy = state.tag[state.weight >= 0.5]
-        assert len(set(heavy.tolist())) == len(heavy)
-        near = [np.abs(state.mean[:2] - x[:2, None]).max(0) < 20 for x in walking(k).T]
-        known.append([set(state.tag[n & (state.weight >= 0.5)].tolist()) for n in near])
-    for target in range(2):
-        later = [tags[target] for tags in known[8:] if tags[target]]
-        assert len(later) > 45
-        assert set.intersection(*later), "one tag all along"
-    assert not known[-1][0] & known[-1][1]
-
-
-def test_two_targets_out_of_one_gaussian_are_told_apart(rng):
-    """A Gaussian of weight two that two measurements part: the heavier keeps the tag, the other is given a new one."""
-    state = GaussianMixture(np.array([2.0]), MEAN[:, None], COV[None] * 16, np.array([4]), 9)
-    model = with_no_births(replace(LINEAR, clutter=UniformClutter(1.0, 1e12)))
-    z = np.array([[-8.0, 9.0], [0, 0], [0, 0], [0, 0]]) + MEAN[ROWS, None]
-    for after, _ in (GMPHD().step(state, z, model, 0.5, rng), composed_step(GMPHD(), state, z, model, 0.5, rng)):
-        assert after.fresh == 10
-        np.testing.assert_array_equal(after.tag[np.argsort(-after.weight)], [4, 9])
-    light, _ = GMPHD(split_weight=1.5).step(state, z, model, 0.5, rng)
-    np.testing.assert_array_equal(light.tag, [4, 4])
-
-
-def test_what_comes_without_tags_is_given_some(rng):
-    recursion, model = GMPHD(initial=nearby(rng, 5), weight_threshold=0.0, merge_distance=0.0), world()
-    np.testing.assert_array_equal(recursion.start(model, rng).tag, range(5))
-    again = replace(recursion, initial=recursion.start(model, rng)).start(model, rng)
-    assert (again.tag.tolist(), again.fresh) == (list(range(5)), 5)
-    bare = nearby(rng, 5)
-    for state in (recursion.predict(bare, model, 1.0, rng), recursion.update(bare, NOTHING, model, 1.0, rng)[0]):
-        np.testing.assert_array_equal(np.sort(state.tag), range(5))
-    assert recursion.reduce(bare, rng).fresh == 5

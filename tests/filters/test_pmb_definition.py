@@ -17,6 +17,7 @@ from phdtrack.kernels.pmb import CERTAIN, HYPOTHESIS, TARGET, Layer
 from phdtrack.models.clutter import ScoredClutter
 from phdtrack.types import GaussianMixture
 from reference import pmb_twin as twin
+from views import mixture_of
 
 H = np.eye(6)[[0, 1, 4, 5]]
 SETTINGS = {
@@ -104,4 +105,4 @@ def test_the_update_is_its_definition(seed: int, name: str):
     np.testing.assert_allclose(info.clutter_probability, false, rtol=1e-8)
     assert info.mass_predicted == pytest.approx(0.5 * sum(r for r, _ in targets) + info.mass_born)
     assert info.mass == pytest.approx(after.mass)
-    assert info.mass == pytest.approx(after.mixture().weight.sum())
+    assert info.mass == pytest.approx(mixture_of(after).weight.sum())

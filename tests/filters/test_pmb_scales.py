@@ -15,6 +15,7 @@ from phdtrack.errors import InputError
 from phdtrack.filters import PMB
 from phdtrack.kernels.gaussian import all_gated
 from phdtrack.types import GaussianMixture
+from views import mixture_of
 
 MEAN, COV = np.array([300.0, 200, 2, 1, 40, 80]), np.diag([9.0, 9, 4, 4, 9, 9])
 # One target that is there for certain, always detected, and followed without births.
@@ -72,7 +73,7 @@ def test_one_target_has_the_scales_of_its_innovations_and_the_state_of_the_kalma
         np.testing.assert_allclose(c, (start + total) / (start + 2 * 40), rtol=1e-9)
     np.testing.assert_allclose(found.state[:, 0], mean, rtol=1e-9, atol=1e-9)
     root = np.sqrt(c.repeat([4, 2]))
-    for said in (found.covariance[0], state.mixture().covariance[0]):
+    for said in (found.covariance[0], mixture_of(state).covariance[0]):
         np.testing.assert_allclose(said, root[:, None] * cov * root, rtol=1e-8, atol=1e-9)
 
 

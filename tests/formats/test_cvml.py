@@ -54,7 +54,7 @@ def test_another_first_frame(tmp_path: Path) -> None:
         (("</objectlist>\n    <grouplist>", "\n    <grouplist>"), 11, "XML, which breaks here: mismatched tag"),
         (("</dataset>\n", ""), 14, "XML, which breaks here"),
         (('<frame number="1"><objectlist/>', '<box h="1" w="1" xc="1" yc="1"/><frame number="1">'), 12, "came one outside"),
-        (("dataset", "Camera"), 2, "outermost element is <dataset>, came <Camera>"),
+        (("dataset", "Camera"), 2, "outermost element is <dataset> or <annotations>, came <Camera>"),
     ],
 )
 def test_the_message_names_the_line(tmp_path: Path, change: tuple[str, str], line: int, words: str) -> None:

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from inner_kernels import from_python
 from phdtrack.kernels.gaussian import gaussian_parts
-from phdtrack.kernels.gm_merge import Merging, Rows, descending, merged_rows, parted
+from phdtrack.kernels.gm_merge import Merging, Rows, descending, merged_rows
 from reference import gm_twin as twin
 
-descending, parted = from_python(descending, parted)
+(descending,) = from_python(descending)
 
 weights = st.lists(st.one_of(st.floats(0, 3), st.sampled_from([0.0, 0.5, 1.0, 1e-300, 5e-324, 1e300])), max_size=60)
 
@@ -39,14 +39,9 @@ def same(found, expected) -> None:
 
 
 def kernel(weight, mean, cov, prune, distance, most, redistribute):
-    return tagging(weight, mean, cov, np.arange(len(weight)), prune, distance, most, redistribute, len(weight))[:3]
-
-
-def tagging(weight, mean, cov, tag, prune, distance, most, redistribute, fresh, split=0.5):
     mass = weight.sum() if redistribute else -1.0
-    axes = tuple(range(len(mean)))
-    rows = Rows(weight, np.ascontiguousarray(mean.T), cov, tag)
-    return merged_rows(rows, axes, Merging(prune, distance, most, split, redistribute), mass, fresh)
+    rows = Rows(weight, np.ascontiguousarray(mean.T), cov)
+    return merged_rows(rows, tuple(range(len(mean))), Merging(prune, distance, most, redistribute), mass)
 
 
 @pytest.mark.parametrize("d", [2, 4, 6])
@@ -111,34 +106,6 @@ def test_means_that_are_no_numbers_are_refused(bad: float):
     mean[1, 1] = bad
     with pytest.raises(ValueError, match="finite"):
         kernel(np.ones(3), mean, np.tile(np.eye(6), (3, 1, 1)), 0.0, 2.0, 0, False)
-
-
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("distance", [0.0, 2.0, 5.0])
-def test_a_union_has_the_tag_of_its_strongest(seed: int, distance: float):
-    rng = np.random.default_rng(seed)
-    w, mean, cov = mixture(rng, 60, 4, 60.0)
-    tag = rng.permutation(60)
-    found = tagging(w, mean, cov, tag, 1e-5, distance, 9, False, 60)
-    assert found[4] == 60, "no two shared one"
-    printed = twin.merge(w[w >= 1e-5], mean[:, w >= 1e-5], cov[w >= 1e-5], distance, tag[w >= 1e-5])
-    expected = {round(weight, 12): t for weight, t in zip(printed[0], printed[3], strict=True)}
-    assert [expected[round(weight, 12)] for weight in found[0]] == found[3].tolist()
-
-
-weights_and_tags = st.lists(st.tuples(st.sampled_from([0.0, 0.1, 0.5, 0.7, 1.0, 2.5]), st.integers(0, 9)), max_size=40)
-
-
-@given(weights_and_tags, st.sampled_from([0.0, 0.5, 3.0]))
-@settings(max_examples=100, deadline=None)
-def test_the_heaviest_of_those_that_share_a_tag_keeps_it(pairs, split):
-    weight = np.array([w for w, _ in pairs], dtype=np.float64)
-    before = np.array([t for _, t in pairs], dtype=np.int64)
-    tag = before.copy()
-    fresh = parted(weight, tag, split, 100)
-    changed = tag != before
-    np.testing.assert_array_equal(changed, twin.parted(weight, before, split))
-    assert sorted(tag[changed]) == list(range(100, fresh))
 
 
 seeds = st.integers(0, 2**32 - 1)

@@ -80,7 +80,7 @@ def test_frames_by_mouse(it, store):
         # Inside the first box lies a small one: that is what a click means; and one more elsewhere.
         it.click(56, 56)
         it.click(200, 60)
-        it.page.click("#next")
+        it.page.click("#done")
     it.kept()
     assert "2 of 40 frames · 4 false · 0 births" in it.page.inner_text("#progress")
     found = {(label.frame, label.box) for label in store.labels()}
@@ -99,6 +99,52 @@ def test_forty_frames_by_keyboard(it, store):
     del expected[1, 2]
     assert marks == expected
     assert store.progress().done == FRAMES
+
+
+@pytest.mark.parametrize("width", [390, 800])
+def test_a_narrow_window_has_the_picture_above_the_buttons(it, width: int):
+    it.frame(1)
+    it.page.set_viewport_size({"width": width, "height": 844})
+    assert it.page.evaluate("document.documentElement.scrollWidth") <= width
+    picture, button = (it.page.locator(name).bounding_box() for name in ("#canvas", "#done"))
+    assert picture["width"] == width
+    assert picture["height"] > 300
+    assert button["y"] > picture["y"] + picture["height"]
+
+
+def test_only_enter_finishes_a_frame_and_undo_takes_it_back(it, store):
+    press = it.page.keyboard.press
+    for key, number in (("ArrowRight", 2), ("ArrowRight", 3), ("ArrowLeft", 2)):
+        press(key)
+        it.frame(number)
+    it.page.click("#next")
+    it.frame(3)
+    it.kept()
+    assert store.progress().done == 0
+    it.click(200, 60)
+    press("Enter")
+    it.frame(4)
+    it.kept()
+    assert dict(store.frames())[3]
+    # Nothing was done on the next frame: what is undone is the finish, and the page shows where.
+    press("z")
+    it.frame(3)
+    it.page.wait_for_selector('#progress:text-matches("^0 of 40 frames · 1 false")')
+    it.kept()
+    assert (store.progress().done, store.labels()) == (0, [Label(3, 1, "false")])
+    assert "done" not in it.page.locator("#frames button").nth(2).get_attribute("class")
+    press("y")
+    it.page.wait_for_selector('#progress:text-matches("^1 of 40 frames")')
+    # Another day it is the last that was done on that frame, before its marks.
+    it.page.reload()
+    it.ready()
+    for _ in range(2):
+        press("ArrowRight")
+    it.frame(3)
+    press("z")
+    it.page.wait_for_selector('#progress:text-matches("^0 of 40 frames · 1 false")')
+    press("z")
+    it.page.wait_for_selector('#progress:text-matches("^0 of 40 frames · 0 false")')
 
 
 def test_undo_lasso_and_all_like_this(it, store):

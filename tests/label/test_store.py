@@ -1,6 +1,8 @@
+import sqlite3
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 
 import pytest
 
@@ -51,6 +53,27 @@ def test_frames_come_in_their_order_and_progress_counts(store):
     progress = store.progress()
     assert (progress.done, progress.frames, progress.false, progress.births) == (1, 3, 2, 1)
     store.finish(10, done=False)
+    assert store.progress().done == 0
+
+
+def test_that_a_frame_is_done_is_undone_and_redone_in_turn_with_its_marks(store):
+    store.mark(10, false(10, 1))
+    store.finish(10)
+    assert store.steps(10) == (2, 0)
+    store.undo(10)
+    assert (store.progress().done, store.labels()) == (0, false(10, 1))
+    store.redo(10)
+    assert store.frames() == [(30, False), (10, True), (20, False)]
+    for _ in range(2):
+        store.undo(10)
+    assert (store.progress().done, store.labels()) == (0, [])
+
+
+def test_a_frame_that_was_done_in_an_earlier_file_is_done(store):
+    with closing(sqlite3.connect(store.path)) as db, db:
+        db.execute("UPDATE frame SET done = 1 WHERE number = 20")
+    assert store.frames() == [(30, False), (10, False), (20, True)]
+    store.finish(20, done=False)
     assert store.progress().done == 0
 
 

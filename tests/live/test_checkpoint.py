@@ -14,7 +14,7 @@ import pytest
 from phdtrack.config import build_kinds, load
 from phdtrack.live.checkpoint import LOST, NAME
 from phdtrack.live.engine import Camera, CameraSettings, Making
-from phdtrack.live.events import Watch
+from phdtrack.live.events import Count, Watch, WatchState
 from phdtrack.live.sources import LiveFrame, SourceStatus
 from phdtrack.live.zones import Place
 from phdtrack.types import Detections, SequenceInfo
@@ -83,6 +83,11 @@ def test_who_is_there_when_it_is_killed_goes_on(tmp_path: Path, delay: int) -> N
     assert second.watched[1].counts[0].entered + second.watched[1].counts[0].left == 1
     assert second.maps is not None
     assert second.maps.people.sum() > 20
+    # 20 frames before and 12 after; somebody is confirmed in nearly all of them.
+    assert sum(minute.frames for minute in second.minutes) == 32 - delay
+    assert sum(minute.mean * minute.frames for minute in second.minutes) == pytest.approx(
+        sum(row["confirmed"] == "1" for row in rows(tmp_path))
+    )
     # Somebody else, later: identities that the killed run may have given are left out.
     show(second, [0] * 60 + [20 + 3 * k for k in range(12)], START + 2.4, 12)
     assert second.stop(10.0)
@@ -105,7 +110,8 @@ def test_after_an_end_in_order_identities_go_on_without_a_gap(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(("what", "says"), [
-    ("damaged", "cut off or changed"), ("settings", "another settings"), ("state", "lanes"), ("missing", ""),
+    ("damaged", "cut off or changed"), ("settings", "another settings"), ("state", "lanes"), ("huge", "too large"),
+    ("time", "do not fit"), ("missing", ""),
 ])  # fmt: skip
 def test_what_cannot_be_used_is_said_and_identities_are_new(tmp_path: Path, what: str, says: str) -> None:
     first = run(tmp_path)
@@ -114,6 +120,11 @@ def test_what_cannot_be_used_is_said_and_identities_are_new(tmp_path: Path, what
         assert first._tracker is not None
         saved = first._tracker.state_dict() | {"lanes": []}
         first._tracker.snapshot = lambda: lambda: saved  # type: ignore[method-assign]
+    if what == "time":
+        # The maps of a time that comes in 10^9 years: they would fade backwards.
+        first.maps.time = 3e16
+    if what == "huge":
+        first.watched = (first.watched[0], WatchState({}, (Count(seconds=10**400),)))
     crashed(first)
     file = tmp_path / NAME
     if what == "damaged":

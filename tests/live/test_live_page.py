@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from camera_server import CameraServer, until, walker
+from camera_server import CameraServer, Scripted, until, walker
 from starlette.testclient import TestClient
 
 from phdtrack.config import build_kinds, load
@@ -130,6 +130,26 @@ def test_prometheus_can_read_the_numbers(page: TestClient, camera: Camera) -> No
             float(line.rpartition(" ")[2])
 
 
+def test_boxes_that_were_not_used_are_counted(tmp_path: Path) -> None:
+    def make(info: SequenceInfo) -> Making:
+        found = Detections.of(np.array([[40.0, 30, 64, 94], [90, 30, 114, 94], [5, 5, 5, 5]]))
+        return Making(lambda frame: found, build_kinds(load(None, ["limits.max_detections=1"]), info), info)
+
+    one = Camera("gate", source := Scripted(last=20), make, CameraSettings(tmp_path, video=0))
+    page = TestClient(live_app([one]))
+    assert page.get("/api/camera/gate").json()["boxes_left_out"]["surplus"] == 0
+    one.start()
+    until(lambda: source.through == 20)
+    assert one.stop(60.0)
+    left_out = page.get("/api/camera/gate").json()["boxes_left_out"]
+    assert {reason: count for reason, count in left_out.items() if count} == {"empty": one.frames, "surplus": one.frames}
+    assert one.frames > 0
+    assert (
+        f'phdtrack_boxes_left_out_total{{camera="gate",reason="surplus"}} {one.frames}'
+        in page.get("/metrics").text.splitlines()
+    )
+
+
 @pytest.mark.parametrize(
     "path", ["/picture/no.jpg", "/map/gate/faces.jpg", "/api/camera/no", "/api/camera/no/minutes", "/x"]
 )
@@ -215,6 +235,7 @@ def test_in_a_browser(browser, address, server: CameraServer, width: int, height
     number = page.evaluate("Number(document.body.dataset.frame)")
     until(lambda: page.evaluate("Number(document.body.dataset.frame)") > number + 3)
     assert page.evaluate("document.documentElement.scrollWidth") == width
+    assert page.locator('#state dt:text("boxes left out") + dd').text_content() == "none"
     assert (page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(18, 20, 23)") == (scheme == "dark")
     # Draw over the middle of the picture, where the square goes to and fro.
     corners = [(80, 110), (80, 20)] if kind == "line" else [(60, 20), (100, 20), (100, 110), (60, 110)]

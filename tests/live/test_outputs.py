@@ -9,6 +9,7 @@ import sqlite3
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 
 from phdtrack.errors import InputError
+from phdtrack.live import delivery
 from phdtrack.live.delivery import Courier, Webhook
 from phdtrack.live.outputs import HEAD, EventLog, RowsLog, Segments, VideoLog, stamp
 from phdtrack.types import Tracks
@@ -72,6 +74,13 @@ def test_the_oldest_files_go_when_the_quota_is_full(tmp_path: Path) -> None:
         assert not segments.over(WALL + 60 * k)
         segments.finish()
     assert names(tmp_path) == ["2026-11-24T06-02-00.bin", "2026-11-24T06-03-00.bin"]
+
+
+def test_of_one_stretch_the_first_files_go_first(tmp_path: Path) -> None:
+    for name in ("T05.bin", *(f"T05.{k}.bin" for k in range(2, 12)), "T06.bin", "T07.bin.part"):
+        (tmp_path / f"2026-11-24{name}").write_bytes(b"x" * 1000)
+    Segments(tmp_path, ".bin", 3600, quota=3000).prune()
+    assert names(tmp_path) == [f"2026-11-24{name}" for name in ("T05.10.bin", "T05.11.bin", "T06.bin", "T07.bin.part")]
 
 
 def test_an_hour_becomes_parquet(tmp_path: Path) -> None:
@@ -131,6 +140,7 @@ def test_an_event_is_kept_once(tmp_path: Path) -> None:
     log = EventLog(tmp_path)
     assert [e["identity"] for e in log.write([event(1), event(2)])] == [1, 2]
     assert [e["identity"] for e in log.write([event(2), event(3)])] == [3]
+    assert (log.highest(), log.highest("appear"), log.highest("group")) == (3, 3, 0)
     lines = (tmp_path / "events.jsonl").read_text().splitlines()
     assert [json.loads(line)["identity"] for line in lines] == [1, 2, 3]
     log.close()
@@ -280,6 +290,26 @@ def test_redirections_are_not_followed_and_the_password_is_sent_in_a_header(rece
     hook("b", "{}")
     assert [key for key, _ in receiver.taken] == ["b"]  # type: ignore[attr-defined]
     assert receiver.headers["Authorization"] == "Basic Ym9iOmFAYg=="  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(("scheme", "begins"), [("http", b"HTTP/1.1 200 OK\r\nX: "), ("https", b"\x16\x03\x03\x40\x00")])
+def test_a_receiver_whose_answer_does_not_end_is_cut(scheme: str, begins: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each byte comes in time: of the header, or of the greeting of TLS."""
+    monkeypatch.setattr(delivery, "WHOLE", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def drip() -> None:
+            with server.accept()[0] as connection, suppress(OSError):
+                connection.sendall(begins)
+                while True:
+                    connection.sendall(b"a")
+                    time.sleep(0.02)
+
+        dripping = threading.Thread(target=drip)
+        dripping.start()
+        with pytest.raises(TimeoutError, match=r"it took more than 0.5 s"):
+            Webhook(f"{scheme}://127.0.0.1:{server.getsockname()[1]}/", private=True)("a", "{}")
+        dripping.join()
 
 
 def test_addresses_that_are_none_are_refused() -> None:

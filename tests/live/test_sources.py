@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from camera_server import CameraServer, HlsServer, RtspServer, until
 
-from phdtrack.live.sources import LiveFrame, LiveSource, named, shown
+from phdtrack.live.sources import LONGEST_PAUSE, LiveFrame, LiveSource, named, shown
 from phdtrack.video import VideoWriter
 
 
@@ -68,6 +68,10 @@ def test_times_are_those_of_arrival_and_not_of_a_rate_that_nobody_stated(server:
     least = server.sent[status.frames - 1] - had
     assert (status.frames - 1) / most <= status.fps <= (status.frames - 1) / least
     assert first.time < frame.time
+    # So long no picture has come, however often it was tried again.
+    down = time.monotonic()
+    until(lambda: time.monotonic() > down + 3 * LONGEST_PAUSE)
+    assert source.status().since >= 3 * LONGEST_PAUSE
 
 
 def test_who_is_slow_gets_the_newest_picture(source: LiveSource) -> None:

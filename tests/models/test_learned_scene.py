@@ -13,6 +13,7 @@ from phdtrack.protocols import Model
 from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, marginal, uniform_density
 from phdtrack.types import F8
 from reference import context_twin as twin
+from views import drawn_of
 
 SIZE = (640.0, 480.0)
 LOW, HIGH = np.array([0.0, 0, -30, -30, 0, 0]), np.array([640.0, 480, 30, 30, 640, 480])
@@ -109,7 +110,7 @@ def fixed_likelihood(z: F8, x: F8) -> F8:
 def test_the_evidence_of_newborn_is_that_of_gamma():
     """C(z) = ∫ g γ, by drawing γ; a sensor of fixed noise, for which it is exact but for the 1 % that is cut off."""
     birth, z = SceneBirth(1.0, entrance()), Z[:, :1]
-    each = fixed_likelihood(z, birth.density.sample(1_000_000, np.random.default_rng(2)))
+    each = fixed_likelihood(z, drawn_of(birth.density, 1_000_000, np.random.default_rng(2)))
     drawn = [birth.sample(z, np.zeros(1), FIXED, 1.0, np.random.default_rng(k)) for k in range(20)]
     found = [float(born.weight @ fixed_likelihood(z, born.state)) for born in drawn]
     assert np.mean(found) == pytest.approx(0.99 * each.mean(), rel=0.02)
@@ -139,7 +140,7 @@ def test_false_alarms_are_added_to_the_usual_ones(count: int, rng):
 def test_births_are_the_usual_ones_by_place(among: SceneDensity | None, rng):
     """γ = a l(z) p(z|b)/p(z|o), neither density below its uniform part."""
     places = marginal(entrance(), (0, 1, 4, 5)), square()
-    z = np.hstack([boxes(rng, 40), *(np.clip(p.sample(20, rng), 1, None) for p in places)])
+    z = np.hstack([boxes(rng, 40), *(np.clip(drawn_of(p, 20, rng), 1, None) for p in places)])
     seen, objects = SENSOR.states(z), among or ANY_BOX
     plain, states = SceneBirth(1.0, entrance()).around(seen, 1.0)
     born, there = np.maximum(plain, 0.2 / ANY_BOX.volume), np.maximum(objects(z), objects.flat)

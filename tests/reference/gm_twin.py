@@ -56,11 +56,8 @@ def update(weight, mean, cov, z, h, noise, p_detect, clutter):
     return np.array(weights), np.array(means).T, np.array(covs), np.array(evidence)
 
 
-def merge(weight, mean, cov, distance, tag=None):
-    """The strongest of what is left, with all that are within ``distance`` of it in their own covariance; and so on.
-
-    Weights, means, covariances, and the tags of the strongest where ``tag`` (J,) is given.
-    """
+def merge(weight, mean, cov, distance):
+    """The strongest of what is left, with all that are within ``distance`` of it in their own covariance; and so on."""
     left = list(range(len(weight)))
     out = []
     while left:
@@ -73,33 +70,21 @@ def merge(weight, mean, cov, distance, tag=None):
         w = math.fsum(weight[i] for i in near)
         m = sum(weight[i] * mean[:, i] for i in near) / w
         p = sum(weight[i] * (cov[i] + np.outer(m - mean[:, i], m - mean[:, i])) for i in near) / w
-        out.append((w, m, p, -1 if tag is None else tag[j]))
+        out.append((w, m, p))
         left = [i for i in left if i not in near]
     d = len(mean)
     return (
-        np.array([w for w, _, _, _ in out]),
-        np.array([m for _, m, _, _ in out]).reshape(-1, d).T,
-        np.array([p for _, _, p, _ in out]).reshape(-1, d, d),
-        np.array([t for _, _, _, t in out], dtype=np.int64),
+        np.array([w for w, _, _ in out]),
+        np.array([m for _, m, _ in out]).reshape(-1, d).T,
+        np.array([p for _, _, p in out]).reshape(-1, d, d),
     )
-
-
-def parted(weight, tag, split):
-    """(J,) which ones are given a new tag: of ``split`` or more, and not the first of the heaviest with theirs."""
-    out = np.zeros(len(weight), np.bool_)
-    for t in set(tag.tolist()):
-        heavy = [i for i in range(len(weight)) if tag[i] == t and weight[i] >= split]
-        out[heavy] = True
-        if heavy:
-            out[max(heavy, key=lambda i: (weight[i], -i))] = False
-    return out
 
 
 def reduce(weight, mean, cov, prune, distance, most, redistribute):
     """Prune, merge, cap; the mass that pruning and capping took is given to the rest where ``redistribute``."""
     total = weight.sum()
     kept = weight >= prune
-    weight, mean, cov, _ = merge(weight[kept], mean[:, kept], cov[kept], distance)
+    weight, mean, cov = merge(weight[kept], mean[:, kept], cov[kept], distance)
     if most and len(weight) > most:
         strong = np.argsort(-weight, kind="stable")[:most]
         weight, mean, cov = weight[strong], mean[:, strong], cov[strong]

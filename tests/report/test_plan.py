@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from phdtrack.cli.groups import extent_of
 from phdtrack.groups.clusters import Groups
 from phdtrack.groups.life_cycle import Encounter, Event
 from phdtrack.groups.pipeline import GroupFrame
-from phdtrack.report.drawing import Plan, PlanScene, _Canvas, extent_of, identity_colour
+from phdtrack.report.drawing import Plan, PlanScene, _Canvas, identity_colour
 from phdtrack.report.pages import render
 
 PLAN = Plan((-9.0, 0.0, 9.0, 10.0), 200)

@@ -116,3 +116,28 @@ def test_neighbouring_identities_differ_for_every_sight(sight: str) -> None:
     seen = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     lab = cv2.cvtColor(seen[None].astype(np.float32), cv2.COLOR_RGB2LAB)[0]
     assert np.linalg.norm(lab - np.roll(lab, 1, axis=0), axis=1).min() > 40
+
+
+@pytest.mark.parametrize("size", [(240, 320), (42, 66)])
+def test_what_is_drawn_on_planes_is_what_is_drawn_on_bgr(size: tuple[int, int]) -> None:
+    """Brightness and colours of the result differ by rounding, and by four pixels sharing their colours."""
+    high, wide = size
+    image = cv2.resize(np.random.default_rng(3).integers(0, 255, (4, 5, 3), np.uint8), (wide, high))
+    planes = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2YUV_I420), np.uint8)
+    boxes = np.array([[10.0, 12, 40, 38], [30, 8, 60, 30]])
+    rows = Tracks.of(1, np.array([1, 2]), boxes, 1.0, np.array([0, -1]))
+    given = (1, rows, Detections.of(boxes + 1))
+    info = SequenceInfo(wide, high, 25.0)
+    bgr, before = Annotator(info)(image, *given), planes.copy()
+    drawn = Annotator(info)(planes, *given)
+    expected = cv2.cvtColor(bgr, cv2.COLOR_BGR2YUV_I420)
+    light, wanted = (each[:high].astype(int) for each in (drawn, expected))
+    assert np.abs(light - wanted).max() <= 3
+    untouched = (bgr == image).all(axis=2)
+    assert np.array_equal(drawn[:high][untouched], before[:high][untouched])
+    assert (drawn != before).any()
+    again = Annotator(info)
+    again(before.copy(), *given)
+    assert np.array_equal(
+        again(before.copy(), 2, Tracks.empty(), Detections.empty())[high // 2 : high], before[high // 2 : high]
+    )

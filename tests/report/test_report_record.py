@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,9 +14,9 @@ from hypothesis import strategies as st
 from report_runs import HIGH, WIDE, run_record, step, walkers
 
 from phdtrack.report import About, Recorder, sentences
-from phdtrack.report.pages import lines
+from phdtrack.report.pages import doubts, lines
 from phdtrack.report.record import LOW_EFFECTIVE, ChainSummary
-from phdtrack.types import ChainInfo, Particles, SequenceInfo, Tracks, Truth
+from phdtrack.types import ChainInfo, Frame, Particles, SequenceInfo, Tracks, Truth
 
 INFO = SequenceInfo(WIDE, HIGH, 10.0)
 NOTHING = np.zeros((0, 4))
@@ -61,7 +62,7 @@ def test_heat_maps_are_few_spread_and_hold_the_mass(frames: int) -> None:
 def test_pictures_are_scaled_down_copies() -> None:
     for info, shape in ((SequenceInfo(1600, 300, 10.0), (150, 800, 3)), (SequenceInfo(8, 6, 10.0), (6, 8, 3))):
         recorder, picture = Recorder(info), np.full((info.height, info.width, 3), 80, np.uint8)
-        recorder.add(picture, step(1, NOTHING), Particles(np.zeros((6, 0)), np.zeros(0)), 0.0)
+        recorder.add(Frame(1, 0.0, picture), step(1, NOTHING), Particles(np.zeros((6, 0)), np.zeros(0)), 0.0)
         picture[:] = 0
         record = recorder.record(Tracks.empty(), About())
         assert record.background.shape == shape
@@ -73,7 +74,7 @@ def test_memory_does_not_grow_with_the_pictures() -> None:
     recorder = Recorder(SequenceInfo(160, 120, 10.0))
     tracemalloc.start()
     for number in range(1, 1501):
-        recorder.add(np.empty((120, 160, 3), np.uint8), step(number, NOTHING), None, 0.0)
+        recorder.add(Frame(number, 0.0, np.empty((120, 160, 3), np.uint8)), step(number, NOTHING), None, 0.0)
     held, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert held < 12 * 160 * 120 * 3 + 1500 * 1000
@@ -127,3 +128,18 @@ def test_mass_inside_the_frame_is_conserved(wide: int, high: int, count: int, se
     assert grid.sum() == pytest.approx(weight[inside].sum(), rel=1e-12, abs=1e-12)
     assert grid.shape == (int(np.ceil(high / cell)), int(np.ceil(wide / cell)))
     assert (grid >= 0).all()
+
+
+def test_tracks_that_look_wrong_are_doubted_with_what_helps() -> None:
+    fine, brief = run_record(12, 10), run_record(4, 10)
+    assert doubts(fine, background=True) == ()
+    assert doubts(run_record(4, 3), background=False) == ()
+    (said,) = doubts(brief, background=False)
+    assert said.startswith("the tracks may be wrong: 100 % of 10 last less than half a second")
+    assert "--detections FILE" in said
+    crowded = replace(fine, n_detections=2 * fine.n_detections)
+    (said,) = doubts(crowded, background=True)
+    assert "67 % of the detector's boxes belong to none" in said
+    # Low scores of another detector are what the filter is for.
+    assert doubts(crowded, background=False) == ()
+    assert doubts(replace(fine, tracks=Tracks.empty()), background=False) == ()

@@ -4,6 +4,7 @@ import pytest
 from phdtrack.errors import InputError
 from phdtrack.scene import SceneDensity
 from phdtrack.scene.mixture import _mass_inside
+from views import drawn_of
 
 LOW, HIGH = np.array([0.0, 0.0, -2.0]), np.array([10.0, 6.0, 2.0])
 
@@ -48,7 +49,7 @@ def test_mass_inside_is_exact_for_independent_components():
 
 def test_draws_follow_the_density():
     p, rng = leaking(), np.random.default_rng(1)
-    drawn = p.sample(200_000, rng)
+    drawn = drawn_of(p, 200_000, rng)
     assert ((drawn >= LOW[:, None]) & (drawn <= HIGH[:, None])).all()
     points, cell = cells(80)
     density = p(points) * cell

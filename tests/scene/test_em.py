@@ -9,6 +9,7 @@ from phdtrack.scene import SceneDensity, grid, learn, marginal
 from phdtrack.scene.em import Samples, _fitted, _improved, moments
 from phdtrack.types import F8
 from reference import em as defined
+from views import drawn_of
 
 PLACES = np.array([[100.0, 300, 500, 650], [100, 350, 250, 430]])
 SPEEDS = np.array([[3.0, -3, 0, 2], [0, 1, -4, 2]])
@@ -51,7 +52,7 @@ def batch_em(p: SceneDensity, samples: F8, iterations: int = 300) -> SceneDensit
 def test_components_weights_and_means_come_out(case, uniform, seed):
     dim, counts, n = CASES[case]
     p = known(dim, uniform)
-    samples = p.sample(n, np.random.default_rng(seed))
+    samples = drawn_of(p, n, np.random.default_rng(seed))
     found = learn(begin(p, counts, samples), samples)
     heavy = np.flatnonzero(found.weight > 0.03)
     assert len(heavy) == 4
@@ -73,7 +74,7 @@ def test_explains_what_it_has_not_seen(case, uniform):
     behind = []
     for seed in range(4, 8):
         p, rng = known(dim, uniform), np.random.default_rng(seed)
-        samples, unseen = p.sample(n, rng), p.sample(4000, rng)
+        samples, unseen = drawn_of(p, n, rng), drawn_of(p, 4000, rng)
         found = learn(begin(p, counts, samples), samples)
         ours, batch = found.log(unseen).mean(), batch_em(p, samples).log(unseen).mean()
         # In nats per sample; the truth itself is 4 (clutter) and 8 to 10 (births) above the uniform density.
@@ -87,7 +88,7 @@ def test_explains_what_it_has_not_seen(case, uniform):
 def test_equal_samples_keep_the_covariances_above_the_floor():
     p = known(4)
     samples = np.tile(p.mean[:, :1], 200)
-    found = learn(begin(p, (4, 4), p.sample(200, np.random.default_rng(9))), samples)
+    found = learn(begin(p, (4, 4), drawn_of(p, 200, np.random.default_rng(9))), samples)
     extent = p.high - p.low
     assert (np.linalg.eigvalsh(found.covariance) >= 0.99 * (1e-4 * extent.min()) ** 2).all()
     assert np.isfinite(found.log(samples)).all()
@@ -99,7 +100,7 @@ def test_samples_outside_count_for_nothing_and_nothing_given_is_changed():
     outside = np.tile(p.high[:, None] + 1, 50)
     assert learn(start, outside) is start
     assert learn(start, np.zeros((4, 0))) is start
-    samples = p.sample(100, np.random.default_rng(8))
+    samples = drawn_of(p, 100, np.random.default_rng(8))
     given = [part.copy() for part in (start.weight, start.mean, start.covariance, samples)]
     first, second = (learn(start, samples) for _ in range(2))
     np.testing.assert_array_equal(first.covariance, second.covariance)
@@ -120,7 +121,7 @@ def test_mistakes_are_told():
 def test_births_of_which_some_have_no_velocity():
     dim, counts, n = CASES["births"]
     p, rng = known(dim), np.random.default_rng(11)
-    samples, unseen = p.sample(2 * n, rng), p.sample(4000, rng)
+    samples, unseen = drawn_of(p, 2 * n, rng), drawn_of(p, 4000, rng)
     start = begin(p, counts, samples)
     some = samples.copy()
     some[2:4, ::2] = np.nan
@@ -169,7 +170,7 @@ def two() -> SceneDensity:
 def test_em_raises_the_likelihood_step_by_step_and_leaves_what_was_given():
     rng = np.random.default_rng(2)
     p = two()
-    seen = samples_of(p.sample(300, rng), floor=1e-9)
+    seen = samples_of(drawn_of(p, 300, rng), floor=1e-9)
     shifted = density([[300, 260, 45, 80], [480, 120, 33, 75]], [WIDE, PLACE * 9], [0.5, 0.5], 0.5)
     before = shifted.mean.copy(), shifted.covariance.copy()
     values = [likelihood_of(_fitted(shifted, seen, steps), seen) for steps in range(8)]
@@ -181,7 +182,7 @@ def test_em_raises_the_likelihood_step_by_step_and_leaves_what_was_given():
 
 
 def test_a_component_with_less_than_half_its_parameters_goes_and_the_last_stays():
-    x = two().sample(100, np.random.default_rng(3))
+    x = drawn_of(two(), 100, np.random.default_rng(3))
     far = density([[320, 240, 40, 90], [10, 10, 5, 5]], [WIDE, PLACE], [0.9, 0.1])
     assert len(_fitted(far, samples_of(x))) == 1
     # Of one sample, one component is kept all the same.

@@ -178,3 +178,61 @@ def test_a_second_track_that_begins_before_the_first_ends_is_the_same(seed: int)
     # Frames 25 to 32 are 7 intervals of 1/25 s.
     assert len(names(smoothed(pieces, max_overlap_time=0.28))) == 2
     assert len(names(smoothed(pieces, max_overlap_time=0.27))) == 3
+
+
+def test_what_never_goes_anywhere_is_left_out_when_asked(rng):
+    going, staying = walk(rng, 60, (60, 240), (4, 0)), walk(rng, 60, (500, 100), (0, 0))
+    pieces = [piece(staying, 1, (1, 60)), piece(going, 1, (1, 60))]
+    assert len(names(smoothed(pieces))) == 2
+    for parts in ({}, {"stitching": False, "smoothing": False}):
+        left = smoothed(pieces, min_extent=0.75, **parts)
+        assert names(left) == {1: list(range(1, 61))}
+        assert left.xyxy[-1, 0] > left.xyxy[0, 0] + 200
+
+
+def at_the_border(*lost: int, known: tuple[int, int] = (15, 40)) -> tuple[Tracks, MeasurementHistory]:
+    """Someone walks from left to right, cut by the picture in frames 2 to 6 and 51 to 56; another stands in the middle.
+
+    He is detected in all of them but those ``lost``; his track has only those ``known``.
+    """
+    left, right = (np.clip(12 * np.arange(1, 57) + side, 0, 640) for side in (-60.0, -20.0))
+    cut = np.stack([(left + right) / 2, np.full(56, 240.0), right - left, np.full(56, 80.0)], axis=1)
+    seen = {n: cut[n - 1] for n in range(2, 57) if n not in lost}
+    stays = {n: np.array([320.0, 100.0, 40.0, 80.0]) for n in range(1, 61)}
+    tracks, measurements = sequence([seen, stays], 60, MODEL)
+    low, high = known
+    return tracks.take((tracks.identity == 2) | (tracks.frame >= low) & (tracks.frame <= high)), measurements
+
+
+@pytest.mark.parametrize(
+    ("lost", "settings", "first", "last"),
+    [
+        ((), {}, 2, 56),
+        ((), {"max_continuation": 0}, 15, 40),
+        ((), {"max_continuation": 0.2}, 10, 45),
+        # One frame without it, and two.
+        ((8, 47), {}, 2, 56),
+        ((7, 8, 47, 48), {}, 9, 46),
+    ],
+)
+def test_a_track_goes_on_to_the_border_by_detections_that_are_left(lost, settings, first: int, last: int):
+    smoothing = Smoothing(**({"max_continuation": 1.0, "frame_size": (640.0, 480.0)} | settings))
+    given, measurements = at_the_border(*lost)
+    tracks = smoothing.smooth(given, measurements, MODEL)
+    own = tracks.take(tracks.xyxy[:, 1] > 150)
+    assert set(own.frame.tolist()) == set(range(first, last + 1)) - set(lost)
+    assert len(set(own.identity.tolist())) == 1
+    # The new rows are the detections themselves, and no other track has them.
+    new = own.take((own.frame < 15) | (own.frame > 40))
+    assert (new.xyxy[:, 0] >= 0).all()
+    assert (new.xyxy[:, 2] <= 640).all()
+    assert (new.detection == 0).all()
+    assert len(tracks.take(tracks.xyxy[:, 1] < 150)) == 60
+
+
+def test_what_another_track_rests_on_carries_nobody_on():
+    """Of two that walk through each other one is not detected any more when they meet, in frame 56."""
+    first, second = ({n: np.array([x + v * n, 240.0, 40.0, 80.0]) for n in range(1, 61)} for x, v in ((96, 4), (544, -4)))
+    tracks, measurements = sequence([{n: first[n] for n in range(1, 53)}, second], 60, MODEL)
+    out = Smoothing(max_continuation=1.0, frame_size=(640.0, 480.0)).smooth(tracks, measurements, MODEL)
+    assert names(out) == {1: list(range(1, 53)), 2: list(range(1, 61))}

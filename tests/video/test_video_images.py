@@ -31,6 +31,14 @@ def test_a_folder_is_read_in_natural_order(tmp_path: Path) -> None:
     assert (source.info.name, source.note, source.problem) == ("walk", "", "")
 
 
+def test_samples_of_images_are_spread_over_them(tmp_path: Path) -> None:
+    for k in range(1, 12):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), np.full((8, 8, 3), 20 * k, np.uint8))
+    source = open_source(tmp_path)
+    assert [(sample.number, int(sample.image[0, 0, 0])) for sample in source.sample(3)] == [(1, 20), (6, 120), (11, 220)]
+    assert len(list(source.sample(51))) == 11
+
+
 def test_a_pattern_selects_and_an_assumed_rate_is_stated(tmp_path: Path) -> None:
     save(tmp_path / "SEQ-1" / "img1", ["a1.png", "a2.png", "b1.png"])
     source = open_source(tmp_path / "SEQ-1" / "img1")

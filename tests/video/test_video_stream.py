@@ -77,15 +77,39 @@ def test_what_is_no_video_or_missing_is_named(clip: Path) -> None:
             open_source(clip)
 
 
-def test_portrait_recordings_are_turned_upright(clip: Path, tmp_path: Path) -> None:
+def test_a_file_whose_codec_is_not_known_is_refused(clip: Path) -> None:
+    clip.write_bytes(clip.read_bytes().replace(b"avc1", b"zzzz"))
+    with pytest.raises(InputError, match=r"no decoder .*convert it"):
+        open_source(clip)
+
+
+def test_samples_are_frames_of_the_file_spread_over_it(tmp_path: Path) -> None:
+    # This encoder makes a picture that can be decoded alone every twelve frames.
+    encode(tmp_path / "long.mkv", [picture(i) for i in range(120)], [40 * i for i in range(120)])
+    source = open_source(tmp_path / "long.mkv")
+    frames = {frame.time: frame.image for frame in source}
+    samples = list(source.sample(5))
+    times = [sample.time for sample in samples]
+    np.testing.assert_allclose(times, np.array([12, 36, 60, 84, 108]) * 0.04, atol=0.5)
+    for sample in samples:
+        np.testing.assert_array_equal(sample.image, frames[sample.time])
+    # There are not so many places to jump to: the caller is told by their number.
+    assert len(list(source.sample(50))) < 50
+
+
+def portrait(clip: Path, path: Path) -> Path:
+    """The same clip as a telephone that is held upright marks it."""
     plain = b"".join(n.to_bytes(4, "big") for n in (0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x40000000))
     turned = b"".join(n.to_bytes(4, "big") for n in (0, 0x10000, 0, 0xFFFF0000, 0, 0, 0, 0, 0x40000000))
     data = clip.read_bytes()
     track = data.index(b"tkhd")
     at = data.index(plain, track)
-    path = tmp_path / "portrait.mp4"
     path.write_bytes(data[:at] + turned + data[at + len(plain) :])
-    source = open_source(path)
+    return path
+
+
+def test_portrait_recordings_are_turned_upright(clip: Path, tmp_path: Path) -> None:
+    source = open_source(portrait(clip, tmp_path / "portrait.mp4"))
     assert (source.info.width, source.info.height) == (48, 64)
     upright = next(iter(source)).image
     flat = next(iter(open_source(clip))).image
@@ -101,3 +125,20 @@ def test_caviar_is_counted_by_decoding(data: Path) -> None:
     assert min(np.diff(times)) > 0
     assert source.problem == ""
     assert source.info.fps == 25
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_small_pictures_are_made_of_what_was_decoded(clip: Path, tmp_path: Path, turned: bool) -> None:
+    """In the size asked for, the mean of what each pixel covers; planes only where nothing is turned."""
+    source = open_source(portrait(clip, tmp_path / "turned.mp4") if turned else clip)
+    frame = next(iter(source))
+    wide, high = frame.picture.size
+    assert frame.image.shape == (high, wide, 3)
+    small = frame.picture.bgr((wide // 2, high // 2))
+    mean = frame.image.reshape(high // 2, 2, wide // 2, 2, 3).mean(axis=(1, 3))
+    assert small.shape == mean.shape
+    assert np.abs(small - mean).mean() < 4
+    planes = frame.picture.planes()
+    assert (planes is None) if turned else (planes.shape == (high * 3 // 2, wide))
+    assert len(list(source)) == 30
+    assert 0.5 < source.share <= 1

@@ -54,6 +54,21 @@ def test_odd_sizes_and_fractional_rates(tmp_path: Path, fps: float) -> None:
     assert np.abs(frames[2].image[:47, :63].astype(int) - picture(2, 63, 47)).mean() < 5
 
 
+def test_planes_are_written_as_they_are(tmp_path: Path) -> None:
+    """What was decoded goes to the encoder without a way through BGR, twice in the same way."""
+    with VideoWriter(tmp_path / "first.mp4", 64, 48, 25, quality=5) as out:
+        for index in range(20):
+            out.write(picture(index))
+    frames = [frame.picture.planes() for frame in open_source(tmp_path / "first.mp4")]
+    for name in ("second", "third"):
+        with VideoWriter(tmp_path / f"{name}.mp4", 64, 48, 25, quality=5, fast=True) as out:
+            for planes in frames:
+                out.write(planes)
+    assert (tmp_path / "second.mp4").read_bytes() == (tmp_path / "third.mp4").read_bytes()
+    for frame, planes in zip(open_source(tmp_path / "second.mp4"), frames, strict=True):
+        assert np.abs(frame.picture.planes().astype(int) - planes).mean() < 2
+
+
 def test_after_an_error_what_was_written_is_whole_under_another_name(tmp_path: Path) -> None:
     path = tmp_path / "half.mp4"
     with contextlib.suppress(RuntimeError), VideoWriter(path, 64, 48, 25) as out:

@@ -176,19 +176,23 @@ class GraphMatching(Checked):
     def finish(self, state: GraphState, model: Model) -> Tracks:
         """The corrected tracks: short ones left out, gaps bridged, identities from 1 in order of appearance."""
         moments = list(iter(state.history))
-        parts, taken, identity = [], set[tuple[int, int]](), 1
+        start = np.concatenate(([0], np.cumsum([len(m.estimates) for m in moments], dtype=np.int64)))
+        parts, taken, at, name = list[Tracks](), set[tuple[int, int]](), list[int](), list[int]()
+        identity = 1
         for path in self._paths(moments, state.window):
             before, boxes = _back_dated(moments, path[0], self.back_dating, taken, model)
             n = len(before)
             if len(path) + n < self.min_track_length:
                 continue
             taken.update(before)
-            parts += rows_of(moments, path, identity, self.bridge_gaps, model)
+            at += [int(start[k]) + i for k, i in path]
+            name += [identity] * len(path)
             if n:
                 numbers, detections = np.array([(moments[k].number, j) for k, j in before]).T
                 first = moments[path[0][0]].estimates.weight[path[0][1]]
                 parts.append(Tracks.of(numbers, identity, boxes, first, detections))
             identity += 1
+        parts += rows_of(moments, np.array(at, np.int64), np.array(name, np.int64), self.bridge_gaps, model)
         return Tracks.concatenate(parts)
 
     def measurements(self, state: GraphState) -> MeasurementHistory:
@@ -397,8 +401,8 @@ def _bridged(known: Identities, after: I8, history: History, place: int, model: 
             warp_of.after([history[m].warp for m in between]) if any(len(history[m].warp) for m in between) else STILL
             for between in (range(behind + 1, place + 1), range(place + 1, ahead + 1))
         ]
-        ends = x.state[:, j], x.covariance[j], y.state[:, k], y.covariance[k]
-        state = bridge(model.motion, ends, np.array([now.time - a.time, b.time - now.time]), warps)
+        ends = x.state[:, j][None], x.covariance[j][None], y.state[:, k][None], y.covariance[k][None]
+        state = bridge(model.motion, ends, np.array([now.time - a.time, b.time - now.time]), warps)[:, 0]
         parts.append(Tracks.of(now.number, int(known.identity[i]), model.sensor.boxes(state), x.weight[j], -1))
     return parts
 

@@ -11,7 +11,7 @@ import numpy as np
 from phdtrack.kernels.linking import Links, Window
 from phdtrack.models.rts import bridge
 from phdtrack.protocols import Model
-from phdtrack.types import F8, STILL, Estimates, MeasurementHistory, Tracks
+from phdtrack.types import F8, I8, STILL, Estimates, MeasurementHistory, Tracks
 
 NO_LINKS = Links(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
 # Moments in a chunk: adding a moment copies references to less than two chunks and to the chunks before.
@@ -102,32 +102,48 @@ def measurements(moments: Iterable[Moment]) -> MeasurementHistory:
     )
 
 
-def rows_of(moments: list[Moment], path: Path, identity: int, bridge_gaps: bool, model: Model) -> list[Tracks]:
-    """The rows of a track.
+def rows_of(moments: list[Moment], at: I8, name: I8, bridge_gaps: bool, model: Model) -> list[Tracks]:
+    """The rows of tracks.
 
     Parameters
     ----------
     moments : all frames.
-    path : the places of its states.
-    identity : its number.
+    at : (S,) the states of the tracks, one track after the other, counted through all moments.
+    name : (S,) the identity of each.
     bridge_gaps : with predicted rows between states that are more than one frame apart.
     model : of the last frame.
 
     Returns
     -------
-    One row for each state, and the rows of each gap.
+    One row for each state, and the rows of gaps.
     """
-    held = [(moments[k], i) for k, i in path]
-    numbers, boxes = np.array([m.number for m, _ in held]), np.array([m.estimates.xyxy[i] for m, i in held])
-    weights, detections = (np.array([getattr(m.estimates, name)[i] for m, i in held]) for name in ("weight", "detection"))
-    parts = [Tracks.of(numbers, identity, boxes, weights, detections)]
-    for (k, i), (m, j) in itertools.pairwise(path) if bridge_gaps else ():
-        if m == k + 1:
-            continue
-        a, b = moments[k].estimates, moments[m].estimates
-        steps = np.diff(np.array([x.time for x in moments[k : m + 1]]))
-        ends = a.state[:, i], a.covariance[i], b.state[:, j], b.covariance[j]
-        between = bridge(model.motion, ends, steps, [x.warp for x in moments[k + 1 : m + 1]])
-        numbers, sure = np.array([x.number for x in moments[k + 1 : m]]), min(float(a.weight[i]), float(b.weight[j]))
-        parts.append(Tracks.of(numbers, identity, model.sensor.boxes(between), sure, -1))
+    if not len(at):
+        return []
+    every = [m.estimates for m in moments]
+    start = np.concatenate(([0], np.cumsum([len(e) for e in every])))
+    place = np.searchsorted(start, at, side="right") - 1
+    number, time = np.array([m.number for m in moments]), np.array([m.time for m in moments])
+    weight = np.concatenate([e.weight for e in every])[at]
+    boxes, detection = np.concatenate([e.xyxy for e in every])[at], np.concatenate([e.detection for e in every])[at]
+    parts = [Tracks.of(number[place], name, boxes, weight, detection)]
+    # Gaps of the same intervals are bridged together, as thousands of them take their time; under a moving camera by place.
+    alike = dict[tuple[float, ...], list[int]]()
+    for before in np.flatnonzero((np.diff(place) > 1) & (np.diff(name) == 0)).tolist() if bridge_gaps else ():
+        k, m = place[before : before + 2].tolist()
+        moving = any(len(moment.warp) for moment in moments[k + 1 : m + 1])
+        alike.setdefault((k if moving else -1, *np.diff(time[k : m + 1]).tolist()), []).append(before)
+    for (since, *steps), gaps in alike.items():
+        n, k, length = np.array(gaps), int(since), len(steps) - 1
+        (x, p), (y, q) = (_states(every, place[end], (at - start[place])[end]) for end in (n, n + 1))
+        warps = [moment.warp for moment in moments[k + 1 : k + length + 2]] if k >= 0 else []
+        between = bridge(model.motion, (x, p, y, q), np.array(steps), warps).reshape(x.shape[1], -1)
+        numbers = number[(place[n][:, None] + np.arange(1, length + 1)).ravel()]
+        sure = np.repeat(np.minimum(weight[n], weight[n + 1]), length)
+        parts.append(Tracks.of(numbers, np.repeat(name[n], length), model.sensor.boxes(between), sure, -1))
     return parts
+
+
+def _states(every: list[Estimates], place: I8, index: I8) -> tuple[F8, F8]:
+    """(n, d) means and (n, d, d) covariances of the states at ``index`` (n,) of the frames at ``place`` (n,)."""
+    both = list(zip(place.tolist(), index.tolist(), strict=True))
+    return np.stack([every[k].state[:, i] for k, i in both]), np.stack([every[k].covariance[i] for k, i in both])

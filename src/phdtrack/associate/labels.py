@@ -186,14 +186,16 @@ class Labelled(Checked):
     def finish(self, state: LabelledState, model: Model) -> Tracks:
         """The corrected tracks, identities from 1 in order of appearance, from first to last detection."""
         moments = [*iter(state.history), *state.recent]
-        paths: dict[int, list[tuple[int, int]]] = {}
-        for k, moment in enumerate(moments):
-            for i in np.flatnonzero(moment.estimates.detection >= 0).tolist():
-                paths.setdefault(int(moment.estimates.tag[i]), []).append((k, i))
-        parts = list[Tracks]()
-        for name, path in enumerate((p for p in paths.values() if len(p) >= self.min_track_length), start=1):
-            parts += rows_of(moments, path, name, self.bridge_gaps, model)
-        return Tracks.concatenate(parts)
+        if not moments:
+            return Tracks.empty()
+        seen = np.flatnonzero(np.concatenate([m.estimates.detection for m in moments]) >= 0)
+        label = np.concatenate([m.estimates.tag for m in moments])[seen]
+        _, first, which, count = np.unique(label, return_index=True, return_inverse=True, return_counts=True)
+        # One track after the other, by their first states.
+        order = np.argsort(first[which], kind="stable")
+        order = order[count[which[order]] >= self.min_track_length]
+        name = 1 + np.cumsum(np.diff(which[order], prepend=which[order[:1]]) != 0)
+        return Tracks.concatenate(rows_of(moments, seen[order], name, self.bridge_gaps, model))
 
     def measurements(self, state: LabelledState) -> MeasurementHistory:
         """The measurements of everything that is remembered."""
@@ -245,10 +247,16 @@ class Labelled(Checked):
             return state
         since = min(state.time - self.history * model.rate, state[due].time)
         # A label of a frame that may still be revised has a row.
-        first = min(due, len(state.history))
+        first, label = min(due, len(state.history)), state.table.label
         here = np.concatenate([state[k].estimates.tag for k in range(first, len(state))])
-        kept = (state.table.last >= since) | np.isin(state.table.label, here)
-        return replace(state, history=state.history.since(since), table=state.table.take(kept))
+        kept = state.table.last >= since
+        if len(label):
+            at = label.searchsorted(here)
+            kept[at[label.take(at, mode="clip") == here]] = True
+        history = state.history.since(since)
+        if history is state.history and kept.all():
+            return state
+        return replace(state, history=history, table=state.table.take(kept))
 
 
 def _one_each(e: Estimates) -> Estimates:

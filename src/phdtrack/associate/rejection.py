@@ -119,10 +119,6 @@ def without_false_tracks(tracks: Tracks, ratio: FalseAlarmRatio, min_track_lengt
     tracks : corrected tracks.
     ratio : false alarms over targets, by place.
     min_track_length : rows that rest on detections below which a track is left out.
-
-    Returns
-    -------
-    The rows that are left.
     """
     kept = np.zeros(len(tracks), np.bool_)
     order = np.lexsort((tracks.frame, tracks.identity))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import os
 import sys
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
@@ -17,10 +18,11 @@ from importlib import import_module
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from phdtrack import __version__
 from phdtrack.cli import signals
-from phdtrack.errors import InputError, interrupted
+from phdtrack.errors import InputError, absent, interrupted
 
 Command = Callable[..., None]
 
@@ -29,7 +31,10 @@ COMMANDS = {
     "live": "Track cameras without end: events, rows and videos by the hour, and a page.",
     "demo": "Render a street and track the people in it, with the filter and without.",
     "track": "Track the objects in a video, or in a file of detections.",
+    "batch": "Track many videos: by processes, the jobs of an array, or a Ray cluster, into one data set.",
     "groups": "Find groups of people on the ground, in a video, in a file of detections, or among known positions.",
+    "count": "Count who crosses lines and who is in zones: in a video, in a run, or among tracks in a file.",
+    "export": "Write the tracks of a run, or of a file, in the format of another tool.",
     "detect": "Detect objects in a video and write detections.csv, a MOTChallenge file.",
     "evaluate": "Score tracks against annotated objects.",
     "compare": "Compare filters: one table, with confidence intervals over seeds, plots, and the worst frames.",
@@ -51,7 +56,6 @@ def application(name: str) -> typer.Typer:
     app = typer.Typer(
         name="phdtrack",
         help=_SUMMARY,
-        add_completion=False,
         # Plain text: an error is one line that a program can find and a terminal does not break.
         rich_markup_mode=None,
         pretty_exceptions_enable=False,
@@ -61,10 +65,20 @@ def application(name: str) -> typer.Typer:
     for each, what in COMMANDS.items():
         if each == name:
             module = import_module(f"phdtrack.cli.{_MODULES.get(name, name)}")
-            app.command(each)(with_options(guarded(getattr(module, each))))
+            app.command(each, cls=_Passing if each == "batch" else None)(with_options(guarded(getattr(module, each))))
         else:
             app.command(each, help=what)(lambda: None)
     return app
+
+
+class _Passing(TyperCommand):
+    """A command that finds what follows ``--`` in ``args`` of its context."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        end = args.index("--") if "--" in args else len(args)
+        rest = super().parse_args(ctx, args[:end])
+        ctx.args = args[end + 1 :]
+        return rest
 
 
 def guarded(command: Command) -> Command:
@@ -76,6 +90,8 @@ def guarded(command: Command) -> Command:
             command(**options)
         except InputError as error:
             raise failed(str(error), 2) from error
+        except ModuleNotFoundError as error:
+            raise failed(str(absent(error)), 2) from error
         except (KeyboardInterrupt, SystemError) as error:
             if not interrupted(error):
                 raise
@@ -135,9 +151,17 @@ Misuse: type[Any] = typer.BadParameter.__bases__[0]
 def main() -> None:
     """The entry point of the installed command."""
     words = sys.argv[1:] or ["--help"]
+    name = words[0]
+    if "_PHDTRACK_COMPLETE" in os.environ:
+        # A shell asks how a line goes on, and has it here; bash under the second name.
+        line = os.environ.get("_TYPER_COMPLETE_ARGS") or os.environ.get("COMP_WORDS", "")
+        name = "".join(line.split()[1:2])
     signals.listen()
     try:
-        status = application(words[0])(words, prog_name="phdtrack", standalone_mode=False)
+        status = application(name)(words, prog_name="phdtrack", standalone_mode=False)
+        if status == 130 != signals.status():
+            # While the command line was read: Typer takes every signal for Ctrl-C.
+            raise KeyboardInterrupt
     except Misuse as error:
         # One sentence for a command line that cannot be read, and where its help stands.
         where = getattr(error, "ctx", None)

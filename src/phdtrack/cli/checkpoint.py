@@ -1,9 +1,12 @@
-"""How a run that was killed goes on: ``--checkpoint-every`` and ``--resume``.
+"""How a run that was killed goes on (``--checkpoint-every`` and ``--resume``), and how the next one need not detect again.
 
 What takes time in a run is to detect. So a checkpoint holds no state of the tracker: ``checkpoint.log`` has what was
 detected in every frame, bit for bit, and ``checkpoint.detector`` what the detector knew after one of these frames. A run
 that is resumed tracks the frames up to that one again, from the log, and detects from there on. All that it writes is
 written by the same code from the same numbers as in a run that was never stopped, and so it is the same.
+
+When all frames were looked at the log becomes ``detections.cache``. Its first block says what decided it: the file, the
+detector and its settings. A run in which these are the same takes the detections from there.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ import threading
 import time
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -21,20 +25,23 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from phdtrack import __version__
-from phdtrack.cli.inputs import Detected, Inputs, Mover, detected
-from phdtrack.cli.run_directory import KNOWN, LOG, RunDirectory
+from phdtrack.cli.inputs import Detected, Inputs, Mover, detected, learn_scene
+from phdtrack.cli.run_directory import DETECTED, KNOWN, LOG, RunDirectory
 from phdtrack.detect import knowledge, restore
 from phdtrack.errors import InputError
-from phdtrack.files import cannot_write, json_value, whole
+from phdtrack.files import cannot_write, json_value, part_of, publish, whole
 from phdtrack.state import blocks, from_bytes, to_bytes
 from phdtrack.types import STILL, Detections, Frame
 
 EVERY = 10.0
 """Seconds between two checkpoints, where nothing else is said."""
 # Of the files: it changes with them.
-FORMAT = 1
+FORMAT = 3
+Key = Mapping[str, object]
 # Bytes that a detector's knowledge may have: several times that of pictures of 8192x4320.
 _LARGEST = 1 << 32
+# What comes of values that are of other types.
+_NONE = (LookupError, ArithmeticError, TypeError, ValueError, AttributeError, RecursionError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,22 +59,26 @@ class Checkpoint:
     Parameters
     ----------
     directory : of the run.
-    key : what decides the result, in values that JSON knows.
+    key, looked : what decides the result, and what the detections, in values that JSON knows; empty: not known.
     every : seconds between two times that it is brought to disk.
     resume : go on from what is there; without anything there it is a run from the beginning.
+    anew : do not take what an earlier run has detected.
 
     Raises
     ------
     InputError : what is there cannot be read, or belongs to a run of other inputs or settings.
     """
 
-    def __init__(self, directory: RunDirectory, key: Mapping[str, object], every: float, *, resume: bool) -> None:
-        self._log, self._known = directory.file(LOG), directory.file(KNOWN)
-        self._key, self._every, self._due = _text(key), every, 0.0
+    def __init__(
+        self, directory: RunDirectory, key: Key, looked: Key, every: float, *, resume: bool, anew: bool = False
+    ) -> None:
+        self._log, self._known, self._kept = (directory.file(name) for name in (LOG, KNOWN, DETECTED))
+        self._key, self._looked, self._every, self._due = _text(key), _text(looked), every, 0.0
         self._saving: threading.Thread | None = None
         # Why there are no more checkpoints; empty where there are.
         self.problem = ""
         self.known = self._read() if resume and self._known.exists() else None
+        self.reused = bool(looked and not anew and self.known is None and self._kept_first() == self._looked)
 
     @property
     def number(self) -> int:
@@ -77,6 +88,10 @@ class Checkpoint:
     def detected(self, inputs: Inputs, frames: Iterable[Frame], mover: Mover | None) -> Iterator[Detected]:
         """As `inputs.detected`; frames before the checkpoint come out of the log, and all others go into it."""
         iterator, known = iter(frames), self.known
+        if self.reused:
+            yield from self._reused(iterator, mover)
+            return
+        learn_scene(inputs)
         if known is not None:
             yield from self._again(inputs, iterator, mover, known)
         with self._log.open("r+b" if known else "wb", buffering=0) as log:
@@ -84,16 +99,42 @@ class Checkpoint:
                 log.truncate(known.size)
                 log.seek(known.size)
             self._due = time.monotonic() + self._every
+            if not known:
+                self._add(inputs, {"looked": self._looked}, log)
             for one in detected(inputs.detector, iterator, mover):
-                self._add(inputs, one, log)
+                self._add(inputs, _plain(one), log)
                 yield one
         if self._saving is not None:
             self._saving.join()
+        if self._looked and not self.problem and not inputs.source.problem:
+            # All frames were looked at, and a run that is resumed takes them from there.
+            with suppress(OSError):
+                self._log.replace(part_of(self._kept))
+                publish(self._kept)
+                self._known.unlink(missing_ok=True)
+
+    def _reused(self, frames: Iterator[Frame], mover: Mover | None) -> Iterator[Detected]:
+        """What an earlier run has detected in these frames."""
+        with self._kept.open("rb") as log:
+            stored = blocks(log)
+            next(stored)
+            for frame in frames:
+                one = _made(next(stored, (0, None))[1], frame, self._kept, "Say --detect-again")
+                # How the camera moved may be wanted otherwise than then.
+                yield one._replace(warp=STILL if mover is None else mover(frame, one.found))
+
+    def _kept_first(self) -> str:
+        """What decided the detections that an earlier run has left; empty where there are none."""
+        with suppress(OSError, KeyError, TypeError, StopIteration), self._kept.open("rb") as log:
+            return str(next(blocks(log))[1]["looked"])
+        return ""
 
     def _again(self, inputs: Inputs, frames: Iterator[Frame], mover: Mover | None, known: Known) -> Iterator[Detected]:
         """What the log holds, up to the frame that the detector's knowledge is of; the detector knows it then."""
         with self._log.open("rb") as log:
-            for (end, plain), frame in zip(blocks(log), frames, strict=False):
+            stored = blocks(log)
+            next(stored, None)
+            for (end, plain), frame in zip(stored, frames, strict=False):
                 one = _made(plain, frame, self._log)
                 if end == known.size:
                     if one.frame.number != known.number:
@@ -107,16 +148,17 @@ class Checkpoint:
                 yield one
         raise InputError("it ends before the checkpoint", where=self._log, cure="Say --overwrite to begin anew.")
 
-    def _add(self, inputs: Inputs, one: Detected, log: BinaryIO) -> None:
-        """Write what was detected in a frame. Where that fails there are no more checkpoints, and the run goes on."""
+    def _add(self, inputs: Inputs, block: dict[str, Any], log: BinaryIO) -> None:
+        """Write a block, of a frame or the first. Where that fails there are no more checkpoints, and the run goes on."""
         if self.problem:
             return
         try:
             # It is to outlast the process. What a power cut takes is what came since the last checkpoint.
-            log.write(to_bytes(_plain(one)))
-            self._save(inputs, one.frame.number, log)
+            log.write(to_bytes(block))
+            if "number" in block:
+                self._save(inputs, block["number"], log)
         except OSError as error:
-            self.problem = f"no checkpoints from frame {one.frame.number} on: {cannot_write(self._log, error)}"
+            self.problem = f"no checkpoints from frame {block.get('number', 1)} on: {cannot_write(self._log, error)}"
 
     def _save(self, inputs: Inputs, number: int, log: BinaryIO) -> None:
         """Bring everything to disk, by a thread of its own, if it is time and the last time has ended."""
@@ -149,13 +191,14 @@ class Checkpoint:
         try:
             value = from_bytes(zlib.decompressobj().decompress(where.read_bytes(), _LARGEST), where)
             form, key, number, size = (value[name] for name in ("format", "key", "number", "size"))
-            known = Known(int(number), int(size), dict(value["detector"]))
-        except (InputError, OSError, zlib.error, KeyError, TypeError, ValueError) as error:
+            known, before = Known(int(number), int(size), dict(value["detector"])), dict(json.loads(key))
+            other = not isinstance(form, int) or form != FORMAT
+        except (InputError, OSError, zlib.error, *_NONE) as error:
             raise InputError(f"no checkpoint can be read from it ({error})", where=where, cure=cure) from None
-        if form != FORMAT or not isinstance(key, str):
+        if other:
             raise InputError("this checkpoint is of another version of phdtrack", where=where, cure=cure)
         if key != self._key:
-            before, now = json.loads(key), json.loads(self._key)
+            now = json.loads(self._key)
             different = sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name))
             problem = f"this checkpoint is of a run with another {', '.join(different)}"
             raise InputError(problem, where=where, cure=f"Give the same, or choose another --out. {cure}")
@@ -163,16 +206,16 @@ class Checkpoint:
 
 
 def source_of(path: str) -> list[object]:
-    """What shows whether a file has changed: its name, size and time; of a folder the names and sizes of what is in it."""
+    """What shows whether a file has changed: its name, size and time; of a folder those of what is in it."""
     file = Path(path)
     if file.is_dir():
-        return [path, sorted((one.name, one.stat().st_size) for one in file.iterdir())]
+        return [path, sorted((one.name, one.stat().st_size, one.stat().st_mtime_ns) for one in file.iterdir())]
     return [path, file.stat().st_size, file.stat().st_mtime_ns] if file.exists() else [path]
 
 
-def _text(key: Mapping[str, object]) -> str:
-    """What decides a result, as text."""
-    return json.dumps(json_value({"version": __version__, **key}), sort_keys=True)
+def _text(key: Key) -> str:
+    """What decides a result, as text; empty for nothing."""
+    return "" if not key else json.dumps(json_value({"version": __version__, **key}), sort_keys=True)
 
 
 def _plain(one: Detected) -> dict[str, Any]:
@@ -184,18 +227,18 @@ def _plain(one: Detected) -> dict[str, Any]:
     return {**arrays, **more, **state, "warp": one.warp}
 
 
-def _made(plain: Any, frame: Frame, where: Path) -> Detected:
+def _made(plain: Any, frame: Frame, where: Path, cure: str = "Say --overwrite to begin anew.") -> Detected:
     """What a block of the log says of the frame. Raises `InputError` where it is of another frame, or no such block."""
     try:
         same = plain["number"] == frame.number and plain["time"] == frame.time
         warp, seconds, observed = plain["warp"], float(plain["seconds"]), bool(plain["observed"])
         found = Detections(plain["xyxy"], plain["confidence"], plain["class_id"], plain.get("covariance"), observed)
         good = same and _sound(found) and warp.dtype == np.float64 and warp.shape in ((3, 3), STILL.shape)
-    except (KeyError, TypeError, ValueError, AttributeError):
+    except _NONE:
         good = False
     if not good:
         problem = f"what it says of frame {frame.number} does not fit the source"
-        raise InputError(problem, where=where, cure="Say --overwrite to begin anew.")
+        raise InputError(problem, where=where, cure=cure)
     return Detected(frame, found, warp, seconds)
 
 

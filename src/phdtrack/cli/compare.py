@@ -19,9 +19,8 @@ from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.job import about, detections_needed
 from phdtrack.cli.options import option
-from phdtrack.cli.output import Output, progress
+from phdtrack.cli.output import PACE, Output, progress
 from phdtrack.cli.settings import only_classes, scene_settings
-from phdtrack.cli.track import announced
 from phdtrack.compare import Comparison, Plan
 from phdtrack.compare.failures import WorstFrame, worst_frames, write_frames
 from phdtrack.compare.results import Results
@@ -39,8 +38,6 @@ FILES = {
     EACH: "every run, and the folder it is kept in",
     DOCUMENT: "",
 }
-# A comparison takes hours: the pace of the last half minute would tell nothing of its end.
-PACE = 24 * 3600.0
 MOST_WARNINGS = 12
 _VARIANT = "Another method, as few=filter.history=5,preset=m09: the first filter with these settings. May be given again."
 
@@ -62,7 +59,7 @@ class PlanOptions:
     sets: given.Sets = None
     scene: given.SceneFile = None
     truth: Annotated[str, option("FILE", "Annotated objects of a video; {} stands for its name.")] = ""
-    max_width: given.MaxWidth = 0
+    max_width: given.MaxWidth = None
     iou: given.Iou = 0.5
     classes: given.Classes = ""
     max_file_size: given.MaxFileSize = ""
@@ -117,9 +114,8 @@ def compare(
     write_run(directory.file(DOCUMENT), {"complete": False})
     # Once, before several processes would each compile them.
     info = made.cases[0].info
-    with announced(output):
-        for method in {method.settings.kind("filter"): method for method in made.methods}.values():
-            detections_needed(build(method.settings, info), info, (info.width / 20, info.height / 10))
+    for method in {method.settings.kind("filter"): method for method in made.methods}.values():
+        detections_needed(build(method.settings, info), info, (info.width / 20, info.height / 10))
     begun = about("Comparison of " + ", ".join(method.name for method in made.methods), made.seeds[0])
     clock, processes = time.perf_counter(), jobs or os.cpu_count() or 1
     with progress("comparing", comparing.steps(made), PACE) as advance:

@@ -43,7 +43,7 @@ from phdtrack.groups.pipeline import GroupFrame, GroupStages, carriers, known_pe
 from phdtrack.models import PlaneSensor
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages, Model
-from phdtrack.report.drawing import Plan, PlanScene, draw_contours, extent_of
+from phdtrack.report.drawing import Plan, PlanScene, draw_contours
 from phdtrack.report.pages import flattened, lines, render
 from phdtrack.types import F8, I8, Detections, GaussianMixture, Image, MeasurementHistory, SequenceInfo, Step, Tracks
 from phdtrack.video import VideoWriter
@@ -56,6 +56,8 @@ _NOTE = (
 )
 # Pictures of the report; smallest and usual height of a plan in pixels.
 _STILLS, _MIN_HEIGHT, _HEIGHT = 4, 480, 720
+# Metres around what a plan shows.
+_PLAN_MARGIN = 1.5
 _NOWHERE: F8 = np.zeros((2, 0))
 _EMPTY = "MULTIPOLYGON EMPTY"
 _HEADS = {
@@ -441,6 +443,18 @@ class GroupObserver(RunObserver):
         shown = [[_in_image(camera, ring) for ring in rings] for rings in frame.contours]
         contours = [[ring for ring in rings if ring.shape[1]] for rings in shown]
         return draw_contours(picture, contours)
+
+
+def extent_of(places: F8) -> tuple[float, float, float, float]:
+    """Left, low, right, high in metres of the ground to show, at least 8 m wide and high.
+
+    It holds all ``places`` (2, N), NaN where not known, but the outermost hundredth on each side, which may be false alarms.
+    """
+    known = places[:, np.isfinite(places).all(axis=0)]
+    low, high = np.quantile(known, [0.01, 0.99], axis=1) if known.size else np.zeros((2, 2))
+    middle, half = (low + high) / 2, np.maximum((high - low) / 2 + _PLAN_MARGIN, 4.0)
+    (left, below), (right, above) = (middle - half).tolist(), (middle + half).tolist()
+    return left, below, right, above
 
 
 def _in_image(camera: Camera, ring: F8) -> F8:

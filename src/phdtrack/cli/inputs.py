@@ -23,11 +23,11 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from phdtrack.arrays import share_inside
-from phdtrack.cli.options import DEFAULT_DETECTOR, SourceOptions
+from phdtrack.cli.options import SourceOptions
 from phdtrack.cli.output import counted, progress
 from phdtrack.detect import TableDetector, make_detector
 from phdtrack.detect.convert import within_frame
-from phdtrack.detect.registry import frames_up_to, frames_walked
+from phdtrack.detect.registry import class_names, frames_up_to, frames_walked, looked_at, study, working_width
 from phdtrack.devices import Detector
 from phdtrack.errors import InputError, shown
 from phdtrack.formats import DetectionsWriter, find_seqinfo, read_detections
@@ -39,13 +39,16 @@ from phdtrack.video import VideoSource, open_source
 from phdtrack.video.files import endless
 
 NO_PICTURE: Image = np.zeros((0, 0, 3), np.uint8)
-TABLES = (".txt", ".csv", ".tsv", ".json", ".xml", ".parquet")
+TABLES = (".txt", ".csv", ".tsv", ".json", ".jsonl", ".xml", ".parquet")
 # Items under way: one being made, one ready, one to even out stages whose pace varies.
 DEPTH = 3
 # Seconds without a picture after which a run that reads a camera ends.
 GIVE_UP = 60.0
 # Seconds that a stage which was stopped may take to end what it does.
 _PATIENCE = 0.7
+# Share of a file after which is estimated how many frames there will be; from _CERTAIN on, fewer than _CUT of those that
+# its header announces are the sign of a file that was cut short.
+_ENOUGH, _CERTAIN, _CUT = 0.03, 0.25, 0.6
 T = TypeVar("T")
 Mover = Callable[[Frame, Detections], F8]
 """(3, 3) from the pixels of the last frame to those of this one, or `types.STILL`."""
@@ -54,8 +57,9 @@ Mover = Callable[[Frame, Detections], F8]
 @dataclass(frozen=True, slots=True)
 class Inputs:
     """What a run reads. ``pictures``: the frames have any. ``again``: they can be read a second time (a camera's cannot).
-    ``name`` is for people; ``described`` says where the detections come from. ``classes`` are those of detections in a file,
-    and ``names`` what it calls them; None where it has none. ``left_out``: wrong rows of the file, for run.json."""
+    ``name`` is for people; ``described`` says where the detections come from. ``classes`` are those of a file of detections
+    or of a network, and ``names`` what it calls them; None without. ``left_out``: wrong rows, for run.json.
+    ``max_width``: of the pictures that the detector sees, 0 for their own."""
 
     info: SequenceInfo
     source: VideoSource
@@ -68,6 +72,7 @@ class Inputs:
     names: Mapping[int, str] | None = None
     classes: frozenset[int] | None = None
     left_out: Mapping[str, object] = field(default_factory=dict)
+    max_width: int = 0
 
 
 class Detected(NamedTuple):
@@ -81,24 +86,37 @@ class Detected(NamedTuple):
 
 def detected(detector: Detector, frames: Iterable[Frame], mover: Mover | None = None) -> Iterator[Detected]:
     """Each frame with what ``detector`` sees in it."""
-    for frame in frames:
-        clock = time.perf_counter()
-        found = detector(frame)
-        seconds = time.perf_counter() - clock
+    for frame, found, seconds in looked_at(detector, frames):
         yield Detected(frame, found, STILL if mover is None else mover(frame, found), seconds)
+
+
+def learn_scene(inputs: Inputs) -> None:
+    """Let a detector that learns the scene look through a file before its first frame."""
+    if inputs.pictures and inputs.again:
+        study(inputs.detector, replace(inputs.source), inputs.source.sample)
+
+
+def expected(source: VideoSource, done: int, title: str) -> dict[str, Any]:
+    """The number of frames, for a bar with this title. What the header of a file announces holds, unless there are more
+    already, or what was read of the file tells of far fewer, as in one that is cut short. Without it, it is estimated."""
+    estimate = round(done / source.share) if source.share > _ENOUGH else None
+    cut = source.share > _CERTAIN and done < _CUT * source.share * source.announced
+    total = source.info.frames or (0 if cut or done > source.announced else source.announced)
+    return {"total": total or estimate, "description": title if total or not estimate else f"{title} (end estimated)"}
 
 
 def write_detected(inputs: Inputs, path: Path) -> Iterator[int]:
     """Run the detector over everything; after each frame, which is in the file by then, the number of its boxes."""
+    learn_scene(inputs)
     with (
-        DetectionsWriter(path) as writer,
-        progress("detecting", inputs.info.frames) as advance,
+        DetectionsWriter(path, inputs.names) as writer,
+        progress("detecting", 0) as advance,
         ahead(inputs.source) as pictures,
         ahead(detected(inputs.detector, pictures)) as looked,
     ):
         for count, (frame, found, *_) in enumerate(looked, start=1):
             writer.append(frame.number, found)
-            advance(count)
+            advance(count, **expected(inputs.source, count, "detecting"))
             yield len(found)
 
 
@@ -115,10 +133,20 @@ def open_inputs(given: SourceOptions, parameters: dict[str, Any], last: int = 0)
     pictures, path = bool(given.source), given.detections
     again = not pictures or comes_again(given.source)
     if path is None:
-        detector, source = _detector(given, parameters), _video(given)
-        name = shown(given.source)
-        return Inputs(source.info, source, detector, name, given.detector or DEFAULT_DETECTOR, True, again)
-    useless = {"--detector": given.detector not in ("", "file"), "--max-width": given.max_width, "--mask": given.mask}
+        # Wrong settings are found before anything is opened.
+        _detector(given, parameters, given.max_width or 0)
+        source = _video(given)
+        width = working_width(given.looked_by, given.max_width, source.info)
+        detector, name = _detector(given, parameters, width), shown(given.source)
+        names = class_names(detector)
+        found = Inputs(source.info, source, detector, name, given.looked_by, True, again, names=names, max_width=width)
+        return replace(found, classes=frozenset(names) if names else None)
+    useless = {
+        "--detector": given.detector not in ("", "file"),
+        "--max-width": given.max_width is not None,
+        "--mask": given.mask,
+        "--detect-again": given.detect_again,
+    }
     problem = f"the detections come from {path}, so there is no detector that this could change"
     refuse(useless, problem, "--detections")
     left_out = None if given.on_error == "stop" else WrongRows()
@@ -135,7 +163,8 @@ def open_inputs(given: SourceOptions, parameters: dict[str, Any], last: int = 0)
 
 def _streamed(given: SourceOptions) -> Inputs:
     """Detections from standard input, which may have no end; size and rate by options."""
-    pictures = {"SOURCE": given.source, "--detector": given.detector, "--max-width": given.max_width, "--mask": given.mask}
+    pictures = {"SOURCE": given.source, "--detector": given.detector, "--max-width": given.max_width is not None}
+    pictures |= {"--mask": given.mask, "--detect-again": given.detect_again}
     refuse(pictures, "detections from standard input have no pictures", "--detections -")
     refuse({"--on-error": given.on_error == "skip"}, "a wrong row of a stream ends it", "--detections -")
     for what, option in ((given.frame_size, "--frame-size WxH"), (given.fps, "--fps F")):
@@ -254,7 +283,7 @@ def frame_size(text: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-def _detector(given: SourceOptions, parameters: dict[str, Any]) -> Detector:
+def _detector(given: SourceOptions, parameters: dict[str, Any], max_width: int) -> Detector:
     """The detector that the options name. Raises `InputError` where there is none, or nothing to look at."""
     if given.detector == "file":
         raise InputError("the detector file reads a file of detections", where="--detector", cure="Say --detections FILE.")
@@ -264,9 +293,8 @@ def _detector(given: SourceOptions, parameters: dict[str, Any]) -> Detector:
     if Path(given.source).suffix.lower() in TABLES:
         cure = f"For detections say --detections {given.source}."
         raise InputError("expected a video, and by its name this is a table", where=given.source, cure=cure)
-    name = given.detector or DEFAULT_DETECTOR
     try:
-        return make_detector(name, max_width=given.max_width, mask=given.mask, **parameters)
+        return make_detector(given.looked_by, max_width=max_width, mask=given.mask, **parameters)
     except InputError as error:
         # In the user's own words: detector.min_area, not the record of settings that refused the value.
         setting = error.where.rpartition(".")[2]

@@ -29,22 +29,23 @@ from phdtrack.cli import run_directory as rundir
 from phdtrack.cli import signals
 from phdtrack.cli.checkpoint import Checkpoint, source_of
 from phdtrack.cli.doctor import versions
-from phdtrack.cli.inputs import NO_PICTURE, Inputs, Mover, ahead, detected
-from phdtrack.cli.observers import Draw, RunObserver
-from phdtrack.cli.output import progress
+from phdtrack.cli.inputs import NO_PICTURE, Inputs, Mover, ahead, detected, expected, learn_scene
+from phdtrack.cli.observers import RunObserver, shown_particles
+from phdtrack.cli.output import Advance, progress
 from phdtrack.cli.run_directory import RunDirectory
-from phdtrack.errors import InputError, interrupted, shown
-from phdtrack.files import write_text
+from phdtrack.detect import BACKGROUND
+from phdtrack.detect.registry import unsuited
+from phdtrack.errors import InputError, interrupted, needed, shown
+from phdtrack.files import return_memory, write_text
 from phdtrack.filters import NoFilter
-from phdtrack.filters.cardinality import Cardinalised
 from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter
 from phdtrack.models import PlaneSensor
 from phdtrack.protocols import AnyStages, Sensor
 from phdtrack.report import About, Annotator, Recorder, report_html, run_document, sentences, write_run
-from phdtrack.report.pages import lines
+from phdtrack.report.pages import doubts, lines
 from phdtrack.report.record import LOW_EFFECTIVE
 from phdtrack.tracker import FinalTracks, Tracker, uninterrupted
-from phdtrack.types import F8, Detections, Frame, Image, ParticleBlocks, Particles, SequenceInfo, Step, Tracks, Truth
+from phdtrack.types import F8, Detections, Frame, Image, SequenceInfo, Step, Tracks, Truth
 from phdtrack.video import VideoWriter
 
 if TYPE_CHECKING:
@@ -55,6 +56,7 @@ _WHICH = (
     f"{rundir.TRACKS} holds the corrected tracks of the whole run, {rundir.ONLINE} the rows as they were given "
     "frame by frame, which did not change afterwards."
 )
+_REUSED = "The detections are those of an earlier run with the same detector; --detect-again detects anew."
 _HIDDEN = "In all pictures {} of detections and tracks are hidden; what was neither detected nor tracked can be seen."
 # An object detected so often in a row must have been reported; after more than _SLOW detections the user is warned.
 _TRIED, _SLOW = 25, 5
@@ -65,7 +67,8 @@ _SAMPLE, _CHARTED = 1000, 100_000
 @dataclass(frozen=True, slots=True)
 class Job:
     """What is to be run; ``configuration`` and ``read``, what was read and how, decide the result; ``ground`` measures where
-    boxes of tracks in an image stand; ``every``: seconds between checkpoints, 0 for none; ``delay``:
+    boxes of tracks in an image stand; ``looked``: what decides the detections, empty where they are not kept; ``anew``:
+    those of an earlier run are not taken; ``every``: seconds between checkpoints, 0 for none; ``delay``:
     frames by which online rows lag; ``blur``: what is made unrecognisable in pictures."""
 
     inputs: Inputs
@@ -76,6 +79,8 @@ class Job:
     truth: Truth | None = None
     video: bool = True
     observers: tuple[RunObserver, ...] = ()
+    looked: Mapping[str, object] = field(default_factory=dict)
+    anew: bool = False
     mover: Mover | None = None
     ground: Sensor | None = None
     every: float = 0.0
@@ -133,7 +138,8 @@ class _Progress:
     """How far it got. ``stop`` ended the loop, ``cut`` the drawing; ``lost`` is what the source said when it ended.
 
     ``seconds`` is what the loop took, but for ``left_out`` frames in which kernels were compiled or loaded. ``unwritten`` is
-    what ended the writing of files; the others are written all the same. ``resumed`` is the frame that it went on from.
+    what ended the writing of files; the others are written all the same. ``resumed`` is the frame that it went on from;
+    ``reused``: the detections are those of an earlier run.
     """
 
     tracker: Tracker
@@ -147,6 +153,7 @@ class _Progress:
     cut: Stop | None = None
     unwritten: list[Stop] = field(default_factory=list)
     resumed: int = 0
+    reused: bool = False
 
     @contextmanager
     def saving(self) -> Iterator[None]:
@@ -175,8 +182,19 @@ def about(title: str, seed: int = 0) -> About:
 
 def run(job: Job, directory: RunDirectory, *, resume: bool = False) -> Outcome:
     """Run the job. Raises only where nothing was computed; the directory is then left without files of this run."""
+    return_memory()
+    if job.video and (job.inputs.pictures or job.observers):
+        needed("av")  # at the end, perhaps after hours
+    with progress("tracking", 0) as advance:
+        return _run(job, directory, advance, resume=resume)
+
+
+def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -> Outcome:
+    """As `run`, with the function that says how far it got."""
     clock, scores = time.perf_counter(), None
-    done = _track(job, directory, resume=resume)
+    done = _track(job, directory, advance, resume=resume)
+    tracked = time.perf_counter()
+    return_memory()
     if not done.seen and done.stop is not None:
         if not resume:
             directory.clear()
@@ -193,18 +211,23 @@ def run(job: Job, directory: RunDirectory, *, resume: bool = False) -> Outcome:
 
         scores = evaluate(job.truth, tracks, frames=done.last)
     if job.video:
-        _draw(job, directory, done, tracks)
+        _draw(job, directory, done, tracks, advance)
+    finished = time.perf_counter() - tracked
+    return_memory()
+    advance(done.frames, total=done.frames, description="report")
     record = replace(done.recorder.record(tracks, job.about), names=job.names)
     # Of each the note comes first, then the warning if there is one.
-    doubts = (_confirmation(job, done), lines("chain.txt", chain=record.chain, least=LOW_EFFECTIVE))
+    about = (_confirmation(job, done), lines("chain.txt", chain=record.chain, least=LOW_EFFECTIVE))
+    wrong = unsuited(job.inputs.detector) or doubts(record, background=job.inputs.described in BACKGROUND)
     said = replace(
         job.about,
         seconds=time.perf_counter() - clock,
         tracking_seconds=done.seconds,
+        finishing_seconds=finished,
         left_out=done.left_out,
         scores=() if scores is None else tuple((k, math.nan if v is None else v) for k, v in scores.as_dict().items()),
-        warnings=(*_problems(job, done), *(warning for each in doubts for warning in each[1:])),
-        notes=(*(note for each in doubts for note in each[:1]), _WHICH, *([_HIDDEN.format(job.blur)] if job.blur else ())),
+        warnings=(*_problems(job, done), *wrong, *(warning for each in about for warning in each[1:])),
+        notes=(*(note for each in about for note in each[:1]), _WHICH, *([_HIDDEN.format(job.blur)] if job.blur else ())),
     )
     reports = [observer.report() for observer in job.observers]
     record = replace(record, about=replace(said, sections="\n".join(report.section for report in reports)))
@@ -213,12 +236,17 @@ def run(job: Job, directory: RunDirectory, *, resume: bool = False) -> Outcome:
     complete = done.ended is None
     document = run_document(record, job.configuration) | {"complete": complete, "input": job.read}
     document |= {"resumed_from_frame": done.resumed} if done.resumed else {}
+    document |= {"detections_reused": True} if done.reused else {}
     document |= {"boxes_left_out": done.tracker.left_out._asdict()}
     with done.saving():
         document = finish_document(document, directory, *(report.document for report in reports))
     if complete and done.ended is None:
         directory.sweep()
-    summary = (*sentences(record), *(sentence for report in reports for sentence in report.sentences))
+    summary = (
+        *([_REUSED] * done.reused),
+        *sentences(record),
+        *(sentence for report in reports for sentence in report.sentences),
+    )
     warnings = (*said.warnings, *(str(error) for error in done.unwritten if error is not done.ended))
     return Outcome(document, summary, scores, warnings, done.ended)
 
@@ -234,21 +262,23 @@ def finish_document(document: dict[str, object], directory: RunDirectory, *more:
     return document
 
 
-def _track(job: Job, directory: RunDirectory, *, resume: bool) -> _Progress:
+def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -> _Progress:
     """Every frame through detector and tracker, into files and record, until the source ends or something stops it."""
     inputs, stages = job.inputs, job.stages
     tracker = Tracker(stages=job.kinds, fps=inputs.info.fps, seed=job.about.seed)
     done = _Progress(tracker, Recorder(inputs.info, job.truth, None if inputs.again else _CHARTED, job.blur))
     found_in, checkpoint = partial(detected, inputs.detector, mover=job.mover), None
     if job.every > 0 and inputs.pictures and inputs.again:
-        checkpoint = Checkpoint(directory, job.key, job.every, resume=resume)
+        checkpoint = Checkpoint(directory, job.key, job.looked, job.every, resume=resume, anew=job.anew)
         found_in, done.resumed = partial(checkpoint.detected, inputs, mover=job.mover), checkpoint.number
+        done.reused = checkpoint.reused
     with ExitStack() as files:
         written = _Written(job, directory, done, files)
-        advance = files.enter_context(progress("tracking", inputs.info.frames))
         # To load or to compile a kernel for arguments of new types Numba takes a lock, which is recorded.
         locks, clock = files.enter_context(event.install_recorder("numba:compiler_lock")), time.perf_counter()
         try:
+            if checkpoint is None:
+                learn_scene(inputs)
             with ahead(inputs.source) as frames, ahead(found_in(frames)) as looked:
                 for frame, found, warp, seconds in looked:
                     # No frame stands in one file only; and Numba does not survive Ctrl-C while it makes objects.
@@ -257,12 +287,12 @@ def _track(job: Job, directory: RunDirectory, *, resume: bool) -> _Progress:
                         step = tracker.step
                         assert step is not None
                         written.take(frame, found, step, rows)
-                        image = frame.image if inputs.pictures else None
-                        done.recorder.add(image, step, shown_particles(stages, tracker.state.intensity), seconds)
+                        picture = frame if inputs.pictures else None
+                        done.recorder.add(picture, step, shown_particles(stages, tracker.state.intensity), seconds)
                         seen = _Seen(step.number, step.detections, step.info.mass, step.info.clutter_probability)
                         done.seen.append(seen)
                         done.frames += 1
-                    advance(done.frames)
+                    advance(done.frames, **expected(inputs.source, done.frames, "tracking"))
                     before, clock = clock, time.perf_counter()
                     if locks.buffer:
                         done.left_out += 1
@@ -338,7 +368,7 @@ class _DrawnOnce:
     def __init__(self, job: Job, directory: RunDirectory) -> None:
         info, self._delay = job.inputs.info, job.delay
         self._annotate, self._waiting = Annotator(info, names=job.names, blur=job.blur), deque[tuple[Frame, Step]]()
-        self._video = VideoWriter(directory.file(rundir.VIDEO), info.width, info.height, info.fps)
+        self._video = VideoWriter(directory.file(rundir.VIDEO), info.width, info.height, info.fps, fast=True)
 
     def take(self, frame: Frame, step: Step, rows: Tracks) -> None:
         """Draw the frame that the rows are of, which the output delay holds back."""
@@ -365,28 +395,30 @@ class _DrawnOnce:
         self._video.__exit__(*error)
 
 
-def _draw(job: Job, directory: RunDirectory, done: _Progress, tracks: Tracks) -> None:
+def _draw(job: Job, directory: RunDirectory, done: _Progress, tracks: Tracks, advance: Advance) -> None:
     """The videos of the frames that were tracked, but for pictures that do not come again: they are drawn as they come."""
     try:
         with ExitStack() as files:
-            draw, info = list[Draw](), job.inputs.info
+            info, pictures_again = job.inputs.info, job.inputs.pictures and job.inputs.again
+            found = (observer.drawing(directory, files, pictures=pictures_again) for observer in job.observers)
+            draw = list(filter(None, found))
             pictures: Iterable[Image] = repeat(NO_PICTURE)
-            if pictures_again := job.inputs.pictures and job.inputs.again:
-                video = files.enter_context(VideoWriter(directory.file(rundir.VIDEO), info.width, info.height, info.fps))
-                draw.append(lambda number, picture: video.write(picture))
+            if pictures_again:
+                path, size = directory.file(rundir.VIDEO), (info.width, info.height)
+                video = files.enter_context(VideoWriter(path, *size, info.fps, fast=True))
                 frames = files.enter_context(ahead(job.inputs.source))
                 annotate = Annotator(info, names=job.names, blur=job.blur)
-                pictures = files.enter_context(ahead(_annotated(annotate, done.seen, frames, tracks)))
-            found = (observer.drawing(directory, files, pictures=pictures_again) for observer in job.observers)
-            draw.extend(filter(None, found))
+                # What is drawn on the decoder's planes goes to the encoder as it is; others need BGR.
+                annotated = _annotated(annotate, done.seen, frames, tracks, planes=not draw and not job.blur)
+                pictures = files.enter_context(ahead(annotated))
+                draw.insert(0, lambda number, picture: video.write(picture))
             if not draw:
                 return
-            advance = files.enter_context(progress("drawing", len(done.seen)))
             try:
                 for count, (seen, picture) in enumerate(zip(done.seen, pictures, strict=False), start=1):
                     for one in draw:
                         one(seen.number, picture)
-                    advance(count)
+                    advance(count, total=done.frames, description="drawing")
             except KeyboardInterrupt as stop:
                 # The videos end here, and can be played.
                 done.cut = stop
@@ -398,12 +430,16 @@ def _draw(job: Job, directory: RunDirectory, done: _Progress, tracks: Tracks) ->
             done.cut = _as_meant(error)
 
 
-def _annotated(annotate: Annotator, seen: Iterable[_Seen], frames: Iterable[Frame], tracks: Tracks) -> Iterator[Image]:
-    """The frames that were seen, drawn on."""
+def _annotated(
+    annotate: Annotator, seen: Iterable[_Seen], frames: Iterable[Frame], tracks: Tracks, *, planes: bool
+) -> Iterator[Image]:
+    """The frames that were seen, drawn on: their `Picture.planes` where they are wanted and there are any, or BGR."""
     for one, frame in zip(seen, frames, strict=False):
         rows = tracks.take(np.arange(*np.searchsorted(tracks.frame, [one.number, one.number + 1])))
         chances = one.clutter_probability
-        yield annotate(frame.image, one.number, rows, one.detections, mass=one.mass, clutter_probability=chances)
+        picture = frame.picture.planes() if planes and not isinstance(frame.picture, np.ndarray) else None
+        image = frame.image if picture is None else picture
+        yield annotate(image, one.number, rows, one.detections, mass=one.mass, clutter_probability=chances)
 
 
 def _as_meant(stop: Stop) -> Stop:
@@ -451,19 +487,3 @@ def places(sensor: Sensor, xyxy: F8) -> F8:
     NaN where there is none, or where the world of the sensor is the image."""
     plane = isinstance(sensor, PlaneSensor)
     return sensor.measure(Detections.of(xyxy))[:2] if plane else np.full((2, len(xyxy)), np.nan)
-
-
-def shown_particles(stages: AnyStages, intensity: object) -> Particles | None:
-    """The filter's particles where the image shows them: rows 0 and 1 the middle of their boxes in pixels. None where the
-    filter has none, or the world is a plan without an image."""
-    particles = intensity.intensity if isinstance(intensity, Cardinalised) else intensity
-    particles = particles.particles() if isinstance(particles, ParticleBlocks) else particles
-    if isinstance(stages.filter, NoFilter) or not isinstance(particles, Particles):
-        return None
-    sensor = stages.model.sensor
-    if not isinstance(sensor, PlaneSensor):
-        return particles
-    if sensor.camera is None:
-        return None
-    boxes = sensor.boxes(particles.state)
-    return Particles(np.vstack([(boxes[:, :2] + boxes[:, 2:]).T / 2, particles.state[2:]]), particles.weight)

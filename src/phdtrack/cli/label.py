@@ -24,11 +24,13 @@ import typer
 from phdtrack import __version__
 from phdtrack.arrays import pixelated
 from phdtrack.cli import options as given
+from phdtrack.cli.checkpoint import source_of
 from phdtrack.cli.inputs import NO_PICTURE, Inputs, ahead, comes_again, open_inputs, write_detected
-from phdtrack.cli.options import DEFAULT_DETECTOR, PageOptions, SourceOptions, TrackingOptions, option
+from phdtrack.cli.options import PageOptions, SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, counted, progress
 from phdtrack.cli.settings import chosen
 from phdtrack.config import Settings, build, load
+from phdtrack.devices import size_of
 from phdtrack.errors import InputError
 from phdtrack.files import write_text
 from phdtrack.formats import read_detections
@@ -61,12 +63,9 @@ def label(
 
     Meanwhile a tracker looks for detections that may be false and suggests them. Ctrl-C ends.
     """
-    try:
-        from phdtrack.label.page import Session, label_app
-        from phdtrack.live.serving import listen, serve
-    except ModuleNotFoundError as error:
-        problem = f"the page needs the package {error.name}"
-        raise InputError(problem, where="phdtrack label", cure="pip install 'phdtrack[web]'") from error
+    from phdtrack.label.page import Session, label_app
+    from phdtrack.live.serving import listen, serve
+
     output, settings = Output(), load(config, sets or ())
     file = labels or labels_file(source)
     found = to_label(source, settings.values("detector"), file, output)
@@ -126,10 +125,12 @@ def _kept_detections(
     source: SourceOptions, parameters: dict[str, Any], labels: Path, inputs: Inputs, output: Output
 ) -> Path:
     """The file of what the detector sees, by its name and settings; it appears when it is whole."""
-    more = [parameters, source.max_width, str(source.mask or ""), source.fps]
+    more = [parameters, inputs.max_width, str(source.mask or ""), source.fps]
+    name, _, network = source.looked_by.partition(":")
+    more += [source_of(network)] if network else []
     digest = hashlib.sha256(json.dumps(more, sort_keys=True, default=str).encode()).hexdigest()[:8]
-    path = labels.with_name(f"{labels.stem}.{source.detector or DEFAULT_DETECTOR}-{digest}.detections.csv")
-    if path.exists():
+    path = labels.with_name(f"{labels.stem}.{name}-{digest}.detections.csv")
+    if path.exists() and not source.detect_again:
         output.note(f"the detections are those of {path}")
         return path
     part = path.with_name(path.name + ".part")
@@ -153,7 +154,7 @@ def _stills(
     frames = islice(open_source(source.source, fps=source.fps), last)
     with progress("reading frames", last) as advance, ahead(frames) as pictures:
         for frame in pictures:
-            whole, (height, width) = frame.number in numbers, frame.image.shape[:2]
+            whole, (width, height) = frame.number in numbers, size_of(frame)
             if whole or frame.number in around:
                 small = not whole and width > _CLIP_WIDTH
                 image = shown(frame)
@@ -223,7 +224,7 @@ def learn(
     target = out or file.with_name(file.name.removesuffix(".labels.sqlite") + ".scene.json")
     if target.exists() and not overwrite:
         raise InputError("this file is there already", where=target, cure="Say --overwrite, or choose another --out")
-    settings = chosen(TrackingOptions(preset=preset, config=config, sets=sets), detector=source.detections is None)
+    settings = chosen(TrackingOptions(preset=preset, config=config, sets=sets), detector=source.looked_by)
     found = to_label(source, settings.values("detector"), file, output)
     stretch = range(first, min(last or found.info.frames, found.info.frames) + 1)
     if not stretch:

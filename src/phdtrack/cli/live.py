@@ -12,7 +12,7 @@ import queue
 import re
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +29,7 @@ from phdtrack.cli.options import DEFAULT_DETECTOR, PageOptions, TrackingOptions,
 from phdtrack.cli.output import Output, counted
 from phdtrack.cli.settings import chosen, scene_settings
 from phdtrack.config import Settings
-from phdtrack.detect import make_detector
+from phdtrack.detect.registry import class_names, make_detector, working_width
 from phdtrack.devices import Detector
 from phdtrack.errors import InputError, shown
 from phdtrack.files import json_value
@@ -41,6 +41,7 @@ from phdtrack.live.sources import LiveSource, named
 from phdtrack.models import PlaneSensor
 from phdtrack.types import SequenceInfo
 
+Names = Mapping[int, str] | None
 # Seconds that are remembered of tracks; that all cameras may take to end; lines that may wait for a slow reader.
 _REMEMBERED, _ENDING, _LINES = 60.0, 1.5, 10_000
 # Settings that cannot change while it runs, besides the kind of each part: what was learned or is late depends on them.
@@ -63,8 +64,8 @@ class LiveOptions:
     parquet: Annotated[bool, typer.Option("--parquet", help="Hours of rows become Parquet instead of CSV.")] = False
     blur: given.Blur = ""
     checkpoint_every: Annotated[float, option("S", _SAVED, min=0.0)] = EVERY
-    dwell: Annotated[float, option("S", "Seconds in a zone after which a dwell event is said.", min=0.1)] = 60.0
-    leave_after: Annotated[float, option("S", "Seconds without a sighting after which a track has left.", min=0.1)] = 3.0
+    dwell: given.Dwell = 60.0
+    leave_after: given.LeaveAfter = 3.0
 
 
 def live(
@@ -75,7 +76,7 @@ def live(
     output: Output,
     out: Annotated[Path, option("DIR", "Directory to write into, with a folder for each camera.")] = Path("live"),
     detector: given.Detector = DEFAULT_DETECTOR,
-    max_width: given.MaxWidth = 0,
+    max_width: given.MaxWidth = None,
     mask: given.Mask = None,
     scene: given.SceneFile = None,
     page: Annotated[bool, typer.Option("--page/--no-page", help="Serve the page.")] = True,
@@ -89,7 +90,7 @@ def live(
     """
     refuse({"--truth": options.truth}, "a camera has no annotated truth", "phdtrack live")
     make = Maker(options, tuple(scene_settings(scene)), detector, max_width, mask)
-    make.looking(make.settings())
+    known = class_names(make.looking(make.settings(), max_width or 0))
     addresses = named_sources(sources)
     size(write.quota)
     for url in write.webhook or []:
@@ -105,7 +106,7 @@ def live(
 
     told = send if output.json else lambda event: None
     cameras = [
-        Camera(name, LiveSource(address), make, _settings(name, write, options.config, out), told)
+        Camera(name, LiveSource(address), make, _settings(name, write, options.config, out, known), told)
         for name, address in addresses.items()
     ]
     try:
@@ -122,6 +123,7 @@ def live(
     for one in cameras:
         events = counted(one.counted.total(), "event")
         output.say(f"{one.name}: {counted(one.frames, 'frame')}, {events}: {out / one.name}")
+        output.warn([f"{one.name}: {sentence}" for sentence in one.left_out.sentences()])
     if cut:
         names = ", ".join(cut)
         output.warn([f"not all files of {names} are complete: those end in .part, and the next run completes them"])
@@ -135,31 +137,36 @@ class Maker:
     options: TrackingOptions
     first: tuple[str, ...]
     detector: str
-    max_width: int
+    max_width: int | None
     mask: Path | None
 
     def settings(self) -> Settings:
         """Those of `phdtrack track`; the past is forgotten. Raises `InputError` where they cannot be used."""
-        found = config.for_detector(chosen(self.options, self.first, detector=True), self.detector)
+        found = config.for_detector(chosen(self.options, self.first, detector=self.detector), self.detector)
         if found.build("associate").history == 0:
             found = config.overlay(found, {"associate": {"history": _REMEMBERED}}, "phdtrack live")
         return found
 
-    def looking(self, found: Settings) -> Detector:
+    def looking(self, found: Settings, max_width: int) -> Detector:
         """A detector that has seen nothing yet."""
-        return make_detector(self.detector, max_width=self.max_width, mask=self.mask, **found.values("detector"))
+        values, only = found.values("detector"), self.options.classes
+        # A network knows its classes before there is a picture.
+        values |= {"classes": only} if only and ":" in self.detector else {}
+        return make_detector(self.detector, max_width=max_width, mask=self.mask, **values)
 
     def __call__(self, info: SequenceInfo) -> Making:
         """Everything for pictures of this size."""
         found = self.settings()
-        kinds = config.build_kinds(found, info)
+        looking = self.looking(found, working_width(self.detector, self.max_width, info))
+        names = class_names(looking)
+        kinds = config.build_kinds(found, info, names, frozenset(names) if names else None)
         ground = isinstance(kinds.usual.model.sensor, PlaneSensor)
         parts = [(part, own) for part, own in found.as_dict().items() if part != "preset"]
         values = {f"{part}.{name}": one for part, own in parts for name, one in own.items()}
         fixed = {name: one for name, one in values.items() if name.endswith(".kind") or name.startswith(_FIXED)}
         groups = config.build_groups(found, kinds.usual) if ground else None
         delay = found.build("associate").output_delay
-        return Making(self.looking(found), kinds, info, delay, fixed, groups, self.options.seed)
+        return Making(looking, kinds, info, delay, fixed, groups, self.options.seed)
 
 
 def named_sources(given: Sequence[str]) -> dict[str, str]:
@@ -185,13 +192,13 @@ def size(text: str) -> int:
     return 0 if match is None else int(float(match[1]) * 1000 ** " KMGT".index(match[2] or " "))
 
 
-def _settings(name: str, write: LiveOptions, config: Path | None, out: Path) -> CameraSettings:
+def _settings(name: str, write: LiveOptions, config: Path | None, out: Path, names: Names = None) -> CameraSettings:
     """What a camera of this name watches and writes."""
     return CameraSettings(
         folder=out / name,
         places=_places(write.places or [], name, out),
         config=config,
-        watch=Watch(dwell=write.dwell, leave_after=write.leave_after),
+        watch=Watch(dwell=write.dwell, leave_after=write.leave_after, names=names or {}),
         video=write.video,
         quota=size(write.quota),
         parquet=write.parquet,
@@ -219,11 +226,8 @@ class _Server:
     """The page, in a thread of its own. Raises `InputError` where a package or the port is missing."""
 
     def __init__(self, at: PageOptions) -> None:
-        try:
-            from phdtrack.live.serving import listen
-        except ModuleNotFoundError as error:
-            problem, cure = f"the page needs the package {error.name}", "pip install 'phdtrack[web]', or say --no-page"
-            raise InputError(problem, where="phdtrack live", cure=cure) from error
+        from phdtrack.live.serving import listen
+
         self._address = listen(at.host, at.port, at.allow_host or (), at.certificate, at.key)
 
     def start(self, cameras: Sequence[Camera], output: Output) -> None:
@@ -232,7 +236,8 @@ class _Server:
         from phdtrack.live.serving import serve
 
         threading.Thread(target=serve, args=(live_app(cameras), self._address), name="phdtrack page", daemon=True).start()
-        output.say(f"the page: {self._address.url}   (Ctrl-C ends)")
+        # It may have a token that stands nowhere else.
+        (output.note if output.quiet else output.say)(f"the page: {self._address.url}   (Ctrl-C ends)")
 
 
 def _attend(cameras: Sequence[Camera], lines: queue.Queue[dict[str, object]], output: Output, end: float) -> None:
@@ -248,6 +253,7 @@ def _attend(cameras: Sequence[Camera], lines: queue.Queue[dict[str, object]], ou
             if output.json:
                 line: dict[str, object] = {"width": status.width, "height": status.height, "fps": round(status.fps, 2)}
                 line |= {"kind": "source", "source": one.name, "state": now[0], "problem": now[1], "problems": now[2:]}
+                line |= {"boxes_left_out": one.left_out._asdict()}
                 with suppress(queue.Full):
                     lines.put_nowait(line)
             elif now[0] != "connecting" or now[1:] != ("",):

@@ -5,27 +5,28 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+import numpy as np
 
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.inputs import Inputs, Mover
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.config import Settings
 from phdtrack.errors import InputError
+from phdtrack.filters import NoFilter
+from phdtrack.filters.cardinality import Cardinalised
 from phdtrack.formats.columns import WarpsWriter, read_warps
-from phdtrack.models.learning import RateLearning
+from phdtrack.models import PlaneSensor
 from phdtrack.models.scene import refuse_standing
 from phdtrack.pipeline import TrackingState
-from phdtrack.protocols import Learning, Model
+from phdtrack.protocols import AnyStages, Model
 from phdtrack.report.pages import lines, render
-from phdtrack.scene.rates import Rates
-from phdtrack.types import F8, STILL, Detections, Frame, Image, SequenceInfo, Step, Tracks
+from phdtrack.types import F8, STILL, Detections, Frame, Image, ParticleBlocks, Particles, SequenceInfo, Step, Tracks
 from phdtrack.video.ego_motion import CameraMotion, CameraPath
 
 Draw = Callable[[int, Image], None]
 """Draws a frame, by its number and its annotated picture, which is empty where the run has none."""
-# Values over time in run.json.
-_MAX_ENTRIES = 500
 
 
 class Report(NamedTuple):
@@ -60,16 +61,6 @@ class RunObserver:
         return Report({})
 
 
-def observers_of(settings: Settings, inputs: Inputs, learning: Learning[Any] | None) -> tuple[RunObserver, ...]:
-    """The observers of a moving camera and of learned rates, where there are any."""
-    found = list[RunObserver]()
-    if settings.kind("camera_motion") != "none":
-        found.append(CameraObserver(settings.kind("camera_motion"), inputs.info))
-    if isinstance(learning, RateLearning):
-        found.append(RatesObserver(learning))
-    return tuple(found)
-
-
 class CameraObserver(RunObserver):
     """Writes the camera's motion for another run to read, and reports how far the camera went."""
 
@@ -91,31 +82,6 @@ class CameraObserver(RunObserver):
         path = CameraPath.of(self._warps[1:], self._info)
         said, document = lines("camera_motion.txt", path=path), {"kind": self._kind} | asdict(path)
         return Report({"camera_motion": document}, said, render("camera_motion.html", sentences=said))
-
-
-class RatesObserver(RunObserver):
-    """Keeps the rates each time that they are learned."""
-
-    def __init__(self, learning: RateLearning) -> None:
-        self._rule, self._course = learning.rule, list[Rates]()
-
-    def take(self, found: Detections, step: Step, state: TrackingState) -> None:
-        """Keep what this frame taught."""
-        if (rates := state.learned.rates).number == step.number:
-            self._course.append(rates)
-
-    def report(self) -> Report:
-        """The rates over time, at most 500 of them, and those at the end."""
-        given, known = self._rule.settings, {"course": self._course, "rule": self._rule}
-        used = {"detection": given.detection, "clutter": given.clutter}
-        course = [asdict(self._course[k]) for k in _thinned(len(self._course))]
-        document = {"set": asdict(self._rule.priors), "used": used, "course": course}
-        return Report({"rates": document}, lines("rates.txt", **known), render("rates.html", **known))
-
-
-def _thinned(count: int) -> list[int]:
-    """Indices of at most 500 of ``count`` entries, evenly, with the last one."""
-    return sorted({*range(0, count, count // _MAX_ENTRIES + 1), *range(count)[-1:]})
 
 
 def mover_of(settings: Settings, inputs: Inputs, model: Model) -> Mover | None:
@@ -149,3 +115,19 @@ def mover_of(settings: Settings, inputs: Inputs, model: Model) -> Mover | None:
         return warps.between(before, frame.number)
 
     return read
+
+
+def shown_particles(stages: AnyStages, intensity: object) -> Particles | None:
+    """The filter's particles where the image shows them: rows 0 and 1 the middle of their boxes in pixels. None where the
+    filter has none, or the world is a plan without an image."""
+    particles = intensity.intensity if isinstance(intensity, Cardinalised) else intensity
+    particles = particles.particles() if isinstance(particles, ParticleBlocks) else particles
+    if isinstance(stages.filter, NoFilter) or not isinstance(particles, Particles):
+        return None
+    sensor = stages.model.sensor
+    if not isinstance(sensor, PlaneSensor):
+        return particles
+    if sensor.camera is None:
+        return None
+    boxes = sensor.boxes(particles.state)
+    return Particles(np.vstack([(boxes[:, :2] + boxes[:, 2:]).T / 2, particles.state[2:]]), particles.weight)

@@ -29,15 +29,20 @@ def one_of(value: str, *known: str) -> str:
 
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; everything else goes to stderr.")]
+_QUIET = "Say nothing but warnings and errors: neither how far it got nor what came of it."
+Quiet = Annotated[bool, typer.Option("--quiet", help=_QUIET)]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the files of an earlier run; other files stay.")]
 Seed = Annotated[int, option("N", "Seed of everything random: the same seed gives the same result.", min=0)]
 Iou = Annotated[float, option("F", "Overlap (intersection over union) from which two boxes match.")]
-MaxWidth = Annotated[int, option("N", "Wider frames are shrunk to N pixels for the detector; 0: off.", min=0)]
+_WIDTH = "Wider frames are shrunk to N pixels for the detector; 0: not at all (default: about 640; face, person: 0)."
+MaxWidth = Annotated[int | None, option("N", _WIDTH, min=0)]
 Mask = Annotated[Path | None, option("FILE", "Image of the frame's size; only what lies where it is not black is reported.")]
 Video = Annotated[bool, typer.Option("--video/--no-video", help="Write videos to look at.")]
 FrameSize = Annotated[str, option("WxH", "Size of the frames in pixels, as 1920x1080.")]
 Fps = Annotated[float, option("F", "Frames per second; 0: what the video or seqinfo.ini says.", min=0.0)]
-Detector = Annotated[str, option("NAME", "change (default), mean-background, mog2, knn, face or person.")]
+Detector = Annotated[
+    str, option("NAME", "change (default), mean-background, mog2, knn, face, person, or onnx:FILE, a network.")
+]
 Source = Annotated[str, typer.Argument(metavar="SOURCE", help="Video, folder or pattern of images, or camera number.")]
 _FILTERS = "pmb (default), gm-phd, particle-phd, gm-cphd, particle-cphd, mht, pmbm, mcmc, or none."
 Filter = Annotated[str, option("NAME", _FILTERS, "--filter")]
@@ -72,10 +77,14 @@ _SIZE = "Largest file that is read whole, as 500MB; videos have no limit (defaul
 MaxFileSize = Annotated[str, option("SIZE", _SIZE, callback=limit_files)]
 Classes = Annotated[str, option("NAME,...", "Classes of the detections to track; default: all, each on its own.")]
 Out = Annotated[Path | None, option("DIR", "Directory to write into; default: runs/ and the source's name.")]
+_AGAIN = "Detect anew, and do not use what an earlier run has detected in this video by the same detector."
+DetectAgain = Annotated[bool, typer.Option("--detect-again", help=_AGAIN)]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on with a run that was stopped or killed.")]
 CheckpointEvery = Annotated[float, option("S", "Seconds between checkpoints, for --resume; 0: none.", min=0.0)]
 _BLUR = "Make boxes, or faces (the upper third of boxes), unrecognisable in all pictures and videos."
 Blur = Annotated[str, option("boxes|faces", _BLUR, callback=lambda value: one_of(value, "", "boxes", "faces"))]
+Dwell = Annotated[float, option("S", "Seconds in a zone after which a dwell event is said.", min=0.1)]
+LeaveAfter = Annotated[float, option("S", "Seconds without a sighting after which a track has left.", min=0.1)]
 Threads = Annotated[int | None, option("N", "Threads of particle filters; same result (default: 1; 0: all cores).", min=0)]
 _MOST = "Most detections of a frame; of more the highest scores are taken (default: 1000; less with some filters)."
 MaxDetections = Annotated[int | None, option("N", _MOST, min=1)]
@@ -92,10 +101,16 @@ class SourceOptions:
     detector: Detector = ""
     frame_size: FrameSize = ""
     fps: Fps = 0.0
-    max_width: MaxWidth = 0
+    max_width: MaxWidth = None
     mask: Mask = None
     on_error: OnError = "stop"
     max_file_size: MaxFileSize = ""
+    detect_again: DetectAgain = False
+
+    @property
+    def looked_by(self) -> str:
+        """The name of the detector; empty where the detections are given."""
+        return "" if self.detections else self.detector or DEFAULT_DETECTOR
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ With ``--json`` stdout belongs to one JSON object, and every sentence moves to s
 from __future__ import annotations
 
 import json
+import logging
 import math
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -13,21 +14,33 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from phdtrack.cli.options import Json
+from phdtrack.cli.options import Json, Quiet
 from phdtrack.files import json_value
 
-Advance = Callable[[int], None]
+Advance = Callable[..., None]
+"""Takes the number of frames done so far; ``total`` and ``description`` where they are others than before."""
+_SHOWN = list[Any]()
+# What is said of work under way, as that kernels are compiled: `Output.quiet` sets its level.
+_WORK = logging.getLogger("phdtrack.kernels")
+# Of what takes hours: the pace of the last half minute would tell nothing of its end.
+PACE = 24 * 3600.0
 
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """Where a command's words go; ``json``: stdout is kept for one JSON object."""
+    """Where a command's words go; ``json``: stdout is kept for one JSON object; ``quiet``: only warnings are said, and from
+    when this is made also no `progress` is shown."""
 
     json: Json = False
+    quiet: Quiet = False
+
+    def __post_init__(self) -> None:
+        _WORK.setLevel(logging.ERROR if self.quiet else logging.NOTSET)
 
     def say(self, *lines: str) -> None:
         """Lines for the user; an empty one without any."""
-        print(*lines, sep="\n", file=sys.stderr if self.json else sys.stdout, flush=True)
+        if not self.quiet:
+            print(*lines, sep="\n", file=sys.stderr if self.json else sys.stdout, flush=True)
 
     def warn(self, sentences: Iterable[str]) -> None:
         """Sentences about what is not as it should be, but does not stop the job."""
@@ -68,12 +81,21 @@ def counted(count: int, noun: str) -> str:
 
 @contextmanager
 def progress(title: str, total: int, pace: float = 30.0) -> Iterator[Advance]:
-    """A bar on stderr when that is a terminal, nothing otherwise; ``total`` 0 where the end is not known.
+    """A bar on stderr when that is a terminal, nothing otherwise or if `Output.quiet`; ``total`` 0: the end is not known.
 
     Gives the function to call with the number of frames done so far. The end is estimated from the last ``pace`` seconds.
     """
-    if not sys.stderr.isatty():
-        yield lambda done: None
+    if not sys.stderr.isatty() or not _WORK.isEnabledFor(logging.WARNING):
+        yield lambda done, **_: None
+        return
+    if _SHOWN:
+        # One display for the whole: a bar within another one goes below it.
+        bar = _SHOWN[0]
+        task = bar.add_task(title, total=total or None)
+        try:
+            yield lambda done, **more: bar.update(task, completed=done, **more)
+        finally:
+            bar.remove_task(task)
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -81,4 +103,8 @@ def progress(title: str, total: int, pace: float = 30.0) -> Iterator[Advance]:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True, speed_estimate_period=pace) as bar:
         task = bar.add_task(title, total=total or None)
-        yield lambda done: bar.update(task, completed=done)
+        _SHOWN.append(bar)
+        try:
+            yield lambda done, **more: bar.update(task, completed=done, **more)
+        finally:
+            _SHOWN.clear()

@@ -11,10 +11,13 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 from weakref import WeakValueDictionary
 
-from phdtrack.errors import InputError
-from phdtrack.files import part_of
+from phdtrack.errors import InputError, needed
+from phdtrack.files import load, part_of, read_json
+from phdtrack.formats import find_seqinfo, read_tracks_named
+from phdtrack.types import SequenceInfo, Tracks
 
 try:
     import fcntl
@@ -25,8 +28,11 @@ except ImportError:  # pragma: no cover
 TRACKS, ONLINE, STATES, DETECTIONS = "tracks.csv", "tracks_online.csv", "states.csv", "detections.csv"
 GROUPS, MEMBERS, EVENTS, WARNINGS = "groups.csv", "members.csv", "events.csv", "warnings.csv"
 VIDEO, PLAN, REPORT, RUN, CAMERA_MOTION = "annotated.mp4", "plan.mp4", "report.html", "run.json", "camera_motion.csv"
+COUNTS, COUNTS_PICTURE, COUNTS_VIDEO = "counts.csv", "counts.png", "counts.mp4"
 # What a run that was stopped or killed goes on from; removed when it is complete.
 LOG, KNOWN = "checkpoint.log", "checkpoint.detector"
+# What a complete run has detected, for the next one; other runs leave it where it is.
+DETECTED = "detections.cache"
 # Every file that a run may write, and what it is; without words it is not listed for people.
 RUN_FILES = {
     TRACKS: "tracks, corrected, MOTChallenge",
@@ -40,9 +46,43 @@ RUN_FILES = {
     VIDEO: "to look at",
     PLAN: "the ground from above",
     CAMERA_MOTION: "how the camera moved, for --camera-motion",
+    COUNTS: "who crossed a line, entered or left a zone, and when",
+    COUNTS_PICTURE: "lines, zones and what was counted",
+    COUNTS_VIDEO: "the same while it goes on",
     REPORT: "the run in pictures and numbers",
     RUN: "everything that decided it, for programs",
 }
+
+
+class GivenTracks(NamedTuple):
+    """The tracks of a run or of a file, what it calls their classes, what is known of the sequence (0 and "" where nothing
+    is), and the source that it was made of; empty where that is not said."""
+
+    tracks: Tracks
+    names: Mapping[int, str]
+    info: SequenceInfo
+    source: str
+
+
+def is_run(path: Path) -> bool:
+    """Whether it is the directory of a run."""
+    return (path / TRACKS).exists() or (path / RUN).exists()
+
+
+def given_tracks(path: Path) -> GivenTracks:
+    """The corrected tracks in the directory of a run, or those in a file. `InputError` where they cannot be read."""
+    run = (path if path.is_dir() else path.parent) / RUN
+    tracks, names = read_tracks_named(path / TRACKS if is_run(path) else path)
+    info, source = find_seqinfo(path) or SequenceInfo(0, 0, 0.0), ""
+    if run.is_file():
+        document = read_json(run, load(run))
+        try:
+            known = document["source"]
+            info = SequenceInfo(known["width"], known["height"], known["fps"], document["frames"], known["name"])
+            source = document["input"].get("source", "")
+        except (AttributeError, KeyError, TypeError) as error:
+            raise InputError(f"expected what a run writes, and there is no {error}", where=run) from None
+    return GivenTracks(tracks, names, info, source)
 
 
 class _Lock:
@@ -138,10 +178,13 @@ def claim(
     """``out``, or ``runs/NAME``, made ready and locked: files of an earlier run are removed, so that none is taken for one
     of this run. To ``resume`` nothing is removed.
 
-    Raises `InputError` as `check`, or where the directory cannot be made or written into, or another process writes there.
+    Raises `InputError` as `check`, or where the directory cannot be made or written into, another process writes there, or a
+    package is missing that the report needs.
     """
     path = out or Path("runs") / name
     check(path, overwrite or resume, files)
+    if REPORT in files:
+        needed("matplotlib")  # at the end, perhaps after hours
     try:
         path.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path):

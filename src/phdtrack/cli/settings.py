@@ -9,6 +9,7 @@ import inspect
 import json
 import re
 from collections.abc import Sequence
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -32,14 +33,14 @@ MAIN = {
 }
 
 
-def chosen(options: TrackingOptions, first: Sequence[str] = (), *, detector: bool = False) -> Settings:
+def chosen(options: TrackingOptions, first: Sequence[str] = (), *, detector: str = "") -> Settings:
     """The settings: those of preset and file, then of ``first``, then of the options, each in place of those before.
 
-    ``detector``: the detections are those of a detector of this package (`usual_preset`).
+    ``detector`` is its name, if one of this package looks (`usual_preset`). A network's boxes (onnx:FILE) are as a file's.
     """
     sets = [*first, *(options.sets or ()), *only_classes(options.classes)]
     settings = load(options.config, sets, options.preset, options.filter_name)
-    if detector and options.config is None:
+    if detector and ":" not in detector and options.config is None:
         settings = load(None, sets, usual_preset(settings, options.preset), options.filter_name)
     if options.max_detections is not None:
         settings = overlay(settings, {"limits": {"max_detections": options.max_detections}}, "--max-detections")
@@ -122,8 +123,10 @@ def toml_value(value: Any) -> str:
 
 def meanings(kind: type[Any]) -> dict[str, str]:
     """What the docstring of a class says of each of its parameters, in one line."""
-    text = inspect.cleandoc(kind.__doc__ or "")
-    found = dict(re.findall(r"``(\w+)``: ([^;.]+)", text))
+    # What a kind has of another stands there.
+    text, above = inspect.cleandoc(kind.__doc__ or ""), [one for one in kind.__mro__[1:-1] if is_dataclass(one)]
+    found = {name: words for one in above for name, words in meanings(one).items()}
+    found |= dict(re.findall(r"``(\w+)``: ([^;.]+)", text))
     _, _, parameters = text.partition("Parameters\n----------\n")
     for names, words in re.findall(r"^([\w, ]+?) : (.*(?:\n    .*)*)", parameters.split("\n\n")[0], re.MULTILINE):
         found |= dict.fromkeys(names.split(", "), words)

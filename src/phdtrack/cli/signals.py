@@ -6,6 +6,7 @@ thread does not move for a second and a half: in a kernel, in its compilation, o
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import socket
@@ -60,8 +61,11 @@ def which() -> str:
 def leave(code: int) -> None:
     """End the process with an exit status, also where a thread hangs that reads a source."""
     waiting = [one for one in threading.enumerate() if one is not threading.main_thread() and not one.daemon]
-    if not waiting:
+    if not waiting and not _came:
         sys.exit(code)
+    if not waiting:
+        # Python would say SIGINT of whatever signal came while a text was executed, as where a dataclass is made.
+        atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
     os._exit(code)

@@ -18,7 +18,7 @@ from phdtrack.cli.job import run
 from phdtrack.cli.options import SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, counted, progress
 from phdtrack.cli.settings import chosen
-from phdtrack.cli.track import announced, prepare
+from phdtrack.cli.track import prepare
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.files import write_text
 from phdtrack.formats import write_detections, write_truth
@@ -98,9 +98,9 @@ def demo(
     outcomes = {}
     for (title, place), filter_name in zip(places.items(), ("pmb", "none"), strict=True):
         options = TrackingOptions(filter_name, seed=seed, truth=truth)
-        job = prepare(SourceOptions(str(movie)), options, chosen(options, detector=True), video=True)
-        with announced(output):
-            outcome = outcomes[title] = run(job, place)
+        source = SourceOptions(str(movie))
+        job = prepare(source, options, chosen(options, detector=source.looked_by), video=True)
+        outcome = outcomes[title] = run(job, place)
         output.warn(outcome.warnings)
         if outcome.stop is not None:
             raise outcome.stop

@@ -2,40 +2,28 @@
 
 from __future__ import annotations
 
-import sys
+import json
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-from numba.core import event
+from typing import Annotated
 
 from phdtrack import config
 from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.checkpoint import EVERY
+from phdtrack.cli.checkpoint import EVERY, source_of
 from phdtrack.cli.inputs import open_inputs, write_detected
 from phdtrack.cli.job import Job, about, run
-from phdtrack.cli.observers import mover_of, observers_of
+from phdtrack.cli.observers import CameraObserver, mover_of
 from phdtrack.cli.options import DEFAULT_DETECTOR, SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, counted
 from phdtrack.cli.settings import chosen, scene_settings
 from phdtrack.config import Settings, load
 from phdtrack.errors import InputError, shown
 from phdtrack.formats import read_truth
-from phdtrack.kernels import CACHE
 
-if TYPE_CHECKING:
-    pass
 # Seconds that a tracker remembers of a camera: its corrected rows are final after half a minute.
 REMEMBERED = 120.0
-_COMPILING = "compiling kernels (first use on this machine, some ten seconds; they are kept for the next runs) ..."
-_ALWAYS_COMPILING = (
-    "kernels are compiled anew in every run (some ten seconds): neither the installation nor the home folder can be "
-    "written into; set NUMBA_CACHE_DIR to a folder that can"
-)
 
 
 def track(
@@ -59,7 +47,7 @@ def track(
     """
     rundir.check(out, overwrite or resume)
     first = scene_settings(scene, camera_motion)
-    settings = chosen(options, first, detector=source.detections is None)
+    settings = chosen(options, first, detector=source.looked_by)
     job = replace(prepare(source, options, settings, video=video), every=checkpoint_every, blur=blur)
     finish(output, job, out, overwrite, resume=resume)
 
@@ -73,15 +61,17 @@ def detect(
     config: given.Config = None,
     sets: given.Sets = None,
     fps: given.Fps = 0.0,
-    max_width: given.MaxWidth = 0,
+    max_width: given.MaxWidth = None,
     mask: given.Mask = None,
+    classes: Annotated[str, option("NAME,...", "Classes of a network to write; default: all.")] = "",
 ) -> None:
     """Detect objects in a video and write detections.csv, a MOTChallenge file.
 
     What was detected is written frame by frame, so that Ctrl-C loses nothing.
     """
     looked = SourceOptions(source, detector=detector, fps=fps, max_width=max_width, mask=mask)
-    inputs = open_inputs(looked, load(config, sets or ()).values("detector"))
+    sets = [*(sets or ()), *([f"detector.classes={json.dumps(classes)}"] if classes else [])]
+    inputs = open_inputs(looked, load(config, sets).values("detector"))
     files = {rundir.DETECTIONS: rundir.RUN_FILES[rundir.DETECTIONS]}
     directory = rundir.claim(out, overwrite, files, name=inputs.info.name)
     counts, file, clock = list[int](), directory.file(rundir.DETECTIONS), time.perf_counter()
@@ -106,16 +96,22 @@ def prepare(source: SourceOptions, options: TrackingOptions, settings: Settings,
     cannot be read, or options do not go together."""
     truth = None if options.truth is None else read_truth(options.truth)
     if source.detections is None:
-        settings = config.for_detector(settings, source.detector or DEFAULT_DETECTOR)
+        settings = config.for_detector(settings, source.looked_by)
     inputs = open_inputs(source, settings.values("detector"), 0 if truth is None else int(truth.frame.max(initial=0)))
     if not inputs.again and settings.build("associate").history == 0:
         settings = config.overlay(settings, {"associate": {"history": REMEMBERED}}, "a camera")
     kinds = config.build_kinds(settings, inputs.info, inputs.names, inputs.classes, moving=True)
-    stages = kinds.usual
+    stages, moving = kinds.usual, settings.kind("camera_motion")
     read: dict[str, object] = {"detections": str(source.detections), **inputs.left_out}
+    looked: dict[str, object] = {}
     if source.detections is None:
         mask, fps = str(source.mask or ""), inputs.info.fps
-        read = {"detector": inputs.described, "max_width": source.max_width, "mask": mask, "fps": fps}
+        read = {"detector": inputs.described, "max_width": inputs.max_width, "mask": mask, "fps": fps}
+        network = inputs.described.partition(":")[2]
+        read |= {"network": source_of(network)} if network else {}
+        if inputs.again and Path(source.source).exists():
+            file, drawn = source_of(str(Path(source.source).resolve())), source_of(mask) if mask else []
+            looked = {**read, "mask": drawn, "file": file, "parameters": settings.values("detector")}
     return Job(
         inputs=inputs,
         kinds=kinds,
@@ -124,7 +120,9 @@ def prepare(source: SourceOptions, options: TrackingOptions, settings: Settings,
         about=about(inputs.name, options.seed),
         truth=truth,
         video=video,
-        observers=observers_of(settings, inputs, stages.learning),
+        looked=looked,
+        anew=source.detect_again,
+        observers=() if moving == "none" else (CameraObserver(moving, inputs.info),),
         mover=mover_of(settings, inputs, stages.model),
         delay=settings.build("associate").output_delay,
     )
@@ -139,8 +137,7 @@ def finish(output: Output, job: Job, out: Path | None, overwrite: bool, *, resum
     if resume and rundir.completed(directory):
         output.say(f"The run in {directory.path} is complete: there is nothing to go on with.")
         return
-    with announced(output):
-        outcome = run(job, directory, resume=resume)
+    outcome = run(job, directory, resume=resume)
     output.warn(outcome.warnings)
     output.say(*outcome.summary, "", *directory.listing())
     if outcome.scores is not None:
@@ -152,32 +149,3 @@ def finish(output: Output, job: Job, out: Path | None, overwrite: bool, *, resum
     output.document(outcome.document)
     if outcome.stop is not None:
         raise outcome.stop
-
-
-# Numba has no types.
-class _Announcement(event.Listener):  # type: ignore[misc]
-    """Says once that a kernel of ours is compiled."""
-
-    def __init__(self, out: Output) -> None:
-        self._out, self._said = out, False
-
-    def on_start(self, event: event.Event) -> None:
-        """A function begins to be compiled."""
-        if self._said or not event.data["dispatcher"].py_func.__module__.startswith("phdtrack."):
-            return
-        self._said = True
-        if not CACHE.lasting:
-            self._out.warn([_ALWAYS_COMPILING])
-        elif sys.stderr.isatty():
-            self._out.note(_COMPILING)
-
-    def on_end(self, event: event.Event) -> None:
-        """Nothing."""
-
-
-@contextmanager
-def announced(out: Output) -> Iterator[None]:
-    """While this lasts, say so when the first kernel is compiled, on a terminal only, so that the run does not look as if it
-    hung; that kernels cannot be kept is said in any case, because the user can change it."""
-    with event.install_listener("numba:compile", _Announcement(out)):
-        yield

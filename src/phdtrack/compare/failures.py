@@ -12,10 +12,11 @@ import numpy as np
 
 from phdtrack.arrays import pixelated
 from phdtrack.compare.plans import Case, Run
-from phdtrack.compare.runs import TRACKS, Comparison, Failed, RunInput, run_input
+from phdtrack.compare.runs import TRACKS, Comparison, RunInput, run_input
 from phdtrack.errors import InputError
 from phdtrack.formats import read_tracks
 from phdtrack.metrics.matching import build, tracking_mapping
+from phdtrack.parallel import Failed
 from phdtrack.report.drawing import FALSE, MISSED, RIGHT, SWITCHED, Mistakes, side_by_side
 from phdtrack.types import Image, Tracks
 from phdtrack.video import open_source
@@ -44,10 +45,6 @@ def worst_frames(comparison: Comparison, number: int, blur: str = "") -> Iterato
     comparison : with its results.
     number : of frames of each sequence with truth in which the methods differ most, and as many with most mistakes.
     blur : what is hidden of the boxes of detections, tracks and truth (`arrays.pixelated`).
-
-    Yields
-    ------
-    The pictures.
     """
     for sequence in dict.fromkeys(case.sequence for case in comparison.plan.cases) if number > 0 else ():
         found = list(conditions(comparison, sequence))

@@ -21,6 +21,7 @@ from phdtrack.config import Settings
 from phdtrack.config.kinds import SECTIONS
 from phdtrack.detect import detector_parameters, make_detector
 from phdtrack.detect.convert import within_frame
+from phdtrack.detect.registry import working_width
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.formats import find_seqinfo, read_detections, read_truth
 from phdtrack.metrics.matching import check_threshold
@@ -140,7 +141,8 @@ class Request:
     sequences : folders as MOTChallenge lays them out, or videos.
     filters : the others are compared to the first. Without any, that of the settings, and none.
     detections : sets that the folders have, or files; ``{}`` in a file's name stands for the sequence's name.
-    detectors, max_width : what looks at the videos, in frames of at most so many pixels (0: as they are). Without
+    detectors, max_width : what looks at the videos, in frames of at most so many pixels (0: as they are,
+        None: as `working_width` has it). Without
         detections and detectors: whatever a sequence has.
     truth : a file, named as those of detections; empty for that of the folder.
     clutter : rates of added clutter, boxes per frame.
@@ -154,7 +156,7 @@ class Request:
     filters: Sequence[str] = ()
     detections: Sequence[str] = ()
     detectors: Sequence[str] = ()
-    max_width: int = 0
+    max_width: int | None = None
     truth: str = ""
     clutter: Sequence[float] = (0.0,)
     seeds: int = 5
@@ -183,7 +185,7 @@ def plan(wanted: Request) -> Plan:
                 raise InputError(f"{name} cannot belong to {len(wanted.sequences)} sequences", where=option, cure=cure)
     methods = _methods(wanted)
     parameters = wanted.load([text for text in wanted.sets if _section(text) == "detector"]).values("detector")
-    _detector_parameters(wanted.detectors, wanted.max_width, parameters)  # raises where one does not exist
+    _detector_parameters(wanted.detectors, parameters)  # raises where one does not exist
     cases = tuple(case for word in wanted.sequences for case in _cases(word, wanted, parameters))
     for case in cases:
         for method in methods:
@@ -269,9 +271,10 @@ def _cases(word: str, wanted: Request, parameters: Mapping[str, Any]) -> list[Ca
     seen = open_source(source).info if source and (detectors or known is None) else None
     found = [Case(name, label, _info(word, file, known or seen, last), truth, source, file) for label, file in files]
     if seen is not None and detectors:
-        own = _detector_parameters(detectors, wanted.max_width, parameters)
+        own = _detector_parameters(detectors, parameters)
         info = replace(seen, frames=0, name=name)
-        found += [Case(name, each, info, truth, source, None, values, wanted.max_width) for each, values in own.items()]
+        widths = {each: working_width(each, wanted.max_width, seen) for each in own}
+        found += [Case(name, each, info, truth, source, None, values, widths[each]) for each, values in own.items()]
     return found
 
 
@@ -306,9 +309,7 @@ def _info(word: str, file: Path, known: SequenceInfo | None, last: int) -> Seque
     return info
 
 
-def _detector_parameters(
-    names: Sequence[str], max_width: int, parameters: Mapping[str, Any]
-) -> dict[str, Mapping[str, Any]]:
+def _detector_parameters(names: Sequence[str], parameters: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     """By the name of a detector those of the settings that it has."""
     out: dict[str, Mapping[str, Any]] = {}
     for name in names:
@@ -317,7 +318,7 @@ def _detector_parameters(
             raise InputError(f"{name} does not look at a video", where="--detectors", cure=cure)
         known = detector_parameters(name)
         out[name] = {key: value for key, value in parameters.items() if key in known}
-        make_detector(name, max_width=max_width, **out[name])
+        make_detector(name, **out[name])
     if names and parameters.keys() - {key for values in out.values() for key in values}:
         make_detector(names[0], **parameters)  # raises, and says which name is near
     return out

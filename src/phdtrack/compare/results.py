@@ -13,10 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.compare.failures import WorstFrame
-from phdtrack.compare.runs import Comparison, Failed
+from phdtrack.compare.runs import Comparison
 from phdtrack.compare.statistics import OTHERS, SCORES, UNKNOWN, Row, summary, values_of, widest
 from phdtrack.files import write_text
 from phdtrack.metrics.errors import SUMS
+from phdtrack.parallel import Failed
 from phdtrack.report.charts import Picture, jpeg, score_chart
 from phdtrack.report.pages import flattened, lines, render, score_meanings
 from phdtrack.report.record import About

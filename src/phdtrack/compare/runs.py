@@ -13,21 +13,17 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import multiprocessing
 import os
 import shutil
-import signal
 import time
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import count as count_from
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -35,16 +31,16 @@ import phdtrack
 from phdtrack import config
 from phdtrack.classes import Lanes
 from phdtrack.compare.plans import Case, Plan, Run
-from phdtrack.detect import make_detector
 from phdtrack.detect.convert import within_frame
-from phdtrack.detect.registry import frames_walked
-from phdtrack.errors import InputError, interrupted
+from phdtrack.detect.registry import class_names, frames_walked, looked_at, make_detector, study
+from phdtrack.errors import InputError
 from phdtrack.files import json_value, write_text
 from phdtrack.formats import DetectionsWriter, read_detections, read_truth, write_tracks
 from phdtrack.metrics import Scores, explain
 from phdtrack.metrics.counts import Counts, count
 from phdtrack.metrics.matching import build
 from phdtrack.metrics.scores import scores_of
+from phdtrack.parallel import Failed, outcomes
 from phdtrack.report.pages import write_run
 from phdtrack.report.record import known_mean
 from phdtrack.simulate import add_clutter
@@ -53,19 +49,11 @@ from phdtrack.video import open_source
 from phdtrack.video.files import SUFFIXES
 
 Advance = Callable[[int], object]
-T = TypeVar("T")
 RUN, TRACKS, DETECTIONS = "run.json", "tracks.csv", "detections.csv"
 # Packages on which no result depends, and sections of the settings on which no track depends; the detector's are among what
 # decides the detections.
 _NO_RESULT = ("cli", "label", "report", "groups")
 _NO_TRACK = ("detector", "groups", "contours", "life_cycle", "encounters")
-
-
-@dataclass(frozen=True, slots=True)
-class Failed:
-    """Why a piece of work has no result, in a sentence."""
-
-    reason: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,10 +155,6 @@ def run(plan: Plan, folder: Path, jobs: int = 1, *, anew: bool = False, advance:
     anew : whether to run everything again.
     advance : is called with the number of `steps` that are done.
 
-    Returns
-    -------
-    The results.
-
     Raises
     ------
     InputError : the folder cannot be written into, or an input has gone since it was planned.
@@ -252,9 +236,10 @@ def _detect(case: Case, folder: Path) -> dict[str, object]:
     numbers, times, began = list[int](), list[float](), time.perf_counter()
     detector = make_detector(case.detections, max_width=case.max_width, **case.parameters)
     source = open_source(case.source)
-    with DetectionsWriter(folder / DETECTIONS) as writer:
-        for frame in source:
-            writer.append(frame.number, detector(frame))
+    study(detector, replace(source), source.sample)
+    with DetectionsWriter(folder / DETECTIONS, class_names(detector)) as writer:
+        for frame, found, _ in looked_at(detector, source):
+            writer.append(frame.number, found)
             numbers.append(frame.number)
             times.append(frame.time)
     seconds = (time.perf_counter() - began) / max(len(times), 1)
@@ -349,56 +334,13 @@ def tracked(run: Run, given: RunInput) -> tuple[Tracks, bool, float, float | Non
     return tracks, tracker.drawn, float(np.median(seconds)) if seconds else 0.0, mean if math.isfinite(mean) else None
 
 
-def outcomes(work: Sequence[Callable[[], T]], jobs: int) -> Iterator[tuple[int, T | Failed]]:
-    """The number (from 0) and the result of each piece of work, as they come, by ``jobs`` processes; with 1 by this one.
-
-    Work and results must be of classes and functions that a fresh interpreter can import. Each process has a pool of its
-    own: one that dies fails its own piece, and another takes its place.
-    """
-    if min(jobs, len(work)) <= 1:
-        yield from enumerate(map(_tried, work))
-        return
-    # Ctrl-C is for the parent, which ends its processes.
-    ignore, context = (signal.SIGINT, signal.SIG_IGN), multiprocessing.get_context("spawn")
-    before, left = set(multiprocessing.active_children()), list(enumerate(work))[::-1]
-    idle = [ProcessPoolExecutor(1, context, signal.signal, ignore) for _ in range(min(jobs, len(work)))]
-    running: dict[Future[Any], tuple[int, ProcessPoolExecutor]] = {}
-    try:
-        while left or running:
-            while left and idle:
-                (number, piece), pool = left.pop(), idle.pop()
-                running[pool.submit(_tried, piece)] = number, pool
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                number, pool = running.pop(future)
-                died = isinstance(future.exception(), BrokenProcessPool)
-                idle.append(ProcessPoolExecutor(1, context, signal.signal, ignore) if died else pool)
-                yield number, Failed("its process died (out of memory?)") if died else future.result()
-    finally:
-        # None of them has anything to do any more, but after Ctrl-C.
-        for process in set(multiprocessing.active_children()) - before:
-            process.kill()
-        for pool in (*idle, *(pool for _, pool in running.values())):
-            pool.shutdown(cancel_futures=True)
-
-
-def _tried(piece: Callable[[], T]) -> T | Failed:
-    """The result, or why there is none. Ctrl-C goes through, also where compiled code has turned it into another error."""
-    try:
-        return piece()
-    except Exception as error:
-        if interrupted(error):
-            raise KeyboardInterrupt from error
-        if isinstance(error, InputError):
-            return Failed(str(error))
-        first = str(error).partition("\n")[0]
-        return Failed(f"{type(error).__name__}: {first}" if first else type(error).__name__)
-
-
 def _decides_detections(case: Case) -> dict[str, object]:
     """What decides the detections of a case."""
     if case.file is not None:
         return {"file": _contents(case.file)}
+    network = case.detections.partition(":")[2]
     return {
+        **({"network": _contents(Path(network))} if network else {}),
         "phdtrack": phdtrack.__version__,
         "sources": _sources(),
         "video": _contents(Path(case.source)),

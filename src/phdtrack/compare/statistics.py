@@ -11,10 +11,11 @@ import numpy as np
 from scipy.special import stdtrit
 
 from phdtrack.compare.plans import Case, Run
-from phdtrack.compare.runs import Comparison, Failed, RunResult
+from phdtrack.compare.runs import Comparison, RunResult
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.metrics import Scores, pool
 from phdtrack.metrics.errors import SUMS
+from phdtrack.parallel import Failed
 
 LEVEL = 0.95
 SCORES = (*(entry.name for entry in fields(Scores) if entry.repr), *SUMS)

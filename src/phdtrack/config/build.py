@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 from phdtrack.config.kinds import CameraSettings, SceneClutterSettings
 from phdtrack.config.settings import Settings, load, overlay
 from phdtrack.errors import InputError
-from phdtrack.models.pace import Pace
 from phdtrack.models.volumes import EVERYWHERE, Region, area, image_area
-from phdtrack.protocols import AnyStages, Associator, Birth, CameraEstimator, Clutter, Learning, Model, Stages
+from phdtrack.protocols import AnyStages, Associator, Birth, CameraEstimator, Clutter, Model, Stages
 from phdtrack.smooth.online import DetectionShare
 from phdtrack.types import SequenceInfo
 
@@ -27,6 +26,9 @@ if TYPE_CHECKING:
 Size = tuple[float, float]
 # The share of the weight of a person just missed that a Gaussian must have to count as one: E13's 0.25 of 0.297.
 _MISSED = 0.84
+# For corrected tracks of what a background detector found: how far its centre must get to be an object, and for how long its
+# detections carry it on.
+_OF_BACKGROUND = {"min_extent": 0.75, "max_continuation": 1.0}
 
 
 def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, moving: bool = False) -> AnyStages:
@@ -39,10 +41,6 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
     filter_name : a filter in place of ``filter.kind``; empty for that one.
     moving : whether the caller compensates the camera's motion.
 
-    Returns
-    -------
-    The stages, ready for the first frame.
-
     Raises
     ------
     InputError : settings do not go together, a file cannot be read, or the settings name a motion of the camera and the
@@ -54,32 +52,38 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
     if filter_name:
         settings = overlay(settings, {"filter": {"kind": filter_name}}, "--filter")
     size = (float(info.width), float(info.height))
-    model, associator, smoother = _model(settings, size, info.fps), _associator(settings, size), settings.build("smooth")
+    model, associator = _model(settings, size, info.fps), _associator(settings, size)
+    smoother = settings.build("smooth", frame_size=size)
     if settings.kind("filter") == "none":
         from phdtrack.filters.none import Raw
 
         return Stages(model, settings.build("filter"), Raw(), associator, smoother=smoother)
     filter_ = settings.build("filter", frame_size=size)
-    rates, explainer = _rates(settings, model, info), settings.build("merged_measurements")
-    slowest = settings.build("time").longest_interval
-    clock, camera = Pace(slowest) if slowest else None, _camera(settings, size)
+    rates, explainer = settings.build("rates"), settings.build("merged_measurements")
+    slowest, camera = settings.build("time").longest_interval, _camera(settings, size)
     # A detection of several targets says of none where it is.
     online = DetectionShare() if smoother.detection_share and explainer is None else None
     extractor = settings.build("extract")
-    return Stages(model, filter_, extractor, associator, rates, explainer, smoother, clock, online, camera)
+    return Stages(model, filter_, extractor, associator, rates, explainer, smoother, online, camera, slowest)
 
 
 def for_detector(settings: Settings, detector: str) -> Settings:
-    """The settings for detections of this detector: those of a background model get the merged-measurement model.
+    """The settings for detections of this detector. Those of a background model get the merged-measurement model; corrected
+    tracks go on while it still sees a part of an object, and what never goes anywhere has none.
 
     Settings that choose otherwise, or cannot have it, stay as they are.
     """
     from phdtrack.detect import BACKGROUND
 
     plain = settings.kind("motion") == "box" and settings.kind("filter") != "none"
-    if detector not in BACKGROUND or not plain or "merged_measurements" in settings.given:
+    if detector not in BACKGROUND or not plain:
         return settings
-    return overlay(settings, {"merged_measurements": {"kind": "explained"}}, "--detector")
+    fresh: dict[str, dict[str, Any]] = {}
+    if "merged_measurements" not in settings.given:
+        fresh["merged_measurements"] = {"kind": "explained"}
+    given = settings.given.get("smooth", {})
+    fresh["smooth"] = {name: value for name, value in _OF_BACKGROUND.items() if name not in given}
+    return overlay(settings, fresh, "--detector")
 
 
 def build_groups(settings: Settings, stages: AnyStages | None = None) -> GroupStages:
@@ -202,19 +206,6 @@ def _camera(settings: Settings, size: Size) -> CameraEstimator[Any] | None:
         return None
     camera: CameraEstimator[Any] | None = settings.build("common_motion", frame_size=size)
     return camera
-
-
-def _rates(settings: Settings, model: Model, info: SequenceInfo) -> Learning[Any] | None:
-    """What learns the rates of ``model``, or what scores say, while tracking."""
-    if settings.kind("rates") != "learned":
-        chosen: Learning[Any] | None = settings.build("rates")
-        return chosen
-    from phdtrack.models.learning import RateLearning, priors_of
-    from phdtrack.scene.rates import RatesLearning
-
-    given = settings.build("rates")
-    delay = given.verdict_delay + settings.build("associate").output_delay / info.fps
-    return RateLearning(RatesLearning(given, priors_of(model), delay))
 
 
 def _scene(file: str, size: Size, rate: float = 0.0) -> Scene:

@@ -36,10 +36,6 @@ def build_kinds(
     present : the classes that there are; None where this is not known beforehand.
     moving : as for `build`.
 
-    Returns
-    -------
-    The stages of all classes.
-
     Raises
     ------
     InputError : as `build`; a class that there is none of, or a setting that a class cannot have of its own.

@@ -46,7 +46,7 @@ class TimeSettings(Checked):
     ----------
     units_per_second : time units per second in which noises are stated, the papers' are per frame at 25 Hz.
     longest_interval : seconds between pictures up to which targets move as in videos. With longer ones the filter's time
-        runs slower, as the first links say (`models.pace`). 0: never.
+        runs slower, so that they are as long as this. 0: never.
     """
 
     units_per_second: Positive = 25.0
@@ -185,10 +185,6 @@ def settable(section: str, kind: str, motion: str) -> Mapping[str, Any]:
     ----------
     section, kind : of which part.
     motion : kind of ``[motion]``; ``filter.initial`` is for the plane only.
-
-    Returns
-    -------
-    Type by name.
     """
     chosen = record(section, kind)
     hints = get_type_hints(chosen, include_extras=True)

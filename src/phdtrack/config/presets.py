@@ -55,10 +55,6 @@ def values_of(preset: str, motion: str = "", filter_name: str = "") -> dict[str,
     preset : a name of `PRESETS`.
     motion, filter_name : other kinds of ``[motion]`` and ``[filter]`` than the preset's; empty for the preset's.
         Sections whose kind does not fit get the first that does, and keep the values that both kinds of a section know.
-
-    Returns
-    -------
-    The values.
     """
     table = {section: dict(values) for section, values in _table(preset, motion, filter_name).items()}
     moving, filtering = (table.get(section, {}).get("kind", first_kind(section)) for section in ("motion", "filter"))

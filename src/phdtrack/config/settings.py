@@ -118,10 +118,6 @@ def load(path: Path | None = None, sets: Sequence[str] = (), preset: str = "", f
     preset : name of the preset; empty for the file's, or ``default``.
     filter_name : the filter, as ``--filter`` names it; empty for the preset's or the file's.
 
-    Returns
-    -------
-    The checked settings.
-
     Raises
     ------
     InputError : the file cannot be read, a name is unknown, or a value is of the wrong type or out of bounds.
@@ -154,10 +150,6 @@ def overlay(settings: Settings, sections: Mapping[str, Mapping[str, Any]], where
     settings : what is changed.
     sections : values by section and name.
     where : who asks, for error messages.
-
-    Returns
-    -------
-    Other checked settings.
 
     Raises
     ------

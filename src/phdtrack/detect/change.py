@@ -11,9 +11,15 @@ The noise has three parts: the camera's, σ_c; local light (shadows, reflections
 and stronger towards dark; and the scene's, s(q) ≥ 1, learned for each pixel (leaves, edges that tremble). Global
 illumination changes all pixels of a channel by about a gain and an offset, which are fitted to the background.
 
-The reference is at first the median of samples of the first seconds. Then it adapts exponentially, on foreground with a much
-longer time constant. A component whose outline is a stronger edge in the reference than in the frame is where an object
-stood when the reference was learned and has left since; it is not reported, and when it lasts the reference takes it in.
+Of a file the reference is learned from some 50 samples (`reference.background`, `registry.study`). A pixel that differs from
+it is not changed where those samples often showed the same there, or, where much changes, some pixels away
+(`kernels.change`): leaves, flags, lamps, edges before a camera that shakes. The samples also teach how high objects are at
+each place (`components.Heights`), so that two of them one above the other are not joined.
+
+Of a live source the reference is at first the median of samples of the first seconds. Then it adapts exponentially, on
+foreground with a much longer time constant. A component whose outline is a stronger edge in the reference than in the frame
+is where an object stood when the reference was learned and has left since; it is not reported, and when it lasts the
+reference takes it in.
 
 **mean-background**: the fixed background is the mean of the first n grey frames, or of frames given beforehand. Its
 difference to a frame is smoothed by a Gaussian low-pass and thresholded; connected components give the boxes.
@@ -21,33 +27,29 @@ difference to a frame is smoothed by a Gaussian low-pass and thresholded; connec
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from statistics import NormalDist
-from typing import Annotated
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
 from annotated_types import Gt, Lt
 from numpy.typing import NDArray
 
-from phdtrack.detect.components import BlobSettings, Contour, check_same_size
+from phdtrack.detect.components import BlobSettings, Contour, Heights, check_same_size
+from phdtrack.detect.reference import background, median
 from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, check
-from phdtrack.types import F8, Bool, Detections, Frame, Image
+from phdtrack.kernels.change import CHANNELS, LOG, LOG_SCALE, OFTEN, Past, Statistic, compare, edge, follow, lighting, noise
+from phdtrack.types import F8, I8, Detections, Frame, Image
 
 F4 = NDArray[np.float32]
 OpenShare = Annotated[float, Gt(0), Lt(1)]
 Planes = tuple[Image, Image, Image]
 
-_GRID_POINTS = 4000
-_DARKEST, _BRIGHTEST = 8, 245
-_FEWEST = 50
-_NEAR = 2.5
-_ROUNDS = 3
-CHANNELS = 3
-_LOG_KNEE = 16.0
-_LOG_SCALE = 90.0
-_LOG: Image = np.rint(_LOG_SCALE * np.log1p(np.arange(256) / _LOG_KNEE)).astype(np.uint8)
+_GRID_POINTS, _SPARSE = 4000, 4
+_SAME_LIGHT: F4 = np.array([[1, 1, 1], [0, 0, 0]], np.float32)
 _QUARTILE_OF_NORMAL = 1.1503
 _MEDIAN_OF_CHI2 = 0.789
 _NOISE_MEMORY = 0.9
@@ -55,7 +57,12 @@ _LOUDEST = 20.0
 _GHOST_EDGE = 0.8
 # What flies past and hides an edge looks like a ghost for a frame or two: learned at once, it would be one ever after.
 _GHOST_SECONDS = 0.2
-_MARGIN = np.ones((5, 5), np.uint8)
+# Seconds between samples that count as seen at different times, and the share of the threshold below which they are alike.
+_APART, _RESEMBLING = 0.5, 0.5
+# The mean share of pixels that differ from the scene in a sample, and the mean grey level, at which boxes become doubtful.
+_RESTLESS, _DARK = 0.2, 40.0
+_TRAINED = "Boxes of a trained detector help: --detections FILE or --detector onnx:FILE"
+_MARGIN, _DISC = np.ones((5, 5), np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
 
 
 @dataclass(eq=False)
@@ -101,35 +108,84 @@ class ChangeDetector:
         """Forget the scene."""
         self._samples: list[Image] = []
 
+    @property
+    def studied(self) -> bool:
+        """Whether it has learned the scene from samples of a file."""
+        return bool(self._samples) and self._past.samples.shape[3] > 0
+
+    def unsuited(self) -> tuple[str, ...]:
+        """What of the scene of a file makes the boxes doubtful, with what would help, in sentences."""
+        if not self.studied:
+            return ()
+        share, light = self._past.differing.mean() / self._past.samples.shape[3], self._reference.mean()
+        out = []
+        if share > _RESTLESS:
+            what = f"on average {100 * share:.0f} % of the picture changes, as where the camera moves"
+            out.append(f"{what}: this detector is for a still one. {_TRAINED}, with --camera-motion flow")
+        if light < _DARK:
+            out.append(f"the pictures are dark (mean grey level {light:.0f} of 255): much is not seen in them. {_TRAINED}")
+        return tuple(out)
+
+    def study(self, samples: Sequence[Frame]) -> None:
+        """Learn the scene from frames of a file, before its first one.
+
+        Parameters
+        ----------
+        samples : an odd number of frames in order, at least 7.
+        """
+        self._begin(samples[0])
+        self._learning = False
+        images = [one.image for one in samples]
+        self._reference = background(images).astype(np.float32)
+        self._learn_scene_noise(images[:: max(1, len(images) // self.samples)])
+        # What two samples show of the same moment is not seen twice.
+        duration = max(samples[-1].time - samples[0].time, 1e-9)
+        apart = images[:: max(1, math.ceil(_APART * (len(samples) - 1) / duration))]
+        # The samples of a pixel side by side: it is compared with all of them.
+        seen: Image = np.empty((*images[0].shape, len(apart)), np.uint8)
+        differing: Image = np.zeros(seen.shape[:2], np.uint8)
+        ends: Image = np.zeros((2, OFTEN, *images[0].shape), np.uint8)
+        ends[0] = 255
+        for k, one in enumerate(apart):
+            seen[..., k] = low = high = np.dstack(_planes(one))
+            differing += self._compared(one)[1] > self._threshold
+            for j in range(OFTEN):
+                ends[0, j], low = np.minimum(ends[0, j], low), np.maximum(ends[0, j], low)
+                ends[1, j], high = np.maximum(ends[1, j], high), np.minimum(ends[1, j], high)
+        self._past = Past(seen, differing, np.moveaxis(ends[:, -1], 0, 3).copy())
+        shape, alone = differing.shape, replace(self.blobs, join=0.0)
+        masks = [self.blobs.clean(self._compared(one)[0]) for one in apart]
+        self._usual = Heights.learned([alone.boxes(alone.components(mask), shape) for mask in masks], shape)
+
     def __call__(self, frame: Frame) -> Detections:
         """The boxes of what changed in ``frame`` (H, W, 3) [M09]."""
         if not self._samples:
             self._begin(frame)
             return Detections.empty()
         check_same_size(frame, self._foreground.shape)
-        planes = _planes(frame.image)
-        self._learn_camera_noise(planes)
+        self._learn_camera_noise(frame.image)
         self._sample(frame)
-        expected = _relit(cv2.convertScaleAbs(self._reference), frame.image, self._foreground)
-        energy = self._energy(planes, _planes(expected))
-        mask = self.blobs.clean(self._changed(energy))
+        changed, energy, expected = self._compared(frame.image, light=True)
+        mask = self.blobs.clean(changed)
         found = self.blobs.components(mask)
-        ghosts = [contour for contour in found if _is_ghost(contour, frame.image, expected)]
+        ghosts = [contour for contour in found if _is_ghost(contour, _flat(frame.image), expected)]
         self._adapt(frame, energy, mask, ghosts)
         real = [contour for contour in found if not any(contour is ghost for ghost in ghosts)]
-        return Detections.of(self.blobs.boxes(real, mask.shape))
+        return Detections.of(self.blobs.boxes(real, mask.shape, self._usual))
 
     def _begin(self, frame: Frame) -> None:
         """Take the first frame as the reference."""
         shape = frame.image.shape[:2]
+        self._past = Past(*(np.zeros((*shape, *rest), np.uint8) for rest in ((3, 0), (), (3, 2))))
+        self._usual = None
         self._samples, self._due = [frame.image], frame.time + self.learn / self.samples
         self._learning = self.samples > 1
-        self._reference: F4 = frame.image.astype(np.float32)
+        self._reference = frame.image.astype(np.float32)
         self._foreground: Image = np.zeros(shape, np.uint8)
         self._scene: F4 = np.full(shape, float(CHANNELS), np.float32)
         self._haunted: F4 = np.zeros(shape, np.float32)
         self._camera: F8 = np.ones(CHANNELS)
-        self._previous = _planes(frame.image)
+        self._previous = np.stack(_planes(frame.image[::_SPARSE, ::_SPARSE]))
         self._time = frame.time
 
     def _sample(self, frame: Frame) -> None:
@@ -141,61 +197,50 @@ class ChangeDetector:
         self._learning = len(self._samples) < self.samples
         if len(self._samples) % 2 == 0:
             return
-        self._reference = _median(self._samples).astype(np.float32)
+        self._reference = median(self._samples).astype(np.float32)
         if len(self._samples) >= 5:
-            expected = _planes(cv2.convertScaleAbs(self._reference))
-            energies = np.stack([self._energy(_planes(sample), expected) for sample in self._samples])
-            # The median is not moved by objects that pass by.
-            typical = np.median(energies, axis=0).astype(np.float32) / _MEDIAN_OF_CHI2
-            spread = cv2.dilate(cv2.blur(typical, (5, 5)), np.ones((3, 3), np.uint8))
-            self._scene = np.minimum(spread, np.float32(CHANNELS * _LOUDEST))
+            self._learn_scene_noise(self._samples)
         if not self._learning:
             del self._samples[1:]
 
-    def _learn_camera_noise(self, now: Planes) -> None:
+    def _learn_scene_noise(self, samples: Sequence[Image]) -> None:
+        """s(q) from the samples of the first reference."""
+        energies = np.stack([self._compared(sample)[1] for sample in samples])
+        # The median is not moved by objects that pass by.
+        typical = np.median(energies, axis=0, overwrite_input=True).astype(np.float32) / _MEDIAN_OF_CHI2
+        spread = cv2.dilate(cv2.blur(typical, (5, 5)), np.ones((3, 3), np.uint8))
+        self._scene = np.minimum(spread, np.float32(CHANNELS * _LOUDEST))
+
+    def _learn_camera_noise(self, image: Image) -> None:
         """σ_c from the third quartile of |difference of successive frames| on a sparse grid."""
-        pairs = zip(now, self._previous, strict=True)
-        quartile = [np.percentile(cv2.absdiff(a[::4, ::4], b[::4, ::4]), 75) for a, b in pairs]
+        quartile = [_quartile(counts) for counts in noise(_flat(image), self._previous, _SPARSE)]
         latest = np.array(quartile) / (_QUARTILE_OF_NORMAL * np.sqrt(2))
         self._camera = _NOISE_MEMORY * self._camera + (1 - _NOISE_MEMORY) * latest
-        self._previous = now
 
-    def _energy(self, image: Planes, expected: Planes) -> F4:
-        """(H, W) Σ_c d_c² / σ_c², the variances of local light and camera added."""
-        terms = (
-            (cv2.subtract(expected[0], image[0]), _LOG_SCALE * self.shadow, 0),
-            (cv2.subtract(image[0], expected[0]), _LOG_SCALE * self.glare, 0),
-            (cv2.absdiff(image[1], expected[1]), self.chroma, 1),
-            (cv2.absdiff(image[2], expected[2]), self.chroma, 2),
-        )
-        # A difference of 8-bit planes has 256 values: one look-up per term is all the arithmetic there is.
-        total: F4 = np.zeros(image[0].shape, np.float32)
-        for difference, deviation, channel in terms:
-            variance = deviation**2 + float(self._camera[channel]) ** 2
-            table = (np.arange(256, dtype=np.float64) ** 2 / variance).astype(np.float32)
-            cv2.add(total, cv2.LUT(difference, table), dst=total)
-        return total
-
-    def _changed(self, energy: F4) -> Image:
-        """The raw mask: the window's mean must pass, and half of it the pixel itself, which keeps outlines sharp."""
-        normal = energy / np.maximum(self._scene * np.float32(1 / CHANNELS), np.float32(1))
-        side = (self.window, self.window)
-        window: Image = cv2.compare(cv2.blur(normal, side), self._threshold, cv2.CMP_GT)
-        pixel: Image = cv2.compare(normal, self._threshold / 2, cv2.CMP_GT)
-        return window & pixel
+    def _compared(self, image: Image, *, light: bool = False) -> tuple[Image, F4, Image]:
+        """The raw mask, the energy, the picture (H, 3W) that was expected; in the light of ``image`` or of the reference."""
+        usual = np.array([LOG_SCALE * self.shadow, LOG_SCALE * self.glare, self.chroma, self.chroma])
+        weights = tuple((1 / (usual**2 + self._camera[[0, 0, 1, 2]] ** 2)).astype(np.float32))
+        rule = Statistic(weights, self.window, self._threshold, _RESEMBLING * self._threshold)
+        flat, reference = _flat(image), _flat(self._reference)
+        lit = _SAME_LIGHT
+        if light:
+            step = max(1, round((self._foreground.size / _GRID_POINTS) ** 0.5))
+            lit = lighting(reference, flat, self._foreground, step)
+        mask, energy, expected = compare(flat, reference, lit, self._scene, rule, self._past)
+        return mask, energy, expected
 
     def _adapt(self, frame: Frame, energy: F4, mask: Image, ghosts: list[Contour]) -> None:
         """Let reference and scene noise follow, by the time that has passed."""
         passed = max(0.0, frame.time - self._time)
         self._time = frame.time
         self._foreground = cv2.dilate(mask, _MARGIN)
-        background = cv2.bitwise_not(self._foreground)
-        cv2.accumulateWeighted(energy, self._scene, min(0.2, passed / self.adapt), background)
-        np.minimum(self._scene, np.float32(CHANNELS * _LOUDEST), out=self._scene)
-        if self._learning:
+        rates = [0.0 if self._learning else min(1.0, passed / each) for each in (self.adapt, self.adapt_objects)]
+        rates += [min(0.2, passed / self.adapt), CHANNELS * _LOUDEST]
+        reference = _flat(self._reference)
+        follow(_flat(frame.image), energy, reference, self._scene, self._foreground, np.array(rates, np.float32))
+        if self._learning or not (ghosts or self._haunted.any()):
             return
-        cv2.accumulateWeighted(frame.image, self._reference, min(1.0, passed / self.adapt), background)
-        cv2.accumulateWeighted(frame.image, self._reference, min(1.0, passed / self.adapt_objects), self._foreground)
         left = np.zeros_like(mask)
         cv2.drawContours(left, ghosts, -1, 255, cv2.FILLED)
         # The time since its first frame: however few frames a second there are, one alone is not enough.
@@ -206,71 +251,34 @@ class ChangeDetector:
             cv2.accumulateWeighted(frame.image, self._reference, 1.0, cv2.dilate(lasting, _MARGIN))
 
 
-def _relit(reference: Image, frame: Image, foreground: Image) -> Image:
-    """(H, W, 3) the picture ``reference`` of the scene in the light of ``frame``; pixels of the foreground are left out."""
-    table, level = np.empty((1, 256, 3), np.uint8), np.arange(256, dtype=np.float64)
-    step = max(1, round((foreground.size / _GRID_POINTS) ** 0.5))
-    grid = slice(step // 2, None, step)
-    background = foreground[grid, grid].ravel() == 0
-    for channel in range(3):
-        x, y = (image[grid, grid, channel].ravel().astype(np.float64) for image in (reference, frame))
-        gain, offset = _line(x, y, background)
-        table[0, :, channel] = np.rint(np.clip(gain * level + offset, 0, 255))
-    return np.asarray(cv2.LUT(reference, table), np.uint8)
+def _flat(image: NDArray[Any]) -> NDArray[Any]:
+    """(H, 3W) of (H, W, 3), the same memory where it is in order."""
+    return np.ascontiguousarray(image).reshape(len(image), -1)
 
 
-def _line(x: F8, y: F8, background: Bool) -> tuple[float, float]:
-    """Gain and offset of y ≈ gain·x + offset over unsaturated background; 1 and 0 where there is too little of it."""
-    exposed = background & (x > _DARKEST) & (y > _DARKEST) & (x < _BRIGHTEST) & (y < _BRIGHTEST)
-    if exposed.sum() < _FEWEST:
-        return 1.0, 0.0
-    x, y = x[exposed], y[exposed]
-    gain, offset = float(np.median(y / x)), 0.0
-    for _ in range(_ROUNDS):
-        residual = y - gain * x - offset
-        scale = 1.4826 * float(np.median(np.abs(residual))) + 0.5
-        near = np.abs(residual) < _NEAR * scale
-        spread = float(x[near].var()) if near.any() else 0.0
-        # A scene of one brightness does not tell gain from offset: keep the gain and move the offset alone.
-        if spread > 100.0:
-            gain = float(((x[near] - x[near].mean()) * (y[near] - y[near].mean())).mean() / spread)
-        offset = float(np.median(y[near] - gain * x[near])) if near.any() else 0.0
-    return gain, offset
-
-
-def _median(images: Sequence[Image]) -> Image:
-    """Per-pixel median of an odd number of uint8 images, by exchanges: several times faster than sorting each pixel."""
-    ranked = list(images)
-    middle = len(ranked) // 2
-    for last in range(len(ranked) - 1, middle - 1, -1):
-        for i in range(last):
-            ranked[i], ranked[i + 1] = cv2.min(ranked[i], ranked[i + 1]), cv2.max(ranked[i], ranked[i + 1])
-    return ranked[middle]
+def _quartile(counts: I8) -> float:
+    """The third quartile of whole numbers from 0 on of which there are so many each, as NumPy's percentile."""
+    total = np.cumsum(counts)
+    place = 0.75 * (total[-1] - 1)
+    low, high = np.searchsorted(total, [math.floor(place), math.ceil(place)], side="right")
+    return float(low + (high - low) * (place % 1))
 
 
 def _planes(image: Image) -> Planes:
     """A picture as (H, W) uint8 planes: logarithm of luma, and the two chroma differences."""
     luma, red, blue = cv2.split(cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb))
-    return cv2.LUT(luma, _LOG), red, blue
+    return cv2.LUT(luma, LOG), red, blue
 
 
 def _is_ghost(contour: Contour, image: Image, expected: Image) -> bool:
-    """Whether the outline of a component is more of an edge in the reference than in the frame: its object has left."""
+    """Whether a component's outline is more of an edge in the reference (H, 3W) than in the frame: its object has left."""
     x, y, width, height = cv2.boundingRect(contour)
     left, top = max(0, x - 4), max(0, y - 4)
-    window = (slice(top, y + height + 4), slice(left, x + width + 4))
-    filled = np.zeros(image[window].shape[:2], np.uint8)
+    right, bottom = min(x + width + 4, image.shape[1] // CHANNELS), min(y + height + 4, len(image))
+    filled = np.zeros((bottom - top, right - left), np.uint8)
     cv2.drawContours(filled, [contour], -1, 255, cv2.FILLED, offset=(-left, -top))
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
-    outline = cv2.morphologyEx(filled, cv2.MORPH_GRADIENT, disc) > 0
-    return _edge(image[window], outline) < _GHOST_EDGE * _edge(expected[window], outline)
-
-
-def _edge(image: Image, where: Bool) -> float:
-    """Mean gradient of the grey values of ``image`` over the mask ``where``."""
-    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    gradient = cv2.magnitude(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
-    return float(gradient[where].mean()) if where.any() else 0.0
+    outline = cv2.morphologyEx(filled, cv2.MORPH_GRADIENT, _DISC)
+    return bool(edge(image, left, top, outline) < _GHOST_EDGE * edge(expected, left, top, outline))
 
 
 @dataclass(eq=False)

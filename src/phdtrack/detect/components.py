@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
@@ -18,7 +19,7 @@ from annotated_types import Ge, Lt
 from numpy.typing import NDArray
 
 from phdtrack.errors import Checked, InputError
-from phdtrack.types import F8, Detections, Frame, Image
+from phdtrack.types import F8, Bool, Detections, Frame, Image
 
 Contour = NDArray[np.int32]
 # Corners in whole pixels: left, top, right, bottom; right and bottom are one beyond the last.
@@ -30,6 +31,10 @@ _SMOOTHING = 0.06
 _ALIGNED = 0.6
 _SLENDEREST = 3.5
 _WIDEST = 0.8
+# Heights are learned from at least `_ENOUGH` boxes and at most some `_MANY`; the slope from pairs with feet `_APART` of the
+# picture's height apart; and not where the median deviation of log heights is above `_UNLIKE`. `_HIGHER` times the height of
+# an object is too high for one.
+_ENOUGH, _MANY, _APART, _UNLIKE, _HIGHER = 12, 500, 0.05, 0.35, 1.35
 
 
 def check_same_size(frame: Frame, shape: tuple[int, ...]) -> None:
@@ -41,6 +46,50 @@ def check_same_size(frame: Frame, shape: tuple[int, ...]) -> None:
             where=f"frame {frame.number}",
             cure="Call reset() before another video.",
         )
+
+
+@dataclass(frozen=True, slots=True)
+class Heights:
+    """How high objects are in a picture, by the row of their feet: log height = ``offset`` + ``slope`` · row.
+
+    Side by side they may be one component, which is as high; so it is heights that components teach, not widths.
+    """
+
+    offset: float
+    slope: float
+
+    def at(self, foot: float) -> float:
+        """The height in pixels of an object with its feet in this row."""
+        return math.exp(self.offset + self.slope * foot)
+
+    @classmethod
+    def learned(cls, boxes: Sequence[F8], shape: tuple[int, ...]) -> Heights | None:
+        """By the median of slopes (Theil and Sen) from boxes (N, 4) of frames of (H, W, ...) ``shape``; None: too few.
+
+        Those that end at the border of the picture or may be fragments, for another one is above or below, do not count.
+        """
+        rows = [box for found in boxes for box in found[_alone(found, shape)]]
+        if len(rows) < _ENOUGH:
+            return None
+        # The slopes are of all pairs.
+        rows = rows[:: 1 + len(rows) // _MANY]
+        x, y = np.array([[box[3], math.log(box[3] - box[1])] for box in rows]).T
+        a, b = np.triu_indices(len(x), 1)
+        apart = np.abs(x[a] - x[b]) > _APART * shape[0]
+        slope = float(np.median((y[a] - y[b])[apart] / (x[a] - x[b])[apart])) if apart.sum() >= _ENOUGH else 0.0
+        offset = float(np.median(y - slope * x))
+        # Where heights differ by so much, they say nothing.
+        return cls(offset, slope) if np.median(np.abs(y - slope * x - offset)) < _UNLIKE else None
+
+
+def _alone(boxes: F8, shape: tuple[int, ...]) -> Bool:
+    """(N,) the boxes (N, 4) inside the picture that have no other one above or below them within their height."""
+    left, top, right, bottom = boxes.T
+    inside = (left > 1) & (top > 1) & (right < shape[1] - 1) & (bottom < shape[0] - 1)
+    beside = (left[:, None] < right) & (left < right[:, None])
+    between = np.maximum(top[:, None], top) - np.minimum(bottom[:, None], bottom)
+    near = beside & (between < (bottom - top)[:, None])
+    return np.asarray(inside & (near.sum(axis=1) == 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +120,11 @@ class BlobSettings(Checked):
         peeled = cv2.erode(mask, np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)) if radius else mask
         opened = cv2.morphologyEx(peeled, cv2.MORPH_OPEN, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (speck, speck)))
         element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (across, along))
-        return np.asarray(cv2.morphologyEx(opened, cv2.MORPH_CLOSE, element), np.uint8)
+        # Nothing is closed outside of the rectangle around what there is.
+        x, y, w, h = cv2.boundingRect(opened)
+        inside = slice(max(0, y - along), y + h + along), slice(max(0, x - across), x + w + across)
+        opened[inside] = cv2.morphologyEx(opened[inside], cv2.MORPH_CLOSE, element)
+        return np.asarray(opened, np.uint8)
 
     def components(self, mask: Image) -> list[Contour]:
         """The outer contours (n, 1, 2) of what is large enough in a cleaned ``mask``, objects that touch parted."""
@@ -80,13 +133,20 @@ class BlobSettings(Checked):
         large = (np.asarray(contour, np.int32) for contour in found if cv2.contourArea(contour) >= least)
         return [part for contour in large for part in _split(contour, self.split, least)]
 
-    def boxes(self, contours: Sequence[Contour], shape: tuple[int, ...]) -> F8:
-        """(N, 4) xyxy of the objects in the components, from top to bottom, in a frame of (H, W, ...) ``shape``."""
+    def boxes(self, contours: Sequence[Contour], shape: tuple[int, ...], usual: Heights | None = None) -> F8:
+        """(N, 4) xyxy of the objects in the components, from top to bottom.
+
+        Parameters
+        ----------
+        contours : of `components`.
+        shape : (H, W, ...) of the frame.
+        usual : how high objects are where; what would be much higher as one is two objects.
+        """
         height, width = shape[:2]
         found: list[Box] = []
         for x, y, w, h in map(cv2.boundingRect, contours):
             box = x, y, x + w, y + h
-            while partner := next((other for other in found if _belong(box, other, self.join)), None):
+            while partner := next((other for other in found if _belong(box, other, self.join, usual)), None):
                 found.remove(partner)
                 box = _union(box, partner)
             found.append(box)
@@ -120,8 +180,8 @@ def _split(contour: Contour, depth: float, least: float) -> list[Contour]:
 def _valley(filled: Image, depth: float) -> int | None:
     """The column at which to cut ``filled`` (h, w), None where no valley is deep enough."""
     height, width = filled.shape
-    profile = np.count_nonzero(filled, axis=0).astype(np.float64)
-    profile = cv2.blur(profile[None], (max(3, round(_SMOOTHING * height)) | 1, 1))[0]
+    profile = cv2.reduce(filled, 0, cv2.REDUCE_SUM, dtype=cv2.CV_64F) / 255
+    profile = cv2.blur(profile, (max(3, round(_SMOOTHING * height)) | 1, 1))[0]
     left, right = np.maximum.accumulate(profile), np.maximum.accumulate(profile[::-1])[::-1]
     before, margin = np.cumsum(profile), round(max(2.0, _NARROWEST * height))
     allowed = (before > _SMALLEST_SHARE * before[-1]) & (before < (1 - _SMALLEST_SHARE) * before[-1])
@@ -137,10 +197,12 @@ def _union(a: Box, b: Box) -> Box:
     return min(a[0], b[0]), min(a[1], b[1]), max(a[2], b[2]), max(a[3], b[3])
 
 
-def _belong(a: Box, b: Box, gap: float) -> bool:
+def _belong(a: Box, b: Box, gap: float, usual: Heights | None) -> bool:
     """Whether two boxes are fragments of one upright object."""
     left, top, right, bottom = _union(a, b)
     width, height = right - left, bottom - top
     shared, between = min(a[2], b[2]) - max(a[0], b[0]), max(a[1], b[1]) - min(a[3], b[3])
+    if usual is not None and height > _HIGHER * usual.at(bottom):
+        return False
     aligned = gap > 0 and shared > _ALIGNED * min(a[2] - a[0], b[2] - b[0])
     return aligned and between < gap * height and width < _WIDEST * height and height < _SLENDEREST * width

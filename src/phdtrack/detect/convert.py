@@ -1,8 +1,9 @@
 """From whatever a detector hands over to `Detections`, with every value checked.
 
 Accepted: a `Detections`; anything with ``.xyxy`` and, where it has them, ``.confidence`` (or ``.conf``) and ``.class_id``
-(or ``.cls``), as supervision and ultralytics write them; an array-like of shape (N, 4) xyxy, (N, 5) with confidence,
-(N, 6) with confidence and class. No boxes: an empty array of any shape.
+(or ``.cls``), as supervision and ultralytics write them; a whole result of ultralytics, whose ``.boxes`` are such, also as
+the only one of a list; an array-like of shape (N, 4) xyxy, (N, 5) with confidence, (N, 6) with confidence and class. Tensors
+are copied to the CPU. No boxes: an empty array of any shape.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ _LARGEST_CLASS = 2.0**53
 # The shortest side of a box, pixels; the longest, and how far its centre may be outside, in frames. Where the size of the
 # frame is not known, a side of it that no camera has.
 SHORTEST, LONGEST, UNKNOWN = 1e-3, 10.0, 1e6
+# Pixels that boxes in shares of the image's size do not exceed.
+_SMALL = 1.5
 
 
 def as_detections(obj: object, *, where: str = "") -> Detections:
@@ -37,6 +40,11 @@ def as_detections(obj: object, *, where: str = "") -> Detections:
     if obj is None:
         cure = "Where nothing was detected give an empty array: numpy.empty((0, 4))."
         raise InputError("expected boxes, got None", where=where, cure=cure)
+    whole = obj[0] if isinstance(obj, list | tuple) and len(obj) == 1 else obj
+    if getattr(whole, "obb", None) is not None:
+        raise InputError("expected upright boxes, got oriented ones", where=where, cure="Give result.obb, which has .xyxy.")
+    inner = getattr(whole, "boxes", None)
+    obj = obj if inner is None else inner
     boxes = getattr(obj, "xyxy", None)
     table = _numbers(obj if boxes is None else boxes, where)
     n = len(table) if table.size else 0
@@ -122,6 +130,19 @@ class Limits(Checked):
         return np.sort(np.argsort(-confidence, kind="stable")[: self.max_detections])
 
 
+def doubtful(found: Detections, size: tuple[float, float]) -> str:
+    """What looks like a mistake in the units of a frame's boxes, where its size is known; empty where nothing does."""
+    if not len(found) or min(size) <= 0:
+        return ""
+    most, least = found.xyxy.max(axis=0), found.xyxy[:, 2:].min()
+    if most[2:].max() <= _SMALL:
+        return f"no box reaches beyond {most.max():.3g} pixels: boxes are in pixels of the image, not shares of its size"
+    if least > 0 and most[0] < size[0] and most[1] < size[1]:
+        return ""
+    outside = ((found.xyxy[:, 2:] <= 0) | (found.xyxy[:, :2] >= size)).any(axis=1).sum()
+    return f"{outside} of {len(found)} boxes lie outside of the frame of {size[0]:g}x{size[1]:g} pixels"
+
+
 def within_frame(table: DetectionTable, info: SequenceInfo, path: Path) -> tuple[DetectionTable, tuple[str, ...]]:
     """The detections of which any part is in the frame, and a sentence for each reason why some were left out.
 
@@ -155,12 +176,14 @@ def within_frame(table: DetectionTable, info: SequenceInfo, path: Path) -> tuple
 def _numbers(values: object, where: str) -> F8:
     """``values`` as float64; InputError where they are not numbers in a rectangular table."""
     try:
+        # A tensor, which may be on a GPU, of a type that NumPy does not have.
+        detach = getattr(values, "detach", None)
+        values = values if detach is None else detach().cpu().double()
         return np.array(values, dtype=np.float64)
     except (TypeError, ValueError, RuntimeError) as error:
         raise InputError(
             f"expected {_COLUMNS}; got {type(values).__name__} that does not convert to numbers ({error})",
             where=where,
-            cure="A tensor on a GPU or with gradients converts with .detach().cpu().numpy().",
         ) from None
 
 

@@ -20,7 +20,7 @@ import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from functools import cache, cached_property
+from functools import cache
 
 import numpy as np
 
@@ -123,13 +123,14 @@ class MergedMeasurements(Checked):
             return state
         targets, target, seconds = state, explanation.target, dt / model.rate
         of = _continued(targets, target, estimates, model)
-        numbers = np.arange(len(targets))
+        # The last place stands for what is no target.
+        seen, shown = np.zeros((2, len(targets) + 1), np.bool_)
+        seen[target], shown[of] = True, True
         p = model.sensor.p_detect(targets.state) if len(targets) else np.zeros(0)
         r, hidden = targets.existence, targets.hidden + seconds
-        there = np.where(np.isin(numbers, target), r, r * (1 - p) / np.maximum(1 - r * p, 1 - MAX_EXISTENCE))
-        left = ~np.isin(numbers, of) & (there > MIN_EXISTENCE) & (hidden <= self.max_hidden_time)
+        there = np.where(seen[:-1], r, r * (1 - p) / np.maximum(1 - r * p, 1 - MAX_EXISTENCE))
+        left = ~shown[:-1] & (there > MIN_EXISTENCE) & (hidden <= self.max_hidden_time)
         kept = replace(targets, existence=there, hidden=hidden).take(left)
-        # The last place stands for estimates that continue no target.
         before = np.append(targets.hidden, 0.0)[of], np.append(targets.separate, 0.0)[of]
         weight = np.minimum(estimates.weight, MAX_EXISTENCE)
         return ExpectedTargets(estimates.state, estimates.covariance, weight, *before).joined(kept)
@@ -145,22 +146,13 @@ class _Frame:
     boxes: F8
     blobs: Detections
 
-    @cached_property
-    def spread(self) -> F8:
-        """(n, 4, 4) covariances of the targets' edges."""
-        rows = list(self.model.sensor.observed)
-        return np.asarray(EDGES @ self.targets.covariance[:, rows][:, :, rows] @ EDGES.T)
-
-    @cached_property
-    def z(self) -> F8:
-        """(m, N) the blobs as measurements."""
-        return self.model.sensor.measure(self.blobs)
-
     def members(self) -> Members:
         """The targets of each blob in the best explanation."""
-        known: Bool = np.asarray(np.isfinite(self.z).all(axis=0))
+        sensor, z = self.model.sensor, self.model.sensor.measure(self.blobs)
+        known: Bool = np.asarray(np.isfinite(z).all(axis=0))
+        spread = EDGES @ self.targets.covariance[:, sensor.observed][:, :, sensor.observed] @ EDGES.T
         # The targets' edges are moved out by a deviation.
-        reach = np.sqrt(np.maximum(np.einsum("nii->ni", self.spread), 0.0))
+        reach = np.sqrt(np.maximum(np.einsum("nii->ni", spread), 0.0))
         edges, low, high = self.blobs.xyxy[:, None], self.boxes - reach, self.boxes + reach
         meet = (edges[..., :2] <= high[:, 2:]) & (low[:, :2] <= edges[..., 2:])
         touching = np.asarray(meet.all(axis=2) & known[:, None], np.bool_)
@@ -168,28 +160,42 @@ class _Frame:
         if max(touching.sum(axis=0).max(), touching.sum(axis=1).max()) < 2:
             return out
         shared = intersection(self.blobs.xyxy, self.boxes)
-        p, r = self.model.sensor.p_detect(self.targets.state), self.targets.existence
+        p, r = sensor.p_detect(self.targets.state), self.targets.existence
         covered = np.where(touching, shared, 0.0).max(axis=0) / np.maximum(area(self.boxes), TINY)
-        missed = np.log(np.maximum(1 - r * (p + (1 - p) * np.minimum(covered, 1.0)), TINY))
+        missed = np.log(np.maximum(1 - r * (p + (1 - p) * np.minimum(covered, 1.0)), TINY)).tolist()
         seen = np.log(np.maximum(r * p, TINY))
-        clutter, z = np.zeros(len(out)), np.ascontiguousarray(self.z[:, known])
-        clutter[known] = np.log(np.maximum(self.model.clutter.intensity(z), TINY))
+        clutter = np.zeros(len(out))
+        clutter[known] = np.log(np.maximum(self.model.clutter.intensity(np.ascontiguousarray(z[:, known])), TINY))
         smaller = np.minimum(area(self.blobs.xyxy)[:, None], area(self.boxes))
+        # Of blobs and targets: the covariances of the edges, and the log-likelihoods that one is the other alone.
+        pairs = np.nonzero(touching)
+        covariance, fit = np.zeros((*touching.shape, 4, 4)), np.full(touching.shape, -math.inf)
+        noise = sensor.covariance(z[:, pairs[0]], np.ascontiguousarray(self.targets.state[:, pairs[1]]))
+        covariance[pairs] = spread[pairs[1]] + EDGES @ noise @ EDGES.T
+        fit[pairs] = _log_density(self.blobs.xyxy[pairs[0]] - self.boxes[pairs[1]], covariance[pairs])
         out = [()] * len(out)
 
         @cache
         def likelihood(blob: int, targets: tuple[int, ...]) -> float:
-            return self._fit(blob, targets) + float(seen[list(targets)].sum()) if targets else float(clutter[blob])
+            if not targets:
+                return float(clutter[blob])
+            value = fit[blob, targets[0]] if len(targets) == 1 else self._fit(blob, list(targets), covariance)
+            return float(value + seen[list(targets)].sum())
 
-        for blobs, targets, pairs in _groups(touching, shared / np.maximum(smaller, TINY)):
+        for blobs, targets, kept in _groups(touching, shared / np.maximum(smaller, TINY)):
             if len(blobs) == len(targets) == 1:
                 out[blobs[0]] = (targets[0],)
                 continue
             top = -math.inf
             # Of equally likely explanations the first.
-            for choice in itertools.product(*([-1, *np.flatnonzero(pairs[:, t])] for t in targets)):
-                of = {b: tuple(t for t, c in zip(targets, choice, strict=True) if c == b) for b in blobs}
-                value = sum(float(missed[t]) for t, b in zip(targets, choice, strict=True) if b < 0)
+            for choice in itertools.product(*([-1, *np.flatnonzero(kept[:, t]).tolist()] for t in targets)):
+                of: dict[int, tuple[int, ...]] = dict.fromkeys(blobs, ())
+                value = 0.0
+                for t, b in zip(targets, choice, strict=True):
+                    if b < 0:
+                        value += missed[t]
+                    else:
+                        of[b] = (*of[b], t)
                 value += sum(likelihood(b, several) for b, several in of.items())
                 if value > top:
                     top, best = value, of
@@ -197,22 +203,21 @@ class _Frame:
                 out[b] = several
         return out
 
-    def _fit(self, blob: int, targets: tuple[int, ...]) -> float:
-        """Log-likelihood of the blob's edges where it is these targets, one or more, that were detected."""
-        index, k = np.array(targets), len(targets)
-        boxes, rule = self.boxes[index], self.rule
-        ready = self.targets.separate[index] >= rule.min_separate_time
-        if k > 1 and not (ready.all() and (self.targets.hidden[index][_hidden(boxes)] <= rule.max_hidden_time).all()):
+    def _fit(self, blob: int, targets: list[int], covariance: F8) -> float:
+        """Log-likelihood of the blob's edges where it is these targets, more than one, that were detected."""
+        boxes, rule, lives = self.boxes[targets], self.rule, self.targets
+        hidden = lives.hidden[targets][_hidden(boxes)]
+        if not ((lives.separate[targets] >= rule.min_separate_time).all() and (hidden <= rule.max_hidden_time).all()):
             return -math.inf
-        z, state = self.z[:, [blob] * k], np.ascontiguousarray(self.targets.state[:, index])
-        noise = EDGES @ self.model.sensor.covariance(z, state) @ EDGES.T
-        mean, covariance = _outline(boxes, self.spread[index] + noise)
-        step = self.blobs.xyxy[blob] - mean
-        distance2 = float(step @ np.linalg.solve(covariance, step))
-        if distance2 > GATE**2:
-            return -math.inf
-        log_density = -0.5 * (distance2 + float(np.linalg.slogdet(2 * np.pi * covariance)[1]))
-        return log_density + (k - 1) * math.log(max(rule.merge_probability, TINY))
+        mean, spread = _outline(boxes, covariance[blob, targets])
+        merged = (len(targets) - 1) * math.log(max(rule.merge_probability, TINY))
+        return float(_log_density(self.blobs.xyxy[blob] - mean, spread)) + merged
+
+
+def _log_density(step: F8, covariance: F8) -> F8:
+    """(...) logarithm of the normal density of (..., 4) steps from the mean, −∞ beyond `GATE` deviations."""
+    distance2 = (step * np.linalg.solve(covariance, step[..., None])[..., 0]).sum(axis=-1)
+    return np.where(distance2 > GATE**2, -math.inf, -0.5 * (distance2 + np.linalg.slogdet(2 * np.pi * covariance)[1]))
 
 
 def _groups(touching: Bool, strength: F8) -> Iterator[tuple[list[int], list[int], Bool]]:
@@ -225,7 +230,7 @@ def _groups(touching: Bool, strength: F8) -> Iterator[tuple[list[int], list[int]
     group, kept = np.arange(n + m), np.zeros((n, m), np.bool_)
     for p in np.argsort(-strength[blob, target], kind="stable"):
         a, c = group[blob[p]], group[n + target[p]]
-        if a == c or np.isin(group, [a, c]).sum() <= GROUP:
+        if a == c or np.count_nonzero((group == a) | (group == c)) <= GROUP:
             group[group == c] = a
             kept[blob[p], target[p]] = True
     for key in np.unique(group[:n][kept.any(axis=1)]):
@@ -240,7 +245,9 @@ def _owners(boxes: F8) -> I8:
 
 def _hidden(boxes: F8) -> Bool:
     """(k,) which of the boxes (k, 4) have neither the left nor the right edge of their union."""
-    return ~np.isin(np.arange(len(boxes)), _owners(boxes)[[0, 2]])
+    out = np.ones(len(boxes), np.bool_)
+    out[_owners(boxes)[[0, 2]]] = False
+    return out
 
 
 def _outline(boxes: F8, covariance: F8) -> tuple[F8, F8]:
@@ -283,11 +290,11 @@ def _predicted(targets: ExpectedTargets, model: Model, dt: float) -> ExpectedTar
 def _timed(targets: ExpectedTargets, members: Members, boxes: F8, seconds: float) -> ExpectedTargets:
     """The targets with the seconds for which they have been hidden, and have had a blob to themselves."""
     out_of_sight, separate = targets.hidden.copy(), targets.separate.copy()
-    for several in members:
-        index = list(several)
-        if len(index) == 1:
-            separate[index] += seconds
-        out_of_sight[index] = np.where(_hidden(boxes[index]), out_of_sight[index] + seconds, 0.0) if index else 0.0
+    alone = [several[0] for several in members if len(several) == 1]
+    separate[alone] += seconds
+    out_of_sight[alone] = 0.0
+    for index in [list(several) for several in members if len(several) > 1]:
+        out_of_sight[index] = np.where(_hidden(boxes[index]), out_of_sight[index] + seconds, 0.0)
     return replace(targets, hidden=out_of_sight, separate=separate)
 
 

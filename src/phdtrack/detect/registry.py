@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from itertools import chain
 from pathlib import Path
@@ -13,11 +15,12 @@ import numpy as np
 
 from phdtrack.detect.change import ChangeDetector, MeanBackgroundDetector
 from phdtrack.detect.components import BlobSettings
+from phdtrack.detect.onnx import OnnxDetector
 from phdtrack.detect.opencv import FaceDetector, PersonDetector, SubtractorDetector
-from phdtrack.devices import Detector
+from phdtrack.devices import Detector, size_of
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.files import load
-from phdtrack.types import Bool, Detections, DetectionTable, Frame, Image
+from phdtrack.types import Bool, Detections, DetectionTable, Frame, Image, SequenceInfo
 
 _WORDS = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
 _INSIDE = 0.5
@@ -34,8 +37,18 @@ _BUILD: dict[str, Any] = {
     "person": PersonDetector,
 }
 DETECTORS = tuple(_BUILD)
+# What the name of a network begins with; its file follows.
+_NETWORK = "onnx:"
 # Those whose detections are blobs of what differs from the background, one or several objects, or a piece of one.
 BACKGROUND = ("change", "mean-background", "mog2", "knn")
+# Pixels of the longer side that are enough for these.
+_WORKING = 640
+# No number that a detector has learned is larger.
+_LARGEST = 1e30
+# What a detector knows by its settings, or by `study`, which can be done again.
+_NEVER_KEPT = ("_threshold", "_past", "_usual")
+# Frames of a file that its scene is learned from, the fewest, and pixels that are decoded for them in some seconds.
+_SAMPLES, _FEWEST_SAMPLES, _QUICKLY = 51, 7, 2e9
 
 
 @dataclass(frozen=True)
@@ -111,11 +124,11 @@ class Rescaled:
         """Reset the detector inside."""
         self.detector.reset()
 
-    def __call__(self, frame: Frame) -> Detections:
-        """The boxes found in the smaller picture, (N, 4) in pixels of ``frame``."""
-        height, width = frame.image.shape[:2]
+    def shrunk(self, frame: Frame) -> Frame:
+        """The frame as the detector sees it."""
+        width, height = size_of(frame)
         if width <= self.max_width:
-            return self.detector(frame)
+            return frame
         small = (self.max_width, round(height * self.max_width / width))
         if min(small) < _SMALLEST:
             raise InputError(
@@ -123,11 +136,42 @@ class Rescaled:
                 where="max_width",
                 cure=f"At least {_SMALLEST} pixels must be left on either side; 320 is a usual width.",
             )
-        image = np.asarray(cv2.resize(frame.image, small, interpolation=cv2.INTER_AREA), np.uint8)
-        found = self.detector(replace(frame, image=image))
+        if isinstance(frame.picture, np.ndarray):
+            image = np.asarray(cv2.resize(frame.image, small, interpolation=cv2.INTER_AREA), np.uint8)
+        else:
+            image = frame.picture.bgr(small)
+        return Frame(frame.number, frame.time, image)
+
+    def __call__(self, frame: Frame) -> Detections:
+        """The boxes found in the smaller picture, (N, 4) in pixels of ``frame``."""
+        width, height = size_of(frame)
+        if width <= self.max_width:
+            return self.detector(frame)
+        smaller = self.shrunk(frame)
+        found, small = self.detector(smaller), size_of(smaller)
         factor = np.tile([width / small[0], height / small[1]], 2)
         covariance = None if found.covariance is None else found.covariance * np.outer(factor, factor)
         return replace(found, xyxy=found.xyxy * factor, covariance=covariance)
+
+
+def working_width(name: str, given: int | None, info: SequenceInfo) -> int:
+    """The width to which a detector's frames are shrunk, 0 for not at all.
+
+    Parameters
+    ----------
+    name : of the detector.
+    given : what was asked for; None leaves it to the video: for detectors of `BACKGROUND` it is shrunk by the largest whole
+        factor that leaves 640 pixels on the longer side.
+    info : the video.
+
+    Returns
+    -------
+    width : as `make_detector` takes it.
+    """
+    if given is not None:
+        return given
+    factor = max(info.width, info.height) // _WORKING
+    return round(info.width / factor) if factor > 1 and name in BACKGROUND else 0
 
 
 class Masked:
@@ -154,8 +198,8 @@ class Masked:
     def __call__(self, frame: Frame) -> Detections:
         """The boxes found in the region."""
         rows, columns = self._region.shape
-        if frame.image.shape[:2] != (rows, columns):
-            height, width = frame.image.shape[:2]
+        if size_of(frame) != (columns, rows):
+            width, height = size_of(frame)
             problem = f"the mask is {columns}x{rows} pixels, frame {frame.number} is {width}x{height}"
             raise InputError(problem, where=self._where, cure="Draw the mask on a frame of this video, at its full size.")
         found = self._detector(frame)
@@ -175,8 +219,12 @@ def _read_mask(path: Path) -> Image:
 
 def detector_parameters(name: str) -> dict[str, Any]:
     """The parameters of detector ``name`` and their defaults, those of the clean-up included."""
+    if name.startswith(_NETWORK):
+        return {field.name: field.default for field in fields(OnnxDetector) if field.name != "file"}
     if name not in DETECTORS:
-        raise InputError(f"there is no detector {name!r}", cure=did_you_mean(name, DETECTORS))
+        cure = f"{did_you_mean(name, DETECTORS)} A network of your own: onnx:FILE; its boxes: --detections FILE."
+        cure = f"Say {_NETWORK}{name}" if name.endswith(".onnx") else cure
+        raise InputError(f"there is no detector {name!r}", cure=cure)
     known = {field.name: field.default for field in fields(_BUILD[name]) if field.name != "method"}
     return known | ({field.name: field.default for field in fields(BlobSettings)} if known.pop("blobs", None) else {})
 
@@ -188,7 +236,7 @@ def make_detector(
 
     Parameters
     ----------
-    name : one of `DETECTORS`.
+    name : one of `DETECTORS`, or ``onnx:`` and the file of a network.
     max_width : above 0, wider frames are shrunk to this many pixels for the search; boxes stay in original coordinates.
     mask : (H, W) array or image file; only boxes at least half inside its region are reported.
     parameters : fields of the detector, and of `BlobSettings` for those that clean a mask.
@@ -213,12 +261,57 @@ def make_detector(
         (blobs if key in BlobSettings.__dataclass_fields__ else own)[key] = value
     if blobs:
         own["blobs"] = BlobSettings(**blobs)
-    if _BUILD[name] is SubtractorDetector:
+    if _BUILD.get(name) is SubtractorDetector:
         own["method"] = name
-    detector: Detector = _BUILD[name](**own)
+    if name.startswith(_NETWORK):
+        own["file"] = name.removeprefix(_NETWORK)
+    detector: Detector = _BUILD.get(name, OnnxDetector)(**own)
     if max_width:
         detector = Rescaled(detector, max_width)
     return detector if mask is None else Masked(detector, mask)
+
+
+def class_names(detector: Detector) -> Mapping[int, str] | None:
+    """What a detector calls the classes that it tells apart, as far as it says; None for those that know one only."""
+    inner, _ = _inner(detector)
+    return inner.names if isinstance(inner, OnnxDetector) else None
+
+
+def unsuited(detector: Detector) -> tuple[str, ...]:
+    """What of a file's scene makes a detector's boxes doubtful, in sentences, as far as it has learned it."""
+    inner, _ = _inner(detector)
+    return inner.unsuited() if isinstance(inner, ChangeDetector) else ()
+
+
+def _inner(detector: Detector) -> tuple[Detector, Rescaled | None]:
+    """The detector that looks at pictures, and what shrinks them for it."""
+    small = None
+    while isinstance(detector, Rescaled | Masked):
+        small = detector if isinstance(detector, Rescaled) else small
+        detector = detector.detector if isinstance(detector, Rescaled) else detector._detector
+    return detector, small
+
+
+def looked_at(detector: Detector, frames: Iterable[Frame]) -> Iterator[tuple[Frame, Detections, float]]:
+    """Each frame with what ``detector`` sees in it, and in how many seconds; a network may look at several in one call.
+
+    Where the frames end in an error, those before it come first.
+    """
+    network = detector if isinstance(detector, OnnxDetector) else None
+    iterator, stop, most = iter(frames), None, network.together if network else 1
+    while stop is None:
+        batch = list[Frame]()
+        try:
+            while len(batch) < most:
+                batch.append(next(iterator))
+        except Exception as error:
+            stop = error
+        clock = time.perf_counter()
+        found = network.many(batch) if network else [detector(frame) for frame in batch]
+        seconds = (time.perf_counter() - clock) / max(len(batch), 1)
+        yield from ((frame, one, seconds) for frame, one in zip(batch, found, strict=True))
+    if not isinstance(stop, StopIteration):
+        raise stop
 
 
 def knowledge(detector: Detector) -> dict[str, Any] | None:
@@ -234,8 +327,60 @@ def knowledge(detector: Detector) -> dict[str, Any] | None:
         case SubtractorDetector():
             return None
         case ChangeDetector() | MeanBackgroundDetector():
-            return {name: value for name, value in vars(detector).items() if name.startswith("_") and name != "_threshold"}
+            known = {name: value for name, value in vars(detector).items() if name.startswith("_")}
+            return {name: value for name, value in known.items() if name not in _NEVER_KEPT}
     return {}
+
+
+def study(detector: Detector, frames: Iterable[Frame], sample: Callable[[int], Iterable[Frame]] = lambda count: ()) -> None:
+    """Let a detector that learns the scene see some 50 frames of a file before its first one.
+
+    They are spread over all of it where it can jump to as many places, or to half as many. Else they are spread over a short
+    file, or over as much of the beginning of a long one as is decoded in some seconds. Fewer than 7 are not enough.
+
+    Parameters
+    ----------
+    detector : is changed where it learns the scene; for others no frame is read.
+    frames : those of the file.
+    sample : so many of them, as `video.VideoSource.sample` gives them.
+    """
+    detector, small = _inner(detector)
+    if not isinstance(detector, ChangeDetector):
+        return
+
+    def seen(frame: Frame) -> Frame:
+        return Frame(frame.number, frame.time, frame.image if small is None else small.shrunk(frame).image)
+
+    for count in (_SAMPLES, _SAMPLES // 2):
+        kept = list[Frame]()
+        # What is wrong with a frame is said when it is its turn.
+        with suppress(InputError, OSError):
+            kept.extend(map(seen, sample(count)))
+        if len(kept) == count:
+            break
+    else:
+        kept = _thinned(frames, seen)
+    number = min(_SAMPLES, len(kept) - 1 + len(kept) % 2)
+    if number >= _FEWEST_SAMPLES:
+        # The others are not kept while it learns.
+        kept = [kept[k] for k in np.linspace(0, len(kept) - 1, number).round().astype(int)]
+        detector.study(kept)
+
+
+def _thinned(frames: Iterable[Frame], seen: Callable[[Frame], Frame]) -> list[Frame]:
+    """Frames as far as they are decoded quickly, evenly spaced, as they are ``seen``; between 51 and 102 of many."""
+    kept, every, pixels = list[Frame](), 1, 0
+    with suppress(InputError, OSError):
+        for count, frame in enumerate(frames):
+            width, height = size_of(frame)
+            pixels += width * height
+            if count % every == 0:
+                kept.append(seen(frame))
+            if len(kept) > 2 * _SAMPLES:
+                kept, every = kept[::2], 2 * every
+            if pixels > _QUICKLY:
+                break
+    return kept
 
 
 def restore(detector: Detector, known: dict[str, Any], frame: Frame) -> None:
@@ -251,11 +396,10 @@ def restore(detector: Detector, known: dict[str, Any], frame: Frame) -> None:
     ------
     InputError : it is not the knowledge of such a detector, or of frames of another size.
     """
-    inner = detector
-    while isinstance(inner, Rescaled | Masked):
-        inner = inner.detector if isinstance(inner, Rescaled) else inner._detector
-    detector.reset()
-    detector(frame)
+    inner, _ = _inner(detector)
+    if not (isinstance(inner, ChangeDetector) and inner.studied):
+        detector.reset()
+        detector(frame)
     usual = knowledge(inner)
     if usual is None or usual.keys() != known.keys() or not all(_alike(known[name], usual[name]) for name in usual):
         raise InputError("what the detector knew is not that of this detector, or of frames of another size")
@@ -263,11 +407,11 @@ def restore(detector: Detector, known: dict[str, Any], frame: Frame) -> None:
 
 
 def _alike(value: Any, usual: Any) -> bool:
-    """Whether a value is of the type and shape of another one, and finite."""
+    """Whether a value is of the type and shape of another one, and such that it can be squared."""
     if isinstance(usual, np.ndarray):
         same = isinstance(value, np.ndarray) and value.dtype == usual.dtype and value.shape == usual.shape
-        return same and (value.dtype.kind != "f" or bool(np.isfinite(value).all()))
+        return same and (value.dtype.kind != "f" or bool((np.abs(value) < _LARGEST).all()))
     if isinstance(usual, list | tuple):
         same = type(value) is type(usual) and (isinstance(usual, list) or len(value) == len(usual))
         return same and len(value) > 0 and all(_alike(one, usual[0]) for one in value)
-    return type(value) is type(usual) and bool(np.isfinite(value))
+    return type(value) is type(usual) and -_LARGEST < value < _LARGEST

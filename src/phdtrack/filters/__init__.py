@@ -10,12 +10,11 @@ if TYPE_CHECKING:
     from phdtrack.filters.cphd import GMCPHD, ParticleCPHD
     from phdtrack.filters.extract import Components, KMeans, Mixture
     from phdtrack.filters.mcmc import MCMC, Joint
-    from phdtrack.filters.mht import MHT
     from phdtrack.filters.none import NoFilter, Raw
     from phdtrack.filters.phd_gaussian import GMPHD
     from phdtrack.filters.phd_particle import ParticlePHD
     from phdtrack.filters.pmb import PMB, BestBernoullis
-    from phdtrack.filters.pmbm import PMBM, BestHypothesis
+    from phdtrack.filters.pmbm import MHT, PMBM, BestHypothesis
 
 __getattr__, __dir__ = lazy(
     __name__,
@@ -23,12 +22,11 @@ __getattr__, __dir__ = lazy(
         **dict.fromkeys(("GMCPHD", "ParticleCPHD"), "phdtrack.filters.cphd"),
         **dict.fromkeys(("Components", "KMeans", "Mixture"), "phdtrack.filters.extract"),
         **dict.fromkeys(("MCMC", "Joint"), "phdtrack.filters.mcmc"),
-        "MHT": "phdtrack.filters.mht",
         **dict.fromkeys(("NoFilter", "Raw"), "phdtrack.filters.none"),
         "GMPHD": "phdtrack.filters.phd_gaussian",
         "ParticlePHD": "phdtrack.filters.phd_particle",
         **dict.fromkeys(("PMB", "BestBernoullis"), "phdtrack.filters.pmb"),
-        **dict.fromkeys(("PMBM", "BestHypothesis"), "phdtrack.filters.pmbm"),
+        **dict.fromkeys(("MHT", "PMBM", "BestHypothesis"), "phdtrack.filters.pmbm"),
     },
 )
 

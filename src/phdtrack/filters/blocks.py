@@ -141,10 +141,6 @@ def in_ranges(work: Callable[..., T], given: tuple[Any, ...], count: int, thread
     given : what it takes besides the range.
     count : the end of the last range.
     threads : how many share the work; 0: one per core.
-
-    Returns
-    -------
-    results : one for each range.
     """
     threads = threads or os.cpu_count() or 1
     if threads == 1 or count < 2 * threads:

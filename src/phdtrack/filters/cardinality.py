@@ -83,10 +83,6 @@ def weigh(cardinality: F8, terms: UpdateTerms, births: float) -> Weighing:
     cardinality : (n,) probabilities of 0, 1, 2, … targets before births and scan.
     terms : of the intensity, births that it holds included.
     births : expected number of births; those that the intensity does not hold are missed like the others.
-
-    Returns
-    -------
-    weighing : of the number and the intensity.
     """
     known, evidence = terms.mass, terms.evidence
     # Births reach beyond what is likely: what a scan shows may be very unlikely before it is seen.
@@ -102,10 +98,6 @@ def factors(cardinality: F8, mass: float, missed: float, evidence: F8, clutter: 
     cardinality : (n,) p⁺.
     mass, missed : M = ∫D⁺ and ∫(1 − p_D) D⁺.
     evidence, clutter : (N,) C(z) and κ(z), per unit of measurement volume.
-
-    Returns
-    -------
-    weighing : of the number and the intensity.
 
     Where p⁺ makes the scan impossible (more detections than targets can be, no births and no clutter), it is taken for
     Poisson: the factors are those of the PHD filter then.

@@ -72,7 +72,6 @@ class GMCPHD(_CPHD):
     merge_distance : Mahalanobis distance (not squared) up to which a Gaussian is united with a stronger one, in its own
         covariance.
     max_components : J_max, Gaussians kept, the heaviest; 0: 3000.
-    split_weight : what shares its tag with a heavier Gaussian keeps it below this weight; 0: no two share one.
     gate_probability : part of the measurements of a Gaussian inside its gate; those beyond do not touch it; 1: no gate.
     transform : ``linear`` by Jacobians, or ``unscented`` by sigma points.
     initial : the intensity before the first frame; its number is Poisson distributed.
@@ -81,7 +80,6 @@ class GMCPHD(_CPHD):
     weight_threshold: NonNegative = 1e-5
     merge_distance: NonNegative = 2.0
     max_components: Count = 0
-    split_weight: NonNegative = 0.5
     gate_probability: Share = GATE
     transform: Transform = "linear"
     initial: GaussianMixture | None = None

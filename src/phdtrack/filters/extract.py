@@ -156,7 +156,7 @@ class Mixture(_Extraction):
 
 @dataclass(frozen=True, slots=True)
 class Components(_Extraction):
-    """Settings of the extraction from a mixture: the means of its components [V06 Table III], with their tags [P09 §III].
+    """Settings of the extraction from a mixture: the means of its components [V06 Table III].
 
     Where the filter has merged what lies together, a component is a target, or several that no measurement has parted yet:
     one of weight 2.3 stands for two [V06 Table III, E13 §4]. Vo and Ma report it twice; two states in one place are of no
@@ -183,11 +183,8 @@ class Components(_Extraction):
         if self.repeat:
             peaks = peaks._replace(weight=peaks.weight / np.bincount(heavy)[heavy])
         else:
-            peaks, part = join_unresolved(peaks, model.sensor, self.merge_iou)
-            heavy = heavy[part]
-        found = finish(peaks, z, model)
-        # A mixture that no filter has touched has no tags.
-        return replace(found, tag=state.tag[heavy]) if len(state.tag) else found
+            peaks, _ = join_unresolved(peaks, model.sensor, self.merge_iou)
+        return finish(peaks, z, model)
 
 
 def known_blocks(intensity: Intensity) -> Blocks:
@@ -264,10 +261,6 @@ def heavy_enough(found: Gaussians, sensor: Sensor, lightest: float, split: float
     found : k clusters.
     sensor : whose noise is the unit of distances.
     lightest, split : mass of the lightest target, and that above which a cluster is several.
-
-    Returns
-    -------
-    clusters : of at least that mass.
     """
     light = np.flatnonzero((found.weight > 0) & (found.weight < lightest))
     at, scale = found.mean[:, light], sensor.noise(found.mean[:, light])

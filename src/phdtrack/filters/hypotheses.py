@@ -178,10 +178,6 @@ def branched(state: Hypotheses, scores: Scores, limits: Limits) -> Branches:
     ----------
     state : predicted.
     scores, limits : of the frame, and how much is kept.
-
-    Returns
-    -------
-    branches : of the leaves.
     """
     lone, count = len(state.lone), len(scores.unassigned)
     many = lone + len(state.clusters)

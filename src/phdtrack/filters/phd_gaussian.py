@@ -11,12 +11,6 @@ The model answers with arrays (`models.gaussian`), taken at the means where they
 reduction are compiled over them (`kernels.gm_update`, `kernels.gm_merge`). A measurement touches only the Gaussians in whose
 gate it is, so that the cost grows linearly with the number of targets. A mixture grows with every measurement;
 `GMPHD.reduce` prunes, merges and caps it.
-
-Every Gaussian carries a tag, by which its history can be read [P09 §III]: a newborn's is new; prediction and update keep it,
-so that the Gaussians that a measurement and a missed one make of one have the same; a union has that of its strongest. Of
-those that share a tag and weigh ``split_weight`` or more after reduction the heaviest keeps it, and the others, which are
-targets now, are given new ones. Lighter ones may share theirs with a target and take it over when it fades. Tags count
-from 0 and none is given twice; `GaussianMixture.fresh` is the next.
 """
 
 from __future__ import annotations
@@ -81,11 +75,8 @@ class GMPHD(Checked, Filter[GaussianMixture]):
     keep_mass : what pruning and capping drop is given to the rest, so that the expected number stays; False is as Vo and Ma
         print it.
     gate_probability : part of the measurements of a Gaussian inside its gate; those beyond do not touch it; 1: no gate.
-    split_weight : what shares its tag with a heavier Gaussian keeps it below this weight, see above; 0: no two share one.
     transform : ``linear`` by Jacobians, or ``unscented`` by sigma points.
     skip_empty_frames : leave the intensity as predicted when a frame brings no detection, as D14 does.
-    newborn_apart : newborn targets are kept apart from those that were there: they are those that this frame shows, p_D is 1
-        for them, and nothing of them stays undetected around a detection of somebody else [R12].
     initial : the intensity before the first frame.
     """
 
@@ -94,23 +85,21 @@ class GMPHD(Checked, Filter[GaussianMixture]):
     max_components: Count = 0
     keep_mass: bool = True
     gate_probability: Share = GATE
-    split_weight: NonNegative = 0.5
     transform: Transform = "linear"
     skip_empty_frames: bool = False
-    newborn_apart: bool = False
     initial: GaussianMixture | None = None
 
     def start(self, model: Model, rng: np.random.Generator) -> GaussianMixture:
-        """The initial intensity, each Gaussian with a tag; empty where none was given."""
-        return tagged(self.initial or GaussianMixture.empty(model.motion.dim))
+        """The initial intensity; empty where none was given."""
+        return self.initial or GaussianMixture.empty(model.motion.dim)
 
     def predict(self, state: GaussianMixture, model: Model, dt: float, rng: np.random.Generator) -> GaussianMixture:
         """Every Gaussian through f, weighed with p_S [V06 (24)–(29)]."""
         if len(state) == 0:
             return state
-        rows = self._predicted(tagged(state), model, dt)
+        rows = self._predicted(state, model, dt)
         alive = rows.weight > 0
-        return _mixture(Rows._make(column[alive] for column in rows), state.fresh)
+        return _mixture(Rows._make(column[alive] for column in rows))
 
     def update(
         self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator
@@ -129,49 +118,38 @@ class GMPHD(Checked, Filter[GaussianMixture]):
         Parameters
         ----------
         state, z, model, dt, rng : as in `update`.
-
-        Returns
-        -------
-        terms : to be weighed.
         """
-        state = tagged(state)
-        frame = self._frame(_rows_of(state), state.fresh, z, model, dt)
+        frame = self._frame(_rows_of(state), z, model, dt)
         t = terms_of(*frame)
 
         def weighed(missed: float, detected: F8) -> GaussianMixture:
             # Of a heap of targets what pruning would drop is not made.
             least = float(self.weight_threshold) if len(t.pairs) > HEAP else 0.0
-            rows, mass, fresh = mixture_of(*frame[:-1], t, (missed, detected), frame.reach.fresh, least)
+            rows, mass = mixture_of(*frame[:-1], t, (missed, detected), least)
             if least and len(rows.weight):
                 rows = rows._replace(weight=rows.weight * (mass / rows.weight.sum()))
-            return _mixture(rows, fresh)
+            return _mixture(rows)
 
         return UpdateTerms(t.predicted, t.born, t.missed, t.evidence, frame.measurements.clutter, weighed)
 
     def reduce(self, state: GaussianMixture, rng: np.random.Generator) -> GaussianMixture:
-        """Prune, merge, cap: the strongest first, with all that are near it, moment-matched [V06 Table II, E13 §4].
-
-        Tags as above [P09 §III].
-        """
-        state = tagged(state)
+        """Prune, merge, cap: the strongest first, with all that are near it, moment-matched [V06 Table II, E13 §4]."""
         axes, mass = tuple(range(len(state.mean))), state.mass if self.keep_mass else -1.0
-        return GaussianMixture(*merged_rows(_rows_of(state), axes, self._merging, mass, state.fresh))
+        return GaussianMixture(*merged_rows(_rows_of(state), axes, self._merging, mass))
 
     def step(
         self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[GaussianMixture, UpdateInfo]:
         """Predict, update and reduce; Gaussians that pruning would drop are not made."""
-        state = tagged(state)
-        frame = self._frame(self._predicted(state, model, dt), state.fresh, z, model, dt)
+        frame = self._frame(self._predicted(state, model, dt), z, model, dt)
         axes = tuple(range(frame.rows.mean.shape[1]))
         new = frame.newborn
         # As plain tuples: Numba looks up the class of every named one, which takes a quarter of a step of ten targets.
-        weight, mean, covariance, tag, *learned, fresh = phd_step(
+        weight, mean, covariance, evidence, (predicted, born, mass), vanished = phd_step(
             tuple(frame.rows), tuple(frame.expected), tuple(frame.measurements),
             (tuple(new.around), *new[1:-1], tuple(new.expected)), tuple(frame.reach), tuple(self._merging), axes,
         )  # fmt: skip
-        evidence, (predicted, born, mass), vanished = learned
-        after = GaussianMixture(weight, mean, covariance, tag, fresh)
+        after = GaussianMixture(weight, mean, covariance)
         info = UpdateInfo(predicted, born, mass, evidence, frame.measurements.clutter, vanished)
         # D = (1 − p_D) D⁺ + Σ C/(κ + C).
         detected = predicted - mass + float((1 - info.clutter_probability).sum())
@@ -181,16 +159,14 @@ class GMPHD(Checked, Filter[GaussianMixture]):
         """The predicted Gaussians, of weight 0 where none survives."""
         rows = _rows_of(state)
         _, _, after = moved(model, rows.mean, rows.covariance, dt, self.transform)
-        return Rows(rows.weight * after.p_survive, after.mean, after.covariance, rows.tag)
+        return Rows(rows.weight * after.p_survive, after.mean, after.covariance)
 
-    def _frame(self, rows: Rows, fresh: int, z: F8, model: Model, dt: float) -> Frame:
-        """What the model says of a frame of these measurements, with the predicted Gaussians and the next tag."""
+    def _frame(self, rows: Rows, z: F8, model: Model, dt: float) -> Frame:
+        """What the model says of a frame of these measurements, with the predicted Gaussians."""
         sensor, predicted = model.sensor, len(rows.weight)
         born = model.birth.gaussians(z, sensor, model.birth_seconds(dt))
         if len(born.weight):
-            tags = fresh + np.arange(len(born.weight))
-            given = Rows(born.weight, born.mean, born.covariance, tags)
-            rows, fresh = Rows(*(np.concatenate(parts) for parts in zip(rows, given, strict=True))), fresh + len(tags)
+            rows = Rows(*(np.concatenate(parts) for parts in zip(rows, born[1:], strict=True)))
         around, seen = born.around, measurements(model, z)
         observed = row_numbers(sensor.observed)
         volume, stretch = _newborn_shape(len(observed))
@@ -202,23 +178,17 @@ class GMPHD(Checked, Filter[GaussianMixture]):
         else:
             p_detect = sensor.p_detect(np.ascontiguousarray(around.mean.T))
             newborn = Expected(observed, _NONE, _NOTHING, _NOTHING, _NOTHING, p_detect)
-        if self.newborn_apart:
-            newborn = newborn._replace(p_detect=np.ones(len(around.mean)))
         if z.shape[1] == 0 and self.skip_empty_frames:
             said = said._replace(p_detect=np.zeros(len(rows.weight)))
         r = len(seen.period)
         gate, region = math.sqrt(chi2_quantile(r, self.gate_probability)), chi2_quantile(r, REGION)
-        return Frame(
-            rows, said, seen, Newborn(around, observed, volume, stretch, newborn), Reach(gate, region, predicted, fresh)
-        )
+        reach = Reach(gate, region, predicted)
+        return Frame(rows, said, seen, Newborn(around, observed, volume, stretch, newborn), reach)
 
     @property
     def _merging(self) -> Merging:
         """What a reduction needs."""
-        return Merging(
-            float(self.weight_threshold), float(self.merge_distance), self.max_components or MOST, float(self.split_weight),
-            self.keep_mass,
-        )  # fmt: skip
+        return Merging(float(self.weight_threshold), float(self.merge_distance), self.max_components or MOST, self.keep_mass)
 
 
 @lru_cache(maxsize=8)
@@ -231,17 +201,9 @@ def _newborn_shape(n: int) -> tuple[float, float]:
 def _rows_of(state: GaussianMixture) -> Rows:
     """A Gaussian a row, in the layout that the kernels are compiled for."""
     ordered = np.ascontiguousarray
-    return Rows(ordered(state.weight), ordered(state.mean.T), ordered(state.covariance), ordered(state.tag))
+    return Rows(ordered(state.weight), ordered(state.mean.T), ordered(state.covariance))
 
 
-def _mixture(rows: Rows, fresh: int) -> GaussianMixture:
+def _mixture(rows: Rows) -> GaussianMixture:
     """The mixture of Gaussians that are rows."""
-    return GaussianMixture(rows.weight, np.ascontiguousarray(rows.mean.T), rows.covariance, rows.tag, fresh)
-
-
-def tagged(mixture: GaussianMixture) -> GaussianMixture:
-    """The mixture, with new tags where it has none."""
-    if len(mixture.tag) == len(mixture):
-        return mixture
-    tag = mixture.fresh + np.arange(len(mixture))
-    return GaussianMixture(mixture.weight, mixture.mean, mixture.covariance, tag, mixture.fresh + len(mixture))
+    return GaussianMixture(rows.weight, np.ascontiguousarray(rows.mean.T), rows.covariance)

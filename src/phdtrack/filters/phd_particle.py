@@ -46,8 +46,6 @@ class ParticlePHD(Checked, Filter[Intensity]):
         there are very many.
     skip_empty_frames : leave the intensity as predicted when a frame brings no detection, as D14 does. The default is the
         filter's update, (1 − p_D) D⁺.
-    newborn_apart : newborn targets are kept apart from those that were there: they are those that this frame shows, p_D is 1
-        for them, and nothing of them stays undetected around a detection of somebody else [R12].
     threads : threads that share a frame's work, 0 for one per core; the result is the same to the bit.
     initial : the intensity before the first frame.
     """
@@ -56,7 +54,6 @@ class ParticlePHD(Checked, Filter[Intensity]):
     min_particles: Count = 0
     max_particles: Count = 0
     skip_empty_frames: bool = False
-    newborn_apart: bool = False
     threads: Count = 1
     initial: Particles | GaussianMixture | None = None
 
@@ -103,10 +100,6 @@ class ParticlePHD(Checked, Filter[Intensity]):
         Parameters
         ----------
         state, z, model, dt, rng : as in `update`.
-
-        Returns
-        -------
-        terms : to be weighed.
         """
         numbers, region = model.sensor.particle_model(z), chi2_quantile(len(model.sensor.observed), 0.99)
         dtype, count = precision(numbers.model), z.shape[1]
@@ -116,8 +109,6 @@ class ParticlePHD(Checked, Filter[Intensity]):
         old = self._part(in_blocks(state, dtype), numbers, gates, region, model)
         covered: F8 = old[0].unit * sum_by(old[2].which, old[2].near, count)
         newborn = in_blocks(model.birth.sample(z, covered, model.sensor, model.birth_seconds(dt), rng), dtype)
-        if self.newborn_apart:
-            numbers = numbers._replace(detection=np.ones(1, dtype))
         new = self._part(newborn, numbers, gates, region, model)
         blocks, parts, sums = (old[0], new[0]), (old[1], new[1]), (old[2], new[2])
         unit, evidence = np.array([of.unit for of in blocks]), np.zeros(count)

@@ -119,17 +119,6 @@ class Bernoullis:
         """The expected number of targets."""
         return float(self.present.targets["presence"].sum())
 
-    def mixture(self) -> GaussianMixture:
-        """The intensity of the targets: hypotheses with the probability that the target exists and is as they say."""
-        targets, hypotheses, means, _ = self.present
-        target = hypotheses["target"]
-        genuine = 1 / (1 + np.exp(-hypotheses["genuine"]))
-        weight = np.where(hypotheses["static"], 0.0, targets["r"][target] * hypotheses["weight"] * genuine)
-        there = np.flatnonzero(weight > 0)
-        mean = np.ascontiguousarray(means[there].T)
-        covariance = scaled(self.present.covariance, hypotheses, there)
-        return GaussianMixture(weight[there], mean, covariance, targets["label"][target[there]], self.next_label)
-
 
 @dataclass(frozen=True, slots=True)
 class PMB(Checked, Filter[Bernoullis]):

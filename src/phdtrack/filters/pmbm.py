@@ -38,7 +38,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phdtrack.arrays import GATE, chi2_quantile, sum_by
-from phdtrack.errors import Checked, PositiveCount, Share
+from phdtrack.errors import Checked, InputError, NonNegative, PositiveCount, Share
 from phdtrack.filters.hypotheses import (
     Branches,
     Cluster,
@@ -48,6 +48,7 @@ from phdtrack.filters.hypotheses import (
     Scores,
     branched,
     compact,
+    decided,
     ended,
     parted,
 )
@@ -141,6 +142,83 @@ class PMBM(Checked, Filter[Hypotheses]):
         weak = np.flatnonzero((leaves.r > 0) & (leaves.r < self.existence_threshold) & (probability > 0))
         given = probability[weak] * leaves.r[weak], leaves.mean[weak], leaves.covariance[weak]
         state = replace(state, undetected=recycled(state.undetected, *given))
+        return compact(parted(ended(state, self.existence_threshold)))
+
+
+@dataclass(frozen=True, slots=True)
+class MHT(PMBM):
+    """Settings of the multiple hypothesis tracker [R79; C96], those of `PMBM` among them: a PMBM with Reid's rules.
+
+    A hypothesis assigns every measurement of every frame: to a track, as a new target's, or as a false alarm. Summed over
+    what has no consequence, its probability is that of a global hypothesis of the mixture. What is Reid's and Cox and
+    Hingorani's own: a target that is not detected when it is born is forgotten; new targets and false alarms may be stated
+    as densities, and survival by the time since the last measurement; and what the best hypothesis says of the frame
+    ``history`` frames back is decided, hypotheses that say something else are dropped (N-scan pruning). How many hypotheses,
+    down to which share of the best, and how many frames are M09's [M09 §V].
+
+    Parameters
+    ----------
+    new_target_density : density of new targets' first measurements per frame and unit of area (pixel², m²), with any size
+        up to the frame's; 0: as the model's births have it.
+    false_alarm_density : the same of false alarms; 0: as the model's clutter has it.
+    termination_frames : λ_x, a target survives the k-th frame in a row in which it is not measured with probability
+        e^(−k/λ_x), as Cox and Hingorani have it; 0: with the motion's p_S. Where p_S is 0 it does not survive.
+    frame_size : the image's width and height in pixels, which both densities need where sizes are measured.
+    """
+
+    new_target_density: NonNegative = 0.0
+    false_alarm_density: NonNegative = 0.0
+    termination_frames: NonNegative = 0.0
+    frame_size: tuple[float, float] = (0.0, 0.0)
+
+    def start(self, model: Model, rng: np.random.Generator) -> Hypotheses:
+        """The initial targets, each a track of its own; none where none were given."""
+        nothing = GaussianMixture.empty(model.motion.dim)
+        return begun(self.initial or nothing, nothing)
+
+    def _survival(self, p_survive: F8, missed: I8) -> F8:
+        """By the motion, or by the frames without a measurement."""
+        if self.termination_frames > 0:
+            return np.where(p_survive > 0, np.exp(-missed / self.termination_frames), 0.0)
+        return p_survive
+
+    def _unassigned(
+        self, undetected: GaussianMixture, seen: Measurements, z: F8, model: Model, dt: float, gate: float
+    ) -> tuple[Measurements, NewTargets, GaussianMixture]:
+        """By the model or by the stated densities; nothing is remembered of targets that were not detected."""
+        if self.false_alarm_density > 0:
+            seen = seen._replace(clutter=np.full(z.shape[1], self.false_alarm_density / self._sizes(model)))
+        if self.new_target_density > 0:
+            mean, cov = model.sensor.states(z)
+            density = np.full(z.shape[1], self.new_target_density / self._sizes(model))
+            return seen, NewTargets(density, np.ascontiguousarray(mean.T), cov), undetected
+        births = model.birth.gaussians(z, model.sensor, model.birth_seconds(dt))
+        return seen, new_targets(model, births, seen, gate, self.transform), undetected
+
+    def update(
+        self, state: Hypotheses, z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> tuple[Hypotheses, UpdateInfo]:
+        """The best assignments of the measurements, and the decision about the frame ``history`` frames back.
+
+        `UpdateInfo.clutter_probability` is that of a false alarm over all hypotheses.
+        """
+        grown, info = PMBM.update(self, state, z, model, dt, rng)
+        return decided(grown) if len(grown.layers) > self.history else grown, info
+
+    def _sizes(self, model: Model) -> float:
+        """The volume of what a measurement shows besides a position."""
+        if len(model.sensor.observed) == 2:
+            return 1.0
+        width, height = self.frame_size
+        if width <= 0 or height <= 0:
+            raise InputError(
+                f"densities of new targets and false alarms need the frame's size, not {width:g}x{height:g}",
+                where="filter.new_target_density",
+            )
+        return width * height
+
+    def reduce(self, state: Hypotheses, rng: np.random.Generator) -> Hypotheses:
+        """Ended tracks are forgotten, clusters that have become independent part, nodes that nothing rests on go."""
         return compact(parted(ended(state, self.existence_threshold)))
 
 

@@ -24,7 +24,7 @@ LEAST, NEAR, MOST = 1e-6, 0.5, 200
 
 
 def survived(unseen: GaussianMixture, model: Model, dt: float, transform: Transform) -> GaussianMixture:
-    """The intensity ``unseen`` after an interval, without the targets born in it.
+    """∫ p_S f λ, the intensity ``unseen`` after an interval, without the targets born in it.
 
     Parameters
     ----------
@@ -32,10 +32,6 @@ def survived(unseen: GaussianMixture, model: Model, dt: float, transform: Transf
     model : of the world.
     dt : interval in the model's time unit.
     transform : ``linear`` or ``unscented``, see `models.gaussian`.
-
-    Returns
-    -------
-    ∫ p_S f λ.
     """
     if len(unseen) == 0:
         return unseen
@@ -52,10 +48,6 @@ def with_births(unseen: GaussianMixture, model: Model, z: F8, dt: float) -> Birt
     model : of the world.
     z : array (m, N), the frame's measurements.
     dt : interval in the model's time unit.
-
-    Returns
-    -------
-    λ⁺, with the births of the interval.
     """
     births = model.birth.gaussians(z, model.sensor, model.birth_seconds(dt))
     if len(unseen) == 0:
@@ -82,10 +74,6 @@ def recycled(unseen: GaussianMixture, weight: F8, mean: F8, covariance: F8) -> G
     ----------
     unseen : λ.
     weight, mean, covariance : (n,), (n, d), (n, d, d) of the targets; weights are the probabilities that they exist.
-
-    Returns
-    -------
-    Both together, reduced.
     """
     if len(weight) == 0:
         return unseen
@@ -101,6 +89,5 @@ def _reduced(weight: F8, mean: F8, covariance: F8) -> GaussianMixture:
     # Imported here: most users' births are no mixture, and a tracker starts without it.
     from phdtrack.kernels.gm_merge import Merging, Rows, merged_rows
 
-    axes, rows = tuple(range(mean.shape[1])), Rows(weight, mean, covariance, np.arange(len(weight)))
-    weight, columns, covariance, _, _ = merged_rows(rows, axes, Merging(LEAST, NEAR, MOST, 0.0, False), -1.0, len(weight))
-    return GaussianMixture(weight, columns, covariance)
+    axes, rows = tuple(range(mean.shape[1])), Rows(weight, mean, covariance)
+    return GaussianMixture(*merged_rows(rows, axes, Merging(LEAST, NEAR, MOST, False), -1.0))

@@ -1,24 +1,28 @@
-"""Files of detections, truth, tracks, states: MOTChallenge, KITTI, CSV, Parquet, COCO JSON, CVML (CAVIAR); seqinfo.ini."""
+"""Files of detections, truth, tracks, states: MOTChallenge, KITTI, CSV, Parquet, JSON lines, COCO, CVAT, CVML."""
 
 from phdtrack.formats.columns import Warps, WarpsWriter, read_warps
 from phdtrack.formats.read import read_detections, read_tracks, read_tracks_named
 from phdtrack.formats.seqinfo import find_seqinfo, read_seqinfo
 from phdtrack.formats.truth import ignoring, read_truth, read_truth_by_class
 from phdtrack.formats.write import (
+    EXPORTS,
     DetectionsWriter,
     StatesWriter,
     TracksWriter,
+    export_tracks,
     write_detections,
     write_tracks,
     write_truth,
 )
 
 __all__ = [
+    "EXPORTS",
     "DetectionsWriter",
     "StatesWriter",
     "TracksWriter",
     "Warps",
     "WarpsWriter",
+    "export_tracks",
     "find_seqinfo",
     "ignoring",
     "read_detections",

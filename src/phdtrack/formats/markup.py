@@ -1,4 +1,4 @@
-"""Boxes in JSON and XML: COCO, and CVML.
+"""Boxes in JSON and XML: COCO, JSON lines, CVML and CVAT.
 
 COCO JSON is a list of results, or a data set with its images and annotations. Boxes are left, top, width, height.
 A result tells its image by ``image_id`` only, which is then the number of the frame. In a data set the number is, in this
@@ -12,10 +12,16 @@ CVML is the XML of CAVIAR's ground truth, in which the truth of PETS 2009 is wri
 
 Frames count from 0, boxes are given by their centre. Groups have boxes of their own, which are no objects: they are passed
 over.
+
+CVAT's XML has tracks, ``<annotations> <track id="1" label="car"> <box frame="0" outside="0" xtl=".." ytl=".." xbr=".."
+ybr=".."/>``, or images, ``<image id="0"> <box label="car" …/>``, whose boxes have no identities. Frames count from 0.
+
+JSON lines are an object a line, whose keys are those that a header may have; ``bbox`` is left, top, width, height.
 """
 
 from __future__ import annotations
 
+import json
 import re
 import reprlib
 from pathlib import Path, PurePosixPath
@@ -24,15 +30,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.files import read_json, read_xml
+from phdtrack.files import Element, read_json, read_xml
 from phdtrack.formats.checks import Origin
-from phdtrack.formats.table import CENTRE_SIZE, LTWH, Column, Kind, Source, Table
+from phdtrack.formats.table import CENTRE_SIZE, LTWH, Column, Kind, Source, Table, table_of_text
+from phdtrack.formats.text import Text, normalise
 
 # The keys of each column in an entry.
 _KEYS = {
     Column.CONFIDENCE: ("score",),
     Column.CLASS: ("category_id",),
     Column.DISTRACTOR: ("ignore", "iscrowd"),
+    Column.DETECTION: ("detection",),
+    Column.CONFIRMED: ("confirmed",),
     Column.IDENTITY: ("track_id", "instance_id", "identity"),
 }
 
@@ -109,12 +118,76 @@ def _names(path: Path, document: Any) -> dict[int, str]:
     return names
 
 
-def table_of_cvml(source: Source) -> Table:
-    """The boxes of the objects in a CVML document; `InputError` where it is none."""
+def rows_of_json(source: Source) -> Text | None:
+    """JSON lines as a table with a header; None where the first line is no object that has a frame."""
+    try:
+        first = json.loads(source.content.lstrip().partition(b"\n")[0])
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(first, dict) or not {normalise(key) for key in first} & {*Column.FRAME.names}:
+        return None
+    rows, numbers = list[dict[str, str]](), list[int]()
+    for number, line in enumerate(source.content.split(b"\n"), start=1):
+        if not line.strip():
+            continue
+        try:
+            value = read_json(source.path, line)
+            entry = _entry(source.path, value, "line", number, "frame and a box")
+            if "bbox" in entry.values:
+                entry.values.update(zip(("left", "top", "width", "height"), entry.box(), strict=True))
+        except InputError as error:
+            where = InputError(error.problem, where=f"{source.path}, line {number}", cure=error.cure)
+            if source.left_out is None:
+                raise where from None
+            source.left_out.take(where, float(number))
+            continue
+        rows.append({normalise(key): _cell(one) for key, one in entry.values.items()})
+        numbers.append(number)
+    return _text(source.path, rows, numbers)
+
+
+def _text(path: Path, rows: list[dict[str, str]], numbers: list[int]) -> Text:
+    """Rows by the names of columns as a table in text; what a row does not have is empty."""
+    header = [*dict.fromkeys(name for row in rows for name in row)]
+    lines = [",".join(row.get(name, "") for name in header) for row in rows]
+    return Text(Origin(path, "line", np.array(numbers, np.int64)), lines, ",", len(header), tuple(header))
+
+
+def _cell(value: object) -> str:
+    """A value of JSON as a cell of a table."""
+    return (
+        "" if value is None else re.sub(r'[^\S ]|[,"]', "_", str(int(value) if isinstance(value, bool) else value).strip())
+    )
+
+
+def rows_of_cvat(path: Path, elements: list[Element]) -> Text:
+    """The boxes of a CVAT document as a table with a header; those that are outside are no boxes. `InputError` as usual."""
+    rows, lines = [], []
+    for box in elements:
+        around = {element.name: element for element in box.around}
+        if box.name != "box" or box.attributes.get("outside") == "1":
+            continue
+        if not around.keys() & {"track", "image"}:
+            raise InputError("expected <box> inside of <track> or <image>, came one outside", where=box.where)
+        track, image = around.get("track"), around.get("image")
+        corners = zip(("left", "top", "right", "bottom"), map(box.number, ("xtl", "ytl", "xbr", "ybr")), strict=True)
+        row = {"frame": f"{(image or box).number('id' if image else 'frame'):.15g}"}
+        row |= {"id": f"{track.number('id'):.15g}"} if track else {}
+        label = (track or box).attributes.get("label", "")
+        rows.append(row | {name: repr(value) for name, value in corners} | {"class": _cell(label)})
+        lines.append(box.line)
+    return _text(path, rows, lines) if rows else Text(Origin(path, "line", np.zeros(0, np.int64)), [])
+
+
+def table_of_xml(source: Source) -> Table:
+    """The boxes of the objects in a CVML or CVAT document; `InputError` where it is none."""
     elements = read_xml(source.path, source.content)
+    if elements[0].name == "annotations":
+        return table_of_text(source, rows_of_cvat(source.path, elements))
     if elements[0].name != "dataset":
         came = f"<{elements[0].name}>"
-        raise InputError(f"expected CVML, whose outermost element is <dataset>, came {came}", where=elements[0].where)
+        problem = f"expected CVML or CVAT, whose outermost element is <dataset> or <annotations>, came {came}"
+        raise InputError(problem, where=elements[0].where)
     rows, lines = [], []
     for box in elements:
         around = {element.name: element for element in box.around}

@@ -1,10 +1,10 @@
 """Reading detections, truth and tracks: one function each, for every format.
 
-The content decides what a file is: Parquet by its first bytes, XML by ``<``, JSON by ``[`` or ``{``; anything else is a
-text table, MOTChallenge or CSV. An empty file is a file without rows. Frames are numbered from 1 in what is returned.
+The content decides what a file is: Parquet by its first bytes, XML by ``<``, JSON by ``[`` or ``{``, JSON lines where its
+first line is an object with a frame; anything else is a text table, MOTChallenge, KITTI or CSV. An empty file is a file
+without rows. Frames are numbered from 1 in what is returned.
 ``first_frame`` is the number that the file gives the first frame, for tools that count otherwise than their format does:
-0 in CVML, 1 elsewhere. Truth is read in
-`truth.py`.
+0 in CVML, CVAT and KITTI, 1 elsewhere. Truth is read in `truth.py`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from phdtrack.errors import InputError
 from phdtrack.files import AnyPath, load
 from phdtrack.formats.checks import Origin, Rule, WrongRows, enforce, far, flag, repeated, whole
 from phdtrack.formats.kitti import is_kitti, rows_of_all, rows_of_type
-from phdtrack.formats.markup import table_of_coco, table_of_cvml
+from phdtrack.formats.markup import rows_of_json, table_of_coco, table_of_xml
 from phdtrack.formats.table import Column, Kind, Source, Table, table_of_parquet, table_of_text
 from phdtrack.formats.text import scan
 from phdtrack.types import F8, I8, Bool, Detections, DetectionTable, Tracks
@@ -28,7 +28,7 @@ NO_ROWS = Table(Origin(Path(), "line", np.zeros(0, np.int64)), 1, {}, np.zeros((
 
 
 def read_detections(path: AnyPath, *, first_frame: int | None = None, left_out: WrongRows | None = None) -> DetectionTable:
-    """The detections in a MOTChallenge ``det.txt``, CSV, Parquet, COCO JSON or CVML file, sorted by frame.
+    """The detections in a MOTChallenge ``det.txt``, CSV, Parquet, JSON, CVML or CVAT file, sorted by frame.
 
     Boxes in pixels, xyxy. Confidence is 1 and class 0 where the file has none; confidence has no bounds. Classes that are
     words get numbers, see `DetectionTable.names`; KITTI's label files have all types but regions. Real detectors give boxes
@@ -85,7 +85,7 @@ def _note(origin: Origin, rules: list[Rule], bad: Bool, left_out: WrongRows) -> 
 
 
 def read_tracks(path: AnyPath, *, first_frame: int | None = None, kitti: str = "") -> Tracks:
-    """The tracks in a MOTChallenge (6 to 12 columns), KITTI, CSV, Parquet, COCO JSON or CVML file, by frame, then identity.
+    """The tracks in a MOTChallenge (6 to 12 columns), KITTI, CSV, Parquet, JSON, CVML or CVAT file, by frame, then identity.
 
     Where the file does not say, ``confidence`` is 1, ``detection`` −1 (none known) and ``confirmed`` true.
 
@@ -151,10 +151,11 @@ def table_of(path: Path, kind: Kind, first_frame: int | None, kitti: str = "", l
     if start == b"PAR1":
         return table_of_parquet(source)
     if start.startswith(b"<"):
-        return table_of_cvml(source)
-    if start.startswith((b"[", b"{")):
+        return table_of_xml(source)
+    lines = rows_of_json(source) if start.startswith(b"{") else None
+    if lines is None and start.startswith((b"[", b"{")):
         return table_of_coco(source)
-    text = scan(path, content)
+    text = scan(path, content) if lines is None else lines
     if is_kitti(text):
         source = source._replace(first=0 if first_frame is None else first_frame)
         if not kitti and kind is not Kind.TRUTH:

@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, needed
 from phdtrack.formats.checks import Origin, WrongRows
 from phdtrack.formats.text import Text, is_number, normalise, numbers
 from phdtrack.types import F8, I8, Bool
@@ -39,7 +39,7 @@ class Column(Enum):
     FRAME = None, "frame", "frame_id", "frame_number", "frame_no", "frame_num", "frame_idx", "frame_index", "frameid"
     IDENTITY = None, "identity", "id", "track_id", "trackid", "tracker_id", "target_id", "object_id", "track", "label"
     CONFIDENCE = 1.0, "confidence", "conf", "score", "probability", "prob"
-    CLASS = 0.0, "class", "class_id", "category_id", "category", "cls"
+    CLASS = 0.0, "class", "class_name", "class_id", "category_id", "category_name", "category", "cls"
     MOT_CLASS = -1.0, "MOT class"
     DISTRACTOR = 0.0, "distractor", "ignore", "ignored"
     REGION = 0.0, "region", "ignored_region"
@@ -152,27 +152,28 @@ def table_of_text(source: Source, text: Text) -> Table:
 
 def table_of_parquet(source: Source) -> Table:
     """The boxes in a Parquet file; `InputError` where a column is missing or holds no numbers, or pyarrow is missing."""
-    try:
-        import pyarrow as arrow
-        import pyarrow.parquet as parquet
-    except ImportError:
-        cure = "Install it: pip install 'phdtrack[parquet]'."
-        problem = "reading Parquet needs the package pyarrow, which is not installed"
-        raise InputError(problem, where=source.path, cure=cure) from None
+    arrow, parquet = (needed(name) for name in ("pyarrow", "pyarrow.parquet"))
     try:
         table = parquet.ParquetFile(arrow.BufferReader(source.content)).read()
     except (arrow.ArrowException, OSError, UnicodeDecodeError) as error:  # a broken footer can be any of them
         raise InputError(f"expected a Parquet file, which cannot be read: {error}", where=source.path) from None
     header = [normalise(str(name)) for name in table.column_names]
     layout = _layout(source, header, lambda at: table.column(at).null_count == len(table))
-    values = []
-    for at in layout.at:
+    values, names = [], dict[int, str]()
+    for k, at in enumerate(layout.at):
         try:
-            values.append(table.column(at).cast(arrow.float64()).fill_null(np.nan).to_numpy())
+            cells = table.column(at)
+            words = cells.to_pylist() if layout.columns[k : k + 1] == [Column.CLASS] else []
+            if any(isinstance(word, str) for word in words):
+                names = dict(enumerate(sorted({str(word) for word in words} - {"None"}), start=1))
+                number = {word: one for one, word in names.items()}
+                cells = arrow.array([number.get(str(word)) for word in words])
+            values.append(cells.cast(arrow.float64()).fill_null(np.nan).to_numpy(zero_copy_only=False))
         except arrow.ArrowException:
             problem = f"expected numbers in the column {table.column_names[at]}, came {table.column(at).type}"
             raise InputError(problem, where=source.path, cure="Convert it before it is written.") from None
-    return _table(source, Origin(source.path, "row", np.arange(1, len(table) + 1)), layout, np.stack(values, axis=1))
+    origin = Origin(source.path, "row", np.arange(1, len(table) + 1))
+    return replace(_table(source, origin, layout, np.stack(values, axis=1)), names=names)
 
 
 def _by_position(kind: Kind, width: int) -> list[str]:
@@ -198,6 +199,9 @@ class _Layout(NamedTuple):
 def _layout(source: Source, header: Sequence[str], empty: Callable[[int], bool]) -> _Layout:
     """The columns to be read, without optional ones that are ``empty``; unknown names are passed over."""
     places = {column: next((header.index(name) for name in column.names if name in header), -1) for column in Column}
+    if source.kind is Kind.DETECTIONS and places[Column.CLASS] < 0 and "label" in header:
+        # Only of tracks it is the identity.
+        places[Column.CLASS] = header.index("label")
     form = next((form for form in _BOXES if all(places[column] >= 0 for column in form)), ())
     missing = next((column for column in source.kind.value if column.default is None and places[column] < 0), None)
     if missing is not None or not form:

@@ -36,7 +36,7 @@ _PEDESTRIAN, _LAST_CLASS = 1, 13
 
 
 def read_truth(path: AnyPath, *, first_frame: int | None = None, kitti: str = "") -> Truth:
-    """The annotated objects in a MOTChallenge ``gt.txt``, KITTI, CSV, Parquet, COCO JSON or CVML file, sorted by frame.
+    """The annotated objects in a MOTChallenge ``gt.txt``, KITTI, CSV, Parquet, JSON, CVML or CVAT file, sorted by frame.
 
     Rows of confidence 0 that are no distractors are left out. In truth with classes (MOT16 and later) pedestrians are
     scored, rows of the benchmark's distractors are marked, all others left out. The distractors are the classes 2, 7, 8, 12,

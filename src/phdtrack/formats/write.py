@@ -10,23 +10,29 @@ whole sequence. All but the states are MOTChallenge files without a header, whic
   one (see `phdtrack.formats.table`);
 * truth: ``frame,id,left,top,width,height,flag,class,visibility``, distractors with flag 0 and class 8, as in MOT16.
 
+`export_tracks` writes tracks as other tools have them: MOTChallenge's ten columns, KITTI's eighteen, CSV with a header,
+Parquet, JSON lines, COCO, CVAT. `read_tracks` reads all of these.
+
 States have a header: ``frame,time,weight,detection,left,top,width,height,s0,s1,…``. Frames count from 1, times are seconds,
 boxes pixels of the video, state components as the model has them.
 """
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
+from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phdtrack.files import AnyPath, cannot_write, part_of, publish
-from phdtrack.types import F8, I8, Bool, Detections, DetectionTable, Step, Tracks, Truth
+from phdtrack.errors import InputError, did_you_mean, needed
+from phdtrack.files import AnyPath, cannot_write, part_of, publish, whole, write_text
+from phdtrack.types import F8, I8, Bool, Detections, DetectionTable, SequenceInfo, Step, Tracks, Truth
 
 # Seven digits: a thousandth of a pixel in the largest pictures, and boxes in other units do not collapse.
 _BOX = "%.7g,%.7g,%.7g,%.7g"
@@ -190,6 +196,121 @@ def write_truth(path: AnyPath, truth: Truth) -> None:
     label = np.where(truth.distractor, _DISTRACTOR, _PEDESTRIAN)
     with Lines(path) as file:
         file.write(_TRUTH, truth.frame, truth.identity, _ltwh(truth.xyxy), ~truth.distractor, label)
+
+
+EXPORTS = {
+    "motchallenge": ".txt",
+    "csv": ".csv",
+    "parquet": ".parquet",
+    "jsonl": ".jsonl",
+    "coco": ".json",
+    "cvat": ".xml",
+    "kitti": ".txt",
+}
+"""The formats of `export_tracks`, and what names of such files end in."""
+
+
+def export_tracks(
+    path: AnyPath, tracks: Tracks, kind: str, names: Mapping[int, str] | None = None, info: SequenceInfo | None = None
+) -> None:
+    """Write tracks in a format of other tools; an existing file is replaced.
+
+    Frames count from 0 in KITTI and CVAT, from 1 elsewhere. MOTChallenge has no classes, CVAT no confidence; which detection
+    a row used, and whether it is confirmed, are in CSV, Parquet, JSON lines and COCO.
+
+    Parameters
+    ----------
+    path, tracks : the file, and what is written, sorted by frame.
+    kind : one of `EXPORTS`.
+    names : of the classes.
+    info : of the sequence, for COCO and CVAT.
+
+    Raises
+    ------
+    InputError : it cannot be written, there is no such format, or pyarrow is missing for Parquet.
+    """
+    path, info = Path(path), info or SequenceInfo(0, 0, 0.0)
+    classes = np.unique(tracks.class_id).tolist()
+    words = {k: re.sub(r'[^\S ]|[,;"]', "_", (names or {}).get(k, f"class_{k}" if k else "object")) for k in classes}
+    boxes = [[float(f"{value:.7g}") for value in column] for column in _ltwh(tracks.xyxy).T.tolist()]
+    columns: dict[str, list[Any]] = {"frame": tracks.frame.tolist(), "identity": tracks.identity.tolist()}
+    columns |= dict(zip(("left", "top", "width", "height"), boxes, strict=True))
+    columns["confidence"] = [float(f"{value:.7g}") for value in tracks.confidence.tolist()]
+    columns |= {"detection": tracks.detection.tolist(), "confirmed": tracks.confirmed.astype(int).tolist()}
+    columns["class"] = [words[k] for k in tracks.class_id.tolist()] if names else tracks.class_id.tolist()
+    rows = list(zip(*columns.values(), strict=True))
+    match kind:
+        case "motchallenge":
+            lines = [",".join(map(str, (*row[:7], -1, -1, -1))) for row in rows]
+        case "csv":
+            lines = [",".join(columns), *(",".join(map(str, row)) for row in rows)]
+        case "jsonl":
+            lines = [json.dumps(dict(zip(columns, row, strict=True)), ensure_ascii=False) for row in rows]
+        case "coco":
+            lines = [json.dumps(_coco(columns, tracks, words, info), ensure_ascii=False)]
+        case "cvat":
+            lines = _cvat(tracks, words, info)
+        case "kitti":
+            types = [words[k].replace(" ", "_") for k in tracks.class_id.tolist()]
+            corners = [" ".join(f"{value:.7g}" for value in box) for box in tracks.xyxy.tolist()]
+            lines = [
+                f"{row[0] - 1} {row[1]} {name} -1 -1 -10 {box} -1 -1 -1 -1000 -1000 -1000 -10 {row[6]}"
+                for row, name, box in zip(rows, types, corners, strict=True)
+            ]
+        case "parquet":
+            arrow, parquet = (needed(name) for name in ("pyarrow", "pyarrow.parquet"))
+            with whole(path) as part:
+                parquet.write_table(arrow.table(columns), part, compression="zstd")
+            return
+        case _:
+            raise InputError(f"there is no format {kind!r}", where="--to", cure=did_you_mean(kind, EXPORTS))
+    write_text(path, "".join(f"{line}\n" for line in lines))
+
+
+def _coco(columns: Mapping[str, list[Any]], tracks: Tracks, words: Mapping[int, str], info: SequenceInfo) -> dict[str, Any]:
+    """A COCO data set: an image for each frame of the sequence, an annotation for each row."""
+    rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    frames = range(1, info.frames + 1) if info.frames else np.unique(tracks.frame).tolist()
+    size = {"width": info.width, "height": info.height} if info.width else {}
+    return {
+        "images": [{"id": number, "file_name": f"{number:06d}.jpg", "frame_id": number, **size} for number in frames],
+        "annotations": [
+            {
+                "id": k,
+                "image_id": row["frame"],
+                "track_id": row["identity"],
+                "category_id": label,
+                "bbox": [row["left"], row["top"], row["width"], row["height"]],
+                "area": row["width"] * row["height"],
+                "iscrowd": 0,
+                "score": row["confidence"],
+                "detection": row["detection"],
+                "confirmed": row["confirmed"],
+            }
+            for k, (row, label) in enumerate(zip(rows, tracks.class_id.tolist(), strict=True), start=1)
+        ],
+        "categories": [{"id": number, "name": name} for number, name in words.items()],
+    }
+
+
+def _cvat(tracks: Tracks, words: Mapping[int, str], info: SequenceInfo) -> list[str]:
+    """The lines of a CVAT document ("for video 1.1"): a track for each identity and class; a box outside at its end."""
+    labels = "".join(f"<label><name>{escape(word)}</name></label>" for word in words.values())
+    size = f"<original_size><width>{info.width}</width><height>{info.height}</height></original_size>" if info.width else ""
+    task = f"<task><size>{info.frames}</size><mode>interpolation</mode><labels>{labels}</labels>{size}</task>"
+    lines = ['<?xml version="1.0" encoding="utf-8"?>', "<annotations>", f"<version>1.1</version><meta>{task}</meta>"]
+    corners = " ".join(f'{name}="{{:.7g}}"' for name in ("xtl", "ytl", "xbr", "ybr"))
+    box = f'<box frame="{{}}" keyframe="1" outside="{{}}" occluded="0" {corners} z_order="0"/>'
+    for identity, label in sorted(set(zip(tracks.identity.tolist(), tracks.class_id.tolist(), strict=True))):
+        mine = tracks.take((tracks.identity == identity) & (tracks.class_id == label))
+        lines.append(f'<track id="{identity}" label={quoteattr(words[label])} source="auto">')
+        numbers = mine.frame.tolist()
+        for number, after, place in zip(numbers, [*numbers[1:], 0], mine.xyxy.tolist(), strict=True):
+            lines.append(box.format(number - 1, 0, *place))
+            if after != number + 1 and number != info.frames:
+                lines.append(box.format(number, 1, *place))
+        lines.append("</track>")
+    return [*lines, "</annotations>"]
 
 
 def _ltwh(xyxy: F8) -> F8:

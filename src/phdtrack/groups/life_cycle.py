@@ -82,7 +82,7 @@ class GroupLifeCycle(Checked):
         Parameters
         ----------
         state : after the frame before.
-        member : (n,) identities of people (tracks, or tags of components), each at most once.
+        member : (n,) identities of people, each at most once.
         label : (n,) the cluster of each.
         weight : (n,) how much each counts when identities are handed on.
         frame, time : number of the frame, and its time in seconds.

@@ -214,10 +214,6 @@ def mixture_of(intensity: Any, step: Step, z: F8, stages: AnyStages, lightest: f
     z : (m, N) measurements.
     stages : of the run.
     lightest : smallest weight of a cluster of particles.
-
-    Returns
-    -------
-    The Gaussians.
     """
     points = intensity.intensity if isinstance(intensity, Cardinalised) else intensity
     if isinstance(points, GaussianMixture):
@@ -236,7 +232,7 @@ def known_people(state: F8) -> GaussianMixture:
 
 
 def carriers(mixture: GaussianMixture, place: F8, lightest: float) -> I8:
-    """The Gaussian of each track: the nearest by its own covariance, −1 where none is near enough.
+    """(M,) the Gaussian of each track: the nearest by its own covariance, −1 where none is near enough.
 
     A track's row rests on the mean of a Gaussian, whose distance is 0; a row that was only predicted finds the one that
     the filter still has for it.
@@ -246,10 +242,6 @@ def carriers(mixture: GaussianMixture, place: F8, lightest: float) -> I8:
     mixture : Gaussians over (px, py, vx, vy).
     place : (2, M) of the tracks, metres; NaN where unknown.
     lightest : lighter Gaussians belong to no track.
-
-    Returns
-    -------
-    (M,) places in the mixture.
     """
     heavy = np.flatnonzero(mixture.weight >= lightest)
     if len(heavy) == 0 or place.shape[1] == 0:

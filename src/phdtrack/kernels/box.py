@@ -213,6 +213,25 @@ def predicted_boxes(mean: F8, covariance: F8, motion: tuple[Any, ...], factor: F
     return Predicted(out_mean, out_cov, p_survive)
 
 
+@njit(**ENTRY)
+def moved_boxes(
+    x: F8, dt: float, position: float, mixed: float, velocity: float, extent: float, min_size: float, scaled: bool
+) -> tuple[F8, F8, F8]:
+    """Means (6, n), the Jacobian (6, 6) of all, and noises (6, 6, n) of boxes (6, n) after an interval [M09 (11)]."""
+    mean, jacobian, noise = x.copy(), np.eye(len(x)), np.zeros((len(x), len(x), x.shape[1]))
+    for a in range(2):
+        jacobian[a, a + 2] = dt
+        for n in range(x.shape[1]):
+            mean[a, n] += dt * x[a + 2, n]
+            size = min_size if x[a + 4, n] < min_size else x[a + 4, n]
+            unit = size * size if scaled else 1.0
+            noise[a, a, n] = position * unit
+            noise[a, a + 2, n] = noise[a + 2, a, n] = mixed * unit
+            noise[a + 2, a + 2, n] = velocity * unit
+            noise[a + 4, a + 4, n] = extent * unit
+    return mean, jacobian, noise
+
+
 @njit(**INNER)
 def box_variances(noise: BoxNoise, w: float, h: float) -> tuple[float, float, float, float]:
     """Variances of (px, py, w, h) of a measured box whose noise follows the size ``w``, ``h``."""

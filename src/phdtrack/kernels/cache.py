@@ -14,6 +14,7 @@ from __future__ import annotations
 import atexit
 import gc
 import hashlib
+import logging
 import os
 import shutil
 import tempfile
@@ -25,8 +26,14 @@ from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core import codegen
+from numba.core import codegen, event
 
+_LOG = logging.getLogger(__name__)
+_COMPILING = "phdtrack compiles its kernels (some ten seconds, once on this machine: they are kept for the next runs) ..."
+_ALWAYS_COMPILING = (
+    "phdtrack compiles its kernels (some ten seconds, and so in every run: neither the installation nor the home folder can "
+    "be written into; set NUMBA_CACHE_DIR to a folder that can) ..."
+)
 SOURCES = Path(__file__).parent
 
 
@@ -115,8 +122,26 @@ def _from_outside(kind: Any) -> bool:
     return foreign or any(_from_outside(part) for part in getattr(kind, "types", ()))
 
 
+# Numba has no types.
+class _Announcement(event.Listener):  # type: ignore[misc]
+    """Says once, on a logger below ``phdtrack``, that a kernel of ours is compiled, and not where one is loaded."""
+
+    def __init__(self, sentence: str) -> None:
+        self._sentence = sentence
+
+    def on_start(self, event: event.Event) -> None:
+        """A function begins to be compiled."""
+        if self._sentence and event.data["dispatcher"].py_func.__module__.startswith("phdtrack."):
+            _LOG.warning(self._sentence)
+            self._sentence = ""
+
+    def on_end(self, event: event.Event) -> None:
+        """Nothing."""
+
+
 def prepare() -> Cache:
-    """Find the folder as Numba will, make one where there is none, empty it where it is of other sources."""
+    """Find the folder as Numba will, make one where there is none, empty it where it is of other sources; let it be said
+    when kernels are compiled."""
     if numba.config.DISABLE_JIT:
         return Cache(SOURCES / "__pycache__", lasting=True)
     lasting = True
@@ -126,6 +151,7 @@ def prepare() -> Cache:
         lasting, numba.config.CACHE_DIR = False, tempfile.mkdtemp(prefix="phdtrack-kernels-")
         atexit.register(shutil.rmtree, numba.config.CACHE_DIR, ignore_errors=True)
         folder = _numbas_folder()
+    event.register("numba:compile", _Announcement(_COMPILING if lasting else _ALWAYS_COMPILING))
     total = hashlib.sha256()
     for file in sorted(SOURCES.glob("*.py")):
         total.update(file.name.encode() + hashlib.sha256(file.read_bytes()).digest())

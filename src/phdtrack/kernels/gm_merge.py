@@ -1,11 +1,9 @@
-"""Fewer Gaussians for the same intensity: prune, merge, cap, in time linear in their number; and whose tag is whose.
+"""Fewer Gaussians for the same intensity: prune, merge, cap, in time linear in their number.
 
 Merging as printed takes the strongest remaining Gaussian j and unites with it all i of small (m_i − m_j)ᵀ P_i⁻¹ (m_i − m_j),
 then the strongest of the rest, and so on. Asked the other way round: each Gaussian, by descending weight, joins the
 strongest head that it is near, or becomes a head itself. The groups are the same, and because the distance is in its own
 covariance, the heads that can be near lie in a rectangle about its mean: a grid of heads answers at once.
-
-A union has the tag of its strongest [P09 §III].
 """
 
 from __future__ import annotations
@@ -27,12 +25,11 @@ Axes = tuple[int, ...]
 
 
 class Rows(NamedTuple):
-    """A Gaussian mixture, a Gaussian a row: ``weight`` (J,), ``mean`` (J, d), ``covariance`` (J, d, d), ``tag`` (J,)."""
+    """A Gaussian mixture, a Gaussian a row: ``weight`` (J,), ``mean`` (J, d), ``covariance`` (J, d, d)."""
 
     weight: F8
     mean: F8
     covariance: F8
-    tag: I8
 
 
 class Merging(NamedTuple):
@@ -41,7 +38,6 @@ class Merging(NamedTuple):
     weight_threshold: float
     merge_distance: float
     max_components: int
-    split_weight: float
     keep_mass: bool
 
 
@@ -194,9 +190,9 @@ def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes) 
 
 @njit(**INNER)
 def _united(
-    weight: F8, x: F8, cov: F8, tag: I8, order: I8, group: I8, head: I8, axes: Axes, most: int, wanted: float
-) -> tuple[F8, F8, F8, I8]:
-    """Mass (k,), mean (d, k), covariance (k, d, d) and tag (k,) of the groups, the ``most`` heaviest; see `merged_rows`."""
+    weight: F8, x: F8, cov: F8, order: I8, group: I8, head: I8, axes: Axes, most: int, wanted: float
+) -> tuple[F8, F8, F8]:
+    """Mass (k,), mean (d, k) and covariance (k, d, d) of the groups, the ``most`` heaviest; see `merged_rows`."""
     d, count = len(axes), head.size
     mass, step, members = np.empty(count), np.empty(d), np.empty(count, np.int64)
     about, spread = np.empty((count, d)), np.empty((count, d, d))
@@ -227,12 +223,11 @@ def _united(
     for k in range(size):
         total += mass[kept[k] if capped else k]
     scale = wanted / total if wanted >= 0.0 and total > 0.0 else 1.0
-    out_mass, out_tag = np.empty(size), np.empty(size, np.int64)
-    out_mean, out_cov = np.empty((d, size)), np.empty((size, d, d))
+    out_mass, out_mean, out_cov = np.empty(size), np.empty((d, size)), np.empty((size, d, d))
     for k in range(size):
         g = kept[k] if capped else k
         i = head[g]
-        out_mass[k], out_tag[k] = scale * mass[g], tag[i]
+        out_mass[k] = scale * mass[g]
         # A head without weight has members without weight: it stands for them.
         single = members[g] == 1 or not mass[g] > 0.0
         share = 0.0 if single else 1.0 / mass[g]
@@ -243,44 +238,14 @@ def _united(
                 value = cov[i, r, s] if single else spread[g, r, s] * share - step[r] * step[s]
                 out_cov[k, r, s] = value
                 out_cov[k, s, r] = value
-    return out_mass, out_mean, out_cov, out_tag
-
-
-@njit(**INNER)
-def parted(weight: F8, tag: I8, split: float, fresh: int) -> int:
-    """Give new tags, from ``fresh`` on, to those of ``split`` or more that share theirs with a heavier one; the next tag.
-
-    ``weight`` (J,), ``tag`` (J,), which is written into. The tags that have been seen stand in a table by their last bits,
-    each with the heaviest that has it; what finds its place taken goes to the next.
-    """
-    heavy, size = 0, 2
-    for i in range(weight.size):
-        heavy += weight[i] >= split
-    while size < 2 * heavy:
-        size *= 2
-    table = np.empty(size, np.int64)
-    for c in range(size):
-        table[c] = -1
-    for i in range(weight.size):
-        if not weight[i] >= split:
-            continue
-        c = tag[i] & (size - 1)
-        while table[c] >= 0 and tag[table[c]] != tag[i]:
-            c = (c + 1) & (size - 1)
-        held, loser = table[c], i
-        if held < 0 or weight[i] > weight[held]:
-            table[c], loser = i, held
-        if loser >= 0:
-            tag[loser] = fresh
-            fresh += 1
-    return fresh
+    return out_mass, out_mean, out_cov
 
 
 @njit(**ENTRY)
-def merged_rows(rows: Rows, axes: Axes, s: Merging, mass: float, fresh: int) -> tuple[F8, F8, F8, I8, int]:
-    """Prune, merge and cap: weight (k,), mean (d, k), covariance (k, d, d), tag (k,); the next tag.
+def merged_rows(rows: Rows, axes: Axes, s: Merging, mass: float) -> tuple[F8, F8, F8]:
+    """Prune, merge and cap: weight (k,), mean (d, k), covariance (k, d, d).
 
-    Each group has mass, mean and covariance of its members and the tag of its strongest, by whose weights they are ordered.
+    Each group has mass, mean and covariance of its members; they are ordered by the weights of their strongest.
 
     Parameters
     ----------
@@ -288,13 +253,12 @@ def merged_rows(rows: Rows, axes: Axes, s: Merging, mass: float, fresh: int) -> 
     axes : (0, 1, …, d − 1).
     s : settings.
     mass : the weights are scaled to this sum; where it is negative they stay.
-    fresh : the first new tag.
 
     Raises
     ------
     ValueError : a mean or a variance is NaN or infinite, or a variance negative.
     """
-    weight, x, cov, tag = rows
+    weight, x, cov = rows
     alive, count = np.empty(weight.size, np.int64), 0 * weight.size
     for i in range(weight.size):
         if weight[i] >= s.weight_threshold:
@@ -302,7 +266,7 @@ def merged_rows(rows: Rows, axes: Axes, s: Merging, mass: float, fresh: int) -> 
             count += 1
     alive = alive[:count]
     if count == 0:
-        return np.empty(0), np.empty((len(axes), 0)), np.empty((0, len(axes), len(axes))), alive, fresh
+        return np.empty(0), np.empty((len(axes), 0)), np.empty((0, len(axes), len(axes)))
     order, group, head = _groups(weight, x, cov, alive, s.merge_distance, axes)
-    w, mean, covs, tags = _united(weight, x, cov, tag, order, group, head, axes, s.max_components, mass)
-    return w, mean, covs, tags, parted(w, tags, s.split_weight, fresh)
+    out: tuple[F8, F8, F8] = _united(weight, x, cov, order, group, head, axes, s.max_components, mass)
+    return out

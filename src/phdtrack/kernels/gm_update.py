@@ -68,13 +68,11 @@ class Reach(NamedTuple):
     gate : measurements further from a Gaussian, in deviations of the innovation, do not touch it.
     region : squared distance within which predicted mass explains a measurement.
     predicted : how many Gaussians are predicted; those behind them are births that were given.
-    fresh : tag of the first new Gaussian.
     """
 
     gate: float
     region: float
     predicted: int
-    fresh: int
 
 
 class Terms(NamedTuple):
@@ -198,13 +196,13 @@ def terms_of(before: Rows, e: Expected, m: Measurements, new: Newborn, reach: Re
 @njit(**INNER)
 def _missed(before: Rows, p_detect: F8, factor: float, threshold: float, out: Rows, k: int) -> int:
     """Write Gaussians of weight (1 − p_D) ``factor`` behind the first k, but for those below the threshold; how many now."""
-    old_weight, old_mean, old_covariance, old_tag = before
-    weight, mean, covariance, tag = out
+    old_weight, old_mean, old_covariance = before
+    weight, mean, covariance = out
     d = mean.shape[1]
     for i in range(old_weight.size):
         value = factor * old_weight[i] * (1.0 - p_detect[i])
         if value >= threshold and old_weight[i] > 0.0:
-            weight[k], tag[k] = value, old_tag[i]
+            weight[k] = value
             for r in range(d):
                 mean[k, r] = old_mean[i, r]
                 for s in range(d):
@@ -229,57 +227,49 @@ def _heavy(pairs: Records, detected: F8, threshold: float) -> tuple[Records, flo
 
 @njit(**ENTRY)
 def mixture_of(
-    before: Rows, e: Expected, m: Measurements, new: Newborn, terms: Terms, weighing: tuple[float, F8], fresh: int,
-    threshold: float,
-) -> tuple[Rows, float, int]:  # fmt: skip
-    """The updated Gaussians, their mass with what the threshold leaves out, and the next tag.
+    before: Rows, e: Expected, m: Measurements, new: Newborn, terms: Terms, weighing: tuple[float, F8], threshold: float
+) -> tuple[Rows, float]:  # fmt: skip
+    """The updated Gaussians, and their mass with what the threshold leaves out.
 
     Parameters
     ----------
     before, e, m, new, terms : as of `terms_of`.
     weighing : the factor of (1 − p_D) D⁺, and those (N,) of the terms of each measurement.
-    fresh : tag of the first new Gaussian.
     threshold : lighter Gaussians are left out.
     """
     missed, detected = weighing
-    d, n, weight, old_tag = before.mean.shape[1], terms.weight.size, terms.weight, before.tag
-    born = Rows(weight, new.around.mean, terms.covariance, np.empty(n, np.int64))
-    born_tag = born.tag
-    for j in range(n):
-        born_tag[j] = fresh
-        fresh += weight[j] > 0.0
+    d, n, born = before.mean.shape[1], terms.weight.size, Rows(terms.weight, new.around.mean, terms.covariance)
     pairs, mass = _heavy(terms.pairs, detected, threshold)
     born_pairs, born_mass = _heavy(terms.born_pairs, detected, threshold)
-    room = old_tag.size + n + pairs.size + born_pairs.size
-    out = Rows(np.empty(room), np.empty((room, d)), np.empty((room, d, d)), np.empty(room, np.int64))
+    room = before.weight.size + n + pairs.size + born_pairs.size
+    out = Rows(np.empty(room), np.empty((room, d)), np.empty((room, d, d)))
     k = _missed(before, e.p_detect, missed, threshold, out, 0 * n)
     k = _missed(born, terms.expected.p_detect, missed, threshold, out, k)
-    out_weight, out_tag, behind = out.weight, out.tag, k + pairs.size
+    out_weight, behind = out.weight, k + pairs.size
     write_posteriors(before.mean, before.covariance, e, m, pairs, out.mean[k:], out.covariance[k:])
     write_posteriors(born.mean, born.covariance, terms.expected, m, born_pairs, out.mean[behind:], out.covariance[behind:])
     for p in range(pairs.size):
-        out_weight[k + p], out_tag[k + p] = pairs[p].weight, old_tag[pairs[p].gaussian]
+        out_weight[k + p] = pairs[p].weight
     for p in range(born_pairs.size):
-        out_weight[behind + p], out_tag[behind + p] = born_pairs[p].weight, born_tag[born_pairs[p].gaussian]
+        out_weight[behind + p] = born_pairs[p].weight
     k = behind + born_pairs.size
-    rows = Rows(out_weight[:k], out.mean[:k], out.covariance[:k], out_tag[:k])
-    return rows, missed * terms.missed + mass + born_mass, fresh
+    return Rows(out_weight[:k], out.mean[:k], out.covariance[:k]), missed * terms.missed + mass + born_mass
 
 
 @njit(**ENTRY)
 def phd_step(
     before: Rows, e: Expected, m: Measurements, new: Newborn, reach: Reach, merging: Merging, axes: Axes
-) -> tuple[F8, F8, F8, I8, F8, tuple[float, float, float], int, int]:
+) -> tuple[F8, F8, F8, F8, tuple[float, float, float], int]:
     """An update, weighed as in the PHD filter [V06 (32)] by 1 and 1/(κ + C), and `gm_merge.merged_rows`.
 
     Gaussians that pruning would drop are not made. The first arguments are as of `terms_of`, the others as of `merged_rows`.
-    Returns the Gaussians, means as (d, J), C(z) (N,), the masses predicted, born and after the update, the number of
-    measurements with κ + C = 0, and the next tag.
+    Returns the Gaussians, means as (d, J), C(z) (N,), the masses predicted, born and after the update, and the number of
+    measurements with κ + C = 0.
     """
     around, observed, volume, stretch, said = new
     new = Newborn(NewTargets(*around), observed, volume, stretch, Expected(*said))
     before, e, m, reach, merging = Rows(*before), Expected(*e), Measurements(*m), Reach(*reach), Merging(*merging)
     terms = terms_of(before, e, m, new, reach)
-    rows, mass, fresh = mixture_of(before, e, m, new, terms, (1.0, terms.explained), reach.fresh, merging.weight_threshold)
-    weight, mean, covariance, tag, fresh = merged_rows(rows, axes, merging, mass if merging.keep_mass else -1.0, fresh)
-    return weight, mean, covariance, tag, terms.evidence, (terms.predicted, terms.born, mass), terms.vanished, fresh
+    rows, mass = mixture_of(before, e, m, new, terms, (1.0, terms.explained), merging.weight_threshold)
+    weight, mean, covariance = merged_rows(rows, axes, merging, mass if merging.keep_mass else -1.0)
+    return weight, mean, covariance, terms.evidence, (terms.predicted, terms.born, mass), terms.vanished

@@ -15,6 +15,7 @@ from phdtrack.kernels.fast32 import ENTRY, INNER
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
+Bool = NDArray[np.bool_]
 # A pivot that is smaller than this share of its own diagonal element is rounding: the matrix is singular there.
 _SINGULAR = 1e-14
 
@@ -66,14 +67,14 @@ def _multiplied(a: F8, b: F8, out: F8) -> None:
 
 @njit(**INNER)
 def _add_turned(a: F8, b: F8, between: F8, out: F8) -> None:
-    """Add a b aᵀ to ``out``; ``between`` is room for a b."""
+    """Add a b aᵀ to ``out``, both symmetric; ``between`` is room for a b."""
     _multiplied(a, b, between)
     for i in range(a.shape[0]):
-        for j in range(a.shape[0]):
-            total = 0.0
+        for j in range(i + 1):
+            total = out[i, j]
             for k in range(a.shape[1]):
                 total += between[i, k] * a[j, k]
-            out[i, j] += total
+            out[i, j] = out[j, i] = total
 
 
 @njit(**ENTRY)
@@ -85,78 +86,132 @@ def predicted(covariance: F8, jacobian: F8, noise: F8) -> F8:
     return out
 
 
+@njit(**INNER)
+def _room(d: int, r: int) -> tuple[F8, F8, F8, F8, F8, F8, F8]:
+    """Room for what lies between a prediction and an update."""
+    small, wide, square = np.empty((2, r, r)), np.empty((2, d, r)), np.empty((2, d, d))
+    return small[0], small[1], np.empty((r, d)), wide[0], wide[1], square[0], square[1]
+
+
+@njit(**INNER)
+def _update(mean: F8, covariance: F8, step: F8, noise: F8, rows: I8, room: tuple[F8, ...], out: F8) -> None:
+    """Fill ``mean`` and ``out`` with the Gaussian given a measurement of these rows, ``step`` (r,) from the prediction."""
+    s, low, part, gain, narrow, left, between = room
+    for i in range(len(rows)):
+        part[i] = covariance[rows[i]]
+        for j in range(len(rows)):
+            s[i, j] = covariance[rows[i], rows[j]] + noise[i, j]
+    _factor(s, low)
+    _solved(low, part)
+    left[:] = 0.0
+    for i in range(len(mean)):
+        left[i, i] = 1.0
+        for j in range(len(rows)):
+            gain[i, j] = part[j, i]
+            left[i, rows[j]] -= part[j, i]
+            mean[i] += part[j, i] * step[j]
+    out[:] = 0.0
+    _add_turned(left, covariance, between, out)
+    _add_turned(gain, noise, narrow, out)
+
+
 @njit(**ENTRY)
 def updated(mean: F8, covariance: F8, z: F8, noise: F8, rows: I8) -> tuple[F8, F8]:
     """Means and covariances given measurements of these rows of the state."""
-    d, r = mean.shape[1], len(rows)
-    mean_out, out = mean.copy(), np.zeros(covariance.shape)
-    s, low, part, gain = np.empty((r, r)), np.empty((r, r)), np.empty((r, d)), np.empty((d, r))
-    left, between, narrow = np.empty((d, d)), np.empty((d, d)), np.empty((d, r))
+    mean_out, out, room = mean.copy(), np.empty(covariance.shape), _room(mean.shape[1], len(rows))
     for n in range(len(mean)):
-        for i in range(r):
-            part[i] = covariance[n, rows[i]]
-            for j in range(r):
-                s[i, j] = covariance[n, rows[i], rows[j]] + noise[n, i, j]
-        _factor(s, low)
-        _solved(low, part)
-        left[:] = np.eye(d)
-        for i in range(d):
-            for j in range(r):
-                gain[i, j] = part[j, i]
-                left[i, rows[j]] -= part[j, i]
-                mean_out[n, i] += part[j, i] * (z[n, j] - mean[n, rows[j]])
-        _add_turned(left, covariance[n], between, out[n])
-        _add_turned(gain, noise[n], narrow, out[n])
+        _update(mean_out[n], covariance[n], z[n] - mean[n][rows], noise[n], rows, room, out[n])
     return mean_out, out
 
 
 @njit(**ENTRY)
-def smoothed(now: tuple[F8, F8], ahead: tuple[F8, F8, F8, F8], later: tuple[F8, F8]) -> tuple[F8, F8]:
-    """Filtered Gaussians given what the next frame says after all.
+def smooth(now: tuple[F8, F8], ahead: tuple[F8, F8, F8, F8], later: tuple[F8, F8], onward: Bool) -> None:
+    """Put the Gaussians given what the next frame says after all in place of filtered ones, the last first, if ``onward``.
 
     ``now`` and ``later`` are means and covariances, ``ahead`` the predictions' with the Jacobian and noise they came of.
     """
     mean, covariance = now
     expected, expected_covariance, jacobian, noise = ahead
     d = mean.shape[1]
-    mean_out, out = mean.copy(), np.zeros(covariance.shape)
     low, part, gain, left = np.empty((d, d)), np.empty((d, d)), np.empty((d, d)), np.empty((d, d))
-    between, added = np.empty((d, d)), np.empty((d, d))
-    for n in range(len(mean)):
+    between, added, before = np.empty((d, d)), np.empty((d, d)), np.empty((d, d))
+    for n in range(len(mean) - 1, -1, -1):
+        if not onward[n]:
+            continue
         _factor(expected_covariance[n], low)
         _multiplied(jacobian[n], covariance[n], part)
         _solved(low, part)
         for i in range(d):
             for j in range(d):
                 gain[i, j] = part[j, i]
-                mean_out[n, i] += part[j, i] * (later[0][n, j] - expected[n, j])
+                mean[n, i] += part[j, i] * (later[0][n, j] - expected[n, j])
+                added[i, j] = noise[n, i, j] + later[1][n, i, j]
+                before[i, j] = covariance[n, i, j]
         _multiplied(gain, jacobian[n], between)
-        left[:] = np.eye(d) - between
-        added[:] = noise[n] + later[1][n]
-        _add_turned(left, covariance[n], between, out[n])
-        _add_turned(gain, added, between, out[n])
-    return mean_out, out
+        for i in range(d):
+            for j in range(d):
+                left[i, j] = (1.0 if i == j else 0.0) - between[i, j]
+        covariance[n] = 0.0
+        _add_turned(left, before, between, covariance[n])
+        _add_turned(gain, added, between, covariance[n])
+
+
+@njit(**INNER)
+def _log_density(step: F8, covariance: F8, noise: F8, rows: I8, first: int, room: F8) -> float:
+    """Log density, but for constants, at a distance ``step`` (r,) of the Gaussian with covariance H P Hᵀ + R: of so many
+    components of the measurement from the ``first`` on as ``room`` (3, n, n) has."""
+    s, low, v, size = room[0], room[1], room[2, :, :1], room.shape[1]
+    for i in range(size):
+        v[i, 0] = step[first + i]
+        for j in range(size):
+            s[i, j] = covariance[rows[first + i], rows[first + j]] + noise[first + i, first + j]
+    total = _factor(s, low)
+    _solved(low, v)
+    for i in range(size):
+        total += step[first + i] * v[i, 0]
+    return float(-0.5 * total)
 
 
 @njit(**ENTRY)
-def log_densities(step: F8, covariance: F8, noise: F8, rows: I8) -> F8:
-    """(2, n) log densities, but for constants, of Gaussians at a distance ``step`` (n, r) with covariance H P Hᵀ + R: of the
-    first two components of measurements, and of the others."""
-    n, r = step.shape
-    out = np.zeros((2, n))
-    for part in range(2):
-        first, last = (0, min(2, r)) if part == 0 else (min(2, r), r)
-        size = last - first
-        s, low, v = np.empty((size, size)), np.empty((size, size)), np.empty((size, 1))
-        for k in range(n if size else 0):
-            for i in range(size):
-                v[i, 0] = step[k, first + i]
-                for j in range(size):
-                    a, b = first + i, first + j
-                    s[i, j] = covariance[k, rows[a], rows[b]] + noise[k, a, b]
-            total = _factor(s, low)
-            _solved(low, v)
-            for i in range(size):
-                total += step[k, first + i] * v[i, 0]
-            out[part, k] = -0.5 * total
-    return out
+def filtered(
+    at: I8,
+    now: tuple[F8, F8],
+    ahead: tuple[F8, F8, F8],
+    kept: tuple[F8, F8, F8, F8],
+    seen: tuple[F8, F8, I8],
+    scales: tuple[F8, F8],
+    evidence: F8,
+) -> None:
+    """Predict Gaussians of one frame for the next one and update them, each by the measurement that it has there.
+
+    ``at`` (n, 4): where each stands in ``now`` (means and covariances), and where in the next frame, its path, the column of
+    its measurement, −1 for none. ``ahead``: where the motion takes them: means, Jacobians, noises. ``kept``: predictions,
+    Jacobians and noises, filled where they are not empty. ``seen``: measurements as states (d, Z), covariances, and the rows
+    that they show. ``scales``: of the deviations of each path's noises. ``evidence`` (2, K) grows.
+    """
+    (mean, covariance), (moved, jacobian, noise), (state, spread, rows) = now, ahead, seen
+    d, r = mean.shape[1], len(rows)
+    added, between, expected, own, step = np.empty((d, d)), np.empty((d, d)), np.empty((d, d)), np.empty((r, r)), np.empty(r)
+    # The first two components of a measurement, and the others.
+    room, half = _room(d, r), min(2, r)
+    place, size = np.empty((3, half, half)), np.empty((3, r - half, r - half))
+    for n in range(len(at)):
+        before, here, path, column = at[n, 0], at[n, 1], at[n, 2], at[n, 3]
+        for i in range(d):
+            for j in range(d):
+                added[i, j] = noise[n, i, j] * scales[0][path, i] * scales[0][path, j]
+        expected[:] = added
+        _add_turned(jacobian[n], covariance[before], between, expected)
+        mean[here] = moved[n]
+        if len(kept[0]):
+            kept[0][here], kept[1][here], kept[2][here], kept[3][here] = moved[n], expected, jacobian[n], added
+        if column < 0:
+            covariance[here] = expected
+            continue
+        for i in range(r):
+            step[i] = state[rows[i], column] - moved[n, rows[i]]
+            for j in range(r):
+                own[i, j] = spread[column, rows[i], rows[j]] * scales[1][path, i] * scales[1][path, j]
+        evidence[0, path] += _log_density(step, expected, own, rows, 0, place)
+        evidence[1, path] += _log_density(step, expected, own, rows, half, size)
+        _update(mean[here], expected, step, own, rows, room, covariance[here])

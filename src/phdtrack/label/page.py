@@ -87,12 +87,14 @@ class Session:
         }
 
     def frame(self, number: int) -> dict[str, object]:
-        """The boxes of a frame (left, top, right, bottom, score), their marks by index, and what can be undone."""
+        """The boxes of a frame (left, top, right, bottom, score), their marks by index, whether it is done, what can
+        be undone."""
         found, (undo, redo) = self._boxes(number), self.store.steps(number)
         return {
             "number": number,
             "boxes": np.column_stack([found.xyxy, found.confidence]).round(2).tolist(),
             "marks": {str(label.box): label.mark for label in self.store.labels(number)},
+            "done": dict(self.store.frames()).get(number, False),
             "undo": undo,
             "redo": redo,
             "picture": number in self.stills,

@@ -1,8 +1,9 @@
 """Labels of detections in one SQLite file: every mark is kept the moment it is made, by however many people at once.
 
-A file is a list of actions, each of one or more marks; nothing is ever overwritten. The last mark on a box whose action is
-not undone counts. So undoing is a flag, and of two people who mark the same box both keep their click. A page that does not
-know whether its click arrived sends it again: what carries a ``key`` that the file has seen changes nothing.
+A file is a list of actions, each of one or more marks, or that a frame is done; nothing is ever overwritten. The last mark
+on a box, or on a frame, whose action is not undone counts. So undoing is a flag, and of two people who mark the same box
+both keep their click. A page that does not know whether its click arrived sends it again: what carries a ``key`` that the
+file has seen changes nothing.
 """
 
 from __future__ import annotations
@@ -40,10 +41,18 @@ CREATE TABLE IF NOT EXISTS mark (
 CREATE TABLE IF NOT EXISTS request (key TEXT PRIMARY KEY) STRICT;
 CREATE INDEX IF NOT EXISTS mark_by_box ON mark (frame, box, action);
 """
+# What says of a frame, not of a box, whether it is done; files of before may have it beside the frame's number only.
+_FRAME = -1
+_FRAMES = f"""
+SELECT number, coalesce((
+    SELECT m.mark = 'done' FROM mark m JOIN action a ON a.id = m.action
+    WHERE a.undone = 0 AND m.frame = number AND m.box = {_FRAME} ORDER BY a.id DESC LIMIT 1
+), done) FROM frame ORDER BY place
+"""
 # SQLite takes the columns beside max(…) from the row that has the maximum.
 _CURRENT = """
 SELECT m.frame, m.box, m.mark, max(m.action) FROM mark m JOIN action a ON a.id = m.action
-WHERE a.undone = 0 AND m.frame = coalesce(?, m.frame) GROUP BY m.frame, m.box ORDER BY m.frame, m.box
+WHERE a.undone = 0 AND m.box >= 0 AND m.frame = coalesce(?, m.frame) GROUP BY m.frame, m.box ORDER BY m.frame, m.box
 """
 
 
@@ -81,10 +90,6 @@ class LabelStore:
         path : of the file.
         source, digest : name of the video or file, and a digest of its detections.
         frames : numbers to label, in the order to show them; those that a file holds already stay, in front.
-
-        Returns
-        -------
-        The labels.
 
         Raises
         ------
@@ -127,13 +132,7 @@ class LabelStore:
         for _, box, mark in rows:
             if mark not in MARKS or box < 0:
                 raise InputError(f"expected one of {', '.join(MARKS)} on a box from 0, got {mark!r} on {box}")
-        self._change(
-            key,
-            # What was undone before is gone for good once something new was done: redoing would mix the two.
-            ("UPDATE action SET undone = 2 WHERE frame = ? AND undone = 1", [(frame,)]),
-            ("INSERT INTO action (frame, who) VALUES (?, ?)", [(frame, who)]),
-            ("INSERT OR REPLACE INTO mark SELECT max(id), ?, ?, ? FROM action", rows),
-        )
+        self._act(frame, rows, who, key)
 
     def undo(self, frame: int, key: str = "") -> None:
         """Take back the last action made on ``frame``, if there is one."""
@@ -146,7 +145,7 @@ class LabelStore:
         self._change(key, (f"UPDATE action SET undone = 0 WHERE id = ({first})", [(frame,)]))
 
     def finish(self, frame: int, done: bool = True, key: str = "") -> None:
-        """Say that a frame has been looked at. One without false boxes is looked at too.
+        """Say that a frame has been looked at, which `undo` takes back. One without false boxes is looked at too.
 
         Parameters
         ----------
@@ -154,7 +153,7 @@ class LabelStore:
         done : False where it has not been looked at after all.
         key : as in `mark`.
         """
-        self._change(key, ("UPDATE frame SET done = ? WHERE number = ?", [(int(done), frame)]))
+        self._act(frame, [(frame, _FRAME, "done" if done else "none")], "", key)
 
     def steps(self, frame: int) -> tuple[int, int]:
         """How many actions on ``frame`` can be undone and redone."""
@@ -167,7 +166,7 @@ class LabelStore:
 
     def frames(self) -> list[tuple[int, bool]]:
         """The frames to label in the order to show them, and which of them have been looked at."""
-        return [(number, bool(done)) for number, done in self._rows("SELECT number, done FROM frame ORDER BY place")]
+        return [(number, bool(done)) for number, done in self._rows(_FRAMES)]
 
     def progress(self) -> Progress:
         """How far the work is."""
@@ -182,6 +181,16 @@ class LabelStore:
         """The answer to a question."""
         with self._connection() as db:
             return db.execute(question, values).fetchall()
+
+    def _act(self, frame: int, rows: Sequence[tuple[int, int, str]], who: str, key: str) -> None:
+        """Keep rows (frame, box, mark) as one action made on ``frame``."""
+        self._change(
+            key,
+            # What was undone before is gone for good once something new was done: redoing would mix the two.
+            ("UPDATE action SET undone = 2 WHERE frame = ? AND undone = 1", [(frame,)]),
+            ("INSERT INTO action (frame, who) VALUES (?, ?)", [(frame, who)]),
+            ("INSERT OR REPLACE INTO mark SELECT max(id), ?, ?, ? FROM action", rows),
+        )
 
     def _change(self, key: str, *steps: tuple[str, Sequence[tuple[object, ...]]]) -> None:
         """Take all steps, a statement and its rows each, or none of them where ``key`` has been seen before."""

@@ -85,10 +85,6 @@ class Evidence:
         frames : the stretch.
         stages, seed : how to track.
         advance : is called with the number of frames done.
-
-        Returns
-        -------
-        The evidence.
         """
         rows = np.arange(*np.searchsorted(table.frame, [frames.start, frames.stop]))
         rng, clutter = np.random.default_rng(seed), []

@@ -1,8 +1,9 @@
 """What a camera knows, on disk every few seconds: after a restart its tracks and counts go on.
 
-``checkpoint.state`` in the folder of the camera holds the tracker, who is where, the counts, the maps, and frames whose rows
-are still to come. The next run takes it up where its source shows pictures of the same size, and settings that decide what a
-state means are the same. Its time goes on by the clock, and its frame numbers after the last one.
+``checkpoint.state`` in the folder of the camera holds the tracker, who is where, the counts, also of each minute, the maps,
+and frames whose rows are still to come. Groups are found anew and get new numbers: no event says that the old ones vanished.
+The next run takes it up where its source shows pictures of the same size, and settings that decide what a state means are
+the same. Its time goes on by the clock, and its frame numbers after the last one.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ class SavedCamera(NamedTuple):
     places, watch : lines and zones, who is there and the counts.
     held : frames whose rows are still to come.
     people, clutter, mapped : the maps (h, w), and the time that they are of.
+    minutes : (n, 4) of each minute its beginning, mean and largest count, and frames.
     """
 
     number: int
@@ -56,6 +58,7 @@ class SavedCamera(NamedTuple):
     people: F8
     clutter: F8
     mapped: float
+    minutes: F8
 
 
 def key_of(fixed: Mapping[str, object], width: int, height: int) -> str:
@@ -65,10 +68,6 @@ def key_of(fixed: Mapping[str, object], width: int, height: int) -> str:
     ----------
     fixed : settings that cannot change while it runs, by name.
     width, height : of the pictures.
-
-    Returns
-    -------
-    key : as text.
     """
     what = {"version": __version__, "width": width, "height": height, "settings": fixed}
     return json.dumps(json_value(what), sort_keys=True)

@@ -14,16 +14,19 @@ import socket
 import sqlite3
 import ssl
 import threading
-from collections.abc import Callable
-from contextlib import suppress
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 from urllib.parse import SplitResult, unquote, urlsplit
 
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, needed
 from phdtrack.live.outputs import EventLog
 
-TIMEOUT, FIRST_PAUSE, LONGEST_PAUSE = 10.0, 1.0, 300.0
+# Seconds without a word, and of a whole delivery once the name is looked up.
+TIMEOUT, WHOLE = 10.0, 30.0
+FIRST_PAUSE, LONGEST_PAUSE = 1.0, 300.0
 # IPv6 that a gateway makes IPv4 of; all other addresses of single machines.
 _NAT64, _UNICAST = ipaddress.IPv6Network("64:ff9b::/96"), ipaddress.IPv6Network("2000::/3")
 Send = Callable[[str, str], None]
@@ -35,7 +38,8 @@ class Webhook:
     """Posts each event as JSON to an address, with its user and password, where it has them (Basic).
 
     The address is looked up each time, and the connection goes to what was looked up: a name that leads to this machine or
-    to a private network is refused, unless ``private`` networks are allowed. Redirections are not followed.
+    to a private network is refused, unless ``private`` networks are allowed. Redirections are not followed. From the
+    look-up on it takes half a minute at most.
     """
 
     url: str
@@ -52,16 +56,21 @@ class Webhook:
         host, port = str(parts.hostname), parts.port or (443 if parts.scheme == "https" else 80)
         connection = http.client.HTTPConnection(host, port, timeout=TIMEOUT)
         try:
-            connection.sock = self._connected(host, port)
+            connection.sock, end = self._connected(host, port)
             if parts.scheme == "https":
-                connection.sock = ssl.create_default_context().wrap_socket(connection.sock, server_hostname=host)
+                context = ssl.create_default_context()
+                # It greets below, where time is limited.
+                connection.sock = context.wrap_socket(connection.sock, False, False, server_hostname=host)
             headers = {"Content-Type": "application/json", "Idempotency-Key": name}
             if parts.username:
                 user = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
                 headers["Authorization"] = "Basic " + base64.b64encode(user.encode()).decode()
             path = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
-            connection.request("POST", path, event.encode(), headers)
-            status = connection.getresponse().status
+            with _until(end, connection.sock):
+                if isinstance(connection.sock, ssl.SSLSocket):
+                    connection.sock.do_handshake()
+                connection.request("POST", path, event.encode(), headers)
+                status = connection.getresponse().status
         except http.client.HTTPException as error:
             raise OSError(f"the answer is no HTTP ({type(error).__name__})") from error
         finally:
@@ -69,18 +78,47 @@ class Webhook:
         if not 200 <= status < 300:
             raise OSError(f"the answer was {status}")
 
-    def _connected(self, host: str, port: int) -> socket.socket:
-        """A connection to what the name leads to; `OSError` where that is not allowed, or none of it answers."""
+    def _connected(self, host: str, port: int) -> tuple[socket.socket, float]:
+        """A connection to what the name leads to, and until when it may last; `OSError` where that is not allowed, or none
+        of it answers."""
         try:
             found = [str(info[4][0]) for info in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)]
         except UnicodeError as error:
             raise OSError(f"{host} is no name") from error
         if not self.private and not all(map(_public, found)):
             raise PermissionError(f"{host} is in a private network: allow it with --allow-private")
+        end = time.monotonic() + WHOLE
         for one in found[:-1]:
             with suppress(OSError):
-                return socket.create_connection((one, port), TIMEOUT)
-        return socket.create_connection((found[-1], port), TIMEOUT)
+                return socket.create_connection((one, port), _left(end)), end
+        return socket.create_connection((found[-1], port), _left(end)), end
+
+
+def _left(end: float) -> float:
+    """How long may be waited for a word. Raises `TimeoutError` where it is later than ``end``."""
+    if time.monotonic() >= end:
+        raise TimeoutError(f"it took more than {WHOLE:g} s")
+    return min(TIMEOUT, end - time.monotonic())
+
+
+@contextmanager
+def _until(end: float, sock: socket.socket) -> Iterator[None]:
+    """Cuts the connection at ``end``, and raises `TimeoutError` then: its own time-out begins anew with each byte."""
+
+    def cut() -> None:
+        with suppress(OSError):
+            # Not that of TLS, which another thread is using.
+            socket.socket.shutdown(sock, socket.SHUT_RDWR)
+
+    timer = threading.Timer(end - time.monotonic(), cut)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        # What was cut may look like an answer.
+        _left(end)
 
 
 def _public(text: str) -> bool:
@@ -111,17 +149,13 @@ class Mqtt:
     """
 
     def __init__(self, url: str) -> None:
-        try:
-            from paho.mqtt.client import Client
-            from paho.mqtt.enums import CallbackAPIVersion
-        except ModuleNotFoundError:
-            raise InputError("MQTT needs the package paho-mqtt", cure="pip install 'phdtrack[mqtt]'") from None
+        client, enums = needed("paho.mqtt.client"), needed("paho.mqtt.enums")
         parts = _parts(url, "--mqtt")
         if parts.scheme not in ("mqtt", "mqtts") or not parts.hostname:
             raise InputError("expected an address that begins with mqtt:// or mqtts://", where="--mqtt")
         self._topic = parts.path.strip("/") or "phdtrack"
         self._host, self._port = parts.hostname, parts.port or (8883 if parts.scheme == "mqtts" else 1883)
-        self._client: Any = Client(CallbackAPIVersion.VERSION2)
+        self._client: Any = client.Client(enums.CallbackAPIVersion.VERSION2)
         if parts.username:
             self._client.username_pw_set(unquote(parts.username), unquote(parts.password or ""))
         if parts.scheme == "mqtts":

@@ -14,6 +14,7 @@ import numpy as np
 
 from phdtrack.arrays import pixelated
 from phdtrack.classes import Kinds
+from phdtrack.detect.convert import LeftOut
 from phdtrack.devices import Detector
 from phdtrack.errors import InputError, shown
 from phdtrack.groups.life_cycle import LifeCycleState
@@ -96,11 +97,12 @@ class CameraSettings:
 
 
 class Minute(NamedTuple):
-    """The mean and the largest number of confirmed tracks in a minute, which begins at ``wall`` (UTC seconds)."""
+    """The mean and the largest number of confirmed tracks in a minute's ``frames``; it begins at ``wall`` (UTC seconds)."""
 
     wall: float
     mean: float
     most: int
+    frames: int
 
 
 class _Held(NamedTuple):
@@ -112,12 +114,12 @@ class _Held(NamedTuple):
 
 
 class Companies:
-    """Groups of people who are followed on the ground, found frame by frame by what was seen so far."""
+    """Groups of people who are followed on the ground, by what was seen so far, frame by frame; numbered from ``first``."""
 
-    def __init__(self, groups: GroupStages, kinds: Kinds) -> None:
+    def __init__(self, groups: GroupStages, kinds: Kinds, first: int = 1) -> None:
         self._groups, self._stages = groups, kinds.usual
         self._light = 0.0 if isinstance(groups.grouping, Pairs) else groups.grouping.min_weight
-        self._pairs, self._life = PairState(), LifeCycleState()
+        self._pairs, self._life = PairState(), LifeCycleState(following=first)
 
     def mixture(self, intensity: Any, step: Step) -> GaussianMixture:
         """What is known of people after a step."""
@@ -176,7 +178,7 @@ class Camera:
         self._stopped, self._files, self._open = threading.Event(), threading.Lock(), True
         self._held, self._unwritten = deque[_Held](), deque[dict[str, object]](maxlen=_UNWRITTEN)
         self._latency: deque[float] = deque(maxlen=_LATENCIES)
-        self._minute, self._begun = list[int](), 0.0
+        self._begun = 0.0
         # Of the next checkpoint the time, and what writes the last one; what lies between the source's numbers and times and
         # those of tracks, which go on after a restart; number, time and time of day of the last frame.
         self._due, self._saving = 0.0, threading.Thread()
@@ -248,6 +250,11 @@ class Camera:
         """What is not as it should be, in sentences without secrets."""
         waiting = [f"events wait to be sent: {one.problem}" for one in self._couriers if one.problem]
         return [shown(sentence) for sentence in (*self._problems.values(), *waiting)]
+
+    @property
+    def left_out(self) -> LeftOut:
+        """How many boxes were left out, and why."""
+        return LeftOut() if self._tracker is None else self._tracker.left_out
 
     def latency(self) -> tuple[float, float]:
         """Median and 99 % of the seconds from a picture's arrival to its events on disk; NaN where there was none."""
@@ -331,7 +338,7 @@ class Camera:
             self._made = self._make(SequenceInfo(width, height, round(max(status.fps, 1.0), 1), 0, self.name))
             info, kinds, groups = self._made.info, self._made.kinds, self._made.groups
             self._tracker, names = Tracker(stages=kinds, fps=info.fps, seed=self._made.seed), self.watched[0].names
-            self._companies = None if groups is None else Companies(groups, kinds)
+            self._companies = None if groups is None else Companies(groups, kinds, self.log.highest("group") + 1)
             self._annotate = Annotator(info, names=names or None, blur=self.settings.blur)
             self.maps = Maps.of(width, height)
             self._go_on(frame)
@@ -363,7 +370,8 @@ class Camera:
         assert tracker is not None
         assert maps is not None
         held = tuple(HeldFrame(f.number, f.time, f.wall, step.detections.xyxy) for f, step, _ in self._held)
-        seen = SavedCamera(*self._last, watch.places, state, held, maps.people.copy(), maps.clutter.copy(), maps.time)
+        pictures, minutes = (maps.people.copy(), maps.clutter.copy(), maps.time), np.array(self.minutes).reshape(-1, 4)
+        seen = SavedCamera(*self._last, watch.places, state, held, *pictures, minutes)
         what = key_of(made.fixed, made.info.width, made.info.height), tracker.snapshot(), seen, tracker.highest
 
         def write() -> None:
@@ -405,6 +413,7 @@ class Camera:
         self._ahead = (seen.number + 1 - frame.number, seen.time + interval - frame.time)
         self.watched = (watch, watch.carried(seen.watch, replace(watch, places=seen.places)))
         self.maps = Maps(seen.people, seen.clutter, maps.cell, seen.mapped)
+        self.minutes.extend(Minute(wall, mean, int(most), int(count)) for wall, mean, most, count in seen.minutes.tolist())
         nothing = UpdateInfo(0.0, 0.0, 0.0, np.zeros(0), np.zeros(0))
         for one in seen.held:
             step = Step(one.number, one.time, Detections.of(one.xyxy), nothing, Estimates.empty(0), Tracks.empty())
@@ -461,7 +470,6 @@ class Camera:
         """Add to the present minute."""
         start = wall // 60 * 60
         if not self.minutes or self.minutes[-1].wall != start:
-            self._minute = []
-            self.minutes.append(Minute(start, 0.0, 0))
-        self._minute.append(tracks)
-        self.minutes[-1] = Minute(start, sum(self._minute) / len(self._minute), max(self._minute))
+            self.minutes.append(Minute(start, 0.0, 0, 0))
+        _, mean, most, frames = self.minutes[-1]
+        self.minutes[-1] = Minute(start, mean + (tracks - mean) / (frames + 1), max(most, tracks), frames + 1)

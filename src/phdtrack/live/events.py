@@ -10,9 +10,9 @@ other side, and a zone is left when it is outside by that much. The hysteresis i
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -282,6 +282,115 @@ class _Frame:
         """Somebody left a zone after so many seconds."""
         self.count(k, left=1, seconds=stay)
         self.add("exit", who, place, seconds=stay, occupancy=self.counts[k].occupancy)
+
+
+def place_events(watch: Watch, tracks: Tracks, last: int, fps: float) -> list[Event]:
+    """What happens at lines and zones in a sequence whose tracks are all known, in the order of frames.
+
+    Who vanishes in a zone has left it when last seen: `Watch.advance` says so later, when it is certain. Who is in a zone
+    in the last frame does not leave it.
+
+    Parameters
+    ----------
+    watch : the places.
+    tracks : sorted by frame.
+    last : number of the last frame of the sequence.
+    fps : frames per second.
+
+    Returns
+    -------
+    events : of the kinds ``cross``, ``enter``, ``exit`` and ``dwell``.
+    """
+    state, since, found = watch.start(), dict[tuple[int, str], float](), list[Event]()
+    for number in _walked(np.unique(tracks.frame).tolist(), last, math.ceil(watch.leave_after * fps) + 1):
+        rows = tracks.take(np.arange(*np.searchsorted(tracks.frame, [number, number + 1])))
+        state, events = watch.advance(state, rows, number, (number - 1) / fps)
+        for event in events:
+            who = event.identity, event.place
+            if event.kind == "enter":
+                since[who] = event.time
+            elif event.kind == "exit":
+                time = since.pop(who) + event.seconds
+                event = replace(event, time=time, number=round(time * fps) + 1)
+            if event.place and (number <= last or event.number < last):
+                found.append(event)
+    inside = dict.fromkeys((place.name for place in watch.places if place.closed), 0)
+    found.sort(key=lambda event: event.number)
+    for k, event in enumerate(found):
+        if event.place in inside:
+            inside[event.place] += {"enter": 1, "exit": -1}.get(event.kind, 0)
+            found[k] = replace(event, occupancy=inside[event.place])
+    return [replace(event, index=k) for k, event in enumerate(found)]
+
+
+def _walked(frames: Sequence[int], last: int, patience: int) -> Iterator[int]:
+    """The frames, up to the last one, and those empty ones between and after them in which a track may be found gone."""
+    before = 0
+    for number in (*(frame for frame in frames if frame < last), last, last + patience + 1):
+        yield from range(before + 1, min(before + patience + 1, number))
+        before = number
+        if number <= last:
+            yield number
+
+
+class Tally(NamedTuple):
+    """What was counted at a place, of a class or of ``all``.
+
+    Of a line: how many crossed it in and out; the rest is NaN. Of a zone: how many visits began and ended, how many are
+    ``inside`` at the end, at ``most`` at once and on average (``mean``), and the seconds of a visit, on average (``stay``)
+    and the ``longest``. A visit that has no end lasts until the end of the sequence.
+    """
+
+    place: str
+    label: str
+    entered: int
+    left: int
+    inside: float = math.nan
+    most: float = math.nan
+    mean: float = math.nan
+    stay: float = math.nan
+    longest: float = math.nan
+
+
+def tallies(watch: Watch, events: Sequence[Event], seconds: float) -> list[Tally]:
+    """What was counted at each place: of all classes, then of each where classes have names.
+
+    Parameters
+    ----------
+    watch : the places.
+    events : from `place_events`.
+    seconds : length of the sequence.
+
+    Returns
+    -------
+    tallies : in the order of places.
+    """
+    found = list[Tally]()
+    for place in watch.places:
+        mine = [event for event in events if event.place == place.name]
+        labels = sorted({event.class_id for event in mine}) if watch.names else []
+        groups = {"all": mine} | {watch.names.get(k, str(k)): [e for e in mine if e.class_id == k] for k in labels}
+        found += [_tally(place, label, group, seconds) for label, group in groups.items()]
+    return found
+
+
+def _tally(place: Place, label: str, events: Sequence[Event], seconds: float) -> Tally:
+    """What was counted of a class."""
+    since, stays, most = dict[int, float](), list[float](), 0
+    entered = sum(event.kind == "enter" or event.direction == "in" for event in events)
+    left = sum(event.kind == "exit" or event.direction == "out" for event in events)
+    if not place.closed:
+        return Tally(place.name, label, entered, left)
+    for event in events:
+        if event.kind == "enter":
+            since[event.identity] = event.time
+            most = max(most, len(since))
+        elif event.kind == "exit":
+            stays.append(event.time - since.pop(event.identity, event.time))
+    stays += [seconds - start for start in since.values()]
+    mean = sum(stays) / seconds if seconds > 0 else math.nan
+    average, longest = (sum(stays) / len(stays), max(stays)) if stays else (math.nan, math.nan)
+    return Tally(place.name, label, entered, left, entered - left, most, mean, average, longest)
 
 
 def _rounded(value: float) -> float | None:

@@ -22,7 +22,7 @@ from typing import TextIO
 
 import numpy as np
 
-from phdtrack.errors import InputError
+from phdtrack.errors import InputError, needed
 from phdtrack.types import Image, Tracks
 from phdtrack.video import VideoWriter
 
@@ -81,11 +81,11 @@ class Segments:
 
     def left(self) -> list[Path]:
         """The ``.part`` files that an earlier run left, oldest first."""
-        return sorted(self.folder.glob(f"*{self._suffix}{PART}"))
+        return sorted(self.folder.glob(f"*{self._suffix}{PART}"), key=_age)
 
     def prune(self) -> None:
         """Remove the oldest complete files until all are within the quota."""
-        files = sorted(file for file in self.folder.iterdir() if file.suffix != PART)
+        files = sorted((file for file in self.folder.iterdir() if file.suffix != PART), key=_age)
         sizes = [file.stat().st_size for file in files]
         while self._quota and files and sum(sizes) > self._quota:
             files.pop(0).unlink()
@@ -93,6 +93,13 @@ class Segments:
 
     def _path(self, name: str, count: int) -> Path:
         return self.folder / f"{name}{f'.{count}' if count > 1 else ''}{self._suffix}"
+
+
+def _age(file: Path) -> tuple[str, int]:
+    """Sorts files by age: by the stretch in their names, and which of that stretch they are."""
+    stretch, _, rest = file.name.partition(".")
+    count = rest.partition(".")[0]
+    return stretch, int(count) if count.isdecimal() else 1
 
 
 class RowsLog:
@@ -222,9 +229,9 @@ class EventLog:
             os.fsync(self._lines.fileno())
         return fresh
 
-    def highest(self) -> int:
-        """The highest identity of all events."""
-        ((found,),) = self._base.execute("SELECT MAX(identity) FROM events")
+    def highest(self, kind: str = "") -> int:
+        """The highest identity of all events, or of those of a kind."""
+        ((found,),) = self._base.execute("SELECT MAX(identity) FROM events WHERE ? IN ('', kind)", (kind,))
         return int(found or 0)
 
     def register(self, receiver: str) -> None:
@@ -286,10 +293,7 @@ def _whole_fragments(path: Path) -> bool:
 
 def _to_parquet(path: Path) -> None:
     """Turn a complete file of rows into Parquet beside it. Raises `InputError` without pyarrow."""
-    try:
-        from pyarrow import csv, parquet
-    except ModuleNotFoundError:
-        raise InputError("Parquet needs the package pyarrow", cure="pip install 'phdtrack[parquet]'") from None
+    csv, parquet = (needed(f"pyarrow.{name}") for name in ("csv", "parquet"))
     part = path.with_suffix(".parquet" + PART)
     parquet.write_table(csv.read_csv(path), part, compression="zstd")
     part.replace(path.with_suffix(".parquet"))

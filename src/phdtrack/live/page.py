@@ -42,6 +42,7 @@ METRICS = {
     "frames_total": "Pictures that were tracked.",
     "tracks": "Confirmed tracks in the newest picture.",
     "problems": "Sentences about what is not as it should be.",
+    "boxes_left_out_total": "Detections that were not used.",
     "latency_seconds": "From a picture's arrival to its events on disk.",
     "events_total": "Events.",
     "place_entered_total": "Crossings inwards, or entries.",
@@ -83,6 +84,7 @@ class Page:
             "problems": one.problems,
             "tracks": one.tracks,
             "latency": [median, most],
+            "boxes_left_out": one.left_out._asdict(),
             "places": places,
             "drawable": one.settings.places is not None,
             "blur": one.settings.blur,
@@ -153,6 +155,8 @@ class Page:
             plain = (status.state == "live", status.fps, status.connects, status.frames, status.dropped, status.undecodable)
             for metric, value in zip(METRICS, (*plain, one.frames, one.tracks, len(one.problems)), strict=False):
                 found[metric].append((camera, value))
+            for reason, boxes in one.left_out._asdict().items():
+                found["boxes_left_out_total"].append((camera | {"reason": reason}, boxes))
             for quantile, seconds in zip(("0.5", "0.99"), one.latency(), strict=True):
                 found["latency_seconds"].append((camera | {"quantile": quantile}, seconds))
             for kind, count in sorted(one.counted.items()):

@@ -147,7 +147,8 @@ class Guard:
         if hmac.compare_digest(given.encode(), self._token.encode()):
             self._let_in.add(address)
             return None
-        self._wrong[address] += bool(given)
+        if given:
+            self._wrong[address] += 1
         return _refused(401, "open the address with ?token=… that the terminal shows")
 
 

@@ -23,7 +23,7 @@ from urllib.parse import urlsplit, urlunsplit
 
 import numpy as np
 
-from phdtrack.errors import shown
+from phdtrack.errors import needed, shown
 from phdtrack.types import Image
 
 State = Literal["connecting", "live", "silent", "down"]
@@ -50,7 +50,7 @@ class SourceStatus:
     Attributes
     ----------
     state : ``connecting``; ``live``; ``silent``, connected without pictures; ``down``, waiting for the next try.
-    since : seconds that it has been so.
+    since : seconds that it has been live, or that no picture has come.
     connects, frames, dropped, undecodable : since the start. Dropped pictures were never given to anybody.
     fps : measured over the last pictures; 0 where unknown.
     width, height : of the pictures that are given, those of the first; ``sent`` is the size that the camera sends now.
@@ -96,7 +96,8 @@ class LiveSource:
     _since: float = field(default=0.0, init=False, repr=False)
 
     def start(self) -> None:
-        """Begin to read."""
+        """Begin to read. Raises `InputError` where the package av is missing."""
+        needed("av")
         self._start = self._since = time.monotonic()
         self._begin()
 
@@ -159,14 +160,15 @@ class LiveSource:
         return True
 
     def _set(self, state: State, problem: str | None = None) -> None:
-        if state != self._status.state:
-            self._since = time.monotonic()
+        if state != self._status.state and "live" in (state, self._status.state):
+            # Without pictures since the last one, however often it is tried again.
+            self._since = time.monotonic() if state == "live" else self._times[-1]
         said = self._status.problem if problem is None else shown(problem)
         self._status = replace(self._status, state=state, problem=said)
 
     def _run(self, generation: int) -> None:
         """Connect, read, and again."""
-        import av
+        av = needed("av")
 
         pause = FIRST_PAUSE
         while True:
@@ -216,7 +218,7 @@ class LiveSource:
         if self.address.isdecimal():
             yield from ((picture, 0.0) for picture in self._camera(int(self.address)))
             return
-        import av
+        av = needed("av")
 
         remote = "://" in self.address
         # What is read to find out the codec is kept: all until the next key frame depends on it.

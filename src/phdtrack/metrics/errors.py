@@ -173,10 +173,6 @@ def explain(
     frames : number of frames of the sequence, later rows are left out; 0: up to the last row of either side.
     iou : the overlap from which a pair of boxes may match, in (0, 1].
 
-    Returns
-    -------
-    The errors of each object and track.
-
     Raises
     ------
     InputError : for settings and rows that `evaluate` would refuse.

@@ -107,10 +107,6 @@ def build(truth: Truth, tracks: Tracks, frames: int = 0) -> Scene:
     truth, tracks : annotated boxes, output boxes.
     frames : number of frames of the sequence, later rows are left out; 0: up to the last row of either side.
 
-    Returns
-    -------
-    The frames, ready to be scored.
-
     Raises
     ------
     InputError : for wrong shapes, frame numbers below 1, boxes without finite extent, or an identity twice in a frame.

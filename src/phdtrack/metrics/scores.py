@@ -84,16 +84,16 @@ def evaluate(truth: Truth, tracks: Tracks, *, frames: int = 0, iou: float = 0.5)
     frames : number of frames of the sequence, rows after it are left out; 0: up to the last frame of either side.
     iou : the overlap from which a pair of boxes may match, in (0, 1]; HOTA has its own.
 
-    Returns
-    -------
-    All scores.
-
     Raises
     ------
-    InputError : for settings out of range, wrong shapes, frame numbers below 1, boxes without finite extent, or an
-        identity twice in a frame of either side.
+    InputError : for other types, settings out of range, wrong shapes, frame numbers below 1, boxes without finite extent,
+        or an identity twice in a frame of either side.
     """
     check_threshold(iou)
+    for one, kind, what in ((truth, Truth, "annotated objects"), (tracks, Tracks, "tracks")):
+        if not isinstance(one, kind):
+            cure = "Of files they are read by phdtrack.formats.read_truth and read_tracks."
+            raise InputError(f"expected {what} as {kind.__name__}, got {type(one).__name__}", where="evaluate", cure=cure)
     return scores_of(count(build(truth, tracks, frames), iou), iou)
 
 

@@ -160,10 +160,6 @@ def rmse_per_target(truth_frame: I8, truth_identity: I8, truth_point: F8, frame:
     frame, point : (N,), (d, N) of the estimates.
     gate : distance from which a pair counts as a miss and a false estimate, in the unit of the points.
 
-    Returns
-    -------
-    The errors of each target.
-
     Raises
     ------
     InputError : for shapes that do not fit, points that are not finite, or a gate ≤ 0.

@@ -110,10 +110,6 @@ def births_around(seen: tuple[F8, F8], density: F8, given: GaussianMixture | Non
     density : array (N,), γT at the detections, per unit of measurement volume.
     given : Gaussians whose weights are births per second; None for none.
     seconds : T, the interval of the given Gaussians.
-
-    Returns
-    -------
-    The births.
     """
     (mean, covariance), d = seen, len(seen[0])
     around = NewTargets(density, np.ascontiguousarray(mean.T), covariance)

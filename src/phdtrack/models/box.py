@@ -49,6 +49,7 @@ from phdtrack.kernels.box import (
     Noise,
     box_covariances,
     box_deviations,
+    moved_boxes,
     states_of_boxes,
 )
 from phdtrack.kernels.particle_models import BoxWalk, GivenSize, OwnSize, SensorNumbers
@@ -298,20 +299,11 @@ class BoxMotion(Checked):
 
     def transition(self, x: F8, dt: float) -> tuple[F8, F8, F8]:
         """Mean, Jacobian and noise covariance of f(·|x) over the interval ``dt`` [M09 (11)]."""
-        d, n = x.shape
-        f = np.eye(d)
-        f[0, 2] = f[1, 3] = dt
-        mean = x.copy()
-        mean[0:2] += dt * x[2:4]
-        # By planes, as the kernels that predict many states read it.
-        noise, along = np.zeros((d, d, n)), self.dynamics(dt, 0.0)
-        unit = np.square(np.maximum(mean[4:6], self.min_size)) if self.scaled_noise else np.ones((2, n))
-        for a in range(2):
-            noise[a, a], noise[a + 2, a + 2] = along.position * unit[a], along.velocity * unit[a]
-            noise[a, a + 2] = noise[a + 2, a] = along.mixed * unit[a]
-            noise[a + 4, a + 4] = along.extent * unit[a]
+        along = self.dynamics(dt, 0.0)
+        # Noises by planes, as the kernels that predict many states read them.
+        mean, f, noise = moved_boxes(np.ascontiguousarray(x), *map(float, along[:6]), along.scaled)
         # One Jacobian for all, as np.broadcast_to would give it in more time than the rest takes for a few states.
-        return mean, np.ndarray((n, d, d), np.float64, f, 0, (0, *f.strides)), noise.transpose(2, 0, 1)
+        return mean, np.ndarray((x.shape[1], *f.shape), np.float64, f, 0, (0, *f.strides)), noise.transpose(2, 0, 1)
 
     def dynamics(self, dt: float, seconds: float) -> BoxDynamics:
         """The motion over an interval of ``dt`` time units, as the kernels of boxes take it [M09 (11)]."""

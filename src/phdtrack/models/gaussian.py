@@ -62,10 +62,6 @@ def predicted(model: Model, mean: F8, covariance: F8, dt: float, transform: Tran
     dt : interval in the model's time unit.
     transform : ``linear`` or ``unscented``, see above.
     factor : array (J,), multiplies the variances with which position and velocity change; (0,): none.
-
-    Returns
-    -------
-    The predicted Gaussians.
     """
     motion = model.motion
     if type(motion) is BoxMotion and transform == "linear":
@@ -115,10 +111,6 @@ def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> 
     sensor : the model's sensor.
     mean, covariance : arrays (J, d) and (J, d, d).
     transform : ``linear`` or ``unscented``, see above.
-
-    Returns
-    -------
-    The expected measurements.
 
     Raises
     ------
@@ -192,10 +184,6 @@ def new_targets(model: Model, births: Births, m: Measurements, gate: float, tran
     m : the measurements.
     gate : in deviations of the innovation.
     transform : ``linear`` or ``unscented``.
-
-    Returns
-    -------
-    Density and state for each measurement.
     """
     around = births.around
     p_detect = model.sensor.p_detect(np.ascontiguousarray(around.mean.T))

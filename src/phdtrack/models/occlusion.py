@@ -51,17 +51,13 @@ class Hiders:
     least: float
 
     def seen_part(self, place: F8, xyxy: F8, depth: F8) -> F8:
-        """Share of p_D that is left, max(1 − c^1.5, least).
+        """(L,) share of p_D that is left, max(1 − c^1.5, least).
 
         Parameters
         ----------
         place : array (r, L), what a measurement would show of the targets.
         xyxy : array (L, 4), their boxes.
         depth : array (L,), how far away they stand.
-
-        Returns
-        -------
-        Array (L,).
         """
         low, high = np.ascontiguousarray(xyxy[:, :2].T), np.ascontiguousarray(xyxy[:, 2:].T)
         lower, upper = np.ascontiguousarray(self.xyxy[:, :2].T), np.ascontiguousarray(self.xyxy[:, 2:].T)

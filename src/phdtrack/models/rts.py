@@ -21,7 +21,6 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.kernels import rts
-from phdtrack.models.gaussian import SAME
 from phdtrack.protocols import Motion
 from phdtrack.types import F8, I8, STILL
 
@@ -35,29 +34,33 @@ class Ahead(NamedTuple):
     noise: F8
 
 
-def predict(motion: Motion, mean: F8, covariance: F8, dt: float, warp: F8 = STILL, scale: F8 = SAME) -> Ahead:
-    """Gaussians one frame later: the camera's motion, then the targets'.
+def moved(motion: Motion, mean: F8, dt: float, warp: F8 = STILL) -> tuple[F8, F8, F8]:
+    """Means (n, d), Jacobians and noises (n, d, d) one frame later: the camera's motion, then the targets'.
 
     Parameters
     ----------
     motion : the model's motion.
-    mean, covariance : (n, d), (n, d, d).
+    mean : (n, d).
     dt : interval in the model's time unit.
     warp : (3, 3) the camera's motion in it; `types.STILL` where there is none.
-    scale : (n, d) multiplies the deviations of the motion's noise; (0,): as they are.
-
-    Returns
-    -------
-    The predictions, with their Jacobians.
     """
     x = np.ascontiguousarray(mean.T)
     slope = motion.warp_jacobian(x, warp) if len(warp) else None
-    moved, jacobian, noise = motion.transition(x if slope is None else motion.warp_states(x, warp), dt)
-    if len(scale):
-        noise = noise * scale[:, :, None] * scale[:, None]
-    f = np.ascontiguousarray(jacobian if slope is None else jacobian @ slope)
-    noise = np.ascontiguousarray(noise)
-    return Ahead(np.ascontiguousarray(moved.T), rts.predicted(np.ascontiguousarray(covariance), f, noise), f, noise)
+    later, jacobian, noise = motion.transition(x if slope is None else motion.warp_states(x, warp), dt)
+    f = jacobian if slope is None else jacobian @ slope
+    return np.ascontiguousarray(later.T), np.ascontiguousarray(f), np.ascontiguousarray(noise)
+
+
+def predict(motion: Motion, mean: F8, covariance: F8, dt: float, warp: F8 = STILL) -> Ahead:
+    """Gaussians one frame later.
+
+    Parameters
+    ----------
+    motion, dt, warp : as for `moved`.
+    mean, covariance : (n, d), (n, d, d).
+    """
+    later, f, noise = moved(motion, mean, dt, warp)
+    return Ahead(later, rts.predicted(np.ascontiguousarray(covariance), f, noise), f, noise)
 
 
 def update(mean: F8, covariance: F8, z: F8, noise: F8, rows: I8) -> tuple[F8, F8]:
@@ -68,10 +71,6 @@ def update(mean: F8, covariance: F8, z: F8, noise: F8, rows: I8) -> tuple[F8, F8
     mean, covariance : (n, d), (n, d, d) predictions.
     z, noise : (n, r), (n, r, r) measurements and their covariances.
     rows : (r,) of the state that they show.
-
-    Returns
-    -------
-    The means and covariances.
     """
     after: tuple[F8, F8] = rts.updated(*map(np.ascontiguousarray, (mean, covariance, z, noise)), rows)
     return after
@@ -85,31 +84,24 @@ def smooth_back(mean: F8, covariance: F8, ahead: Ahead, later: F8, later_covaria
     mean, covariance : (n, d), (n, d, d) filtered.
     ahead : their predictions for the next frame.
     later, later_covariance : (n, d), (n, d, d) smoothed states of the next frame.
-
-    Returns
-    -------
-    The smoothed means and covariances.
     """
-    given = (mean, covariance), ahead, (later, later_covariance)
-    smoothed: tuple[F8, F8] = rts.smoothed(*(tuple(np.ascontiguousarray(part) for part in one) for one in given))
+    smoothed = mean.copy(), covariance.copy()
+    given = (smoothed, tuple(ahead), (later, later_covariance))
+    rts.smooth(*(tuple(map(np.ascontiguousarray, one)) for one in given), np.ones(len(mean), np.bool_))
     return smoothed
 
 
 def bridge(motion: Motion, ends: tuple[F8, F8, F8, F8], steps: F8, warps: Sequence[F8] = ()) -> F8:
-    """Means of the states in a gap, given the states before and after it.
+    """(d, n, L) means of the states in n gaps of L frames, given the states before and after each.
 
     Parameters
     ----------
     motion : the model's motion.
-    ends : mean (d,) and covariance (d, d) before the gap, then those after it.
-    steps : (n + 1,) intervals from the state before through the n frames of the gap to the state after.
-    warps : (n + 1) camera motions in the intervals; empty where the camera stands still.
-
-    Returns
-    -------
-    Array (d, n).
+    ends : means (n, d) and covariances (n, d, d) before the gaps, then those after them.
+    steps : (L + 1,) intervals from the states before through the frames of the gaps to the states after.
+    warps : (L + 1) camera motions in the intervals; empty where the camera stands still.
     """
-    before, cov_before, after, cov_after = (x[None] for x in ends)
+    before, cov_before, after, cov_after = ends
     forward: list[tuple[F8, F8, Ahead]] = []
     mean, cov = before, cov_before
     for dt, warp in zip(steps.tolist(), warps or (STILL,) * len(steps), strict=True):
@@ -117,8 +109,8 @@ def bridge(motion: Motion, ends: tuple[F8, F8, F8, F8], steps: F8, warps: Sequen
         forward.append((mean, cov, ahead))
         mean, cov = ahead.mean, ahead.covariance
     mean, cov = update(mean, cov, after, cov_after, np.arange(before.shape[1]))
-    out = np.empty((before.shape[1], len(steps) - 1))
+    out = np.empty((before.shape[1], len(before), len(steps) - 1))
     for k in range(len(steps) - 1, 0, -1):
         mean, cov = smooth_back(*forward[k], mean, cov)
-        out[:, k - 1] = mean[0]
+        out[:, :, k - 1] = mean.T
     return out

@@ -165,10 +165,6 @@ def with_scene(
     births, clutter : what was learned; None: as they are.
     followed : where objects are; None where it is not known.
     particles : Jmax.
-
-    Returns
-    -------
-    The model with other births and false alarms.
     """
     birth, false = model.birth, model.clutter
     if births is not None:

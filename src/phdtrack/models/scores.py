@@ -140,10 +140,6 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
         """No score seen."""
         return ScoresSeen()
 
-    def model(self, state: ScoresSeen, model: Model) -> Model:
-        """The model as it is."""
-        return model
-
     def with_scores(self, state: ScoresSeen, model: Model, detections: Detections) -> Model:
         """The model whose false alarms are weighed by the scores of the detections."""
         single, lasting = self.log_odds(detections.confidence, state)

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import cv2
 import numpy as np
 
+from phdtrack.errors import needed
 from phdtrack.report.drawing import feet, identity_colour
 from phdtrack.report.record import STAGES, HeatMap, RunRecord, shrunk
 from phdtrack.scene import LearnedDensity, Scene
 from phdtrack.scene.mixture import place_map
-from phdtrack.scene.rates import Rates, RatesLearning
 from phdtrack.types import F8, Image, SequenceInfo
 
 if TYPE_CHECKING:
@@ -136,16 +136,6 @@ def timing_chart(record: RunRecord) -> Picture:
     return _chart(axes, len(record))
 
 
-def rates_chart(course: Sequence[Rates], rule: RatesLearning) -> Picture:
-    """Estimates of p_D and of false alarms over time."""
-    alarms = f"false alarms{', share' if rule.priors.each else ' a frame'}"
-    axes = _axes(_WIDE, 2.6, "time in seconds", "rate")
-    time, detection, clutter = np.array([(one.time, one.detection, one.clutter) for one in course]).T
-    axes.plot(time, detection, color=_BLUE, label="p_D")
-    axes.plot(time, clutter, color=_RED, label=alarms)
-    return _chart(axes, len(time), bottom=0)
-
-
 def score_chart(places: F8 | Sequence[str], x_label: str, y_label: str, methods: Mapping[str, F8]) -> Picture:
     """The scores of each method with their intervals, moved a little to the side so that all can be seen.
 
@@ -154,10 +144,6 @@ def score_chart(places: F8 | Sequence[str], x_label: str, y_label: str, methods:
     places : n numbers, which are joined by a line, or n names, at which the scores were taken.
     x_label, y_label : what the axes show.
     methods : by name, means and halves of the intervals (2, n); NaN where unknown.
-
-    Returns
-    -------
-    The chart.
     """
     axes, named = _axes(_NARROW, 3.0, x_label, y_label), not isinstance(places, np.ndarray)
     names = [str(place) if named else f"{place:g}" for place in places]
@@ -229,10 +215,6 @@ def map_picture(learned: LearnedDensity, scene: Scene, image: Image, *, births: 
     scene : whose they are.
     image : (H, W, 3) BGR frame, or (0, 0, 3).
     births : whether to draw the mean way of the next second as arrows.
-
-    Returns
-    -------
-    The picture.
     """
     p, wide, high = learned.density, scene.width, scene.height
     axes = _over_scene(SequenceInfo(wide, high, 25.0), image, _WIDE, darkness=0.5)
@@ -266,9 +248,7 @@ def _colour(identity: int) -> str:
 
 def _axes(width: float, height: float, x_label: str, y_label: str) -> Axes:
     """Axes of ``width`` × ``height`` inches in the style of all charts: a light grid behind, no frame above and right."""
-    from matplotlib.figure import Figure
-
-    axes = Figure(figsize=(width, height), layout="constrained").add_subplot()
+    axes: Axes = needed("matplotlib.figure").Figure(figsize=(width, height), layout="constrained").add_subplot()
     axes.set_xlabel(x_label, fontsize=10, color=_INK)
     axes.set_ylabel(y_label, fontsize=10, color=_INK)
     axes.tick_params(labelsize=9, colors=_INK)
@@ -295,7 +275,7 @@ def _over_scene(info: SequenceInfo, image: Image, width: float, *, darkness: flo
     axes.spines[:].set(visible=True, color="black")
     axes.set_facecolor(_DARK)
     if image.size:
-        grey = image @ np.array([0.114, 0.587, 0.299]) * (1 - darkness)
+        grey = (image @ np.array([0.114, 0.587, 0.299], np.float32) * (1 - darkness)).astype(np.uint8)
         axes.imshow(grey, cmap="gray", vmin=0, vmax=255, extent=(0, info.width, info.height, 0))
     stretched = not 1 / _MAX_STRETCH < info.width / info.height < _MAX_STRETCH
     axes.set(xlim=(0, info.width), ylim=(info.height, 0), aspect="auto" if stretched else "equal")

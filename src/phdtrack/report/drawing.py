@@ -22,9 +22,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from phdtrack.arrays import pixelated
 from phdtrack.errors import InputError
+from phdtrack.kernels.drawing import blend
 from phdtrack.types import F8, I8, Bool, Detections, Image, SequenceInfo, Tracks
 
 if TYPE_CHECKING:
@@ -45,8 +47,8 @@ _EDGES = (0, _GAP, 0, _GAP, cv2.BORDER_CONSTANT)
 _GRID, _INK, _WITHOUT_IDENTITY = (228, 231, 236), (58, 66, 80), (140, 140, 140)
 _PAPER: Rgb = (235, 235, 228)
 _FIELD, _ROAD_EDGE, _WARNING = (216, 228, 246), (150, 120, 80), (208, 60, 60)
-# Lines of the grid across a plan at most; metres around what is shown; plans are drawn in sixteenths of a pixel.
-_MAX_LINES, _MARGIN, _FRACTION_BITS = 12, 1.5, 4
+# Lines of the grid across a plan at most; plans are drawn in sixteenths of a pixel; strengths of a trail.
+_MAX_LINES, _FRACTION_BITS, _FADING = 12, 4, 8
 
 
 def identity_colour(identity: int) -> Rgb:
@@ -60,40 +62,44 @@ def feet(xyxy: F8) -> F8:
 
 
 class _Canvas:
-    """A copy of a picture to draw on. Widths, the length of a dash and letters suit its size; ``unit`` 1 is 480 lines.
-
-    What is glazed lets the picture through: it is drawn on a copy, which `mix` puts in by the opacity of each pixel.
-    """
+    """A copy of a picture to draw on, or a sheet, which `onto` puts into a picture by the opacity of each pixel.
+    Widths, the length of a dash and letters suit the size; ``unit`` 1 is 480 lines."""
 
     def __init__(self, image: Image, unit: float = 0.0) -> None:
-        unit = unit or min(image.shape[0], 0.75 * image.shape[1]) / 480
-        sizes = ((1.6, 1), (0.7, 1), (1, 1), (8, 5))
+        unit, sizes = unit or min(image.shape[0], 0.75 * image.shape[1]) / 480, ((1.6, 1), (0.7, 1), (1, 1), (8, 5))
         self.line, self.thin, self._bold, self._dash = (max(least, round(part * unit)) for part, least in sizes)
         # Text of very small frames can still be read.
         self._font = max(0.34, 0.39 * unit)
-        self.image, self._over = image.copy(), image.copy()
+        self.image = image.copy()
         self._opacity: Image = np.zeros(image.shape[:2], np.uint8)
 
     def glaze_boxes(self, boxes: F8, colour: Rgb, width: int, opacity: float, *, crossed: bool = False) -> None:
         """The outlines of boxes (n, 4), with their diagonals where they are ``crossed``."""
         for _, (left, top, right, bottom) in self._corners(boxes):
-            cv2.rectangle(self._over, (left, top), (right, bottom), colour[::-1], width)
+            cv2.rectangle(self.image, (left, top), (right, bottom), colour[::-1], width)
             cv2.rectangle(self._opacity, (left, top), (right, bottom), round(255 * opacity), width)
             if crossed:
-                self.glaze_line((left, top), (right, bottom), colour, width, opacity)
-                self.glaze_line((left, bottom), (right, top), colour, width, opacity)
+                ends = np.array([[[left, top], [right, bottom]], [[left, bottom], [right, top]]], np.int32)
+                self.glaze_lines(list(ends), colour, width, [opacity] * 2)
 
-    def glaze_line(self, start: Sequence[int], end: Sequence[int], colour: Rgb, width: int, opacity: float) -> None:
-        """A line; the margin of the opacity holds its smoothed edge."""
-        cv2.line(self._over, start, end, colour[::-1], width, cv2.LINE_AA)
-        cv2.line(self._opacity, start, end, round(255 * opacity), width + 2)
+    def glaze_lines(self, lines: Sequence[NDArray[np.int32]], colour: Rgb, width: int, opacities: Sequence[float]) -> None:
+        """Lines through points (n, 2) with a smoothed edge, for which the colour needs a margin."""
+        cv2.polylines(self.image, lines, False, colour[::-1], width + 2)
+        for line, opacity in zip(lines, opacities, strict=True):
+            cv2.polylines(self._opacity, [line], False, round(255 * opacity), width, cv2.LINE_AA)
 
-    def mix(self) -> None:
-        """Put in what was glazed; call it once."""
+    def onto(self, picture: Image) -> Image:
+        """The picture, (H, W, 3) BGR or its `Decoded.planes`, with what is on this sheet, which is empty afterwards."""
+        if picture.ndim == 2:
+            flat, (high, wide) = picture.reshape(-1), self._opacity.shape
+            light, rest = flat[: high * wide].reshape(high, wide), flat[high * wide :].reshape(2, high // 2, wide // 2)
+            blend(light, rest[0], rest[1], self.image, self._opacity)
+            return picture
         place = np.nonzero(self._opacity)
         alpha = self._opacity[place][:, None].astype(np.uint16)
-        mixed = (self.image[place] * (255 - alpha) + self._over[place] * alpha + 127) // 255
-        self.image[place] = mixed.astype(np.uint8)
+        mixed = (picture[place] * (255 - alpha) + self.image[place] * alpha + 127) // 255
+        picture[place], self._opacity[place] = mixed.astype(np.uint8), 0
+        return picture
 
     def targets(self, boxes: F8, colours: Sequence[Rgb], dashed: Bool, labels: Sequence[str] = ()) -> None:
         """The outlines of boxes (n, 4), and on top of all of them their labels, if any."""
@@ -101,6 +107,7 @@ class _Canvas:
         for k, (left, top, right, bottom) in shown:
             if not dashed[k]:
                 cv2.rectangle(self.image, (left, top), (right, bottom), colours[k][::-1], self.line)
+                cv2.rectangle(self._opacity, (left, top), (right, bottom), 255, self.line)
                 continue
             for a, b in pairwise(np.array([[left, top], [right, top], [right, bottom], [left, bottom], [left, top]])):
                 # An odd number of equal pieces, every other one drawn: the corners always are.
@@ -108,6 +115,7 @@ class _Canvas:
                 edges = np.linspace(a, b, pieces + 1).round().astype(int).tolist()
                 for start, end in zip(edges[0::2], edges[1::2], strict=True):
                     cv2.line(self.image, start, end, colours[k][::-1], self.line)
+                    cv2.line(self._opacity, start, end, 255, self.line)
         for k, box in shown if len(labels) else ():
             self.plate(labels[k], box[:2], colours[k])
 
@@ -124,17 +132,18 @@ class _Canvas:
         wide, high = wide + 2 * pad, high + pad + under
         left = min(max(corner[0], 0), max(room - wide, 0))
         bottom = min(max(corner[1], high), max(self.image.shape[0], high))
-        ground = self.image[bottom - high : bottom, left : left + wide]
-        ground[:] = (ground * (1 - opacity) + np.array(fill[::-1]) * opacity + 0.5).astype(np.uint8)
+        self.image[bottom - high : bottom, left : left + wide] = fill[::-1]
+        self._opacity[bottom - high : bottom, left : left + wide] = round(255 * opacity)
         # Black or white, whichever is easier to read by relative luminance.
         light = np.array([0.2126, 0.7152, 0.0722]) @ (np.array(fill) / 255) ** 2.2 > 0.2
-        self.text(text, (left + pad, bottom - under), _BLACK if light else _WHITE, font, self._bold)
+        for sheet, colour in ((self.image, _BLACK if light else _WHITE), (self._opacity, 255))[: 1 + (opacity < 1)]:
+            look = (cv2.FONT_HERSHEY_SIMPLEX, font, colour, self._bold, cv2.LINE_AA)
+            cv2.putText(sheet, text, (left + pad, bottom - under), *look)
         return int(wide)
 
-    def text(self, text: str, spot: Sequence[int], colour: Rgb, font: float = 0.0, bold: int = 1) -> None:
-        """Letters without a plate, smaller where no ``font`` is given."""
-        font, look = font or 0.8 * self._font, cv2.FONT_HERSHEY_SIMPLEX
-        cv2.putText(self.image, text, spot, look, font, colour[::-1], bold, cv2.LINE_AA)
+    def text(self, text: str, spot: Sequence[int], colour: Rgb) -> None:
+        """Small letters without a plate."""
+        cv2.putText(self.image, text, spot, cv2.FONT_HERSHEY_SIMPLEX, 0.8 * self._font, colour[::-1], 1, cv2.LINE_AA)
 
     def path(self, points: F8, colour: Rgb, width: int) -> None:
         """A line through points (2, K)."""
@@ -152,10 +161,9 @@ class _Canvas:
         pad = max(2, high // 4)
         wide, high = wide + 2 * pad, high + 2 * pad + below // 2
         left, bottom = min(max(corner[0], 0), max(self.image.shape[1] - wide, 0)), max(corner[1], high)
+        beside = [each for each in taken if each[0] < left + wide and left < each[2]]
         for _ in taken:
-            under = [
-                top for a, top, b, low in taken if a < left + wide and left < b and top < bottom and bottom - high < low
-            ]
+            under = [top for _, top, _, low in beside if top < bottom and bottom - high < low]
             if not under or min(under) < high:
                 break
             bottom = min(under) - 1
@@ -185,6 +193,7 @@ class Annotator:
     ) -> None:
         self._length, self._blur = max(2, round(trail_seconds * (info.fps if info.fps > 0 else 25.0))), blur
         self._past, self._names = Tracks.empty(), names
+        self._sheet = _Canvas(np.zeros((max(1, info.height), max(1, info.width), 3), np.uint8))
 
     def __call__(
         self,
@@ -196,11 +205,11 @@ class Annotator:
         mass: float = math.nan,
         clutter_probability: F8 = _UNKNOWN,
     ) -> Image:
-        """A new picture: the frame with everything drawn on it.
+        """The frame with everything drawn on it, a new picture; planes are drawn on.
 
         Parameters
         ----------
-        image : (H, W, 3) BGR uint8.
+        image : (H, W, 3) BGR uint8, or (3H/2, W) of `Picture.planes`.
         number : of the frame, from 1.
         tracks : rows of any frames; those of frame ``number`` are drawn.
         detections : the boxes of this frame.
@@ -209,19 +218,24 @@ class Annotator:
 
         Returns
         -------
-        (H, W, 3) BGR uint8.
+        (H, W, 3) BGR uint8, or the planes.
 
         Raises
         ------
         InputError : the picture is not (H, W, 3) uint8, or the probabilities do not fit the detections.
         """
         where, known, count = f"frame {number}", len(clutter_probability), len(detections)
-        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+        planes = image.shape == (len(self._sheet.image) * 3 // 2, self._sheet.image.shape[1])
+        if not (planes or image.shape[2:] == (3,)) or image.dtype != np.uint8:
             raise InputError(f"expected a BGR picture (H, W, 3) of uint8, got {image.shape} of {image.dtype}", where=where)
         if known not in (0, count):
             raise InputError(f"expected a clutter probability for each of {count} detections, got {known}", where=where)
         rows = tracks.take(tracks.frame == number)
-        canvas = _Canvas(pixelated(image, np.vstack([rows.xyxy, detections.xyxy]), self._blur))
+        if not planes:
+            image = pixelated(image, np.vstack([rows.xyxy, detections.xyxy]), self._blur).copy()
+            if image.shape != self._sheet.image.shape:
+                self._sheet = _Canvas(np.zeros_like(image))
+        canvas = self._sheet
         false_alarm = clutter_probability > 0.5 if known else np.zeros(count, np.bool_)
         canvas.glaze_boxes(detections.xyxy[~false_alarm], _WHITE, canvas.thin, 0.75)
         canvas.glaze_boxes(detections.xyxy[false_alarm], _FALSE_ALARM, canvas.thin, 0.75, crossed=True)
@@ -230,28 +244,27 @@ class Annotator:
         self._trails(canvas, number, rows.take(rows.confirmed))
         for k in np.flatnonzero(~rows.confirmed):
             canvas.glaze_boxes(rows.xyxy[k : k + 1], identity_colour(int(rows.identity[k])), canvas.line, 0.4)
-        canvas.mix()
         rows = rows.take(rows.confirmed)
         identities, labels = rows.identity.tolist(), [str(k) for k in rows.identity.tolist()]
         if self._names is not None:
             words = [self._names.get(one, str(one)) for one in rows.class_id.tolist()]
             labels = [f"{word} {label}" for word, label in zip(words, labels, strict=True)]
         canvas.targets(rows.xyxy, [identity_colour(k) for k in identities], rows.predicted, labels)
-        header = f"frame {number}   {len(rows)} track{'' if len(rows) == 1 else 's'}"
-        header += f"   expected count {mass:.1f}" if math.isfinite(mass) else ""
-        canvas.plate(header, (0, 0), _BLACK, opacity=0.65)
-        return canvas.image
+        expected = f"   expected count {mass:.1f}" if math.isfinite(mass) else ""
+        canvas.plate(f"frame {number}   {len(rows)} track{'s' * (len(rows) != 1)}{expected}", (0, 0), _BLACK, opacity=0.65)
+        return canvas.onto(image)
 
     def _trails(self, canvas: _Canvas, number: int, rows: Tracks) -> None:
         """A line through the earlier and present feet of each identity, which fades towards the oldest."""
         past = Tracks.concatenate([self._past, rows])
         self._past = past = past.take(past.frame > number - self._length)
         for identity in np.unique(past.identity).tolist():
-            points = feet(past.xyxy[past.identity == identity])
-            points = np.clip(points[np.isfinite(points).all(axis=1)], -1e4, 1e4).round().astype(int)
-            for k, (a, b) in enumerate(pairwise(points.tolist()), start=1):
-                strength = (30 + 200 * k / (len(points) - 1)) / 255
-                canvas.glaze_line(a, b, identity_colour(identity), canvas.line, strength)
+            there = feet(past.xyxy[past.identity == identity])
+            points = np.clip(there[np.isfinite(there).all(axis=1)], -1e4, 1e4).round().astype(np.int32)
+            bounds = np.linspace(0, len(points) - 1, min(_FADING, len(points) - 1) + 1).round().astype(int).tolist()
+            lines = [points[first : last + 1] for first, last in pairwise(bounds)]
+            strengths = [(30 + 200 * k / len(lines)) / 255 for k in range(1, len(lines) + 1)]
+            canvas.glaze_lines(lines, identity_colour(identity), canvas.line, strengths)
 
 
 class Mistakes(NamedTuple):
@@ -276,8 +289,8 @@ class Mistakes(NamedTuple):
 
     def __str__(self) -> str:
         """Their numbers in words."""
-        missed, false, switched = (np.count_nonzero(self.kind == kind) for kind in (MISSED, FALSE, SWITCHED))
-        return f"{missed} missed, {false} false, {switched} switched"
+        counts = (np.count_nonzero(self.kind == kind) for kind in (MISSED, FALSE, SWITCHED))
+        return "{} missed, {} false, {} switched".format(*counts)
 
 
 def side_by_side(
@@ -304,17 +317,16 @@ def side_by_side(
         ground = cv2.resize(image, (wide, high), interpolation=cv2.INTER_AREA).astype(np.uint8)
     panels: list[Image] = []
     for name, mistakes in methods.items():
-        canvas, kind, boxes = _Canvas(ground), mistakes.kind, mistakes.xyxy * scale
+        canvas, kind, boxes = _Canvas(np.zeros_like(ground)), mistakes.kind, mistakes.xyxy * scale
         canvas.glaze_boxes(detections * scale, _WHITE, canvas.thin, 0.6)
         canvas.glaze_boxes(boxes[kind == FALSE], MISTAKE_COLOURS[FALSE], canvas.line, 1.0, crossed=True)
-        canvas.mix()
         right, missed = kind <= SWITCHED, kind == MISSED
         colours, names = [MISTAKE_COLOURS[k] for k in kind[right]], mistakes.identity[right].astype(str)
         canvas.targets(boxes[right], colours, np.zeros(len(names), np.bool_), names.tolist())
         # On top: where a box is wrong, the one that it should have been is what one wants to see.
         canvas.targets(boxes[missed], [MISTAKE_COLOURS[MISSED]] * len(boxes), missed[missed])
         canvas.plate(f"{name}: {mistakes}", (0, 0), _BLACK, opacity=0.75)
-        panels.append(cv2.copyMakeBorder(canvas.image, *_EDGES, value=_DARK))
+        panels.append(cv2.copyMakeBorder(canvas.onto(ground.copy()), *_EDGES, value=_DARK))
     # The shape of the whole is the one nearest to a page's (2 : 1). Up to four panels fill their rows.
     count = len(panels)
     shapes = [columns for columns in range(1, count + 1) if count > 4 or count % columns == 0]
@@ -421,7 +433,7 @@ class Plan:
             canvas.label(words, corner, _WARNING, taken)
         detected = int(np.isfinite(scene.detections).all(axis=0).sum())
         header = f"frame {frame.number}   {frame.time:.1f} s   {frame.people:.1f} people in {frame.named} groups"
-        canvas.plate(header + (f"   {detected} detections" if detected else ""), (0, 0), _INK, opacity=0.85)
+        canvas.plate(header + (f"   {detected} detections" if detected else ""), (0, 0), _INK)
         return canvas.image
 
     def _outline(self, canvas: _Canvas, people: F8) -> None:
@@ -464,18 +476,6 @@ class Plan:
         """The index and the whole pixel of those places (2, N) that are in the picture."""
         spots = enumerate(np.nan_to_num(self.pixels(place), nan=-1.0).T.tolist())
         return [(k, (int(x), int(y))) for k, (x, y) in spots if 0 <= x < self.width and 0 <= y < self.height]
-
-
-def extent_of(places: F8) -> tuple[float, float, float, float]:
-    """Left, low, right, high in metres of the ground to show, at least 8 m wide and high.
-
-    It holds all ``places`` (2, N), NaN where not known, but the outermost hundredth on each side, which may be false alarms.
-    """
-    known = places[:, np.isfinite(places).all(axis=0)]
-    low, high = np.quantile(known, [0.01, 0.99], axis=1) if known.size else np.zeros((2, 2))
-    middle, half = (low + high) / 2, np.maximum((high - low) / 2 + _MARGIN, 4.0)
-    (left, below), (right, above) = (middle - half).tolist(), (middle + half).tolist()
-    return left, below, right, above
 
 
 def draw_contours(image: Image, contours: Sequence[Sequence[F8]]) -> Image:

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 # A space that does not break; unlike the narrow ones every legacy terminal encoding has it.
 _NBSP = "\u00a0"
 _NOT_SHOWN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff]")
+# A track below `_SHORT` seconds is short. Doubtful is a share of short tracks above `_MOST_SHORT` (0 to .2 where tracks were
+# good), among at least `_ENOUGH`, and a share of boxes without a track above `_MOST_UNUSED` (0 to .3).
+_SHORT, _MOST_SHORT, _MOST_UNUSED, _ENOUGH = 0.5, 0.3, 0.4, 5
 _STAGE_TIMES = ("mean", "median", "p95", "share")
 
 
@@ -74,6 +77,20 @@ def sentences(record: RunRecord) -> tuple[str, ...]:
     return lines("summary.txt", record=record)
 
 
+def doubts(record: RunRecord, *, background: bool) -> tuple[str, ...]:
+    """What makes the tracks of a run doubtful, with what would help, in a sentence; none where nothing does.
+
+    Many short tracks are doubtful with any detector, many boxes without a track where they come from a ``background`` one:
+    other detectors' low scores are the filter's work.
+    """
+    length = np.unique(record.tracks.identity, return_counts=True)[1]
+    short = float((length < _SHORT * record.info.fps).mean()) if len(length) else 0.0
+    boxes, used = int(record.n_detections.sum()), int((record.tracks.detection >= 0).sum())
+    unused = 1 - used / boxes if background and boxes else 0.0
+    limits = {"most_short": _MOST_SHORT, "most_unused": _MOST_UNUSED, "enough": _ENOUGH}
+    return lines("doubts.txt", short=short, count=len(length), unused=unused, **limits)
+
+
 def report_html(record: RunRecord, config: Mapping[str, object]) -> str:
     """The report of a run, the whole page; ``config`` are the settings, listed at the end."""
     title, lead = record.about.title or record.info.name or "Tracking run", " ".join(sentences(record))
@@ -83,8 +100,9 @@ def report_html(record: RunRecord, config: Mapping[str, object]) -> str:
 def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, object]:
     """The run as JSON values: ``config`` is the whole configuration as nested mappings.
 
-    Times are seconds. ``frames_per_second`` is that of detection and tracking, without drawing and without the
-    ``frames_left_out`` in which kernels were compiled or loaded; ``stages`` are milliseconds per frame, whose sum may
+    Times are seconds. ``frames_per_second`` is that of everything from the first frame up to the report: detection,
+    tracking, drawing; but for the ``frames_left_out`` in which kernels were compiled or loaded. It has this meaning in the
+    report and on the terminal, too; ``stages`` are milliseconds per frame, whose sum may
     exceed a frame's share of the time because stages overlap. ``chain`` is null but for MCMC filters.
     ``log_evidence`` is that of each frame, null where the filter has none.
     """

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from phdtrack.arrays import pixelated
-from phdtrack.types import F8, I8, ChainInfo, Image, Particles, SequenceInfo, Step, Tracks, Truth
+from phdtrack.types import F8, I8, ChainInfo, Frame, Image, Particles, SequenceInfo, Step, Tracks, Truth
 
 STAGES = ("detect", "filter", "extract", "associate")
 NO_IMAGE: Image = np.zeros((0, 0, 3), np.uint8)
@@ -39,6 +39,7 @@ class About:
     warnings, notes : sentences to show.
     tracking_seconds : wall time of detection and tracking, which overlap; 0 where not measured.
     left_out : frames in which kernels were compiled or loaded; ``tracking_seconds`` is without them.
+    finishing_seconds : wall time of what follows up to the report: corrected tracks, scores, annotated video.
     sections : of the report, as markup, that come after the key figures.
     """
 
@@ -54,6 +55,7 @@ class About:
     tracking_seconds: float = 0.0
     left_out: int = 0
     sections: str = ""
+    finishing_seconds: float = 0.0
 
 
 class HeatMap(NamedTuple):
@@ -185,10 +187,15 @@ class RunRecord:
 
     @property
     def frames_per_second(self) -> float:
-        """Frames over the wall time of detection and tracking, else over the sum of the stages; NaN without either."""
-        left_out = self.about.left_out
-        total = self.about.tracking_seconds or (0.0 if left_out else float(self.seconds.sum()))
-        return (len(self) - left_out) / total if total > 0 else math.nan
+        """Frames over the wall time from the first one up to the report, as if frames left out had taken as long as others.
+
+        Where it was not measured it is by the sum of the stages; NaN without either.
+        """
+        about, frames = self.about, len(self)
+        total = about.tracking_seconds or (0.0 if about.left_out else float(self.seconds.sum()))
+        if not total > 0 or frames <= about.left_out:
+            return math.nan
+        return 1 / (total / (frames - about.left_out) + about.finishing_seconds / frames)
 
     @property
     def stage_times(self) -> Mapping[str, Sequence[float]]:
@@ -215,12 +222,12 @@ class Recorder:
         self._kept: list[tuple[int, int, Image, HeatMap | None]] = []
         self._stride = 1
 
-    def add(self, image: Image | None, step: Step, particles: Particles | None, detect_seconds: float) -> None:
+    def add(self, frame: Frame | None, step: Step, particles: Particles | None, detect_seconds: float) -> None:
         """Take in one frame.
 
         Parameters
         ----------
-        image : (H, W, 3) BGR, None without video.
+        frame : whose picture is shown, None without video.
         step : what the tracker made of the frame.
         particles : the filter's, None where it has none.
         detect_seconds : time that detection took, seconds.
@@ -236,9 +243,9 @@ class Recorder:
         if index % self._stride or not (size.width > 0 and size.height > 0):
             return
         small, heat = NO_IMAGE, None
-        if image is not None:
+        if frame is not None:
             boxes = np.vstack([step.detections.xyxy, step.estimates.xyxy])
-            small = shrunk(pixelated(image, boxes, self._blur), _PICTURE_WIDTH).copy()
+            small = shrunk(pixelated(frame.image, boxes, self._blur), _PICTURE_WIDTH).copy()
         if particles is not None:
             cell = max(1.0, round(max(size.width, size.height) / _CELLS_ACROSS))
             density = _density_map(particles, size, cell)

@@ -138,22 +138,6 @@ class SceneDensity:
         out: F8 = mixture_density(at, self.low, self.high, flat, outside, self._whitened, self._limit2)
         return out
 
-    def sample(self, count: int, rng: np.random.Generator) -> F8:
-        """(d, count) draws of p; those of a Gaussian that fall outside are drawn again."""
-        share = self.gaussians.weight * self.truncated_mass
-        chances = np.append(self.uniform, share)
-        part = rng.choice(len(chances), size=count, p=chances / chances.sum()) - 1
-        x = rng.uniform(self.low[:, None], self.high[:, None], (self.dim, count))
-        root = np.linalg.cholesky(self.covariance)
-        missing = np.flatnonzero(part >= 0)
-        while len(missing):
-            which = part[missing]
-            drawn = self.mean[:, which] + np.einsum("jrs,sj->rj", root[which], rng.standard_normal((self.dim, len(missing))))
-            fits = self.contains(drawn)
-            x[:, missing[fits]] = drawn[:, fits]
-            missing = missing[~fits]
-        return x
-
 
 def uniform_density(low: F8, high: F8) -> SceneDensity:
     """The uniform density alone."""
@@ -205,10 +189,6 @@ def place_map(p: SceneDensity, shape: tuple[int, int], step: float) -> F8:
     p : the density; its last two components are width and height.
     shape : rows and columns of the map, which begins at p's lower bounds.
     step : side of a cell, pixels.
-
-    Returns
-    -------
-    Array of this shape.
     """
     cov = p.covariance.copy()
     for axis in range(2):

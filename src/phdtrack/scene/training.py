@@ -56,10 +56,6 @@ def learn_births(states: F8, time_units: float, frame_size: tuple[float, float])
     time_units : length of the stretch.
     frame_size : width and height of the image, pixels.
 
-    Returns
-    -------
-    The density, its rate and its gain.
-
     Raises
     ------
     InputError : fewer births than a component needs (τ: 14), no time, or no known velocity.
@@ -84,10 +80,6 @@ def learn_boxes(boxes: F8, frames: int, frame_size: tuple[float, float], what: s
     frames : number of frames on which detections were looked at.
     frame_size : width and height, pixels.
     what : what the boxes are, for an error message.
-
-    Returns
-    -------
-    The density, its rate and its gain.
 
     Raises
     ------
@@ -140,10 +132,6 @@ def births_in(tracks: Tracks, fps: float, rate: float, everything: bool = False)
     fps : frames per second.
     rate : time units per second of the velocities.
     everything : take all tracks that have a velocity, of three rows, as M09 does.
-
-    Returns
-    -------
-    The states.
     """
     box = to_cxcywh(tracks.xyxy)
     order = np.lexsort((tracks.frame, tracks.identity))

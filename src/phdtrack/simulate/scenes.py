@@ -379,10 +379,6 @@ def make_scene(world: str | Scenario, seed: int, detector: DetectorModel | None 
     detector : None for `default_detector`, with misses where people hide each other.
     **settings : other settings than the scene's own, as ``frames=100``.
 
-    Returns
-    -------
-    Truth, figures and detections.
-
     Raises
     ------
     InputError : no scene has this name, it has no such setting, or the value is impossible.

@@ -32,10 +32,10 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.errors import InputError, NonNegative, Positive, Share, check
-from phdtrack.kernels.rts import log_densities
-from phdtrack.models.gaussian import SAME
-from phdtrack.models.rts import Ahead, predict, smooth_back, update
+from phdtrack.kernels.rts import filtered, smooth
+from phdtrack.models.rts import Ahead, moved, predict
 from phdtrack.protocols import Model, Motion
+from phdtrack.smooth.ends import carried_on
 from phdtrack.smooth.paths import Paths, joined, paths_of
 from phdtrack.types import F8, I8, STILL, Bool, MeasurementHistory, Tracks
 
@@ -57,8 +57,13 @@ class Smoothing:
     max_overlap_time : seconds for which two tracks of one target may overlap, at most.
     reentry_probability : that a track that ends was lost and comes back.
     detection_share : boxes of online rows lie between the filter's and the detection's, see `smooth.online`.
+    min_extent : tracks are left out whose centre moves by less than this in all their life, in widths or heights of a box;
+        0: none. What a background detector sees there sways or flickers.
     max_gap_uncertainty : fill the gap between joined tracks where positions are known to within this many deviations of a
         measurement. 0: such gaps stay open.
+    max_continuation : seconds for which a track is carried on before its first row and after its last by detections that no
+        track uses, at most; 0: never.
+    frame_size : width and height of the picture, pixels: what it cuts of a box is not expected to be detected.
 
     Raises
     ------
@@ -74,6 +79,9 @@ class Smoothing:
     max_overlap_time: NonNegative = 4.0
     reentry_probability: Share = 0.5
     max_gap_uncertainty: NonNegative = 1.0
+    min_extent: NonNegative = 0.0
+    max_continuation: NonNegative = 0.0
+    frame_size: tuple[float, float] = (math.inf, math.inf)
 
     def __post_init__(self) -> None:
         check(self)
@@ -85,12 +93,27 @@ class Smoothing:
         """The tracks joined and smoothed."""
         paths = paths_of(tracks, measurements) if self.stitching or self.smoothing else None
         if paths is None or len(paths) == 0:
-            return tracks
+            return _going(tracks, self.min_extent)
         sequence = Sequence.of(measurements, model)
         paths, states = _stitched(paths, sequence, self) if self.stitching else (paths, sequence.smooth(paths))
         if self.noise_by_track:
             states = sequence.smooth(paths, sequence.fitting(paths))
-        return _rows(tracks, paths, states, measurements, model, self)
+        out = _rows(tracks, paths, states, measurements, model, self)
+        if self.max_continuation > 0:
+            boxes = model.sensor.boxes(sequence.state)
+            out = _numbered(carried_on(out, measurements, boxes, self.frame_size, self.max_continuation * model.rate))
+        return _going(out, self.min_extent)
+
+
+def _going(tracks: Tracks, extent: float) -> Tracks:
+    """The tracks whose centre gets so far, in widths or heights of their median box."""
+    if extent == 0 or not len(tracks):
+        return tracks
+    kept, order = np.zeros(len(tracks), np.bool_), np.argsort(tracks.identity, kind="stable")
+    for rows in np.split(order, np.flatnonzero(np.diff(tracks.identity[order])) + 1):
+        low, high = tracks.xyxy[rows, :2], tracks.xyxy[rows, 2:]
+        kept[rows] = (np.ptp((low + high) / 2, axis=0) >= extent * np.median(high - low, axis=0)).any()
+    return tracks if kept.all() else _numbered(tracks.take(kept))
 
 
 def _rows(
@@ -170,15 +193,11 @@ class Scales(NamedTuple):
 
 
 class _Filtered(NamedTuple):
-    """States of all rows given what was measured up to each, their predictions, and the evidence (2, K) of the paths.
-
-    ``frames``: of each frame the rows that are not the first of their path.
-    """
+    """States of all rows given what was measured up to each, their predictions, and the evidence (2, K) of the paths."""
 
     mean: F8
     covariance: F8
     ahead: Ahead
-    frames: list[I8]
     evidence: F8
 
 
@@ -203,20 +222,16 @@ class Sequence:
         states, shown = model.sensor.states(measurements.z), np.array(model.sensor.observed, np.int64)
         return cls(measurements, *states, shown, model.motion, model.rate)
 
-    def _ahead(self, mean: F8, covariance: F8, place: int, scale: F8 = SAME) -> Ahead:
-        """States (n, d), (n, d, d) of the frame before ``place``, predicted for that frame."""
+    def _step(self, place: int) -> tuple[float, F8]:
+        """The interval before a frame, and the camera's motion in it."""
         time, warp = self.measurements.time, self.measurements.warp
-        step = float(time[place] - time[place - 1])
-        return predict(self.motion, mean, covariance, step, warp[place] if len(warp) else STILL, scale)
+        return float(time[place] - time[place - 1]), warp[place] if len(warp) else STILL
 
     def smooth(self, paths: Paths, scales: Scales | None = None) -> Smoothed:
         """The states of all rows of the paths, given their measurements [R65]."""
         passed = self._filtered(paths, scales or self._scales(np.ones((4, len(paths)))))
-        mean, cov, ahead, frames = passed.mean, passed.covariance, passed.ahead, passed.frames
-        for rows in reversed(frames):
-            if len(rows):
-                step = Ahead(*(part[rows] for part in ahead))
-                mean[rows - 1], cov[rows - 1] = smooth_back(mean[rows - 1], cov[rows - 1], step, mean[rows], cov[rows])
+        mean, cov, onward = passed.mean, passed.covariance, paths.path[1:] == paths.path[:-1]
+        smooth((mean[:-1], cov[:-1]), tuple(part[1:] for part in passed.ahead), (mean[1:], cov[1:]), onward)
         return Smoothed(mean, cov)
 
     def fitting(self, paths: Paths) -> Scales:
@@ -228,7 +243,7 @@ class Sequence:
         moved, resized = (np.array(list(itertools.product(drive, BLUR))).T for drive in (ACCELERATION, SIZE_CHANGE))
         tried, count = moved.shape[1], len(paths)
         all_of = np.repeat(np.stack([moved[0], resized[0], moved[1], resized[1]]), count, axis=1)
-        evidence = self._filtered(paths.repeated(tried), self._scales(all_of)).evidence
+        evidence = self._filtered(paths.repeated(tried), self._scales(all_of), brief=True).evidence
         position, size = evidence.reshape(2, tried, count).argmax(axis=1)
         return self._scales(np.stack([moved[0, position], resized[0, size], moved[1, position], resized[1, size]]))
 
@@ -237,35 +252,24 @@ class Sequence:
         d, r = len(self.state), len(self.observed)
         return Scales(np.repeat(factors[:2], [4, d - 4], axis=0).T, np.repeat(factors[2:], [2, r - 2], axis=0).T)
 
-    def _filtered(self, paths: Paths, scales: Scales) -> _Filtered:
-        """The states of all rows of the paths, given the measurements up to each."""
-        order, number, shown = np.argsort(paths.frame, kind="stable"), len(self.measurements.time), self.observed
-        bounds = np.searchsorted(paths.frame[order], np.arange(number + 1))
-        size, d, path = len(order), len(self.state), paths.path
-        mean, predicted = np.empty((2, size, d))
-        cov, expected, jacobian, added = np.empty((4, size, d, d))
-        column, evidence = paths.measurement[paths.first], np.zeros((2, len(paths)))
+    def _filtered(self, paths: Paths, scales: Scales, *, brief: bool = False) -> _Filtered:
+        """The states of all rows of the paths, given the measurements up to each; if ``brief`` only the last ones."""
+        shown, d, path, column = self.observed, len(self.state), paths.path, paths.measurement[paths.first]
+        here, size = (path, len(paths)) if brief else (np.arange(len(path)), len(path))
+        mean, cov, evidence = np.empty((size, d)), np.empty((size, d, d)), np.zeros((2, len(paths)))
         first = self.covariance[column]
         first[:, shown[:, None], shown] *= scales.measurement[:, :, None] * scales.measurement[:, None]
-        mean[paths.first], cov[paths.first] = self.state[:, column].T, first
-        going = np.ones(size, np.bool_)
-        going[paths.first] = False
-        frames = [rows[going[rows]] for rows in np.split(order, bounds[1:-1])]
-        for p, rows in enumerate(frames):
-            if len(rows) == 0:
-                continue
-            ahead = self._ahead(mean[rows - 1], cov[rows - 1], p, scales.state[path[rows]])
-            predicted[rows], expected[rows], jacobian[rows], added[rows] = ahead
-            mean[rows], cov[rows] = predicted[rows], expected[rows]
-            rows = rows[paths.measurement[rows] >= 0]
-            if len(rows):
-                column, scale = paths.measurement[rows], scales.measurement[path[rows]]
-                noise = self.covariance[column][:, shown[:, None], shown] * scale[:, :, None] * scale[:, None]
-                z = self.state[shown[:, None], column].T
-                before, spread = mean[rows], cov[rows]
-                evidence[:, path[rows]] += log_densities(z - before[:, shown], spread, noise, shown)
-                mean[rows], cov[rows] = update(before, spread, z, noise, shown)
-        return _Filtered(mean, cov, Ahead(predicted, expected, jacobian, added), frames, evidence)
+        mean[here[paths.first]], cov[here[paths.first]] = self.state[:, column].T, first
+        kept = Ahead(np.empty((size * (not brief), d)), *np.empty((3, size * (not brief), d, d)))
+        rows = np.flatnonzero(path[1:] == path[:-1]) + 1
+        rows = rows[np.argsort(paths.frame[rows], kind="stable")]
+        at = np.stack([here[rows - 1], here[rows], path[rows], paths.measurement[rows]], axis=1)
+        bounds = np.searchsorted(paths.frame[rows], np.arange(len(self.measurements.time) + 1))
+        seen = *map(np.ascontiguousarray, (self.state, self.covariance)), shown
+        for p in np.flatnonzero(np.diff(bounds)).tolist():
+            now = at[bounds[p] : bounds[p + 1]]
+            filtered(now, (mean, cov), moved(self.motion, mean[now[:, 0]], *self._step(p)), kept, seen, scales, evidence)
+        return _Filtered(mean, cov, kept, evidence)
 
 
 class _Meeting(NamedTuple):
@@ -327,13 +331,16 @@ def _returns(paths: Paths, states: Smoothed, sequence: Sequence, settings: Smoot
     ]
     lost, alive = np.zeros(0, np.int64), np.zeros(0)
     mean, cov = states.mean[:0], states.covariance[:0]
+    ending = {*(end + 1).tolist()}
     for p in range(1, len(time)):
+        if len(lost) == 0 and p not in ending:
+            continue
         fresh = np.flatnonzero((end == p - 1) & (until >= p))
         lost, alive = np.concatenate((lost, fresh)), np.concatenate((alive, np.zeros(len(fresh))))
         mean, cov = (np.concatenate((a, b[last[fresh]])) for a, b in ((mean, states.mean), (cov, states.covariance)))
         if len(lost) == 0:
             continue
-        now = sequence._ahead(mean, cov, p)
+        now = predict(sequence.motion, mean, cov, *sequence._step(p))
         survive = sequence.motion.p_survive(np.ascontiguousarray(now.mean.T), float(time[p] - time[p - 1]) / sequence.rate)
         stay = (survive > 0) & (until[lost] >= p)
         lost, alive = lost[stay], alive[stay] + np.log(survive[stay])

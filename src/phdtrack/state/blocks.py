@@ -104,7 +104,7 @@ def from_bytes(block: bytes, where: str | Path = "") -> Any:
 
     try:
         made = value(json.loads(bytes(content[4 : 4 + head])))
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError):
+    except (ValueError, TypeError, LookupError, AttributeError, RecursionError, OverflowError):
         raise problem from None
     if at != len(content):
         raise problem

@@ -22,7 +22,7 @@ import numpy as np
 FORMS: dict[str, str] = {
     "Particles": "state:d,L:-far..far weight:L:0..many start:S:0..L:up",
     "ParticleBlocks": "state:d,L:-far..far start:B+1:0..L:up unit::0..many share:S:0..many",
-    "GaussianMixture": "weight:J:0..many mean:d,J:-far..far covariance:J,d,d::cov tag:T:0..fresh-1 fresh::0..",
+    "GaussianMixture": "weight:J:0..many mean:d,J:-far..far covariance:J,d,d::cov",
     "Cardinalised": "cardinality:N:0..2",
     "Layer": "targets:T targets.r:T:0..1 targets.presence:T:0..1 targets.max_presence:T:0..1 targets.label:T:0..:rise "
     "targets.begin:T:0..C targets.end:T:0..C targets.best:T:-1..C-1 hypotheses:C hypotheses.weight:C:0..1 "
@@ -52,23 +52,14 @@ FORMS: dict[str, str] = {
     "RejectionState": "identity:a:1..:rise least:2,a::inf",
     "Shown": "identity:n:1.. seen:n,4:-far..far filtered:n,4:-far..far",
     "ShareState": "sums:2,4",
-    "PaceState": "factor::1e-99..1 evidence:24 before:m?,n:-far..far intervals::0..",
     "CameraState": "mean:n,d?:-far..far covariance:n,d?,d?::cov0 velocity:4:-far..far excess:2,4 weight:2,4:0.. "
     "scale:4:0.01..10 pairs:4:0.. left:4:-far..far",
     "ExpectedTargets": "state:d?,n:-far..far covariance:n,d?,d?::cov0 existence:n:0..1 hidden:n:0.. separate:n:0..",
     "TrackingState": "number::0.. targets:d?,n:-far..far",
     "Line": "information:2 precision:2,2 verdicts:2:0..",
     "ScoresSeen": "scores:s boxes:k,4:-far..far waiting:k,6::nan length:k:0..",
-    "Tracks": "frame:M:1.. identity:M:1.. xyxy:M,4:-far..far confidence:M:0..1 detection:M:-1.. confirmed:M class_id:M",
-    "ObservedFrame": "number::1.. xyxy:N,4:-far..far false:N:0..1",
-    "PendingFrames": "place::0.. counted::0..",
-    "TrackEvidence": "identity:n:1..:rise first:n:0.. last:n:0.. hits:n:1.. confirmed:n sums:6,n",
-    "Rates": "detection::0..1 clutter::0..",
-    "RateSums": "hits::0.. span::0.. false::0.. detections::0.. frames::0..",
-    "CountedTracks": "identity:n:1..:rise hits:n:0.. span:n:0..",
-    "LearnedRates": "learned:::nan",
     "HeldFrame": "number::1.. xyxy:N,4:-far..far",
-    "SavedCamera": "number::1.. people:h,w:0.. clutter:h,w:0..",
+    "SavedCamera": "number::1.. people:h,w:0.. clutter:h,w:0.. minutes:n,4:0..",
     "Seed": "state::0..4e38 increment::0..4e38 has_word::0..1 word::0..4294967295",
     "SavedLanes": "alone::0..highest highest::0..",
 }  # fmt: skip
@@ -215,9 +206,9 @@ def held_moments(association: Any) -> Iterator[Any]:
 
 def _tracking(r: Any, w: World) -> bool:
     """Detections that are named were in their frames; what comes later is there as soon as it is used."""
-    moments, slow = list(held_moments(r.association)), w.stages.clock is not None
+    moments = list(held_moments(r.association))
     counts = {m.number: m.z.shape[1] for m in moments}
-    if (r.pace is None) == (slow and r.number > 0) or (moments[-1].number if moments else 0) != r.number:
+    if not (abs(r.pace[1]) <= 700 * r.pace[0] < LARGEST) or (moments[-1].number if moments else 0) != r.number:
         return False
     late = [m.z.shape[1] for m in moments[-len(r.given) :]] if r.given else []
     if len(late) != len(r.given) or any(g.dtype != np.int64 or g.ndim != 1 for g in r.given):
@@ -252,16 +243,6 @@ def _scores(r: Any, w: World) -> bool:
     )
 
 
-def _pending(r: Any, w: World) -> bool:
-    """Rows name detections of their frames, which come one after the other."""
-    counts = {frame.number: len(frame.xyxy) for frame in r.frames}
-    rows = [(frame.rows.frame, frame.rows.detection) for frame in r.frames]
-    named = all(d < counts.get(f, d + 1) for fs, ds in rows for f, d in zip(fs.tolist(), ds.tolist(), strict=True))
-    return (
-        named and _rises(list(counts)) and _rises([x.time for x in r.frames]) and len(counts) == len(r.frames) >= r.counted
-    )
-
-
 def _blocks(r: Any, w: World) -> bool:
     """Blocks are of 256 at most, of the type that the filter works in, and not of more targets than anybody follows."""
     kind, count = np.float32 if len(w.stages.model.sensor.observed) == 4 else np.float64, r.state.shape[1]
@@ -286,7 +267,6 @@ def _lane(r: Any, w: World) -> bool:
 RELATIONS: dict[str, Callable[[Any, World], Any]] = {
     "Particles": lambda r, w: not len(r.start) or _tiles(r.start, len(r.weight)),
     "ParticleBlocks": _blocks,
-    "GaussianMixture": lambda r, w: len(r.tag) in (0, len(r.weight)),
     "Cardinalised": lambda r, w: (
         len(r.cardinality) and abs(r.cardinality.sum() - 1) < 1e-3 and (r.mass > 0 or len(r.intensity) == 0)
     ),
@@ -302,11 +282,8 @@ RELATIONS: dict[str, Callable[[Any, World], Any]] = {
     "GraphState": _graph,
     "LabelledState": _labelled,
     "ShareState": _shares,
-    "PaceState": lambda r, w: abs(r.log_seconds) <= 700 * r.intervals,
     "TrackingState": _tracking,
     "ScoresSeen": _scores,
-    "PendingFrames": _pending,
-    "TrackEvidence": lambda r, w: (r.first <= r.last).all(),
     "SavedLane": _lane,
     "SavedLanes": lambda r, w: (
         _rises([frame[0] for frame in r.past])
@@ -316,6 +293,7 @@ RELATIONS: dict[str, Callable[[Any, World], Any]] = {
     "SavedCamera": lambda r, w: (
         {len(r.places)}
         == {len(r.watch.counts), *(len(x) for v in r.watch.visitors.values() for x in (v.net, v.since, v.dwelled))}
+        and all(a <= b for a, b in pairwise([r.mapped, *(frame.time for frame in r.held), r.time]))
     ),
     "Seed": lambda r, w: max(r.state, r.increment) < 1 << 128 and r.increment % 2,
 }

@@ -20,11 +20,6 @@ from phdtrack.state.forms import FORMS, LARGEST, RELATIONS, SYMBOLS, World
 _ROUNDING = 1e-9
 # Whole numbers that can still be added to.
 _WHOLE = 2.0**53
-# Types of records where the annotation leaves it open, and no state before the first frame tells.
-_OPEN = {
-    "pace": ("PaceState",),
-    "line": ("Line",),
-}
 _DTYPES: dict[Any, tuple[str, ...]] = {np.float64: ("f8",), np.int64: ("i8",), np.bool_: ("?",), np.void: ("V",)}
 _REAL = ("f4", "f8")
 
@@ -111,7 +106,10 @@ def restored(packed: Any, hint: Any, like: Any, world: World, where: str) -> Any
     ------
     InputError : names the place in the state that is wrong.
     """
-    return _reader(hint)(packed, like, world, where)
+    try:
+        return _reader(hint)(packed, like, world, where)
+    except (OverflowError, RecursionError) as error:
+        raise _wrong(where, f"this is no state ({error})") from None
 
 
 def _wrong(where: str, problem: str) -> InputError:
@@ -194,13 +192,12 @@ def _one_of(readers: dict[str, Reader], packed: Any, like: Any, world: World, wh
 
 def _open(packed: Any, like: Any, world: World, where: str) -> Any:
     """A value of the type that the state before the first frame has."""
-    name = where.rpartition(".")[2]
-    if packed is None and (like is None or name in _OPEN):
+    if packed is None and like is None:
         return None
     found = _named(packed)
     module, _, record = found.partition(":")
     usual = type(like).__name__
-    allowed = _OPEN.get(name) or ((usual, "ParticleBlocks") if usual == "Particles" else (usual,))
+    allowed = (usual, "ParticleBlocks") if usual == "Particles" else (usual,)
     if record not in allowed or not module.startswith("phdtrack."):
         raise _wrong(where, f"expected {' or '.join(allowed)}, got {found or type(packed).__name__}")
     kind: Any = type(like)

@@ -6,6 +6,8 @@ missing from ``000001.jpg 000002.jpg 000004.jpg`` is a dropped frame, and the ti
 Names without numbers, names whose numbers do not increase, and names in which more than nine frames in ten would be missing
 (time stamps) are only counted.
 
+Of a decoded picture BGR is made when somebody asks for it, and then in the size that he needs.
+
 A video is opened once for its first frame, which settles size, orientation and rate (headers are often wrong), and once for
 each iteration. Packets that cannot be decoded are skipped; a file cut short gives the frames that it has.
 
@@ -21,7 +23,7 @@ import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
@@ -29,7 +31,8 @@ from typing import Any
 
 import numpy as np
 
-from phdtrack.errors import InputError
+from phdtrack.devices import Picture, size_of
+from phdtrack.errors import InputError, needed
 from phdtrack.files import cannot_write, part_of, publish, refuse_part
 from phdtrack.types import Frame, Image, SequenceInfo
 
@@ -37,7 +40,7 @@ SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", "
 _MOST_MISSING, _DEFAULT_FPS = 10, 25.0
 # Seconds to wait for an address: until it is open, and for more of what it sends.
 CONNECT, READ = 10.0, 10.0
-Read = tuple[int, float | None, Image, str]
+Read = tuple[int, float | None, Image | Picture, str]
 """A frame's number, its time stamp in seconds (None where the stream has none), its picture, and where it is in words."""
 
 
@@ -54,20 +57,27 @@ class VideoSource:
     read : given this record, the frames; it sets ``problem``.
     note : what was assumed because it was not given (the rate of a folder of images); empty where nothing was.
     problem : after the iteration: why the frames ended early, or which were lost; empty where all were read.
+    share : how much of the file was read so far, from 0 to 1; 0 where that is not known.
+    announced : how many frames the header of the file announces, which may be wrong; 0 where it does not.
+    sample : so many frames in order, spread over all of the file; fewer where it cannot jump to that many places.
     """
 
     info: SequenceInfo
     read: Callable[[VideoSource], Iterator[Read]]
     note: str = ""
     problem: str = ""
+    share: float = 0.0
+    announced: int = 0
+    sample: Callable[[int], Iterator[Frame]] = lambda count: iter(())
 
     def __iter__(self) -> Iterator[Frame]:
         """The frames. Raises `InputError` for a picture of another size than the first; empty ones pass."""
         self.problem, interval = "", 1 / self.info.fps
         last, zero = -interval, math.nan
         for number, stamp, image, where in self.read(self):
-            high, wide = image.shape[:2]
-            if image.size and (wide, high) != (self.info.width, self.info.height):
+            frame = Frame(number, math.nan, image)
+            wide, high = size_of(frame)
+            if wide and (wide, high) != (self.info.width, self.info.height):
                 raise InputError(
                     f"this frame is {wide}x{high} pixels, the first one {self.info.width}x{self.info.height}",
                     where=where,
@@ -77,7 +87,7 @@ class VideoSource:
             last = moment if moment > last else last + interval
             if stamp is not None:
                 zero = stamp - last
-            yield Frame(number, last, image)
+            yield replace(frame, time=last)
 
 
 def open_source(spec: str | Path | int, *, fps: float = 0.0) -> VideoSource:
@@ -138,7 +148,11 @@ def _images(files: Sequence[Path], fps: float, folder: Path) -> VideoSource:
         for path, number in zip(paths, numbers, strict=True):
             yield number, (number - 1) / rate, _image(path), f"{path}, frame {number}"
 
-    return VideoSource(SequenceInfo(width, height, rate, len(paths), name), read, note)
+    def sample(count: int) -> Iterator[Frame]:
+        for k in np.unique(np.linspace(0, len(paths) - 1, count).round().astype(int)).tolist():
+            yield Frame(numbers[k], (numbers[k] - 1) / rate, _image(paths[k]))
+
+    return VideoSource(SequenceInfo(width, height, rate, len(paths), name), read, note, sample=sample)
 
 
 def frame_numbers(stems: Sequence[str]) -> list[int]:
@@ -218,22 +232,35 @@ def _video(path: str, fps: float) -> VideoSource:
             cure="The file is empty or damaged: copy it again, or convert it (ffmpeg -i IN -c:v libx264 OUT.mp4).",
         )
     rate, note = _rate(float(fps or stated or 0), f"{path} does")
-    height, width = _upright(picture).shape[:2]
+    info = SequenceInfo(*Decoded(picture).size, rate, name=Path(path).stem)
 
     def read(source: VideoSource) -> Iterator[Read]:
         losses: list[tuple[int, str]] = []
         number = 0
         container, stream = _open(path)
         with container:
-            for number, picture in enumerate(_pictures(container, stream, losses), start=1):
-                yield number, None if fps else picture.time, _upright(picture), f"{path}, frame {number}"
+            for number, picture in enumerate(_pictures(container, stream, losses, source), start=1):
+                yield number, None if fps else picture.time, Decoded(picture), f"{path}, frame {number}"
         if losses:
             after, reason = losses[0]
             source.problem = f"{path}: damaged after frame {after} ({reason}); {number} frames could be decoded"
         elif number < stream.frames:
             source.problem = f"{path}: ends after frame {number}, its header announces {stream.frames}; it may be cut short"
 
-    return VideoSource(SequenceInfo(width, height, rate, name=Path(path).stem), read, note)
+    def sample(count: int) -> Iterator[Frame]:
+        container, stream = _open(path)
+        with container:
+            last = -1.0
+            for k in range(count if container.duration else 0):
+                # To the picture before that needs no other one to be decoded.
+                container.seek(round((k + 0.5) / count * container.duration) + (container.start_time or 0))
+                picture = next(_pictures(container, stream, []), None)
+                if picture is None or picture.time is None or picture.time <= last:
+                    return
+                last = picture.time
+                yield Frame(k + 1, last, Decoded(picture))
+
+    return VideoSource(info, read, note, announced=stream.frames, sample=sample)
 
 
 def _reason(error: Exception) -> str:
@@ -243,7 +270,7 @@ def _reason(error: Exception) -> str:
 
 def _open(path: str) -> tuple[Any, Any]:
     """The container and its first video stream."""
-    import av
+    av = needed("av")
 
     remote = "://" in path
     try:
@@ -255,21 +282,30 @@ def _open(path: str) -> tuple[Any, Any]:
             cure = "Check the address, and that what it names is switched on and can be reached from here."
         late = f"no answer in {CONNECT:g} s" if isinstance(error, av.ExitError) else _reason(error)
         raise InputError(f"this cannot be read as a video ({late})", where=path, cure=cure) from None
-    if not container.streams.video:
+    stream = next(iter(container.streams.video), None)
+    if stream is None or stream.codec_context is None:
         container.close()
-        raise InputError("there is no video in this file", where=path, cure="Give one with pictures.")
-    stream = container.streams.video[0]
-    stream.thread_type = "AUTO"
+        problem = "there is no video in this file" if stream is None else "FFmpeg has no decoder for the video in this file"
+        raise InputError(problem, where=path, cure="Give another one, or convert it (ffmpeg -i IN -c:v libx264 OUT.mp4).")
+    # Each further thread takes the memory of some pictures, and two decode faster than anything here looks at them.
+    stream.thread_type, stream.codec_context.thread_count = "AUTO", 2
     return container, stream
 
 
-def _pictures(container: Any, stream: Any, losses: list[tuple[int, str]]) -> Iterator[Any]:
-    """The decoded pictures; what fails is added to ``losses``, with the number of the frame before it, and passed over."""
-    import av
+def _pictures(
+    container: Any, stream: Any, losses: list[tuple[int, str]], source: VideoSource | None = None
+) -> Iterator[Any]:
+    """The decoded pictures; what fails is added to ``losses``, with the number of the frame before it, and passed over.
 
-    number = 0
+    ``source`` is told how much of the file was read.
+    """
+    av = needed("av")
+
+    number, size = 0, container.size
     try:
         for packet in container.demux(stream):
+            if source is not None and size > 0 and packet.pos is not None:
+                source.share = min(1.0, packet.pos / size)
             try:
                 pictures = packet.decode()
             except av.FFmpegError as error:
@@ -286,11 +322,32 @@ def _pictures(container: Any, stream: Any, losses: list[tuple[int, str]]) -> Ite
         losses.append((number, reason))
 
 
-def _upright(picture: Any) -> Image:
-    """(H, W, 3) BGR uint8, turned by the orientation that the recording carries."""
-    image: Image = picture.to_ndarray(format="bgr24")
-    turns = round(picture.rotation / 90) % 4
-    return np.ascontiguousarray(np.rot90(image, turns)) if turns else image
+class Decoded:
+    """A picture as FFmpeg decodes it, turned by the orientation that the recording carries."""
+
+    __slots__ = ("_image", "_picture", "_turns", "size")
+
+    def __init__(self, picture: Any) -> None:
+        self._picture, self._turns = picture, round(picture.rotation / 90) % 4
+        wide, high = picture.width, picture.height
+        self.size = (high, wide) if self._turns % 2 else (wide, high)
+        self._image: Image | None = None
+
+    def bgr(self, size: tuple[int, int] | None = None) -> Image:
+        """(H, W, 3) BGR uint8 of this width and height, or of its own: that is made once."""
+        if size is None and self._image is not None:
+            return self._image
+        wide, high = (size or self.size)[:: -1 if self._turns % 2 else 1]
+        image: Image = self._picture.to_ndarray(format="bgr24", width=wide, height=high, interpolation="AREA")
+        image = np.ascontiguousarray(np.rot90(image, self._turns)) if self._turns else image
+        self._image = image if size is None else self._image
+        return image
+
+    def planes(self) -> Image | None:
+        """(3H/2, W) uint8, a copy of brightness and below it the colours (YUV 4:2:0); None where it is kept otherwise."""
+        even = not (self._turns or self._picture.width % 2 or self._picture.height % 2)
+        planes: Image | None = self._picture.to_ndarray() if even and self._picture.format.name == "yuv420p" else None
+        return planes
 
 
 def endless(path: str) -> bool:
@@ -308,6 +365,8 @@ _LARGEST_DENOMINATOR = 1001
 # The same on every machine, each thread with a frame of its own: x264's pictures depend on the number of threads. Its tree
 # of macroblocks (mbtree) is off, as with it the same pictures are now and then encoded in another way.
 _THREADS = 4
+# No picture waits for later ones, and each is compared with one other: these are what takes memory, 12 MB each at 1080p.
+_FAST = "threads=2:bframes=0:rc-lookahead=0:ref=1:weightp=0:subme=0:me=dia"
 
 
 class VideoWriter:
@@ -321,6 +380,7 @@ class VideoWriter:
     width, height : of the images in pixels. An odd size is padded by one row or column, for H.264 needs even ones.
     fps : frames per second, fractions too (29.97).
     quality : constant rate factor from 0 (lossless) to 51 where the encoder has one; 23 is usual.
+    fast : it takes x264 less than half of the time and a quarter of the memory, and files are two to three times as large.
     fragmented : it has its name at once, and what is written can be played also when the file is never closed, but for the
         last seconds.
 
@@ -328,13 +388,20 @@ class VideoWriter:
     """
 
     def __init__(
-        self, path: str | Path, width: int, height: int, fps: float, *, quality: int = 23, fragmented: bool = False
+        self,
+        path: str | Path,
+        width: int,
+        height: int,
+        fps: float,
+        *,
+        quality: int = 23,
+        fast: bool = False,
+        fragmented: bool = False,
     ) -> None:
         if width < 1 or height < 1 or not fps > 0 or not np.isfinite(fps):
-            raise InputError(
-                f"a video needs a size and a rate above 0, not {width}x{height} at {fps} per second", where=path
-            )
-        import av
+            problem = f"a video needs a size and a rate above 0, not {width}x{height} at {fps} per second"
+            raise InputError(problem, where=path)
+        av = needed("av")
 
         self._path, self._width, self._height = Path(path), width, height
         self._grown = self._path if fragmented else part_of(self._path)
@@ -342,8 +409,9 @@ class VideoWriter:
         padded = (width + width % 2, height + height % 2)
         name, options = _working_encoder(*padded, rate), dict[str, str]()
         if name == "libx264":
-            parameters = f"threads={_THREADS}:sliced-threads=0:mbtree=0"
-            options = {"crf": str(quality), "preset": "veryfast", "x264-params": parameters}
+            parameters = _FAST if fast else f"threads={_THREADS}"
+            options = {"crf": str(quality), "preset": "ultrafast" if fast else "veryfast"}
+            options["x264-params"] = f"{parameters}:sliced-threads=0:mbtree=0"
         try:
             muxing = {"movflags": "+faststart"}
             if fragmented:
@@ -360,13 +428,14 @@ class VideoWriter:
         self._open = True
 
     def write(self, image: Image, at: float = math.nan) -> None:
-        """Append ``image``, (height, width, 3) BGR uint8; InputError where it is of another shape or type.
+        """Append ``image``, (height, width, 3) BGR uint8, or `Decoded.planes`; InputError where it is none of these.
 
         ``at``: its time in seconds, where the video is to have the times of its pictures and not a constant rate.
         """
-        import av
+        av = needed("av")
 
-        if image.shape != (self._height, self._width, 3) or image.dtype != np.uint8:
+        planes = image.shape == (self._height * 3 // 2, self._width)
+        if (not planes and image.shape != (self._height, self._width, 3)) or image.dtype != np.uint8:
             raise InputError(
                 f"expected an image of shape {(self._height, self._width, 3)} and type uint8, "
                 f"got {image.shape} and {image.dtype}",
@@ -374,9 +443,9 @@ class VideoWriter:
             )
         if not self._open:
             raise InputError("this video is closed already", where=self._path)
-        odd = (self._height % 2, self._width % 2)
+        odd = (0, 0) if planes else (self._height % 2, self._width % 2)
         padded = np.pad(image, ((0, odd[0]), (0, odd[1]), (0, 0)), mode="edge") if any(odd) else np.ascontiguousarray(image)
-        picture = av.VideoFrame.from_ndarray(padded, format="bgr24")
+        picture = av.VideoFrame.from_numpy_buffer(padded, format="yuv420p" if planes else "bgr24")
         self._stamp = self._stamp + 1 if math.isnan(at) else max(self._stamp + 1, round(at * self._fps))
         picture.pts = self._stamp
         picture.time_base = 1 / self._stream.codec_context.framerate
@@ -399,7 +468,7 @@ class VideoWriter:
     @contextmanager
     def _checked(self) -> Iterator[None]:
         """What goes wrong with the disk, in a sentence."""
-        import av
+        av = needed("av")
 
         try:
             yield
@@ -415,7 +484,7 @@ class VideoWriter:
 
 def _working_encoder(width: int, height: int, rate: Fraction) -> str:
     """The first of `ENCODERS` that opens: some are listed by FFmpeg and then lack their device."""
-    import av
+    av = needed("av")
 
     for name in ENCODERS:
         try:
@@ -426,7 +495,5 @@ def _working_encoder(width: int, height: int, rate: Fraction) -> str:
         except (av.FFmpegError, ValueError, OSError):
             continue
         return name
-    raise InputError(
-        f"no H.264 encoder works here; tried {', '.join(ENCODERS)}",
-        cure="Install a build of PyAV that has one: python -m pip install --force-reinstall av",
-    )
+    cure = "Install a build of PyAV that has one: python -m pip install --force-reinstall av"
+    raise InputError(f"no H.264 encoder works here; tried {', '.join(ENCODERS)}", cure=cure)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from phdtrack.filters.extract import Components
@@ -40,17 +38,3 @@ def test_repeated_as_vo_and_ma_do():
     assert sorted(found.detection.tolist()) == [-1, -1, 0, 1]
     halves = GaussianMixture(np.full(4, 0.5), MEAN, MIXTURE.covariance)
     assert len(Components(repeat=True).extract(halves, Z, MODEL)) == 4
-
-
-def test_states_have_the_tags_of_their_components():
-    """Of the heaviest where some were joined; twice the same where one is reported twice; none where there is none."""
-    tags = np.array([7, 3, 9, 4])
-    mixture = replace(MIXTURE, tag=tags, fresh=10)
-    np.testing.assert_array_equal(Components(merge_iou=1.0).extract(mixture, Z, MODEL).tag, [7, 3, 9])
-    np.testing.assert_array_equal(Components().extract(mixture, Z, MODEL).tag, [7, 3])
-    np.testing.assert_array_equal(Components(repeat=True).extract(mixture, Z, MODEL).tag, [7, 3, 3, 9])
-    other = replace(mixture, weight=np.array([0.9, 0.6, 2.2, 0.49]))
-    found = Components().extract(other, Z, MODEL)
-    np.testing.assert_array_equal(found.tag, [7, 9])
-    np.testing.assert_array_equal(found.take(np.array([1])).tag, [9])
-    assert len(Components().extract(MIXTURE, Z, MODEL).tag) == 0

@@ -80,14 +80,31 @@ async function go(place) {
   if (here + 1 < overview.frames.length) load(numbers()[here + 1]).catch(() => {});
 }
 
-function next() {
-  if (overview.frames[here].done !== true) {
-    overview.frames[here].done = true;
+// The frame that was finished last, while nothing else was done since: undo goes back to it. −1 for none.
+let finished = -1;
+
+function finish() {
+  const one = overview.frames[here];
+  finished = one.done ? -1 : here;
+  if (!one.done) {
+    one.done = true;
     overview.progress.done += 1;
+    acted();
     queue.add(number(), "done", { done: true });
   }
   if (here + 1 < overview.frames.length) go(here + 1);
   else tell();
+}
+
+function browse(place) {
+  finished = -1;
+  go(place);
+}
+
+// An action more can be undone, and none redone.
+function acted() {
+  drawn().undo += 1;
+  drawn().redo = 0;
 }
 
 // --- marks --------------------------------------------------------------------------------------------------------------
@@ -97,8 +114,8 @@ function mark(marks) {
     const known = frames.get(n);
     if (known) what === "none" ? delete known.marks[box] : (known.marks[box] = what);
   }
-  drawn().undo += 1;
-  drawn().redo = 0;
+  acted();
+  finished = -1;
   view.draw();
   queue.add(number(), "marks", { marks, who });
   if (!$("wall").hidden) colours();
@@ -131,7 +148,10 @@ function several(boxes, off) {
   if (changing.length) mark(changing.map((box) => ({ frame: seen(), box, mark: what })));
 }
 
-function undo(what) {
+async function undo(what) {
+  const back = what === "undo" ? finished : -1;
+  finished = -1;
+  if (back >= 0 && back !== here) await go(back);
   if (drawn()[what] > 0) queue.add(number(), what);
 }
 
@@ -168,6 +188,8 @@ function kept(item, answer) {
   if (!queue.concerns(item.frame)) {
     const known = frames.get(item.frame);
     if (known) Object.assign(known, { marks: answer.marks, undo: answer.undo, redo: answer.redo });
+    const listed = overview.frames.find((one) => one.number === item.frame);
+    if (listed) listed.done = answer.done;
     if (item.what === "undo" || item.what === "redo") others(item.frame);
     if (item.body.marks?.length > 1) sweep.load().catch(() => {});
     view.draw();
@@ -203,7 +225,7 @@ function tell() {
   const { done, frames: all, false: wrong, births } = overview.progress;
   $("progress").textContent = `${done} of ${all} frames · ${wrong} false · ${births} births`;
   $("title").textContent = `${overview.name || "detections"}, frame ${number()}`;
-  $("undo").disabled = !(drawn()?.undo > 0);
+  $("undo").disabled = !(drawn()?.undo > 0 || finished >= 0);
   $("redo").disabled = !(drawn()?.redo > 0);
   tellClip();
   $("alike").disabled = alike.length < 2;
@@ -311,7 +333,7 @@ function nextBox(back) {
 }
 
 const KEYS = {
-  Enter: next, ArrowRight: next, ArrowLeft: () => go(here - 1), x: () => turn(view.chosen), a: markAlike,
+  Enter: finish, ArrowRight: () => browse(here + 1), ArrowLeft: () => browse(here - 1), x: () => turn(view.chosen), a: markAlike,
   z: () => undo("undo"), y: () => undo("redo"), h: toggleBoxes, w: toggleWall,
   "1": () => setMode("false"), "2": () => setMode("birth"), s: () => sweep.toggle(),
   ",": () => clip.step(-1), ".": () => clip.step(1), " ": () => clip.play(), Home: () => clip.back(),
@@ -357,8 +379,9 @@ document.addEventListener("keydown", (event) => {
 // Who leaves the picture by Escape can go through the buttons with Tab.
 document.addEventListener("keydown", (event) => event.key === "Escape" && !event.defaultPrevented && $("previous").focus());
 
-$("next").addEventListener("click", next);
-$("previous").addEventListener("click", () => go(here - 1));
+$("done").addEventListener("click", finish);
+$("next").addEventListener("click", () => browse(here + 1));
+$("previous").addEventListener("click", () => browse(here - 1));
 $("undo").addEventListener("click", () => undo("undo"));
 $("redo").addEventListener("click", () => undo("redo"));
 $("alike").addEventListener("click", markAlike);
@@ -386,7 +409,7 @@ $("frames").replaceChildren(...overview.frames.map((_, k) => {
   const item = document.createElement("li");
   const button = document.createElement("button");
   button.setAttribute("aria-label", `frame ${k + 1} of ${overview.frames.length}`);
-  button.addEventListener("click", () => go(k));
+  button.addEventListener("click", () => browse(k));
   item.append(button);
   return item;
 }));

@@ -93,7 +93,8 @@ function source() {
   const rows = [
     ["state", `${known.state} for ${seconds(known.since)}`], ["objects now", known.tracks], ["pictures a second", known.fps.toFixed(1)],
     ["lag: median, 99 %", `${seconds(known.latency[0])}, ${seconds(known.latency[1])}`],
-    ["left out, of all", `${known.dropped.toLocaleString()} of ${known.frames.toLocaleString()}`],
+    ["pictures left out, of all", `${known.dropped.toLocaleString()} of ${known.frames.toLocaleString()}`],
+    ["boxes left out", Object.entries(known.boxes_left_out).filter(([, count]) => count).map(([why, count]) => `${count.toLocaleString()} ${why}`).join(", ") || "none"],
     ["reconnections", Math.max(0, known.connects - 1)], ["size", known.width ? `${known.width} × ${known.height}` : "–"],
     ["last problem", known.problem || "none"], ...(known.blur ? [["hidden", HIDDEN[known.blur]]] : []),
   ];

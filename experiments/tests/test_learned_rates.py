@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from phdtrack.scene.labelling import TrackEvidence
-from phdtrack.scene.rates import (
+from experiments.labelling import TrackEvidence
+from experiments.learned_rates import (
     DETECTION_LIMITS,
     PRIOR_FRAMES,
     PRIOR_TRACKED,

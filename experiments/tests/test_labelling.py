@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.labelling import ObservedFrame, PendingFrames, label
 from phdtrack.arrays import to_xyxy
-from phdtrack.scene.labelling import ObservedFrame, PendingFrames, label
 from phdtrack.types import Tracks
 
 PLACES = np.array([[100.0, 200, 30, 80], [400, 100, 20, 50]])

@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 
 from experiments.counting_scene import Counting
+from experiments.learned_rates import RateLearning, RatesLearning, RatesSettings, priors_of
 from phdtrack import config, pipeline
 from phdtrack.simulate import DetectorModel, detect
 from phdtrack.types import Detections, SequenceInfo
 
 FRAMES = 300
-LEARNED = (
-    "rates.kind=learned",
-    "rates.cautious=false",
-    *(f"rates.{name}=true" for name in ("detection", "clutter")),
-)
 INFO = SequenceInfo(640, 480, 25.0)
 
 
-def stages(*sets, filter_name="gm-phd"):
-    return config.build(config.load(None, (*LEARNED, *sets)), INFO, filter_name)
+def stages(*sets, filter_name="gm-phd", info=INFO, **rates):
+    """Those of the filter, with p_D and false alarms learned."""
+    built = config.build(config.load(None, ("rates.kind=none", *sets)), info, filter_name)
+    settings = RatesSettings(**{"detection": True, "clutter": True, "cautious": False} | rates)
+    learning = RateLearning(RatesLearning(settings, priors_of(built.model), settings.verdict_delay))
+    return replace(built, learning=learning)
 
 
 def boxes(n, rng):
@@ -64,7 +64,7 @@ def test_frames_that_nobody_saw_teach_nothing():
 
 
 def test_cautious_estimates_are_used_where_nothing_else_explains_them():
-    built = stages("rates.cautious=true")
+    built = stages(cautious=True)
     set_to, rates = built.model, built.learning.start().rates
     higher, lower = {"detection": 0.95, "clutter": 0.05}, {"detection": 0.6, "clutter": 0.9}
     model = built.learning.model(knowing(built, **higher), set_to)
@@ -84,23 +84,23 @@ def test_there_are_no_more_false_alarms_than_detections():
     assert seven.clutter.clutter_per_frame == pytest.approx(7, rel=0.03)
     many = built.learning.with_scores(state, model, Detections.of(boxes(200, np.random.default_rng(9))))
     assert many.clutter.clutter_per_frame == 90
-    cautious = stages("clutter.clutter_per_frame=90.0", "rates.cautious=true")
+    cautious = stages("clutter.clutter_per_frame=90.0", cautious=True)
     assert cautious.learning.with_scores(state, model, Detections.of(boxes(7, np.random.default_rng(9)))) is model
 
 
 # Learned on simulated truth, from the defaults on
 
 
-def course(filter_name, seed, sets=(), frames=FRAMES, **detector):
+def course(filter_name, seed, sets=(), frames=FRAMES, interval=1.0, **detector):
     """The rates frame by frame, detections a frame, and the state at the end."""
     scene = Counting(10, frames=frames, sd_velocity=0.01, sd_size=0.03, p_survive=0.997, leaving=True)
     rng = np.random.default_rng(seed)
     truth = scene.figures(rng)
     found = detect(truth, scene.info, rng, DetectorModel(**detector)).table
-    stages = config.build(config.load(None, (*LEARNED, *sets)), scene.info, filter_name)
-    state, rates = pipeline.start(stages, rng), []
+    built = stages(*sets, filter_name=filter_name, info=scene.info, update_interval=interval)
+    state, rates = pipeline.start(built, rng), []
     for number in range(1, frames + 1):
-        state, _ = pipeline.advance(stages, state, found.at(number), number, (number - 1) / scene.fps, rng)
+        state, _ = pipeline.advance(built, state, found.at(number), number, (number - 1) / scene.fps, rng)
         rates.append(state.learned.rates)
     return rates, len(found) / frames, state.learned
 
@@ -128,7 +128,7 @@ def test_other_filters_learn_the_same(filter_name):
 
 @pytest.mark.parametrize("wrong", [0.5, 40.0])
 def test_a_rate_that_is_far_off_is_mended_within_two_seconds(wrong):
-    sets = ("birth.births_per_second=0.125", f"clutter.clutter_per_frame={wrong}", "rates.update_interval=0.4")
+    sets = ("birth.births_per_second=0.125", f"clutter.clutter_per_frame={wrong}")
     for seed in (1, 2):
-        rates, _, _ = course("gm-phd", seed, sets, frames=60, p_detect=0.9, clutter_rate=5.0)
+        rates, _, _ = course("gm-phd", seed, sets, frames=60, interval=0.4, p_detect=0.9, clutter_rate=5.0)
         assert rates[50].clutter == pytest.approx(5, rel=0.35)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import pytest
 
-from phdtrack.compare.runs import Failed, outcomes
 from phdtrack.errors import InputError
+from phdtrack.parallel import Failed, outcomes
 
 
 @dataclass(frozen=True)

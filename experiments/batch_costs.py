@@ -1,0 +1,116 @@
+"""What a video costs in `phdtrack batch`: CPU per video, per frame and per video that is done, memory, and bytes on disk.
+
+    python -m experiments.batch_costs
+
+A rendered street of 640x360 is tracked by the change detector, and once more from its detections, without annotated videos.
+CPU seconds count all threads and processes; other programs on the machine disturb them less than they do the time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+import pyarrow.parquet
+
+from phdtrack.cli.batch import DOCUMENT, planned
+
+SHORT, MANY, DONE = 50, 9, 1000
+
+
+class Used(NamedTuple):
+    """CPU seconds of a command with all its processes, and the memory of the largest of them, MiB."""
+
+    cpu: float
+    memory: float
+
+
+def run(*words: object) -> Used:
+    """Run ``phdtrack`` to its end."""
+    command = [sys.executable, "-m", "phdtrack", *map(str, words)]
+    child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    assert child.stderr is not None
+    said = child.stderr.read().decode()
+    _, status, used = os.wait4(child.pid, 0)
+    child.returncode = os.waitstatus_to_exitcode(status)
+    if child.returncode:
+        raise SystemExit(f"{' '.join(command)}: {said}")
+    return Used(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
+
+
+def sources(folder: Path, frames: int) -> tuple[Path, Path]:
+    """A street's video, and its detections with a seqinfo.ini beside them."""
+    run("simulate", "street", "--out", folder / "made", "--seed", 1, "--frames", frames)
+    return folder / "made" / "scene.mp4", folder / "made" / "det" / "det.txt"
+
+
+def copies(source: Path, folder: Path, count: int) -> list[Path]:
+    """So many of it under names of their own."""
+    folder.mkdir()
+    if (info := source.parents[1] / "seqinfo.ini").exists():
+        shutil.copy(info, folder)
+    return [Path(shutil.copy(source, folder / f"s{k}{source.suffix}")) for k in range(count)]
+
+
+def costs(source: Path, long: Path, frames: int, folder: Path) -> list[tuple[str, str]]:
+    """Names and values of what is measured."""
+    folder.mkdir()
+    many = copies(source, folder / "in", MANY)
+    batch = ["batch", "--jobs", 1, "--out"]
+    run(*batch, folder / "warm", many[0], "--", "--no-video")
+    one = run(*batch, folder / "one", many[0], "--", "--no-video")
+    all_of_them = run(*batch, folder / "many", *many, "--", "--no-video")
+    longer = run(*batch, folder / "long", long, "--", "--no-video")
+    each, frame = (all_of_them.cpu - one.cpu) / (MANY - 1), (longer.cpu - one.cpu) / (frames - SHORT)
+    rows = next((folder / "long" / "tracks").iterdir())
+    count = pyarrow.parquet.read_metadata(rows).num_rows
+    size = sum(file.stat().st_size for file in (folder / "long" / "runs" / rows.stem).iterdir())
+    return [
+        ("a frame, CPU ms", f"{1000 * frame:.1f}"),
+        ("a video beside its frames, CPU s", f"{each - SHORT * frame:.2f}"),
+        ("the command and its process, CPU s", f"{one.cpu - each:.1f}"),
+        ("memory of the process, MiB", f"{longer.memory:.0f}"),
+        ("rows a frame", f"{count / frames:.2f}"),
+        ("a row of the data set, bytes", f"{rows.stat().st_size / count:.1f}"),
+        ("the run's folder, bytes a frame", f"{size / frames:.0f}"),
+    ]
+
+
+def done(source: Path, out: Path, folder: Path) -> float:
+    """CPU milliseconds that a video takes of which everything is there already."""
+    many, place = copies(source, folder, DONE), folder / "out"
+    mark = json.loads(next(out.glob(f"runs/*/{DOCUMENT}")).read_bytes())
+    for video in planned([str(one) for one in many], (), place):
+        video.folder.mkdir(parents=True)
+        (video.folder / DOCUMENT).write_text(json.dumps(mark | {"digest": video.digest}))
+        video.rows.parent.mkdir(exist_ok=True)
+        video.rows.touch()
+    return 1000 * (run("batch", "--out", place, *many).cpu - run("batch", "--out", place, many[0]).cpu) / (DONE - 1)
+
+
+def main() -> None:
+    """Measure and print."""
+    options = argparse.ArgumentParser(prog="python -m experiments.batch_costs", description=__doc__)
+    options.add_argument("--frames", type=int, default=1050, help="of the long video")
+    frames = options.parse_args().frames
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for part in ("short", "long"):
+            (folder / part).mkdir()
+        short, long = sources(folder / "short", SHORT), sources(folder / "long", frames)
+        for kind, one, other in zip(("video", "detections"), short, long, strict=True):
+            for what, value in costs(one, other, frames, folder / kind):
+                print(f"{kind:12} {what:36} {value:>8}", flush=True)
+        again = done(short[1], folder / "video" / "one", folder / "done")
+        print(f"{'':12} {'a video that is done, CPU ms':36} {again:8.2f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,44 @@
+"""``phdtrack export``: the tracks of a run, or of a file, in the format of another tool."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from phdtrack.cli import options as given
+from phdtrack.cli import run_directory as rundir
+from phdtrack.cli.inputs import frame_size
+from phdtrack.cli.options import one_of, option
+from phdtrack.cli.output import Output, counted
+from phdtrack.errors import InputError
+from phdtrack.formats import EXPORTS, export_tracks
+
+_TO = f"Format: {', '.join(EXPORTS)}."
+
+
+def export(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="The directory of a run, or a file of tracks.")],
+    output: Output,
+    to: Annotated[str, option("FORMAT", _TO, callback=lambda value: one_of(value, *EXPORTS))],
+    out: Annotated[Path | None, option("FILE", "File to write; default: beside the tracks.")] = None,
+    overwrite: given.Overwrite = False,
+    size: given.FrameSize = "",
+) -> None:
+    """Write the tracks of a run, or of a file, in the format of another tool: MOTChallenge, CSV, COCO, CVAT, and others.
+
+    phdtrack reads all of these again where a file of tracks, of detections or of truth is given.
+    """
+    found = rundir.given_tracks(run)
+    width, height = frame_size(size) if size else (found.info.width, found.info.height)
+    folder, stem = (run, "tracks") if run.is_dir() else (run.parent, run.stem)
+    path = out or folder / f"{stem}_{to}{EXPORTS[to]}"
+    if path.exists() and not overwrite:
+        raise InputError("the file is there already", where=path, cure="Say --overwrite, or choose another --out.")
+    export_tracks(path, found.tracks, to, found.names, replace(found.info, width=width, height=height))
+    rows, tracks = len(found.tracks), len(np.unique(found.tracks.identity))
+    output.say(f"{counted(rows, 'row')} of {counted(tracks, 'track')}: {path}")
+    output.document({"tracks": str(run), "format": to, "rows": rows, "identities": tracks, "file": str(path)})

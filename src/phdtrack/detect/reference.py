@@ -1,0 +1,124 @@
+"""The empty scene from samples of a video, also where objects stand or come all the time.
+
+The median of each pixel over the samples is the scene wherever it is seen in most of them. Where it is not, the scene's
+edges still are: an object hides an edge behind it, and has edges of its own, only where it stands just then. So the median
+of the gradients over the samples is the scene's gradient long after the median of the values is not (Weiss, 2001, whose
+intrinsic images these are). Where samples disagree, the picture is integrated from these gradients,
+
+    min_P Σ ‖P(q) − P(p) − median_k (S_k(q) − S_k(p))‖²   over neighbours p, q, one of them or both in U,
+    P = median_k S_k outside of U,
+
+on a smaller picture, because it only has to say which of the values that a pixel had is the scene's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from phdtrack.kernels.change import middle
+from phdtrack.types import I8, Bool, Image
+
+F4 = NDArray[np.float32]
+# Grey levels within which two samples show the same, and the share of samples that must for the median to be certain.
+_SAME, _CERTAIN = 12, 0.9
+# Grey levels of the two pictures' difference from which the median is not the scene.
+_WRONG = 12.0
+# Pixels of the smaller picture; bytes of which the median is made at a time.
+_COARSE, _BAND = 12_000, 4_000_000
+_RING = np.ones((3, 3), np.uint8)
+
+
+def median(images: Sequence[Image]) -> Image:
+    """Per-pixel median of an odd number of uint8 images of one size."""
+    out = np.empty_like(images[0])
+    # In bands of some megabytes: the images side by side would take as much memory as they do.
+    rows = max(1, _BAND // (len(images) * out[:1].size))
+    for top in range(0, len(out), rows):
+        band = slice(top, top + rows)
+        out[band] = _middle(np.stack([image[band] for image in images]))
+    return out
+
+
+def background(samples: Sequence[Image]) -> Image:
+    """The empty scene.
+
+    Parameters
+    ----------
+    samples : an odd number of pictures (H, W, 3) of one size, far apart in time.
+
+    Returns
+    -------
+    The picture (H, W, 3): the median, and where gradients contradict it the sample that they agree with most.
+    """
+    typical = median(samples)
+    height, width = typical.shape[:2]
+    scale = min(1.0, (_COARSE / (height * width)) ** 0.5)
+    size = (max(8, round(width * scale)), max(8, round(height * scale)))
+    small = np.stack([cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in samples])
+    integrated = _integrated(small)
+    wrong = np.abs(integrated - _middle(small).astype(np.float32)).max(axis=2) > _WRONG
+    if not wrong.any():
+        return typical
+    wrong = cv2.resize(cv2.dilate(wrong.astype(np.uint8), _RING), (width, height)) > 0
+    aim = cv2.resize(integrated, (width, height))[wrong]
+    nearest, least = aim.copy(), np.full(len(aim), 2 * _WRONG, np.float32)
+    for one in samples:
+        values = one[wrong]
+        distance = np.abs(values - aim).max(axis=1)
+        closer = distance < least
+        nearest[closer], least[closer] = values[closer], distance[closer]
+    out = typical.copy()
+    out[wrong] = np.clip(np.rint(nearest), 0, 255)
+    # A pixel that chose otherwise than all around it chose by noise.
+    out[wrong] = cv2.medianBlur(out, 5)[wrong]
+    return out
+
+
+def _middle(values: NDArray[Any]) -> NDArray[Any]:
+    """The median along the first axis, of an odd number of values."""
+    return np.asarray(middle(np.ascontiguousarray(values).reshape(len(values), -1))).reshape(values.shape[1:])
+
+
+def _integrated(samples: Image) -> F4:
+    """(h, w, 3) the picture of the median gradients of samples (n, h, w, 3), within the median where that is certain."""
+    # They take long to import, and a live source needs neither.
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.linalg import cg
+
+    typical, values = _middle(samples).astype(np.float32), samples.astype(np.int16)
+    agree = (np.abs(values - typical).max(axis=3) <= _SAME).mean(axis=0)
+    unknown: Bool = cv2.dilate((agree < _CERTAIN).astype(np.uint8), _RING) > 0
+    # Without a certain pixel anywhere the picture would be known but for a constant.
+    if not unknown.any() or unknown.mean() > 0.95:
+        return typical
+    index = np.full(unknown.shape, -1)
+    index[unknown] = np.arange(unknown.sum())
+    equations = [_across(index, typical, _middle(np.diff(values, axis=2)).astype(np.float32), axis=1)]
+    equations.append(_across(index, typical, _middle(np.diff(values, axis=1)).astype(np.float32), axis=0))
+    first, second, right = (np.concatenate(parts) for parts in zip(*equations, strict=True))
+    number = np.arange(len(first))
+    rows = np.concatenate([number[second >= 0], number[first >= 0]])
+    columns = np.concatenate([second[second >= 0], first[first >= 0]])
+    signs = np.where(np.arange(len(rows)) < (second >= 0).sum(), 1.0, -1.0)
+    steps = coo_matrix((signs, (rows, columns)), (len(number), int(unknown.sum()))).tocsr()
+    normal, out = (steps.T @ steps).tocsr(), typical.copy()
+    for channel in range(out.shape[2]):
+        start = typical[unknown, channel]
+        out[unknown, channel] = cg(normal, steps.T @ right[:, channel], start, rtol=1e-3, maxiter=300)[0]
+    return out
+
+
+def _across(index: I8, known: F4, gradient: F4, axis: int) -> tuple[I8, I8, F4]:
+    """Equations P(second) − P(first) = right for neighbours along an axis, known values on the right; −1: a known pixel."""
+    ends = (slice(None, -1), slice(1, None))
+    before, after = (index[end] if axis == 0 else index[:, end] for end in ends)
+    use = (before >= 0) | (after >= 0)
+    first, second = before[use], after[use]
+    low, high = (known[end][use] if axis == 0 else known[:, end][use] for end in ends)
+    right = gradient[use] + np.where(first[:, None] >= 0, 0.0, low) - np.where(second[:, None] >= 0, 0.0, high)
+    return first, second, right

@@ -1,0 +1,125 @@
+"""``phdtrack count`` and ``phdtrack export``: in a video, in a run, among tracks in a file; and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import pytest
+from cli_runner import phdtrack, refused, walkers
+
+from phdtrack.formats import EXPORTS, read_tracks
+
+LINE, ZONE = "middle=160,0,160,240", "left=0,0,100,0,100,240,0,240"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two people who cross the middle of a video of 40 frames of 320x240, each once, in opposite directions."""
+    import numpy as np
+
+    from phdtrack.video import VideoWriter
+
+    folder = walkers(tmp_path_factory.mktemp("walkers"))
+    with VideoWriter(folder / "w.mp4", 320, 240, 25) as video:
+        for k in range(1, 41):
+            image = np.full((240, 320, 3), 90, np.uint8)
+            for x, y in ((20 + 5 * k, 60), (270 - 5 * k, 150)):
+                image[y : y + 60, x : x + 24] = (40, 60, 200)
+            video.write(image)
+    said = phdtrack(
+        *("count", folder / "w.mp4", "--detections", folder / "det" / "det.txt", "--line", LINE, "--zone", ZONE),
+        *("--video", "--out", folder / "out", "--json"),
+    )
+    assert said.status == 0, said.err
+    line, zone = said.object["counts"]
+    assert (line["place"], line["class"], line["in"], line["out"]) == ("middle", "all", 1, 1)
+    assert (zone["in"], zone["out"], zone["inside"], zone["most"]) == (2, 1, 1, 1)
+    assert "middle" in said.err
+    return folder
+
+
+def test_a_run_has_events_a_picture_a_video_and_a_section(run: Path) -> None:
+    rows = [line.split(",") for line in (run / "out" / "counts.csv").read_text().splitlines()]
+    assert rows[0][:6] == ["time", "frame", "kind", "place", "direction", "identity"]
+    assert sorted((row[2], row[4]) for row in rows[1:] if row[3] == "middle") == [("cross", "in"), ("cross", "out")]
+    picture = cv2.imread(str(run / "out" / "counts.png"))
+    assert picture is not None
+    assert picture.shape == (240, 320, 3)
+    # The line and the zone are seen.
+    assert abs(picture[30:60, 160].astype(int) - 90).max() > 60
+    assert picture[120, 50, 0] > picture[120, 300, 0] + 15
+    video = cv2.VideoCapture(str(run / "out" / "counts.mp4"))
+    assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 40
+    page = (run / "out" / "report.html").read_text()
+    assert "Lines and zones" in page
+    assert ">middle<" in page
+
+
+def test_other_lines_are_counted_among_the_tracks_that_are_there(run: Path, tmp_path: Path) -> None:
+    before = (run / "out" / "run.json").read_bytes()
+    assert "--overwrite" in refused("count", run / "out", "--line", LINE)
+    said = phdtrack("count", run / "out", "--line", "door=150,0,150,240", "--out", tmp_path / "more")
+    assert said.status == 0
+    assert said.out.split("\n\n")[1].splitlines()[1].split()[:4] == ["door", "all", "1", "1"]
+    said = phdtrack("count", run / "out", "--line", LINE, "--overwrite", "--json")
+    assert said.object["counts"][0]["in"] == 1
+    assert not (run / "out" / "counts.mp4").exists()
+    assert (run / "out" / "run.json").read_bytes() == before
+
+
+def test_tracks_in_a_file_with_the_video_or_without(run: Path, tmp_path: Path) -> None:
+    truth = run / "gt" / "gt.txt"
+    said = phdtrack("count", truth, "--line", LINE, "--out", tmp_path / "a", "--json")
+    assert (said.object["fps"], said.object["counts"][0]["out"]) == (25, 1)
+    said = phdtrack("count", run / "w.mp4", "--tracks", truth, "--line", LINE, "--out", tmp_path / "b", "--blur", "boxes")
+    assert said.status == 0
+    assert (tmp_path / "b" / "counts.png").exists()
+    (tmp_path / "t.txt").write_bytes(truth.read_bytes())
+    assert "the rate of the frames is not known" in refused("count", tmp_path / "t.txt", "--line", LINE)
+
+
+def test_places_in_a_file_and_what_looks_like_a_mistake(run: Path, tmp_path: Path) -> None:
+    places = tmp_path / "places.toml"
+    places.write_text('[[line]]\nname = "far"\npoints = [[900, 900], [950, 900]]\nclasses = ["car"]\n')
+    said = phdtrack("count", run / "out", "--places", places, "--zone", ZONE, "--out", tmp_path / "c", "--video")
+    assert "far lies outside of the frame of 320x240 pixels" in said.err
+    assert "far counts car, and the tracks have the classes 0" in said.err
+    assert (tmp_path / "c" / "counts.mp4").exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ((), "there is nothing to count at. Say --line"),
+        (("--line", "160,0,160,240"), "expected NAME=x1,y1,x2,y2 in pixels, got '160,0,160,240'"),
+        (("--line", "a=160,0,160"), "expected NAME=x1,y1,x2,y2"),
+        (("--line", "a=160,0"), "line 'a': expected at least 2 points, got 1"),
+        (("--zone", "a=0,0,9,0"), "zone 'a': expected at least 3 points, got 2"),
+        (("--line", LINE, "--zone", "middle=0,0,9,0,9,9"), "two places are called 'middle'"),
+        (("--line", LINE, "--filter", "mht"), "--filter: the tracks come from"),
+    ],
+)
+def test_what_is_refused(run: Path, given: tuple[str, ...], words: str) -> None:
+    assert words in refused("count", run / "out", *given)
+
+
+def test_a_camera_is_for_live() -> None:
+    assert "Say phdtrack live" in refused("count", "rtsp://127.0.0.1:9/x", "--line", LINE)
+
+
+@pytest.mark.parametrize("kind", EXPORTS)
+def test_a_run_is_exported_in_every_format(run: Path, tmp_path: Path, kind: str) -> None:
+    path = tmp_path / f"t{EXPORTS[kind]}"
+    said = phdtrack("export", run / "out", "--to", kind, "--out", path, "--json")
+    rows = read_tracks(run / "out" / "tracks.csv")
+    assert (said.object["rows"], said.object["identities"]) == (len(rows), 2)
+    again = read_tracks(path, kitti="object" if kind == "kitti" else "")
+    assert again.identity.tolist() == rows.identity.tolist()
+    assert "there already" in refused("export", run / "out", "--to", kind, "--out", path)
+    assert phdtrack("export", run / "out" / "tracks.csv", "--to", kind, "--out", path, "--overwrite").status == 0
+
+
+def test_an_export_lies_beside_the_tracks(run: Path) -> None:
+    assert phdtrack("export", run / "out", "--to", "coco").status == 0
+    assert (run / "out" / "tracks_coco.json").exists()

@@ -1,0 +1,181 @@
+"""A network as the detector of each command, and runs that take the detections of an earlier one."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from cli_runner import phdtrack, refused
+
+import networks
+from phdtrack.cli import run_directory as rundir
+from phdtrack.cli.live import Maker
+from phdtrack.cli.options import SourceOptions, TrackingOptions
+from phdtrack.cli.track import prepare
+from phdtrack.config import load
+from phdtrack.detect.change import ChangeDetector
+from phdtrack.detect.onnx import OnnxDetector
+from phdtrack.errors import InputError
+from phdtrack.formats import read_detections
+from phdtrack.state import blocks, to_bytes
+from phdtrack.types import SequenceInfo
+from phdtrack.video import VideoWriter
+
+NAMES = {"names": "{0: 'person', 1: 'car', 2: 'bus'}"}
+ROWS = (rundir.TRACKS, rundir.ONLINE, rundir.STATES, rundir.DETECTIONS)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with clip.mp4, in which a red and a blue blob move, and net.onnx, which finds them."""
+    folder = tmp_path_factory.mktemp("made")
+    with VideoWriter(folder / "clip.mp4", 200, 120, 25.0) as writer:
+        for k in range(30):
+            boxes = {0: (10 + 4 * k, 20, 34 + 4 * k, 80), 2: (150 - 2 * k, 84, 190 - 2 * k, 110)}
+            writer.write(networks.scene(200, 120, boxes).image)
+    networks.write(folder / "net.onnx", metadata=NAMES)
+    return folder
+
+
+@pytest.fixture
+def work(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    shutil.copytree(made, tmp_path / "work")
+    monkeypatch.chdir(tmp_path / "work")
+    # Pictures of a report take longer than all that is looked at here.
+    monkeypatch.setattr("phdtrack.cli.job.report_html", lambda *_: "")
+    return tmp_path / "work"
+
+
+def track(*more: object, detector: str = "onnx:net.onnx") -> dict[str, object]:
+    """What the run in `run` says of itself."""
+    said = phdtrack("track", "clip.mp4", "--detector", detector, "--out", "run", "--no-video", "--json", *more)
+    assert said.status == 0, said.err
+    document = json.loads(Path("run/run.json").read_text())
+    assert ("detections are those of an earlier run" in said.err) == document.get("detections_reused", False)
+    return document
+
+
+def rows(folder: str = "run") -> list[bytes]:
+    return [(Path(folder) / name).read_bytes() for name in ROWS]
+
+
+def test_a_network_is_tracked_with_the_usual_settings_and_its_classes(work: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    document = track()
+    assert document["configuration"]["preset"] == "default"  # type: ignore[index]
+    assert document["input"]["network"][1] == (work / "net.onnx").stat().st_size  # type: ignore[index]
+    classes = [line.split(",")[12] for line in Path("run/tracks.csv").read_text().splitlines()]
+    assert set(classes) == {"person", "bus"}
+
+    def never(*_: object) -> None:
+        raise AssertionError("it was looked at again")
+
+    with monkeypatch.context() as during:
+        during.setattr(OnnxDetector, "many", never)
+        assert track("--overwrite", "--classes", "bus")["detections_reused"] is True
+    assert {line.split(",")[12] for line in Path("run/tracks.csv").read_text().splitlines()} == {"bus"}
+    assert "There are person, car, bus" in refused(
+        "track", "clip.mp4", "--detector", "onnx:net.onnx", "--out", "x", "--classes", "tram"
+    )
+
+
+def test_every_command_takes_a_network(work: Path) -> None:
+    network = ("clip.mp4", "--detector", "onnx:net.onnx")
+    assert phdtrack("detect", *network, "--out", "found", "--classes", "bus", "--set", "detector.batch=4").status == 0
+    found = read_detections(work / "found" / "detections.csv")
+    assert (len(found), set(found.names.values())) == (30, {"bus"})
+    assert "has no parameter 'classes'" in refused("detect", "clip.mp4", "--out", "x", "--classes", "bus")
+    for _ in range(2):
+        learned = phdtrack("learn", *network, "--clutter", "unattended", "--set", "detector.classes=person", "--overwrite")
+        assert "nothing could be learned" in learned.err or learned.status == 0, learned.err
+    assert f"those of {next(work.glob('clip.labels.onnx-*.detections.csv')).name}" in learned.err
+    quick = ("--filters", "none", "--seeds", 1, "--jobs", 1, "--worst", 0)
+    assert phdtrack("compare", "clip.mp4", "--detectors", "onnx:net.onnx", *quick, "--out", "compared").status == 0
+
+
+def test_live_knows_the_classes_of_a_network_before_the_first_picture(work: Path) -> None:
+    make = Maker(TrackingOptions(classes="bus"), (), "onnx:net.onnx", 100, None)
+    made = make(SequenceInfo(200, 120, 25.0))
+    assert (made.kinds.only, dict(made.kinds.names)) == ((2,), {0: "person", 1: "car", 2: "bus"})
+    assert made.detector(networks.scene(200, 120, {0: (10, 10, 60, 60), 2: (90, 10, 140, 60)})).class_id.tolist() == [2]
+    wrong = Maker(TrackingOptions(classes="bud"), (), "onnx:net.onnx", 0, None)
+    with pytest.raises(InputError, match=r"no class bud\. Did you mean bus"):
+        wrong.looking(wrong.settings(), 0)
+
+
+@pytest.mark.parametrize(
+    "detector", ["onnx:net.onnx", *(pytest.param(name, marks=pytest.mark.slow) for name in ("change", "mog2"))]
+)
+def test_what_was_detected_is_used_again_and_gives_the_same(detector: str, work: Path) -> None:
+    moving, other = ("--set", "camera_motion.kind=flow"), ("--overwrite", "--set", "motion.acceleration=2")
+    assert "detections_reused" not in track(*moving, detector=detector)
+    first, motion = rows(), Path("run/camera_motion.csv").read_bytes()
+    # Another tracker, of a camera that stands; and the first run again.
+    assert track(*other, detector=detector)["detections_reused"] is True
+    again = rows()
+    assert again[3] == first[3]
+    assert again != first
+    assert track("--overwrite", *moving, detector=detector)["detections_reused"] is True
+    assert (rows(), Path("run/camera_motion.csv").read_bytes()) == (first, motion)
+    assert "detections_reused" not in track(*other, "--detect-again", detector=detector)
+    assert rows() == again
+
+
+def test_another_video_detector_or_setting_is_detected_anew(work: Path) -> None:
+    """All that the detections depend on, and nothing else, is looked at."""
+    cv2.imwrite("roi.png", np.full((120, 200), 255, np.uint8))
+    shutil.copy("clip.mp4", "later.mp4")
+
+    def looked(*sets: str, **more: object) -> object:
+        source = SourceOptions(**{"source": "clip.mp4", "detector": "onnx:net.onnx", "mask": Path("roi.png"), **more})  # type: ignore[arg-type]
+        return prepare(source, TrackingOptions(), load(None, sets), video=False).looked
+
+    first = looked()
+    assert first
+    assert looked("motion.acceleration=2", source=str(work / "clip.mp4"), detect_again=True) == first
+    given: list[dict[str, object]] = [{"max_width": 100}, {"fps": 12.0}, {"mask": None}, {"detector": "change"}]
+    assert all(looked(**one) != first for one in (*given, {"source": "later.mp4"}))
+    assert looked("detector.confidence=0.5") != first
+    for change in (
+        lambda: Path("later.mp4").replace("clip.mp4"),
+        lambda: cv2.imwrite("roi.png", np.full((120, 200), 254, np.uint8)),
+        lambda: networks.write(work / "net.onnx", "end2end", metadata=NAMES),
+    ):
+        before = looked()
+        change()
+        assert looked() != before
+    (work / "det.csv").write_text("frame,left,top,width,height\n1,1,1,20,20\n")
+    assert prepare(SourceOptions("clip.mp4", Path("det.csv")), TrackingOptions(), load(None, ()), video=False).looked == {}
+    words = ("track", "clip.mp4", "--detections", "det.csv", "--detect-again")
+    assert "Leave out --detect-again" in refused(*words)
+
+
+def test_an_interrupted_run_leaves_nothing_to_use_and_a_broken_file_is_said(
+    work: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, calls = ChangeDetector.__call__, list[int]()
+
+    def stopped(self: ChangeDetector, frame: object) -> object:
+        calls.append(1)
+        if len(calls) == 12:
+            raise InputError("it stops here")
+        return real(self, frame)  # type: ignore[arg-type]
+
+    words = ("track", "clip.mp4", "--out", "run", "--no-video")
+    with monkeypatch.context() as during:
+        during.setattr(ChangeDetector, "__call__", stopped)
+        assert "it stops here" in phdtrack(*words).err
+    assert not Path("run", rundir.DETECTED).exists()
+    assert "detections_reused" not in track("--resume", detector="change")
+    kept, whole = Path("run", rundir.DETECTED), rows()
+    assert track("--overwrite", detector="change")["detections_reused"] is True
+    assert rows() == whole
+    with kept.open("rb") as log:
+        ends = [end for end, _ in blocks(log)]
+    kept.write_bytes(kept.read_bytes()[: ends[10]])
+    assert "does not fit the source. Say --detect-again" in phdtrack(*words, "--overwrite").err
+    kept.write_bytes(to_bytes({"other": 1}))
+    assert "detections_reused" not in track("--overwrite", detector="change")

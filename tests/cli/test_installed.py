@@ -1,0 +1,224 @@
+"""What is installed: little for those who only call `Tracker`, and what is missing is said with the line that brings it."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+import venv
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import pytest
+from cli_runner import phdtrack, refused, walkers
+
+from phdtrack import Tracker
+from phdtrack.cli.app import COMMANDS
+from phdtrack.errors import EXTRAS
+
+ROOT = Path(__file__).resolve().parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+# Modules that a core installation lacks, as they would be: nothing can import them.
+WITHOUT = """
+import sys
+
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {absent}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+
+sys.meta_path.insert(0, Absent())
+"""
+LOOP = """
+import pickle
+import numpy as np
+from phdtrack import Detections, Tracker, evaluate
+from phdtrack.tracker import FinalTracks
+
+tracker, rows = Tracker(frame_size=(640, 480), fps=25), []
+tracker.warm_up()
+final = FinalTracks(tracker)
+for k in range(30):
+    boxes = np.array([[100 + 4 * k, 100, 140 + 4 * k, 200, 0.9, 0], [400 - 3 * k, 250, 440 - 3 * k, 350, 0.8, 0]])
+    rows += list(tracker.update(boxes if k % 7 else Detections.empty(), warp=np.eye(3)))
+    final.due()
+again = Tracker(frame_size=(640, 480), fps=25)
+again.load_state_dict(pickle.loads(pickle.dumps(tracker.state_dict())))
+assert set(again.tracks().identity.tolist()) == set(tracker.tracks().identity.tolist()) == {1, 2}
+print(len(rows), len(final.rest()))
+"""
+REPORTS, VIDEOS, PAGES = "phdtrack[report]", "phdtrack[video]", "phdtrack[web]"
+
+
+def test_a_tracker_needs_none_of_the_extras_nor_what_the_command_line_needs() -> None:
+    program = WITHOUT.format(absent={*EXTRAS, "jinja2", "markupsafe", "typer", "click", "rich", "cv2"}) + LOOP
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert [int(word) > 0 for word in done.stdout.split()] == [True, True]
+
+
+def forget(monkeypatch: pytest.MonkeyPatch, absent: Iterable[str]) -> None:
+    """Nothing can import these packages, nor what imports them when it is loaded."""
+    for name in {*absent, *(name for name in sys.modules if name.partition(".")[0] in absent)}:
+        monkeypatch.setitem(sys.modules, name, None)
+    for name in ("phdtrack.live.serving", "phdtrack.live.page", "phdtrack.label.page"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+
+
+@pytest.fixture(scope="module")
+def sequence(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small sequence with images, and a file that calls itself a video."""
+    folder = walkers(tmp_path_factory.mktemp("core") / "walkers", frames=5)
+    (folder / "img1").mkdir()
+    for k in range(1, 6):
+        cv2.imwrite(str(folder / "img1" / f"{k:06d}.png"), np.full((240, 320, 3), 90, np.uint8))
+    (folder / "video.mp4").write_bytes(b"nobody gets as far as this")
+    return folder
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--help"],
+        ["settings"],
+        ["doctor"],
+        ["detect", "img1", "--out", "found", "--detector", "mog2"],
+        ["evaluate", "--truth", "gt/gt.txt", "--tracks", "gt/gt.txt"],
+        ["export", "gt/gt.txt", "--to", "csv", "--out", "tracks.csv"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_what_the_core_can_do_alone(words: list[str], sequence: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    forget(monkeypatch, EXTRAS)
+    monkeypatch.chdir(sequence)
+    said = phdtrack(*words)
+    assert said.status == 0, said
+
+
+@pytest.mark.parametrize(
+    ("words", "absent", "package"),
+    [
+        (["track", "video.mp4"], "av", VIDEOS),
+        (["track", "img1"], "av", VIDEOS),
+        (["live", "video.mp4", "--no-page"], "av", VIDEOS),
+        (["simulate", "street", "--frames", "3"], "av", VIDEOS),
+        (["track", "--detections", "det/det.txt"], "matplotlib", REPORTS),
+        (["compare", "."], "matplotlib", REPORTS),
+        (["demo"], "matplotlib", REPORTS),
+        (["live", "video.mp4"], "uvicorn", PAGES),
+        (["label", "video.mp4"], "starlette", PAGES),
+        (["live", "video.mp4", "--no-page", "--mqtt", "mqtt://localhost"], "paho", "phdtrack[mqtt]"),
+        (["track", "img1", "--detector", "onnx:net.onnx"], "onnxruntime", "phdtrack[onnx]"),
+        (["export", "gt/gt.txt", "--to", "parquet", "--out", "tracks.parquet"], "pyarrow", "phdtrack[parquet]"),
+    ],
+    ids=lambda value: " ".join(value[:1]) if isinstance(value, list) else value,
+)
+def test_what_is_missing_is_said_at_once_with_the_line_that_brings_it(
+    words: list[str], absent: str, package: str, sequence: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    forget(monkeypatch, [absent])
+    monkeypatch.chdir(sequence)
+    assert refused(*words).endswith(f": this needs the package {absent}. pip install '{package}'")
+    assert not (sequence / "runs").exists() or not [*(sequence / "runs").rglob("*.csv")]
+
+
+def test_every_package_that_may_be_missing_is_in_its_extra_and_all_has_all() -> None:
+    extras = PROJECT["optional-dependencies"]
+    named = {"paho": "paho-mqtt"}
+    for module, package in EXTRAS.items():
+        extra = re.fullmatch(r"phdtrack\[(\w+)\]", package)[1]
+        assert any(one.startswith(named.get(module, module)) for one in extras[extra]), module
+        assert not any(one.startswith(named.get(module, module)) for one in PROJECT["dependencies"]), module
+    (everything,) = extras["all"]
+    assert set(re.findall(r"\w+", everything)) - {"phdtrack"} == set(extras) - {"all", "dev", "ray"}
+
+
+def test_the_dockerfile_names_what_there_is() -> None:
+    """Paths, extras, commands and programs: nobody builds it here."""
+    text = (ROOT / "Dockerfile").read_text(encoding="utf-8").replace("\\\n", " ")
+    steps = [line.split(maxsplit=1) for line in text.splitlines() if line and not line.startswith("#")]
+    assert {name for name, _ in steps} <= {"FROM", "WORKDIR", "COPY", "RUN", "ENV", "ENTRYPOINT", "CMD"}
+    assert steps[0][0] == "FROM"
+    python = re.fullmatch(r"python:(\d+)\.(\d+)-slim", steps[0][1])
+    assert (int(python[1]), int(python[2])) >= tuple(map(int, PROJECT["requires-python"].removeprefix(">=").split(".")))
+    copied = {path for name, rest in steps if name == "COPY" for path in rest.split()[:-1]}
+    assert all((ROOT / path).exists() for path in copied)
+    # What building the wheel reads.
+    assert {"pyproject.toml", PROJECT["readme"], *PROJECT["license-files"], "src"} <= copied
+    said = " ".join(rest for name, rest in steps if name == "RUN")
+    assert set(re.findall(r"\.\[([\w,]+)\]", said)) == {"all"} <= set(PROJECT["optional-dependencies"])
+    (program,) = (words[2] for words in map(shlex.split, re.findall(r"python -c \"[^\"]+\"", said)))
+    calls = [node.attr for node in ast.walk(ast.parse(program)) if isinstance(node, ast.Attribute)]
+    assert calls == ["warm_up"]
+    assert callable(Tracker.warm_up)
+    entry = json.loads(dict(steps)["ENTRYPOINT"])
+    assert entry[0] in PROJECT["scripts"]
+    shown = re.search(r"docker run .* phdtrack (\w+)", text)
+    assert shown[1] in COMMANDS
+
+
+PIP = [sys.executable, "-m", "pip"]
+
+
+class Alone(NamedTuple):
+    """An environment of its own, in a folder of its own."""
+
+    python: Path
+    folder: Path
+
+    def install(self, *what: str) -> None:
+        """Fetch packages; the test is skipped where that cannot be done."""
+        command = [*PIP, "--python", str(self.python), "install", "--quiet", *what]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=900)
+        if done.returncode and re.search("connection|timed out|no matching distribution", done.stderr, re.IGNORECASE):
+            pytest.skip(f"packages cannot be fetched here: {done.stderr.strip().splitlines()[-1]}")
+        assert done.returncode == 0, done.stderr
+
+    def run(self, *words: str) -> subprocess.CompletedProcess[str]:
+        clean = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "NUMBA_CACHE_DIR")}
+        command = [str(self.python), *words]
+        return subprocess.run(command, capture_output=True, text=True, cwd=self.folder, env=clean, timeout=600)
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Alone:
+    """Nothing but the wheel of phdtrack and what it asks for."""
+    folder = tmp_path_factory.mktemp("alone")
+    build = [*PIP, "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(ROOT)]
+    subprocess.run(build, check=True, timeout=300, capture_output=True)
+    venv.create(folder / "env", with_pip=False)
+    found = Alone(folder / "env" / ("Scripts" if os.name == "nt" else "bin") / "python", folder)
+    found.install(*map(str, folder.glob("*.whl")))
+    return found
+
+
+@pytest.mark.slow
+def test_a_wheel_alone_in_an_empty_environment_tracks(alone: Alone) -> None:
+    done = alone.run("-c", LOOP)
+    assert done.returncode == 0, done.stderr
+    assert "phdtrack compiles its kernels" in done.stderr
+    for module in EXTRAS:
+        assert alone.run("-c", f"import {module}").returncode == 1, module
+    assert alone.run("-m", "phdtrack", "doctor").returncode == 0
+    assert f"pip install '{REPORTS}'" in alone.run("-m", "phdtrack", "demo", "--out", "demo").stderr
+
+
+@pytest.mark.slow
+def test_the_loops_for_those_who_come_from_elsewhere_run_with_the_real_packages(alone: Alone) -> None:
+    """But for networks, which would fetch their weights. Norfair itself asks for NumPy 1: a fork has the same names."""
+    alone.install("supervision", "norfair-enough")
+    page = (ROOT / "docs" / "how-to" / "from-other-trackers.md").read_text(encoding="utf-8").partition("## Ultralytics")[0]
+    programs = ""
+    for program in re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL):
+        programs += f"{program}\nassert set(tracker.tracks().identity.tolist()) == {{1, 2}}\n"
+    (alone.folder / "loops.py").write_text(programs, encoding="utf-8")
+    done = alone.run("-c", "import loops")
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,101 @@
+"""The empty scene from samples of a whole file, and what does not differ from all of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from phdtrack.detect.change import ChangeDetector
+from phdtrack.detect.reference import background, median
+from phdtrack.detect.registry import Rescaled, study, unsuited
+from phdtrack.types import Frame, Image
+
+
+def scene(seed: int = 0) -> Image:
+    """A grey ramp with noise that stays."""
+    rng = np.random.default_rng(seed)
+    ramp = np.linspace(90, 170, 160)[None, :, None] + rng.normal(0, 2, (120, 160, 1))
+    return np.repeat(ramp, 3, axis=2).clip(0, 255).astype(np.uint8)
+
+
+def crowd(count: int = 51) -> list[Image]:
+    """Samples in which somebody dark sways around one place, which is hidden in most of them."""
+    rng, out = np.random.default_rng(1), list[Image]()
+    for _ in range(count):
+        image = scene().astype(np.int16) + rng.integers(-2, 3, (120, 160, 1))
+        left, top = 60 + rng.integers(-14, 15), 40 + rng.integers(-14, 15)
+        image[top : top + 40, left : left + 24] = 20
+        out.append(image.clip(0, 255).astype(np.uint8))
+    return out
+
+
+def test_the_median_is_that_of_numpy() -> None:
+    images = list(np.random.default_rng(2).integers(0, 256, (7, 9, 11, 3), dtype=np.uint8))
+    np.testing.assert_array_equal(median(images), np.median(np.stack(images), axis=0).astype(np.uint8))
+
+
+def test_a_place_that_is_mostly_hidden_is_seen() -> None:
+    samples = crowd()
+    hidden = slice(56, 64), slice(70, 75)
+    assert median(samples)[hidden].mean() < 30
+    found = background(samples).astype(float) - scene()
+    assert np.abs(found[hidden]).mean() < 15
+    assert np.abs(found).mean() < 2
+
+
+@pytest.mark.parametrize(("width", "jumps"), [(0, False), (100, False), (0, True), (100, True)])
+def test_who_stands_there_at_the_beginning_is_detected_at_once(width: int, jumps: bool) -> None:
+    frames = []
+    for k in range(100):
+        image = scene()
+        if k < 30:
+            image[30:90, 60:84] = 20
+        frames.append(Frame(k + 1, k / 10, image))
+    detector = ChangeDetector()
+    asked = list[int]()
+
+    def sample(count: int) -> list[Frame]:
+        asked.append(count)
+        return [frames[k] for k in np.linspace(0, 99, count).round().astype(int)]
+
+    looked = Rescaled(detector, width) if width else detector
+    # A file that can be jumped in is not decoded once more.
+    study(looked, iter(()), sample) if jumps else study(looked, frames)
+    assert detector.studied
+    assert asked == ([51] if jumps else [])
+    found = (Rescaled(detector, width) if width else detector)(frames[0])
+    np.testing.assert_allclose(found.xyxy, [[60, 30, 84, 90]], atol=4)
+
+
+def test_a_lamp_that_goes_on_and_off_is_not_detected() -> None:
+    frames = []
+    for k in range(200):
+        image = scene()
+        if k // 5 % 2:
+            image[20:50, 30:60] = 230
+        frames.append(Frame(k + 1, k / 10, image))
+    plain, learned = ChangeDetector(), ChangeDetector()
+    study(learned, frames)
+    counts = [sum(len(detector(frame)) for frame in frames) for detector in (plain, learned)]
+    assert counts[0] > 10
+    assert counts[1] == 0
+
+
+def test_a_camera_that_moves_and_dark_pictures_are_doubtful() -> None:
+    wide = np.random.default_rng(4).integers(0, 256, (24, 60, 3), dtype=np.uint8).repeat(5, axis=0).repeat(5, axis=1)
+    still = [scene() for _ in range(51)]
+    moving = [wide[:, 3 * k : 3 * k + 140].copy() for k in range(51)]
+    dark = [image // 6 for image in still]
+    for images, words in (
+        (still, []),
+        (moving, ["camera moves"]),
+        (dark, ["dark"]),
+        ([m // 8 for m in moving], ["camera moves", "dark"]),
+    ):
+        detector = Rescaled(ChangeDetector(), 100)
+        assert unsuited(detector) == ()
+        frames = [Frame(k + 1, k / 2, image) for k, image in enumerate(images)]
+        study(detector, frames)
+        said = unsuited(detector)
+        assert [word for word in ("camera moves", "dark") if any(word in sentence for sentence in said)] == words
+        assert all("--detector onnx:FILE" in sentence for sentence in said)

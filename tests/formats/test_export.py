@@ -1,0 +1,104 @@
+"""Every format that tracks are exported in is read again, as tracks, as detections and as truth."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from format_cases import put, refused
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from phdtrack.errors import InputError
+from phdtrack.formats import EXPORTS, export_tracks, read_detections, read_tracks, read_tracks_named, read_truth
+from phdtrack.formats.checks import WrongRows
+from phdtrack.types import SequenceInfo, Tracks
+
+FULL = ("csv", "parquet", "jsonl", "coco")
+INFO = SequenceInfo(640, 480, 25.0, 30)
+
+
+@st.composite
+def tracks(draw: st.DrawFn) -> Tracks:
+    keys = sorted(draw(st.sets(st.tuples(st.integers(1, 30), st.integers(1, 99)), max_size=12)))
+    n = len(keys)
+    number = st.integers(0, 2**32 - 1)
+    rng, table = np.random.default_rng(draw(number)), np.array(keys, np.int64).reshape(n, 2)
+    corner, size = rng.uniform(-5000, 5000, (n, 2)), rng.uniform(0.1, 3000, (n, 2))
+    # An object has one class.
+    label, boxes = table[:, 1] % 3, np.hstack([corner, corner + size])
+    return Tracks(*table.T, boxes, rng.uniform(0, 1, n), rng.integers(-1, 50, n), rng.random(n) < 0.5, label)
+
+
+@pytest.mark.parametrize("kind", EXPORTS)
+@settings(max_examples=15, deadline=None)
+@given(original=tracks(), named=st.booleans())
+def test_what_is_exported_comes_back(
+    tmp_path_factory: pytest.TempPathFactory, kind: str, original: Tracks, named: bool
+) -> None:
+    path = tmp_path_factory.getbasetemp() / f"tracks{EXPORTS[kind]}"
+    names = {0: "person", 1: "traffic light", 2: "Ampel"} if named else {}
+    export_tracks(path, original, kind, names, INFO)
+    again, words = read_tracks_named(path)
+    for name in ("frame", "identity", *(("detection", "confirmed") if kind in FULL else ())):
+        np.testing.assert_array_equal(getattr(again, name), getattr(original, name))
+    np.testing.assert_allclose(again.xyxy, original.xyxy, rtol=0, atol=2e-3)
+    if kind != "cvat":
+        np.testing.assert_allclose(again.confidence, original.confidence, rtol=1e-6)
+    if named and kind != "motchallenge":
+        expected = [names[one].replace(" ", "_" if kind == "kitti" else " ") for one in original.class_id.tolist()]
+        assert [words.get(one, "") for one in again.class_id.tolist()] == expected
+    found = read_detections(path)
+    assert found.frame.tolist() == original.frame.tolist()
+    if kind != "kitti" and not (kind == "csv" and not len(original)):
+        truth = read_truth(path)
+        assert len(truth) == np.count_nonzero(again.confidence)
+        assert truth.regions.size == 0
+
+
+def test_a_track_ends_in_cvat_where_it_is_lost_and_images_have_no_identities(tmp_path: Path) -> None:
+    path, box = tmp_path / "t.xml", np.array([[1.0, 2, 3, 4]] * 3)
+    export_tracks(path, Tracks.of(np.array([1, 2, 5]), 7, box, 1.0, -1), "cvat", info=INFO)
+    text = path.read_text()
+    assert [part[:1] for part in text.split('outside="')[1:]] == ["0", "0", "1", "0", "1"]
+    assert read_tracks(path).frame.tolist() == [1, 2, 5]
+    image = '<annotations><image id="3" name="a"><box label="car" xtl="1" ytl="2" xbr="3" ybr="4"/></image></annotations>'
+    path.write_text(image)
+    found = read_detections(path)
+    assert (found.frame.tolist(), found.names) == ([4], {1: "car"})
+    refused(read_tracks, path, "", "no column for the identity")
+    path.write_text('<annotations>\n<box xtl="1"/></annotations>')
+    refused(read_detections, path, ", line 2", "inside of <track> or <image>")
+    path.write_text('<annotations><track id="1">\n<box frame="0" xtl="a" ytl="2" xbr="3" ybr="4"/></track></annotations>')
+    refused(read_detections, path, ", line 2", "finite number for xtl")
+
+
+def test_lines_of_json_by_others(tmp_path: Path) -> None:
+    rows = [
+        {"frame_id": 1, "bbox": [1, 2, 3, 4], "label": "car"},
+        {"frame_id": 2, "bbox": [1, 2, 3, 4], "label": "bus, red"},
+    ]
+    path = put(tmp_path, "\n".join(map(json.dumps, rows)) + "\n\n", "d.jsonl")
+    found = read_detections(path)
+    assert (found.frame.tolist(), found.names) == ([1, 2], {1: "bus_ red", 2: "car"})
+    assert found.detections.xyxy.tolist() == [[1, 2, 4, 6]] * 2
+    path.write_text(json.dumps(rows[0]) + "\n\n" + json.dumps({"frame_id": 2, "bbox": [1]}) + "\n")
+    refused(read_detections, path, ", line 3", "expected four numbers for bbox")
+    left = WrongRows()
+    assert len(read_detections(path, left_out=left)) == 1
+    assert left.rows == 1
+    path.write_text(json.dumps(rows[0]) + "\n{\n")
+    refused(read_detections, path, ", line 2", "expected JSON")
+
+
+@pytest.mark.parametrize("name", ["class", "class_name", "category_name", "label"])
+def test_a_class_may_be_a_word_under_any_usual_name(tmp_path: Path, name: str) -> None:
+    path = put(tmp_path, f"frame,x1,y1,x2,y2,score,{name}\n1,0,0,9,9,.5,car\n", "d.csv")
+    assert read_detections(path).names == {1: "car"}
+
+
+def test_an_unknown_format_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="Did you mean kitti"):
+        export_tracks(tmp_path / "t", Tracks.empty(), "kity")

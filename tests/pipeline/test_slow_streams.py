@@ -1,0 +1,79 @@
+"""The time of streams of few pictures: the same tracks at one picture in five minutes, and videos as the clock says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from phdtrack import Tracker, config, pipeline
+from phdtrack.types import Detections, SequenceInfo
+
+FRAMES = 30
+SIZE = np.array([30.0, 40.0])
+
+
+def boxes(number: int, step: float) -> np.ndarray:
+    """Nine targets of 30 x 40 pixels that go ``step`` pixels a frame, each its own way, measured to within a pixel."""
+    rng = np.random.default_rng(number)
+    corner = np.stack(np.meshgrid([100.0, 300.0, 500.0], [80.0, 220.0, 360.0]), axis=-1).reshape(-1, 2)
+    way = np.array([[np.cos(k), np.sin(k)] for k in range(9)])
+    corner = corner + step * (number - 1) * way + rng.normal(size=(9, 2))
+    return np.column_stack([corner, corner + SIZE, np.full(9, 0.9)])
+
+
+def tracked(fps: float, step: float) -> list[tuple[int, int, np.ndarray]]:
+    """Frame, identity and box of the corrected rows."""
+    tracker = Tracker((640, 480), fps=fps, preset="default")
+    for number in range(1, FRAMES + 1):
+        tracker.update(boxes(number, step))
+    found = tracker.tracks()
+    return list(zip(found.frame.tolist(), found.identity.tolist(), found.xyxy, strict=True))
+
+
+@pytest.mark.parametrize("fps", [1.0, 1 / 300, 1 / 3600])
+def test_slow_targets_are_tracked_however_long_the_intervals_are(fps: float):
+    """They go a tenth of their size from picture to picture: it is the same as at five pictures a second."""
+    found, expected = tracked(fps, 3.0), tracked(5.0, 3.0)
+    assert len({identity for _, identity, _ in found}) == 9
+    assert [row[:2] for row in found] == [row[:2] for row in expected]
+    np.testing.assert_allclose([row[2] for row in found], [row[2] for row in expected], atol=1e-4)
+
+
+def detections(number: int) -> Detections:
+    """What `boxes` gives, without scores."""
+    return Detections.of(boxes(number, 3.0)[:, :4])
+
+
+def test_the_time_of_videos_is_that_of_the_clock():
+    """Also with a pause in between."""
+    stages = config.build(config.load(preset="default"), SequenceInfo(640, 480, 25.0))
+    always = replace(stages, longest_interval=0.0)
+    ends = []
+    for each in (stages, always):
+        rng, time = np.random.default_rng(0), 0.0
+        state = pipeline.start(each, rng)
+        for number, seconds in enumerate([0.2, *[0.04, 0.1] * 5, 60.0, *[0.04] * 20], start=1):
+            time += seconds
+            state, _ = pipeline.advance(each, state, detections(number), number, time, rng)
+        ends.append(state.intensity.layers[-1].mean)
+    np.testing.assert_array_equal(*ends)
+
+
+def test_false_alarms_of_slower_streams_are_fewer_where_asked_for():
+    """At four time units between pictures half of them, with a decay of 0.5; at one and below it changes nothing."""
+
+    def masses(dt: float, clutter: float, decay: float) -> list[float]:
+        sets = [f"filter.clutter_decay={decay}", f"clutter.clutter_per_detection={clutter}"]
+        stages, rng = config.build(config.load(sets=sets), SequenceInfo(640, 480, 25.0)), np.random.default_rng(0)
+        state, found = stages.filter.start(stages.model, rng), []
+        for number in range(1, 9):
+            z = stages.model.sensor.measure(detections(number))
+            state, info = stages.filter.step(state, z, stages.model, dt, rng)
+            found.append(info.mass)
+        return found
+
+    np.testing.assert_allclose(masses(4.0, 0.4, 0.5), masses(4.0, 0.2, 0.0), rtol=1e-9)
+    assert masses(1.0, 0.4, 0.5) == masses(1.0, 0.4, 0.0)
+    assert masses(0.2, 0.4, 0.5) == masses(0.2, 0.4, 0.0)
