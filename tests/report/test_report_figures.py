@@ -7,7 +7,6 @@ from dataclasses import replace
 import cv2
 import matplotlib
 import numpy as np
-import pytest
 from report_runs import run_record
 
 from phdtrack.report import report_html
@@ -19,7 +18,6 @@ from phdtrack.report.charts import (
     score_chart,
     timing_chart,
 )
-from phdtrack.report.drawing import FALSE, MISSED, MISTAKE_COLOURS, RIGHT, SWITCHED, Mistakes, side_by_side
 from phdtrack.report.record import HeatMap
 from phdtrack.types import SequenceInfo, Tracks
 
@@ -84,25 +82,6 @@ def test_matplotlib_is_left_as_it_was() -> None:
     before = list(dict.items(matplotlib.rcParams))
     report_html(run_record(5), {})
     assert list(dict.items(matplotlib.rcParams)) == before
-
-
-NONE = np.zeros((0, 4))
-BOX = np.array([[40.0, 60.0, 90.0, 180.0]])
-
-
-@pytest.mark.parametrize("kind", [RIGHT, SWITCHED, MISSED, FALSE])
-@pytest.mark.parametrize("pictured", [False, True])
-def test_each_mistake_has_its_colour_where_it_is(kind: int, pictured: bool) -> None:
-    ground = np.full((240, 320, 3), 90, np.uint8) if pictured else None
-    every = Mistakes(np.ones(1, int), np.ones(1, int), np.array([kind]), BOX)
-    # The frame is drawn 1.5 times as large, below a bar of 28 and a gap of 6 pixels, the box from 96 to 276 in it.
-    empty, drawn = (side_by_side(ground, (320, 240), "h", NONE, {"m": every.at(number)})[130:320] for number in (2, 1))
-    colour = MISTAKE_COLOURS[kind][::-1]
-    assert not (empty == colour).all(axis=2).any()
-    rows, columns = np.nonzero((drawn == colour).all(axis=2))
-    assert columns.min() == pytest.approx(6 + 60, abs=3)
-    assert columns.max() == pytest.approx(6 + 135, abs=3)
-    assert rows.max() == pytest.approx(34 + 270 - 130, abs=3)
 
 
 def test_charts_hold_with_gaps_and_with_one_rate() -> None:
