@@ -13,13 +13,11 @@ from phdtrack.report import report_html
 from phdtrack.report.charts import (
     Picture,
     count_chart,
-    heat_picture,
     lifetime_chart,
     score_chart,
     timing_chart,
 )
-from phdtrack.report.record import HeatMap
-from phdtrack.types import SequenceInfo, Tracks
+from phdtrack.types import Tracks
 
 
 def pixels(picture: Picture) -> np.ndarray:
@@ -61,21 +59,6 @@ def test_thousands_of_bars_and_points_become_pixels() -> None:
     for picture in (lifetime_chart(record), count_chart(record), timing_chart(record)):
         assert "<image" in drawn(picture)
         assert len(picture.data) < 300_000
-
-
-def test_the_heat_map_is_bright_where_the_mass_is() -> None:
-    density = np.zeros((20, 20))
-    density[4:7, 4:7] = 0.1
-    none = np.zeros((0, 4))
-    heat = HeatMap(1, np.full((100, 100, 3), 60, np.uint8), density, 5.0, none, none)
-    image = pixels(heat_picture(heat, SequenceInfo(100, 100, 10.0)))
-    blank = pixels(heat_picture(HeatMap(1, heat.image, 0 * density, 5.0, none, none), SequenceInfo(100, 100, 10.0)))
-    high, wide = image.shape[:2]
-    changed = np.abs(image.astype(int) - blank).max(axis=2)[:, : int(0.75 * wide)] > 90
-    rows, columns = np.nonzero(changed)
-    assert len(rows) > 500
-    assert 0.1 < rows.mean() / high < 0.4
-    assert 0.1 < columns.mean() / wide < 0.4
 
 
 def test_matplotlib_is_left_as_it_was() -> None:

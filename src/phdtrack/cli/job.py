@@ -30,7 +30,7 @@ from phdtrack.cli import signals
 from phdtrack.cli.checkpoint import Checkpoint, source_of
 from phdtrack.cli.doctor import versions
 from phdtrack.cli.inputs import NO_PICTURE, Inputs, Mover, ahead, detected, expected, learn_scene
-from phdtrack.cli.observers import RunObserver, shown_particles
+from phdtrack.cli.observers import RunObserver
 from phdtrack.cli.output import Advance, progress
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.detect import BACKGROUND
@@ -264,7 +264,7 @@ def finish_document(document: dict[str, object], directory: RunDirectory, *more:
 
 def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -> _Progress:
     """Every frame through detector and tracker, into files and record, until the source ends or something stops it."""
-    inputs, stages = job.inputs, job.stages
+    inputs = job.inputs
     tracker = Tracker(stages=job.kinds, fps=inputs.info.fps, seed=job.about.seed)
     done = _Progress(tracker, Recorder(inputs.info, job.truth, None if inputs.again else _CHARTED, job.blur))
     found_in, checkpoint = partial(detected, inputs.detector, mover=job.mover), None
@@ -288,7 +288,7 @@ def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool)
                         assert step is not None
                         written.take(frame, found, step, rows)
                         picture = frame if inputs.pictures else None
-                        done.recorder.add(picture, step, shown_particles(stages, tracker.state.intensity), seconds)
+                        done.recorder.add(picture, step, seconds)
                         seen = _Seen(step.number, step.detections, step.info.mass, step.info.clutter_probability)
                         done.seen.append(seen)
                         done.frames += 1

@@ -18,7 +18,7 @@ import numpy as np
 
 from phdtrack.errors import needed
 from phdtrack.report.drawing import feet, identity_colour
-from phdtrack.report.record import STAGES, HeatMap, RunRecord, shrunk
+from phdtrack.report.record import STAGES, RunRecord, shrunk
 from phdtrack.scene import LearnedDensity, Scene
 from phdtrack.scene.mixture import place_map
 from phdtrack.types import F8, Image, SequenceInfo
@@ -183,26 +183,6 @@ def trajectory_picture(record: RunRecord) -> Picture:
             look: Any = {"color": "black", "fontsize": 7.5, "ha": "center", "va": "center", "clip_on": True}
             plate = {"boxstyle": "round,pad=0.2", "facecolor": colour, "linewidth": 0}
             axes.text(x_end, y_end, str(path.identity[0]), bbox=plate, **look)
-    return _saved(axes)
-
-
-def heat_picture(heat: HeatMap, info: SequenceInfo) -> Picture:
-    """The intensity over one frame [M07 Fig. 1]: colour where objects are expected, a cross for every detection, a ring for
-    every state extracted."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    axes = _over_scene(info, heat.image, _NARROW, darkness=0.5)
-    high, wide = heat.density.shape
-    top = max(float(heat.density.max(initial=0.0)), 1e-9)
-    _shade(axes, heat.density, top, (0, wide * heat.cell, high * heat.cell, 0), "nearest")
-    for boxes, marker, size, colour in ((heat.detections, "+", 6.0, "#ffffff"), (heat.estimates, "o", 12.0, _CYAN)):
-        x, y = (boxes[:, :2] + boxes[:, 2:]).T / 2
-        axes.plot(x, y, marker, color=colour, markersize=size, markerfacecolor="none", linestyle="")
-    axes.set(xlim=(0, info.width), ylim=(info.height, 0))
-    bar = axes.figure.colorbar(ScalarMappable(Normalize(0, top), "inferno"), ax=axes, shrink=0.75, aspect=30, pad=0.015)
-    bar.set_label(f"objects in {heat.cell:g} × {heat.cell:g} pixels", fontsize=10, color=_INK)
-    bar.ax.tick_params(labelsize=9, colors=_INK)
     return _saved(axes)
 
 
