@@ -15,7 +15,6 @@ from phdtrack.report.charts import (
     count_chart,
     lifetime_chart,
     score_chart,
-    timing_chart,
 )
 from phdtrack.types import Tracks
 
@@ -56,7 +55,7 @@ def test_thousands_of_bars_and_points_become_pixels() -> None:
     times, counts, masses = each / 25, each % 7, each % 7 + 0.5
     rows = {"numbers": each, "times": times, "n_detections": counts, "mass": masses, "truth_count": counts}
     record = replace(run_record(3), tracks=many, seconds=np.full((n, 4), 0.01), **rows)
-    for picture in (lifetime_chart(record), count_chart(record), timing_chart(record)):
+    for picture in (lifetime_chart(record), count_chart(record)):
         assert "<image" in drawn(picture)
         assert len(picture.data) < 300_000
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from phdtrack.errors import needed
 from phdtrack.report.drawing import feet, identity_colour
-from phdtrack.report.record import STAGES, RunRecord, shrunk
+from phdtrack.report.record import RunRecord, shrunk
 from phdtrack.scene import LearnedDensity, Scene
 from phdtrack.scene.mixture import place_map
 from phdtrack.types import F8, Image, SequenceInfo
@@ -121,19 +121,6 @@ def lifetime_chart(record: RunRecord) -> Picture:
         axes.set_ylabel(f"{len(names)} identities, the lowest number on top", fontsize=10, color=_INK)
     axes.set_ylim(max(len(names), 1) - 0.4, -0.6)
     return _chart(axes, len(first))
-
-
-def timing_chart(record: RunRecord) -> Picture:
-    """Milliseconds of each stage over the run, stacked. The scale leaves out single spikes, such as a first compilation."""
-    axes = _time_axes(record.times, "milliseconds per frame", 2.7)
-    if len(record):
-        # The last step is as wide as a frame.
-        time, table = np.append(record.times, record.times[-1] + _interval(record)), 1000 * record.seconds
-        look: dict[str, Any] = {"colors": (_GREY, _BLUE, _ORANGE, _GREEN), "step": "post", "linewidth": 0}
-        axes.stackplot(time, np.vstack([table, table[-1:]]).T, labels=STAGES, **look)
-        total = table.sum(axis=1)
-        axes.set_ylim(0, max(min(1.25 * float(np.quantile(total, 0.97)), 1.05 * float(total.max())), 1e-3))
-    return _chart(axes, len(record))
 
 
 def score_chart(places: F8 | Sequence[str], x_label: str, y_label: str, methods: Mapping[str, F8]) -> Picture:
