@@ -459,7 +459,6 @@ def reading(samples: Sequence[Sample], suffix: str) -> tuple[list[bytes], Try]:
 
 def _detections() -> tuple[list[bytes], Try]:
     from phdtrack.formats import read_detections, read_warps
-    from phdtrack.formats.columns import read_positions
 
     rows = [(1 + k // 3, -1, 10 + k, 20 + 2 * k, 30, 60, 0.9) for k in range(9)]
     text = "".join(",".join(map(str, row)) + ",-1,-1,-1,1\n" for row in rows)
@@ -477,10 +476,9 @@ def _detections() -> tuple[list[bytes], Try]:
         "0 1 Car 0 0 -1 10 20 30 40 -1 -1 -1 -1 -1 -1 -1 0.9\n" * 2 + "1 -1 DontCare -1 -1 -10 1 2 3 4" + " -1" * 7 + " 0\n"
     )
     warps = "frame,g11,g12,g13,g21,g22,g23\n2,1,0,3,0,1,4\n3,1,0,0,0,1,0\n"
-    positions = "".join(f"{k} 1 {k}.5 0 2.5 1 0 0\n" for k in range(5))
     texts = [text, covariance, named, blanks, json.dumps(results), json.dumps(data), kitti]
     samples: list[Sample] = [(one, read_detections) for one in texts]
-    return reading([*samples, (warps, read_warps), (positions, read_positions)], ".txt")
+    return reading([*samples, (warps, read_warps)], ".txt")
 
 
 def _truth() -> tuple[list[bytes], Try]:

@@ -32,7 +32,7 @@ COMMANDS = {
     "demo": "Render a street and track the people in it, with the filter and without.",
     "track": "Track the objects in a video, or in a file of detections.",
     "batch": "Track many videos: by processes, the jobs of an array, or a Ray cluster, into one data set.",
-    "groups": "Find groups of people on the ground, in a video, in a file of detections, or among known positions.",
+    "groups": "Find groups of people on the ground, in a video or in a file of detections.",
     "count": "Count who crosses lines and who is in zones: in a video, in a run, or among tracks in a file.",
     "export": "Write the tracks of a run, or of a file, in the format of another tool.",
     "detect": "Detect objects in a video and write detections.csv, a MOTChallenge file.",

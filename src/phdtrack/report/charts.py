@@ -85,12 +85,11 @@ def evidence_chart(record: RunRecord) -> Picture:
 
 
 def group_chart(frames: Sequence[GroupFrame], detections: Sequence[int]) -> Picture:
-    """People, groups and raw detections, where there are any, over time [E13 Fig. 2]."""
+    """People, groups and raw detections over time [E13 Fig. 2]."""
     numbers = [(frame.time, frame.people, frame.deviation, frame.named) for frame in frames]
     times, people, deviation, named = np.array(numbers).T
     axes = _time_axes(times, "number", 3.1)
-    if len(detections):
-        axes.plot(times, detections, label="detections", **_DOTS)
+    axes.plot(times, detections, label="detections", **_DOTS)
     axes.fill_between(times, np.maximum(people - deviation, 0), people + deviation, label="one deviation", **_BAND)
     axes.plot(times, people, color=_BLUE, label="people estimated")
     axes.plot(times, named, color=_ORANGE, label="groups", **_STEPS)
