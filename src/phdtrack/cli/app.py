@@ -1,8 +1,7 @@
 """The command line: ``phdtrack COMMAND`` and ``python -m phdtrack COMMAND``.
 
-Exit status: 0 the job is done; 1 something failed that is not the user's input (`doctor`: something essential does not
-work here); 2 the input or the options cannot be used, said in one sentence on stderr; 130 stopped by Ctrl-C, 143
-by SIGTERM, 129 by SIGHUP.
+Exit status: 0 the job is done; 1 something failed that is not the user's input; 2 the input or the options cannot be used,
+said in one sentence on stderr; 130 stopped by Ctrl-C, 143 by SIGTERM, 129 by SIGHUP.
 With ``--json`` stdout carries exactly one JSON object, and everything else goes to stderr.
 """
 
@@ -43,7 +42,6 @@ COMMANDS = {
     "learn": "Learn where people enter and where the detector is wrong, for `phdtrack track --scene`.",
     "calibrate": "Make a camera of four or more points of flat ground, and say how well it fits each of them.",
     "settings": "Print settings as TOML, with units and meaning, for --config to read back.",
-    "doctor": "Say what works on this machine, and how to mend what does not.",
 }
 _MODULES = {"demo": "simulate", "detect": "track", "learn": "label"}
 _SUMMARY = (
