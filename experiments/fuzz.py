@@ -557,17 +557,7 @@ def _cameras() -> tuple[list[bytes], Try]:
     grid = "ncols 3\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 2.5\nNODATA_value -9\n1 2 3\n4 5 -9\n"
     texts = [text, json.dumps(plain | {"tvec": [0.5, 0.7, 9.0]}), toml, *_storages()[:2]]
     samples: list[Sample] = [(one, read_camera) for one in texts]
-    return reading([*samples, (grid, read_terrain), (_terrain(), read_terrain)], ".cam")
-
-
-def _terrain() -> bytes:
-    import io
-
-    import numpy as np
-
-    file = io.BytesIO()
-    np.savez_compressed(file, heights=np.ones((3, 4)), origin=np.zeros(2), step=np.ones(2))
-    return file.getvalue()
+    return reading([*samples, (grid, read_terrain)], ".cam")
 
 
 def _toml() -> tuple[list[bytes], Try]:

@@ -118,7 +118,7 @@ def load(path: AnyPath) -> bytes:
         raise InputError("expected the name of a file, which has no NUL in it", where=repr(str(path)))
     try:
         with path.open("rb") as file:
-            check_size(path, os.fstat(file.fileno()).st_size)
+            _check_size(path, os.fstat(file.fileno()).st_size)
             return file.read()
     except FileNotFoundError:
         raise InputError("there is no such file", where=path, cure=_nearest(path)) from None
@@ -128,8 +128,8 @@ def load(path: AnyPath) -> bytes:
         raise InputError(f"the file cannot be read: {error.strerror or error}", where=path) from None
 
 
-def check_size(path: AnyPath, size: int) -> None:
-    """Raise `InputError` where a file, or what it expands to, is larger than is read whole."""
+def _check_size(path: AnyPath, size: int) -> None:
+    """Raise `InputError` where a file is larger than is read whole."""
     given = os.environ.get(SIZE_LIMIT, str(MAX_SIZE))
     if not given.isdecimal() or len(given) > 18:
         raise InputError(f"expected a number of bytes, came {given[:40]!r}", where=SIZE_LIMIT)

@@ -132,11 +132,13 @@ unit = "mm"
 def test_described_in_toml_with_terrain(tmp_path: Path) -> None:
     same(read_camera(put(tmp_path, "camera.toml", DESCRIBED)), posed(OpenCVLens(MATRIX, BARREL)))
     ground = hills()
-    np.savez(tmp_path / "hills.npz", heights=ground.heights, origin=ground.origin, step=ground.step)
-    path = put(tmp_path, "camera.toml", DESCRIBED + 'terrain = "hills.npz"\n')
+    (x, y), rows = ground.origin, "\n".join(" ".join(map(repr, row)) for row in ground.heights[::-1].tolist())
+    head = f"ncols {ground.heights.shape[1]}\nnrows {ground.heights.shape[0]}\nxllcenter {x}\nyllcenter {y}\n"
+    put(tmp_path, "hills.asc", f"{head}cellsize {ground.step[0]}\n{rows}\n")
+    path = put(tmp_path, "camera.toml", DESCRIBED + 'terrain = "hills.asc"\n')
     same(read_camera(path), posed(OpenCVLens(MATRIX, BARREL), ground))
     put(tmp_path, "view.xml", TSAI)
-    camera = read_camera(put(tmp_path, "other.toml", 'file = "view.xml"\nterrain = "hills.npz"\n'))
+    camera = read_camera(put(tmp_path, "other.toml", 'file = "view.xml"\nterrain = "hills.asc"\n'))
     np.testing.assert_array_equal(camera.surface.heights, ground.heights)
 
 
@@ -168,7 +170,7 @@ HOMOGRAPHY = f"homography = {PLANE.tolist()}\n"
         ("homography = [[1, 2], [3, 4]]\n", ", homography", "3 x 3 numbers, came 2 x 2"),
         (HOMOGRAPHY + 'maps = "sideways"\n', "", "maps = pixel-to-ground or ground-to-pixel"),
         (HOMOGRAPHY + "inside = [3]\n", ", inside", "2 numbers, came 1"),
-        (HOMOGRAPHY + 'terrain = "x.npz"\n', "", "flat ground only"),
+        (HOMOGRAPHY + 'terrain = "x.asc"\n', "", "flat ground only"),
         (HOMOGRAPHY + 'file = "x.txt"\n', "", "came file and homography"),
         ('homography = [[1, 2, 3], [2, 4, 6], [7, 8, 9]]\nmaps = "ground-to-pixel"\n', "", "can be inverted"),
         ('file = "gone.xml"\n', "", "there is no such file"),

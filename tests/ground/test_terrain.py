@@ -92,10 +92,6 @@ def test_a_camera_whose_world_points_down_sees_the_same(rng: np.random.Generator
 
 def test_files(tmp_path: Path) -> None:
     heights = np.arange(12.0).reshape(3, 4)
-    np.savez(tmp_path / "a.npz", heights=heights, origin=np.array([-1.0, 5]), step=2.0)
-    read = read_terrain(tmp_path / "a.npz")
-    np.testing.assert_array_equal(read.heights, heights)
-    assert (read.origin.tolist(), read.step.tolist()) == ([-1, 5], [2, 2])
     text = "ncols 4\nnrows 3\nxllcorner -2\nYLLCENTER 5\ncellsize 2\nNODATA_value -9999\n8 9 10 11\n4 -9999 6 7\n0 1 2 3\n"
     (tmp_path / "a.asc").write_text(text)
     grid = read_terrain(tmp_path / "a.asc")
@@ -123,16 +119,3 @@ def test_bad_grids(tmp_path: Path, text: str, where: str, words: str) -> None:
     with pytest.raises(InputError, match=words) as caught:
         read_terrain(path)
     assert caught.value.where == f"{path}{where}"
-
-
-def test_bad_arrays(tmp_path: Path) -> None:
-    path = tmp_path / "bad.npz"
-    np.savez(path, heights=np.zeros((3, 3)), origin=np.zeros(2))
-    with pytest.raises(InputError, match="without step"):
-        read_terrain(path)
-    np.savez(path, heights=np.zeros((3, 3)), origin=np.zeros(2), step=np.array([1.0, -1]))
-    with pytest.raises(InputError, match="above 0"):
-        read_terrain(path)
-    path.write_bytes(b"PK\x03\x04 and no more")
-    with pytest.raises(InputError, match="cannot be read"):
-        read_terrain(path)

@@ -12,7 +12,7 @@ A description is of one of three kinds, by its keys:
     camera_matrix, distortion_coefficients  with rvec or R, and tvec (in unit, default "m")
     file = "View_001.xml"                   another file, as seen from this one's folder, with the form of its matrix
 
-and ``terrain = "hill.npz"``, an elevation map, beside the latter two.
+and ``terrain = "hill.asc"``, an elevation map, beside the latter two.
 
 From clicked points, the direct linear transform in normalised coordinates gives a first matrix; least squares on the
 distances in the image, where the clicks err, gives the final one. Layouts that leave the matrix open are refused.

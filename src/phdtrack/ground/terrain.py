@@ -4,15 +4,13 @@ Where a ray p + s d meets terrain, s is the least root of h(s) = p_z + s d_z −
 flat solution, as E13 takes them, may end behind a hill that is in the way. So the line of sight is sampled in half steps of
 the grid, and the first place where it goes below the ground is halved down to it.
 
-Elevation maps in files: ``.npz`` (heights, origin, step) and the ASCII grid of geographic programs. An ASCII grid starts
-with lines of a name and a number (ncols, nrows, xllcorner or xllcenter, yllcorner or yllcenter, cellsize, and maybe
-NODATA_value), followed by the heights, the northernmost row first. All lengths are in metres, in the camera's world.
+Elevation maps in files are ASCII grids, as geographic programs write them: lines of a name and a number (ncols, nrows,
+xllcorner or xllcenter, yllcorner or yllcenter, cellsize, and maybe NODATA_value), followed by the heights, the northernmost
+row first. All lengths are in metres, in the camera's world.
 """
 
 from __future__ import annotations
 
-import io
-import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -20,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.files import AnyPath, check_size, load
+from phdtrack.files import AnyPath, load
 from phdtrack.types import F8
 
 _HALVINGS = 60
@@ -179,31 +177,13 @@ class Line(NamedTuple):
 
 
 def read_terrain(path: AnyPath) -> Terrain:
-    """The elevation map of a file in one of the module's two forms. Raises `InputError` where it is missing or neither."""
+    """The elevation map of an ASCII grid. Raises `InputError` where it is missing, or none."""
     path = Path(path)
-    content = load(path)
-    origin, step, heights = _arrays(path, content) if content.startswith(b"PK") else _grid(path, content)
+    origin, step, heights = _grid(path, load(path))
     try:
         return Terrain(origin, step, heights)
     except InputError as error:
         raise InputError(error.problem, where=path) from None
-
-
-def _arrays(path: Path, content: bytes) -> tuple[F8, F8, F8]:
-    """Origin, step and heights of an .npz file."""
-    expected = "expected an .npz file with the arrays heights (ny, nx), origin (2,) and step (2,)"
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            check_size(path, sum(one.file_size for one in archive.infolist()))
-        with np.load(io.BytesIO(content), allow_pickle=False) as held:
-            found = {name: held[name].astype(np.float64) for name in ("heights", "origin", "step") if name in held}
-    except Exception as error:  # a broken archive makes NumPy fail in a dozen ways
-        raise InputError(f"{expected}, which cannot be read: {error}", where=path) from None
-    for name in ("heights", "origin", "step"):
-        if name not in found:
-            raise InputError(f"{expected}, came one without {name}", where=path)
-    step = found["step"]
-    return found["origin"], step if step.ndim else np.full(2, step), found["heights"]
 
 
 def _grid(path: Path, content: bytes) -> tuple[F8, F8, F8]:
@@ -216,8 +196,7 @@ def _grid(path: Path, content: bytes) -> tuple[F8, F8, F8]:
         head[name] = Line(line.where, line.words[1:]).numbers(1)[0]
     for names in (("ncols",), ("nrows",), ("cellsize",), ("xllcorner", "xllcenter"), ("yllcorner", "yllcenter")):
         if not any(name in head for name in names):
-            expected = f"an elevation map, an .npz file or an ASCII grid that states {' or '.join(names)}"
-            raise InputError(f"expected {expected}, came neither", where=path)
+            raise InputError(f"expected an ASCII grid that states {' or '.join(names)}, came none", where=path)
         if names[0] in ("ncols", "nrows") and not (head[names[0]] >= 0 and head[names[0]].is_integer()):
             raise InputError(f"expected a whole number for {names[0]}, came {head[names[0]]:g}", where=path)
     columns, rows, cell = int(head["ncols"]), int(head["nrows"]), head["cellsize"]
