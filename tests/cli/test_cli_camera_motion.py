@@ -50,14 +50,10 @@ def test_the_motion_is_measured_told_and_read_back(walk, tmp_path):
     for k, warp in zip(warps.frame, warps.matrix, strict=True):
         wanted = points(true[k - 1], corners)
         np.testing.assert_allclose(points(warp, corners), wanted, atol=1.5)
-    told, middle = flow["camera_motion"], np.array([[320.0], [180.0]])
-    steps = [float(np.linalg.norm(points(warp, middle) - middle)) for warp in true[1:]]
+    told = flow["camera_motion"]
     assert (told["kind"], told["frames"], told["frames_unmeasured"]) == ("flow", FRAMES - 1, 0)
-    assert told["pixels"] == pytest.approx(sum(steps), rel=0.02)
-    assert told["largest_step_pixels"] == pytest.approx(max(steps), abs=0.5)
-    assert told["zoomed"] == pytest.approx(np.sqrt(np.prod([np.linalg.det(warp) for warp in true[1:]])), rel=0.02)
-    sentence = f"the camera moved by {told['pixels']:.0f} pixels in all"
-    assert sentence[1:] in (tmp_path / "flow" / "report.html").read_text(encoding="utf-8")
+    sentence = f"In 0 of {FRAMES - 1} frames the camera's motion could not be measured"
+    assert sentence.replace("'", "&#39;") in (tmp_path / "flow" / "report.html").read_text(encoding="utf-8")
     assert json.loads((tmp_path / "flow" / "run.json").read_text(encoding="utf-8"))["camera_motion"] == told
     # The file makes the same run, without looking at the pictures.
     again = options(folder, tmp_path / "again", "--camera-motion", tmp_path / "flow" / "camera_motion.csv")

@@ -16,13 +16,13 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
+import typer
 from camera_server import CameraServer, until, walker
 from typer.testing import CliRunner
 
 from phdtrack.cli.app import application
-from phdtrack.cli.live import LiveOptions, _settings, named_sources, size
-from phdtrack.cli.options import TrackingOptions
-from phdtrack.errors import InputError
+from phdtrack.cli.live import LiveOptions, _settings, named_sources
+from phdtrack.cli.options import TrackingOptions, size
 from phdtrack.live.engine import CameraSettings
 from phdtrack.live.events import Watch
 from phdtrack.types import SequenceInfo
@@ -145,7 +145,7 @@ def test_options_are_the_cameras(tmp_path: Path) -> None:
     [
         (["missing.mp4"], "there is no such file"),
         (["a=0", "a=1"], "two sources are called a"),
-        (["0", "--quota", "much"], "expected a size as 20GB"),
+        (["0", "--quota", "much"], "expected a size as 500MB"),
         (["0", "--blur", "hands"], "expected boxes or faces"),
         (["0", "--webhook", f"ftp://bob:{SECRET}@example.com"], "expected an address that begins with http"),
         (["0", "--mqtt", "mqtt://localhost"], "pip install 'phdtrack[mqtt]'"),
@@ -166,7 +166,7 @@ def test_sources_have_names_and_sizes_are_read() -> None:
     found = named_sources(["gate=rtsp://u:p@host/x?a=b", "http://cam.example/a?b=c", "0"])
     assert found == {"gate": "rtsp://u:p@host/x?a=b", "cam.example-a": "http://cam.example/a?b=c", "0": "0"}
     assert [size(text) for text in ("", "1000", "20GB", "1.5 k", "2T")] == [0, 1000, 20 * 10**9, 1500, 2 * 10**12]
-    with pytest.raises(InputError):
+    with pytest.raises(typer.BadParameter):
         size("0")
 
 

@@ -25,7 +25,7 @@ from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli import signals
 from phdtrack.cli.inputs import refuse
-from phdtrack.cli.options import DEFAULT_DETECTOR, PageOptions, TrackingOptions, option
+from phdtrack.cli.options import DEFAULT_DETECTOR, PageOptions, TrackingOptions, option, size
 from phdtrack.cli.output import Output, counted
 from phdtrack.cli.settings import chosen, scene_settings
 from phdtrack.config import Settings
@@ -47,6 +47,7 @@ _REMEMBERED, _ENDING, _LINES = 60.0, 1.5, 10_000
 # Settings that cannot change while it runs, besides the kind of each part: what was learned or is late depends on them.
 _FIXED = ("detector.", "camera.", "classes.", "associate.output_delay")
 _PLACES = "Lines and zones, read again when they change; NAME=FILE for one camera. Default: places.toml in its folder."
+_QUOTA = "Of rows, and of videos, keep so much of each camera, as 20GB; default: all."
 _SAVED = "Seconds between two times that is saved from which a restart goes on; 0: never, and it begins anew."
 _SOURCES = "rtsp://…, http://…, a camera's number or a file; NAME=ADDRESS gives it a name."
 
@@ -60,7 +61,7 @@ class LiveOptions:
     allow_private: Annotated[bool, typer.Option("--allow-private", help="Webhooks may be in private networks.")] = False
     mqtt: Annotated[str, option("URL", "Publish each event: mqtt://[user:password@]host[:port]/topic.")] = ""
     video: Annotated[float, option("FPS", "Pictures a second of the annotated videos; 0: none.", min=0.0, max=60.0)] = 5.0
-    quota: Annotated[str, option("SIZE", "Of rows, and of videos, keep so much of each camera, as 20GB; default: all.")] = ""
+    quota: Annotated[str, option("SIZE", _QUOTA, callback=lambda text: text if size(text) else "")] = ""
     parquet: Annotated[bool, typer.Option("--parquet", help="Hours of rows become Parquet instead of CSV.")] = False
     blur: given.Blur = ""
     checkpoint_every: Annotated[float, option("S", _SAVED, min=0.0)] = EVERY
@@ -92,7 +93,6 @@ def live(
     make = Maker(options, tuple(scene_settings(scene)), detector, max_width, mask)
     known = class_names(make.looking(make.settings(), max_width or 0))
     addresses = named_sources(sources)
-    size(write.quota)
     for url in write.webhook or []:
         Webhook(url)
     rundir.claim(out, False, {})
@@ -182,14 +182,6 @@ def named_sources(given: Sequence[str]) -> dict[str, str]:
             raise InputError(f"two sources are called {name}", where="SOURCE", cure="Say NAME=ADDRESS.")
         found[name] = address
     return found
-
-
-def size(text: str) -> int:
-    """Bytes of a size as 20GB, 500M or 1000; 0 for nothing. Raises `InputError` where it is none."""
-    match = re.fullmatch(r"(\d+(?:\.\d+)?) ?([KMGT]?)B?", text.strip().upper())
-    if text and (match is None or float(match[1]) == 0):
-        raise InputError(f"expected a size as 20GB, got {text!r}", where="--quota")
-    return 0 if match is None else int(float(match[1]) * 1000 ** " KMGT".index(match[2] or " "))
 
 
 def _settings(name: str, write: LiveOptions, config: Path | None, out: Path, names: Names = None) -> CameraSettings:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import asdict
 from typing import NamedTuple
 
 from phdtrack.cli import run_directory as rundir
@@ -16,9 +15,9 @@ from phdtrack.formats.columns import WarpsWriter, read_warps
 from phdtrack.models.scene import refuse_standing
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import Model
-from phdtrack.report.pages import lines, render
-from phdtrack.types import F8, STILL, Detections, Frame, Image, SequenceInfo, Step, Tracks
-from phdtrack.video.ego_motion import CameraMotion, CameraPath
+from phdtrack.report.pages import render
+from phdtrack.types import F8, STILL, Detections, Frame, Image, Step, Tracks
+from phdtrack.video.ego_motion import CameraMotion
 
 Draw = Callable[[int, Image], None]
 """Draws a frame, by its number and its annotated picture, which is empty where the run has none."""
@@ -57,10 +56,10 @@ class RunObserver:
 
 
 class CameraObserver(RunObserver):
-    """Writes the camera's motion for another run to read, and reports how far the camera went."""
+    """Writes the camera's motion for another run to read, and reports how often it is not known."""
 
-    def __init__(self, kind: str, info: SequenceInfo) -> None:
-        self._kind, self._info, self._warps = kind, info, list[F8]()
+    def __init__(self, kind: str) -> None:
+        self._kind, self._known = kind, list[bool]()
 
     def open(self, directory: RunDirectory, files: ExitStack) -> None:
         """Open the file of the motion."""
@@ -68,15 +67,16 @@ class CameraObserver(RunObserver):
 
     def take(self, found: Detections, step: Step, state: TrackingState) -> None:
         """Write one motion; before the first frame there is none."""
-        if self._warps and len(step.warp):
+        if self._known and len(step.warp):
             self._file.append(step.number, step.warp)
-        self._warps.append(step.warp)
+        self._known.append(len(step.warp) > 0)
 
     def report(self) -> Report:
-        """How far the camera went, and how often that is not known."""
-        path = CameraPath.of(self._warps[1:], self._info)
-        said, document = lines("camera_motion.txt", path=path), {"kind": self._kind} | asdict(path)
-        return Report({"camera_motion": document}, said, render("camera_motion.html", sentences=said))
+        """How often the camera's motion is not known."""
+        frames, unknown = len(self._known[1:]), self._known[1:].count(False)
+        said = f"in {unknown} of {frames} frames the camera's motion could not be measured and was taken for none"
+        document = {"kind": self._kind, "frames": frames, "frames_unmeasured": unknown}
+        return Report({"camera_motion": document}, (said,), render("camera_motion.html", sentences=(said,)))
 
 
 def mover_of(settings: Settings, inputs: Inputs, model: Model) -> Mover | None:

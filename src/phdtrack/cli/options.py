@@ -63,14 +63,19 @@ OnError = Annotated[
 ]
 
 
-def limit_files(size: str) -> str:
+def size(text: str) -> int:
+    """Bytes of a size as 20GB, 500M or 1000; 0 for nothing. `typer.BadParameter` where it is none."""
+    match = re.fullmatch(r"(\d{1,15}(?:\.\d{1,9})?) ?([KMGT]?)B?", text.strip().upper())
+    if text and (match is None or float(match[1]) == 0):
+        raise typer.BadParameter(f"expected a size as 500MB or 4GB, got {text!r}")
+    return 0 if match is None else int(float(match[1]) * 1000 ** " KMGT".index(match[2] or " "))
+
+
+def limit_files(text: str) -> str:
     """Let files be as large as this; the processes that a command starts know it, too."""
-    match = re.fullmatch(r"(\d{1,15})\s*([kMGT]?)B?", size)
-    if size and not match:
-        raise typer.BadParameter(f"expected a size as 500MB or 4GB, got {size!r}")
-    if match:
-        os.environ[SIZE_LIMIT] = str(int(match[1]) * 1000 ** " kMGT".index(match[2] or " "))
-    return size
+    if text:
+        os.environ[SIZE_LIMIT] = str(size(text))
+    return text
 
 
 _SIZE = "Largest file that is read whole, as 500MB; videos have no limit (default: 4GB)."

@@ -122,7 +122,7 @@ def prepare(source: SourceOptions, options: TrackingOptions, settings: Settings,
         video=video,
         looked=looked,
         anew=source.detect_again,
-        observers=() if moving == "none" else (CameraObserver(moving, inputs.info),),
+        observers=() if moving == "none" else (CameraObserver(moving),),
         mover=mover_of(settings, inputs, stages.model),
         delay=settings.build("associate").output_delay,
     )

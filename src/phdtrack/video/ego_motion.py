@@ -10,15 +10,13 @@ Pictures are scaled down first. What moves in them and was not detected is outvo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from phdtrack.errors import Checked, InputError, Positive, PositiveCount, Share
-from phdtrack.models import warp as warp_of
-from phdtrack.types import F8, Image, SequenceInfo
+from phdtrack.types import F8, Image
 
 # Corners weaker than this share of the best are none; they keep this share of the width apart.
 _QUALITY, _APART = 0.01, 0.012
@@ -100,37 +98,6 @@ class CameraMotion:
         self._before = now
         self.measured = warp is not None
         return np.eye(3) if warp is None else warp
-
-
-@dataclass(frozen=True, slots=True)
-class CameraPath:
-    """How far a camera went; motions that are not known count as none.
-
-    Attributes
-    ----------
-    frames, frames_unmeasured : motions, and how many of them are not known.
-    pixels, largest_step_pixels : way of what is in the middle of the picture, frame by frame, and its longest step.
-    degrees_turned, zoomed : turned about the line of sight, either way; factor by which sizes have changed in all.
-    """
-
-    frames: int
-    frames_unmeasured: int
-    pixels: float
-    largest_step_pixels: float
-    degrees_turned: float
-    zoomed: float
-
-    @classmethod
-    def of(cls, warps: Sequence[F8], info: SequenceInfo) -> CameraPath:
-        """The path of a camera whose maps (3, 3) from frame to frame are ``warps``, `types.STILL` where not known."""
-        # A unit step to the right, as a state's velocity, in the middle of the picture.
-        middle = info.width / 2, info.height / 2
-        unit = np.array([[*middle, 1.0, 0.0, 1.0]]).T
-        known = [warp_of.warp_states(unit, warp)[:, 0] for warp in warps if len(warp)]
-        x, y, right, down, size = np.array(known).reshape(-1, 5).T
-        step, turned = np.hypot(x - middle[0], y - middle[1]), np.abs(np.degrees(np.arctan2(down, right)))
-        sums = float(step.sum()), float(step.max(initial=0.0)), float(turned.sum()), float(size.prod())
-        return cls(len(warps), len(warps) - len(known), *sums)
 
 
 class _View(NamedTuple):
