@@ -72,7 +72,12 @@ def test_label_leave_and_go_on(sequence):
     assert status == 0
     assert "1 of 8 frames looked at, 1 false, no births: street.labels.sqlite" in out
 
+    # What a browser has kept for the page is found again: it is at the same address, unless that is taken.
     again = Started(*arguments, cwd=sequence)
+    assert again.url == page.url
+    third = Started(*arguments, cwd=sequence)
+    third.leave()
+    assert third.url != page.url
     assert "8 frames, 1 of them looked at" in again.told
     overview_again = json.loads(again.ask("api/overview"))
     again.leave()

@@ -9,6 +9,7 @@ from page_cases import CHROMIUM, FLAGS, FRAMES, SIZE, needs_browser, server
 from phdtrack.label import Label, LabelStore
 
 pytestmark = needs_browser
+VIEWPORT = {"width": 1280, "height": 800}
 KEPT = '#saving:text-is("all kept")'
 
 
@@ -56,11 +57,19 @@ class Page:
 
 @contextlib.contextmanager
 def opened(browser, url) -> Iterator[Page]:
-    page = Page(browser.new_page(viewport={"width": 1280, "height": 800}))
+    """A page; a browser's are strangers to each other, those of a context are tabs of one."""
+    page = Page(browser.new_page(**({} if hasattr(browser, "pages") else {"viewport": VIEWPORT})))
     page.open(url)
     yield page
     assert page.errors == []
     page.page.close()
+
+
+@pytest.fixture
+def context(browser):
+    context = browser.new_context(viewport=VIEWPORT)
+    yield context
+    context.close()
 
 
 @pytest.fixture
@@ -283,3 +292,44 @@ def test_no_click_is_lost_when_the_server_is_killed(browser, tmp_path):
             it.ready()
             it.kept()
             assert {label.box for label in LabelStore(labels).labels()} == {1, 2, 4}
+
+
+def test_no_click_of_two_tabs_is_lost_when_the_server_is_killed(context, tmp_path):
+    labels = tmp_path / "labels.sqlite"
+    with server(labels) as (url, process), opened(context, url) as one:
+        port = int(url.rsplit(":", 1)[1].strip("/"))
+        with opened(context, url) as other:
+            process.kill()
+            process.wait()
+            one.click(200, 100)
+            other.click(350, 100)
+            one.click(500, 100)
+            other.click(60, 250)
+            other.page.wait_for_selector('#saving:text-matches("4 to be kept")')
+        # The other one is closed before the server is back. What an earlier version left is taken, too.
+        left = [{"frame": 2, "what": "marks", "body": {"marks": [{"frame": 2, "box": 5, "mark": "false"}], "key": "old"}}]
+        one.page.evaluate("left => localStorage.setItem('phdtrack-label:drawn', JSON.stringify(left))", left)
+        with server(labels, port=port), opened(context, url) as third:
+            for page in (one, third):
+                page.kept()
+                page.page.wait_for_selector('#progress:text-matches(" 5 false")')
+            found = [(label.frame, label.box) for label in LabelStore(labels).labels()]
+            assert found == [(1, 1), (1, 2), (1, 3), (1, 4), (2, 5)]
+            assert one.page.evaluate("Object.keys(localStorage)") == ["phdtrack-who"]
+
+
+def test_what_waits_is_not_sent_to_another_file_on_the_same_port(context, tmp_path):
+    with server(tmp_path / "labels.sqlite") as (url, process), opened(context, url) as it:
+        port = int(url.rsplit(":", 1)[1].strip("/"))
+        process.kill()
+        process.wait()
+        it.click(200, 100)
+        it.page.wait_for_selector("#saving.waiting")
+        with server(tmp_path / "another.sqlite", port=port), opened(context, url) as another:
+            another.click(350, 100)
+            another.kept()
+            it.page.wait_for_timeout(1500)
+            assert [label.box for label in LabelStore(tmp_path / "another.sqlite").labels()] == [2]
+        with server(tmp_path / "labels.sqlite", port=port):
+            it.kept()
+            assert [label.box for label in LabelStore(tmp_path / "labels.sqlite").labels()] == [1]

@@ -73,7 +73,7 @@ def label(
     numbers = [number for number, _ in store.frames()]
     around = {frame for number in numbers for frame in clip(number, found.info.frames)}
     pictures = _stills(source, numbers, around, partial(_shown, found.table, blur))
-    address = listen(at.host, at.port, at.allow_host or (), at.certificate, at.key)
+    address = listen(at.host, at.port, at.allow_host or (), at.certificate, at.key, store.ports)
     kept = file.with_name(file.name.removesuffix(".sqlite") + ".suggestions.json")
     work = Background(partial(_suggestions, found, settings, numbers, kept)) if suggest else None
     session = Session(store, found.table, pictures, found.info, work)

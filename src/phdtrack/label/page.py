@@ -74,11 +74,12 @@ class Session:
     background: Background | None = None
 
     def overview(self) -> dict[str, object]:
-        """Size, name, the frames with how far each is, and the progress."""
+        """Size, name, the name of the file of labels, the frames with how far each is, and the progress."""
         info, last = self.info, last_frame(self.info, self.table)
         clips = [(number, done, clip(number, last)) for number, done in self.store.frames()]
         return {
             "name": info.name,
+            "file": self.store.name,
             "width": info.width,
             "height": info.height,
             "fps": info.fps,

@@ -190,7 +190,7 @@ function kept(item, answer) {
     if (known) Object.assign(known, { marks: answer.marks, undo: answer.undo, redo: answer.redo });
     const listed = overview.frames.find((one) => one.number === item.frame);
     if (listed) listed.done = answer.done;
-    if (item.what === "undo" || item.what === "redo") others(item.frame);
+    if (item.what === "undo" || item.what === "redo" || item.adopted) others(item.frame);
     if (item.body.marks?.length > 1) sweep.load().catch(() => {});
     view.draw();
     if (!$("wall").hidden) colours();
@@ -404,7 +404,7 @@ $("mode").addEventListener("change", () => {
 // --- begin ------------------------------------------------------------------------------------------------------------------
 
 overview = await ask("/api/overview");
-const queue = new Queue(overview.name, { kept, refused: say, changed: saving });
+const queue = new Queue(overview.file, overview.name, { kept, refused: say, changed: saving });
 $("frames").replaceChildren(...overview.frames.map((_, k) => {
   const item = document.createElement("li");
   const button = document.createElement("button");
