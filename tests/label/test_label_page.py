@@ -198,7 +198,7 @@ def test_births_are_marked_on_the_clip_about_a_frame(it, store):
         press(",")
     it.page.wait_for_selector('#when:text-is("frame 5 (−10)")')
     it.click(200, 100)
-    it.page.wait_for_selector('#tip:text-matches("may have been there before")')
+    it.page.wait_for_selector('#notice:text-matches("may have been there before")')
     # False boxes belong to the drawn frame: the key for them goes back there.
     press("1")
     it.page.wait_for_selector("#clip", state="hidden")
@@ -244,11 +244,18 @@ def test_suggestions_are_confirmed_in_one_sweep_and_taken_back_in_one(it, store)
     assert {label.frame for label in marks if label.box == 3} == set(range(1, FRAMES + 1)) - {8}
     assert {label.frame for label in marks if label.box == 4} == {*range(1, 20, 2), 37, 39}
     it.page.wait_for_selector('#sweep-button:text-is("9 suggestions (S)")')
+    # What was done stays to be read, whatever the server answers and the mouse passes over, until the next key or click.
+    said = "51 boxes were marked as false; Z on this frame takes that back"
+    it.page.mouse.move(*it.point(200, 100))
+    it.page.wait_for_selector('#tip:text-matches("score 0.5")')
+    it.page.wait_for_timeout(600)
+    assert it.page.inner_text("#notice") == said
     # None of the frames has been looked at by that.
     assert store.progress().done == 0
     it.page.keyboard.press("z")
     it.page.wait_for_selector('#sweep-button:text-is("60 suggestions (S)")')
     assert store.labels() == []
+    assert it.page.inner_text("#notice") == ""
     it.page.keyboard.press("s")
     it.page.locator("#sweep h2 button").first.click()
     it.page.wait_for_selector('#sweep-confirm:text-is("mark 52 of 60 as false (Enter)")')
@@ -257,6 +264,33 @@ def test_suggestions_are_confirmed_in_one_sweep_and_taken_back_in_one(it, store)
     it.page.keyboard.press("Escape")
     it.page.wait_for_selector("#sweep", state="hidden")
     assert store.labels() == []
+
+
+def test_what_is_heard_and_how_the_picture_is_left(it):
+    press, spoken = it.page.keyboard.press, lambda: it.page.inner_text("#spoken")
+    assert spoken() == "1 of 40: frame 1, 13 boxes"
+    # What the mouse passes over is shown only.
+    it.page.mouse.move(*it.point(200, 100))
+    it.page.wait_for_selector('#tip:text-matches("score 0.5")')
+    assert spoken() == "1 of 40: frame 1, 13 boxes"
+    it.page.mouse.move(*it.point(1, 1))
+    press("Tab")
+    assert spoken() == "box 1 of 13, score 0.5, no mark"
+    press("x")
+    assert spoken() == "box 1 of 13, score 0.5, marked as false"
+    press("Enter")
+    it.frame(2)
+    it.kept()
+    finished = it.page.get_by_label("frame 1 of 40, done", exact=True)
+    assert finished.inner_text() == "✓"
+    assert it.page.get_by_label("frame 2 of 40", exact=True).get_attribute("aria-current") == "true"
+    focused = "document.activeElement.id"
+    press("Tab")
+    assert it.page.evaluate(focused) == "canvas"
+    press("Escape")
+    assert it.page.evaluate(focused) == "previous"
+    press("Tab")
+    assert it.page.evaluate(focused) == "next"
 
 
 def test_the_page_does_not_wait_for_suggestions(browser, tmp_path):
