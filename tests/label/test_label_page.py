@@ -108,6 +108,13 @@ def test_forty_frames_by_keyboard(it, store):
     del expected[1, 2]
     assert marks == expected
     assert store.progress().done == FRAMES
+    # What comes next is said, with the file of these marks; births are learned from as many marks.
+    it.page.wait_for_selector("#next-step:visible")
+    command = f"phdtrack learn drawn.mp4 --labels {store.path} --births hand"
+    assert it.page.inner_text("#next-step") == f"All 40 frames are done. Now run, in a terminal: {command}"
+    assert it.page.inner_text("#kept") == str(store.path)
+    it.page.keyboard.press("z")
+    it.page.wait_for_selector("#next-step", state="hidden")
 
 
 @pytest.mark.parametrize("width", [390, 800])
@@ -184,7 +191,9 @@ def test_births_are_marked_on_the_clip_about_a_frame(it, store):
     press = it.page.keyboard.press
     it.page.click("#frames li:nth-child(15) button")
     it.frame(15)
+    assert "one leg" in it.page.inner_text("#rule-false")
     press("2")
+    assert (it.page.is_visible("#rule-false"), it.page.is_visible("#rule-birth")) == (False, True)
     it.page.wait_for_selector('#when:text-is("frame 15, drawn")')
     press(".")
     press(".")

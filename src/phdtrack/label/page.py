@@ -19,11 +19,11 @@ from starlette.routing import Route
 from phdtrack.arrays import iou
 from phdtrack.errors import InputError
 from phdtrack.label.samples import boxes_of, clip, last_frame
-from phdtrack.label.store import Label, LabelStore
+from phdtrack.label.store import Label, LabelStore, Progress
 from phdtrack.label.suggestions import ALIKE, TICKED, Background
 from phdtrack.live.serving import static
 from phdtrack.scene.mixture import place_map
-from phdtrack.scene.training import box_density
+from phdtrack.scene.training import MIN_BIRTHS, box_density
 from phdtrack.types import F8, Detections, DetectionTable, Image, SequenceInfo
 
 # Of answers of a media type: pictures never change, and the labels are a file to keep.
@@ -65,6 +65,7 @@ class Session:
     table, info : the detections, and the sequence.
     stills : the frames as JPEG by number, those of the clips too, of any size; the others are shown grey.
     background : looks for what may be false; None where nothing does.
+    command : learns from the marks, in a terminal.
     """
 
     store: LabelStore
@@ -72,9 +73,14 @@ class Session:
     stills: Mapping[int, bytes]
     info: SequenceInfo
     background: Background | None = None
+    command: str = "phdtrack learn"
+
+    def learn(self, progress: Progress) -> str:
+        """The command that learns from the marks: births, too, where enough of them were marked."""
+        return f"{self.command} --births hand" if progress.births >= MIN_BIRTHS else self.command
 
     def overview(self) -> dict[str, object]:
-        """Size, name, the name of the file of labels, the frames with how far each is, and the progress."""
+        """Size, name, the name of the file of labels and where it is ``kept``, the frames with how far each is, and the progress."""
         info, last = self.info, last_frame(self.info, self.table)
         clips = [(number, done, clip(number, last)) for number, done in self.store.frames()]
         return {
@@ -84,7 +90,8 @@ class Session:
             "height": info.height,
             "fps": info.fps,
             "frames": [{"number": number, "done": done, "clip": [c.start, c.stop - 1]} for number, done, c in clips],
-            "progress": asdict(self.store.progress()),
+            "progress": self._progress(),
+            "kept": str(self.store.path),
         }
 
     def frame(self, number: int) -> dict[str, object]:
@@ -185,7 +192,12 @@ class Session:
                 store.finish(number, sent.done, sent.key)
             case _:
                 raise InputError(f"nothing is called {what}")
-        return self.frame(number) | {"progress": asdict(store.progress())}
+        return self.frame(number) | {"progress": self._progress()}
+
+    def _progress(self) -> dict[str, object]:
+        """How far the work is, and what to do ``next`` when all frames are done."""
+        progress = self.store.progress()
+        return asdict(progress) | {"next": self.learn(progress) if progress.done == progress.frames else ""}
 
     def _boxes(self, number: int) -> Detections:
         """The detections of a frame to label, or of the clip about one."""

@@ -230,6 +230,7 @@ function tell() {
   const { done, frames: all, false: wrong, births } = overview.progress;
   $("progress").textContent = `${done} of ${all} frames · ${wrong} false · ${births} births`;
   $("title").textContent = `${overview.name || "detections"}, frame ${number()}`;
+  nextStep(all, overview.progress.next);
   $("undo").disabled = !(drawn()?.undo > 0 || finished >= 0);
   $("redo").disabled = !(drawn()?.redo > 0);
   tellClip();
@@ -247,6 +248,16 @@ function tell() {
     button.className = (done ? "done" : "") + (k === here ? " here" : "");
     button.ariaCurrent = k === here ? "true" : "false";
   });
+}
+
+// All frames are done: what to do now.
+function nextStep(all, command) {
+  if ($("next-step").dataset.command === command) return;
+  $("next-step").dataset.command = command;
+  $("next-step").hidden = !command;
+  const code = document.createElement("code");
+  code.textContent = command;
+  $("next-step").replaceChildren(`All ${all} frames are done. Now run, in a terminal: `, code);
 }
 
 const maps = () => drawMaps(overview.progress, number());
@@ -372,7 +383,7 @@ function setMode(value) {
 }
 
 function changed() {
-  $("rule").hidden = mode() !== "birth";
+  for (const kind of ["false", "birth"]) $(`rule-${kind}`).hidden = mode() !== kind;
   alike = [];
   if (mode() === "birth") clip.ahead();
   else clip.back();
@@ -432,6 +443,7 @@ $("mode").addEventListener("change", () => {
 
 overview = await ask("/api/overview");
 const queue = new Queue(overview.file, overview.name, { kept, refused: say, changed: saving });
+$("kept").textContent = overview.kept;
 $("frames").replaceChildren(...overview.frames.map((_, k) => {
   const item = document.createElement("li");
   const button = document.createElement("button");
