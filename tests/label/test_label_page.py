@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 from page_cases import CHROMIUM, FLAGS, FRAMES, SIZE, needs_browser, server
 
@@ -300,6 +301,39 @@ def test_what_is_heard_and_how_the_picture_is_left(it):
     assert it.page.evaluate(focused) == "previous"
     press("Tab")
     assert it.page.evaluate(focused) == "next"
+
+
+# Notes how long each picture takes to draw, until its pixels are there, in milliseconds.
+TIMED = """
+window.painted = [];
+const next = window.requestAnimationFrame.bind(window);
+window.requestAnimationFrame = (paint) => next((time) => {
+  const begun = performance.now();
+  paint(time);
+  document.getElementById("canvas").getContext("2d").getImageData(0, 0, 1, 1);
+  painted.push(performance.now() - begun);
+});
+"""
+
+
+def test_a_click_among_a_thousand_boxes_is_drawn_at_once(browser, tmp_path):
+    rng = np.random.default_rng(0)
+    corner, size = rng.uniform(0, 400, (1000, 2)), rng.uniform(15, 80, (1000, 2))
+    boxes = np.hstack([corner, corner + size, np.full((1000, 1), 0.5)]).round(2).tolist()
+    with server(tmp_path / "labels.sqlite", boxes=1000) as (url, _):
+        page = Page(browser.new_page(viewport=VIEWPORT))
+        page.page.add_init_script(TIMED)
+        # Boxes that overlap: they are the slowest to draw.
+        page.page.route("**/api/frame/1", lambda route: route.fulfill(json=route.fetch().json() | {"boxes": boxes}))
+        page.open(url)
+        for x, y in rng.uniform(50, 400, (15, 2)):
+            page.click(x, y)
+            page.page.wait_for_timeout(60)
+        took = page.page.evaluate("painted")
+        assert len(took) >= 15
+        assert np.median(took) < 50
+        page.kept()
+        page.page.close()
 
 
 def test_the_page_does_not_wait_for_suggestions(browser, tmp_path):
