@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -23,7 +24,7 @@ from phdtrack.label.store import Label, LabelStore, Progress
 from phdtrack.label.suggestions import ALIKE, TICKED, Background
 from phdtrack.live.serving import static
 from phdtrack.scene.mixture import place_map
-from phdtrack.scene.training import MIN_BIRTHS, box_density
+from phdtrack.scene.training import FALSE_BOXES, MIN_BIRTHS, box_density, learn_boxes
 from phdtrack.types import F8, Detections, DetectionTable, Image, SequenceInfo
 
 # Of answers of a media type: pictures never change, and the labels are a file to keep.
@@ -35,6 +36,8 @@ JSON = "application/json"
 STATIC = Path(__file__).parent / "static"
 # A map is drawn from so many marks on, in red or green (BGR), of this width.
 _MIN_MARKS, _MAP_WIDTH = 10, 320
+# Marks that may be anywhere, as a share, from which on it is in doubt whether there are places.
+_DOUBT = 0.5
 _COLOURS = {"false": (40, 40, 220), "birth": (90, 170, 30)}
 _OUTLINE, _GREY = (62, 210, 255), 96
 # Crops that are shown at once; the next ones follow when these are dealt with. Their size in pixels.
@@ -80,7 +83,7 @@ class Session:
         return f"{self.command} --births hand" if progress.births >= MIN_BIRTHS else self.command
 
     def overview(self) -> dict[str, object]:
-        """Size, name, the name of the file of labels and where it is ``kept``, the frames with how far each is, and the progress."""
+        """Size, name, the file of labels (its name, and where it is ``kept``), how far each frame is, and the progress."""
         info, last = self.info, last_frame(self.info, self.table)
         clips = [(number, done, clip(number, last)) for number, done in self.store.frames()]
         return {
@@ -156,20 +159,28 @@ class Session:
             "more": max(0, len(found) - _CROPS),
         }
 
-    def place_map(self, mark: str) -> bytes:
-        """What was learned of the marked boxes' places so far: coloured where they are likely, clear where not."""
+    def place_map(self, mark: str) -> dict[str, object]:
+        """What was ``learned`` of the marked boxes' places so far, if anything was, and a ``picture`` of it as an address:
+        coloured where they are likely, clear where not."""
         if mark not in _COLOURS:
             raise InputError(f"expected {' or '.join(_COLOURS)}, got {mark!r}")
         scale = min(1.0, _MAP_WIDTH / self.info.width)
         shape = (max(1, round(self.info.height * scale)), max(1, round(self.info.width * scale)))
         picture = np.zeros((*shape, 4), np.uint8)
         boxes = boxes_of([label for label in self.store.labels() if label.mark == mark], self.table)
-        if boxes.shape[1] >= _MIN_MARKS:
-            density = box_density(boxes, (float(self.info.width), float(self.info.height)))
+        if learned := boxes.shape[1] >= _MIN_MARKS:
+            size = (float(self.info.width), float(self.info.height))
+            density = box_density(boxes, size)
+            # Where it is in doubt it is asked how well the places predict marks that they were not learned from.
+            if density.uniform >= _DOUBT:
+                density = learn_boxes(boxes, 1, size, FALSE_BOXES).learned.density
+            learned = density.has_places
+        if learned:
             picture[..., :3] = _COLOURS[mark]
             # By the square root a place a quarter as likely as the worst is still plain to see.
             picture[..., 3] = (200 * np.sqrt(place_map(density, shape, 1 / scale))).astype(np.uint8)
-        return _encoded(picture, ".png")
+        data = base64.b64encode(_encoded(picture, ".png")).decode()
+        return {"learned": learned, "picture": f"data:image/png;base64,{data}"}
 
     def _change(self, number: int, what: str, sent: Sent) -> dict[str, object]:
         """The frame and the progress after its marks were changed; ``what`` is marks, undo, redo or done.
@@ -231,7 +242,7 @@ def label_app(session: Session) -> Starlette:
         "/api/frame/{number:int}": (session.frame, JSON),
         "/api/frame/{number:int}/alike/{box:int}": (session.alike, JSON),
         "/api/suggestions": (session.suggestions, JSON),
-        "/api/map/{mark:str}.png": (session.place_map, "image/png"),
+        "/api/map/{mark:str}": (session.place_map, JSON),
         "/api/labels.csv": (session.store.csv, "text/csv"),
         "/still/{number:int}.jpg": (session.still, "image/jpeg"),
         "/crop/{number:int}/{box:int}.jpg": (session.crop, "image/jpeg"),

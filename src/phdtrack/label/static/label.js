@@ -260,7 +260,8 @@ function nextStep(all, command) {
   $("next-step").replaceChildren(`All ${all} frames are done. Now run, in a terminal: `, code);
 }
 
-const maps = () => drawMaps(overview.progress, number());
+// The server may be away: the next click asks again.
+const maps = () => drawMaps(overview.progress, number(), ask).catch(() => {});
 
 function tellClip() {
   const [first, last] = clip.range;
