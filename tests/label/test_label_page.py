@@ -202,7 +202,7 @@ def test_births_are_marked_on_the_clip_about_a_frame(it, store):
     it.click(200, 100)
     it.kept()
     assert store.labels() == [Label(17, 1, "birth")]
-    assert "0 false · 1 births" in it.page.inner_text("#progress")
+    assert "0 false · 1 birth" in it.page.inner_text("#progress")
     # On the first frame of the clip nobody can be told to be new.
     for _ in range(20):
         press(",")
@@ -223,7 +223,7 @@ def test_births_are_marked_on_the_clip_about_a_frame(it, store):
     assert store.labels() == []
     press("y")
     it.kept()
-    it.page.wait_for_selector('#progress:text-matches(" 1 births$")')
+    it.page.wait_for_selector('#progress:text-matches(" 1 birth$")')
     assert store.labels() == [Label(17, 1, "birth")]
     press("2")
     press(" ")

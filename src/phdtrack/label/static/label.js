@@ -228,7 +228,7 @@ function saving(waiting, away) {
 
 function tell() {
   const { done, frames: all, false: wrong, births } = overview.progress;
-  $("progress").textContent = `${done} of ${all} frames · ${wrong} false · ${births} births`;
+  $("progress").textContent = `${done} of ${all} frames · ${wrong} false · ${births} ${births === 1 ? "birth" : "births"}`;
   $("title").textContent = `${overview.name || "detections"}, frame ${number()}`;
   nextStep(all, overview.progress.next);
   $("undo").disabled = !(drawn()?.undo > 0 || finished >= 0);
@@ -256,7 +256,12 @@ function nextStep(all, command) {
   $("next-step").dataset.command = command;
   $("next-step").hidden = !command;
   const code = document.createElement("code");
-  code.textContent = command;
+  // A line ends between words, not behind the hyphens of an option.
+  for (const word of command.split(" ")) {
+    const span = document.createElement("span");
+    span.textContent = word;
+    code.append(code.hasChildNodes() ? " " : "", span);
+  }
   $("next-step").replaceChildren(`All ${all} frames are done. Now run, in a terminal: `, code);
 }
 
