@@ -134,7 +134,9 @@ class PageOptions:
     """Where a page is served, and to whom (docs/security.md)."""
 
     host: Annotated[str, option("NAME", "Address to listen on; other machines need the printed token.")] = "127.0.0.1"
-    port: Annotated[int, option("N", "Port of the page; 0: any that is free.", min=0, max=65535)] = 0
+    port: Annotated[
+        int, option("N", "Port of the page; 0: one that is free (`label`: each time the same).", min=0, max=65535)
+    ] = 0
     allow_host: Annotated[
         list[str] | None, option("NAME", "Name or address by which browsers ask for the page; repeatable.")
     ] = None
