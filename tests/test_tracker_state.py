@@ -227,6 +227,8 @@ def element(value, place=0, column: str = ""):
     ({}, (*LAYER, "hypotheses"), element(10**12, 0, "detection"), "do not fit each other"),
     ({}, (*LAYER, "mean"), element(np.nan), "mean: expected numbers from -1e"),
     ({}, (*LAYER, "covariance"), element(-1.0), "covariance: .* variances above 0"),
+    (few("gm-phd"), (*MIXTURE, "covariance"), element(1e9, 9), "covariance: expected .* covariances"),
+    (few("gm-phd"), (*MIXTURE, "covariance"), lambda a: a + 1e9 * (1 - np.eye(a.shape[1])), "covariance: .* covariances"),
     ({}, (*LAYER, "mean"), lambda a: a[:, :5], r"expected an array of shape \(C, d\)"),
     ({}, (*LAYER, "mean"), lambda a: a.astype(">f8"), "expected an array of float64, got >f8"),
     ({}, (*MOMENT, "estimates", "fields", "tag"), lambda a: a * 0, "do not fit each other"),

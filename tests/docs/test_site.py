@@ -29,7 +29,9 @@ def test_the_table_of_filters_has_the_figures_of_the_results():
 
 @pytest.mark.slow
 def test_the_site_builds_and_every_link_resolves(tmp_path: Path):
-    done = subprocess.run(["make", "site", f"SITE={tmp_path / 'site'}"], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["make", "site", f"SITE={tmp_path / 'site'}"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     for page in ("index.html", "filters.html", "api/tracker.html", "how-to/README.html", "results/videos.html"):
         assert (tmp_path / "site" / page).exists(), page
