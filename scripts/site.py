@@ -1,6 +1,7 @@
-"""What the site needs beside the pages in docs/: the README as its first page, links to files that are no pages, the results.
+"""What the site needs beside the pages in docs/: the README as its first page, links to files that are no pages, the results,
+and docstrings as its generator expects them.
 
-A hook of MkDocs, used by `make site`. The README is read where it is, so that it stands once.
+A hook of MkDocs and an extension of Griffe, used by `make site`. The README is read where it is, so that it stands once.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import griffe
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
@@ -44,3 +46,28 @@ def on_page_markdown(text: str, page: Page, config: MkDocsConfig, files: Files, 
         return words if outside or other or target == "CHANGELOG.md" else found[0]
 
     return LINK.sub(kept, text)
+
+
+class Docstrings(griffe.Extension):
+    """Our docstrings say ``name : what it is``, as types are in the signature. NumPy's style has the type there, and what it is
+    in an indented line below."""
+
+    # What is written into lines of their own, and a section's entry.
+    SECTIONS = ("Parameters", "Attributes", "Returns", "Yields", "Raises")
+    ENTRY = re.compile(r"^(\*{0,2}\w[\w, *`]*?) : (.*)$")
+
+    def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
+        """Rewrite its docstring."""
+        if obj.docstring is None:
+            return
+        lines, out, section = obj.docstring.value.replace("``", "`").split("\n"), list[str](), ""
+        for k, line in enumerate(lines):
+            if k + 1 < len(lines) and set(lines[k + 1].strip()) == {"-"}:
+                section = line.strip()
+            entry = self.ENTRY.match(line) if section in self.SECTIONS else None
+            if entry:
+                given = str(getattr(obj, "returns", None) or "") if section in ("Returns", "Yields") else ""
+                out += [f"{entry[1]} : {given}" if given else entry[1], f"    {entry[2]}"]
+            else:
+                out.append(line)
+        obj.docstring.value = "\n".join(out)
