@@ -1,5 +1,5 @@
-"""What the site needs beside the pages in docs/: the README as its first page, links to files that are no pages, the results,
-and docstrings as its generator expects them.
+"""What the site needs beside the pages in docs/: the README as its first page, the pages of results, docstrings as its
+generator expects them; and links to files that are no pages are their names.
 
 A hook of MkDocs and an extension of Griffe, used by `make site`. The README is read where it is, so that it stands once.
 """
@@ -49,8 +49,8 @@ def on_page_markdown(text: str, page: Page, config: MkDocsConfig, files: Files, 
 
 
 class Docstrings(griffe.Extension):
-    """Our docstrings say ``name : what it is``, as types are in the signature. NumPy's style has the type there, and what it is
-    in an indented line below."""
+    """Our docstrings say ``name : what it is``, as types are in the signature. NumPy's style has the type there, and what it
+    is in an indented line below."""
 
     # What is written into lines of their own, and a section's entry.
     SECTIONS = ("Parameters", "Attributes", "Returns", "Yields", "Raises")
