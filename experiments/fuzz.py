@@ -459,7 +459,6 @@ def reading(samples: Sequence[Sample], suffix: str) -> tuple[list[bytes], Try]:
 
 def _detections() -> tuple[list[bytes], Try]:
     from phdtrack.formats import read_detections, read_warps
-    from phdtrack.formats.columns import read_positions
 
     rows = [(1 + k // 3, -1, 10 + k, 20 + 2 * k, 30, 60, 0.9) for k in range(9)]
     text = "".join(",".join(map(str, row)) + ",-1,-1,-1,1\n" for row in rows)
@@ -477,10 +476,9 @@ def _detections() -> tuple[list[bytes], Try]:
         "0 1 Car 0 0 -1 10 20 30 40 -1 -1 -1 -1 -1 -1 -1 0.9\n" * 2 + "1 -1 DontCare -1 -1 -10 1 2 3 4" + " -1" * 7 + " 0\n"
     )
     warps = "frame,g11,g12,g13,g21,g22,g23\n2,1,0,3,0,1,4\n3,1,0,0,0,1,0\n"
-    positions = "".join(f"{k} 1 {k}.5 0 2.5 1 0 0\n" for k in range(5))
     texts = [text, covariance, named, blanks, json.dumps(results), json.dumps(data), kitti]
     samples: list[Sample] = [(one, read_detections) for one in texts]
-    return reading([*samples, (warps, read_warps), (positions, read_positions)], ".txt")
+    return reading([*samples, (warps, read_warps)], ".txt")
 
 
 def _truth() -> tuple[list[bytes], Try]:
@@ -549,7 +547,7 @@ def _storages() -> list[bytes]:
 
 
 def _cameras() -> tuple[list[bytes], Try]:
-    from phdtrack.ground import MatrixForm, read_camera
+    from phdtrack.ground import read_camera
     from phdtrack.ground.terrain import read_terrain
 
     matrix = [[0.01, 0.002, -3.0], [0.0003, -0.02, 4.0], [1e-5, 2e-3, 1.0]]
@@ -559,7 +557,6 @@ def _cameras() -> tuple[list[bytes], Try]:
     grid = "ncols 3\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 2.5\nNODATA_value -9\n1 2 3\n4 5 -9\n"
     texts = [text, json.dumps(plain | {"tvec": [0.5, 0.7, 9.0]}), toml, *_storages()[:2]]
     samples: list[Sample] = [(one, read_camera) for one in texts]
-    samples += [(one, partial(read_camera, form=MatrixForm(unit="cm"))) for one in _matlab() * 2]
     return reading([*samples, (grid, read_terrain), (_terrain(), read_terrain)], ".cam")
 
 
@@ -571,34 +568,6 @@ def _terrain() -> bytes:
     file = io.BytesIO()
     np.savez_compressed(file, heights=np.ones((3, 4)), origin=np.zeros(2), step=np.ones(2))
     return file.getvalue()
-
-
-def _matlab() -> list[bytes]:
-    """Homographies in MATLAB files, compressed and not."""
-    import io
-
-    import numpy as np
-    from scipy.io import savemat
-
-    found = []
-    held = {"T": np.arange(9.0).reshape(3, 3) ** 2 + np.eye(3), "Tinv": np.eye(3)}
-    for packed in (False, True):
-        for value in ({"c2b": {"tdata": held, "names": np.array(["a", "bc"], object)}}, {"h": held["T"].astype(np.int16)}):
-            file: Any = io.BytesIO()
-            savemat(file, value, do_compression=packed)
-            found.append(file.getvalue())
-    return found
-
-
-def repacked(samples: Sequence[bytes], rng: random.Random) -> bytes:
-    """As `mutated`; an element of a MATLAB file may be changed inside of its compression."""
-    import zlib
-
-    whole = mutated(samples, rng)
-    if not whole[1:].startswith(b"MATLAB") or rng.random() < 0.5:
-        return whole
-    packed = zlib.compress(whole[129:], 1)
-    return whole[:129] + struct.pack("<II", 15, len(packed)) + packed
 
 
 def _toml() -> tuple[list[bytes], Try]:
@@ -731,11 +700,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         samples, try_one = FAMILIES[family]()
         file = given.out or ROOT / "runs" / "reliability"
         file = file if file.suffix == ".json" else file / f"fuzz-{family}.json"
-        make = repacked if family == "cameras" else mutated
         file.parent.mkdir(parents=True, exist_ok=True)
         report = campaign(
             family,
-            partial(make, samples),
+            partial(mutated, samples),
             try_one,
             inputs=given.inputs,
             seed=given.seed,

@@ -19,11 +19,10 @@ from experiments.common import Options, in_parallel, need_data, table, with_erro
 from experiments.group_scores import GroupScores, LabelledFrame, nearest, score_groups
 from phdtrack import config, pipeline
 from phdtrack.config import build_groups
-from phdtrack.formats.columns import Positions, read_positions
 from phdtrack.groups.clusters import Grouping
 from phdtrack.groups.life_cycle import GroupLifeCycle, LifeCycleState
 from phdtrack.groups.pairs import Pairs, PairState, Walkers
-from phdtrack.groups.pipeline import carriers, known_people, on_ground
+from phdtrack.groups.pipeline import carriers, on_ground
 from phdtrack.protocols import AnyStages
 from phdtrack.types import F8, I8, Detections, GaussianMixture, SequenceInfo, Step, Tracks
 
@@ -40,6 +39,43 @@ NOISE, DETECTION, CLUTTER, MARGIN = 0.2, 0.9, 0.5, 1.0
 CROWD = 3
 # States farther than this from all true positions are false, metres.
 WITHIN = 1.0
+# Deviations of a person whose position and velocity are known, metres and metres per second: body width, gait.
+BODY, GAIT = 0.3, 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Positions:
+    """People on the ground, sorted by frame, then identity.
+
+    ``frame`` (M,), ``identity`` (M,), and ``state`` (4, M): px, py in metres, vx, vy in metres per second.
+    """
+
+    frame: I8
+    identity: I8
+    state: F8
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def at(self, number: int) -> Positions:
+        """The people of frame ``number``."""
+        lo, hi = np.searchsorted(self.frame, [number, number + 1])
+        return Positions(self.frame[lo:hi], self.identity[lo:hi], self.state[:, lo:hi])
+
+
+def read_positions(path: Path) -> Positions:
+    """The people of an ``obsmat.txt`` of ETH and UCY: frame, identity, x, z, y, vx, vz, vy a line, z upwards."""
+    values = np.loadtxt(path)
+    values = values[np.lexsort((values[:, 1], values[:, 0]))]
+    frame, identity = values[:, :2].T.astype(np.int64)
+    return Positions(frame, identity, np.ascontiguousarray(values[:, [2, 4, 5, 7]].T))
+
+
+def known_people(state: F8) -> GaussianMixture:
+    """People whose position and velocity (4, n) are known: weight 1 each, as wide as a body."""
+    n = state.shape[1]
+    cov = np.diag(np.array([BODY, BODY, GAIT, GAIT]) ** 2)
+    return GaussianMixture(np.ones(n), state, np.tile(cov, (n, 1, 1)))
 
 
 def read_groups(path: Path) -> tuple[tuple[int, ...], ...]:

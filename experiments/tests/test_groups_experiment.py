@@ -10,6 +10,7 @@ from experiments.groups import (
     KNOWN,
     NOISE,
     People,
+    Positions,
     Seen,
     WalkedScene,
     by_frame,
@@ -20,7 +21,6 @@ from experiments.groups import (
     over_time,
     read_groups,
 )
-from phdtrack.formats.columns import Positions
 from phdtrack.groups.clusters import Grouping
 
 

@@ -214,7 +214,6 @@ def json_value(value: object) -> Any:
         case _ if is_dataclass(value) and not isinstance(value, type):
             return {f.name: json_value(getattr(value, f.name)) for f in fields(value) if f.repr}
         case _:
-            # Only here, so that `phdtrack doctor` can say that NumPy does not work.
             import numpy as np
 
             return json_value(value.tolist()) if isinstance(value, np.generic | np.ndarray) else str(value)

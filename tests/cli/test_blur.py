@@ -98,13 +98,11 @@ def roughest(image: Image) -> float:
 WRITTEN = {
     "track": {"annotated.mp4", "report.html"},
     "groups": {"annotated.mp4", "plan.mp4", "report.html"},
-    "compare": {"report.html"},
     "learn": {"scene.html"},
 }
 COMMANDS = {
     "track": ("track", "walk.mp4", "--detections", "det.txt"),
     "groups": ("groups", "walk.mp4", "--detections", "det.txt", "--camera", "camera.txt"),
-    "compare": ("compare", "walk.mp4", "--detections", "det.txt", "--truth", "gt.txt", "--seeds", "1", "--jobs", "1"),
     "learn": ("learn", "walk.mp4", "--detections", "still.txt"),
 }
 

@@ -1,4 +1,4 @@
-"""`phdtrack groups`: from a video, from detections and from known positions; every file, and every way to ask wrongly."""
+"""`phdtrack groups`: from a video and from detections; every file, and every way to ask wrongly."""
 
 from __future__ import annotations
 
@@ -164,17 +164,6 @@ def test_members_of_an_intensity_are_the_online_identities_with_any_delay(street
         assert told >= set(range(4, FRAMES + 1))
 
 
-def obsmat(path: Path) -> Path:
-    """Two together, one alone, from frame 780 on, six frames of 15 a second apart."""
-    rows = []
-    for k in range(30):
-        t = 0.4 * k
-        for who, (x, y, vx) in ((5, (t, 0, 1)), (8, (t, 1, 1)), (9, (5 - t, 6, -1))):
-            rows.append(f"{780 + 6 * k} {who} {x} 0 {y} {vx} 0 0")
-    path.write_text("\n".join(rows) + "\n")
-    return path
-
-
 def test_a_learned_scene_is_used(street: Path, tmp_path: Path) -> None:
     """False alarms that were learned where people walk, ten thousand a frame: hardly anybody is found."""
     low, high = np.zeros(4), np.array([320.0, 240, 320, 240])
@@ -188,22 +177,6 @@ def test_a_learned_scene_is_used(street: Path, tmp_path: Path) -> None:
     found = {name: read_tracks(tmp_path / name / rundir.TRACKS) for name in ("with", "without")}
     assert len(np.unique(found["without"].identity)) == 3
     assert len(found["with"]) < len(found["without"]) - 20
-    said = refused("groups", "--positions", tmp_path / "obsmat.txt", "--scene", path, "--fps", 10)
-    assert "--scene" in said
-
-
-def test_known_positions(tmp_path: Path) -> None:
-    out = tmp_path / "run"
-    said = phdtrack("groups", "--positions", obsmat(tmp_path / "obsmat.txt"), "--fps", 15, "--out", out, "--json")
-    assert said.status == 0, said.err
-    tracked = {rundir.TRACKS, rundir.ONLINE, rundir.STATES, rundir.DETECTIONS, rundir.VIDEO}
-    assert {path.name for path in out.iterdir()} == FILES - tracked
-    assert said.object == json.loads((out / rundir.RUN).read_text())
-    assert said.object["input"]["fps"] == pytest.approx(15)
-    assert {(row["group"], row["member"]) for row in table(out / rundir.MEMBERS)} == {("1", "5"), ("1", "8"), ("2", "9")}
-    assert [row["count"] for row in table(out / rundir.GROUPS)] == ["2", "1"] * 30
-    assert float(table(out / rundir.GROUPS)[-1]["time"]) == pytest.approx(29 * 0.4)
-    assert sum(1 for _ in open_source(out / rundir.PLAN)) == 30
 
 
 @pytest.mark.parametrize(
@@ -216,29 +189,14 @@ def test_known_positions(tmp_path: Path) -> None:
         (["--camera", "CAMERA", "--set", "groups.distanc=1"], "distance"),
         (["--camera", "CAMERA", "--edges", "EDGES"], "expected a point of an edge"),
         (["--camera", "det.txt"], "det.txt"),
-        (["--positions", "POSITIONS"], "--positions"),
     ],
 )
 def test_what_cannot_be_done(street: Path, tmp_path: Path, more: list[str], says: str) -> None:
     (tmp_path / "edges.txt").write_text("1 2\n3 x\n")
     put = {"CAMERA": street / "camera.toml", "EDGES": tmp_path / "edges.txt", "det.txt": street / "det.txt"}
-    put["POSITIONS"] = obsmat(tmp_path / "obsmat.txt")
     given = ["--detections", street / "det.txt", "--frame-size", "320x240", "--fps", RATE, "--out", tmp_path / "run"]
     assert says in refused("groups", *given, *(put.get(word, word) for word in more))
     assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("", "without any"),
-        ("1 1 0 0 0 1 0 0\n", "--fps"),
-        ("1 2 3\n", "vx, vz, vy"),
-    ],
-)
-def test_positions_that_do_not_do(tmp_path: Path, text: str, says: str) -> None:
-    (tmp_path / "obsmat.txt").write_text(text)
-    assert says in refused("groups", "--positions", tmp_path / "obsmat.txt", "--out", tmp_path / "run")
 
 
 def test_ctrl_c_leaves_the_groups_up_to_there(street: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

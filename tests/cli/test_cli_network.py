@@ -92,7 +92,7 @@ def test_every_command_takes_a_network(work: Path) -> None:
         learned = phdtrack("learn", *network, "--clutter", "unattended", "--set", "detector.classes=person", "--overwrite")
         assert "nothing could be learned" in learned.err or learned.status == 0, learned.err
     assert f"those of {next(work.glob('clip.labels.onnx-*.detections.csv')).name}" in learned.err
-    quick = ("--filters", "none", "--seeds", 1, "--jobs", 1, "--worst", 0)
+    quick = ("--filters", "none", "--seeds", 1, "--jobs", 1)
     assert phdtrack("compare", "clip.mp4", "--detectors", "onnx:net.onnx", *quick, "--out", "compared").status == 0
 
 

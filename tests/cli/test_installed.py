@@ -89,7 +89,6 @@ def sequence(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         ["--help"],
         ["settings"],
-        ["doctor"],
         ["detect", "img1", "--out", "found", "--detector", "mog2"],
         ["evaluate", "--truth", "gt/gt.txt", "--tracks", "gt/gt.txt"],
         ["export", "gt/gt.txt", "--to", "csv", "--out", "tracks.csv"],
@@ -207,7 +206,6 @@ def test_a_wheel_alone_in_an_empty_environment_tracks(alone: Alone) -> None:
     assert "phdtrack compiles its kernels" in done.stderr
     for module in EXTRAS:
         assert alone.run("-c", f"import {module}").returncode == 1, module
-    assert alone.run("-m", "phdtrack", "doctor").returncode == 0
     assert f"pip install '{REPORTS}'" in alone.run("-m", "phdtrack", "demo", "--out", "demo").stderr
 
 

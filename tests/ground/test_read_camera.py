@@ -99,7 +99,7 @@ def test_matlab(tmp_path: Path) -> None:
     savemat(path, {"plain": PLANE})
     same(read_camera(path, MatrixForm(unit="m", vectors="column")), posed(OpenCVLens(MATRIX)))
     path.write_bytes(path.read_bytes()[:150])
-    with pytest.raises(InputError, match=r"cannot be read|came none"):
+    with pytest.raises(InputError, match="SciPy cannot read"):
         read_camera(path)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from phdtrack.report import About, Recorder, RunRecord
-from phdtrack.types import Detections, Estimates, Frame, Particles, SequenceInfo, Step, Tracks, Truth, UpdateInfo
+from phdtrack.types import Detections, Estimates, Frame, SequenceInfo, Step, Tracks, Truth, UpdateInfo
 
 WIDE, HIGH = 160, 120
 
@@ -66,10 +66,5 @@ def run_record(
     annotated = Truth(tracks.frame, tracks.identity, tracks.xyxy, np.zeros(len(tracks), np.bool_)) if truth else None
     recorder = Recorder(info, annotated)
     for number, here in boxes.items():
-        centre = np.repeat((here[:, :2] + here[:, 2:]).T / 2, 50, axis=1)
-        state = np.concatenate([centre + rng.normal(0, 2, centre.shape), np.zeros((4, centre.shape[1]))])
-        particles = Particles(state, np.full(state.shape[1], 1 / 50))
-        recorder.add(
-            Frame(number, 0.0, picture) if video else None, step(number, here, cardinality=cardinality), particles, 0.003
-        )
+        recorder.add(Frame(number, 0.0, picture) if video else None, step(number, here, cardinality=cardinality), 0.003)
     return recorder.record(tracks, about or About(title="Walk", command="phdtrack track walk.mp4", seed=4))

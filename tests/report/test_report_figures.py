@@ -7,21 +7,16 @@ from dataclasses import replace
 import cv2
 import matplotlib
 import numpy as np
-import pytest
 from report_runs import run_record
 
 from phdtrack.report import report_html
 from phdtrack.report.charts import (
     Picture,
     count_chart,
-    heat_picture,
     lifetime_chart,
     score_chart,
-    timing_chart,
 )
-from phdtrack.report.drawing import FALSE, MISSED, MISTAKE_COLOURS, RIGHT, SWITCHED, Mistakes, side_by_side
-from phdtrack.report.record import HeatMap
-from phdtrack.types import SequenceInfo, Tracks
+from phdtrack.types import Tracks
 
 
 def pixels(picture: Picture) -> np.ndarray:
@@ -60,49 +55,15 @@ def test_thousands_of_bars_and_points_become_pixels() -> None:
     times, counts, masses = each / 25, each % 7, each % 7 + 0.5
     rows = {"numbers": each, "times": times, "n_detections": counts, "mass": masses, "truth_count": counts}
     record = replace(run_record(3), tracks=many, seconds=np.full((n, 4), 0.01), **rows)
-    for picture in (lifetime_chart(record), count_chart(record), timing_chart(record)):
+    for picture in (lifetime_chart(record), count_chart(record)):
         assert "<image" in drawn(picture)
         assert len(picture.data) < 300_000
-
-
-def test_the_heat_map_is_bright_where_the_mass_is() -> None:
-    density = np.zeros((20, 20))
-    density[4:7, 4:7] = 0.1
-    none = np.zeros((0, 4))
-    heat = HeatMap(1, np.full((100, 100, 3), 60, np.uint8), density, 5.0, none, none)
-    image = pixels(heat_picture(heat, SequenceInfo(100, 100, 10.0)))
-    blank = pixels(heat_picture(HeatMap(1, heat.image, 0 * density, 5.0, none, none), SequenceInfo(100, 100, 10.0)))
-    high, wide = image.shape[:2]
-    changed = np.abs(image.astype(int) - blank).max(axis=2)[:, : int(0.75 * wide)] > 90
-    rows, columns = np.nonzero(changed)
-    assert len(rows) > 500
-    assert 0.1 < rows.mean() / high < 0.4
-    assert 0.1 < columns.mean() / wide < 0.4
 
 
 def test_matplotlib_is_left_as_it_was() -> None:
     before = list(dict.items(matplotlib.rcParams))
     report_html(run_record(5), {})
     assert list(dict.items(matplotlib.rcParams)) == before
-
-
-NONE = np.zeros((0, 4))
-BOX = np.array([[40.0, 60.0, 90.0, 180.0]])
-
-
-@pytest.mark.parametrize("kind", [RIGHT, SWITCHED, MISSED, FALSE])
-@pytest.mark.parametrize("pictured", [False, True])
-def test_each_mistake_has_its_colour_where_it_is(kind: int, pictured: bool) -> None:
-    ground = np.full((240, 320, 3), 90, np.uint8) if pictured else None
-    every = Mistakes(np.ones(1, int), np.ones(1, int), np.array([kind]), BOX)
-    # The frame is drawn 1.5 times as large, below a bar of 28 and a gap of 6 pixels, the box from 96 to 276 in it.
-    empty, drawn = (side_by_side(ground, (320, 240), "h", NONE, {"m": every.at(number)})[130:320] for number in (2, 1))
-    colour = MISTAKE_COLOURS[kind][::-1]
-    assert not (empty == colour).all(axis=2).any()
-    rows, columns = np.nonzero((drawn == colour).all(axis=2))
-    assert columns.min() == pytest.approx(6 + 60, abs=3)
-    assert columns.max() == pytest.approx(6 + 135, abs=3)
-    assert rows.max() == pytest.approx(34 + 270 - 130, abs=3)
 
 
 def test_charts_hold_with_gaps_and_with_one_rate() -> None:

@@ -82,7 +82,7 @@ def test_a_report_is_one_offline_file_with_every_part() -> None:
     page = Page(source)
     offline(source)
     assert "script" not in page.tags
-    assert len(page.images) == 8  # count, paths, lifetimes, times and four heat maps
+    assert len(page.images) == 3  # count, paths, lifetimes
     assert all(image["alt"] for image in page.images)
     words = page.words.replace("\u00a0", " ")
     for expected in (

@@ -1,4 +1,4 @@
-"""What is recorded of a run: numbers per frame, pictures, heat maps, the chain of an MCMC filter."""
+"""What is recorded of a run: numbers per frame, pictures, the chain of an MCMC filter."""
 
 from __future__ import annotations
 
@@ -9,14 +9,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from report_runs import HIGH, WIDE, run_record, step, walkers
 
 from phdtrack.report import About, Recorder, sentences
 from phdtrack.report.pages import doubts, lines
 from phdtrack.report.record import LOW_EFFECTIVE, ChainSummary
-from phdtrack.types import ChainInfo, Frame, Particles, SequenceInfo, Tracks, Truth
+from phdtrack.types import ChainInfo, Frame, SequenceInfo, Tracks, Truth
 
 INFO = SequenceInfo(WIDE, HIGH, 10.0)
 NOTHING = np.zeros((0, 4))
@@ -27,7 +25,7 @@ def test_numbers_of_every_frame_arrive_where_they_belong() -> None:
     truth = Truth(frame, np.array([1, 2, 1, 1]), np.ones((4, 4)), np.array([False, True, False, False]))
     recorder = Recorder(INFO, truth)
     for number, boxes in walkers(5, 3, INFO).items():
-        recorder.add(None, step(number, boxes[:number], clutter=0.2), None, 0.5 * number)
+        recorder.add(None, step(number, boxes[:number], clutter=0.2), 0.5 * number)
     record = recorder.record(Tracks.empty(), About())
     np.testing.assert_array_equal(record.numbers, [1, 2, 3, 4, 5])
     np.testing.assert_allclose(record.times, [0.1, 0.2, 0.3, 0.4, 0.5])
@@ -41,40 +39,27 @@ def test_numbers_of_every_frame_arrive_where_they_belong() -> None:
 def test_the_range_of_the_number_is_kept_where_the_filter_has_a_distribution() -> None:
     recorder = Recorder(INFO)
     for number, held in enumerate([(0.04, 0.02, 0.5, 0.4, 0.03, 0.01), (), (1.0,), (0.0, 0.0, 1.0)], start=1):
-        recorder.add(None, step(number, NOTHING, cardinality=held), None, 0.0)
+        recorder.add(None, step(number, NOTHING, cardinality=held), 0.0)
     found = recorder.record(Tracks.empty(), About()).count_range
     np.testing.assert_array_equal(found, [[1, 3], [np.nan, np.nan], [0, 0], [2, 2]])
     assert run_record(3).count_range.shape == (0, 2)
 
 
-@pytest.mark.parametrize("frames", [2, 12, 13, 100])
-def test_heat_maps_are_few_spread_and_hold_the_mass(frames: int) -> None:
-    record = run_record(frames, 2)
-    numbers = np.array([heat.number for heat in record.heat_maps])
-    assert len(numbers) == min(frames, 4)
-    assert np.diff([0, *numbers, frames]).max() <= max(frames / 2, 1)
-    for heat in record.heat_maps:
-        assert heat.density.sum() == pytest.approx(2.0)
-        assert heat.image.shape == (HIGH, WIDE, 3)
-        assert heat.detections.shape == (2, 4)
-
-
 def test_pictures_are_scaled_down_copies() -> None:
     for info, shape in ((SequenceInfo(1600, 300, 10.0), (150, 800, 3)), (SequenceInfo(8, 6, 10.0), (6, 8, 3))):
         recorder, picture = Recorder(info), np.full((info.height, info.width, 3), 80, np.uint8)
-        recorder.add(Frame(1, 0.0, picture), step(1, NOTHING), Particles(np.zeros((6, 0)), np.zeros(0)), 0.0)
+        recorder.add(Frame(1, 0.0, picture), step(1, NOTHING), 0.0)
         picture[:] = 0
         record = recorder.record(Tracks.empty(), About())
         assert record.background.shape == shape
         assert (record.background == 80).all()
-        assert (record.heat_maps[0].image == 80).all()
 
 
 def test_memory_does_not_grow_with_the_pictures() -> None:
     recorder = Recorder(SequenceInfo(160, 120, 10.0))
     tracemalloc.start()
     for number in range(1, 1501):
-        recorder.add(Frame(number, 0.0, np.empty((120, 160, 3), np.uint8)), step(number, NOTHING), None, 0.0)
+        recorder.add(Frame(number, 0.0, np.empty((120, 160, 3), np.uint8)), step(number, NOTHING), 0.0)
     held, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert held < 12 * 160 * 120 * 3 + 1500 * 1000
@@ -113,21 +98,6 @@ def test_a_chain_is_described_by_means_over_the_frames_with_proposals_and_target
     assert "none" in none
     assert "independent" not in none
     assert ChainSummary.of([]) is None
-
-
-@given(st.integers(1, 900), st.integers(1, 900), st.integers(0, 200), st.integers(0, 2**31))
-def test_mass_inside_the_frame_is_conserved(wide: int, high: int, count: int, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    state = rng.uniform(-0.3, 1.3, (4, count)) * np.array([wide, high, 1, 1])[:, None]
-    weight = rng.exponential(1.0, count)
-    recorder = Recorder(SequenceInfo(wide, high, 25.0))
-    recorder.add(None, step(1, NOTHING), Particles(state, weight), 0.0)
-    (heat,) = recorder.record(Tracks.empty(), About()).heat_maps
-    grid, cell = heat.density, heat.cell
-    inside = (state[0] >= 0) & (state[0] < wide) & (state[1] >= 0) & (state[1] < high)
-    assert grid.sum() == pytest.approx(weight[inside].sum(), rel=1e-12, abs=1e-12)
-    assert grid.shape == (int(np.ceil(high / cell)), int(np.ceil(wide / cell)))
-    assert (grid >= 0).all()
 
 
 def test_tracks_that_look_wrong_are_doubted_with_what_helps() -> None:

@@ -44,7 +44,7 @@ def test_the_evidence_of_every_frame_is_kept() -> None:
     for number, detected in ((1, 1.5), (2, np.nan), (3, 0.5)):
         one = step(number, np.array([[0, 0, 9, 9.0], [20, 20, 30, 40]]))
         info = replace(one.info, evidence=np.array([0.5, 2.0]), clutter=np.array([0.5, 1.0]), detected=detected)
-        recorder.add(None, replace(one, info=info), None, 0.0)
+        recorder.add(None, replace(one, info=info), 0.0)
     document = run_document(recorder.record(Tracks.empty(), About()), {})
     assert document["log_evidence"] == [pytest.approx(np.log(3) - 1.5), None, pytest.approx(np.log(3) - 0.5)]
     assert document["log_evidence_mean"] == pytest.approx(np.log(3) - 1)

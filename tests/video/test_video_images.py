@@ -1,6 +1,5 @@
-"""Folders and patterns of images, and the camera."""
+"""Folders and patterns of images."""
 
-import itertools
 from pathlib import Path
 
 import cv2
@@ -74,39 +73,3 @@ def test_bad_images_are_named(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="no image"):
         open_source(tmp_path / "empty")
-
-
-class FakeCapture:
-    """Stands in for a camera that delivers three pictures and then is unplugged."""
-
-    def __init__(self, index: int) -> None:
-        self.left, self.opened = 3, index == 0
-
-    def isOpened(self) -> bool:
-        return self.opened
-
-    def set(self, key: int, value: float) -> bool:
-        return True
-
-    def get(self, key: int) -> float:
-        return {cv2.CAP_PROP_FRAME_WIDTH: 64.0, cv2.CAP_PROP_FRAME_HEIGHT: 48.0}.get(key, 0.0)
-
-    def read(self) -> tuple[bool, np.ndarray | None]:
-        self.left -= 1
-        return (True, picture(0)) if self.left >= 0 else (False, None)
-
-    def release(self) -> None:
-        pass
-
-
-def test_a_camera_runs_until_it_stops(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cv2, "VideoCapture", FakeCapture)
-    source = open_source("0")
-    frames = list(source)
-    assert [frame.number for frame in frames] == [1, 2, 3]
-    assert frames[0].time == 0
-    assert all(b.time > a.time for a, b in itertools.pairwise(frames))
-    assert "no more pictures after frame 3" in source.problem
-    assert "25 frames a second assumed" in source.note
-    with pytest.raises(InputError, match="camera 1 cannot be opened"):
-        open_source(1)

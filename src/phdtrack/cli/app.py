@@ -1,8 +1,7 @@
 """The command line: ``phdtrack COMMAND`` and ``python -m phdtrack COMMAND``.
 
-Exit status: 0 the job is done; 1 something failed that is not the user's input (`doctor`: something essential does not
-work here); 2 the input or the options cannot be used, said in one sentence on stderr; 130 stopped by Ctrl-C, 143
-by SIGTERM, 129 by SIGHUP.
+Exit status: 0 the job is done; 1 something failed that is not the user's input; 2 the input or the options cannot be used,
+said in one sentence on stderr; 130 stopped by Ctrl-C, 143 by SIGTERM, 129 by SIGHUP.
 With ``--json`` stdout carries exactly one JSON object, and everything else goes to stderr.
 """
 
@@ -32,18 +31,17 @@ COMMANDS = {
     "demo": "Render a street and track the people in it, with the filter and without.",
     "track": "Track the objects in a video, or in a file of detections.",
     "batch": "Track many videos: by processes, the jobs of an array, or a Ray cluster, into one data set.",
-    "groups": "Find groups of people on the ground, in a video, in a file of detections, or among known positions.",
+    "groups": "Find groups of people on the ground, in a video or in a file of detections.",
     "count": "Count who crosses lines and who is in zones: in a video, in a run, or among tracks in a file.",
     "export": "Write the tracks of a run, or of a file, in the format of another tool.",
     "detect": "Detect objects in a video and write detections.csv, a MOTChallenge file.",
     "evaluate": "Score tracks against annotated objects.",
-    "compare": "Compare filters: one table, with confidence intervals over seeds, plots, and the worst frames.",
+    "compare": "Compare filters: one table, with confidence intervals over seeds, and plots.",
     "simulate": "Simulate a scene: truth, detections of it, and a video.",
     "label": "Mark false detections and births on frames drawn at random: the page says how.",
     "learn": "Learn where people enter and where the detector is wrong, for `phdtrack track --scene`.",
     "calibrate": "Make a camera of four or more points of flat ground, and say how well it fits each of them.",
     "settings": "Print settings as TOML, with units and meaning, for --config to read back.",
-    "doctor": "Say what works on this machine, and how to mend what does not.",
 }
 _MODULES = {"demo": "simulate", "detect": "track", "learn": "label"}
 _SUMMARY = (

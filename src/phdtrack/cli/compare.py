@@ -1,6 +1,6 @@
 """``phdtrack compare``: filters side by side, on the same sequences, detections, clutter and seeds.
 
-It leaves tables on the terminal, compare.csv, runs.csv, compare.json, report.html and pictures of the worst frames.
+It leaves tables on the terminal, compare.csv, runs.csv, compare.json and report.html.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from phdtrack.cli.options import option
 from phdtrack.cli.output import PACE, Output, progress
 from phdtrack.cli.settings import only_classes, scene_settings
 from phdtrack.compare import Comparison, Plan
-from phdtrack.compare.failures import WorstFrame, worst_frames, write_frames
 from phdtrack.compare.results import Results
 from phdtrack.compare.runs import RunResult
 from phdtrack.config import build
@@ -31,9 +30,9 @@ from phdtrack.files import write_text
 from phdtrack.report import About, write_run
 from phdtrack.report.pages import lines
 
-DOCUMENT, CELLS, EACH, FRAMES = "compare.json", "compare.csv", "runs.csv", "worst"
+DOCUMENT, CELLS, EACH = "compare.json", "compare.csv", "runs.csv"
 FILES = {
-    rundir.REPORT: "tables, plots, the worst frames",
+    rundir.REPORT: "tables and plots",
     CELLS: "every score with its interval, a row for each line of the table",
     EACH: "every run, and the folder it is kept in",
     DOCUMENT: "",
@@ -93,13 +92,11 @@ def compare(
     output: Output,
     options: PlanOptions,
     scores: Annotated[str, option("NAME,...", "What to show, as MOTA,IDF1,ms; the CSV files hold everything.")] = "",
-    worst: Annotated[int, option("N", "Frames to show of each sequence: N where filters differ most, N worst.", min=0)] = 2,
     out: Annotated[Path, option("DIR", "Where everything is kept.")] = Path("runs/compare"),
     jobs: Annotated[int, option("N", "Processes; 0: one per core.", min=0)] = 0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Run everything anew, also what is kept already.")] = False,
-    blur: given.Blur = "",
 ) -> None:
-    """Compare filters: one table, with confidence intervals over seeds, plots, and the frames in which they differ most.
+    """Compare filters: one table, with confidence intervals over seeds, and plots.
 
     Every run is kept. The same command again takes up what is there, after Ctrl-C too, and runs only what is missing or
     what is decided by something that has changed: a setting, a file, phdtrack itself. What --scene has taught holds for
@@ -121,8 +118,7 @@ def compare(
     with progress("comparing", comparing.steps(made), PACE) as advance:
         comparison = comparing.run(made, out, processes, anew=overwrite, advance=advance)
     begun = replace(begun, seconds=time.perf_counter() - clock)
-    frames = list(worst_frames(comparison, worst, blur))
-    finish(output, comparison, wanted, frames, directory, begun, in_turn=processes == 1)
+    finish(output, comparison, wanted, directory, begun, in_turn=processes == 1)
     if comparison.failed:
         raise typer.Exit(1)
 
@@ -136,7 +132,6 @@ def finish(
     out: Output,
     comparison: Comparison,
     wanted: Sequence[str],
-    frames: Sequence[WorstFrame],
     directory: rundir.RunDirectory,
     begun: About,
     *,
@@ -147,11 +142,7 @@ def finish(
     notes, warnings = found.notes(in_turn=in_turn), doubts(comparison)
     found.write_cells(directory.file(CELLS))
     found.write_runs(directory.file(EACH))
-    # Pictures of an earlier comparison go.
-    for old in (directory.path / FRAMES).glob("*-clutter-*-frame-*.png"):
-        old.unlink()
-    write_frames(directory.path / FRAMES, frames)
-    write_text(directory.file(rundir.REPORT), found.page(frames, replace(begun, warnings=warnings, notes=notes)))
+    write_text(directory.file(rundir.REPORT), found.page(replace(begun, warnings=warnings, notes=notes)))
     document = {
         "complete": True,
         "command": begun.command,
@@ -175,8 +166,6 @@ def finish(
         out.table(*errors, words=(0, 1, 3))
     done = lines("comparison_done.txt", comparison=comparison, seconds=begun.seconds, plan=found.described())
     out.say("", *done, *found.sentences(), *notes, "", *directory.listing())
-    if frames:
-        out.say(f"  {directory.path / FRAMES}  the worst frames as pictures")
     out.document(document)
 
 

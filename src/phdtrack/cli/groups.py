@@ -1,4 +1,4 @@
-"""``phdtrack groups``: groups of people on the ground, from a video or detections, or among known positions.
+"""``phdtrack groups``: groups of people on the ground, from a video or detections.
 
 Contours are polygons in WKT (``MULTIPOLYGON``), on the ground in metres and, where there is a camera, in pixels of the
 image. Rings that run clockwise on the ground are holes.
@@ -6,11 +6,10 @@ image. Rings that run clockwise on the ground are holes.
 
 from __future__ import annotations
 
-import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -21,8 +20,7 @@ from phdtrack import config
 from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.checkpoint import EVERY
-from phdtrack.cli.inputs import NO_PICTURE, refuse
-from phdtrack.cli.job import about, finish_document, places
+from phdtrack.cli.job import places
 from phdtrack.cli.observers import Draw, Report, RunObserver
 from phdtrack.cli.options import SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, progress
@@ -32,28 +30,22 @@ from phdtrack.cli.track import finish, prepare
 from phdtrack.config import Settings, build_groups, ground_model
 from phdtrack.devices import Camera
 from phdtrack.errors import InputError
-from phdtrack.files import load, write_text
-from phdtrack.formats.columns import Positions, read_positions
+from phdtrack.files import load
 from phdtrack.formats.write import Lines
 from phdtrack.ground import footprint
 from phdtrack.groups.clusters import Grouping, polygon_area
 from phdtrack.groups.life_cycle import LifeCycleState
 from phdtrack.groups.pairs import Pairs, Walkers
-from phdtrack.groups.pipeline import GroupFrame, GroupStages, carriers, known_people, mixture_of, on_ground
+from phdtrack.groups.pipeline import GroupFrame, GroupStages, carriers, mixture_of, on_ground
 from phdtrack.models import PlaneSensor
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.report.drawing import Plan, PlanScene, draw_contours
-from phdtrack.report.pages import flattened, lines, render
+from phdtrack.report.pages import lines, render
 from phdtrack.types import F8, I8, Detections, GaussianMixture, Image, MeasurementHistory, SequenceInfo, Step, Tracks
 from phdtrack.video import VideoWriter
 
 INTENSITY_FILTER = "gm-phd"
-GROUP_SECTIONS = ("groups", "contours", "life_cycle", "encounters")
-_NOTE = (
-    "The people, their velocities and identities were given; only the groups are estimated. Frame numbers are those of the "
-    "file."
-)
 # Pictures of the report; smallest and usual height of a plan in pixels.
 _STILLS, _MIN_HEIGHT, _HEIGHT = 4, 480, 720
 # Metres around what a plan shows.
@@ -74,7 +66,6 @@ def groups(
     output: Output,
     camera: Annotated[Path | None, option("FILE", "From pixels to the ground: Tsai XML, OpenCV, homography, TOML.")] = None,
     scene: given.SceneFile = None,
-    positions: Annotated[Path | None, option("FILE", "Known people (obsmat.txt): only groups are estimated.")] = None,
     edges: Annotated[Path | None, option("FILE", "Lines to draw on the plan, as road edges: x y in metres a line.")] = None,
     out: given.Out = None,
     overwrite: given.Overwrite = False,
@@ -83,45 +74,25 @@ def groups(
     checkpoint_every: given.CheckpointEvery = EVERY,
     blur: given.Blur = "",
 ) -> None:
-    """Find groups of people on the ground, in a video, in a file of detections, or among known positions.
+    """Find groups of people on the ground, in a video or in a file of detections.
 
     The run's directory holds what that of `phdtrack track` does, and groups.csv (counts, places, contours), members.csv,
     events.csv, warnings.csv and plan.mp4: the ground from above beside the annotated video.
     """
     rundir.check(out, overwrite or resume)
-    if positions is None:
-        options = replace(options, sets=[*scene_settings(scene), *(options.sets or ())])
-        settings = _ground_settings(options, camera)
-        job, delay = prepare(source, options, settings, video=video), settings.build("associate").output_delay
-        stages, info, reach = job.stages, job.inputs.info, settings.build("camera").max_distance
-        model = stages.model if settings.kind("motion") == "plane" else ground_model(settings, info)
-        grouping = build_groups(settings, stages)
-        observer = GroupObserver(grouping, info, _read_edges(edges), World(stages, model, delay, reach))
-        # A group may have members of several classes.
-        kinds = replace(job.kinds, apart=False)
-        job = replace(
-            job, kinds=kinds, ground=model.sensor, observers=(*job.observers, observer), every=checkpoint_every, blur=blur
-        )
-        finish(output, job, out, overwrite, resume=resume)
-        return
-    other = asdict(replace(source, source="", fps=0.0, on_error="", max_file_size=""))
-    useless = {f"--{name.replace('_', '-')}": used for name, used in other.items()}
-    useless |= {"--on-error": source.on_error == "skip"}
-    useless |= {"SOURCE": source.source, "--camera": camera, "--scene": scene, "--truth": options.truth}
-    useless["--resume"] = resume
-    useless["--filter"] = options.filter_name
-    useless |= {"--threads": options.threads is not None, "--max-detections": options.max_detections is not None}
-    refuse(useless, "the positions are known, so there is nothing that this could change", "--positions")
-    lines, known = _read_edges(edges), read_positions(positions)
-    if not len(known):
-        raise InputError("expected people, got a file without any", where=positions)
-    if not source.fps:
-        cure = "Say --fps F, the rate of the video that the frames are numbered in."
-        raise InputError("the rate of the frames is not known", where=positions, cure=cure)
-    directory = rundir.claim(out, overwrite, name=positions.resolve().parent.name or positions.stem)
-    document, summary = _group_known(known, positions, source.fps, chosen(options), lines, directory, video=video)
-    output.say(*summary, "", *directory.listing())
-    output.document(document)
+    options = replace(options, sets=[*scene_settings(scene), *(options.sets or ())])
+    settings = _ground_settings(options, camera)
+    job, delay = prepare(source, options, settings, video=video), settings.build("associate").output_delay
+    stages, info, reach = job.stages, job.inputs.info, settings.build("camera").max_distance
+    model = stages.model if settings.kind("motion") == "plane" else ground_model(settings, info)
+    grouping = build_groups(settings, stages)
+    observer = GroupObserver(grouping, info, _read_edges(edges), World(stages, model, delay, reach))
+    # A group may have members of several classes.
+    kinds = replace(job.kinds, apart=False)
+    job = replace(
+        job, kinds=kinds, ground=model.sensor, observers=(*job.observers, observer), every=checkpoint_every, blur=blur
+    )
+    finish(output, job, out, overwrite, resume=resume)
 
 
 def _ground_settings(options: TrackingOptions, camera: Path | None) -> Settings:
@@ -176,62 +147,6 @@ def _read_edges(path: Path | None) -> tuple[F8, ...]:
     return tuple(np.array(edge).T for edge in edges if len(edge) > 1)
 
 
-def _group_known(
-    known: Positions,
-    path: Path,
-    fps: float,
-    settings: Settings,
-    edges: tuple[F8, ...],
-    directory: RunDirectory,
-    *,
-    video: bool,
-) -> tuple[dict[str, object], tuple[str, ...]]:
-    """Find groups among known positions, read from ``path``, and write everything; the content of run.json, a summary."""
-    clock, begun, frames = time.perf_counter(), about(path.parent.name or path.name), np.unique(known.frame).tolist()
-    # One picture for each frame with people, as fast as these usually follow each other.
-    step = float(np.median(np.diff(frames))) if len(frames) > 1 else 1.0
-    groups, info = build_groups(settings), SequenceInfo(0, 0, fps / step)
-    with ExitStack() as files, progress("grouping", len(frames)) as advance:
-        here = [known.at(number) for number in frames]
-        mixtures, times = [known_people(p.state) for p in here], [(number - frames[0]) / fps for number in frames]
-        observer = GroupObserver(groups, info, edges)
-        observer.begin(directory, files)
-        if isinstance(groups.grouping, Pairs):
-            walkers = [Walkers(p.identity, m.mean, m.covariance, t) for p, m, t in zip(here, mixtures, times, strict=True)]
-            observer.group_all(frames, walkers, [m.weight for m in mixtures], [_NOWHERE] * len(frames), advance)
-        else:
-            for k, (p, mixture) in enumerate(zip(here, mixtures, strict=True)):
-                people = People(p.identity, p.state[:2], np.arange(len(p)))
-                observer.group(frames[k], times[k], mixture, people, _NOWHERE)
-                advance(k + 1)
-    if video:
-        with ExitStack() as files, progress("drawing", len(frames)) as advance:
-            draw = observer.drawing(directory, files, pictures=False)
-            for done, number in enumerate(frames, start=1):
-                draw(number, NO_PICTURE)
-                advance(done)
-    found, count = observer.report(), len(np.unique(known.identity))
-    summary = (f"{count} people in {len(frames)} frames at {fps:.4g} frames per second.", *found.sentences)
-    used = {name: value for name, value in settings.as_dict().items() if name in GROUP_SECTIONS}
-    words = {"title": begun.title, "source": str(path), "lead": " ".join(summary), "settings": flattened(used)}
-    page = render("positions.html", about=replace(begun, notes=(_NOTE,)), sections=found.section, **words)
-    write_text(directory.file(rundir.REPORT), page)
-    document: dict[str, object] = {
-        "command": begun.command,
-        "title": begun.title,
-        "summary": summary,
-        "versions": dict(begun.versions),
-        "started": begun.started,
-        "seconds": time.perf_counter() - clock,
-        "frames": len(frames),
-        "people": count,
-        "configuration": used,
-        "complete": True,
-        "input": {"positions": str(path), "fps": fps},
-    }
-    return finish_document(document, directory, found.document), summary
-
-
 class People(NamedTuple):
     """Those with an identity in a frame, their places (2, n) in metres, and the Gaussian that each of them is."""
 
@@ -266,14 +181,14 @@ class GroupObserver(RunObserver):
 
     Groups by pairs are found among the corrected tracks, when the run has ended. Groups of an intensity are found as frames
     come: members are the identities of the confirmed online rows, and until these come a frame's number, time, mixture and
-    the places of its detections wait. Without a ``world`` nothing was detected: the caller begins, and groups.
+    the places of its detections wait.
     """
 
-    def __init__(self, groups: GroupStages, info: SequenceInfo, edges: tuple[F8, ...], world: World | None = None) -> None:
+    def __init__(self, groups: GroupStages, info: SequenceInfo, edges: tuple[F8, ...], world: World) -> None:
         self._groups, self._info, self._edges, self._world = groups, info, edges, world
-        sensor = None if world is None else world.ground.sensor
+        sensor = world.ground.sensor
         self._camera, self._field = sensor.camera if isinstance(sensor, PlaneSensor) else None, _NOWHERE
-        if self._camera is not None and world is not None:
+        if self._camera is not None:
             self._field = footprint(self._camera, (info.width, info.height), world.max_distance)
         self._state, self._waiting = LifeCycleState(), deque[tuple[int, float, GaussianMixture, F8]]()
         self._seen, self._scenes = list[_Seen](), list[PlanScene]()
@@ -291,7 +206,6 @@ class GroupObserver(RunObserver):
 
     def take(self, found: Detections, step: Step, state: TrackingState) -> None:
         """Take in a frame; of an intensity the one whose rows it brings is grouped."""
-        assert self._world is not None
         sensor, grouping = self._world.ground.sensor, self._groups.grouping
         z = sensor.measure(step.detections)
         if isinstance(grouping, Pairs):
@@ -361,7 +275,6 @@ class GroupObserver(RunObserver):
     def finish(self, directory: RunDirectory, tracks: Tracks) -> None:
         """Find the groups of the corrected tracks; those of an intensity are known, and drawn with the corrected tracks."""
         if isinstance(self._groups.grouping, Pairs):
-            assert self._world is not None
             model, number = self._world.ground, np.array([seen.number for seen in self._seen], np.int64)
             start = np.concatenate([[0], np.cumsum([seen.z.shape[1] for seen in self._seen])]).astype(np.int64)
             time = np.array([seen.time for seen in self._seen]) * model.rate
@@ -403,7 +316,7 @@ class GroupObserver(RunObserver):
     def report(self) -> Report:
         """Counts, plan, events and warnings."""
         frames = [scene.frame for scene in self._scenes]
-        counts = [] if self._world is None else [scene.detections.shape[1] for scene in self._scenes]
+        counts = [scene.detections.shape[1] for scene in self._scenes]
         kinds = Counter(event.kind for frame in frames for event in frame.events)
         means: dict[str, list[float] | list[int]] = {
             "people_mean": [frame.people for frame in frames],
@@ -427,7 +340,6 @@ class GroupObserver(RunObserver):
 
     def _places(self, tracks: Tracks) -> F8:
         """(2, M) metres."""
-        assert self._world is not None
         return places(self._world.ground.sensor, tracks.xyxy)
 
     def _plan(self, height: int) -> Plan:

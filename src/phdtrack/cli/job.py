@@ -8,29 +8,30 @@ annotated video, report, ``run.json``. Decoding, detecting and tracking overlap 
 from __future__ import annotations
 
 import math
+import platform
 import shlex
 import sys
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
+from importlib import metadata
 from itertools import repeat
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numba.core import event
 
-from phdtrack import pipeline
+from phdtrack import __version__, pipeline
 from phdtrack.classes import Kinds
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli import signals
 from phdtrack.cli.checkpoint import Checkpoint, source_of
-from phdtrack.cli.doctor import versions
 from phdtrack.cli.inputs import NO_PICTURE, Inputs, Mover, ahead, detected, expected, learn_scene
-from phdtrack.cli.observers import RunObserver, shown_particles
+from phdtrack.cli.observers import RunObserver
 from phdtrack.cli.output import Advance, progress
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.detect import BACKGROUND
@@ -51,6 +52,8 @@ from phdtrack.video import VideoWriter
 if TYPE_CHECKING:
     from phdtrack.metrics import Scores
 Stop = Exception | KeyboardInterrupt
+
+_PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "av", "typer", "rich", "pydantic", "matplotlib", "pyarrow")
 
 _WHICH = (
     f"{rundir.TRACKS} holds the corrected tracks of the whole run, {rundir.ONLINE} the rows as they were given "
@@ -176,8 +179,17 @@ class _Progress:
 
 def about(title: str, seed: int = 0) -> About:
     """What is known of a run that starts now."""
-    now, installed = datetime.now(UTC).isoformat(timespec="seconds"), tuple(one for one in versions() if one[1])
-    return About(title, shlex.join(["phdtrack", *(shown(word) for word in sys.argv[1:])]), seed, now, versions=installed)
+    now, command = datetime.now(UTC).isoformat(timespec="seconds"), [shown(word) for word in sys.argv[1:]]
+    return About(title, shlex.join(["phdtrack", *command]), seed, now, versions=versions())
+
+
+def versions() -> tuple[tuple[str, str], ...]:
+    """Pairs of name and version: phdtrack, Python, the system, and the packages that it rests on and that are there."""
+    found = [("phdtrack", __version__), ("python", platform.python_version()), ("system", platform.platform())]
+    for name in _PACKAGES:
+        with suppress(metadata.PackageNotFoundError):
+            found.append((name, metadata.version(name)))
+    return tuple(found)
 
 
 def run(job: Job, directory: RunDirectory, *, resume: bool = False) -> Outcome:
@@ -264,7 +276,7 @@ def finish_document(document: dict[str, object], directory: RunDirectory, *more:
 
 def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -> _Progress:
     """Every frame through detector and tracker, into files and record, until the source ends or something stops it."""
-    inputs, stages = job.inputs, job.stages
+    inputs = job.inputs
     tracker = Tracker(stages=job.kinds, fps=inputs.info.fps, seed=job.about.seed)
     done = _Progress(tracker, Recorder(inputs.info, job.truth, None if inputs.again else _CHARTED, job.blur))
     found_in, checkpoint = partial(detected, inputs.detector, mover=job.mover), None
@@ -288,7 +300,7 @@ def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool)
                         assert step is not None
                         written.take(frame, found, step, rows)
                         picture = frame if inputs.pictures else None
-                        done.recorder.add(picture, step, shown_particles(stages, tracker.state.intensity), seconds)
+                        done.recorder.add(picture, step, seconds)
                         seen = _Seen(step.number, step.detections, step.info.mass, step.info.clutter_probability)
                         done.seen.append(seen)
                         done.frames += 1

@@ -7,22 +7,17 @@ from contextlib import ExitStack
 from dataclasses import asdict
 from typing import NamedTuple
 
-import numpy as np
-
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.inputs import Inputs, Mover
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.config import Settings
 from phdtrack.errors import InputError
-from phdtrack.filters import NoFilter
-from phdtrack.filters.cardinality import Cardinalised
 from phdtrack.formats.columns import WarpsWriter, read_warps
-from phdtrack.models import PlaneSensor
 from phdtrack.models.scene import refuse_standing
 from phdtrack.pipeline import TrackingState
-from phdtrack.protocols import AnyStages, Model
+from phdtrack.protocols import Model
 from phdtrack.report.pages import lines, render
-from phdtrack.types import F8, STILL, Detections, Frame, Image, ParticleBlocks, Particles, SequenceInfo, Step, Tracks
+from phdtrack.types import F8, STILL, Detections, Frame, Image, SequenceInfo, Step, Tracks
 from phdtrack.video.ego_motion import CameraMotion, CameraPath
 
 Draw = Callable[[int, Image], None]
@@ -115,19 +110,3 @@ def mover_of(settings: Settings, inputs: Inputs, model: Model) -> Mover | None:
         return warps.between(before, frame.number)
 
     return read
-
-
-def shown_particles(stages: AnyStages, intensity: object) -> Particles | None:
-    """The filter's particles where the image shows them: rows 0 and 1 the middle of their boxes in pixels. None where the
-    filter has none, or the world is a plan without an image."""
-    particles = intensity.intensity if isinstance(intensity, Cardinalised) else intensity
-    particles = particles.particles() if isinstance(particles, ParticleBlocks) else particles
-    if isinstance(stages.filter, NoFilter) or not isinstance(particles, Particles):
-        return None
-    sensor = stages.model.sensor
-    if not isinstance(sensor, PlaneSensor):
-        return particles
-    if sensor.camera is None:
-        return None
-    boxes = sensor.boxes(particles.state)
-    return Particles(np.vstack([(boxes[:, :2] + boxes[:, 2:]).T / 2, particles.state[2:]]), particles.weight)

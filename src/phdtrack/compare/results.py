@@ -12,13 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.compare.failures import WorstFrame
 from phdtrack.compare.runs import Comparison
 from phdtrack.compare.statistics import OTHERS, SCORES, UNKNOWN, Row, summary, values_of, widest
 from phdtrack.files import write_text
 from phdtrack.metrics.errors import SUMS
 from phdtrack.parallel import Failed
-from phdtrack.report.charts import Picture, jpeg, score_chart
+from phdtrack.report.charts import Picture, score_chart
 from phdtrack.report.pages import flattened, lines, render, score_meanings
 from phdtrack.report.record import About
 from phdtrack.types import F8
@@ -121,8 +120,8 @@ class Results:
         still = dict.fromkeys(row.filter for row in self.rows if many and not row.random and not row.failed)
         return lines("comparison_notes.txt", still=list(still), in_turn=in_turn, kept=self.comparison.reused > 0)
 
-    def page(self, frames: Sequence[WorstFrame], about: About) -> str:
-        """The report, with the worst frames, and the title, command, warnings and notes of ``about``."""
+    def page(self, about: About) -> str:
+        """The report, with the title, command, warnings and notes of ``about``."""
         plan, rows = self.comparison.plan, self.rows
         given = [{"sequence": case.sequence, "detections": case.detections, "truth": str(case.truth)} for case in plan.cases]
         settings = {method.name: method.settings.as_dict() for method in plan.methods}
@@ -139,7 +138,6 @@ class Results:
             each=self.table(row for row in rows if row.cases == 1),
             differences=self.table((row for row in rows if row.ahead), ahead=True),
             errors=self.errors(),
-            frames=[(jpeg(frame.image), frame.caption) for frame in frames],
             settings=flattened(settings | more),
             seeds=len(plan.seeds),
         )

@@ -2,7 +2,7 @@
 
     XML with <Camera>              Tsai's parameters in millimetres and radians, as PETS has them [E13 §3.2]
     XML with <opencv_storage>      OpenCV's intrinsics and pose; also YAML as cv2.FileStorage writes it, JSON, TOML
-    MATLAB 5                       a homography or a transform, row vectors
+    MATLAB 4 to 7                  a homography or a transform, row vectors; SciPy reads it, in a process of its own
     three lines of three numbers   a homography, column vectors, metres (H.txt of ETH and UCY: row and column)
     TOML or JSON                   a description by keys and values
 
@@ -20,8 +20,12 @@ distances in the image, where the clicks err, gives the final one. Layouts that 
 
 from __future__ import annotations
 
+import json
+import os
 import re
 import reprlib
+import subprocess
+import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
@@ -36,7 +40,6 @@ from phdtrack.devices import Camera
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.files import AnyPath, Element, load, parse_toml, read_json, read_xml
 from phdtrack.ground.cameras import HomographyCamera, OpenCVLens, PosedCamera, TsaiLens
-from phdtrack.ground.matlab import read_matlab
 from phdtrack.ground.terrain import Line, read_terrain
 from phdtrack.types import F8
 
@@ -148,6 +151,28 @@ _NAMES = {
 }
 _types = cache(get_type_hints)
 _EXPECTED = "expected a camera: Tsai XML, OpenCV YAML, XML or JSON, a homography in text or MATLAB 5, or camera.toml"
+# Prints the 3 x 3 matrices and transforms (`maketform`) of a MATLAB file by name. A damaged file can make SciPy's reader
+# crash, or take all memory: so it runs in a process of its own, with a bound.
+_MATLAB = """
+import io, json, sys
+try:
+    import resource
+    resource.setrlimit(resource.RLIMIT_AS, (1 << 32, 1 << 32))
+except ImportError:
+    pass
+from scipy.io import loadmat
+
+def matrix(value):
+    if isinstance(value, dict):
+        inner = value.get("tdata", value)
+        return matrix(inner.get("T")) if isinstance(inner, dict) else None
+    good = getattr(value, "shape", None) == (3, 3) and value.dtype.kind in "fiu"
+    return value.astype(float).tolist() if good else None
+
+held = loadmat(io.BytesIO(sys.stdin.buffer.read()), simplify_cells=True)
+print(json.dumps({name: matrix(value) for name, value in held.items() if matrix(value) is not None}))
+"""
+_SECONDS = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -362,15 +387,17 @@ def _text_matrix(text: str) -> F8:
 
 def _matlab_matrix(path: Path, content: bytes, form: MatrixForm) -> F8:
     """(3, 3) the matrix of a MATLAB file, or of a transform (`maketform`); the form must say which, and its unit."""
-
-    def matrix_of(value: Any) -> F8 | None:
-        if isinstance(value, np.ndarray) and value.shape == (3, 3):
-            return value
-        inner = value.get("tdata", value) if isinstance(value, dict) else None
-        return matrix_of(inner.get("T")) if isinstance(inner, dict) else None
-
-    held = read_matlab(content)
-    found = {name: matrix for name, value in held.items() if (matrix := matrix_of(value)) is not None}
+    if content.startswith((b"MATLAB 7.3", b"\x89HDF")):
+        raise InputError("expected a file of MATLAB 4 to 7, came one of version 7.3 (HDF5)", cure="Save it with -v7.")
+    # -P: nothing is imported from the folder that the user is in.
+    command, environment = [sys.executable, "-P", "-c", _MATLAB], os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+    try:
+        done = subprocess.run(command, input=content, capture_output=True, env=environment, timeout=_SECONDS, check=True)
+    except subprocess.SubprocessError as error:
+        said = (getattr(error, "stderr", None) or b"").decode(errors="replace").strip().rpartition("\n")[2]
+        problem = f"expected a file of MATLAB 4 to 7, which SciPy cannot read ({said or 'it crashed'})"
+        raise InputError(problem, cure="Is it complete? Save it again, with -v7.") from None
+    found = {name: np.array(rows, np.float64) for name, rows in json.loads(done.stdout).items()}
     name, others = form.variable or next(iter(found), "NAME"), ", ".join(found)
     if form.variable and name not in found:
         problem = f"expected a 3 x 3 matrix or a transform by the name {name}, came none"

@@ -26,8 +26,6 @@ from phdtrack.types import F8, I8, GaussianMixture, MeasurementHistory, Step, Tr
 UNNAMED = 0.5
 # Squared Mahalanobis radius of the 99 % region in two dimensions: within it a Gaussian belongs to a track.
 REACH = 9.21
-# Deviations of a person whose position and velocity are known, metres and metres per second: body width, gait.
-BODY, GAIT = 0.3, 0.1
 # Metres, and metres per second: no cluster of particles is known better, few of them may lie in one place.
 _FINEST = 0.05
 
@@ -222,13 +220,6 @@ def mixture_of(intensity: Any, step: Step, z: F8, stages: AnyStages, lightest: f
     if isinstance(stages.extractor, KMeans | Mixture) and lightest < stages.extractor.min_weight:
         found = replace(stages.extractor, min_weight=lightest).extract(points, z, stages.model)
     return GaussianMixture(found.weight, found.state, found.covariance + _FINEST**2 * np.eye(len(found.state)))
-
-
-def known_people(state: F8) -> GaussianMixture:
-    """People whose position and velocity (4, n) are known: weight 1 each, as wide as a body."""
-    n = state.shape[1]
-    cov = np.diag(np.array([BODY, BODY, GAIT, GAIT]) ** 2)
-    return GaussianMixture(np.ones(n), state, np.tile(cov, (n, 1, 1)))
 
 
 def carriers(mixture: GaussianMixture, place: F8, lightest: float) -> I8:

@@ -44,11 +44,6 @@ class Cache:
     folder: Path
     lasting: bool
 
-    @property
-    def kept(self) -> int:
-        """How many kernels are there."""
-        return len(list(self.folder.glob("*.nbi")))
-
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """``numba.njit`` for kernels of this package; with ``cache=True`` kernels of records from outside are not kept."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from phdtrack.errors import needed
 from phdtrack.report.drawing import feet, identity_colour
-from phdtrack.report.record import STAGES, HeatMap, RunRecord, shrunk
+from phdtrack.report.record import RunRecord, shrunk
 from phdtrack.scene import LearnedDensity, Scene
 from phdtrack.scene.mixture import place_map
 from phdtrack.types import F8, Image, SequenceInfo
@@ -85,12 +85,11 @@ def evidence_chart(record: RunRecord) -> Picture:
 
 
 def group_chart(frames: Sequence[GroupFrame], detections: Sequence[int]) -> Picture:
-    """People, groups and raw detections, where there are any, over time [E13 Fig. 2]."""
+    """People, groups and raw detections over time [E13 Fig. 2]."""
     numbers = [(frame.time, frame.people, frame.deviation, frame.named) for frame in frames]
     times, people, deviation, named = np.array(numbers).T
     axes = _time_axes(times, "number", 3.1)
-    if len(detections):
-        axes.plot(times, detections, label="detections", **_DOTS)
+    axes.plot(times, detections, label="detections", **_DOTS)
     axes.fill_between(times, np.maximum(people - deviation, 0), people + deviation, label="one deviation", **_BAND)
     axes.plot(times, people, color=_BLUE, label="people estimated")
     axes.plot(times, named, color=_ORANGE, label="groups", **_STEPS)
@@ -121,19 +120,6 @@ def lifetime_chart(record: RunRecord) -> Picture:
         axes.set_ylabel(f"{len(names)} identities, the lowest number on top", fontsize=10, color=_INK)
     axes.set_ylim(max(len(names), 1) - 0.4, -0.6)
     return _chart(axes, len(first))
-
-
-def timing_chart(record: RunRecord) -> Picture:
-    """Milliseconds of each stage over the run, stacked. The scale leaves out single spikes, such as a first compilation."""
-    axes = _time_axes(record.times, "milliseconds per frame", 2.7)
-    if len(record):
-        # The last step is as wide as a frame.
-        time, table = np.append(record.times, record.times[-1] + _interval(record)), 1000 * record.seconds
-        look: dict[str, Any] = {"colors": (_GREY, _BLUE, _ORANGE, _GREEN), "step": "post", "linewidth": 0}
-        axes.stackplot(time, np.vstack([table, table[-1:]]).T, labels=STAGES, **look)
-        total = table.sum(axis=1)
-        axes.set_ylim(0, max(min(1.25 * float(np.quantile(total, 0.97)), 1.05 * float(total.max())), 1e-3))
-    return _chart(axes, len(record))
 
 
 def score_chart(places: F8 | Sequence[str], x_label: str, y_label: str, methods: Mapping[str, F8]) -> Picture:
@@ -183,26 +169,6 @@ def trajectory_picture(record: RunRecord) -> Picture:
             look: Any = {"color": "black", "fontsize": 7.5, "ha": "center", "va": "center", "clip_on": True}
             plate = {"boxstyle": "round,pad=0.2", "facecolor": colour, "linewidth": 0}
             axes.text(x_end, y_end, str(path.identity[0]), bbox=plate, **look)
-    return _saved(axes)
-
-
-def heat_picture(heat: HeatMap, info: SequenceInfo) -> Picture:
-    """The intensity over one frame [M07 Fig. 1]: colour where objects are expected, a cross for every detection, a ring for
-    every state extracted."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    axes = _over_scene(info, heat.image, _NARROW, darkness=0.5)
-    high, wide = heat.density.shape
-    top = max(float(heat.density.max(initial=0.0)), 1e-9)
-    _shade(axes, heat.density, top, (0, wide * heat.cell, high * heat.cell, 0), "nearest")
-    for boxes, marker, size, colour in ((heat.detections, "+", 6.0, "#ffffff"), (heat.estimates, "o", 12.0, _CYAN)):
-        x, y = (boxes[:, :2] + boxes[:, 2:]).T / 2
-        axes.plot(x, y, marker, color=colour, markersize=size, markerfacecolor="none", linestyle="")
-    axes.set(xlim=(0, info.width), ylim=(info.height, 0))
-    bar = axes.figure.colorbar(ScalarMappable(Normalize(0, top), "inferno"), ax=axes, shrink=0.75, aspect=30, pad=0.015)
-    bar.set_label(f"objects in {heat.cell:g} × {heat.cell:g} pixels", fontsize=10, color=_INK)
-    bar.ax.tick_params(labelsize=9, colors=_INK)
     return _saved(axes)
 
 

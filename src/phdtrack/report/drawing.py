@@ -1,4 +1,4 @@
-"""Pictures that OpenCV draws: annotated frames, the mistakes of several methods side by side, the ground from above.
+"""Pictures that OpenCV draws: annotated frames, and the ground from above.
 
 An annotated frame shows detections as thin white outlines, red and crossed where the filter takes them for false alarms
 (posterior clutter probability above one half); fading trails at the feet of tracks; tracks in the colour of their identity
@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -37,13 +37,6 @@ _HEX = "ff9f1c 1fb5ad ffe14d a78bfa 2ec27e 4d7cfe ff4d4d e8d5ff c98b5b 4cc9f0 b5
 COLOURS: tuple[Rgb, ...] = tuple((each[0], each[1], each[2]) for each in map(bytes.fromhex, _HEX.split()))
 _BLACK, _WHITE, _FALSE_ALARM = (0, 0, 0), (255, 255, 255), (200, 45, 45)
 _UNKNOWN: F8 = np.zeros(0)
-RIGHT, SWITCHED, MISSED, FALSE = range(4)
-"""Kinds of `Mistakes`: a track on an object; one on an object that had another identity before; a miss; a false track."""
-MISTAKE_COLOURS: tuple[Rgb, ...] = ((46, 194, 126), (255, 64, 255), (255, 77, 77), (255, 159, 28))
-_LEGEND = (("right", RIGHT), ("missed (truth)", MISSED), ("false", FALSE), ("identity switched", SWITCHED))
-# Widths of a panel of mistakes, height of the bars above and below, and what lies between panels, pixels.
-_WIDTHS, _BAR, _GAP, _DARK = (480, 720), 28, 6, (20, 20, 20)
-_EDGES = (0, _GAP, 0, _GAP, cv2.BORDER_CONSTANT)
 _GRID, _INK, _WITHOUT_IDENTITY = (228, 231, 236), (58, 66, 80), (140, 140, 140)
 _PAPER: Rgb = (235, 235, 228)
 _FIELD, _ROAD_EDGE, _WARNING = (216, 228, 246), (150, 120, 80), (208, 60, 60)
@@ -63,10 +56,10 @@ def feet(xyxy: F8) -> F8:
 
 class _Canvas:
     """A copy of a picture to draw on, or a sheet, which `onto` puts into a picture by the opacity of each pixel.
-    Widths, the length of a dash and letters suit the size; ``unit`` 1 is 480 lines."""
+    Widths, the length of a dash and letters suit the size: they are for 480 lines, and grow with it."""
 
-    def __init__(self, image: Image, unit: float = 0.0) -> None:
-        unit, sizes = unit or min(image.shape[0], 0.75 * image.shape[1]) / 480, ((1.6, 1), (0.7, 1), (1, 1), (8, 5))
+    def __init__(self, image: Image) -> None:
+        unit, sizes = min(image.shape[0], 0.75 * image.shape[1]) / 480, ((1.6, 1), (0.7, 1), (1, 1), (8, 5))
         self.line, self.thin, self._bold, self._dash = (max(least, round(part * unit)) for part, least in sizes)
         # Text of very small frames can still be read.
         self._font = max(0.34, 0.39 * unit)
@@ -101,8 +94,8 @@ class _Canvas:
         picture[place], self._opacity[place] = mixed.astype(np.uint8), 0
         return picture
 
-    def targets(self, boxes: F8, colours: Sequence[Rgb], dashed: Bool, labels: Sequence[str] = ()) -> None:
-        """The outlines of boxes (n, 4), and on top of all of them their labels, if any."""
+    def targets(self, boxes: F8, colours: Sequence[Rgb], dashed: Bool, labels: Sequence[str]) -> None:
+        """The outlines of boxes (n, 4), and on top of all of them their labels."""
         shown = self._corners(boxes)
         for k, (left, top, right, bottom) in shown:
             if not dashed[k]:
@@ -116,11 +109,11 @@ class _Canvas:
                 for start, end in zip(edges[0::2], edges[1::2], strict=True):
                     cv2.line(self.image, start, end, colours[k][::-1], self.line)
                     cv2.line(self._opacity, start, end, 255, self.line)
-        for k, box in shown if len(labels) else ():
+        for k, box in shown:
             self.plate(labels[k], box[:2], colours[k])
 
-    def plate(self, text: str, corner: Sequence[int], fill: Rgb, opacity: float = 1.0) -> int:
-        """Text on a coloured plate with this lower left corner, moved and shrunk to stay in the picture; its width."""
+    def plate(self, text: str, corner: Sequence[int], fill: Rgb, opacity: float = 1.0) -> None:
+        """Text on a coloured plate with this lower left corner, moved and shrunk to stay in the picture."""
         # OpenCV's fonts have no letters but ASCII.
         text, font, room = text.encode("ascii", "replace").decode("ascii"), self._font, self.image.shape[1]
         (wide, high), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, font, self._bold)
@@ -139,7 +132,6 @@ class _Canvas:
         for sheet, colour in ((self.image, _BLACK if light else _WHITE), (self._opacity, 255))[: 1 + (opacity < 1)]:
             look = (cv2.FONT_HERSHEY_SIMPLEX, font, colour, self._bold, cv2.LINE_AA)
             cv2.putText(sheet, text, (left + pad, bottom - under), *look)
-        return int(wide)
 
     def text(self, text: str, spot: Sequence[int], colour: Rgb) -> None:
         """Small letters without a plate."""
@@ -265,80 +257,6 @@ class Annotator:
             lines = [points[first : last + 1] for first, last in pairwise(bounds)]
             strengths = [(30 + 200 * k / len(lines)) / 255 for k in range(1, len(lines) + 1)]
             canvas.glaze_lines(lines, identity_colour(identity), canvas.line, strengths)
-
-
-class Mistakes(NamedTuple):
-    """What a method got right and wrong, a row each: annotated boxes that were missed, and all boxes of its tracks.
-
-    ``frame``, ``identity`` and ``kind``, such as `MISSED`, are (n,), ``xyxy`` (n, 4) in pixels of the video.
-    """
-
-    frame: I8
-    identity: I8
-    kind: I8
-    xyxy: F8
-
-    def at(self, number: int) -> Mistakes:
-        """Those of one frame."""
-        return Mistakes(*(column[self.frame == number] for column in self))
-
-    def counts(self, numbers: I8) -> I8:
-        """(F,) how many mistakes there are in each of these frames."""
-        first, end = (np.searchsorted(np.sort(self.frame[self.kind != RIGHT]), numbers, side) for side in ("left", "right"))
-        return end - first
-
-    def __str__(self) -> str:
-        """Their numbers in words."""
-        counts = (np.count_nonzero(self.kind == kind) for kind in (MISSED, FALSE, SWITCHED))
-        return "{} missed, {} false, {} switched".format(*counts)
-
-
-def side_by_side(
-    image: Image | None, size: tuple[int, int], heading: str, detections: F8, methods: Mapping[str, Mistakes]
-) -> Image:
-    """A picture with a panel for each method, on the frame where there is one, on a plain ground otherwise.
-
-    Parameters
-    ----------
-    image : (H, W, 3) BGR, or None.
-    size : width and height that the boxes are in.
-    heading : what stands above everything.
-    detections : (N, 4) what all methods were given.
-    methods : what each got wrong in this frame, by its name.
-
-    Returns
-    -------
-    (h, w, 3) BGR.
-    """
-    wide = int(np.clip(size[0], *_WIDTHS))
-    high, scale = max(1, round(size[1] * wide / size[0])), wide / size[0]
-    ground = np.full((high, wide, 3), 46, np.uint8)
-    if image is not None and image.size:
-        ground = cv2.resize(image, (wide, high), interpolation=cv2.INTER_AREA).astype(np.uint8)
-    panels: list[Image] = []
-    for name, mistakes in methods.items():
-        canvas, kind, boxes = _Canvas(np.zeros_like(ground)), mistakes.kind, mistakes.xyxy * scale
-        canvas.glaze_boxes(detections * scale, _WHITE, canvas.thin, 0.6)
-        canvas.glaze_boxes(boxes[kind == FALSE], MISTAKE_COLOURS[FALSE], canvas.line, 1.0, crossed=True)
-        right, missed = kind <= SWITCHED, kind == MISSED
-        colours, names = [MISTAKE_COLOURS[k] for k in kind[right]], mistakes.identity[right].astype(str)
-        canvas.targets(boxes[right], colours, np.zeros(len(names), np.bool_), names.tolist())
-        # On top: where a box is wrong, the one that it should have been is what one wants to see.
-        canvas.targets(boxes[missed], [MISTAKE_COLOURS[MISSED]] * len(boxes), missed[missed])
-        canvas.plate(f"{name}: {mistakes}", (0, 0), _BLACK, opacity=0.75)
-        panels.append(cv2.copyMakeBorder(canvas.onto(ground.copy()), *_EDGES, value=_DARK))
-    # The shape of the whole is the one nearest to a page's (2 : 1). Up to four panels fill their rows.
-    count = len(panels)
-    shapes = [columns for columns in range(1, count + 1) if count > 4 or count % columns == 0]
-    columns = min(shapes, key=lambda n: abs(math.log(wide / high * n / -(-count // n) / 2)))
-    panels += [np.full_like(panels[0], _DARK[0])] * (-count % columns)
-    rows = [np.hstack(panels[k : k + columns]) for k in range(0, len(panels), columns)]
-    bars = (_BAR + _GAP, _BAR, _GAP, 0, cv2.BORDER_CONSTANT)
-    canvas, x = _Canvas(cv2.copyMakeBorder(np.vstack(rows), *bars, value=_DARK), unit=1.0), _GAP
-    canvas.plate(heading, (_GAP, _BAR - 4), _BLACK)
-    for label, colour in (*((label, MISTAKE_COLOURS[kind]) for label, kind in _LEGEND), ("detection", _WHITE)):
-        x += canvas.plate(label, (x, len(canvas.image) - 6), colour) + 12
-    return canvas.image
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,8 +1,7 @@
 """What the report of a run shows, and the recorder that collects it while the run goes on.
 
 A `Recorder` keeps numbers per frame and a handful of small pictures, so that memory does not grow with the video beyond
-some hundred bytes a frame. A heat map is the intensity D over position [M07 Fig. 1]: the particles' weights, which sum to
-the expected number of objects, are added up in small cells of the frame; velocity and size are integrated away.
+some hundred bytes a frame.
 """
 
 from __future__ import annotations
@@ -11,20 +10,19 @@ import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from phdtrack.arrays import pixelated
-from phdtrack.types import F8, I8, ChainInfo, Frame, Image, Particles, SequenceInfo, Step, Tracks, Truth
+from phdtrack.types import F8, I8, ChainInfo, Frame, Image, SequenceInfo, Step, Tracks, Truth
 
 STAGES = ("detect", "filter", "extract", "associate")
 NO_IMAGE: Image = np.zeros((0, 0, 3), np.uint8)
 LOW_EFFECTIVE = 20.0
 """Effective samples below which positions are doubtful: their error by chance is 1/√20 = 22 % of their posterior spread."""
-_HEAT_MAPS, _PICTURE_WIDTH, _CELLS_ACROSS = 4, 800, 128
-_BINOMIAL = np.array([1, 4, 6, 4, 1]) / 16
+# Pictures that are kept, at most, and their width.
+_PICTURES, _PICTURE_WIDTH = 12, 800
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,26 +54,6 @@ class About:
     left_out: int = 0
     sections: str = ""
     finishing_seconds: float = 0.0
-
-
-class HeatMap(NamedTuple):
-    """The intensity over one frame.
-
-    Attributes
-    ----------
-    number : of the frame, from 1.
-    image : (h, w, 3) the frame, scaled down, BGR; (0, 0, 3) where there is none.
-    density : (gh, gw) expected number of objects in each cell.
-    cell : side of a cell, pixels of the original.
-    detections, estimates : (·, 4) boxes of that frame, xyxy in pixels of the original.
-    """
-
-    number: int
-    image: Image
-    density: F8
-    cell: float
-    detections: F8
-    estimates: F8
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +102,6 @@ class RunRecord:
         without a distribution, (0, 2) where no frame has one.
     seconds : (F, S) time that each of the `STAGES` took.
     truth_count : (F,) annotated objects, or (0,) where there is no truth.
-    heat_maps : the frames that are shown with the intensity over them.
     background : (h, w, 3) BGR frame from the middle, scaled down; (0, 0, 3) without video.
     chain : of an MCMC filter, None of others.
     log_evidence : (F,) `UpdateInfo.log_evidence`; NaN in frames without it.
@@ -142,7 +119,6 @@ class RunRecord:
     count_range: F8
     seconds: F8
     truth_count: I8
-    heat_maps: tuple[HeatMap, ...]
     background: Image
     chain: ChainSummary | None
     log_evidence: F8
@@ -219,20 +195,19 @@ class Recorder:
     def __init__(self, info: SequenceInfo, truth: Truth | None = None, most: int | None = None, blur: str = "") -> None:
         self._info, self._truth, self._seen, self._blur = info, truth, 0, blur
         self._rows, self._chains = deque[tuple[float, ...]](maxlen=most), deque[ChainInfo](maxlen=most)
-        self._kept: list[tuple[int, int, Image, HeatMap | None]] = []
+        self._kept: list[tuple[int, int, Image]] = []
         self._stride = 1
 
-    def add(self, frame: Frame | None, step: Step, particles: Particles | None, detect_seconds: float) -> None:
+    def add(self, frame: Frame | None, step: Step, detect_seconds: float) -> None:
         """Take in one frame.
 
         Parameters
         ----------
         frame : whose picture is shown, None without video.
         step : what the tracker made of the frame.
-        particles : the filter's, None where it has none.
         detect_seconds : time that detection took, seconds.
         """
-        info, size = step.info, self._info
+        info = step.info
         false = info.clutter_probability.sum()
         row = (step.number, step.time, len(step.detections), info.mass, false, info.log_evidence)
         self._rows.append((*row, *_likely_range(info.cardinality), detect_seconds, *step.seconds))
@@ -240,18 +215,11 @@ class Recorder:
             self._chains.append(info.chain)
         self._seen += 1
         index = self._seen
-        if index % self._stride or not (size.width > 0 and size.height > 0):
+        if frame is None or index % self._stride:
             return
-        small, heat = NO_IMAGE, None
-        if frame is not None:
-            boxes = np.vstack([step.detections.xyxy, step.estimates.xyxy])
-            small = shrunk(pixelated(frame.image, boxes, self._blur), _PICTURE_WIDTH).copy()
-        if particles is not None:
-            cell = max(1.0, round(max(size.width, size.height) / _CELLS_ACROSS))
-            density = _density_map(particles, size, cell)
-            heat = HeatMap(step.number, small, density, cell, step.detections.xyxy, step.estimates.xyxy)
-        self._kept.append((index, step.number, small, heat))
-        if len(self._kept) > 3 * _HEAT_MAPS:
+        boxes = np.vstack([step.detections.xyxy, step.estimates.xyxy])
+        self._kept.append((index, step.number, shrunk(pixelated(frame.image, boxes, self._blur), _PICTURE_WIDTH).copy()))
+        if len(self._kept) > _PICTURES:
             self._stride *= 2
             self._kept = [each for each in self._kept if each[0] % self._stride == 0]
 
@@ -259,11 +227,7 @@ class Recorder:
         """Everything so far, with the corrected tracks of the whole run; collecting may go on."""
         truth, table = self._truth, np.array(self._rows, dtype=np.float64).reshape(-1, 8 + len(STAGES))
         numbers, ranges = table[:, 0].astype(np.int64), table[:, 6:8]
-        kept = [(self._hidden(image, number, tracks), heat) for _, number, image, heat in self._kept]
-        maps = [heat._replace(image=image) for image, heat in kept if heat is not None]
-        images = [image for image, _ in kept if image.size]
-        # Evenly spaced, the last one among them.
-        shown = np.linspace(len(maps), 0, min(_HEAT_MAPS, len(maps)), endpoint=False)[::-1].round().astype(int) - 1
+        middle = self._kept[len(self._kept) // 2] if self._kept else None
         return RunRecord(
             info=self._info,
             about=about,
@@ -276,8 +240,7 @@ class Recorder:
             count_range=ranges if np.isfinite(ranges).any() else ranges[:0],
             seconds=table[:, 8:],
             truth_count=np.zeros(0, np.int64) if truth is None else _count(truth.frame[~truth.distractor], numbers),
-            heat_maps=tuple(maps[i] for i in shown),
-            background=images[len(images) // 2] if images else NO_IMAGE,
+            background=NO_IMAGE if middle is None else self._hidden(middle[2], middle[1], tracks),
             chain=ChainSummary.of(list(self._chains)),
             log_evidence=table[:, 5],
         )
@@ -286,22 +249,6 @@ class Recorder:
         """The small picture of a frame with what is in the boxes of its tracks hidden, too."""
         scale = image.shape[1] / max(1, self._info.width)
         return pixelated(image, scale * tracks.xyxy[tracks.frame == number], self._blur)
-
-
-def _density_map(particles: Particles, info: SequenceInfo, cell: float) -> F8:
-    """(gh, gw) expected number of objects in each cell of the frame [M07 Fig. 1], smoothed as particles are few.
-
-    Its sum is the mass of the particles inside the frame; the last row and column may reach beyond its edge.
-    """
-    shape = math.ceil(info.height / cell), math.ceil(info.width / cell)
-    x, y = particles.state[:2]
-    inside = (x >= 0) & (y >= 0) & (x < info.width) & (y < info.height)
-    row, column = (y[inside] / cell).astype(np.int64), (x[inside] / cell).astype(np.int64)
-    grid = np.bincount(row * shape[1] + column, particles.weight[inside], shape[0] * shape[1]).astype(np.float64)
-    # Reflected at the edges, so that no mass is lost.
-    return np.asarray(
-        cv2.sepFilter2D(grid.reshape(shape), -1, _BINOMIAL, _BINOMIAL, borderType=cv2.BORDER_REFLECT), np.float64
-    )
 
 
 def known_mean(values: F8) -> float:

@@ -1,4 +1,4 @@
-"""Frames in and out: video files, folders of images, cameras; H.264 that plays in a browser.
+"""Frames in and out: video files, folders of images; H.264 that plays in a browser.
 
 `open_source` gives frames in order, with the time at which each was taken; `VideoWriter` writes them. PyAV (FFmpeg) and
 OpenCV are imported when the first file is opened.

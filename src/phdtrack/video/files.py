@@ -1,4 +1,4 @@
-"""From what a user writes ("street.mp4", "frames/", "img/*.png", "0", "rtsp://…") to a source of frames.
+"""From what a user writes ("street.mp4", "frames/", "img/*.png", "http://…") to a source of frames.
 
 The files of a folder or a glob pattern of images are put in natural order (``img2`` before ``img10``). The last number in
 each name says which frame it is, counted from the first file as frame 1 in steps of the names' common divisor: a file
@@ -20,7 +20,6 @@ import difflib
 import glob
 import math
 import re
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -90,12 +89,12 @@ class VideoSource:
             yield replace(frame, time=last)
 
 
-def open_source(spec: str | Path | int, *, fps: float = 0.0) -> VideoSource:
+def open_source(spec: str | Path, *, fps: float = 0.0) -> VideoSource:
     """The frames that ``spec`` names.
 
     Parameters
     ----------
-    spec : a video file; a folder of images; a glob pattern of images; an address with ``://``; the index of a camera.
+    spec : a video file; a folder of images; a glob pattern of images; an address with ``://``.
     fps : frames per second. Above 0 it replaces the time stamps of a video and is the rate of a folder of images; 0 takes
         the stream's own times, and 25 for images.
 
@@ -113,8 +112,6 @@ def open_source(spec: str | Path | int, *, fps: float = 0.0) -> VideoSource:
     if "://" in text or path.exists():
         # `phdtrack.live` reads what never ends.
         return _video(text, fps)
-    if text.isdecimal():
-        return _camera(int(text), fps)
     if set(text) & set("*?["):
         files = [Path(name) for name in glob.glob(text, recursive=True) if Path(name).is_file()]
         if not files:
@@ -182,37 +179,6 @@ def _image(path: Path) -> Image:
     if image is None:
         raise InputError("this is not an image that can be read", where=path, cure="Repair the file or take it away.")
     return np.asarray(image, np.uint8)
-
-
-def _camera(index: int, fps: float) -> VideoSource:
-    """Frames of camera ``index`` (from 0), until it stops or the caller does.
-
-    A frame's stamp is when it arrived: a camera delivers no time stamps that mean the same on every system.
-    """
-    import cv2
-
-    capture = cv2.VideoCapture(index)
-    if not capture.isOpened():
-        raise InputError(
-            f"camera {index} cannot be opened",
-            cure="Check that it is connected, that no other program uses it, and that this user may read it.",
-        )
-    if fps:
-        capture.set(cv2.CAP_PROP_FPS, fps)
-    width, height = (round(capture.get(p)) for p in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
-    rate, note = _rate(fps or capture.get(cv2.CAP_PROP_FPS), f"camera {index} does")
-
-    def read(source: VideoSource) -> Iterator[Read]:
-        number = 0
-        try:
-            while (shot := capture.read())[0]:
-                number += 1
-                yield number, time.monotonic(), np.asarray(shot[1], np.uint8), f"camera {index}, frame {number}"
-            source.problem = f"camera {index}: no more pictures after frame {number}"
-        finally:
-            capture.release()
-
-    return VideoSource(SequenceInfo(width, height, rate, 0, f"camera{index}"), read, note)
 
 
 def _video(path: str, fps: float) -> VideoSource:
