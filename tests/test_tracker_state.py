@@ -239,6 +239,7 @@ def element(value, place=0, column: str = ""):
     ({}, (*LINKS, "time"), lambda a: 5e-324, "LabelledState do not fit"),
     (few("gm-phd"), (*LINKS, "time"), lambda a: 5e-324, "GraphState do not fit"),
     (few("particle-cphd"), (*MIXTURE, "intensity", "fields", "unit"), lambda a: 0.0, "Cardinalised do not fit"),
+    (few("particle-cphd"), (*MIXTURE, "cardinality"), element(-1e-9, -1), "Cardinalised do not fit"),
     ({}, ("state", "fields", "past", 1, 1), lambda a: -1e300, "past|do not fit"),
     ({}, (*LANE, "seed", "fields", "increment"), lambda a: 2, "Seed do not fit"),
     ({}, (*LANE, "seed", "fields", "word"), lambda a: 1 << 40, "word: expected numbers from 0"),
