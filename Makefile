@@ -9,6 +9,7 @@
 #   make bench-full   the same with all sizes, more frames and seeds
 #   make format       put the sources into the one style
 #   make docs         write the generated pages anew
+#   make site         the documentation as a site that needs no network, in build/site
 #
 # PYTHON=... chooses the interpreter that makes the environment, VENV=... where it lies, PYTEST_ARGS=... is passed on.
 
@@ -19,13 +20,15 @@ PY := $(VENV)/bin/python
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PEERS := .venv-peers
+SITE_ENV := .venv-site
+SITE := build/site
 CODE := src tests experiments scripts benchmarks
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help env test test-slow lint pytest pytest-plain demo docs-check experiments bench bench-full peers format docs clean
+.PHONY: help env test test-slow lint pytest pytest-plain demo docs-check experiments bench bench-full peers format docs site clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -94,5 +97,15 @@ format: env
 docs: env
 	$(PY) scripts/equations.py
 
+# What builds the site lives in an environment of its own, as nothing else needs it. A link that leads nowhere is an error.
+site: $(SITE_ENV)/.installed
+	NO_MKDOCS_2_WARNING=1 $(SITE_ENV)/bin/mkdocs build --quiet --strict --site-dir "$(abspath $(SITE))"
+	@echo "the site: $(SITE)/index.html"
+
+$(SITE_ENV)/.installed: scripts/site-constraints.txt | env
+	test -x $(SITE_ENV)/bin/python || $(PY) -m venv $(SITE_ENV)
+	$(SITE_ENV)/bin/python -m pip install --quiet --require-hashes --no-deps -r $<
+	@touch $@
+
 clean:
-	rm -rf $(VENV) $(PEERS) .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(PEERS) $(SITE_ENV) .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

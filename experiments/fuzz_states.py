@@ -269,9 +269,10 @@ class Resumed:
 
     def __init__(self) -> None:
         self.frames = [Frame(k, k / 25, self.picture(k)) for k in range(1, self.last + 1)]
-        self.inputs: Any = SimpleNamespace(detector=make_detector("change", min_area=0.005))
+        detector = make_detector("change", min_area=0.005)
+        self.inputs: Any = SimpleNamespace(detector=detector, pictures=True, again=False)
         self.folder = SimpleNamespace(file=lambda name: _shared() / f"phdtrack-fuzz-{os.getpid()}.{name}")
-        checkpoint = Checkpoint(self.folder, {}, 0.0, resume=False)  # type: ignore[arg-type]
+        checkpoint = self.checkpoint(0.0, resume=False)
         for _ in checkpoint.detected(self.inputs, self.frames[:5], None):
             checkpoint._saving and checkpoint._saving.join()
         known, log = (self.folder.file(name) for name in (KNOWN, LOG))
@@ -280,6 +281,10 @@ class Resumed:
             self.saved = held | {"log": [one for _, one in blocks(file)]}
         self.ways = places(self.saved)
         self.try_one(pickle.dumps((known.read_bytes(), log.read_bytes())))
+
+    def checkpoint(self, every: float, *, resume: bool) -> Checkpoint:
+        """That of the files of this process."""
+        return Checkpoint(self.folder, {"source": "pictures"}, {}, every, resume=resume)  # type: ignore[arg-type]
 
     @staticmethod
     def picture(k: int) -> np.ndarray:
@@ -309,7 +314,7 @@ class Resumed:
         for name, held in zip((KNOWN, LOG), pickle.loads(content), strict=True):
             self.folder.file(name).write_bytes(held)
         tracker = Tracker((80, 60))
-        for one in Checkpoint(self.folder, {}, 1e9, resume=True).detected(self.inputs, self.frames, None):  # type: ignore[arg-type]
+        for one in self.checkpoint(1e9, resume=True).detected(self.inputs, self.frames, None):
             tracker.update(one.found, one.frame.number, one.frame.time, one.warp if len(one.warp) else None)
         tracker.tracks()
 

@@ -1,21 +1,38 @@
-"""The README's picture: detections with clutter, the intensity that the filter makes of them, the tracks.
+"""The pictures of the documentation, all of rendered scenes.
 
-python scripts/picture.py          writes docs/picture.jpg
+python scripts/picture.py            docs/picture.jpg: detections with clutter, the filter's intensity, the tracks
+python scripts/picture.py gallery    docs/gallery/: the first command on each scene, and what teaching a scene changes
 """
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import tempfile
+from itertools import islice
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from phdtrack import Detections, Tracker, Tracks
+from phdtrack.arrays import iou
+from phdtrack.cli.label import to_label
+from phdtrack.cli.options import SourceOptions
+from phdtrack.cli.output import Output
+from phdtrack.formats import find_seqinfo, read_detections, read_tracks, read_truth
+from phdtrack.label import Label, LabelStore
+from phdtrack.label.samples import shuffled
 from phdtrack.report import Annotator
+from phdtrack.scene.files import read_scene
+from phdtrack.scene.mixture import place_map
 from phdtrack.simulate import DetectorModel, Look, Rendered, make_scene
+from phdtrack.video import open_source
 
 OUT = Path(__file__).resolve().parent.parent / "docs" / "picture.jpg"
 FRAME, SEED, CLUTTER = 280, 7, 8.0
+# Scenes of the gallery, and the frame of each that is shown.
+SCENES, SHOWN, MARKED = ("yard", "garden", "arcade", "crowd"), 400, 40
 WHITE = (255, 255, 255)
 
 
@@ -45,8 +62,80 @@ def main() -> None:
         _named(_glow(image, heat), "the filter's intensity"),
         _named(drawn, "tracks"),
     ]
-    gap = np.full((image.shape[0], 8, 3), 255, np.uint8)
-    cv2.imwrite(str(OUT), np.hstack([panels[0], gap, panels[1], gap, panels[2]]), [cv2.IMWRITE_JPEG_QUALITY, 85])
+    _write(OUT, panels)
+
+
+def gallery() -> None:
+    """Run the commands in a folder of their own, and show a frame of what they wrote."""
+    out = OUT.parent / "gallery"
+    out.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as name:
+        at = Path(name)
+        for scene in SCENES:
+            _phdtrack(at, "simulate", scene, "--frames", str(SHOWN + 100), "--out", scene)
+            _phdtrack(at, "track", f"{scene}/scene.mp4", "--out", f"runs/{scene}")
+            _write(out / f"{scene}.jpg", [_seen(at, scene, "runs/" + scene), _tracked(at, scene, "runs/" + scene, "tracks")])
+        _learned(at, out)
+
+
+def _learned(at: Path, out: Path) -> None:
+    """The yard's detections, tracked before and after 40 frames of them were marked."""
+    detections, labels = at / "yard" / "det" / "det.txt", at / "yard.labels.sqlite"
+    found, truth = (
+        to_label(SourceOptions(detections=detections), {}, labels, Output()),
+        read_truth(at / "yard" / "gt" / "gt.txt"),
+    )
+    store = LabelStore.open(labels, str(detections), found.digest, shuffled(found.info.frames, seed=0)[:MARKED])
+    for number, _ in store.frames():
+        boxes, people = found.table.at(number).xyxy, truth.xyxy[truth.frame == number]
+        false = [k for k, box in enumerate(boxes) if iou(box[None], people).max(initial=0) < 0.3]
+        if false:
+            store.mark(number, [Label(number, k, "false") for k in false])
+        store.finish(number)
+    given = ("--detections", "yard/det/det.txt")
+    _phdtrack(at, "learn", *given, "--labels", labels.name, "--out", "yard.scene.json")
+    _phdtrack(at, "track", *given, "--out", "runs/before", "--no-video")
+    _phdtrack(at, "track", *given, "--out", "runs/after", "--no-video", "--scene", "yard.scene.json")
+    image = _frame(at, "yard")
+    density = read_scene(at / "yard.scene.json").clutter.density
+    heat = place_map(density, (image.shape[0] // 4, image.shape[1] // 4), 4.0)
+    places = _named(_glow(image, heat), "where false alarms are expected")
+    _write(out / "detections-and-places.jpg", [_seen(at, "yard", "runs/before"), places])
+    both = [_tracked(at, "yard", "runs/before", "tracks, untaught"), _tracked(at, "yard", "runs/after", "tracks, taught")]
+    _write(out / "before-and-after.jpg", both)
+
+
+def _phdtrack(at: Path, *words: str) -> None:
+    """A command, in this folder."""
+    subprocess.run([sys.executable, "-m", "phdtrack", *words, "--quiet"], cwd=at, check=True)
+
+
+def _frame(at: Path, scene: str) -> np.ndarray:
+    """The frame that is shown."""
+    return next(islice(open_source(str(at / scene / "scene.mp4")), SHOWN - 1, None)).image
+
+
+def _seen(at: Path, scene: str, run: str) -> np.ndarray:
+    """The frame with the detections of a run."""
+    found = read_detections(at / run / "detections.csv").at(SHOWN)
+    drawn = Annotator(find_seqinfo(at / scene))(_frame(at, scene), SHOWN, Tracks.empty(), found)
+    return _named(drawn, f"{len(found)} detections")
+
+
+def _tracked(at: Path, scene: str, run: str, text: str) -> np.ndarray:
+    """The frame with the corrected tracks of a run, and where they were in the last seconds."""
+    annotate, tracks = Annotator(find_seqinfo(at / scene)), read_tracks(at / run / "tracks.csv")
+    for frame in islice(open_source(str(at / scene / "scene.mp4")), SHOWN):
+        if frame.number > SHOWN - 60:
+            drawn = annotate(frame.image, frame.number, tracks, Detections.empty())
+    return _named(drawn, text)
+
+
+def _write(path: Path, panels: list[np.ndarray]) -> None:
+    """The panels side by side."""
+    gap = np.full((panels[0].shape[0], 8, 3), 255, np.uint8)
+    row = [one for panel in panels for one in (gap, panel)][1:]
+    cv2.imwrite(str(path), np.hstack(row), [cv2.IMWRITE_JPEG_QUALITY, 80])
 
 
 def _glow(image: np.ndarray, heat: np.ndarray) -> np.ndarray:
@@ -65,4 +154,4 @@ def _named(image: np.ndarray, text: str) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    main()
+    gallery() if sys.argv[1:] == ["gallery"] else main()

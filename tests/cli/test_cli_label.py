@@ -2,12 +2,14 @@
 
 import json
 import re
+import shlex
 import signal
 import subprocess
 import sys
 import time
 import urllib.error
 import urllib.request
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -60,7 +62,7 @@ class Started:
 def test_label_leave_and_go_on(sequence):
     arguments = ("street", "--detections", "det.txt", "--frames", "8", "--seed", "3")
     page = Started(*arguments, cwd=sequence)
-    assert "8 frames, 0 of them looked at; the marks are kept in street.labels.sqlite" in page.told
+    assert "8 frames, 0 of them looked at; the marks are kept in runs/street.labels.sqlite" in page.told
     overview = json.loads(page.ask("api/overview"))
     assert (overview["width"], overview["height"], len(overview["frames"])) == (160, 120, 8)
     first = overview["frames"][0]["number"]
@@ -70,24 +72,60 @@ def test_label_leave_and_go_on(sequence):
     page.ask(f"api/frame/{first}/done", {})
     status, out, _ = page.leave()
     assert status == 0
-    assert "1 of 8 frames looked at, 1 false, no births: street.labels.sqlite" in out
+    kept = Path("runs/street.labels.sqlite")
+    assert f"1 of 8 frames looked at, 1 false, no births: {kept}" in out
+    command = f"phdtrack learn street --detections det.txt --labels {kept}"
+    assert f"the same command goes on; when all are looked at, run: {command}" in out
+    # Nothing is written beside the video.
+    assert sorted(path.name for path in sequence.iterdir()) == ["det.txt", "runs", "street"]
 
+    # What a browser has kept for the page is found again: it is at the same address, unless that is taken.
     again = Started(*arguments, cwd=sequence)
+    assert again.url == page.url
+    third = Started(*arguments, cwd=sequence)
+    third.leave()
+    assert third.url != page.url
     assert "8 frames, 1 of them looked at" in again.told
     overview_again = json.loads(again.ask("api/overview"))
     again.leave()
     assert [frame["number"] for frame in overview_again["frames"]] == [frame["number"] for frame in overview["frames"]]
-    assert [(label.frame, label.box) for label in LabelStore(sequence / "street.labels.sqlite").labels()] == [(first, 0)]
+    assert [(label.frame, label.box) for label in LabelStore(sequence / kept).labels()] == [(first, 0)]
 
 
 def test_a_detector_runs_once(sequence):
     page = Started("street", "--frames", "5", cwd=sequence)
     page.leave()
-    kept = list(sequence.glob("street.labels.change-*.detections.csv"))
+    kept = list(sequence.glob("runs/street.labels.change-*.detections.csv"))
     assert len(kept) == 1
     again = Started("street", "--frames", "5", cwd=sequence)
     _, _, err = again.leave()
-    assert f"the detections are those of {kept[0].name}" in err
+    assert f"the detections are those of runs/{kept[0].name}" in err
+
+
+def test_what_comes_next_is_said_with_the_options_of_then(sequence, monkeypatch):
+    """The command at the end finds the marks, and the detections that they are of: it learns from them."""
+    monkeypatch.chdir(sequence)
+    cv2.imwrite("mask.png", np.full((120, 160), 255, np.uint8))
+    given = ("street", "--frames", "20", "--mask", "mask.png", "--set", "detector.min_area=0.001", "--no-suggest")
+    page = Started(*given, "--labels", "my marks.sqlite", cwd=sequence)
+    for frame in json.loads(page.ask("api/overview"))["frames"]:
+        answer = json.loads(page.ask(f"api/frame/{frame['number']}/done", {}))
+    _, out, _ = page.leave()
+    command = re.search(r"^now run: (.*)$", out, re.MULTILINE)[1]
+    assert command == answer["progress"]["next"]
+    assert command == "phdtrack learn street --mask mask.png --labels 'my marks.sqlite' --set detector.min_area=0.001"
+    done = phdtrack(*shlex.split(command)[1:])
+    assert "the detections are those of my marks." in done.err
+    assert "false alarms stay as shipped: " in done.out
+
+
+def test_labels_beside_the_video_are_gone_on_with(sequence):
+    page = Started("street", "--detections", "det.txt", "--labels", "street.labels.sqlite", "--no-suggest", cwd=sequence)
+    page.leave()
+    again = Started("street", "--detections", "det.txt", "--no-suggest", cwd=sequence)
+    again.leave()
+    assert "kept in street.labels.sqlite" in again.told
+    assert not (sequence / "runs").exists()
 
 
 @pytest.mark.parametrize(
@@ -137,7 +175,7 @@ def test_suggestions_come_while_the_page_is_open(tmp_path):
     assert len({place for *_, place in ticked}) == 1
     assert 1 <= len(ticked) <= 10
     # They are kept for the next time. A page that was told not to look has none.
-    file = tmp_path / "det.labels.suggestions.json"
+    file = tmp_path / "runs" / "det.labels.suggestions.json"
     kept = json.loads(file.read_text())
     file.write_text(json.dumps({"key": kept["key"], "rows": kept["rows"][:1]}))
     assert len(suggested(*arguments, cwd=tmp_path)["items"]) == 1

@@ -131,3 +131,24 @@ def test_labels_of_other_detections_are_refused(street, tmp_path):
     (tmp_path / "det.txt").write_text("\n".join(changed) + "\n")
     said = refused(*options(street), "--detections", tmp_path / "det.txt", "--out", tmp_path / "s.json")
     assert "other detections" in said
+
+
+def test_marks_that_lie_anywhere_teach_nothing_of_where(tmp_path):
+    rng = np.random.default_rng(0)
+    lines = []
+    for k in range(1, 31):
+        (x, y), (w, h) = rng.uniform(0, (720, 480)), rng.uniform(4, 300, 2)
+        lines.append(f"{k},-1,{x - w / 2:.1f},{y - h / 2:.1f},{w:.1f},{h:.1f},1,-1,-1,-1")
+    (tmp_path / "det.txt").write_text("\n".join(lines) + "\n")
+    given = SourceOptions("", tmp_path / "det.txt", "", "720x480", 25.0)
+    found = to_label(given, {}, tmp_path / "labels", Output())
+    store = LabelStore.open(tmp_path / "labels", "det.txt", found.digest, range(1, 31))
+    for number in range(1, 31):
+        store.mark(number, [Label(number, 0, "false")])
+        store.finish(number)
+    said = phdtrack(*options(tmp_path), "--out", tmp_path / "scene.json")
+    assert said.status == 0, said.err
+    assert "false alarms: 30 boxes marked by a person on 30 frames; nothing was learned of where, as no place" in said.out
+    page = (tmp_path / "scene.html").read_text()
+    assert "False alarms: nothing learned of where from 30 samples." in page
+    assert "Map of false alarms" not in page

@@ -54,6 +54,7 @@ def test_the_side_of_the_horizon_can_be_said() -> None:
         (np.eye(2), None, "3 x 3"),
         (np.full((3, 3), np.nan), None, "finite"),
         (np.diag([1.0, 1, 0]), None, "can be inverted"),
+        (np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]), None, "horizon stands upright"),
         (np.array([[1.0, 0, 0], [0, 0, 1], [0, 1, -100]]), (50.0, 100.0), "on the horizon"),
     ],
 )

@@ -109,6 +109,7 @@ def test_files(tmp_path: Path) -> None:
         (GRID + "1 2 3\n1 2\n", ", line 6", "2 numbers, came 3"),
         (GRID.replace("size 1", "size 0") + "1 2\n3 4\n", "", "steps"),
         (GRID.replace("ncols 2", "ncols 1") + "1\n3\n", "", "2 x 2 heights or more"),
+        (GRID + "1 2\n3 1e308\n", "", "within 1e.07 m"),
         (GRID.replace("ncols 2", "ncols inf"), "", "whole number for ncols, came inf"),
         ("ncols two\n", ", line 1", "1 numbers, came 'two'"),
     ],

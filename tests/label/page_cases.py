@@ -73,7 +73,8 @@ def session(labels: Path, boxes: int, waiting_for: Path | None = None):
     background = Background(waits)
     while waiting_for is None and background.found is None:
         time.sleep(0.001)
-    return Session(store, table, stills, SequenceInfo(*SIZE, 25.0, FRAMES, "drawn"), background)
+    command = f"phdtrack learn drawn.mp4 --labels {labels}"
+    return Session(store, table, stills, SequenceInfo(*SIZE, 25.0, FRAMES, "drawn"), background, command)
 
 
 @contextlib.contextmanager

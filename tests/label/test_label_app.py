@@ -1,5 +1,6 @@
 """What the page asks for and what is answered, to whom, and what every answer carries."""
 
+import base64
 from dataclasses import replace
 
 import cv2
@@ -12,6 +13,7 @@ from phdtrack.errors import InputError
 from phdtrack.label import LabelStore
 from phdtrack.label.page import label_app
 from phdtrack.live.serving import COOKIE, POLICY, Guard, listen
+from phdtrack.types import Detections, DetectionTable
 
 HOST = "127.0.0.1:8000"
 
@@ -57,19 +59,39 @@ def test_all_like_one_leaves_out_what_is_marked(page):
     assert [5, 12] not in page.get("/api/frame/1/alike/12").json()
 
 
-def test_the_map_shows_where_false_boxes_were_marked(page):
-    def red():
-        return cv2.imdecode(np.frombuffer(page.get("/api/map/false.png").content, np.uint8), cv2.IMREAD_UNCHANGED)[..., 3]
+def learned_map(page):
+    """Whether anything was learned, and how red the map is."""
+    answer = page.get("/api/map/false").json()
+    data = base64.b64decode(answer["picture"].removeprefix("data:image/png;base64,"))
+    return answer["learned"], cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)[..., 3]
 
-    assert red().max() == 0
+
+def test_the_map_shows_where_false_boxes_were_marked(page):
+    learned, shown = learned_map(page)
+    assert (learned, shown.max()) == (False, 0)
     page.post("/api/frame/1/marks", json={"marks": [{"frame": k, "box": 0, "mark": "false"} for k in range(1, 21)]})
-    shown = red()
+    learned, shown = learned_map(page)
+    assert learned
     assert shown.max() > 150
     # The box's centre, at half the size; the far corner stays clear.
     down, across = np.unravel_index(np.argmax(shown), shown.shape)
     box = page.get("/api/frame/1").json()["boxes"][0]
     assert (2 * across, 2 * down) == pytest.approx(((box[0] + box[2]) / 2, (box[1] + box[3]) / 2), abs=6)
     assert shown[-40:, -40:].max() == 0
+
+
+def test_a_map_of_marks_that_lie_anywhere_says_so_and_is_clear(tmp_path):
+    made, rng = session(tmp_path / "labels.sqlite", 12), np.random.default_rng(0)
+    centre, half = rng.uniform(20, np.array(SIZE) - 20, (100, 2)), rng.uniform(18, 22, (100, 2))
+    detections = Detections.of(np.hstack([centre - half, centre + half]), np.full(100, 0.5))
+    page = TestClient(label_app(replace(made, table=DetectionTable(np.ones(100, np.int64), detections))))
+    page.post("/api/frame/1/marks", json=marks(*range(100)))
+    learned, shown = learned_map(page)
+    assert (learned, shown.max()) == (False, 0)
+    # Ten are too few to tell: a density that is fitted to them alone would show one place.
+    page.post("/api/frame/1/undo", json={})
+    page.post("/api/frame/1/marks", json=marks(*range(10)))
+    assert learned_map(page)[0] is False
 
 
 @pytest.mark.parametrize(

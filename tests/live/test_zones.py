@@ -92,6 +92,8 @@ SQUARE = [[0, 0], [10, 0], [10, 10], [0, 10]]
         ({"zone": [{"points": SQUARE[:2]}]}, "at least 3 points, got 2"),
         ({"zone": [{"points": [[0, 0], [10, 10], [10, 0], [0, 10]]}]}, "crosses itself"),
         ({"zone": [{"points": [*SQUARE, [5, 0]]}]}, "crosses itself"),
+        ({"line": [{"points": [[0, 400], [5e-324, 400]]}]}, "are the same"),
+        ({"zone": [{"points": [[5e-324, 0], [0, 0], [10, 10]]}]}, "are the same"),
         ({"line": [{"points": [[0, 0], [0, 0]]}]}, "the same"),
         ({"line": [{"points": [[0, 0], [float("nan"), 1]]}]}, "finite"),
         ({"line": [{"points": [[0, 0], [1, True]]}]}, "in pixels"),

@@ -190,6 +190,16 @@ def test_what_never_goes_anywhere_is_left_out_when_asked(rng):
         assert left.xyxy[-1, 0] > left.xyxy[0, 0] + 200
 
 
+def test_who_walks_out_slowly_at_the_border_goes_somewhere_by_the_side_that_is_seen(rng):
+    """The head goes down by 60 pixels while the feet are below the picture: the centre moves by half of that."""
+    head = 600.0 + np.arange(60)
+    high = 700.0 - head
+    boxes = np.stack([np.full(60, 300.0), head + high / 2, np.full(60, 70.0), high], axis=1) + rng.normal(0, 0.3, (60, 4))
+    pieces = [piece(boxes, 1, (1, 60))]
+    assert names(smoothed(pieces, min_extent=0.75, frame_size=(1000.0, 700.0))) == {1: list(range(1, 61))}
+    assert not names(smoothed(pieces, min_extent=0.75, frame_size=(1000.0, 900.0)))
+
+
 def at_the_border(*lost: int, known: tuple[int, int] = (15, 40)) -> tuple[Tracks, MeasurementHistory]:
     """Someone walks from left to right, cut by the picture in frames 2 to 6 and 51 to 56; another stands in the middle.
 

@@ -8,31 +8,29 @@ annotated video, report, ``run.json``. Decoding, detecting and tracking overlap 
 from __future__ import annotations
 
 import math
-import platform
 import shlex
 import sys
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
-from importlib import metadata
 from itertools import repeat
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numba.core import event
 
-from phdtrack import __version__, pipeline
+from phdtrack import pipeline
 from phdtrack.classes import Kinds
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli import signals
 from phdtrack.cli.checkpoint import Checkpoint, source_of
 from phdtrack.cli.inputs import NO_PICTURE, Inputs, Mover, ahead, detected, expected, learn_scene
 from phdtrack.cli.observers import RunObserver
-from phdtrack.cli.output import Advance, progress
+from phdtrack.cli.output import Advance, progress, versions
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.detect import BACKGROUND
 from phdtrack.detect.registry import unsuited
@@ -52,8 +50,6 @@ from phdtrack.video import VideoWriter
 if TYPE_CHECKING:
     from phdtrack.metrics import Scores
 Stop = Exception | KeyboardInterrupt
-
-_PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "av", "typer", "rich", "pydantic", "matplotlib", "pyarrow")
 
 _WHICH = (
     f"{rundir.TRACKS} holds the corrected tracks of the whole run, {rundir.ONLINE} the rows as they were given "
@@ -181,15 +177,6 @@ def about(title: str, seed: int = 0) -> About:
     """What is known of a run that starts now."""
     now, command = datetime.now(UTC).isoformat(timespec="seconds"), [shown(word) for word in sys.argv[1:]]
     return About(title, shlex.join(["phdtrack", *command]), seed, now, versions=versions())
-
-
-def versions() -> tuple[tuple[str, str], ...]:
-    """Pairs of name and version: phdtrack, Python, the system, and the packages that it rests on and that are there."""
-    found = [("phdtrack", __version__), ("python", platform.python_version()), ("system", platform.platform())]
-    for name in _PACKAGES:
-        with suppress(metadata.PackageNotFoundError):
-            found.append((name, metadata.version(name)))
-    return tuple(found)
 
 
 def run(job: Job, directory: RunDirectory, *, resume: bool = False) -> Outcome:

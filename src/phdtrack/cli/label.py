@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shlex
 import webbrowser
 from collections.abc import Callable, Collection
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -45,6 +46,8 @@ from phdtrack.types import DetectionTable, Frame, Image, SequenceInfo
 from phdtrack.video import open_source
 
 _CLIP_WIDTH = 640
+# Where marks are kept unless another file is named; a video's run is a directory in it.
+_RUNS = Path("runs")
 
 
 def label(
@@ -73,10 +76,11 @@ def label(
     numbers = [number for number, _ in store.frames()]
     around = {frame for number in numbers for frame in clip(number, found.info.frames)}
     pictures = _stills(source, numbers, around, partial(_shown, found.table, blur))
-    address = listen(at.host, at.port, at.allow_host or (), at.certificate, at.key)
+    address = listen(at.host, at.port, at.allow_host or (), at.certificate, at.key, store.ports)
     kept = file.with_name(file.name.removesuffix(".sqlite") + ".suggestions.json")
     work = Background(partial(_suggestions, found, settings, numbers, kept)) if suggest else None
-    session = Session(store, found.table, pictures, found.info, work)
+    command = _learn_command(source, file, {"config": config, "set": sets, "blur": blur})
+    session = Session(store, found.table, pictures, found.info, work, command)
     state = store.progress()
     output.say(f"{counted(state.frames, 'frame')}, {state.done} of them looked at; the marks are kept in {file}")
     output.say(f"the page: {address.url}   (Ctrl-C ends)")
@@ -86,6 +90,20 @@ def label(
     state = store.progress()
     looked = f"{state.done} of {counted(state.frames, 'frame')} looked at"
     output.say(f"{looked}, {state.false} false, {counted(state.births, 'birth')}: {file}")
+    done = state.done == state.frames
+    output.say(f"{'now run' if done else 'the same command goes on; when all are looked at, run'}: {session.learn(state)}")
+
+
+def _learn_command(source: SourceOptions, labels: Path, more: dict[str, Any]) -> str:
+    """The command that learns from these labels: with the options that were given here, as they decide what is detected."""
+    default = SourceOptions(source.source, detect_again=source.detect_again)
+    given = {field.name: getattr(source, field.name) for field in fields(source)}
+    named = {name: value for name, value in given.items() if value != getattr(default, name)} | {"labels": labels}
+    words = ["phdtrack", "learn", *filter(None, [source.source])]
+    for name, value in (named | {name: value for name, value in more.items() if value}).items():
+        for one in value if isinstance(value, list) else [value]:
+            words += [f"--{name.replace('_', '-')}", str(one)]
+    return shlex.join(words)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +126,8 @@ def to_label(source: SourceOptions, parameters: dict[str, Any], labels: Path, ou
         raise InputError("frames of a camera come once only", where=source.source, cure="Record a video and label that")
     inputs = open_inputs(source, parameters)
     output.warn(inputs.warnings)
+    if labels.parent == _RUNS:
+        _RUNS.mkdir(exist_ok=True)
     left_out = None if source.on_error == "stop" else WrongRows()
     table = read_detections(
         source.detections or _kept_detections(source, parameters, labels, inputs, output), left_out=left_out
@@ -190,11 +210,13 @@ def _suggestions(
 
 
 def labels_file(source: SourceOptions) -> Path:
-    """The file of labels that goes with a video, or with detections."""
+    """The file of labels that goes with a video, or with detections: among the runs, so that nothing is written into an
+    archive of videos. One beside the video, where earlier versions kept it, is gone on with."""
     path = Path(source.source) if source.source else source.detections
     if path is None:
         raise InputError("nothing to label", where="SOURCE", cure="Name a video, or say --detections FILE")
-    return path.with_name(f"{path.stem if path.is_file() else path.name}.labels.sqlite")
+    beside = path.with_name(f"{path.stem if path.is_file() else path.name}.labels.sqlite")
+    return beside if beside.exists() else _RUNS / beside.name
 
 
 def learn(
@@ -205,7 +227,7 @@ def learn(
     clutter: Annotated[str, option("FROM", "labels: marked with `phdtrack label`; unattended: not checked.")] = "labels",
     first: Annotated[int, option("N", "Learn from this frame on.", min=1)] = 1,
     last: Annotated[int, option("N", "Learn up to this frame; 0: all.", min=0)] = 0,
-    out: Annotated[Path | None, option("FILE", "Where to write the scene; default: SOURCE.scene.json.")] = None,
+    out: Annotated[Path | None, option("FILE", "Where to write the scene; default: next to the labels.")] = None,
     overwrite: given.Overwrite = False,
     config: given.Config = None,
     sets: given.Sets = None,

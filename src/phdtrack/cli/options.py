@@ -48,7 +48,8 @@ _FILTERS = "pmb (default), gm-phd, particle-phd, gm-cphd, particle-cphd, mht, pm
 Filter = Annotated[str, option("NAME", _FILTERS, "--filter")]
 SceneFile = Annotated[Path | None, option("FILE", "What `phdtrack learn` has learned of this scene.")]
 TruthFile = Annotated[Path | None, option("FILE", "Annotated objects to score against.")]
-Labels = Annotated[Path | None, option("FILE", "What was marked with `phdtrack label`; default: next to the video.")]
+_MARKED = "Where the marks of `phdtrack label` are kept; default: runs/NAME.labels.sqlite, or one next to the video."
+Labels = Annotated[Path | None, option("FILE", _MARKED)]
 Config = Annotated[Path | None, option("FILE", "Settings in a TOML file; an unknown name is an error.")]
 Sets = Annotated[list[str] | None, option("NAME=VALUE", "One setting, as sensor.box_noise=0.1; repeatable.", "--set")]
 Preset = Annotated[str, option("NAME", "Settings to start from: default, mot15, m07, m07-extended, m09, m09-mht, e13, …")]
@@ -138,7 +139,9 @@ class PageOptions:
     """Where a page is served, and to whom (docs/security.md)."""
 
     host: Annotated[str, option("NAME", "Address to listen on; other machines need the printed token.")] = "127.0.0.1"
-    port: Annotated[int, option("N", "Port of the page; 0: any that is free.", min=0, max=65535)] = 0
+    port: Annotated[
+        int, option("N", "Port of the page; 0: one that is free (`label`: each time the same).", min=0, max=65535)
+    ] = 0
     allow_host: Annotated[
         list[str] | None, option("NAME", "Name or address by which browsers ask for the page; repeatable.")
     ] = None

@@ -8,12 +8,15 @@ from __future__ import annotations
 import json
 import logging
 import math
+import platform
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from importlib import metadata
 from typing import Any
 
+from phdtrack import __version__
 from phdtrack.cli.options import Json, Quiet
 from phdtrack.files import json_value
 
@@ -24,6 +27,7 @@ _SHOWN = list[Any]()
 _WORK = logging.getLogger("phdtrack.kernels")
 # Of what takes hours: the pace of the last half minute would tell nothing of its end.
 PACE = 24 * 3600.0
+_PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "av", "typer", "rich", "pydantic", "matplotlib", "pyarrow")
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,3 +112,12 @@ def progress(title: str, total: int, pace: float = 30.0) -> Iterator[Advance]:
             yield lambda done, **more: bar.update(task, completed=done, **more)
         finally:
             _SHOWN.clear()
+
+
+def versions() -> tuple[tuple[str, str], ...]:
+    """Pairs of name and version: phdtrack, Python, the system, and the packages that it rests on and that are there."""
+    found = [("phdtrack", __version__), ("python", platform.python_version()), ("system", platform.platform())]
+    for name in _PACKAGES:
+        with suppress(metadata.PackageNotFoundError):
+            found.append((name, metadata.version(name)))
+    return tuple(found)

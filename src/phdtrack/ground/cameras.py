@@ -115,6 +115,9 @@ def _side(h: F8, inside: tuple[float, float] | None) -> float:
     if inside is None:
         # How w changes with the row decides, unless it does not change over any image there is.
         level = abs(h[2, 1]) * _FAR < abs(h[2, 2])
+        if h[2, 1] == h[2, 2] == 0:
+            problem, cure = "the horizon stands upright in the picture", "Name a pixel that shows ground: inside = [u, v]."
+            raise InputError(problem, where="homography", cure=cure)
         return float(np.sign(h[2, 2] if level else h[2, 1]))
     terms = h[2] * np.array([*inside, 1.0])
     if not abs(terms.sum()) > _HORIZON * np.abs(terms).sum():

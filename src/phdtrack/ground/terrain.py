@@ -22,6 +22,8 @@ from phdtrack.files import AnyPath, load
 from phdtrack.types import F8
 
 _HALVINGS = 60
+# What is higher or lower, in metres, is no place on the Earth, nor far from its centre.
+_HIGHEST = 1e7
 # Samples of lines of sight in one go: 8 MiB a table.
 _BLOCK = 1 << 20
 # A ray this flat, relative to its length, is the horizon for all that float64 can say.
@@ -69,9 +71,9 @@ class Terrain:
 
     def __post_init__(self) -> None:
         origin, step, heights = np.asarray(self.origin), np.asarray(self.step), np.asarray(self.heights)
-        if heights.ndim != 2 or min(heights.shape) < 2 or np.isinf(heights).any() or np.isnan(heights).all():
+        if heights.ndim != 2 or min(heights.shape) < 2 or (np.abs(heights) > _HIGHEST).any() or np.isnan(heights).all():
             raise InputError(
-                f"expected 2 x 2 heights or more, finite or NaN, not all NaN, came shape {heights.shape}",
+                f"expected 2 x 2 heights or more, within {_HIGHEST:g} m or NaN, not all NaN, came shape {heights.shape}",
                 where="terrain",
             )
         if origin.shape != (2,) or step.shape != (2,) or not np.isfinite([origin, step]).all() or not (step > 0).all():

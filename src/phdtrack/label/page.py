@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -19,11 +20,11 @@ from starlette.routing import Route
 from phdtrack.arrays import iou
 from phdtrack.errors import InputError
 from phdtrack.label.samples import boxes_of, clip, last_frame
-from phdtrack.label.store import Label, LabelStore
+from phdtrack.label.store import Label, LabelStore, Progress
 from phdtrack.label.suggestions import ALIKE, TICKED, Background
 from phdtrack.live.serving import static
 from phdtrack.scene.mixture import place_map
-from phdtrack.scene.training import box_density
+from phdtrack.scene.training import FALSE_BOXES, MIN_BIRTHS, box_density, learn_boxes
 from phdtrack.types import F8, Detections, DetectionTable, Image, SequenceInfo
 
 # Of answers of a media type: pictures never change, and the labels are a file to keep.
@@ -35,6 +36,8 @@ JSON = "application/json"
 STATIC = Path(__file__).parent / "static"
 # A map is drawn from so many marks on, in red or green (BGR), of this width.
 _MIN_MARKS, _MAP_WIDTH = 10, 320
+# Marks that may be anywhere, as a share, from which on it is in doubt whether there are places.
+_DOUBT = 0.5
 _COLOURS = {"false": (40, 40, 220), "birth": (90, 170, 30)}
 _OUTLINE, _GREY = (62, 210, 255), 96
 # Crops that are shown at once; the next ones follow when these are dealt with. Their size in pixels.
@@ -65,6 +68,7 @@ class Session:
     table, info : the detections, and the sequence.
     stills : the frames as JPEG by number, those of the clips too, of any size; the others are shown grey.
     background : looks for what may be false; None where nothing does.
+    command : learns from the marks, in a terminal.
     """
 
     store: LabelStore
@@ -72,18 +76,25 @@ class Session:
     stills: Mapping[int, bytes]
     info: SequenceInfo
     background: Background | None = None
+    command: str = "phdtrack learn"
+
+    def learn(self, progress: Progress) -> str:
+        """The command that learns from the marks: births, too, where enough of them were marked."""
+        return f"{self.command} --births hand" if progress.births >= MIN_BIRTHS else self.command
 
     def overview(self) -> dict[str, object]:
-        """Size, name, the frames with how far each is, and the progress."""
+        """Size, name, the file of labels (its name, and where it is ``kept``), how far each frame is, and the progress."""
         info, last = self.info, last_frame(self.info, self.table)
         clips = [(number, done, clip(number, last)) for number, done in self.store.frames()]
         return {
             "name": info.name,
+            "file": self.store.name,
             "width": info.width,
             "height": info.height,
             "fps": info.fps,
             "frames": [{"number": number, "done": done, "clip": [c.start, c.stop - 1]} for number, done, c in clips],
-            "progress": asdict(self.store.progress()),
+            "progress": self._progress(),
+            "kept": str(self.store.path),
         }
 
     def frame(self, number: int) -> dict[str, object]:
@@ -148,20 +159,28 @@ class Session:
             "more": max(0, len(found) - _CROPS),
         }
 
-    def place_map(self, mark: str) -> bytes:
-        """What was learned of the marked boxes' places so far: coloured where they are likely, clear where not."""
+    def place_map(self, mark: str) -> dict[str, object]:
+        """What was ``learned`` of the marked boxes' places so far, if anything was, and a ``picture`` of it as an address:
+        coloured where they are likely, clear where not."""
         if mark not in _COLOURS:
             raise InputError(f"expected {' or '.join(_COLOURS)}, got {mark!r}")
         scale = min(1.0, _MAP_WIDTH / self.info.width)
         shape = (max(1, round(self.info.height * scale)), max(1, round(self.info.width * scale)))
         picture = np.zeros((*shape, 4), np.uint8)
         boxes = boxes_of([label for label in self.store.labels() if label.mark == mark], self.table)
-        if boxes.shape[1] >= _MIN_MARKS:
-            density = box_density(boxes, (float(self.info.width), float(self.info.height)))
+        if learned := boxes.shape[1] >= _MIN_MARKS:
+            size = (float(self.info.width), float(self.info.height))
+            density = box_density(boxes, size)
+            # Where it is in doubt it is asked how well the places predict marks that they were not learned from.
+            if density.uniform >= _DOUBT:
+                density = learn_boxes(boxes, 1, size, FALSE_BOXES).learned.density
+            learned = density.has_places
+        if learned:
             picture[..., :3] = _COLOURS[mark]
             # By the square root a place a quarter as likely as the worst is still plain to see.
             picture[..., 3] = (200 * np.sqrt(place_map(density, shape, 1 / scale))).astype(np.uint8)
-        return _encoded(picture, ".png")
+        data = base64.b64encode(_encoded(picture, ".png")).decode()
+        return {"learned": learned, "picture": f"data:image/png;base64,{data}"}
 
     def _change(self, number: int, what: str, sent: Sent) -> dict[str, object]:
         """The frame and the progress after its marks were changed; ``what`` is marks, undo, redo or done.
@@ -184,7 +203,12 @@ class Session:
                 store.finish(number, sent.done, sent.key)
             case _:
                 raise InputError(f"nothing is called {what}")
-        return self.frame(number) | {"progress": asdict(store.progress())}
+        return self.frame(number) | {"progress": self._progress()}
+
+    def _progress(self) -> dict[str, object]:
+        """How far the work is, and what to do ``next`` when all frames are done."""
+        progress = self.store.progress()
+        return asdict(progress) | {"next": self.learn(progress) if progress.done == progress.frames else ""}
 
     def _boxes(self, number: int) -> Detections:
         """The detections of a frame to label, or of the clip about one."""
@@ -218,7 +242,7 @@ def label_app(session: Session) -> Starlette:
         "/api/frame/{number:int}": (session.frame, JSON),
         "/api/frame/{number:int}/alike/{box:int}": (session.alike, JSON),
         "/api/suggestions": (session.suggestions, JSON),
-        "/api/map/{mark:str}.png": (session.place_map, "image/png"),
+        "/api/map/{mark:str}": (session.place_map, JSON),
         "/api/labels.csv": (session.store.csv, "text/csv"),
         "/still/{number:int}.jpg": (session.still, "image/jpeg"),
         "/crop/{number:int}/{box:int}.jpg": (session.crop, "image/jpeg"),

@@ -8,6 +8,7 @@ file has seen changes nothing.
 
 from __future__ import annotations
 
+import secrets
 import sqlite3
 from collections.abc import Iterable, Sequence
 from contextlib import closing
@@ -95,7 +96,7 @@ class LabelStore:
         ------
         InputError : the file is that of other detections, or no file of labels.
         """
-        store, about = cls(path), {"format": FORMAT, "source": source, "detections": digest}
+        store, about = cls(path), {"format": FORMAT, "source": source, "detections": digest, "name": secrets.token_hex(8)}
         try:
             with store._connection() as db, db:
                 db.executescript(_TABLES)
@@ -112,6 +113,17 @@ class LabelStore:
         except sqlite3.DatabaseError as error:
             raise InputError(f"cannot be used as a file of labels ({error})", where=path) from None
         return store
+
+    @property
+    def name(self) -> str:
+        """A random name that the file keeps for good, wherever it is moved."""
+        return str(self._rows("SELECT value FROM about WHERE name = 'name'")[0][0])
+
+    @property
+    def ports(self) -> range:
+        """Ports for the page of this file, the same each time: what a browser keeps for one port is not seen on others."""
+        first = 20_000 + int(self.name, 16) % 12_000
+        return range(first, first + 8)
 
     def mark(self, frame: int, marks: Iterable[Label], who: str = "", key: str = "") -> None:
         """Keep marks as one action; of two on one box the last counts.

@@ -119,7 +119,9 @@ class SceneTraining:
             return Lesson(None, math.nan, f"{part} stay as shipped: {error}")
         gain = "too few samples to measure the gain"
         if math.isfinite(training.gain):
-            gain = f"samples not learned from are {training.gain:+.2f} nats likelier than under a uniform density"
+            gain = f"samples not learned from are {max(0.0, training.gain):+.2f} nats likelier than under a uniform density"
+        if not learned.density.has_places:
+            text += "; nothing was learned of where, as no place is likelier than others"
         sentence = f"{part}: {text}; {gain}"
         return Lesson(learned, training.gain, f"{sentence}. {limits}" if limits else sentence, f"{text}. {limits}".strip())
 

@@ -214,12 +214,13 @@ def listen(
     allow: Sequence[str] = (),
     certificate: Path | None = None,
     key: Path | None = None,
+    preferred: Sequence[int] = (),
 ) -> Address:
     """Take a port.
 
     Parameters
     ----------
-    host, port : to listen on; with port 0 any that is free.
+    host, port : to listen on; with port 0 the first of ``preferred`` that is free, or else any.
     allow : more names or addresses by which a browser may ask for the page.
     certificate, key : files for TLS (PEM); None for none.
 
@@ -238,7 +239,7 @@ def listen(
     tls = _tls(certificate, key)
     try:
         loopback = host == "localhost" or ipaddress.ip_address(host).is_loopback
-        listening = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+        listening = _bound(host, (port,) if port else (*preferred, 0))
     except (OSError, ValueError) as error:
         problem = getattr(error, "strerror", None) or error
         raise InputError(f"cannot listen on {host}:{port} ({problem})", where="--port", cure="Choose another port") from None
@@ -252,6 +253,15 @@ def listen(
     place = shown if ":" in shown.rpartition("]")[2] else f"{shown}:{taken}"
     url = f"{'https' if tls else 'http'}://{place}/" + (f"?token={token}" if token else "")
     return Address(listening, url, token, frozenset(one.lower() for one in hosts), tls)
+
+
+def _bound(host: str, ports: Sequence[int]) -> socket.socket:
+    """A socket on the first of the ports that is free. Raises `OSError` where none is."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    for port in ports[:-1]:
+        with contextlib.suppress(OSError):
+            return socket.create_server((host, port), family=family)
+    return socket.create_server((host, ports[-1]), family=family)
 
 
 def _tls(certificate: Path | None, key: Path | None) -> ssl.SSLContext | None:

@@ -32,6 +32,8 @@ from phdtrack.files import read_toml, write_text
 Point = tuple[float, float]
 Anchor = Literal["feet", "centre"]
 ANCHORS: tuple[Anchor, ...] = ("feet", "centre")
+# Points nearer than this, in pixels, are one: the square of a smaller distance may be 0.
+_SAME = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +66,7 @@ class Place:
             raise InputError("expected points of finite numbers", where=where)
         if len(self.points) < least:
             raise InputError(f"expected at least {least} points, got {len(self.points)}", where=where)
-        if any(a == b for a, b in self.edges):
+        if any(math.dist(a, b) < _SAME for a, b in self.edges):
             raise InputError("two points that follow each other are the same", where=where, cure="Leave one out.")
         if self.closed and _self_crossing(self.edges):
             raise InputError("the border crosses itself", where=where, cure="Name the corners in their order around it.")

@@ -67,6 +67,13 @@ class SceneDensity:
         return len(self.low)
 
     @cached_property
+    def has_places(self) -> bool:
+        """Whether it says where: more than a hundredth is not uniform, and some position is three times as likely as on
+        average. One Gaussian fitted to uniform positions is 1.9 times as likely in its middle."""
+        place = marginal(self, (0, 1))
+        return self.uniform < 0.99 and bool((place(place.mean) * place.volume).max(initial=0.0) >= 3)
+
+    @cached_property
     def volume(self) -> float:
         """V, in the product of the components' units."""
         return float(np.prod(self.high - self.low))

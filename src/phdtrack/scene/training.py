@@ -27,6 +27,8 @@ from phdtrack.types import F8, I8, Tracks
 # M09's grids.
 BIRTH_GRID, CLUTTER_GRID = (12, 10), (16, 14)
 MIN_SAMPLES = 10
+# τ of births, fewer than which are no component.
+MIN_BIRTHS = math.ceil(parameters(6) / 2)
 # What boxes are, for messages.
 FALSE_BOXES, OBJECT_BOXES = "detections marked as false", "detections of objects on the frames that were looked at"
 # Every so many samples one is left out; up to so many samples each of them is left out in turn.
@@ -60,8 +62,8 @@ def learn_births(states: F8, time_units: float, frame_size: tuple[float, float])
     ------
     InputError : fewer births than a component needs (τ: 14), no time, or no known velocity.
     """
-    cure, least = "Learn from a longer stretch, or mark more of them", math.ceil(parameters(len(states)) / 2)
-    _check_number(states.shape[1], "births while the scene was watched", cure, least)
+    cure = "Learn from a longer stretch, or mark more of them"
+    _check_number(states.shape[1], "births while the scene was watched", cure, MIN_BIRTHS)
     if not time_units > 0:
         raise InputError(f"expected a stretch of some length, got {time_units:g} time units", where="learning births")
     speeds = np.abs(states[2:4][np.isfinite(states[2:4])])

@@ -41,6 +41,8 @@ from phdtrack.types import F8, I8, STILL, Bool, MeasurementHistory, Tracks
 
 # A path's noises are these multiples of the model's deviations: its acceleration, the change of its size, its measurements.
 ACCELERATION, SIZE_CHANGE, BLUR = (1.0, 3.0, 9.0), (0.25, 0.5, 1.0), (0.4, 0.65, 1.0)
+# A side this near to the border of the picture, in widths or heights of the box, is cut by it.
+_CUT = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +59,8 @@ class Smoothing:
     max_overlap_time : seconds for which two tracks of one target may overlap, at most.
     reentry_probability : that a track that ends was lost and comes back.
     detection_share : boxes of online rows lie between the filter's and the detection's, see `smooth.online`.
-    min_extent : tracks are left out whose centre moves by less than this in all their life, in widths or heights of a box;
-        0: none. What a background detector sees there sways or flickers.
+    min_extent : tracks are left out that move by less than this in all their life, in widths or heights of a box; 0: none.
+        What a background detector sees there sways or flickers.
     max_gap_uncertainty : fill the gap between joined tracks where positions are known to within this many deviations of a
         measurement. 0: such gaps stay open.
     max_continuation : seconds for which a track is carried on before its first row and after its last by detections that no
@@ -93,7 +95,7 @@ class Smoothing:
         """The tracks joined and smoothed."""
         paths = paths_of(tracks, measurements) if self.stitching or self.smoothing else None
         if paths is None or len(paths) == 0:
-            return _going(tracks, self.min_extent)
+            return _going(tracks, self.min_extent, self.frame_size)
         sequence = Sequence.of(measurements, model)
         paths, states = _stitched(paths, sequence, self) if self.stitching else (paths, sequence.smooth(paths))
         if self.noise_by_track:
@@ -102,17 +104,22 @@ class Smoothing:
         if self.max_continuation > 0:
             boxes = model.sensor.boxes(sequence.state)
             out = _numbered(carried_on(out, measurements, boxes, self.frame_size, self.max_continuation * model.rate))
-        return _going(out, self.min_extent)
+        return _going(out, self.min_extent, self.frame_size)
 
 
-def _going(tracks: Tracks, extent: float) -> Tracks:
-    """The tracks whose centre gets so far, in widths or heights of their median box."""
+def _going(tracks: Tracks, extent: float, size: tuple[float, float]) -> Tracks:
+    """The tracks that get so far, in widths or heights of their median box: their centre, or the side that is seen where the
+    other is cut by the border of the picture."""
     if extent == 0 or not len(tracks):
         return tracks
     kept, order = np.zeros(len(tracks), np.bool_), np.argsort(tracks.identity, kind="stable")
     for rows in np.split(order, np.flatnonzero(np.diff(tracks.identity[order])) + 1):
         low, high = tracks.xyxy[rows, :2], tracks.xyxy[rows, 2:]
-        kept[rows] = (np.ptp((low + high) / 2, axis=0) >= extent * np.median(high - low, axis=0)).any()
+        box = np.median(high - low, axis=0)
+        way = np.ptp((low + high) / 2, axis=0)
+        way = np.where(np.median(low, axis=0) <= _CUT * box, np.maximum(way, np.ptp(high, axis=0)), way)
+        way = np.where(np.median(high, axis=0) >= size - _CUT * box, np.maximum(way, np.ptp(low, axis=0)), way)
+        kept[rows] = (way >= extent * box).any()
     return tracks if kept.all() else _numbered(tracks.take(kept))
 
 

@@ -268,7 +268,10 @@ RELATIONS: dict[str, Callable[[Any, World], Any]] = {
     "Particles": lambda r, w: not len(r.start) or _tiles(r.start, len(r.weight)),
     "ParticleBlocks": _blocks,
     "Cardinalised": lambda r, w: (
-        len(r.cardinality) and abs(r.cardinality.sum() - 1) < 1e-3 and (r.mass > 0 or len(r.intensity) == 0)
+        len(r.cardinality)
+        and r.cardinality.min() >= 0
+        and abs(r.cardinality.sum() - 1) < 1e-3
+        and (r.mass > 0 or len(r.intensity) == 0)
     ),
     "Layer": _layer,
     "Bernoullis": _bernoullis,

@@ -18,6 +18,8 @@ from phdtrack.state.forms import FORMS, LARGEST, RELATIONS, SYMBOLS, World
 
 # Probabilities are sums.
 _ROUNDING = 1e-9
+# By how much correlations of a covariance may be off after many updates.
+_INEXACT = 1e-3
 # Whole numbers that can still be added to.
 _WHOLE = 2.0**53
 _DTYPES: dict[Any, tuple[str, ...]] = {np.float64: ("f8",), np.int64: ("i8",), np.bool_: ("?",), np.void: ("V",)}
@@ -260,7 +262,7 @@ def _check(found: dict[str, Any], form: list[_Field], world: World, where: str) 
             raise _wrong(f"{where}.{field.name}", f"expected numbers {bounds}{more and f', {more}'}")
 
 
-_SAID = {"up": "ascending", "rise": "ascending, none twice", "cov": "variances above 0", "cov0": "variances from 0"}
+_SAID = {"up": "ascending", "rise": "ascending, none twice", "cov": "covariances, variances above 0", "cov0": "covariances"}
 
 
 def _has_shape(value: Any, shape: tuple[str, ...], known: dict[str, int], world: dict[str, int]) -> bool:
@@ -308,6 +310,19 @@ def _is_good(value: Any, field: _Field, found: dict[str, Any], known: dict[str, 
         steps = np.diff(value)
         return bool(len(steps) == 0 or (steps.min() > 0 if "rise" in field.more else steps.min() >= 0))
     if "cov" in field.more or "cov0" in field.more:
-        least = value.diagonal(axis1=1, axis2=2).min() if value.shape[1] else 1.0
-        return bool(least > 0 if "cov" in field.more else least >= 0)
+        return _is_covariance(value, definite="cov" in field.more)
     return True
+
+
+def _is_covariance(value: np.ndarray[Any, Any], *, definite: bool) -> bool:
+    """Whether all are covariances but for rounding: (n, d, d), symmetric, no correlation that others do not allow, and
+    variances from 0, or above it where they are ``definite``."""
+    variance = value.diagonal(axis1=1, axis2=2)
+    if not variance.size:
+        return True
+    if variance.min() < 0 or (definite and variance.min() == 0):
+        return False
+    deviation = np.sqrt(np.where(variance > 0, variance, 1.0))
+    correlation = value / deviation[:, :, None] / deviation[:, None, :]
+    skew = np.abs(correlation - correlation.transpose(0, 2, 1)).max()
+    return bool(skew <= _INEXACT and np.linalg.eigvalsh(correlation).min() >= -_INEXACT)

