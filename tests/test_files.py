@@ -13,6 +13,7 @@ from phdtrack.files import MAX_SIZE, SIZE_LIMIT, load, read_json, read_toml, rea
 from phdtrack.formats import read_detections, read_tracks, read_truth
 from phdtrack.formats.truth import ignoring
 from phdtrack.ground import read_camera
+from phdtrack.ground.read import _MATLAB
 from phdtrack.ground.terrain import read_terrain
 from phdtrack.live.zones import read_places
 from phdtrack.scene import read_scene
@@ -69,7 +70,7 @@ def xml_of(path: Path) -> object:
         (read_truth, b"1,1,1e400,2,3,4,1\n", ", line 1", "finite numbers"),
         (read_tracks, b"frame,id,left,top,width,height,class\n", "", ""),
         (lambda path: ignoring(read_truth(path), path), b"1,1e300,1,2,3,4\n", ", line 1", "identity"),
-        (read_terrain, b"PK\x03\x04" + bytes(100), "", "cannot be read"),
+        (read_terrain, b"PK\x03\x04" + bytes(100), "", "ASCII grid"),
     ],
 )
 def test_a_sentence_with_the_place(
@@ -143,7 +144,8 @@ def test_what_is_no_video(tmp_path: Path, content: bytes) -> None:
 
 
 def test_nothing_that_is_read_can_run() -> None:
-    """No unpickling, nothing of `marshal`, no `eval` of texts, and none of SciPy's readers, which die of broken files."""
+    """No unpickling, nothing of `marshal`, no `eval` of texts. SciPy's readers, which die of broken files, run elsewhere only:
+    in the process that reads a MATLAB file (`ground.read._MATLAB`)."""
     root = Path(phdtrack.__file__).parent
     pattern = re.compile(
         r"\b(pickle|cPickle|dill|marshal|shelve|scipy\.io|allow_pickle=True|loadmat)\b|(?<![\w.])(eval|exec)\("
@@ -152,7 +154,7 @@ def test_nothing_that_is_read_can_run() -> None:
     for path in root.rglob("*.py"):
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
             code = line.partition("#")[0]
-            if pattern.search(code) and not re.search(r"can be pickled", code):
+            if pattern.search(code) and not re.search(r"can be pickled", code) and line not in _MATLAB.splitlines():
                 found.append(f"{path.relative_to(root)}:{number} {line.strip()}")
     assert found == []
     assert all(
