@@ -144,8 +144,8 @@ def test_what_is_no_video(tmp_path: Path, content: bytes) -> None:
 
 
 def test_nothing_that_is_read_can_run() -> None:
-    """No unpickling, nothing of `marshal`, no `eval` of texts. SciPy's readers, which die of broken files, run elsewhere only:
-    in the process that reads a MATLAB file (`ground.read._MATLAB`)."""
+    """No unpickling, nothing of `marshal`, no `eval` of texts. SciPy's readers, which die of broken files, run
+    only in the process that reads a MATLAB file (`ground.read._MATLAB`)."""
     root = Path(phdtrack.__file__).parent
     pattern = re.compile(
         r"\b(pickle|cPickle|dill|marshal|shelve|scipy\.io|allow_pickle=True|loadmat)\b|(?<![\w.])(eval|exec)\("
