@@ -31,7 +31,7 @@ from phdtrack.kernels.caller import caller
 Output(quiet={quiet})
 value = caller(1), caller(1.0)
 found = {{"value": value[0], "loaded": sum(caller.stats.cache_hits.values()), "folder": str(CACHE.folder)}}
-print(json.dumps(found | {{"lasting": CACHE.lasting, "kept": CACHE.kept}}))
+print(json.dumps(found | {{"lasting": CACHE.lasting, "kept": len(list(CACHE.folder.glob("*.nbi")))}}))
 """
 
 
