@@ -91,7 +91,8 @@ def test_every_command_takes_a_network(work: Path) -> None:
     for _ in range(2):
         learned = phdtrack("learn", *network, "--clutter", "unattended", "--set", "detector.classes=person", "--overwrite")
         assert "nothing could be learned" in learned.err or learned.status == 0, learned.err
-    assert f"those of {next((work / "runs").glob('clip.labels.onnx-*.detections.csv')).name}" in learned.err
+    kept = next((work / "runs").glob("clip.labels.onnx-*.detections.csv"))
+    assert f"those of {kept.relative_to(work)}" in learned.err
     quick = ("--filters", "none", "--seeds", 1, "--jobs", 1)
     assert phdtrack("compare", "clip.mp4", "--detectors", "onnx:net.onnx", *quick, "--out", "compared").status == 0
 
