@@ -170,6 +170,11 @@ def test_the_status_names_the_signal_while_the_command_line_is_read() -> None:
     assert (done.returncode, done.stderr.strip().splitlines()[-1]) == (143, "phdtrack: stopped")
 
 
+def test_a_signal_that_comes_as_soon_as_it_is_listened_for_ends_the_command() -> None:
+    done = ended(["settings"], ("threading", "Thread", "start", 1), "SIGTERM")
+    assert (done.returncode, done.stderr.strip()) == (143, "phdtrack: stopped")
+
+
 def test_a_second_signal_ends_at_once(clip: Path, tmp_path: Path) -> None:
     """It comes while the video is drawn, after the first one in the loop: nothing is finished any more."""
     words = given(clip, tmp_path / "run")

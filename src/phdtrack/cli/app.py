@@ -154,8 +154,9 @@ def main() -> None:
         # A shell asks how a line goes on, and has it here; bash under the second name.
         line = os.environ.get("_TYPER_COMPLETE_ARGS") or os.environ.get("COMP_WORDS", "")
         name = "".join(line.split()[1:2])
-    signals.listen()
     try:
+        # A signal may come before this has returned.
+        signals.listen()
         status = application(name)(words, prog_name="phdtrack", standalone_mode=False)
         if status == 130 != signals.status():
             # While the command line was read: Typer takes every signal for Ctrl-C.

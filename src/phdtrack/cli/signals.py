@@ -59,7 +59,11 @@ def which() -> str:
 
 
 def leave(code: int) -> None:
-    """End the process with an exit status, also where a thread hangs that reads a source."""
+    """End the process with an exit status, also where a thread hangs that reads a source. A signal that comes now ends it
+    at once."""
+    for number in _numbers():
+        if signal.getsignal(number) is _end:
+            signal.signal(number, signal.SIG_DFL)
     waiting = [one for one in threading.enumerate() if one is not threading.main_thread() and not one.daemon]
     if not waiting and not _came:
         sys.exit(code)
