@@ -1,13 +1,16 @@
 """The site: every page is in it, and its figures are those of the results."""
 
 import re
+import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
+from playwright.sync_api import sync_playwright
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), "")
 
 
 def test_every_page_is_in_the_navigation_and_every_entry_is_a_page():
@@ -27,12 +30,34 @@ def test_the_table_of_filters_has_the_figures_of_the_results():
         assert re.findall(r"\d+\.\d", row)[:12] == scores["frcnn", name][:6] + scores["public", name][:6], name
 
 
-@pytest.mark.slow
-def test_the_site_builds_and_every_link_resolves(tmp_path: Path):
-    done = subprocess.run(
-        ["make", "site", f"SITE={tmp_path / 'site'}"], cwd=ROOT, capture_output=True, text=True, check=False
-    )
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the site; a link that leads nowhere ends the build."""
+    out = tmp_path_factory.mktemp("built") / "site"
+    done = subprocess.run(["make", "site", f"SITE={out}"], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    for page in ("index.html", "filters.html", "api/tracker.html", "how-to/README.html", "results/videos.html"):
-        assert (tmp_path / "site" / page).exists(), page
-    assert "frame_size" in (tmp_path / "site" / "api" / "tracker.html").read_text(encoding="utf-8")
+    return out
+
+
+@pytest.mark.slow
+def test_the_site_builds_and_needs_nothing_from_the_network(site: Path):
+    for page in ("index.html", "filters.html", "how-to/index.html", "results/videos.html"):
+        assert (site / page).exists(), page
+    text = (site / "api" / "tracker.html").read_text(encoding="utf-8")
+    assert "frame_size" in text
+    assert not re.findall(r'<(?:script|link)[^>]*(?:src|href)="(?:https?:)?//', text)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not CHROMIUM, reason="needs Chromium (Debian: apt-get install chromium)")
+def test_the_pages_are_searched_as_files(site: Path):
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = browser.new_page()
+        page.goto((site / "how-to" / "live.html").as_uri())
+        page.locator(".md-search__input").click()
+        page.get_by_text("Type to start searching").wait_for()
+        page.locator(".md-search__input").press_sequentially("homography")
+        page.locator(".md-search-result__item").first.wait_for()
+        assert "cameras" in page.locator(".md-search-result__item").first.inner_text()
+        browser.close()
