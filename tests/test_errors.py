@@ -66,3 +66,13 @@ def test_every_record_of_settings_keeps_its_bounds():
         for name, _ in bounds(settings):
             with pytest.raises(InputError, match=f"{name}: expected a number"):
                 settings(**given_, **{name: math.nan})
+
+
+def test_what_is_wrong_with_millions_of_characters_is_said_in_a_few_and_without_secrets():
+    """Were each character the beginning of an address or of a parameter, this would take days."""
+    for piece in ("a.", "?", "&", "a://", "?key", "x=&"):
+        assert len(str(InputError(piece * 1_000_000, where="f"))) < 4000
+    said = str(InputError("x" * 100_000 + " rtsp://me:word@host/?quality=1&Token=abc&n=2"))
+    assert "word" not in said
+    assert "abc" not in said
+    assert said.endswith("rtsp://…@host/?quality=1&Token=…&n=2")

@@ -47,13 +47,24 @@ EXTRAS = {
 }
 """What installs the packages that `Tracker` does without, by the names of their modules."""
 
-_SECRET = re.compile(r"(?i)([?&](?:[^=&]*(?:pass|pwd|token|secret|key|auth)[^=&]*)=)[^&#\s]*")
-_USER = re.compile(r"([a-z][a-z0-9+.-]*://)[^/\s]+@")
+# Each place is looked at once, whatever stands there: a damaged file may be one long name.
+_USER = re.compile(r"([a-z0-9+.-]{1,30}://)[^/\s]+@")
+_PARAMETER = re.compile(r"([?&][^=&?]*=)[^&#\s]*")
+_SECRET = re.compile(r"(?i)pass|pwd|token|secret|key|auth")
+# Characters of a sentence, at most: what is wrong may be a value of many thousand.
+_LONGEST = 4000
 
 
 def shown(text: str) -> str:
     """The text, an address or a sentence, without user names, passwords and tokens of the addresses in it."""
-    return _SECRET.sub(r"\1…", _USER.sub(r"\1…@", text))
+    text = _USER.sub(r"\1…@", text)
+    return _PARAMETER.sub(lambda found: f"{found[1]}…" if _SECRET.search(found[1]) else found[0], text)
+
+
+def _sentence(text: str) -> str:
+    """What may be shown of the text, without its middle where it is very long."""
+    text = shown(text)
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]} … {text[-_LONGEST // 4 :]}"
 
 
 class InputError(ValueError):
@@ -67,7 +78,7 @@ class InputError(ValueError):
     """
 
     def __init__(self, problem: str, *, where: str | Path = "", cure: str = "") -> None:
-        self.problem, self.where, self.cure = shown(problem), shown(str(where)), shown(cure)
+        self.problem, self.where, self.cure = _sentence(problem), _sentence(str(where)), _sentence(cure)
         text = f"{self.where}: {self.problem}" if self.where else self.problem
         super().__init__(f"{text.rstrip('.')}. {self.cure}" if cure else text)
 
