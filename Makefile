@@ -21,6 +21,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PEERS := .venv-peers
 SITE_ENV := .venv-site
+CLUSTER := $(VENV)/.cluster
 SITE := build/site
 CODE := src tests experiments scripts benchmarks
 
@@ -63,8 +64,13 @@ pytest-plain: env
 pytest: env
 	$(PY) -m pytest -q -n auto --maxprocesses 4 --dist loadfile $(PYTEST_ARGS)
 
-test-slow: env
+test-slow: env $(CLUSTER)
 	$(PY) -m pytest -q -n auto --maxprocesses 4 --dist loadfile -m slow $(PYTEST_ARGS)
+
+# Ray is large, and has no wheels for some machines: where it cannot be installed its tests say so and are skipped.
+$(CLUSTER): tests/cluster-constraints.txt $(STAMP)
+	@$(PY) -m pip install --quiet --require-hashes --no-deps -r $< && touch $@ \
+		|| echo "Ray could not be installed: the tests of the cluster are skipped" >&2
 
 demo: env
 	$(BIN)/phdtrack demo --out demo-run --overwrite

@@ -15,13 +15,14 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from experiments.common import Case, Options, followed, in_parallel, pyplot, table, with_interval, write
-from experiments.m09_lessons import NO_OBJECT, as_lesson, false_alarms, marked_births
+from experiments.m09_lessons import as_lesson, false_alarms, marked_births
 from experiments.m09_runs import ABLATIONS, GM, UM, SceneRun, SceneScores, score, seconds_per_frame
 from experiments.m09_scenes import FRAMES, HELD_OUT, REAL, RENDERED, SHORT, Halves, detector_seconds, halves, stretch
 from experiments.scenes import FINDINGS, SCORES, SceneResults, number, short_of, times
 from phdtrack import config
 from phdtrack.arrays import iou, to_cxcywh
 from phdtrack.label.samples import Marks, shuffled
+from phdtrack.label.store import NO_OBJECT
 from phdtrack.models import MeasurementBirth
 from phdtrack.models.clutter import BoxClutter
 from phdtrack.models.scene import with_scene

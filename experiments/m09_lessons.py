@@ -38,7 +38,7 @@ from phdtrack.types import F8, I8, Tracks
 
 MARKED = 40
 # IoU with the annotated boxes below which a detection is false, and from which on it is an object's.
-NO_OBJECT, OBJECT = 0.3, 0.5
+OBJECT = 0.5
 # As shipped: most particles a detection, odds of a false alarm below which a track is confirmed at once, rows of a track.
 MOST, SURE, SHORTEST = 500, 0.1, 5
 
@@ -141,13 +141,7 @@ def with_sizes(lesson: Training, case: Case) -> Training:
 def marked_false(case: Case, path: Path, seed: int, count: int = MARKED) -> LabelStore:
     """Labels in which every detection without an object is marked as false, on ``count`` frames drawn at random."""
     store = LabelStore.open(path, case.name, "truth", shuffled(case.info.frames, seed)[:count])
-    for number, _ in store.frames():
-        boxes = case.table.at(number).xyxy
-        people = case.truth.xyxy[case.truth.frame == number]
-        false = np.flatnonzero(iou(boxes, people).max(axis=1, initial=0) < NO_OBJECT)
-        if len(false):
-            store.mark(number, [Label(number, int(k), "false") for k in false])
-        store.finish(number)
+    store.mark_false(case.table, case.truth)
     return store
 
 

@@ -16,12 +16,11 @@ import cv2
 import numpy as np
 
 from phdtrack import Detections, Tracker, Tracks
-from phdtrack.arrays import iou
 from phdtrack.cli.label import to_label
 from phdtrack.cli.options import SourceOptions
 from phdtrack.cli.output import Output
 from phdtrack.formats import find_seqinfo, read_detections, read_tracks, read_truth
-from phdtrack.label import Label, LabelStore
+from phdtrack.label import LabelStore
 from phdtrack.label.samples import shuffled
 from phdtrack.report import Annotator
 from phdtrack.scene.files import read_scene
@@ -86,12 +85,7 @@ def _learned(at: Path, out: Path) -> None:
         read_truth(at / "yard" / "gt" / "gt.txt"),
     )
     store = LabelStore.open(labels, str(detections), found.digest, shuffled(found.info.frames, seed=0)[:MARKED])
-    for number, _ in store.frames():
-        boxes, people = found.table.at(number).xyxy, truth.xyxy[truth.frame == number]
-        false = [k for k, box in enumerate(boxes) if iou(box[None], people).max(initial=0) < 0.3]
-        if false:
-            store.mark(number, [Label(number, k, "false") for k in false])
-        store.finish(number)
+    store.mark_false(found.table, truth)
     given = ("--detections", "yard/det/det.txt")
     _phdtrack(at, "learn", *given, "--labels", labels.name, "--out", "yard.scene.json")
     _phdtrack(at, "track", *given, "--out", "runs/before", "--no-video")

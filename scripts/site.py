@@ -52,7 +52,7 @@ class Docstrings(griffe.Extension):
     """Our docstrings say ``name : what it is``, as types are in the signature. NumPy's style has the type there, and what it
     is in an indented line below."""
 
-    # What is written into lines of their own, and a section's entry.
+    # Sections with such entries, and an entry.
     SECTIONS = ("Parameters", "Attributes", "Returns", "Yields", "Raises")
     ENTRY = re.compile(r"^(\*{0,2}\w[\w, *`]*?) : (.*)$")
 

@@ -51,7 +51,7 @@ EXTRAS = {
 _USER = re.compile(r"([a-z0-9+.-]{1,30}://)[^/\s]+@")
 _PARAMETER = re.compile(r"([?&][^=&?]*=)[^&#\s]*")
 _SECRET = re.compile(r"(?i)pass|pwd|token|secret|key|auth")
-# Characters of a sentence, at most: what is wrong may be a value of many thousand.
+# A sentence of more characters loses its middle: what is wrong may be a value of many thousand.
 _LONGEST = 4000
 
 

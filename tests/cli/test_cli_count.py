@@ -5,10 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 from cli_runner import phdtrack, refused, walkers
 
+from phdtrack.cli.count import drawn
 from phdtrack.formats import EXPORTS, read_tracks
+from phdtrack.live.zones import Place
+from phdtrack.video import VideoWriter
 
 LINE, ZONE = "middle=160,0,160,240", "left=0,0,100,0,100,240,0,240"
 
@@ -16,10 +20,6 @@ LINE, ZONE = "middle=160,0,160,240", "left=0,0,100,0,100,240,0,240"
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two people who cross the middle of a video of 40 frames of 320x240, each once, in opposite directions."""
-    import numpy as np
-
-    from phdtrack.video import VideoWriter
-
     folder = walkers(tmp_path_factory.mktemp("walkers"))
     with VideoWriter(folder / "w.mp4", 320, 240, 25) as video:
         for k in range(1, 41):
@@ -54,6 +54,18 @@ def test_a_run_has_events_a_picture_a_video_and_a_section(run: Path) -> None:
     page = (run / "out" / "report.html").read_text()
     assert "Lines and zones" in page
     assert ">middle<" in page
+
+
+def test_zones_that_share_a_corner_are_both_filled_and_named():
+    dark = np.zeros((480, 640, 3), np.uint8)
+    corners = [((200, 200), (200 + w, 200), (200 + w, 400), (200, 400)) for w in (100, 200)]
+    zones = [Place(name, points, True) for name, points in zip("ab", corners, strict=True)]
+    one, both = (drawn(dark, zones[:n], []) for n in (1, 2))
+    assert both[300, 250].any()
+    assert both[300, 350].any()
+    # Above the zones stand the plates, one on top of the other.
+    heights = [int(image[:195].any(axis=(1, 2)).sum()) for image in (one, both)]
+    assert heights[1] >= 2 * heights[0] > 10
 
 
 def test_other_lines_are_counted_among_the_tracks_that_are_there(run: Path, tmp_path: Path) -> None:

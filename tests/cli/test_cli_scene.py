@@ -5,12 +5,11 @@ from pathlib import Path
 import pytest
 from cli_runner import phdtrack
 
-from phdtrack.arrays import iou
 from phdtrack.cli.label import to_label
 from phdtrack.cli.options import SourceOptions
 from phdtrack.cli.output import Output
 from phdtrack.formats import read_truth
-from phdtrack.label import Label, LabelStore
+from phdtrack.label import LabelStore
 from phdtrack.label.samples import shuffled
 
 
@@ -19,12 +18,7 @@ def marked(folder: Path, detections: Path, last: int) -> Path:
     labels, wanted = folder / "labels.sqlite", SourceOptions(detections=detections)
     found, truth = to_label(wanted, {}, labels, Output()), read_truth(folder / "gt" / "gt.txt")
     store = LabelStore.open(labels, str(detections), found.digest, shuffled(last, seed=0)[:40])
-    for number, _ in store.frames():
-        boxes, people = found.table.at(number).xyxy, truth.xyxy[truth.frame == number]
-        false = [k for k, box in enumerate(boxes) if iou(box[None], people).max(initial=0) < 0.3]
-        if false:
-            store.mark(number, [Label(number, k, "false") for k in false])
-        store.finish(number)
+    store.mark_false(found.table, truth)
     return labels
 
 

@@ -228,7 +228,8 @@ def test_a_tracker_and_one_update_load_little() -> None:
     assert sum(lines(path) for path in paths) <= MAX_LOADED_LINES
 
 
-CONSTRAINTS = [ROOT / "constraints.txt", ROOT / "benchmarks" / "peers-constraints.txt"]
+MORE_CONSTRAINTS = ("benchmarks/peers-constraints.txt", "scripts/site-constraints.txt", "tests/cluster-constraints.txt")
+CONSTRAINTS = [ROOT / "constraints.txt", *(ROOT / name for name in MORE_CONSTRAINTS)]
 
 
 @pytest.mark.parametrize("path", CONSTRAINTS, ids=lambda path: path.name)
@@ -254,7 +255,7 @@ def test_constraints_hold_everything_that_is_needed() -> None:
     pinned = {canonicalize_name(line.partition("==")[0]) for line in CONSTRAINTS[0].read_text(encoding="utf-8").splitlines()}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     wanted = asked(project["project"]["dependencies"]) | asked(project["build-system"]["requires"])
-    # Of the extras paho-mqtt and Ray are not here: the tests of one have a stand-in, those of the other skip without it.
+    # Of the extras paho-mqtt and Ray are not here: tests have a stand-in for one, and the other has constraints of its own.
     for extra in project["project"]["optional-dependencies"].values():
         wanted |= asked(extra) - {"phdtrack", "paho-mqtt", "ray"}
     for name in pinned - {"trackeval", "colorama"}:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import re
 import shlex
 import shutil
@@ -15,6 +14,7 @@ from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any, NamedTuple
 
+import duckdb
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -146,9 +146,8 @@ def test_what_the_page_says_runs(page: str, scene: Path, tmp_path: Path, monkeyp
                     assert line.startswith("$ "), line
                     command(line[2:])
             case "sql":
-                # DuckDB is none of our dependencies; without it test_cli_batch.py has what the queries should give.
-                if find_spec("duckdb"):
-                    importlib.import_module("duckdb").sql(block.text).fetchall()
+                # What they should give is in test_cli_batch.py.
+                duckdb.sql(block.text).fetchall()
             case "python":
                 exec(compile("\n" * block.line + block.text, str(PAGES / page), "exec"), names)
                 if page == LOOPS:

@@ -156,8 +156,10 @@ def batch(
     finally:
         failed = [name for name, one in came.items() if one["state"] == "failed"]
         document |= {"complete": len(came) - len(failed) == len(videos), "reused": before, "failed": failed, "shard": shard}
-        found = ({"video": one.name, "source": one.source, "state": "missing"} | came.get(one.name, {}) for one in videos)
-        document |= {"seconds": time.perf_counter() - clock, "videos": list(found)}
+        # All have an error, if it is none, so that queries find it.
+        none = {"state": "missing", "error": None}
+        found = [{"video": one.name, "source": one.source, **none, **came.get(one.name, {})} for one in videos]
+        document |= {"seconds": time.perf_counter() - clock, "videos": found}
         write_run(file, document)
     numbers = f"{len(todo) - len(failed)} now, {before} before, {len(failed)} failed"
     output.say(f"{counted(len(videos), 'video')}: {numbers}.", f"  {out / ROWS}  tracks of all", f"  {file}  the summary")

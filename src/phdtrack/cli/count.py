@@ -35,6 +35,7 @@ from phdtrack.live.events import Event, Tally, Watch, place_events, tallies
 from phdtrack.live.zones import Place, places_of
 from phdtrack.pipeline import TrackingState
 from phdtrack.report import Annotator
+from phdtrack.report.drawing import draw_plates
 from phdtrack.report.pages import render
 from phdtrack.types import Detections, Image, SequenceInfo, Step, Tracks
 from phdtrack.video import VideoSource, VideoWriter, open_source
@@ -45,9 +46,9 @@ _HEADER = "time,frame,kind,place,direction,identity,class,seconds,occupancy,x,y"
 _ROW = "%.3f,%d,%s,%s,%s,%d,%s,%s,%s,%.1f,%.1f"
 _LINE = "A line: NAME=x1,y1,x2,y2 in pixels; in is from its left to its right. Repeatable."
 _ZONE = "A zone: NAME=x1,y1,x2,y2,x3,y3,… around it. Repeatable."
-# BGR of lines, zones, dots where somebody went in and out, letters, and the ground under them.
+# BGR of lines, zones, dots where somebody went in and out, and what is around and under them.
 _LINE_COLOUR, _ZONE_COLOUR, _IN, _OUT = (77, 225, 255), (255, 160, 77), (126, 194, 46), (28, 159, 255)
-_INK, _DARK = (255, 255, 255), (30, 30, 30)
+_DARK = (30, 30, 30)
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,7 +251,10 @@ def drawn(image: Image, places: Sequence[Place], events: Sequence[Event]) -> Ima
     unit = max(1.0, min(image.shape[0], 0.75 * image.shape[1]) / 480)
     wide, corners = max(2, round(2 * unit)), [np.array(place.points).round().astype(np.int32) for place in places]
     sheet = image.copy()
-    cv2.fillPoly(sheet, [points for place, points in zip(places, corners, strict=True) if place.closed], _ZONE_COLOUR)
+    for place, points in zip(places, corners, strict=True):
+        if place.closed:
+            # One by one: together they would have holes where they overlap.
+            cv2.fillPoly(sheet, [points], _ZONE_COLOUR)
     out = np.asarray(cv2.addWeighted(sheet, 0.25, image, 0.75, 0), np.uint8)
     counts = Counter((event.place, event.direction or event.kind) for event in events)
     for place, points in zip(places, corners, strict=True):
@@ -267,25 +271,15 @@ def drawn(image: Image, places: Sequence[Place], events: Sequence[Event]) -> Ima
             spot = round(event.x), round(event.y)
             cv2.circle(out, spot, wide + 2, _DARK, -1, cv2.LINE_AA)
             cv2.circle(out, spot, wide + 1, _IN if event.direction == "in" else _OUT, -1, cv2.LINE_AA)
+    plates = list[tuple[str, list[int]]]()
     for place, points in zip(places, corners, strict=True):
         if place.closed:
             visits = counts[place.name, "enter"]
             text = f"{place.name}: {visits - counts[place.name, 'exit']} inside, {counted(visits, 'visit')}"
         else:
             text = f"{place.name}: {counts[place.name, 'in']} in, {counts[place.name, 'out']} out"
-        _plate(out, text, points.min(axis=0).tolist() if place.closed else points[0].tolist(), unit)
-    return out
-
-
-def _plate(image: Image, text: str, corner: Sequence[int], unit: float) -> None:
-    """Text on a dark plate with this upper left corner, moved into the picture."""
-    text, look = text.encode("ascii", "replace").decode("ascii"), (cv2.FONT_HERSHEY_SIMPLEX, 0.42 * unit)
-    (wide, high), below = cv2.getTextSize(text, *look, max(1, round(unit)))
-    pad, below = round(4 * unit), below // 2
-    left = min(max(corner[0], 0), max(image.shape[1] - wide - 2 * pad, 0))
-    top = min(max(corner[1], 0), max(image.shape[0] - high - below - 2 * pad, 0))
-    cv2.rectangle(image, (left, top), (left + wide + 2 * pad, top + high + below + 2 * pad), _DARK, -1)
-    cv2.putText(image, text, (left + pad, top + pad + high), *look, _INK, max(1, round(unit)), cv2.LINE_AA)
+        plates.append((text, points.min(axis=0).tolist() if place.closed else points[0].tolist()))
+    return draw_plates(out, plates)
 
 
 def _places(asked: CountOptions) -> tuple[Place, ...]:

@@ -150,7 +150,7 @@ _NAMES = {
     "tvec": ("tvec", "T", "t", "translation", "translation_vector"),
 }
 _types = cache(get_type_hints)
-_EXPECTED = "expected a camera: Tsai XML, OpenCV YAML, XML or JSON, a homography in text or MATLAB 5, or camera.toml"
+_EXPECTED = "expected a camera: Tsai XML, OpenCV YAML, XML or JSON, a homography in text or MATLAB 4 to 7, or camera.toml"
 # Prints the 3 x 3 matrices and transforms (`maketform`) of a MATLAB file by name. A damaged file can make SciPy's reader
 # crash, or take all memory: so it runs in a process of its own, with a bound.
 _MATLAB = """

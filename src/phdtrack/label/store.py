@@ -16,12 +16,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+import numpy as np
+
+from phdtrack.arrays import iou
 from phdtrack.errors import InputError
+from phdtrack.types import DetectionTable, Truth
 
 Mark = Literal["false", "birth", "none"]
 """``false``: the detector is wrong there. ``birth``: a target enters there. ``none``: neither, after all."""
 MARKS: tuple[str, ...] = get_args(Mark)
 FORMAT = "1"
+NO_OBJECT = 0.3
+"""A box whose overlap (IoU) with every object is below this is on none."""
 # Seconds to wait while another person's click is written.
 _TIMEOUT = 30.0
 
@@ -145,6 +151,21 @@ class LabelStore:
             if mark not in MARKS or box < 0:
                 raise InputError(f"expected one of {', '.join(MARKS)} on a box from 0, got {mark!r} on {box}")
         self._act(frame, rows, who, key)
+
+    def mark_false(self, table: DetectionTable, truth: Truth) -> None:
+        """Mark the detections that are on no annotated object, `NO_OBJECT`, on all frames, which are done then.
+
+        Parameters
+        ----------
+        table : the detections that are labelled.
+        truth : the annotated objects of the same frames.
+        """
+        for number, _ in self.frames():
+            overlap = iou(table.at(number).xyxy, truth.xyxy[truth.frame == number])
+            false = np.flatnonzero(overlap.max(axis=1, initial=0) < NO_OBJECT)
+            if len(false):
+                self.mark(number, [Label(number, box, "false") for box in false.tolist()])
+            self.finish(number)
 
     def undo(self, frame: int, key: str = "") -> None:
         """Take back the last action made on ``frame``, if there is one."""

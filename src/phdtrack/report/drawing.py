@@ -404,6 +404,15 @@ def draw_contours(image: Image, contours: Sequence[Sequence[F8]]) -> Image:
     return canvas.image
 
 
+def draw_plates(image: Image, plates: Sequence[tuple[str, Sequence[int]]]) -> Image:
+    """A copy of a picture (H, W, 3) BGR with sentences on dark plates, none on another: of each its text and lower left
+    corner in pixels."""
+    canvas, taken = _Canvas(image), list[tuple[int, int, int, int]]()
+    for text, corner in plates:
+        canvas.label(text, corner, _INK, taken)
+    return canvas.image
+
+
 def _label(frame: GroupFrame, g: int) -> str:
     """The group and its number of people; nothing for one person alone, who has a label, or where there is probably none."""
     identity, count, deviation = frame.identity[g], frame.groups.count[g], frame.groups.deviation[g]

@@ -262,7 +262,12 @@ def _check(found: dict[str, Any], form: list[_Field], world: World, where: str) 
             raise _wrong(f"{where}.{field.name}", f"expected numbers {bounds}{more and f', {more}'}")
 
 
-_SAID = {"up": "ascending", "rise": "ascending, none twice", "cov": "covariances, variances above 0", "cov0": "covariances"}
+_SAID = {
+    "up": "ascending",
+    "rise": "ascending, none twice",
+    "cov": "of covariances with variances above 0",
+    "cov0": "of covariances",
+}
 
 
 def _has_shape(value: Any, shape: tuple[str, ...], known: dict[str, int], world: dict[str, int]) -> bool:
