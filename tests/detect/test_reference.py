@@ -9,6 +9,7 @@ from phdtrack.detect.change import ChangeDetector
 from phdtrack.detect.reference import background, median
 from phdtrack.detect.registry import Rescaled, study, unsuited
 from phdtrack.types import Frame, Image
+from reference import change_twin as twin
 
 
 def scene(seed: int = 0) -> Image:
@@ -65,6 +66,14 @@ def test_who_stands_there_at_the_beginning_is_detected_at_once(width: int, jumps
     assert asked == ([51] if jumps else [])
     found = (Rescaled(detector, width) if width else detector)(frames[0])
     np.testing.assert_allclose(found.xyxy, [[60, 30, 84, 90]], atol=4)
+
+
+def test_the_extremes_of_samples_are_those_of_a_plain_sort() -> None:
+    detector = ChangeDetector()
+    study(detector, [Frame(k + 1, k / 2, image) for k, image in enumerate(crowd())])
+    past = detector._past
+    for found, expected in zip((past.extremes, past.near), twin.extremes(past.samples), strict=True):
+        np.testing.assert_array_equal(found, expected)
 
 
 def test_a_lamp_that_goes_on_and_off_is_not_detected() -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
+from scipy.ndimage import maximum_filter, minimum_filter
 
 LOG = np.rint(90.0 * np.log1p(np.arange(256) / 16.0)).astype(np.uint8)
 
@@ -53,6 +56,17 @@ def recalled(
     often = alike.sum(axis=1)
     sways = (differing >= 0.1 * count) & (often[1] >= np.maximum(0.33 * count, differing)) & (runs[1] >= 4)
     return ((runs[0] >= 4) & (often[0] >= 0.35 * differing)) | sways
+
+
+def extremes(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W, 3, 2) the fourth smallest and largest of samples (H, W, 3, K); and of the smallest and the largest of each
+    within three pixels, so many from either end that 0.33 of all are not less."""
+    ordered, near = np.sort(samples, axis=3), math.ceil(0.33 * samples.shape[3])
+    where = np.zeros((7, 7, 1, 1))
+    where[::3, ::3] = 1
+    filters = (minimum_filter, 255), (maximum_filter, 0)
+    low, high = (np.sort(each(samples, footprint=where, mode="constant", cval=beyond), axis=3) for each, beyond in filters)
+    return ordered[..., [3, -4]].copy(), np.stack([low[..., near - 1], high[..., -near]], axis=3)
 
 
 def line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:

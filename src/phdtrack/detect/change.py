@@ -41,7 +41,21 @@ from numpy.typing import NDArray
 from phdtrack.detect.components import BlobSettings, Contour, Heights, check_same_size
 from phdtrack.detect.reference import background, median
 from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, check
-from phdtrack.kernels.change import CHANNELS, LOG, LOG_SCALE, OFTEN, Past, Statistic, compare, edge, follow, lighting, noise
+from phdtrack.kernels.change import (
+    CHANNELS,
+    LOG,
+    LOG_SCALE,
+    OFTEN,
+    REACH,
+    Past,
+    Statistic,
+    compare,
+    edge,
+    follow,
+    lighting,
+    noise,
+    often_near,
+)
 from phdtrack.types import F8, I8, Detections, Frame, Image
 
 F4 = NDArray[np.float32]
@@ -63,6 +77,8 @@ _APART, _RESEMBLING = 0.5, 0.5
 _RESTLESS, _DARK = 0.2, 40.0
 _TRAINED = "Boxes of a trained detector help: --detections FILE or --detector onnx:FILE"
 _MARGIN, _DISC = np.ones((5, 5), np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
+_NEIGHBOURS = np.zeros((2 * REACH + 1, 2 * REACH + 1), np.uint8)
+_NEIGHBOURS[::REACH, ::REACH] = 1
 
 
 @dataclass(eq=False)
@@ -144,15 +160,13 @@ class ChangeDetector:
         # The samples of a pixel side by side: it is compared with all of them.
         seen: Image = np.empty((*images[0].shape, len(apart)), np.uint8)
         differing: Image = np.zeros(seen.shape[:2], np.uint8)
-        ends: Image = np.zeros((2, OFTEN, *images[0].shape), np.uint8)
-        ends[0] = 255
+        extremes = _Extremes(OFTEN, images[0].shape), _Extremes(often_near(len(apart)), images[0].shape)
         for k, one in enumerate(apart):
-            seen[..., k] = low = high = np.dstack(_planes(one))
+            seen[..., k] = planes = np.dstack(_planes(one))
             differing += self._compared(one)[1] > self._threshold
-            for j in range(OFTEN):
-                ends[0, j], low = np.minimum(ends[0, j], low), np.maximum(ends[0, j], low)
-                ends[1, j], high = np.maximum(ends[1, j], high), np.minimum(ends[1, j], high)
-        self._past = Past(seen, differing, np.moveaxis(ends[:, -1], 0, 3).copy())
+            extremes[0].add(planes, planes)
+            extremes[1].add(cv2.erode(planes, _NEIGHBOURS), cv2.dilate(planes, _NEIGHBOURS))
+        self._past = Past(seen, differing, *(each.found() for each in extremes))
         shape, alone = differing.shape, replace(self.blobs, join=0.0)
         masks = [self.blobs.clean(self._compared(one)[0]) for one in apart]
         self._usual = Heights.learned([alone.boxes(alone.components(mask), shape) for mask in masks], shape)
@@ -176,7 +190,7 @@ class ChangeDetector:
     def _begin(self, frame: Frame) -> None:
         """Take the first frame as the reference."""
         shape = frame.image.shape[:2]
-        self._past = Past(*(np.zeros((*shape, *rest), np.uint8) for rest in ((3, 0), (), (3, 2))))
+        self._past = Past(*(np.zeros((*shape, *rest), np.uint8) for rest in ((3, 0), (), (3, 2), (3, 2))))
         self._usual = None
         self._samples, self._due = [frame.image], frame.time + self.learn / self.samples
         self._learning = self.samples > 1
@@ -279,6 +293,24 @@ def _is_ghost(contour: Contour, image: Image, expected: Image) -> bool:
     cv2.drawContours(filled, [contour], -1, 255, cv2.FILLED, offset=(-left, -top))
     outline = cv2.morphologyEx(filled, cv2.MORPH_GRADIENT, _DISC)
     return bool(edge(image, left, top, outline) < _GHOST_EDGE * edge(expected, left, top, outline))
+
+
+class _Extremes:
+    """The ``rank``-th smallest and largest of pictures (H, W, 3)."""
+
+    def __init__(self, rank: int, shape: tuple[int, ...]) -> None:
+        self._low: Image = np.full((rank, *shape), 255, np.uint8)
+        self._high: Image = np.zeros((rank, *shape), np.uint8)
+
+    def add(self, low: Image, high: Image) -> None:
+        """A picture for each of them."""
+        for j in range(len(self._low)):
+            self._low[j], low = np.minimum(self._low[j], low), np.maximum(self._low[j], low)
+            self._high[j], high = np.maximum(self._high[j], high), np.minimum(self._high[j], high)
+
+    def found(self) -> Image:
+        """(H, W, 3, 2) of those that were added."""
+        return np.stack([self._low[-1], self._high[-1]], axis=3)
 
 
 @dataclass(eq=False)

@@ -34,8 +34,8 @@ LOG: U1 = np.rint(LOG_SCALE * np.log1p(np.arange(256) / 16.0)).astype(np.uint8)
 # Grey levels between which a pixel tells of the light, the fewest pixels, and the deviations within which they fit.
 _DARKEST, _BRIGHTEST, _FEWEST, _NEAR, _ROUNDS = 8, 245, 50, 2.5, 3
 _BINS = 8192
-# Columns whose medians are made together: their samples stay in the cache.
-_BLOCK = 512
+# Columns whose medians are made together: their samples stay in the cache. Pixels that are passed over at once.
+_BLOCK, _PIXELS = 512, 64
 # Luma of blue, green and red, and chroma of red and blue, in 2⁻¹⁴; what rounds, and the middle of chroma.
 _BLUE, _GREEN, _RED, _TO_RED, _TO_BLUE, _BITS = INT(1868), INT(9617), INT(4899), INT(11682), INT(9241), INT(14)
 _ROUND, _MIDDLE = INT(1 << 13), INT((128 << 14) + (1 << 13))
@@ -59,11 +59,18 @@ class Statistic(NamedTuple):
 
 class Past(NamedTuple):
     """``samples`` (H, W, 3, K) planes of other times in order, how many of them differ from the reference (H, W), and the
-    ``OFTEN``-th smallest and largest of each plane (H, W, 3, 2)."""
+    ``OFTEN``-th smallest and largest of each plane (H, W, 3, 2); ``near``: the same of the smallest and largest within
+    `REACH`, the `often_near`-th."""
 
     samples: U1
     differing: U1
     extremes: U1
+    near: U1
+
+
+def often_near(count: int) -> int:
+    """How many of so many samples a pixel has to resemble some pixels away at the least."""
+    return max(1, math.ceil(NEAR * count))
 
 
 @njit(**ENTRY)
@@ -324,16 +331,21 @@ def _passed(total: F4, normal: F4, limit: np.float32, least: np.float32, out: U1
 @njit(**INNER)
 def _recall(planes: U1, rule: Statistic, past: Past, y: int, seen: U1, mask: U1) -> None:
     """Take what was seen before out of row ``y`` of the mask; ``seen`` (K,) is overwritten."""
-    samples, (height, width), limit = past.samples, past.differing.shape, F(rule.alike)
-    for x in range(width):
-        if mask[x]:
+    samples, extremes, near, limit = past.samples, past.extremes, past.near, F(rule.alike)
+    height, width = past.differing.shape
+    for start in range(0, width, _PIXELS):
+        # Most of a picture has not changed.
+        for x in range(start, min(start + _PIXELS, width)) if _any(mask[start : start + _PIXELS]) else range(0):
+            if mask[x] == 0:
+                continue
             pixel, differing = (INT(planes[0, x]), INT(planes[1, x]), INT(planes[2, x])), past.differing[y, x]
-            if not _rare(pixel, past.extremes[y, x], rule.weights, limit):
+            if not _beyond(pixel, extremes, y, x, rule.weights, limit):
                 seen[:] = 0
                 _resembling(pixel, samples[y, x], rule.weights, limit, seen)
                 if _often(seen, SHARE * differing):
                     mask[x] = 0
-            if mask[x] and differing >= BUSY * seen.size:
+            busy = mask[x] and differing >= BUSY * seen.size
+            if busy and not _beyond(pixel, near, y, x, rule.weights, limit):
                 seen[:] = 0
                 for i in (-REACH, 0, REACH):
                     for j in (-REACH, 0, REACH):
@@ -343,11 +355,20 @@ def _recall(planes: U1, rule: Statistic, past: Past, y: int, seen: U1, mask: U1)
                     mask[x] = 0
 
 
+@njit(**VECTOR)
+def _any(row: U1) -> bool:
+    """Whether not all are 0."""
+    found = np.uint8(0)
+    for i in range(D(row.size)):
+        found |= row[i]
+    return found > 0
+
+
 @njit(**INNER)
-def _rare(pixel: Pixel, extremes: U1, weights: Weights, limit: np.float32) -> bool:
-    """Whether a pixel resembles fewer than `OFTEN` samples, by one plane alone."""
+def _beyond(pixel: Pixel, extremes: U1, y: int, x: int, weights: Weights, limit: np.float32) -> bool:
+    """Whether a pixel is too far below the first or above the second of two values of a plane to resemble those between."""
     for c in range(3):
-        below, above = F(pixel[c] - INT(extremes[c, 0])), F(pixel[c] - INT(extremes[c, 1]))
+        below, above = F(pixel[c] - INT(extremes[y, x, c, 0])), F(pixel[c] - INT(extremes[y, x, c, 1]))
         dark, bright = weights[0 if c == 0 else c + 1], weights[c + 1]
         if (below < _NONE and below * below * dark >= limit) or (above > _NONE and above * above * bright >= limit):
             return True

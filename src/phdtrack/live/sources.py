@@ -25,6 +25,7 @@ import numpy as np
 
 from phdtrack.errors import needed, shown
 from phdtrack.types import Image
+from phdtrack.video.files import bgr
 
 State = Literal["connecting", "live", "silent", "down"]
 # Seconds between two tries: the first, and the longest.
@@ -122,7 +123,7 @@ class LiveSource:
 
             image = picture if picture.shape[1::-1] == (width, height) else cv2.resize(picture, (width, height))
         else:
-            image = picture.to_ndarray(format="bgr24", width=width, height=height)
+            image = bgr(picture, width, height)
         return LiveFrame(number, at - self._start, wall, np.ascontiguousarray(image))
 
     def status(self) -> SourceStatus:

@@ -20,10 +20,12 @@ import difflib
 import glob
 import math
 import re
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -288,6 +290,27 @@ def _pictures(
         losses.append((number, reason))
 
 
+class _Converter(threading.local):
+    """What FFmpeg prepares to convert pictures, of each thread: to prepare it anew takes longer than to convert one."""
+
+    def __init__(self) -> None:
+        needed("av")
+        from av.video.reformatter import VideoReformatter
+
+        self.reformat = VideoReformatter().reformat
+
+
+@cache
+def _converter() -> _Converter:
+    return _Converter()
+
+
+def bgr(picture: Any, width: int, height: int) -> Image:
+    """(H, W, 3) BGR uint8 of this width and height, of a picture as FFmpeg decodes it."""
+    image: Image = _converter().reformat(picture, width, height, "bgr24", interpolation="AREA").to_ndarray()
+    return image
+
+
 class Decoded:
     """A picture as FFmpeg decodes it, turned by the orientation that the recording carries."""
 
@@ -304,7 +327,7 @@ class Decoded:
         if size is None and self._image is not None:
             return self._image
         wide, high = (size or self.size)[:: -1 if self._turns % 2 else 1]
-        image: Image = self._picture.to_ndarray(format="bgr24", width=wide, height=high, interpolation="AREA")
+        image = bgr(self._picture, wide, high)
         image = np.ascontiguousarray(np.rot90(image, self._turns)) if self._turns else image
         self._image = image if size is None else self._image
         return image
