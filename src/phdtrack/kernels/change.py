@@ -361,7 +361,7 @@ def _any(row: U1) -> bool:
     found = np.uint8(0)
     for i in range(D(row.size)):
         found |= row[i]
-    return found > 0
+    return bool(found)
 
 
 @njit(**INNER)

@@ -43,8 +43,10 @@ def as_warp(matrix: ArrayLike, where: str) -> F8:
             where=where,
             cure="The matrix takes pixels (x, y, 1) of the frame before to pixels of this frame",
         )
-    warp: F8 = given / given[2, 2]
-    areas = np.linalg.det(warp)
+    # What is too large for a float scales areas beyond belief, too.
+    with np.errstate(over="ignore", invalid="ignore"):
+        warp: F8 = given / given[2, 2]
+        areas = np.linalg.det(warp)
     if not _SCALES[0] <= areas <= _SCALES[1]:
         raise InputError(
             f"expected how a camera moves from one frame to the next, got a map that scales areas by {areas:.3g}",

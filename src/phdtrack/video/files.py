@@ -306,9 +306,18 @@ def _converter() -> _Converter:
 
 
 def bgr(picture: Any, width: int, height: int) -> Image:
-    """(H, W, 3) BGR uint8 of this width and height, of a picture as FFmpeg decodes it."""
-    image: Image = _converter().reformat(picture, width, height, "bgr24", interpolation="AREA").to_ndarray()
-    return image
+    """A picture as FFmpeg decodes it in other pixels.
+
+    Parameters
+    ----------
+    picture : an `av.VideoFrame`.
+    width, height : of the image in pixels.
+
+    Returns
+    -------
+    (H, W, 3) BGR uint8.
+    """
+    return np.asarray(_converter().reformat(picture, width, height, "bgr24", interpolation="AREA").to_ndarray(), np.uint8)
 
 
 class Decoded:
