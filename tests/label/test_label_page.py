@@ -5,8 +5,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from page_cases import CHROMIUM, FLAGS, FRAMES, SIZE, needs_browser, server
+from page_cases import FRAMES, SIZE, server
 
+from browsers import CHROMIUM, FLAGS, faults, needs_browser
 from phdtrack.label import Label, LabelStore
 
 pytestmark = needs_browser
@@ -127,6 +128,21 @@ def test_a_narrow_window_has_the_picture_above_the_buttons(it, width: int):
     assert picture["width"] == width
     assert picture["height"] > 300
     assert button["y"] > picture["y"] + picture["height"]
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(390, "dark"), (1280, "light")])
+def test_axe_finds_no_serious_fault(it, width: int, scheme: str):
+    it.page.set_viewport_size({"width": width, "height": 800})
+    it.page.emulate_media(color_scheme=scheme)
+    it.frame(1)
+    it.click(200, 60)
+    it.kept()
+    assert faults(it.page) == []
+    for key, shown in (("w", "#wall"), ("w", "#canvas"), ("s", "#sweep"), ("Escape", "#canvas"), ("2", "#clip")):
+        it.page.locator("#canvas").focus()
+        it.page.keyboard.press(key)
+        it.page.wait_for_selector(f"{shown}:visible")
+        assert faults(it.page) == [], shown
 
 
 def test_only_enter_finishes_a_frame_and_undo_takes_it_back(it, store):
