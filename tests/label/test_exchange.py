@@ -148,8 +148,10 @@ def test_what_cannot_be_taken_is_refused_and_changes_nothing(tmp_path):
     for text, words in (
         ("<dataset/>", "expected CVAT, whose outermost element"),
         (json.dumps(COCO | {"images": [{"id": 1, "frame_id": 1.5}], "annotations": []}), "whole numbers of frames"),
-        ("7", "expected a list of results"),
+        ("7", "expected COCO .JSON. or CVAT .XML., came b'7'"),
         ('<annotations><image id="1"><box xtl="1" ytl="1" xbr="x" ybr="2"/></image></annotations>', "finite number for xbr"),
+        (json.dumps([{"image_id": 1, "bbox": [1, 2, 0, 4]}]), "a box of some width and height"),
+        ('[{"image_id": 1, "bbox": [1, NaN, 3, 4]}]', "a box of some width and height"),
         ('<annotations><box xtl="1" ytl="1" xbr="3" ybr="2"/></annotations>', "frame"),
     ):
         path.write_text(text)

@@ -81,8 +81,10 @@ def label(
     file = labels or labels_file(source)
     found = to_label(source, settings.values("detector"), file, output)
     read = read_annotated(taken) if taken else None
-    drawn = (frames_of(read) if read else []) or shuffled(found.info.frames, seed)[:frames]
-    if max(drawn) > found.info.frames:
+    if out and not read and not file.exists():
+        raise InputError("there is no such file of labels", where=file, cure="Make one: phdtrack label")
+    drawn = (frames_of(read) if read else []) or shuffled(found.info.frames, seed)[: 0 if out and not read else frames]
+    if max(drawn, default=0) > found.info.frames:
         problem = f"expected frames up to {found.info.frames}, came {max(drawn)}"
         raise InputError(problem, where=str(taken), cure="Is it of another video?")
     store = LabelStore.open(file, found.name, found.digest, drawn)

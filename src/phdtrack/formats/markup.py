@@ -22,6 +22,7 @@ JSON lines are an object a line, whose keys are those that a header may have; ``
 from __future__ import annotations
 
 import json
+import math
 import re
 import reprlib
 from pathlib import Path, PurePosixPath
@@ -124,28 +125,37 @@ class Annotated(NamedTuple):
 def read_annotated(path: Path) -> Annotated:
     """All that a file of COCO or CVAT says. Raises `InputError` where it is none of these, or broken."""
     content = load(path)
-    about, pictures, boxes = (_cvat_values if content.lstrip()[:1] == b"<" else _coco_values)(path, content)
+    if (start := content.removeprefix(b"\xef\xbb\xbf").lstrip()[:1]) not in (b"<", b"{", b"["):
+        raise InputError(f"expected COCO (JSON) or CVAT (XML), came {_brief(content)}", where=path)
+    about, pictures, boxes = (_cvat_values if start == b"<" else _coco_values)(path, content)
     # Some programs call the first picture 0 in COCO, too.
-    first = min((one["frame"] for one in [*pictures, *boxes]), default=1) if content.lstrip()[:1] != b"<" else 0
+    first = 0 if start == b"<" else min((one["frame"] for one in [*pictures, *boxes]), default=1)
     for one in [*pictures, *boxes]:
         number = one["frame"] + (first < 1)
         if not (number.is_integer() and 1 <= number < 2**53):
             raise InputError(f"expected whole numbers of frames, from 0 or 1, came {one['frame']:.15g}", where=path)
         one["frame"] = int(number)
+    for one in boxes:
+        left, top, right, bottom = one["xyxy"]
+        if not (abs(left + top + right + bottom) < math.inf and right > left and bottom > top):
+            problem = f"expected a box of some width and height, came left, top, right, bottom {one['xyxy']}"
+            raise InputError(problem, where=f"{path}, frame {one['frame']}")
     return Annotated(about, pictures, boxes)
 
 
 def _coco_values(path: Path, content: bytes) -> Annotated:
+    """What a file of COCO says; frames are as it counts them."""
     document = read_json(path, content)
     unit, images, given = _parts(path, document)
-    frame_of, names = _frame_of(path, images) if images else None, _names(path, document)
+    frame_of = _frame_of(path, images) if images else None
+    names = {float(key): name for key, name in _names(path, document).items()}
     entries = _entries(path, given, unit, "image_id and bbox")
     boxes = list[dict[str, Any]]()
     for entry in entries:
         _check(entry, frame_of)
         (left, top, width, height), number = entry.box(), entry.number("image_id")
         corners = (left, top, left + width, top + height)
-        label = names.get(int(entry.number("category_id", default=-1)), "")
+        label = names.get(entry.number("category_id", default=-1.0), "")
         boxes.append(entry.values | {"frame": frame_of[number] if frame_of else number, "xyxy": corners, "label": label})
     about = document.get("info") if isinstance(document, dict) else None
     pictures = [one.values | {"frame": (frame_of or {})[one.number("id")]} for one in images]
@@ -153,6 +163,7 @@ def _coco_values(path: Path, content: bytes) -> Annotated:
 
 
 def _cvat_values(path: Path, content: bytes) -> Annotated:
+    """What a file of CVAT says; frames count from 0."""
     elements = read_xml(path, content)
     if elements[0].name != "annotations":
         problem = f"expected CVAT, whose outermost element is <annotations>, came <{elements[0].name}>"

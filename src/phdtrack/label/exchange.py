@@ -52,7 +52,7 @@ class Taken(NamedTuple):
 
 def frames_of(given: Annotated) -> list[int]:
     """The frames to label in a file that phdtrack wrote, in their order; none in those of others."""
-    order = [(int(one["order"]), one["frame"]) for one in given.pictures if str(one.get("order", "")).isdigit()]
+    order = [(place, one["frame"]) for one in given.pictures if (place := _whole(one.get("order"))) is not None]
     return [number for _, number in sorted(order)]
 
 
@@ -75,7 +75,7 @@ class Exchange:
         of pictures of another size; nothing has changed then.
         """
         for one in given.pictures:
-            size = [round(float(one.get(name) or 0)) for name in ("width", "height")]
+            size = [_whole(one.get(name)) for name in ("width", "height")]
             if all(size) and self.info.width and size != [self.info.width, self.info.height]:
                 problem = f"expected pictures of {self.info.width} x {self.info.height}, came {size[0]} x {size[1]}"
                 raise InputError(problem, where=f"frame {one['frame']} of the file", cure="Is it of another video?")
@@ -119,9 +119,9 @@ class Exchange:
         made, free = list[Label](), max([DRAWN, *(one.box + 1 for one in known)])
         for i, box in enumerate(boxes):
             mark = box.get("mark") if box.get("mark") in MARKS else "false" if box["label"] == _FALSE else "true"
-            number, own = partner.get(i, free), str(box.get("box", ""))
-            if digest == self.store.digest and own.isdigit() and (int(own) < len(found) or DRAWN <= int(own) < 2 * DRAWN):
-                number = int(own)
+            number, own = partner.get(i, free), _whole(box.get("box"))
+            if digest == self.store.digest and own is not None and (own < len(found) or DRAWN <= own < 2 * DRAWN):
+                number = own
             if number >= DRAWN and mark == "false":
                 continue
             free += number == free
@@ -194,6 +194,12 @@ class Exchange:
             tag = f'<tag label="frame">{_attributes(picture)}</tag>' if picture else ""
             lines += [f'<image id="{number - 1}" name="{number:06d}.jpg" {size}>{tag}', *boxes.get(number, []), "</image>"]
         return "\n".join([*lines, "</annotations>"]) + "\n"
+
+
+def _whole(value: object) -> int | None:
+    """A whole number from 0, also in quotes; None for anything else."""
+    text = str(value)
+    return int(text) if text.isdecimal() and len(text) <= 10 else None
 
 
 def _attributes(values: dict[str, Any]) -> str:
