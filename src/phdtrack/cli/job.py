@@ -271,6 +271,9 @@ def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool)
         checkpoint = Checkpoint(directory, job.key, job.looked, job.every, resume=resume, anew=job.anew)
         found_in, done.resumed = partial(checkpoint.detected, inputs, mover=job.mover), checkpoint.number
         done.reused = checkpoint.reused
+    if not inputs.again:
+        # What runs for months does not stop for a kernel that it meets late.
+        tracker.warm_up()
     with ExitStack() as files:
         written = _Written(job, directory, done, files)
         # To load or to compile a kernel for arguments of new types Numba takes a lock, which is recorded.

@@ -199,12 +199,23 @@ class LabelStore:
             self.finish(number)
 
     def undo(self, frame: int, key: str = "", who: str = "") -> None:
-        """Take back the last action that ``who``, or nobody by name, made on ``frame``, if there is one."""
+        """Take back the last action on a frame, if there is one.
+
+        Parameters
+        ----------
+        frame : its number.
+        who, key : as in `mark`; actions of nobody by name are everybody's.
+        """
         last = f"SELECT max(id) FROM action WHERE {_OWN} AND undone = 0"
         self._change(key, (f"UPDATE action SET undone = 1 WHERE id = ({last})", [(frame, who)]))
 
     def redo(self, frame: int, key: str = "", who: str = "") -> None:
-        """Make the one of these actions on ``frame`` that was undone last count again, if there is one."""
+        """Make the action on a frame that was undone last count again, if there is one.
+
+        Parameters
+        ----------
+        frame, who, key : as in `undo`.
+        """
         first = f"SELECT min(id) FROM action WHERE {_OWN} AND undone = 1"
         self._change(key, (f"UPDATE action SET undone = 0 WHERE id = ({first})", [(frame, who)]))
 
