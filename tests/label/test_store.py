@@ -157,6 +157,7 @@ def test_a_file_of_an_earlier_version_is_gone_on_with(store, tmp_path):
         [Label(10, 1, "false", PLACE)],
         [Label(10, 1, "true", (1.0, 2.0, float("nan"), 4.0))],
         [Label(10, 1, "true", (1.0, 2.0, 1.0, 4.0))],
+        [Label(10, 1, "true", (-1e308, 2.0, 1e308, 4.0))],
         [Label(10, 2**62, "true", PLACE)],
     ],
 )

@@ -9,7 +9,6 @@ disagree, `LabelStore.disputes` says it. A page that does not know whether its c
 
 from __future__ import annotations
 
-import math
 import secrets
 import sqlite3
 from collections.abc import Iterable, Sequence
@@ -33,6 +32,8 @@ DRAWN = 1_000_000_000
 FORMAT, _EARLIER = "2", "1"
 NO_OBJECT = 0.3
 """A box whose overlap (IoU) with every object is below this is on none."""
+# Pixels within which a place is.
+_FAR = 1e6
 # Seconds to wait while another person's click is written.
 _TIMEOUT = 30.0
 
@@ -312,7 +313,7 @@ def _check(label: Label) -> None:
         problem = f"expected no place of a box that is marked {mark}, got {place}"
     elif mark == "false" and box >= DRAWN:
         problem = "expected a detection to be marked as false, got a box that was drawn"
-    elif place is not None and not (all(map(math.isfinite, place)) and place[2] > place[0] and place[3] > place[1]):
+    elif place is not None and not (all(abs(value) < _FAR for value in place) and place[2] > place[0] and place[3] > place[1]):
         problem = f"expected left < right and top < bottom in pixels, got {place}"
     if problem:
         raise InputError(problem, where=f"frame {label.frame}")

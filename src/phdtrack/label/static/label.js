@@ -1,8 +1,8 @@
 // Marking false detections and births: one click or key each, kept at once.
 
 import { Clip } from "./clip.js";
-import { drawMaps } from "./maps.js";
 import { Editor } from "./edit.js";
+import { drawMaps } from "./maps.js";
 import { Queue } from "./queue.js";
 import { Sweep } from "./sweep.js";
 import { boxesOf, placeOf, View } from "./view.js";
@@ -165,8 +165,12 @@ function changedTo(box, off) {
 
 function several(boxes, off) {
   if (objection()) return say(objection());
-  // A lasso is about detections, unless it is about who enters.
-  const changing = boxes.filter((box) => (mode() === "birth" || box < overview.drawn) && (frame().marks[box] === mode()) === off);
+  const changing = boxes.filter((box) => {
+    const has = frame().marks[box];
+    // A lasso is about detections, unless it is about who enters: then boxes that were drawn or moved stay so.
+    if (mode() === "false") return box < overview.drawn && (off ? has : has !== "false");
+    return off ? has && has !== "true" : has !== "birth";
+  });
   if (changing.length) mark(changing.map((box) => changedTo(box, off)));
 }
 
@@ -210,7 +214,7 @@ function kept(item, answer) {
   // While more is on its way for this frame, the page knows better than the server.
   if (!queue.concerns(item.frame)) {
     const known = frames.get(item.frame);
-    if (known) Object.assign(known, { marks: answer.marks, places: answer.places, by: answer.by, undo: answer.undo, redo: answer.redo });
+    if (known) for (const name of ["marks", "places", "by", "undo", "redo"]) known[name] = answer[name];
     const listed = overview.frames.find((one) => one.number === item.frame);
     if (listed) listed.done = answer.done;
     if (item.what === "undo" || item.what === "redo" || item.adopted) others(item.frame);
@@ -377,10 +381,9 @@ $("canvas").addEventListener("pointerup", (event) => {
 });
 // What a drag would do here.
 function pointer() {
-  const grip = editor.grip(cursor);
-  const [left, top, right, bottom] = grip ?? [];
-  $("canvas").style.cursor = !grip ? "crosshair" : left && right ? "move" : left === top && right === bottom && (left || right) ? "nwse-resize"
-    : (left || right) && (top || bottom) ? "nesw-resize" : left || right ? "ew-resize" : "ns-resize";
+  const [left, top, right, bottom] = editor.grip(cursor) ?? [];
+  const side = (top ? "n" : bottom ? "s" : "") + (left ? "w" : right ? "e" : "");
+  $("canvas").style.cursor = left && right ? "move" : side ? `${side}-resize` : "crosshair";
 }
 $("canvas").addEventListener("pointerleave", () => (cursor = null));
 $("canvas").addEventListener("contextmenu", (event) => event.preventDefault());
@@ -403,7 +406,8 @@ function speak() {
   const box = view.chosen;
   if (!placeOf(frame(), box)) return;
   const all = boxesOf(frame());
-  const at = mode() === "true" ? `, left ${placeOf(frame(), box).slice(0, 4).map(Math.round).join(", ")} ` : "";
+  const [left, top, right, bottom] = placeOf(frame(), box).map(Math.round);
+  const at = mode() === "true" ? `, from ${left}, ${top} to ${right}, ${bottom}` : "";
   $("spoken").textContent = `box ${all.indexOf(box) + 1} of ${all.length}, ${score(box)}, ${MEANS[frame().marks[box]] ?? "no mark"}${at}`;
 }
 
