@@ -38,7 +38,7 @@ COMMANDS = {
     "evaluate": "Score tracks against annotated objects.",
     "compare": "Compare filters: one table, with confidence intervals over seeds, and plots.",
     "simulate": "Simulate a scene: truth, detections of it, and a video.",
-    "label": "Mark false detections and births on frames drawn at random: the page says how.",
+    "label": "Mark false detections, missed objects and births on frames drawn at random: the page says how.",
     "learn": "Learn where people enter and where the detector is wrong, for `phdtrack track --scene`.",
     "calibrate": "Make a camera of four or more points of flat ground, and say how well it fits each of them.",
     "settings": "Print settings as TOML, with units and meaning, for --config to read back.",
