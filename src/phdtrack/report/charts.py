@@ -1,5 +1,7 @@
 """The charts and pictures of reports. Each function gives a `Picture`: charts are SVG, what lies over a photograph JPEG.
 
+Text and axes of a chart have the colour of the text around it, so that a page is light or dark as a whole.
+
 `Figure` objects are made directly: neither pyplot nor a display is needed and no rcParams change. matplotlib takes half a
 second to import: it is imported where a figure is made. Photographs are turned grey and darkened; axes are pixels of the
 original video.
@@ -15,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
+from markupsafe import Markup
 
 from phdtrack.errors import needed
 from phdtrack.report.drawing import feet, identity_colour
@@ -28,7 +31,8 @@ if TYPE_CHECKING:
 
     from phdtrack.groups.pipeline import GroupFrame
 
-_INK, _GRID, _DARK, _CYAN = "#3a4250", "#dfe3ea", "#1b1f27", "#4cc9f0"
+# `_INK` stands in an SVG as ``currentColor``; `_PALE` is for what is written on `_DARK`.
+_INK, _PALE, _DARK, _CYAN = "#3a4250", "#c9d1de", "#1b1f27", "#4cc9f0"
 _BLUE, _ORANGE, _GREEN, _RED, _GREY = "#3b6fd4", "#e08a1e", "#2a9d74", "#c0504d", "#9aa5b8"
 _METHODS = ((_BLUE, "o"), (_ORANGE, "s"), (_GREEN, "D"), ("#a45cc0", "^"), (_RED, "v"), ("#7a8599", "P"))
 # Inches.
@@ -57,6 +61,11 @@ class Picture(NamedTuple):
     def address(self) -> str:
         """The picture as a ``data:`` address."""
         return f"data:{self.mime};base64,{base64.b64encode(self.data).decode('ascii')}"
+
+    @property
+    def svg(self) -> Markup:
+        """A chart as markup to stand in a page, empty for other pictures."""
+        return Markup(self.data.decode().replace(_INK, "currentColor") if self.mime == "image/svg+xml" else "")
 
 
 def count_chart(record: RunRecord) -> Picture:
@@ -212,16 +221,16 @@ def _colour(identity: int) -> str:
     return f"#{bytes(identity_colour(identity)).hex()}"
 
 
-def _axes(width: float, height: float, x_label: str, y_label: str) -> Axes:
+def _axes(width: float, height: float, x_label: str, y_label: str, ink: str = _INK) -> Axes:
     """Axes of ``width`` × ``height`` inches in the style of all charts: a light grid behind, no frame above and right."""
     axes: Axes = needed("matplotlib.figure").Figure(figsize=(width, height), layout="constrained").add_subplot()
-    axes.set_xlabel(x_label, fontsize=10, color=_INK)
-    axes.set_ylabel(y_label, fontsize=10, color=_INK)
-    axes.tick_params(labelsize=9, colors=_INK)
-    axes.grid(True, color=_GRID, linewidth=0.8)
+    axes.set_xlabel(x_label, fontsize=10, color=ink)
+    axes.set_ylabel(y_label, fontsize=10, color=ink)
+    axes.tick_params(labelsize=9, colors=ink)
+    axes.grid(True, color=ink, alpha=0.15, linewidth=0.8)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.spines[["left", "bottom"]].set_color(_INK)
+    axes.spines[["left", "bottom"]].set_color(ink)
     return axes
 
 
@@ -236,7 +245,7 @@ def _time_axes(times: F8, y_label: str, height: float) -> Axes:
 def _over_scene(info: SequenceInfo, image: Image, width: float, *, darkness: float) -> Axes:
     """Axes that are the frame in pixels, over the darkened grey photograph or a dark ground."""
     height = float(np.clip((width - 1.2) * info.height / info.width + 0.7, 1.8, 9.0))
-    axes = _axes(width, height, "x in pixels", "y in pixels")
+    axes = _axes(width, height, "x in pixels", "y in pixels", _PALE)
     axes.grid(False)
     axes.spines[:].set(visible=True, color="black")
     axes.set_facecolor(_DARK)
@@ -270,10 +279,10 @@ def _chart(axes: Axes, points: int = 0, bottom: float | None = None) -> Picture:
 
 
 def _saved(axes: Axes, mime: str = "image/jpeg", **look: Any) -> Picture:
-    """The figure as a file, JPEG on white if nothing else is said; its width and height are in CSS pixels."""
+    """The figure as a file, JPEG on a dark ground if nothing else is said; its width and height are in CSS pixels."""
     figure, buffer = axes.get_figure(root=True), io.BytesIO()
     assert figure is not None
-    figure.savefig(buffer, dpi=144, **(look or {"format": "jpg", "facecolor": "white", "pil_kwargs": {"quality": 87}}))
+    figure.savefig(buffer, dpi=144, **(look or {"format": "jpg", "facecolor": _DARK, "pil_kwargs": {"quality": 87}}))
     data, (wide, high) = buffer.getvalue(), (round(96 * float(inches)) for inches in figure.get_size_inches())
     # Of an SVG without its XML declaration.
     return Picture(mime, data[max(data.find(b"<svg"), 0) :], wide, high)
