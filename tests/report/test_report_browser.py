@@ -1,4 +1,4 @@
-"""Reports in a real browser: light and dark, on a desktop and on a phone."""
+"""Reports in a real browser: light and dark, on a desktop and on a phone, with many tracks and long tables."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import pytest
 from report_runs import run_record
 
 from phdtrack.report import report_html
+from phdtrack.report.pages import environment, render
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), "")
 pytestmark = pytest.mark.skipif(not CHROMIUM, reason="needs Chromium (Debian: apt-get install chromium)")
@@ -42,4 +43,33 @@ def test_charts_are_as_light_or_dark_as_the_page_and_can_be_read(browser, width:
         assert (ground > 250) if scheme == "light" else (ground < 50)
         # Axes and text.
         assert np.abs(seen.astype(int) - ground).max() > 150
+    page.close()
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_many_lifetimes_are_folded(browser, width: int) -> None:
+    for objects, folded in ((5, False), (200, True)):
+        page = opened(browser, report_html(run_record(20, objects), {}), width, "light")
+        bars = page.locator('[aria-label^="Bar chart"]')
+        assert bars.is_visible() != folded
+        assert page.evaluate("document.documentElement.scrollHeight") < 3000
+        if folded:
+            page.get_by_text("200 tracks").click()
+            assert bars.is_visible()
+        page.close()
+
+
+def test_a_long_table_shows_its_first_rows_and_the_others_at_a_click(browser) -> None:
+    rows = [(f"row {k}", "word " * 40) for k in range(40)]
+    table = "{% import 'macros.html' as m %}{% call m.section('Long') %}{{ m.table(('a', 'b'), rows) }}{% endcall %}"
+    base = str(render("base.html", title="t", source="", lead=""))
+    source = base.replace("</main>", environment().from_string(table).render(rows=rows) + "</main>")
+    page = opened(browser, source, 390, "dark")
+    shown = page.locator("tbody tr:visible")
+    assert shown.count() == 10
+    page.get_by_text("30 more rows").click()
+    assert shown.count() == 40
+    page.get_by_text("30 more rows").click()
+    page.emulate_media(media="print")
+    assert shown.count() == 40
     page.close()
