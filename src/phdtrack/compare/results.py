@@ -1,27 +1,23 @@
-"""The results of a comparison as text, as CSV for programs, and as a page with charts."""
+"""The results of a comparison as text, as CSV for programs, and as a page."""
 
 from __future__ import annotations
 
 import csv
 import io
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
-
-import numpy as np
 
 from phdtrack.compare.runs import Comparison
 from phdtrack.compare.statistics import OTHERS, SCORES, UNKNOWN, Row, leading, summary, values_of, widest
 from phdtrack.files import write_text
 from phdtrack.metrics.errors import SUMS
 from phdtrack.parallel import Failed
-from phdtrack.report.charts import Picture, score_chart
 from phdtrack.report.pages import flattened, lines, render, score_meanings
 from phdtrack.report.record import About
-from phdtrack.types import F8
 
 _SHOWN = ("MODA", "MOTA", "IDF1", "HOTA", "id_switches", "log_evidence", "ms")
 _COUNTS = "id_switches misses false_positives fragments false_tracks mostly_tracked mostly_lost tracks"
@@ -149,39 +145,12 @@ class Results:
             about=about,
             first=plan.methods[0].name,
             pooled=self.table(row for row in rows if row.cases > 1),
-            charts=list(self._charts()),
             each=self.table(row for row in rows if row.cases == 1),
             differences=self.table((row for row in rows if row.ahead), ahead=True),
             errors=self.errors(),
             settings=flattened(settings | more),
             seeds=len(plan.seeds),
         )
-
-    def _charts(self) -> Iterator[tuple[str, list[tuple[Picture, str]]]]:
-        """Titles, and charts of each score with captions."""
-        plan, top = self.comparison.plan, widest(self.rows)
-        if len(plan.rates) > 1:
-            rates, by_rate = sorted(plan.rates), {(row.filter, row.clutter): row for row in top}
-            over = ", pooled over everything" if top[0].cases > 1 else ""
-            rows = {method.name: [by_rate[method.name, rate] for rate in rates] for method in plan.methods}
-            yield f"By added clutter{over}", self._each(np.array(rates), "added clutter, boxes per frame", rows)
-        for rate in plan.rates:
-            single = [row for row in self.rows if row.clutter == rate and row.cases == 1]
-            rows = {method.name: [row for row in single if row.filter == method.name] for method in plan.methods}
-            places = [f"{case.sequence} {case.detections}" for case in plan.cases]
-            title = f"By sequence, {rate:g} added boxes per frame" if rate else "By sequence, as detected"
-            yield title, self._each(places, "", rows)
-
-    def _each(self, places: F8 | list[str], label: str, rows: Mapping[str, list[Row]]) -> list[tuple[Picture, str]]:
-        """A chart of each score, and its caption, which is its alternative text too; ``rows`` are each method's."""
-        out = []
-        for name in self.names:
-            each = {method: [row.scores.get(name, UNKNOWN) for row in own] for method, own in rows.items()}
-            methods = {method: np.array([(one.mean, one.half) for one in found]).T for method, found in each.items()}
-            _, lower, _ = score_meanings().get(name, "").partition("; lower is better")
-            caption = f"{_label(name)}, mean over the seeds with 95 % confidence intervals{lower}."
-            out.append((score_chart(places, label, _label(name), methods), caption))
-        return out
 
 
 def _label(name: str) -> str:

@@ -108,7 +108,11 @@ def widest(rows: Sequence[Row]) -> list[Row]:
 def leading(rows: Sequence[Row], name: str, *, lower: bool) -> list[Row]:
     """The row with the best mean of a score, and those that do not differ from it by more than chance; the best first.
 
-    ``lower``: whether less is better. Rows without the score are left out.
+    Parameters
+    ----------
+    rows : of one input; those without the score are left out.
+    name : of the score.
+    lower : whether less of it is better.
     """
     known = sorted((row for row in rows if name in row.scores), key=lambda row: row.scores[name].mean, reverse=not lower)
     return [row for row in known if row is known[0] or not row.differs(known[0], name)]
