@@ -222,7 +222,7 @@ def _over_scene(info: SequenceInfo, image: Image, *, darkness: float) -> Axes:
     height = float(np.clip((_WIDE - 1.2) * info.height / info.width + 0.7, 1.8, 9.0))
     axes = _axes(height, "x in pixels", "y in pixels", _PALE)
     axes.grid(False)
-    axes.spines[:].set(visible=True, color="black")
+    axes.spines[:].set(visible=True, color=_PALE)
     axes.set_facecolor(_DARK)
     if image.size:
         grey = (image @ np.array([0.114, 0.587, 0.299], np.float32) * (1 - darkness)).astype(np.uint8)
