@@ -118,6 +118,12 @@ def test_the_best_of_a_column_has_a_star_and_what_is_as_good_too(comparison: Com
         ("*0.500", "*1.0", "8.000"),
         ("0.400", "*1.0", "7.000"),
     ]
+    # One run's time is no measure, however often it stands for all seeds.
+    timed = [
+        Row("x", "det", 1, 0.0, name, scores={"ms": interval([ms])}, each=({"ms": ms},) * 3)
+        for name, ms in (("a", 1.0), ("b", 2.0))
+    ]
+    assert [line[4] for line in Results(comparison, timed, ("ms",)).table(timed).rows] == ["*1.00", "*2.00"]
     # Of random methods those are as good that the seeds do not tell apart; one alone is no best.
     many = [made_up("a", [0.50, 0.60, 0.40]), made_up("b", [0.51, 0.59, 0.41]), made_up("c", [0.49, 0.57, 0.39])]
     found = Results(comparison, (), ("MOTA",))

@@ -158,8 +158,8 @@ def finish(
     write_run(directory.file(DOCUMENT), document)
     out.warn(warnings)
     out.table(*found.table(found.rows), words=(0, 1, 3))
-    out.say("", "* The best on the same input, and what chance between the seeds does not tell apart from it.")
     if apart := [row for row in comparing.widest(found.rows) if row.ahead]:
+        out.say("", "* The best on the same input, and what chance does not tell apart from it.")
         out.say("", f"Difference to {comparison.plan.methods[0].name}, seed by seed:")
         out.table(*found.table(apart, ahead=True), words=(0, 1, 3))
     if (errors := found.errors()).rows:
