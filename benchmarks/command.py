@@ -12,7 +12,7 @@ memory is that of the whole process, read by the system, so this needs Linux or 
 from __future__ import annotations
 
 import json
-import os
+import subprocess
 import sys
 import tempfile
 import time
@@ -86,18 +86,24 @@ def plain(video: Path, out: str) -> dict[str, float]:
         return found | json.loads(Path(said.name).read_text())
 
 
+# Runs a command and tells the processor seconds and the peak of it alone: a process begins with the peak of the one that
+# started it, so that one has to be small.
+_MEASURED = """import json, resource, subprocess, sys
+status = subprocess.run(sys.argv[2:]).returncode
+used = resource.getrusage(resource.RUSAGE_CHILDREN)
+open(sys.argv[1], "w").write(json.dumps([status, used.ru_utime + used.ru_stime, used.ru_maxrss]))"""
+
+
 def _process(command: list[str], said: int | None = None) -> dict[str, float]:
     """Run it; its wall and processor time, and its peak."""
-    silent = os.open(os.devnull, os.O_WRONLY)
-    began = time.perf_counter()
-    child = os.posix_spawn(command[0], command, os.environ, file_actions=[(os.POSIX_SPAWN_DUP2, said or silent, 1)])
-    _, status, used = os.wait4(child, 0)
-    os.close(silent)
+    with tempfile.NamedTemporaryFile("r") as told:
+        began = time.perf_counter()
+        measured = [sys.executable, "-c", _MEASURED, told.name, *command]
+        subprocess.run(measured, stdout=subprocess.DEVNULL if said is None else said, check=True)
+        wall, (status, cpu, peak) = time.perf_counter() - began, json.load(told)
     if status:
-        raise RuntimeError(f"{' '.join(command)} ended with {os.waitstatus_to_exitcode(status)}")
-    unit = 2**20 if sys.platform == "darwin" else 2**10
-    cpu = used.ru_utime + used.ru_stime
-    return {"wall": time.perf_counter() - began, "cpu": cpu, "peak": used.ru_maxrss / unit}
+        raise RuntimeError(f"{' '.join(command)} ended with status {status}")
+    return {"wall": wall, "cpu": cpu, "peak": peak / (2**20 if sys.platform == "darwin" else 2**10)}
 
 
 class Sort:
@@ -195,7 +201,7 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
     """Both sides in turn, with and without video, at every size."""
     if not scale.others:
         raise Skipped("not in this scale")
-    if not hasattr(os, "wait4"):
+    if sys.platform == "win32":
         raise Skipped("this system does not tell the peak memory of a process that has ended")
     rows, entry = list[Row](), dict[str, Any]()
     for name, size in SIZES.items():

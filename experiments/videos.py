@@ -2,8 +2,9 @@
 
 PETS09-S2L1 with three detectors, TUD-Campus and CAVIAR's shop corridor with two, rendered scenes with leaves and light with
 the change detector; shipped defaults for all. And three videos whose truth is a mask of what moves, with whose scorer
-(`bench/score_masks.py` next to the real sequences) the boxes of the tracks are compared. The run directories are kept under
-runs/videos/, to be looked at. They are made anew each time, but for what was detected.
+(`bench/score_masks.py` next to the real sequences) the boxes of the tracks are compared. Last, what each part of the change
+detector is worth: the same without that part. The run directories are kept under runs/videos/, to be looked at. They are
+made anew each time, but for what was detected.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import json
 import re
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +21,13 @@ import numpy as np
 
 from experiments.common import ROOT, Options, in_parallel, need_data, table, write
 from phdtrack import config
+from phdtrack.detect import make_detector
+from phdtrack.detect.change import ChangeDetector
+from phdtrack.detect.registry import Rescaled, study, working_width
+from phdtrack.devices import Detector
 from phdtrack.formats import read_tracks
+from phdtrack.formats.write import DetectionsWriter
+from phdtrack.video import VideoSource, open_source
 
 FILTERS = ("none", "pmb")
 SCORES = ("MODA", "MODP", "MOTA", "MOTP", "IDF1", "HOTA")
@@ -52,6 +60,14 @@ VIDEOS = (
 MASKS = ("cdnet-highway", "cdnet-traffic-jitter")
 # In the first frames of this one nothing moves but a tree.
 TREE, EMPTY = "wallflower-WavingTrees", 242
+# Parts of the change detector that are left out in turn, and what the page calls them.
+PARTS = {
+    "file": "all that samples of the whole file teach: reference, modes, heights",
+    "modes": "modes: what was seen at a pixel, or near it, in other samples",
+    "heights": "heights of objects by place",
+    "join": "joining of fragments",
+    "split": "parting of what touches",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,11 +77,13 @@ class VideoRun:
     video: Video
     filter: str
     runs: Path
+    without: str = ""
 
     @property
     def found(self) -> Path:
         """What was detected on the video."""
-        return self.runs / f"{self.video.name}-{self.video.detector}"
+        without = f"-without-{self.without}" if self.without else ""
+        return self.runs / f"{self.video.name}-{self.video.detector}{without}"
 
     def path(self, name: str) -> str:
         """The video or its truth: a rendered one lies among the runs."""
@@ -77,15 +95,39 @@ def detect(job: VideoRun) -> None:
     video, out = job.video, job.found
     if video.name in RENDERED and not Path(job.path(video.source)).exists():
         _phdtrack("simulate", video.name, "--out", str(job.runs / video.name))
-    if not (out / "detections.csv").exists():
+    if (out / "detections.csv").exists():
+        return
+    if job.without:
+        out.mkdir(parents=True, exist_ok=True)
+        source = open_source(job.path(video.source))
+        detector = lacking(job.without, source)
+        with DetectionsWriter(out / "detections.csv") as writer:
+            for frame in source:
+                writer.append(frame.number, detector(frame))
+    else:
         _phdtrack("detect", job.path(video.source), "--detector", video.detector, "--out", str(out))
+
+
+def lacking(part: str, source: VideoSource) -> Detector:
+    """The change detector as `phdtrack track` has it for a file, without one of the `PARTS`."""
+    blobs = {part: 0.0} if part in ("join", "split") else {}
+    detector = make_detector("change", max_width=working_width("change", None, source.info), **blobs)
+    if part != "file":
+        study(detector, source, source.sample)
+    inner = detector.detector if isinstance(detector, Rescaled) else detector
+    assert isinstance(inner, ChangeDetector)
+    if part == "modes":
+        inner._past = inner._past._replace(samples=np.zeros((*inner._past.samples.shape[:3], 0), np.uint8))
+    elif part == "heights":
+        inner._usual = None
+    return detector
 
 
 def work(job: VideoRun) -> dict[str, object]:
     """One run of the command line on the video and its detections; its JSON."""
     video, filter_name, found = job.video, job.filter, job.found
-    given: tuple[str, ...] = ("--detections", str(found / "detections.csv"), "--truth", job.path(video.truth))
-    given = (*given, "--filter", filter_name)
+    given: tuple[str, ...] = ("--detections", str(found / "detections.csv"), "--filter", filter_name)
+    given = (*given, "--truth", job.path(video.truth)) if video.truth else given
     if filter_name != "none":
         # What `phdtrack track` sets for the detector; of a file it does not know what made it.
         chosen = config.for_detector(config.load(), video.detector).given
@@ -101,8 +143,26 @@ def work(job: VideoRun) -> dict[str, object]:
 def masked(job: tuple[str, Path]) -> list[object]:
     """A video with masks: found, false boxes a frame, tracks, and those of which most boxes are false; not known is "–"."""
     name, out = job[0], job[1] / job[0]
+    video = need_data() / "video" / name / f"{name}.mp4"
+    _phdtrack("track", str(video), "--no-video", "--out", str(out), "--overwrite", "--detect-again")
+    return _by_masks(name, out)
+
+
+def worth(job: VideoRun) -> str:
+    """Of the change detector, whole or without a part: MOTA, or share found and false boxes a frame."""
+    detect(job)
+    document = work(job)
+    if job.video.truth:
+        scores = document["scores"]
+        assert isinstance(scores, dict)
+        return f"{float(scores['MOTA']):.3f}"
+    _, found, false, *_ = _by_masks(job.video.name, job.found / job.filter)
+    return f"{false:.3f}" if job.video.name == TREE else f"{found:.3f}, {false:.3f}"
+
+
+def _by_masks(name: str, out: Path) -> list[object]:
+    """What a run directory is worth by the masks of its video, as `masked` has it."""
     folder = need_data() / "video" / name
-    _phdtrack("track", str(folder / f"{name}.mp4"), "--no-video", "--out", str(out), "--overwrite", "--detect-again")
     if name == TREE:
         rows = read_tracks(out / "tracks.csv")
         early = rows.take(rows.frame <= EMPTY)
@@ -138,7 +198,18 @@ def main(options: Options) -> Path:
     moving = table(
         ("video", "found", "false boxes a frame", "tracks", "false"), in_parallel(masked, masks, "masks", options)
     )
-    return write("videos", options, table=table(header, rows), masks=moving)
+    return write("videos", options, table=table(header, rows), masks=moving, parts=_parts(videos, options, runs))
+
+
+def _parts(videos: Sequence[Video], options: Options, runs: Path) -> str:
+    """The table of what the parts of the change detector are worth."""
+    seen = [video for video in videos if video.detector == "change"]
+    if not options.quick:
+        seen += [Video(name, f"video/{name}/{name}.mp4", "", "change") for name in (*MASKS, TREE)]
+    jobs = [VideoRun(video, "pmb", runs, part) for part in ("", *PARTS) for video in seen]
+    cells = in_parallel(worth, jobs, "parts", options)
+    rows = [[PARTS.get(part, "nothing"), *cells[k * len(seen) : (k + 1) * len(seen)]] for k, part in enumerate(("", *PARTS))]
+    return table(("without", *(video.name for video in seen)), rows)
 
 
 def _row(job: VideoRun, document: dict[str, object]) -> list[object]:

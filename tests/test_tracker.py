@@ -427,6 +427,7 @@ def test_to_warm_up_changes_nothing(made: dict[str, Any], scene: list[Detections
 
 LOADED = """
 import sys
+import numpy as np
 from numba.core import event
 from phdtrack import Tracker
 from tracker_cases import SIZE, street
@@ -438,6 +439,9 @@ if sys.argv[2] == "warm":
 with event.install_recorder("numba:compiler_lock") as taken:
     for found in frames:
         tracker.update(found)
+    # A camera that moves, and a crowd in one place: seldom, and hours after the beginning.
+    tracker.update(frames[0], warp=[[1, 0, -3], [0, 1, 2]])
+    tracker.update(np.repeat([[300.0, 100, 340, 200]], 500, axis=0))
     tracker.tracks()
 print(len(taken.buffer))
 """

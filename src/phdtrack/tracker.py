@@ -187,7 +187,7 @@ class Tracker:
         size = np.array(self.kinds.limits.frame_size if min(self.kinds.limits.frame_size) > 0 else (1920.0, 1080.0))
         # Side by side, so that some compete for detections, and through the lower half, where a camera sees the ground.
         start, step = np.linspace([0.2, 0.55], [0.7, 0.9], n), np.array([0.004, 0.001])
-        for k in range(1, 25):
+        for k in range(1, 26):
             seen = start[rng.random(n) < 0.8] if k % 8 else start[:0]
             corner = np.vstack([seen + k * step, rng.random((k % 3, 2))]) * size
             box = np.hstack([corner, corner + [0.03, 0.15] * size])
@@ -195,13 +195,13 @@ class Tracker:
             found = Detections.of(box, rng.uniform(0.3, 1.0, len(box)), label)
             with uninterrupted():
                 lanes.advance(found.take(self.kinds.taken(found)[0]), k, k / self.fps)
+        # A camera that moves; models on the ground take no warp.
+        with uninterrupted(), suppress(InputError):
+            lanes.advance(found, 26, 26 / self.fps, np.array([[1.0, 0.0, 4.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]))
         lanes.flush()
         lanes.finish()
         # More than may be in one place.
-        self.kinds.taken(found.take(np.repeat(np.arange(len(found)), self.kinds.limits.max_in_one_place + 1)))
-        # Models on the ground take no warp.
-        with uninterrupted(), suppress(InputError):
-            lanes.advance(found, 25, 25 / self.fps, np.eye(3))
+        self.kinds.taken(found.take(np.zeros(self.kinds.limits.max_in_one_place + 1, np.int64)))
 
     def _say_what_is_forgotten(self, time: float) -> None:
         """Once, where nobody has asked for it."""

@@ -75,6 +75,7 @@ def test_an_empty_file_has_no_rows(tmp_path: Path, content: str) -> None:
         ("frame,left,top,width,height\n1,2,3,4,5,6\n", 2, "expected 5 values as in the header, came 6"),
         ("frame,left,top,width,height,class\n1,2,3,4,5,1\n2,2,3,4,5,\n", 3, "number for the class (column 6), came nothing"),
         ("frame,left,top,width,height,class\n1,2,3,4,5,1.5\n", 2, "whole number for the class"),
+        ('frame,left,top,width,height,class\n1,2,3,4,5,car\n"\n', 3, "expected 6 values as in the header, came 0"),
     ],
 )
 def test_the_message_names_file_and_line(tmp_path: Path, content: str, line: int, words: str) -> None:

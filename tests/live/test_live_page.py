@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import sys
 import time
@@ -16,6 +15,7 @@ import pytest
 from camera_server import CameraServer, Scripted, until, walker
 from starlette.testclient import TestClient
 
+from browsers import CHROMIUM, FLAGS, needs_browser
 from phdtrack.config import build_kinds, load
 from phdtrack.detect import make_detector
 from phdtrack.live.engine import Camera, CameraSettings, Making
@@ -25,10 +25,6 @@ from phdtrack.live.zones import Place, read_places, write_places
 from phdtrack.types import Detections, SequenceInfo
 from phdtrack.video import open_source
 
-# Debian's and others' names of the same browser.
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), "")
-needs_browser = pytest.mark.skipif(not CHROMIUM, reason="needs Chromium (Debian: apt-get install chromium)")
-FLAGS = ("--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update", "--disable-sync")
 DOOR = Place('the "door"', ((80.0, 119.0), (80.0, 0.0)), closed=False)
 ROOM = Place("room", ((0.0, 0.0), (100.0, 0.0), (100.0, 119.0)), closed=True, anchor="centre", classes=("person",))
 

@@ -139,4 +139,6 @@ def test_a_motion_is_a_similarity_about_the_middle(rng):
     for motion in rng.normal(0, 8, (20, 4)):
         np.testing.assert_allclose(rule._motion(rule._warp(motion)), motion, atol=1e-9)
     assert len(rule._warp(np.zeros(4))) == 0
+    # What a damaged state says of the zoom is no overflow.
+    assert np.isfinite(rule._warp(np.array([0.0, 0.0, 1e7, 0.0]))).all()
     np.testing.assert_array_equal(rule._motion(np.zeros((0, 3))), 0)

@@ -325,6 +325,7 @@ class Camera:
                 f"{', '.join(names)} cannot change while it runs", where=path, cure="End it and start it again."
             )
         going_on = Tracker(stages=made.kinds, fps=made.info.fps, seed=made.seed)
+        going_on.warm_up()
         going_on.load_state_dict(tracker.state_dict())
         self._tracker, self._made = going_on, made._replace(detector=old.detector)
 
@@ -338,6 +339,7 @@ class Camera:
             self._made = self._make(SequenceInfo(width, height, round(max(status.fps, 1.0), 1), 0, self.name))
             info, kinds, groups = self._made.info, self._made.kinds, self._made.groups
             self._tracker, names = Tracker(stages=kinds, fps=info.fps, seed=self._made.seed), self.watched[0].names
+            self._tracker.warm_up()
             self._companies = None if groups is None else Companies(groups, kinds, self.log.highest("group") + 1)
             self._annotate = Annotator(info, names=names or None, blur=self.settings.blur)
             self.maps = Maps.of(width, height)

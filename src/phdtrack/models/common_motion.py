@@ -36,6 +36,8 @@ from phdtrack.types import F8, STILL, Detections, Estimates
 _PAIRS, _PAIRS_KEPT = 40.0, 500.0
 # Log-evidence of one frame for or against the given motion, at most, and frames after which it counts for 37 %.
 _MOST, _EVIDENCE_FRAMES = 10.0, 33.0
+# No camera zooms by more from one frame to the next (logarithm).
+_ZOOM = 4.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,7 +182,7 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
         if not motion.any():
             return STILL
         x, y, half = self._frame
-        zoom, turn = math.exp(motion[2] / half), motion[3] / half
+        zoom, turn = math.exp(min(max(motion[2] / half, -_ZOOM), _ZOOM)), motion[3] / half
         c, s = zoom * math.cos(turn), zoom * math.sin(turn)
         return np.array([[c, -s, x + motion[0] - c * x + s * y], [s, c, y + motion[1] - s * x - c * y], [0.0, 0.0, 1.0]])
 
