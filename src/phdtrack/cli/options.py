@@ -60,6 +60,9 @@ Config = Annotated[Path | None, option("FILE", "Settings in a TOML file; an unkn
 Sets = Annotated[list[str] | None, option("NAME=VALUE", "One setting, as sensor.box_noise=0.1; repeatable.", "--set")]
 _PRESETS = "Settings to start from: default, mot15, m07, m07-extended, m09, m09-mht, e13, …"
 Preset = Annotated[str, option("NAME", _PRESETS, autocompletion=listed(_PRESETS))]
+Frames = Annotated[
+    str, option("A-B", "Only these frames, as 1500-3000 or 1500-; numbers and times stay those of the whole.")
+]
 DetectionsFile = Annotated[Path | None, option("FILE", "Detections instead of a detector's; -: rows from standard input.")]
 OnError = Annotated[
     str,
@@ -69,6 +72,14 @@ OnError = Annotated[
         callback=lambda value: one_of(value, "skip", "stop"),
     ),
 ]
+
+
+def seconds(text: str | float) -> float:
+    """Seconds of a duration as 90, 90s, 10m or 1.5h. `typer.BadParameter` where it is none."""
+    match = re.fullmatch(r"(\d{1,9}(?:\.\d{1,9})?) ?([smh]?)", str(text).strip().lower())
+    if match is None:
+        raise typer.BadParameter(f"expected a duration as 90s, 10m or 1h, got {text!r}")
+    return float(match[1]) * 60.0 ** "smh".index(match[2] or "s")
 
 
 def size(text: str) -> int:
