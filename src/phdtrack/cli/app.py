@@ -36,7 +36,7 @@ COMMANDS = {
     "export": "Write the tracks of a run, or of a file, in the format of another tool.",
     "detect": "Detect objects in a video and write detections.csv, a MOTChallenge file.",
     "evaluate": "Score tracks against annotated objects.",
-    "compare": "Compare filters: one table, with confidence intervals over seeds, and plots.",
+    "compare": "Compare filters: one table, with confidence intervals over seeds.",
     "simulate": "Simulate a scene: truth, detections of it, and a video.",
     "label": "Mark false detections, missed objects and births on frames drawn at random: the page says how.",
     "learn": "Learn where people enter and where the detector is wrong, for `phdtrack track --scene`.",

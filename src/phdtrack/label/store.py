@@ -313,7 +313,7 @@ def _check(label: Label) -> None:
         problem = f"expected no place of a box that is marked {mark}, got {place}"
     elif mark == "false" and box >= DRAWN:
         problem = "expected a detection to be marked as false, got a box that was drawn"
-    elif place and not (all(abs(value) < _FAR for value in place) and place[2] > place[0] and place[3] > place[1]):
+    elif place and not (max(map(abs, place)) < _FAR and place[2] > place[0] and place[3] > place[1]):
         problem = f"expected left < right and top < bottom in pixels, got {place}"
     if problem:
         raise InputError(problem, where=f"frame {label.frame}")
