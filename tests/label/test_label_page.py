@@ -210,9 +210,7 @@ def test_boxes_are_drawn_and_moved_by_keyboard_also_while_the_server_is_away(bro
         process.kill()
         process.wait()
         press("n")
-        assert it.page.inner_text("#spoken").startswith(
-            "box 14 of 14, drawn, set by hand, from 260, 180 to 380, 300"
-        )
+        assert it.page.inner_text("#spoken").startswith("box 14 of 14, drawn, set by hand, from 260, 180 to 380, 300")
         for key in ("ArrowRight", "ArrowUp", "Shift+ArrowRight", "Shift+ArrowDown"):
             press(key)
         assert it.page.inner_text("#spoken").endswith("from 261, 179 to 382, 300")
