@@ -351,15 +351,15 @@ def test_the_queries_of_the_page_answer_right(tmp_path: Path, monkeypatch: pytes
 def test_a_ray_cluster_does_the_same_also_where_a_machine_dies(
     dies: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Three nodes, each a group of processes of its own with one CPU; videos long enough that all are busy at once."""
+    """Three nodes, groups of processes with one CPU each; 64 videos, six of them so long that all are busy at once."""
     pytest.importorskip("ray", reason="Ray is not installed (pip install 'phdtrack[ray]')")
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
     from ray.cluster_utils import Cluster
 
     clips, whole, out = tmp_path / "clips", tmp_path / "whole", tmp_path / "all"
     clips.mkdir()
-    for k in range(6):
-        clip(clips / f"clip{k}.mp4", k, 1200)
+    for k in range(64):
+        clip(clips / f"clip{k:02d}.mp4", k, 1200 if k < 6 else 30)
     assert phdtrack("batch", clips, "--out", whole, *OPTIONS).status == 0
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
     try:

@@ -119,6 +119,32 @@ def test_forty_frames_by_keyboard(it, store):
     it.page.wait_for_selector("#next-step", state="hidden")
 
 
+def test_a_phone_on_its_side_has_the_picture_beside_the_buttons(it):
+    it.frame(1)
+    it.page.set_viewport_size({"width": 844, "height": 390})
+    assert it.page.evaluate("document.documentElement.scrollWidth") <= 844
+    picture, button = (it.page.locator(name).bounding_box() for name in ("#canvas", "#done"))
+    assert picture["height"] > 250
+    assert button["x"] > picture["x"] + picture["width"] - 1
+
+
+def test_what_marks_many_boxes_is_said_and_keys_go_on_after_the_mouse(it, store):
+    it.frame(1)
+    for key in ("Tab", "Tab"):
+        it.page.keyboard.press(key)
+    it.page.click("#alike:enabled")
+    it.kept()
+    said = it.page.inner_text("#notice")
+    assert said == f"{len(store.labels())} boxes were marked as false; Z takes that back"
+    # The mouse has left the picture, and the keys are still for it.
+    it.page.keyboard.press("z")
+    it.kept()
+    assert "taken back" in it.page.inner_text("#notice")
+    it.page.keyboard.press("Enter")
+    it.kept()
+    assert (store.labels(), store.progress().done) == ([], 1)
+
+
 @pytest.mark.parametrize("width", [390, 800])
 def test_a_narrow_window_has_the_picture_above_the_buttons(it, width: int):
     it.frame(1)
