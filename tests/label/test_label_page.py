@@ -423,7 +423,7 @@ def test_suggestions_are_confirmed_in_one_sweep_and_taken_back_in_one(it, store)
     it.page.keyboard.press("z")
     it.page.wait_for_selector('#sweep-button:text-is("60 suggestions (S)")')
     assert store.labels() == []
-    assert it.page.inner_text("#notice") == ""
+    assert it.page.inner_text("#notice") == "taken back; Y does it again"
     it.page.keyboard.press("s")
     it.page.locator("#sweep h2 button").first.click()
     it.page.wait_for_selector('#sweep-confirm:text-is("mark 52 of 60 as false (Enter)")')
