@@ -100,6 +100,17 @@ def test_a_detector_runs_once(sequence):
     again = Started("street", "--frames", "5", cwd=sequence)
     _, _, err = again.leave()
     assert f"the detections are those of runs/{kept[0].name}" in err
+    # Another video of this name has others, and the marks are not of these.
+    other = sequence / "other" / "street"
+    other.mkdir(parents=True)
+    for path in (sequence / "street").iterdir():
+        cv2.imwrite(str(other / path.name), cv2.imread(str(path))[::-1])
+    done = subprocess.run(
+        [sys.executable, "-m", "phdtrack", "label", "other/street", "--frames", "5", "--no-browser"],
+        cwd=sequence, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "the labels are those of other detections" in done.stderr
 
 
 def test_what_comes_next_is_said_with_the_options_of_then(sequence, monkeypatch):

@@ -119,6 +119,32 @@ def test_forty_frames_by_keyboard(it, store):
     it.page.wait_for_selector("#next-step", state="hidden")
 
 
+def test_a_phone_on_its_side_has_the_picture_beside_the_buttons(it):
+    it.frame(1)
+    it.page.set_viewport_size({"width": 844, "height": 390})
+    assert it.page.evaluate("document.documentElement.scrollWidth") <= 844
+    picture, button = (it.page.locator(name).bounding_box() for name in ("#canvas", "#done"))
+    assert picture["height"] > 250
+    assert button["x"] > picture["x"] + picture["width"] - 1
+
+
+def test_what_marks_many_boxes_is_said_and_keys_go_on_after_the_mouse(it, store):
+    it.frame(1)
+    for key in ("Tab", "Tab"):
+        it.page.keyboard.press(key)
+    it.page.click("#alike:enabled")
+    it.kept()
+    said = it.page.inner_text("#notice")
+    assert said == f"{len(store.labels())} boxes were marked as false; Z takes that back"
+    # The mouse has left the picture, and the keys are still for it.
+    it.page.keyboard.press("z")
+    it.kept()
+    assert "taken back" in it.page.inner_text("#notice")
+    it.page.keyboard.press("Enter")
+    it.kept()
+    assert (store.labels(), store.progress().done) == ([], 1)
+
+
 @pytest.mark.parametrize("width", [390, 800])
 def test_a_narrow_window_has_the_picture_above_the_buttons(it, width: int):
     it.frame(1)
@@ -187,7 +213,7 @@ def test_missed_objects_are_drawn_and_boxes_moved(it, store):
     assert (moved.box, moved.mark) == (1, "true")
     assert moved.place == pytest.approx((180, 30, 300, 150), abs=1)
     it.page.mouse.move(*it.point(5, 5))
-    it.page.wait_for_selector('#tip:text-matches("120×120 · an object, its box drawn, by ")')
+    it.page.wait_for_selector('#tip:text-matches("120×120 · set by hand, by ")')
     # It can be false after all; a drawn box cannot be false and is taken away.
     press("1")
     for point in ((295, 145), (60, 180)):
@@ -210,9 +236,7 @@ def test_boxes_are_drawn_and_moved_by_keyboard_also_while_the_server_is_away(bro
         process.kill()
         process.wait()
         press("n")
-        assert it.page.inner_text("#spoken").startswith(
-            "box 14 of 14, drawn, an object, its box drawn, from 260, 180 to 380, 300"
-        )
+        assert it.page.inner_text("#spoken").startswith("box 14 of 14, drawn, set by hand, from 260, 180 to 380, 300")
         for key in ("ArrowRight", "ArrowUp", "Shift+ArrowRight", "Shift+ArrowDown"):
             press(key)
         assert it.page.inner_text("#spoken").endswith("from 261, 179 to 382, 300")
@@ -399,7 +423,7 @@ def test_suggestions_are_confirmed_in_one_sweep_and_taken_back_in_one(it, store)
     it.page.keyboard.press("z")
     it.page.wait_for_selector('#sweep-button:text-is("60 suggestions (S)")')
     assert store.labels() == []
-    assert it.page.inner_text("#notice") == ""
+    assert it.page.inner_text("#notice") == "taken back; Y does it again"
     it.page.keyboard.press("s")
     it.page.locator("#sweep h2 button").first.click()
     it.page.wait_for_selector('#sweep-confirm:text-is("mark 52 of 60 as false (Enter)")')

@@ -207,7 +207,7 @@ def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -
     if job.truth is not None:
         from phdtrack.metrics import evaluate
 
-        scores = evaluate(job.truth, tracks, frames=done.last)
+        scores = evaluate(job.truth, tracks, frames=done.last, first=job.inputs.source.first)
     if job.video:
         _draw(job, directory, done, tracks, advance)
     finished = time.perf_counter() - tracked

@@ -184,8 +184,8 @@ def to_label(source: SourceOptions, parameters: dict[str, Any], labels: Path, ou
 def _kept_detections(
     source: SourceOptions, parameters: dict[str, Any], labels: Path, inputs: Inputs, output: Output
 ) -> Path:
-    """The file of what the detector sees, by its name and settings; it appears when it is whole."""
-    more = [parameters, inputs.max_width, str(source.mask or ""), source.fps]
+    """The file of what the detector sees, by video, detector and settings; it appears when it is whole."""
+    more = [source_of(str(Path(source.source).resolve())), parameters, inputs.max_width, str(source.mask or ""), source.fps]
     name, _, network = source.looked_by.partition(":")
     more += [source_of(network)] if network else []
     digest = hashlib.sha256(json.dumps(more, sort_keys=True, default=str).encode()).hexdigest()[:8]

@@ -11,7 +11,7 @@ const $ = (id) => document.getElementById(id);
 const view = new View($("canvas"));
 const frames = new Map();
 const pictures = new Map();
-const MEANS = { false: "marked as false", birth: "marked as an object that enters", true: "an object, its box drawn" };
+const MEANS = { false: "marked as false", birth: "marked as an object that enters", true: "set by hand" };
 let overview = null;
 let here = 0;
 let alike = [];
@@ -138,7 +138,12 @@ function mark(marks) {
 
 function swept(marks) {
   mark(marks);
-  say(`${marks.length} ${marks.length === 1 ? "box was" : "boxes were"} marked as false; Z on this frame takes that back`);
+  told(marks, "on this frame ");
+}
+
+function told(marks, where = "") {
+  const [many, what] = [marks.length === 1 ? "box was" : "boxes were", marks[0].mark];
+  say(`${marks.length} ${many} marked as ${what === "none" ? "nothing" : what}; Z ${where}takes that back`);
 }
 
 // Why a mark cannot be made on the frame that is seen, or nothing.
@@ -178,7 +183,10 @@ async function undo(what) {
   const back = what === "undo" ? finished : -1;
   finished = -1;
   if (back >= 0 && back !== here) await go(back);
-  if (drawn()[what] > 0) queue.add(number(), what, { who });
+  if (drawn()[what] > 0) {
+    queue.add(number(), what, { who });
+    say(what === "undo" ? "taken back; Y does it again" : "done again");
+  }
 }
 
 async function choose(box) {
@@ -198,8 +206,11 @@ async function choose(box) {
 }
 
 function markAlike() {
-  if (alike.length) mark(alike.map(([n, box]) => ({ frame: n, box, mark: mode() })));
+  const marks = alike.map(([n, box]) => ({ frame: n, box, mark: mode() }));
   alike = [];
+  if (!marks.length) return;
+  mark(marks);
+  told(marks);
 }
 
 // --- the queue ------------------------------------------------------------------------------------------------------------
@@ -477,6 +488,10 @@ document.addEventListener("keydown", (event) => {
   if (!action || ((event.ctrlKey || event.metaKey) && key !== "z" && key !== "y")) return;
   event.preventDefault();
   action();
+});
+// Who has clicked on a button with a mouse goes on with the keys of the picture.
+document.addEventListener("click", (event) => {
+  if (event.detail > 0 && event.target.closest("#frames, #next, #previous, #undo, #redo, #hide, #alike")) $("canvas").focus();
 });
 // Who leaves the picture by Escape can go through the buttons with Tab.
 document.addEventListener("keydown", (event) => event.key === "Escape" && !event.defaultPrevented && $("previous").focus());
