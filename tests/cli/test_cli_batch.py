@@ -377,6 +377,14 @@ def test_a_ray_cluster_does_the_same_also_where_a_machine_dies(
 
 
 @pytest.mark.slow
+def test_that_kernels_are_compiled_is_said_at_once(two: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "phdtrack", "batch", str(two / "a/det.txt"), "--out", str(two / "all"), *OPTIONS]
+    kept = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    done = subprocess.run(command, env=kept, capture_output=True, text=True, check=True, timeout=600)
+    assert "phdtrack compiles its kernels" in done.stderr
+
+
+@pytest.mark.slow
 def test_without_a_cluster_the_command_that_starts_one_is_named(tmp_path: Path) -> None:
     pytest.importorskip("ray", reason="Ray is not installed (pip install 'phdtrack[ray]')")
     clip(tmp_path / "a.mp4", 1)

@@ -213,7 +213,7 @@ def test_missed_objects_are_drawn_and_boxes_moved(it, store):
     assert (moved.box, moved.mark) == (1, "true")
     assert moved.place == pytest.approx((180, 30, 300, 150), abs=1)
     it.page.mouse.move(*it.point(5, 5))
-    it.page.wait_for_selector('#tip:text-matches("120×120 · an object, its box drawn, by ")')
+    it.page.wait_for_selector('#tip:text-matches("120×120 · set by hand, by ")')
     # It can be false after all; a drawn box cannot be false and is taken away.
     press("1")
     for point in ((295, 145), (60, 180)):
@@ -236,9 +236,7 @@ def test_boxes_are_drawn_and_moved_by_keyboard_also_while_the_server_is_away(bro
         process.kill()
         process.wait()
         press("n")
-        assert it.page.inner_text("#spoken").startswith(
-            "box 14 of 14, drawn, an object, its box drawn, from 260, 180 to 380, 300"
-        )
+        assert it.page.inner_text("#spoken").startswith("box 14 of 14, drawn, set by hand, from 260, 180 to 380, 300")
         for key in ("ArrowRight", "ArrowUp", "Shift+ArrowRight", "Shift+ArrowDown"):
             press(key)
         assert it.page.inner_text("#spoken").endswith("from 261, 179 to 382, 300")
@@ -425,7 +423,7 @@ def test_suggestions_are_confirmed_in_one_sweep_and_taken_back_in_one(it, store)
     it.page.keyboard.press("z")
     it.page.wait_for_selector('#sweep-button:text-is("60 suggestions (S)")')
     assert store.labels() == []
-    assert it.page.inner_text("#notice") == ""
+    assert it.page.inner_text("#notice") == "taken back; Y does it again"
     it.page.keyboard.press("s")
     it.page.locator("#sweep h2 button").first.click()
     it.page.wait_for_selector('#sweep-confirm:text-is("mark 52 of 60 as false (Enter)")')

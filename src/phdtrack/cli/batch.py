@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import glob
 import json
+import logging
 import os
 import re
 import sys
@@ -133,8 +134,14 @@ class Video:
         words = ["track", *subject, self.source, "--out", str(self.folder), *self.options]
         # run.json says how to do the same by hand.
         sys.argv, said = ["phdtrack", *words], StringIO()
-        with redirect_stdout(said), redirect_stderr(said):
-            status = application("track")([*words, "--resume"], prog_name="phdtrack", standalone_mode=False)
+        # What keeps a first run waiting is said at once.
+        kernels, heard = logging.getLogger("phdtrack.kernels"), logging.StreamHandler(sys.stderr)
+        kernels.addHandler(heard)
+        try:
+            with redirect_stdout(said), redirect_stderr(said):
+                status = application("track")([*words, "--resume"], prog_name="phdtrack", standalone_mode=False)
+        finally:
+            kernels.removeHandler(heard)
         if status:
             last = said.getvalue().strip().rpartition("\n")[2]
             raise InputError(last.removeprefix("phdtrack: ") or f"ended with status {status}")

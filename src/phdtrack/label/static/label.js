@@ -11,7 +11,7 @@ const $ = (id) => document.getElementById(id);
 const view = new View($("canvas"));
 const frames = new Map();
 const pictures = new Map();
-const MEANS = { false: "marked as false", birth: "marked as an object that enters", true: "an object, its box drawn" };
+const MEANS = { false: "marked as false", birth: "marked as an object that enters", true: "set by hand" };
 let overview = null;
 let here = 0;
 let alike = [];
