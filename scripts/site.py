@@ -42,7 +42,7 @@ def on_page_markdown(text: str, page: Page, config: MkDocsConfig, files: Files, 
         words, target, _ = found.groups()
         path = (here / target).resolve()
         outside = "://" not in target and not path.is_relative_to(ROOT / "docs")
-        other = path.is_relative_to(ROOT / "docs") and path.exists() and path.suffix not in (".md", ".jpg", ".png")
+        other = path.is_relative_to(ROOT / "docs") and path.exists() and path.suffix not in (".md", ".jpg", ".png", ".ipynb")
         return words if outside or other or target == "CHANGELOG.md" else found[0]
 
     return LINK.sub(kept, text)
