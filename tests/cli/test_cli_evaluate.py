@@ -111,6 +111,9 @@ def test_what_does_not_count(truth: Path) -> None:
     found = phdtrack(*asked, labels, "--kitti", "Car").object
     # Boxes of up to 25 pixels are not looked at, and the walkers are higher.
     assert (found["misses"], found["false_positives"]) == (0, 0)
+    # The only type needs no name; of several one has to be named.
+    assert phdtrack(*asked, labels).object == found
+    labels.write_text("\n".join([*lines, "0 9 Van 0 0 0 1 1 60 60 1 1 1 0 0 0 0"]))
     assert "--kitti" in refused(*asked, labels)
 
 

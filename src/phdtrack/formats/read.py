@@ -158,11 +158,11 @@ def table_of(path: Path, kind: Kind, first_frame: int | None, kitti: str = "", l
     text = scan(path, content) if lines is None else lines
     if is_kitti(text):
         source = source._replace(first=0 if first_frame is None else first_frame)
-        if not kitti and kind is not Kind.TRUTH:
-            text = text if left_out is None else text.readable({}, left_out)
-            return replace(table_of_text(source, rows_of_all(text)), kitti=True)
-        text = rows_of_type(text, kitti)
-    elif kitti and kind is Kind.TRUTH:
+        if kitti or kind is Kind.TRUTH:
+            return replace(table_of_text(source, rows_of_type(text, kitti)), kitti=True)
+        text = text if left_out is None else text.readable({}, left_out)
+        return replace(table_of_text(source, rows_of_all(text)), kitti=True)
+    if kitti and kind is Kind.TRUTH:
         problem = f"expected a KITTI label file of 17 columns with types as {kitti}, came another table"
         raise InputError(problem, where=path, cure="Leave out --kitti, or in Python kitti.")
     return table_of_text(source, text)

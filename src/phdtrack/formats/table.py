@@ -102,7 +102,7 @@ class Table:
     triangle : (M, 10) upper triangle, by rows, of the covariance of (centre x, centre y, width, height) in pixels²; (M, 0)
         where the file has none.
     names : what the file calls the classes, by number; empty where they are numbers there.
-    kitti : whether it is a KITTI label file of all types.
+    kitti : whether it is a KITTI label file.
     """
 
     origin: Origin
@@ -122,7 +122,7 @@ class Table:
         """The rows ``index``."""
         origin = Origin(self.origin.path, self.origin.unit, self.origin.number[index])
         values = {column: value[index] for column, value in self.values.items()}
-        return Table(origin, self.first, values, self.triangle[index], self.names)
+        return Table(origin, self.first, values, self.triangle[index], self.names, self.kitti)
 
     def xyxy(self) -> F8:
         """(M, 4) the boxes, pixels."""

@@ -56,7 +56,7 @@ def read_truth(path: AnyPath, *, first_frame: int | None = None, kitti: str = ""
     ------
     InputError : the file is missing or malformed; the message names the line.
     """
-    return _truth_of(table_of(Path(path), Kind.TRUTH, first_frame, kitti), Path(path), kitti)
+    return _truth_of(table_of(Path(path), Kind.TRUTH, first_frame, kitti), Path(path))
 
 
 def read_truth_by_class(path: AnyPath) -> dict[str, Truth]:
@@ -76,12 +76,10 @@ def read_truth_by_class(path: AnyPath) -> dict[str, Truth]:
     table = table_of(path, Kind.TRUTH, None)
     label = table.get(Column.CLASS)
     enforce(table.origin, whole(label, "class"))
-    return {
-        table.names.get(int(one), f"{one:.0f}"): _truth_of(table.take(label == one), path, "") for one in np.unique(label)
-    }
+    return {table.names.get(int(one), f"{one:.0f}"): _truth_of(table.take(label == one), path) for one in np.unique(label)}
 
 
-def _truth_of(table: Table, path: Path, kitti: str) -> Truth:
+def _truth_of(table: Table, path: Path) -> Truth:
     """The truth in a table; `InputError` where a row cannot be one."""
     region = table.get(Column.REGION) != 0
     enforce(table.origin, *box_rules(table))
@@ -97,7 +95,7 @@ def _truth_of(table: Table, path: Path, kitti: str) -> Truth:
     frame, identity = identified(table, *rules)
     order = np.argsort(frame, kind="stable")
     order = order[(confidence[order] != 0) | (ignore[order] != 0)]
-    height = LEAST_HEIGHT if kitti else 0.0
+    height = LEAST_HEIGHT if table.kitti else 0.0
     return Truth(frame[order], identity[order], table.xyxy()[order], ignore[order] != 0, regions, height)
 
 
