@@ -191,27 +191,16 @@ def _sides(scene: Scene, xyxy: tuple[F8, F8], detections: DetectionTable | None,
     """The true and the output boxes, which are rows of ``xyxy``."""
     mapping = tracking_mapping(scene, iou)
     edges = np.searchsorted(mapping.position, np.arange(len(scene.pairs) + 1))
-    true, shown = [_NO_ROWS], [_NO_ROWS]
+    parts = [_NO_ROWS], [_NO_ROWS]
     for k, pair in enumerate(scene.pairs):
         now = slice(edges[k], edges[k + 1])
         seen = np.zeros((0, 4)) if detections is None else detections.at(pair.number).xyxy
-        detected: Bool = above(overlaps(xyxy[0][pair.truth_row], seen), iou).max(axis=1, initial=0.0) > 0
-        detected_shown: Bool = above(overlaps(xyxy[1][pair.output_row], seen), iou).max(axis=1, initial=0.0) > 0
-        mapped, mapped_shown = np.isin(pair.truth, mapping.truth[now]), np.isin(pair.output, mapping.output[now])
-        true.append(_rows(pair.number, pair.truth, mapped, detected, pair.iou, mapped_shown))
-        shown.append(_rows(pair.number, pair.output, mapped_shown, detected_shown, pair.iou.T, mapped))
-    return _joined(true), _joined(shown)
-
-
-def _joined(parts: list[_Rows]) -> _Rows:
-    """The rows of all frames."""
-    return _Rows(*map(np.concatenate, zip(*parts, strict=True)))
-
-
-def _rows(number: int, who: I8, mapped: Bool, detected: Bool, overlap: F8, others_mapped: Bool) -> _Rows:
-    """The boxes of one side in a frame; ``overlap`` (n, m) with those of the other, ``others_mapped`` (m,)."""
-    n = len(who)
-    if not overlap.size:
-        return _Rows(np.full(n, number), who, mapped, detected, np.zeros(n), np.zeros(n, np.bool_))
-    most = overlap.argmax(axis=1)
-    return _Rows(np.full(n, number), who, mapped, detected, overlap.max(axis=1), others_mapped[most])
+        mapped = np.isin(pair.truth, mapping.truth[now]), np.isin(pair.output, mapping.output[now])
+        sides = (pair.truth, pair.truth_row, pair.iou), (pair.output, pair.output_row, pair.iou.T)
+        for side, (who, row, overlap) in enumerate(sides):
+            detected: Bool = above(overlaps(xyxy[side][row], seen), iou).max(axis=1, initial=0.0) > 0
+            rival = mapped[1 - side][overlap.argmax(axis=1)] if overlap.size else np.zeros(len(who), np.bool_)
+            best = overlap.max(axis=1, initial=0.0)
+            parts[side].append(_Rows(np.full(len(who), pair.number), who, mapped[side], detected, best, rival))
+    true, shown = (_Rows(*map(np.concatenate, zip(*part, strict=True))) for part in parts)
+    return true, shown
