@@ -67,10 +67,10 @@ pytest: env
 test-slow: env $(CLUSTER)
 	$(PY) -m pytest -q -n auto --maxprocesses 4 --dist loadfile -m slow $(PYTEST_ARGS)
 
-# Ray is large, and has no wheels for some machines: where it cannot be installed its tests say so and are skipped.
+# Ray and Rerun are large, and have no wheels for some machines: where they cannot be installed their tests say so and are skipped.
 $(CLUSTER): tests/cluster-constraints.txt $(STAMP)
 	@$(PY) -m pip install --quiet --require-hashes --no-deps -r $< && touch $@ \
-		|| echo "Ray could not be installed: the tests of the cluster are skipped" >&2
+		|| echo "Ray and Rerun could not be installed: the tests of the cluster and of recordings are skipped" >&2
 
 demo: env
 	$(BIN)/phdtrack demo --out demo-run --overwrite

@@ -67,6 +67,7 @@ def costs(source: Path, long: Path, frames: int, folder: Path) -> list[tuple[str
     run(*batch, folder / "warm", many[0], "--", "--no-video")
     one = run(*batch, folder / "one", many[0], "--", "--no-video")
     all_of_them = run(*batch, folder / "many", *many, "--", "--no-video")
+    two = run("batch", "--jobs", 2, "--out", folder / "two", *many, "--", "--no-video")
     longer = run(*batch, folder / "long", long, "--", "--no-video")
     each, frame = (all_of_them.cpu - one.cpu) / (MANY - 1), (longer.cpu - one.cpu) / (frames - SHORT)
     rows = next((folder / "long" / "tracks").iterdir())
@@ -76,6 +77,7 @@ def costs(source: Path, long: Path, frames: int, folder: Path) -> list[tuple[str
         ("a frame, CPU ms", f"{1000 * frame:.1f}"),
         ("a video beside its frames, CPU s", f"{each - SHORT * frame:.2f}"),
         ("the command and its process, CPU s", f"{one.cpu - each:.1f}"),
+        ("work a CPU second of two processes, of that of one", f"{all_of_them.cpu / two.cpu:.2f}"),
         ("memory of the process, MiB", f"{longer.memory:.0f}"),
         ("rows a frame", f"{count / frames:.2f}"),
         ("a row of the data set, bytes", f"{rows.stat().st_size / count:.1f}"),
@@ -107,9 +109,9 @@ def main() -> None:
         short, long = sources(folder / "short", SHORT), sources(folder / "long", frames)
         for kind, one, other in zip(("video", "detections"), short, long, strict=True):
             for what, value in costs(one, other, frames, folder / kind):
-                print(f"{kind:12} {what:36} {value:>8}", flush=True)
+                print(f"{kind:12} {what:52} {value:>8}", flush=True)
         again = done(short[1], folder / "video" / "one", folder / "done")
-        print(f"{'':12} {'a video that is done, CPU ms':36} {again:8.2f}")
+        print(f"{'':12} {'a video that is done, CPU ms':52} {again:8.2f}")
 
 
 if __name__ == "__main__":

@@ -44,12 +44,13 @@ def on_page_markdown(text: str, page: Page, config: MkDocsConfig, files: Files, 
         words, target, _ = found.groups()
         path = (here / target).resolve()
         outside = "://" not in target and not path.is_relative_to(ROOT / "docs")
-        other = path.is_relative_to(ROOT / "docs") and path.exists() and path.suffix not in (".md", ".jpg", ".png")
+        other = path.is_relative_to(ROOT / "docs") and path.exists() and path.suffix not in (".md", ".jpg", ".png", ".ipynb")
         return words if outside or other or target == "CHANGELOG.md" else found[0]
 
     def typeset(found: re.Match[str]) -> str:
         # Browsers know no columnalign.
-        mathml = re.sub(r'columnalign="(\w+)"', r'style="text-align: \1; padding: 0.3em 0"', convert(found[1], display="block"))
+        mathml = convert(found[1], display="block")
+        mathml = re.sub(r'columnalign="(\w+)"', r'style="text-align: \1; padding: 0.3em 0"', mathml)
         return f'\n<div style="overflow-x: auto; overflow-y: hidden">{mathml}</div>\n'
 
     return EQUATION.sub(typeset, LINK.sub(kept, text))

@@ -44,6 +44,7 @@ EXTRAS = {
     "pyarrow": "phdtrack[parquet]",
     "paho": "phdtrack[mqtt]",
     "ray": "phdtrack[ray]",
+    "rerun": "phdtrack[rerun]",
 }
 """What installs the packages that `Tracker` does without, by the names of their modules."""
 

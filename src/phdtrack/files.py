@@ -11,7 +11,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -237,13 +237,15 @@ def read_json(path: Path, content: bytes) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Element:
-    """An element of an XML file: its name, its attributes, where it stands, and the elements around it, outermost first."""
+    """An element of an XML file: its name, its attributes, where it stands, and the elements around it, outermost first;
+    the parts of the text that it holds itself."""
 
     name: str
     attributes: Mapping[str, str]
     path: Path
     line: int
     around: tuple[Element, ...]
+    text: list[str] = field(default_factory=list)
 
     @property
     def where(self) -> str:
@@ -285,7 +287,12 @@ def read_xml(path: Path, content: bytes) -> list[Element]:
         cure = "Remove the <!DOCTYPE …> from the file."
         raise InputError(problem, where=f"{path}, line {parser.CurrentLineNumber}", cure=cure)
 
+    def read(text: str) -> None:
+        if not text.isspace():
+            open_[-1].text.append(text)
+
     parser.StartElementHandler = start
+    parser.CharacterDataHandler = read
     parser.EndElementHandler = lambda name: open_.pop()
     parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
     try:

@@ -83,8 +83,8 @@ def pictures(folder: Path) -> Iterator[tuple[str, Image]]:
             image = cv2.imdecode(np.frombuffer(one, np.uint8), cv2.IMREAD_COLOR)
             assert image is not None
             yield f"{path.name}, picture {k}", image
-        for other in (b"image/svg+xml;base64,",):
-            assert other not in data or b"<image" not in base64.b64decode(data.split(other)[1].split(b'"')[0])
+        # Charts hold no picture.
+        assert path.suffix != ".html" or b"<image" not in data
 
 
 def roughest(image: Image) -> float:

@@ -351,15 +351,15 @@ def test_the_queries_of_the_page_answer_right(tmp_path: Path, monkeypatch: pytes
 def test_a_ray_cluster_does_the_same_also_where_a_machine_dies(
     dies: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Three nodes, each a group of processes of its own with one CPU; videos long enough that all are busy at once."""
+    """Three nodes, groups of processes with one CPU each; 64 videos, six of them so long that all are busy at once."""
     pytest.importorskip("ray", reason="Ray is not installed (pip install 'phdtrack[ray]')")
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
     from ray.cluster_utils import Cluster
 
     clips, whole, out = tmp_path / "clips", tmp_path / "whole", tmp_path / "all"
     clips.mkdir()
-    for k in range(6):
-        clip(clips / f"clip{k}.mp4", k, 1200)
+    for k in range(64):
+        clip(clips / f"clip{k:02d}.mp4", k, 1200 if k < 6 else 30)
     assert phdtrack("batch", clips, "--out", whole, *OPTIONS).status == 0
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
     try:
@@ -374,6 +374,14 @@ def test_a_ray_cluster_does_the_same_also_where_a_machine_dies(
         same(out, whole)
     finally:
         cluster.shutdown()
+
+
+@pytest.mark.slow
+def test_that_kernels_are_compiled_is_said_at_once(two: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "phdtrack", "batch", str(two / "a/det.txt"), "--out", str(two / "all"), *OPTIONS]
+    kept = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    done = subprocess.run(command, env=kept, capture_output=True, text=True, check=True, timeout=600)
+    assert "phdtrack compiles its kernels" in done.stderr
 
 
 @pytest.mark.slow

@@ -62,10 +62,14 @@ def test_both_entry_points_are_the_same() -> None:
         ("phdtrack tra", ["track"]),
         ("phdtrack track --pres", ["--preset"]),
         ("phdtrack export --t", ["--to"]),
+        ("phdtrack export run --to c", ["csv", "coco", "cvat"]),
+        ("phdtrack track --filter gm", ["gm-phd", "gm-cphd"]),
+        ("phdtrack track --detector m", ["mean-background", "mog2"]),
+        ("phdtrack track --preset m0", ["m07", "m07-extended", "m09", "m09-mht"]),
         ("phdtrack x", []),
     ],
 )
-def test_a_shell_completes_commands_and_their_options(line: str, found: list[str]) -> None:
+def test_a_shell_completes_commands_their_options_and_names(line: str, found: list[str]) -> None:
     asked = {"_PHDTRACK_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))}
     done = run(sys.executable, "-m", "phdtrack", environment=asked)
     assert (done.returncode, done.stdout.split()) == (0, found)

@@ -100,6 +100,17 @@ def test_a_detector_runs_once(sequence):
     again = Started("street", "--frames", "5", cwd=sequence)
     _, _, err = again.leave()
     assert f"the detections are those of runs/{kept[0].name}" in err
+    # Another video of this name has others, and the marks are not of these.
+    other = sequence / "other" / "street"
+    other.mkdir(parents=True)
+    for path in (sequence / "street").iterdir():
+        cv2.imwrite(str(other / path.name), cv2.imread(str(path))[::-1])
+    done = subprocess.run(
+        [sys.executable, "-m", "phdtrack", "label", "other/street", "--frames", "5", "--no-browser"],
+        cwd=sequence, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "the labels are those of other detections" in done.stderr
 
 
 def test_what_comes_next_is_said_with_the_options_of_then(sequence, monkeypatch):
@@ -117,6 +128,37 @@ def test_what_comes_next_is_said_with_the_options_of_then(sequence, monkeypatch)
     done = phdtrack(*shlex.split(command)[1:])
     assert "the detections are those of my marks." in done.err
     assert "false alarms stay as shipped: " in done.out
+
+
+def test_marks_go_to_other_tools_and_come_back(sequence, monkeypatch):
+    monkeypatch.chdir(sequence)
+    given = ("label", "--detections", "det.txt", "--frame-size", "160x120", "--fps", "25")
+    missed = '<box label="person" xtl="1" ytl="1" xbr="9" ybr="19"/>'
+    boxes = '<image id="{0}">{1}<box label="person" xtl="{2}" ytl="50" xbr="{3}" ybr="80"/></image>'
+    images = "".join(boxes.format(k, missed * (k == 4), 11 + 4 * k, 31 + 4 * k) for k in range(40))
+    Path("theirs.xml").write_text(f"<annotations>{images}</annotations>")
+    done = phdtrack(*given, "--import", "theirs.xml", "--labeller", "eve", "--frames", "30", "--export", "marks.json")
+    assert done.status == 0, done.err
+    assert "taken: no false alarms, 30 objects with a detection, 1 without; no frames done" in done.out
+    assert "warning: 10 boxes left out: on frames that are not drawn, see --frames" in done.err
+    store = LabelStore(Path("runs/det.labels.sqlite"))
+    assert {label.who for label in store.labels()} == {"eve"}
+    # What is written goes on with the same frames elsewhere; it leaves those of the file as they are.
+    again = phdtrack(*given, "--labels", "other.sqlite", "--import", "marks.json")
+    assert (again.status, again.err) == (0, "")
+    assert LabelStore(Path("other.sqlite")).labels() == store.labels()
+    assert phdtrack(*given, "--labels", "other.sqlite", "--seed", "5", "--frames", "3", "--export", "m.xml").status == 0
+    assert LabelStore(Path("other.sqlite")).frames() == store.frames()
+    assert Path("m.xml").read_text().count("<box") == len(store.labels())
+    for options, words in (
+        (("--export", "marks.json"), "is there already"),
+        (("--export", "marks.txt"), "ends in .json, .xml or .csv"),
+        (("--export", "new.json", "--labels", "none.sqlite"), "no such file of labels"),
+        (("--import", "det.txt"), "det.txt: expected COCO (JSON) or CVAT (XML)"),
+    ):
+        done = phdtrack(*given, *options)
+        assert done.status == 2
+        assert words in done.err
 
 
 def test_labels_beside_the_video_are_gone_on_with(sequence):

@@ -95,11 +95,34 @@ def test_a_best_is_named_only_where_it_is_more_than_chance(comparison: Compariso
     assert " and a 0.500 ± " in said
     assert said.index("; c 0.483 ± ") > said.index("and a")
     assert said.endswith(", d 0.100.")
-    assert Results(still, (c, b), ()).sentences()[0].startswith("Without added clutter b has the highest MOTA, 0.503 ± ")
+    (said,) = Results(still, (c, b), ()).sentences()
+    assert said.startswith("Without added clutter the highest MOTA is that of b 0.503 ± ")
     e = made_up("e", [0.2, 0.2, 0.2], random=False)
-    assert Results(still, (d, e), ()).sentences() == ("Without added clutter e has the highest MOTA, 0.200; d 0.100.",)
+    assert Results(still, (d, e), ()).sentences() == ("Without added clutter the highest MOTA is that of e 0.200; d 0.100.",)
     # One seed tells nothing from chance.
     assert "not told apart" in Results(still, (made_up("f", [0.5]), made_up("g", [0.9])), ()).sentences()[0]
+
+
+def test_the_best_of_a_column_has_a_star_and_what_is_as_good_too(comparison: Comparison) -> None:
+    names = ("MOTA", "id_switches", "frames")
+    values = {"a": (0.5001, 3, 9), "b": (0.5004, 1, 8), "c": (0.4, 1, 7)}
+    scores = {method: dict(zip(names, map(float, each), strict=True)) for method, each in values.items()}
+    still = [
+        Row("x", "det", 1, 0.0, method, scores={name: interval([value]) for name, value in each.items()}, each=(each,))
+        for method, each in scores.items()
+    ]
+    table = Results(comparison, still, names).table(still)
+    # What differs by less than is shown is as good; of the number of frames none is better.
+    assert [line[4:] for line in table.rows] == [
+        ("*0.500", "3.0", "9.000"),
+        ("*0.500", "*1.0", "8.000"),
+        ("0.400", "*1.0", "7.000"),
+    ]
+    # Of random methods those are as good that the seeds do not tell apart; one alone is no best.
+    many = [made_up("a", [0.50, 0.60, 0.40]), made_up("b", [0.51, 0.59, 0.41]), made_up("c", [0.49, 0.57, 0.39])]
+    found = Results(comparison, (), ("MOTA",))
+    assert [line[4][:5] for line in found.table(many).rows] == ["*0.50", "*0.50", "0.483"]
+    assert found.table(many[:1]).rows[0][4].startswith("0.500")
 
 
 def test_intervals_are_those_of_a_printed_table() -> None:

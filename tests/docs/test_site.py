@@ -1,16 +1,16 @@
 """The site: every page is in it, and its figures are those of the results."""
 
 import re
-import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import sync_playwright
 
+from browsers import CHROMIUM, needs_browser
+
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), "")
 
 
 def test_every_page_is_in_the_navigation_and_every_entry_is_a_page():
@@ -64,7 +64,7 @@ def test_the_site_builds_and_needs_nothing_from_the_network(site: Path):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not CHROMIUM, reason="needs Chromium (Debian: apt-get install chromium)")
+@needs_browser
 def test_the_pages_are_searched_as_files(site: Path):
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])

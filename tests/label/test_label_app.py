@@ -10,7 +10,7 @@ from page_cases import FRAMES, SIZE, session
 from starlette.testclient import TestClient
 
 from phdtrack.errors import InputError
-from phdtrack.label import LabelStore
+from phdtrack.label import DRAWN, LabelStore
 from phdtrack.label.page import label_app
 from phdtrack.live.serving import COOKIE, POLICY, Guard, listen
 from phdtrack.types import Detections, DetectionTable
@@ -42,15 +42,22 @@ def test_frames_and_their_boxes(page):
 
 
 def test_marks_are_kept_undone_and_redone(page):
+    page.post("/api/frame/1/marks", json=marks(12) | {"who": "other"})
     answer = page.post("/api/frame/1/marks", json=marks(0, 12) | {"who": "me", "key": "k"}).json()
     assert answer["marks"] == {"0": "false", "12": "false"}
     assert answer["progress"]["false"] == 2
     assert (answer["undo"], answer["redo"]) == (1, 0)
-    answer = page.post("/api/frame/1/undo", json={}).json()
-    assert (answer["marks"], answer["undo"], answer["redo"]) == ({}, 0, 1)
-    assert page.post("/api/frame/1/redo", json={}).json()["progress"]["false"] == 2
+    # What somebody else did stays.
+    answer = page.post("/api/frame/1/undo", json={"who": "me"}).json()
+    assert (answer["marks"], answer["by"], answer["undo"], answer["redo"]) == ({"12": "false"}, {"12": "other"}, 0, 1)
+    assert page.get("/api/frame/1?who=other").json()["undo"] == 1
+    assert page.post("/api/frame/1/redo", json={"who": "me"}).json()["progress"]["false"] == 2
     assert page.post("/api/frame/1/done", json={"done": True}).json()["progress"]["done"] == 1
-    assert page.get("/api/labels.csv").text.split() == ["frame,box,mark", "1,0,false", "1,12,false"]
+    header, *rows = page.get("/api/labels.csv").text.split()
+    assert header == "frame,box,mark,left,top,right,bottom,labeller"
+    assert rows == ["1,0,false,20.0,20.0,140.0,140.0,me", "1,12,false,50.0,50.0,95.0,95.0,me"]
+    assert page.get("/api/labels.json").json()["annotations"][0]["attributes"]["labeller"] == "me"
+    assert page.get("/api/labels.xml").text.startswith("<?xml")
 
 
 def test_all_like_one_leaves_out_what_is_marked(page):
@@ -97,9 +104,11 @@ def test_a_map_of_marks_that_lie_anywhere_says_so_and_is_clear(tmp_path):
 @pytest.mark.parametrize(
     ("path", "sent", "words"),
     [
-        ("marks", marks(0, mark="perhaps"), "'false', 'birth' or 'none'"),
+        ("marks", marks(0, mark="perhaps"), "'false', 'birth', 'true' or 'none'"),
         ("marks", marks(13), "13 detections, and no number 13"),
         ("marks", marks(-1), "no number -1"),
+        ("marks", marks(0, mark="true"), "the place of box 0, got none"),
+        ("marks", {"marks": [{"frame": 1, "box": DRAWN, "mark": "true", "place": [3, 3, 3, 9]}]}, "left < right"),
         ("marks", marks(0, frame=77), "frame 77 is not one"),
         ("marks", {"marks": ["x"]}, "marks.0: "),
         ("marks", {"marks": []}, "a mark or more"),

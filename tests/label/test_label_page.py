@@ -5,8 +5,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from page_cases import CHROMIUM, FLAGS, FRAMES, SIZE, needs_browser, server
+from page_cases import FRAMES, SIZE, server
 
+from browsers import CHROMIUM, FLAGS, faults, needs_browser
 from phdtrack.label import Label, LabelStore
 
 pytestmark = needs_browser
@@ -118,6 +119,32 @@ def test_forty_frames_by_keyboard(it, store):
     it.page.wait_for_selector("#next-step", state="hidden")
 
 
+def test_a_phone_on_its_side_has_the_picture_beside_the_buttons(it):
+    it.frame(1)
+    it.page.set_viewport_size({"width": 844, "height": 390})
+    assert it.page.evaluate("document.documentElement.scrollWidth") <= 844
+    picture, button = (it.page.locator(name).bounding_box() for name in ("#canvas", "#done"))
+    assert picture["height"] > 250
+    assert button["x"] > picture["x"] + picture["width"] - 1
+
+
+def test_what_marks_many_boxes_is_said_and_keys_go_on_after_the_mouse(it, store):
+    it.frame(1)
+    for key in ("Tab", "Tab"):
+        it.page.keyboard.press(key)
+    it.page.click("#alike:enabled")
+    it.kept()
+    said = it.page.inner_text("#notice")
+    assert said == f"{len(store.labels())} boxes were marked as false; Z takes that back"
+    # The mouse has left the picture, and the keys are still for it.
+    it.page.keyboard.press("z")
+    it.kept()
+    assert "taken back" in it.page.inner_text("#notice")
+    it.page.keyboard.press("Enter")
+    it.kept()
+    assert (store.labels(), store.progress().done) == ([], 1)
+
+
 @pytest.mark.parametrize("width", [390, 800])
 def test_a_narrow_window_has_the_picture_above_the_buttons(it, width: int):
     it.frame(1)
@@ -127,6 +154,137 @@ def test_a_narrow_window_has_the_picture_above_the_buttons(it, width: int):
     assert picture["width"] == width
     assert picture["height"] > 300
     assert button["y"] > picture["y"] + picture["height"]
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(390, "dark"), (1280, "light")])
+def test_axe_finds_no_serious_fault(it, width: int, scheme: str):
+    it.page.set_viewport_size({"width": width, "height": 800})
+    it.page.emulate_media(color_scheme=scheme)
+    it.frame(1)
+    it.click(200, 60)
+    it.kept()
+    assert faults(it.page) == []
+    shown_by = (
+        ("w", "#wall"),
+        ("w", "#canvas"),
+        ("s", "#sweep"),
+        ("Escape", "#canvas"),
+        ("2", "#clip"),
+        ("n", "#rule-true"),
+    )
+    for key, shown in shown_by:
+        it.page.locator("#canvas").focus()
+        it.page.keyboard.press(key)
+        it.page.wait_for_selector(f"{shown}:visible")
+        assert faults(it.page) == [], shown
+
+
+def dragged(it, *corners):
+    it.page.mouse.move(*it.point(*corners[0]))
+    it.page.mouse.down()
+    for corner in corners[1:]:
+        it.page.mouse.move(*it.point(*corner), steps=4)
+    it.page.mouse.up()
+
+
+def test_missed_objects_are_drawn_and_boxes_moved(it, store):
+    press = it.page.keyboard.press
+    press("3")
+    dragged(it, (30, 160), (90, 200))
+    it.kept()
+    (drawn,) = store.labels()
+    assert (drawn.frame, drawn.mark) == (1, "true")
+    assert drawn.place == pytest.approx((30, 160, 90, 200), abs=0.7)
+    assert "1 drawn" in it.page.inner_text("#progress")
+    # What was drawn is chosen: its edge is dragged, and then all of it, which stays in the picture.
+    dragged(it, (90, 180), (100, 180))
+    dragged(it, (60, 180), (60, 600))
+    it.kept()
+    assert store.labels()[0].place == pytest.approx((30, 440, 100, 480), abs=1)
+    press("z")
+    it.page.wait_for_selector("#redo:enabled")
+    it.kept()
+    assert store.labels()[0].place == pytest.approx((30, 160, 100, 200), abs=1)
+    # A detection: a click chooses it.
+    it.click(200, 60)
+    dragged(it, (200, 60), (210, 70))
+    it.kept()
+    moved = store.labels()[0]
+    assert (moved.box, moved.mark) == (1, "true")
+    assert moved.place == pytest.approx((180, 30, 300, 150), abs=1)
+    it.page.mouse.move(*it.point(5, 5))
+    it.page.wait_for_selector('#tip:text-matches("120×120 · set by hand, by ")')
+    # It can be false after all; a drawn box cannot be false and is taken away.
+    press("1")
+    for point in ((295, 145), (60, 180)):
+        it.click(*point)
+    it.kept()
+    assert store.labels() == [Label(1, 1, "false")]
+    # Only on the drawn frame.
+    press("3")
+    press(".")
+    it.page.wait_for_selector('#when:text-is("frame 2 (+1)")')
+    dragged(it, (30, 160), (90, 200))
+    it.page.wait_for_selector('#notice:text-matches("on the drawn frame itself")')
+    assert store.labels() == [Label(1, 1, "false")]
+
+
+def test_boxes_are_drawn_and_moved_by_keyboard_also_while_the_server_is_away(browser, tmp_path):
+    labels = tmp_path / "labels.sqlite"
+    with server(labels) as (url, process), opened(browser, url) as it:
+        port, press = int(url.rsplit(":", 1)[1].strip("/")), it.page.keyboard.press
+        process.kill()
+        process.wait()
+        press("n")
+        assert it.page.inner_text("#spoken").startswith("box 14 of 14, drawn, set by hand, from 260, 180 to 380, 300")
+        for key in ("ArrowRight", "ArrowUp", "Shift+ArrowRight", "Shift+ArrowDown"):
+            press(key)
+        assert it.page.inner_text("#spoken").endswith("from 261, 179 to 382, 300")
+        press("Tab")
+        press("ArrowLeft")
+        it.page.wait_for_selector("#saving.waiting")
+        with server(labels, port=port):
+            it.kept()
+            store = LabelStore(labels)
+            first, drawn = store.labels()
+            assert (first.box, first.place) == (0, pytest.approx((19, 20, 139, 140)))
+            assert drawn.place == pytest.approx((261, 179, 382, 300), abs=0.5)
+            assert len(store.disputes()) == 0
+            it.page.keyboard.press("x")
+            it.kept()
+            assert [label.box for label in store.labels()] == [drawn.box]
+
+
+def test_labellers_are_told_apart_and_where_they_disagree_is_stepped_to(browser, tmp_path):
+    labels = tmp_path / "labels.sqlite"
+    with server(labels) as (url, _), opened(browser, url) as ann, opened(browser, url) as bob:
+        for page, name in ((ann, "ann"), (bob, "bob")):
+            page.page.fill("#who", name)
+            page.page.locator("#who").press("Tab")
+        ann.page.click("#frames li:nth-child(3) button")
+        ann.frame(3)
+        ann.click(200, 100)
+        ann.click(350, 100)
+        ann.kept()
+        # Keys typed as a name are no commands: nothing else was marked.
+        assert {label.box for label in LabelStore(labels).labels()} == {1, 2}
+        bob.page.click("#frames li:nth-child(3) button")
+        bob.frame(3)
+        bob.page.wait_for_selector("#undo:disabled")
+        bob.page.mouse.move(*bob.point(200, 100))
+        bob.page.wait_for_selector('#tip:text-matches("marked as false, by ann")')
+        bob.click(200, 100)
+        bob.page.wait_for_selector('#dispute:text-is("1 disagreement (D)")')
+        bob.page.click("#previous")
+        bob.frame(2)
+        bob.page.keyboard.press("d")
+        bob.frame(3)
+        bob.page.wait_for_selector('#notice:text-is("ann: false · bob: true")')
+        # The last mark counts; who agrees after all ends it.
+        assert LabelStore(labels).labels() == [Label(3, 2, "false")]
+        bob.page.keyboard.press("x")
+        bob.page.wait_for_selector("#dispute", state="hidden")
+        assert [label.who for label in LabelStore(labels).labels()] == ["bob", "ann"]
 
 
 def test_only_enter_finishes_a_frame_and_undo_takes_it_back(it, store):
@@ -265,7 +423,7 @@ def test_suggestions_are_confirmed_in_one_sweep_and_taken_back_in_one(it, store)
     it.page.keyboard.press("z")
     it.page.wait_for_selector('#sweep-button:text-is("60 suggestions (S)")')
     assert store.labels() == []
-    assert it.page.inner_text("#notice") == ""
+    assert it.page.inner_text("#notice") == "taken back; Y does it again"
     it.page.keyboard.press("s")
     it.page.locator("#sweep h2 button").first.click()
     it.page.wait_for_selector('#sweep-confirm:text-is("mark 52 of 60 as false (Enter)")')
@@ -389,7 +547,7 @@ def test_no_click_of_two_tabs_is_lost_when_the_server_is_killed(context, tmp_pat
         with server(labels, port=port), opened(context, url) as third:
             for page in (one, third):
                 page.kept()
-                page.page.wait_for_selector('#progress:text-matches(" 5 false")')
+            third.page.wait_for_selector('#progress:text-matches(" 5 false")')
             found = [(label.frame, label.box) for label in LabelStore(labels).labels()]
             assert found == [(1, 1), (1, 2), (1, 3), (1, 4), (2, 5)]
             assert one.page.evaluate("Object.keys(localStorage)") == ["phdtrack-who"]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from phdtrack.arrays import to_cxcywh
-from phdtrack.label import Label, LabelStore
+from phdtrack.label import DRAWN, Label, LabelStore
 from phdtrack.label.samples import Marks
 from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks
 
@@ -25,7 +25,8 @@ def table(*rows):
 def marked(path, births, drawn=(20,), done=True):
     """A file in which ``births`` (frame, box) are marked, on drawn frames that have been looked at."""
     store = LabelStore.open(path / "labels", "drawn", "digest", drawn)
-    store.mark(drawn[0], [Label(frame, box, "birth") for frame, box in births])
+    if births:
+        store.mark(drawn[0], [Label(frame, box, "birth") for frame, box in births])
     for number in drawn:
         store.finish(number, done)
     return store
@@ -71,6 +72,27 @@ def test_velocity_is_unknown_where_nothing_goes_on_from_the_box(tmp_path, others
     at = int(np.argmin(np.abs(to_cxcywh(seen.at(15).xyxy)[0] - 100)))
     state = Marks(marked(tmp_path, [(15, at)]), seen, INFO).birth_states(25)[:, 0]
     np.testing.assert_allclose(state, [100, 200, np.nan, np.nan, 30, 80], err_msg=why)
+
+
+def test_objects_are_where_they_were_drawn_or_moved_to(tmp_path):
+    """By hand: of three detections one is false and one is moved; one object was missed; on another frame nobody looked."""
+    seen = table((20, 100, 200, 30, 80), (20, 300, 200, 30, 80), (20, 500, 200, 30, 80), (60, 1, 2, 3, 4))
+    store = marked(tmp_path, [(20, 0)])
+    drawn, elsewhere = Label(20, DRAWN + 1, "true", (10.0, 20.0, 30.0, 60.0)), Label(60, DRAWN, "true", (0.0, 0.0, 9.0, 9.0))
+    store.mark(20, [Label(20, 1, "false"), Label(20, 2, "true", (490.0, 160.0, 520.0, 240.0)), drawn, elsewhere])
+    marks = Marks(store, seen, INFO)
+    expected = [[100, 505, 20], [200, 200, 40], [30, 30, 20], [80, 80, 40]]
+    np.testing.assert_allclose(marks.object_boxes, expected)
+    assert marks.missed == [drawn]
+    assert marks.false_boxes.shape == (4, 1)
+
+
+def test_a_drawn_box_that_enters_is_linked_to_the_detections_behind_it(tmp_path):
+    seen = table(*walk(16, 6, (106, 198), (6, -2)))
+    store = marked(tmp_path, [])
+    store.mark(20, [Label(15, DRAWN, "birth", (85.0, 160.0, 115.0, 240.0))])
+    states = Marks(store, seen, INFO).birth_states(50)
+    np.testing.assert_allclose(states, [[100], [200], [3], [-1], [30], [80]])
 
 
 def test_marks_count_only_where_births_were_looked_for(tmp_path):

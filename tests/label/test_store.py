@@ -7,7 +7,7 @@ from contextlib import closing
 import pytest
 
 from phdtrack.errors import InputError
-from phdtrack.label import Label, LabelStore
+from phdtrack.label import DRAWN, Label, LabelStore
 
 
 @pytest.fixture
@@ -87,7 +87,80 @@ def test_going_on_later_keeps_everything_adds_frames_and_refuses_other_detection
         LabelStore.open(tmp_path / "labels.sqlite", "street.mp4", "xyz", [1])
 
 
-@pytest.mark.parametrize("wrong", [[Label(10, 0, "maybe")], [Label(10, -1, "false")], []])
+PLACE = (1.0, 2.0, 30.0, 40.0)
+
+
+def test_drawn_and_moved_boxes_are_marks_as_others(store):
+    store.mark(10, [Label(10, DRAWN + 7, "true", PLACE), Label(10, 2, "true", PLACE)], who="ann")
+    store.mark(10, [Label(10, DRAWN + 7, "birth", PLACE)])
+    assert store.labels() == [Label(10, 2, "true", PLACE), Label(10, DRAWN + 7, "birth", PLACE)]
+    assert [label.who for label in store.labels()] == ["ann", ""]
+    assert (store.progress().drawn, store.progress().births) == (1, 1)
+    store.undo(10, who="ann")
+    store.undo(10, who="ann")
+    assert store.labels() == []
+    store.redo(10, who="ann")
+    store.mark(10, [Label(10, DRAWN + 7, "none")])
+    assert store.labels() == [Label(10, 2, "true", PLACE)]
+
+
+def test_people_undo_their_own_actions_and_those_of_nobody(store):
+    store.mark(10, false(10, 1), who="ann")
+    store.mark(10, false(10, 2), who="bob")
+    store.finish(10, who="bob")
+    assert (store.steps(10, "ann"), store.steps(10, "bob")) == ((1, 0), (2, 0))
+    store.undo(10, who="ann")
+    assert store.labels() == false(10, 2)
+    # What bob does next leaves ann's to be redone.
+    store.mark(10, false(10, 3), who="bob")
+    store.redo(10, who="ann")
+    assert store.labels() == false(10, 1, 2, 3)
+
+
+def test_where_people_disagree_each_is_named_with_the_last_mark(store):
+    store.mark(10, [*false(10, 1, 2), Label(10, 3, "true", PLACE), Label(10, DRAWN, "true", PLACE)], who="ann")
+    store.mark(10, [Label(10, 1, "none"), *false(10, 2), Label(10, 3, "none"), Label(10, DRAWN, "none")], who="bob")
+    assert store.disputes() == {(10, 1): {"ann": "false", "bob": "true"}, (10, DRAWN): {"ann": "true", "bob": "none"}}
+    assert store.progress().disputed == 2
+    # The last mark counts; an earlier one of the same person does not.
+    assert store.labels() == [*false(10, 2)]
+    store.mark(10, [Label(10, 1, "none")], who="ann")
+    assert list(store.disputes()) == [(10, DRAWN)]
+    store.undo(10, who="ann")
+    assert len(store.disputes()) == 2
+
+
+def test_a_file_of_an_earlier_version_is_gone_on_with(store, tmp_path):
+    store.mark(10, false(10, 1), who="ann")
+    with closing(sqlite3.connect(store.path)) as db, db:
+        db.executescript("DROP TABLE place; UPDATE about SET value = '1' WHERE name = 'format'")
+    again = LabelStore.open(tmp_path / "labels.sqlite", "street.mp4", "abc", [])
+    assert again.labels() == false(10, 1)
+    again.mark(10, [Label(10, DRAWN, "true", PLACE)])
+    # Earlier versions do not know what was drawn, and are told so by the number.
+    with closing(sqlite3.connect(store.path)) as db, db:
+        assert db.execute("SELECT value FROM about WHERE name = 'format'").fetchall() == [("2",)]
+        db.execute("UPDATE about SET value = '3' WHERE name = 'format'")
+    with pytest.raises(InputError, match="format 2, got '3'"):
+        LabelStore.open(tmp_path / "labels.sqlite", "street.mp4", "abc", [])
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        [Label(10, 0, "maybe")],
+        [Label(10, -1, "false")],
+        [],
+        [Label(10, 1, "true")],
+        [Label(10, DRAWN, "birth")],
+        [Label(10, DRAWN, "false")],
+        [Label(10, 1, "false", PLACE)],
+        [Label(10, 1, "true", (1.0, 2.0, float("nan"), 4.0))],
+        [Label(10, 1, "true", (1.0, 2.0, 1.0, 4.0))],
+        [Label(10, 1, "true", (-1e308, 2.0, 1e308, 4.0))],
+        [Label(10, 2**62, "true", PLACE)],
+    ],
+)
 def test_wrong_marks_change_nothing(store, wrong):
     with pytest.raises(InputError):
         store.mark(10, wrong)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import sys
 import time
@@ -16,6 +15,7 @@ import pytest
 from camera_server import CameraServer, Scripted, until, walker
 from starlette.testclient import TestClient
 
+from browsers import CHROMIUM, FLAGS, faults, needs_browser
 from phdtrack.config import build_kinds, load
 from phdtrack.detect import make_detector
 from phdtrack.live.engine import Camera, CameraSettings, Making
@@ -25,10 +25,6 @@ from phdtrack.live.zones import Place, read_places, write_places
 from phdtrack.types import Detections, SequenceInfo
 from phdtrack.video import open_source
 
-# Debian's and others' names of the same browser.
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), "")
-needs_browser = pytest.mark.skipif(not CHROMIUM, reason="needs Chromium (Debian: apt-get install chromium)")
-FLAGS = ("--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update", "--disable-sync")
 DOOR = Place('the "door"', ((80.0, 119.0), (80.0, 0.0)), closed=False)
 ROOM = Place("room", ((0.0, 0.0), (100.0, 0.0), (100.0, 119.0)), closed=True, anchor="centre", classes=("person",))
 
@@ -236,6 +232,7 @@ def test_in_a_browser(browser, address, server: CameraServer, width: int, height
     until(lambda: page.evaluate("Number(document.body.dataset.frame)") > number + 3)
     assert page.evaluate("document.documentElement.scrollWidth") == width
     assert page.locator('#state dt:text("boxes left out") + dd').text_content() == "none"
+    assert faults(page) == []
     assert (page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(18, 20, 23)") == (scheme == "dark")
     # Draw over the middle of the picture, where the square goes to and fro.
     corners = [(80, 110), (80, 20)] if kind == "line" else [(60, 20), (100, 20), (100, 110), (60, 110)]

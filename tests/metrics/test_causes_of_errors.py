@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from metric_cases import perfect, random_case, tracks_of, truth_of
 
 from phdtrack.metrics import evaluate, explain
-from phdtrack.metrics.errors import CAUSES, ENDS, FALSE, PLACES
+from phdtrack.metrics.errors import CAUSES, FALSE, PLACES
 from phdtrack.types import Detections, DetectionTable
 
 seeds = st.integers(0, 2**32 - 1)
@@ -125,27 +125,6 @@ def test_false_boxes_without_detections():
     truth = life(1, HERE, 1, 2) + life(2, FAR, 1)
     tracks = life(9, HERE, 1, 2) + life(8, FAR, 1) + life(8, LOOSE, 2) + life(9, FAR, 3)
     assert false(case(truth=truth, tracks=tracks)) == {"duplicate": 1, "ghost": 1}
-
-
-@pytest.mark.parametrize(
-    ("why", "truth", "tracks", "seen"),
-    [
-        ("never matched", life(1, HERE, 1), [], []),
-        ("object left the picture", life(1, HERE, 1, 2), life(9, HERE, 2, 3), []),
-        ("handed to another identity", life(1, HERE, 1, 2, 3) + life(2, FAR, 3), life(9, HERE, 1) + life(9, FAR, 3), []),
-        ("detector lost it", life(1, HERE, 1, 2, 3, 4), life(9, HERE, 1), [(1, HERE), (3, HERE)]),
-        ("ended while detected", life(1, HERE, 1, 2, 3, 4), life(9, HERE, 1), [(2, HERE), (3, HERE)]),
-        ("ended before its object", life(1, HERE, 1, 2), life(9, HERE, 1), None),
-    ],
-)
-def test_why_an_object_is_lost(why: str, truth, tracks, seen):
-    errors = case(truth=truth, tracks=tracks, seen=seen)
-    assert ENDS[errors.end[0]] == why
-
-
-def test_a_track_whose_object_has_another_track_later_was_handed_over():
-    errors = case(truth=life(1, HERE, 1, 2, 3), tracks=life(9, HERE, 1) + life(8, HERE, 2, 3), seen=[])
-    assert [ENDS[end] for end in errors.end_shown] == ["object left the picture", "handed to another identity"]
 
 
 def test_the_worst_come_first_and_those_without_errors_not_at_all():

@@ -14,7 +14,6 @@ from phdtrack.report.charts import (
     Picture,
     count_chart,
     lifetime_chart,
-    score_chart,
 )
 from phdtrack.types import Tracks
 
@@ -64,14 +63,3 @@ def test_matplotlib_is_left_as_it_was() -> None:
     before = list(dict.items(matplotlib.rcParams))
     report_html(run_record(5), {})
     assert list(dict.items(matplotlib.rcParams)) == before
-
-
-def test_charts_hold_with_gaps_and_with_one_rate() -> None:
-    both = {"a": np.array([[0.5, 0.4], [0.1, 0.1]]), "b": np.array([[np.nan, -0.4], [np.nan, np.nan]])}
-    for picture in (
-        score_chart(np.array([0.0, 10.0]), "clutter", "MOTA", both),
-        score_chart(["one", "another with a long name"], "", "MOTA", both),
-        score_chart([], "", "MOTA", {}),
-    ):
-        assert picture.mime == "image/svg+xml"
-        assert b"http://www.w3.org/2000/svg" in picture.data

@@ -1,9 +1,7 @@
-"""What is recorded of a run: numbers per frame, pictures, the chain of an MCMC filter."""
+"""What is recorded of a run: numbers per frame, pictures."""
 
 from __future__ import annotations
 
-import math
-import re
 import tracemalloc
 from dataclasses import replace
 
@@ -12,9 +10,8 @@ import pytest
 from report_runs import HIGH, WIDE, run_record, step, walkers
 
 from phdtrack.report import About, Recorder, sentences
-from phdtrack.report.pages import doubts, lines
-from phdtrack.report.record import LOW_EFFECTIVE, ChainSummary
-from phdtrack.types import ChainInfo, Frame, SequenceInfo, Tracks, Truth
+from phdtrack.report.pages import doubts
+from phdtrack.types import Frame, SequenceInfo, Tracks, Truth
 
 INFO = SequenceInfo(WIDE, HIGH, 10.0)
 NOTHING = np.zeros((0, 4))
@@ -70,34 +67,6 @@ def test_frames_that_compiled_are_no_measure_of_the_speed():
     assert record.frames_per_second == pytest.approx(200)
     assert "ran at 200.0 frames per second, not counting 2 frames of start-up." in " ".join(sentences(record))
     assert np.isnan(run_record(10, 3, about=About(left_out=10)).frames_per_second)
-
-
-def chain(*frames: tuple[list[int], list[int], float]) -> ChainSummary:
-    moves = ("step", "switch")
-    each = [ChainInfo(moves, np.array(made), np.array(kept), effective) for made, kept, effective in frames]
-    found = ChainSummary.of(each)
-    assert found is not None
-    return found
-
-
-def said(found: ChainSummary) -> tuple[str, ...]:
-    return lines("chain.txt", chain=found, least=LOW_EFFECTIVE)
-
-
-def test_a_chain_is_described_by_means_over_the_frames_with_proposals_and_targets() -> None:
-    found = chain(([100, 50], [30, 5], 40.0), ([200, 0], [20, 0], math.nan), ([10, 10], [5, 3], 10.0))
-    assert found.acceptance == pytest.approx({"step": (0.3 + 0.1 + 0.5) / 3, "switch": (0.1 + 0.3) / 2})
-    assert (found.effective, found.low) == (25.0, 0.5)
-    (sentence,) = said(found)
-    assert "step 30 %, switch 20 %" in sentence
-    assert "25 independent" in sentence
-    low, high = ([9, 9], [1, 0], LOW_EFFECTIVE / 2), ([9, 9], [1, 0], 2 * LOW_EFFECTIVE)
-    _, warning = said(chain(low, low, high))
-    assert re.search("in 67 % of the frames .* fewer than 20 ", warning)
-    (none,) = said(chain(([0, 0], [0, 0], math.nan)))
-    assert "none" in none
-    assert "independent" not in none
-    assert ChainSummary.of([]) is None
 
 
 def test_tracks_that_look_wrong_are_doubted_with_what_helps() -> None:

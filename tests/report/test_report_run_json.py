@@ -16,7 +16,7 @@ from phdtrack.types import SequenceInfo, Tracks
 
 KEYS = """
 command title summary versions seed started seconds source frames frames_per_second stages tracks track_rows predicted_rows
-detections expected_false_alarms expected_count_mean scores warnings notes configuration frames_left_out chain
+detections expected_false_alarms expected_count_mean scores warnings notes configuration frames_left_out
 log_evidence_mean log_evidence
 """
 

@@ -73,3 +73,10 @@ def test_bad_images_are_named(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="no image"):
         open_source(tmp_path / "empty")
+
+
+def test_some_frames_are_chosen_by_number(tmp_path: Path) -> None:
+    for k in (1, 2, 4, 5, 7):
+        cv2.imwrite(str(tmp_path / f"{k:03d}.png"), np.full((8, 8, 3), k, np.uint8))
+    found = list(open_source(tmp_path, fps=10, first=3, last=5))
+    assert [(frame.number, frame.time, int(frame.image[0, 0, 0])) for frame in found] == [(4, 0.3, 4), (5, 0.4, 5)]

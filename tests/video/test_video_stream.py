@@ -1,8 +1,11 @@
 """Video files: numbers, times, orientation, damage."""
 
 import re
+from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 from video_clips import encode, picture
@@ -142,3 +145,51 @@ def test_small_pictures_are_made_of_what_was_decoded(clip: Path, tmp_path: Path,
     assert (planes is None) if turned else (planes.shape == (high * 3 // 2, wide))
     assert len(list(source)) == 30
     assert 0.5 < source.share <= 1
+
+
+def coded(path: Path, count: int = 90, *, jump: bool = False) -> Path:
+    """H.264 with pictures between others that they are decoded from, a key every 12, and intervals that vary; with a
+    ``jump`` its stamps begin anew in the middle, as where recordings are joined."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(
+            "libx264", rate=25, options={"g": "12", "bf": "3", "x264-params": "keyint=12:open-gop=1"}
+        )
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        stream.codec_context.time_base = Fraction(1, 1000)
+        moment = 400
+        for k in range(count):
+            frame = av.VideoFrame.from_ndarray(picture(k), format="bgr24")
+            moment += (40, 40, 80)[k % 3]
+            frame.pts, frame.time_base = moment, Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    if jump:
+        path.write_bytes(path.read_bytes() * 2)
+    return path
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.ts", "a.h264", "jump.ts"])
+@pytest.mark.parametrize("given", [0.0, 10.0])
+def test_some_frames_of_a_file_are_those_of_the_whole(name: str, given: float, tmp_path: Path) -> None:
+    """Whether it can jump to them (mp4, mkv), or not (a stream without stamps, or with stamps that begin anew)."""
+    path = coded(tmp_path / name, jump=name == "jump.ts")
+    whole = list(open_source(path, fps=given))
+    for first, last in ((1, 5), (2, 2), (12, 14), (47, 60), (len(whole) - 1, 0)):
+        found = list(open_source(path, fps=given, first=first, last=last))
+        wanted = whole[first - 1 : last or None]
+        assert [frame.number for frame in found] == [frame.number for frame in wanted]
+        np.testing.assert_allclose([frame.time for frame in found], [frame.time for frame in wanted], atol=1e-9)
+        assert all(np.array_equal(a.image, b.image) for a, b in zip(found, wanted, strict=True))
+    late = open_source(path, fps=given, first=len(whole) + 5)
+    assert not list(late)
+    assert late.problem == f"there is no frame {len(whole) + 5}: the last one is {len(whole)}"
+    # The scene is learned from the whole file, whatever is tracked.
+    assert next(iter(replace(open_source(path, first=40), first=1))).number == 1
+
+
+def test_it_is_jumped_to_frames_in_a_file_that_can(tmp_path: Path) -> None:
+    source = open_source(coded(tmp_path / "a.mkv", 400), first=350, last=360)
+    read = source.read
+    numbers = [number for number, *_ in read(source)]
+    assert numbers[0] == 350
+    assert len(list(source)) == 11

@@ -32,7 +32,7 @@ from phdtrack.report.pages import lines
 
 DOCUMENT, CELLS, EACH = "compare.json", "compare.csv", "runs.csv"
 FILES = {
-    rundir.REPORT: "tables and plots",
+    rundir.REPORT: "the tables, as a page",
     CELLS: "every score with its interval, a row for each line of the table",
     EACH: "every run, and the folder it is kept in",
     DOCUMENT: "",
@@ -96,7 +96,7 @@ def compare(
     jobs: Annotated[int, option("N", "Processes; 0: one per core.", min=0)] = 0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Run everything anew, also what is kept already.")] = False,
 ) -> None:
-    """Compare filters: one table, with confidence intervals over seeds, and plots.
+    """Compare filters: one table, with confidence intervals over seeds.
 
     Every run is kept. The same command again takes up what is there, after Ctrl-C too, and runs only what is missing or
     what is decided by something that has changed: a setting, a file, phdtrack itself. What --scene has taught holds for
@@ -158,6 +158,7 @@ def finish(
     write_run(directory.file(DOCUMENT), document)
     out.warn(warnings)
     out.table(*found.table(found.rows), words=(0, 1, 3))
+    out.say("", "* The best on the same input, and what chance between the seeds does not tell apart from it.")
     if apart := [row for row in comparing.widest(found.rows) if row.ahead]:
         out.say("", f"Difference to {comparison.plan.methods[0].name}, seed by seed:")
         out.table(*found.table(apart, ahead=True), words=(0, 1, 3))

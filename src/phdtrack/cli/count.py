@@ -29,7 +29,7 @@ from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.cli.settings import chosen, scene_settings
 from phdtrack.cli.track import finish, prepare
 from phdtrack.errors import InputError, shown
-from phdtrack.files import read_toml, whole
+from phdtrack.files import read_toml, whole, write_text
 from phdtrack.formats.write import Lines
 from phdtrack.live.events import Event, Tally, Watch, place_events, tallies
 from phdtrack.live.zones import Place, places_of
@@ -40,7 +40,8 @@ from phdtrack.report.pages import render
 from phdtrack.types import Detections, Image, SequenceInfo, Step, Tracks
 from phdtrack.video import VideoSource, VideoWriter, open_source
 
-_FILES = {name: rundir.RUN_FILES[name] for name in (rundir.COUNTS, rundir.COUNTS_PICTURE, rundir.COUNTS_VIDEO)}
+_NAMES = rundir.COUNTS, rundir.COUNTS_PICTURE, rundir.COUNTS_VIDEO, rundir.COUNTS_PAGE
+_FILES = {name: rundir.RUN_FILES[name] for name in _NAMES}
 _HEAD = ("place", "class", "in", "out", "inside", "most", "mean", "seconds", "longest")
 _HEADER = "time,frame,kind,place,direction,identity,class,seconds,occupancy,x,y"
 _ROW = "%.3f,%d,%s,%s,%s,%d,%s,%s,%s,%.1f,%.1f"
@@ -99,7 +100,8 @@ def count(
     finish(output, job, out, overwrite, resume=resume)
     if observer.directory is not None:
         observer.tell(output)
-        observer.film(output, asked.video)
+        if observer.film(output, asked.video):
+            output.say(f"  {observer.directory.file(rundir.COUNTS_VIDEO)}  {_FILES[rundir.COUNTS_VIDEO]}")
 
 
 def _count_known(
@@ -140,13 +142,17 @@ def _count_known(
         file.unlink()
     observer = CountObserver(replace(watch, names=found.names), info, video, asked.blur)
     observer.finish(directory, found.tracks)
-    output.say(f"{counted(len(np.unique(found.tracks.identity)), 'track')} in {counted(info.frames, 'frame')}: {path}", "")
+    report, lead = observer.report(), f"{counted(len(np.unique(found.tracks.identity)), 'track')} in "
+    lead += counted(info.frames, "frame")
+    page = render("counts_page.html", title="Counts", source=str(path), lead=f"{lead}.", section=report.section)
+    write_text(directory.file(rundir.COUNTS_PAGE), page)
+    output.say(f"{lead}: {path}", "")
     observer.tell(output)
     observer.film(output, asked.video)
     output.say("", *directory.listing())
     files = {file.name: str(file) for file in directory.written()}
     about = {"tracks": str(path), "source": shown(address), "frames": info.frames, "fps": fps, "directory": str(at)}
-    output.document({**about, "files": files, **observer.report().document})
+    output.document({**about, "files": files, **report.document})
 
 
 class CountObserver(RunObserver):
@@ -205,13 +211,13 @@ class CountObserver(RunObserver):
         """The figures as people read them."""
         return [[*one[:2], *(number(value, 1) for value in one[2:])] for one in self._tallies]
 
-    def film(self, output: Output, wanted: bool) -> None:
-        """Write the video with running counts, where it is wanted and there are pictures."""
+    def film(self, output: Output, wanted: bool) -> bool:
+        """Write the video with running counts, where it is wanted and there are pictures; whether it was."""
         if not wanted or self.directory is None:
-            return
+            return False
         if self._video is None:
             output.warn(["there are no pictures, and so no video: name it, as phdtrack count VIDEO --tracks FILE"])
-            return
+            return False
         info, done, names = self._info, 0, self._watch.names or None
         annotate, path = Annotator(info, names=names, blur=self._blur), self.directory.file(rundir.COUNTS_VIDEO)
         with VideoWriter(path, info.width, info.height, info.fps, fast=True) as video, progress("drawing", self._last) as go:
@@ -224,7 +230,7 @@ class CountObserver(RunObserver):
                 image = annotate(frame.image, frame.number, rows, Detections.empty())
                 video.write(drawn(image, self._watch.places, self._events[:done]))
                 go(frame.number)
-        output.say(f"  {path}  {_FILES[rundir.COUNTS_VIDEO]}")
+        return True
 
     def _cells(self, event: Event) -> tuple[Any, ...]:
         """The columns of an event."""

@@ -25,7 +25,7 @@ from phdtrack.formats import (
 )
 from phdtrack.metrics import Errors, Scores, explain, rmse_per_target, tgospa_boxes
 from phdtrack.metrics import evaluate as score
-from phdtrack.metrics.errors import ENDS, FALSE, PLACES
+from phdtrack.metrics.errors import FALSE, PLACES
 from phdtrack.report.pages import score_meanings
 from phdtrack.types import I8, Tracks, Truth
 
@@ -141,24 +141,21 @@ def error_tables(out: Output, errors: Errors, worst: int) -> None:
     false = errors.false.sum(axis=0)
     out.say("", f"False boxes by cause (ignored, counted as nothing: {errors.ignored}):")
     out.table([*FALSE, "all"], [[*map(str, false.tolist()), str(false.sum())]], words=())
-    if len(chosen := errors.worst_objects(worst)):
-        out.say("", "Objects with most misses, and why each was mapped no more after the last frame in which it was:")
-        by_cause, places = errors.misses.sum(axis=2)[:, : len(errors.causes)], errors.misses.sum(axis=1)
-        columns = errors.objects, errors.boxes, places.sum(axis=1), *by_cause.T, *places.T, errors.last
-        head = ["object", "boxes", "misses", *errors.causes, *PLACES, "last", "why"]
-        out.table(head, _named(columns, errors.end, chosen), words=(0, len(head) - 1))
-    if len(chosen := errors.worst_tracks(worst)):
-        out.say(
-            "", "Tracks with most false boxes, and why each was on its object no more after the last frame in which it was:"
-        )
-        columns = errors.tracks, errors.shown, errors.false.sum(axis=1), *errors.false.T, errors.last_shown
-        head = ["track", "boxes", "false", *FALSE, "last", "why"]
-        out.table(head, _named(columns, errors.end_shown, chosen), words=(0, len(head) - 1))
+    by_cause, places = errors.misses.sum(axis=2)[:, : len(errors.causes)], errors.misses.sum(axis=1)
+    objects = [errors.objects, errors.boxes, places.sum(axis=1), *by_cause.T, *places.T, errors.last]
+    tracks = [errors.tracks, errors.shown, errors.false.sum(axis=1), *errors.false.T, errors.last_shown]
+    head = ["object", "boxes", "misses", *errors.causes, *PLACES, "last"]
+    title = "Objects with most misses, and the last frame in which each was followed:"
+    _table_of(out, title, head, objects, errors.worst_objects(worst))
+    title = "Tracks with most false boxes, and the last frame in which each followed an object:"
+    _table_of(out, title, ["track", "boxes", "false", *FALSE, "last"], tracks, errors.worst_tracks(worst))
 
 
-def _named(columns: Sequence[I8], end: I8, chosen: I8) -> list[list[str]]:
-    """The rows ``chosen`` of the columns, and why each ended."""
-    return [[*(str(column[i]) for column in columns), ENDS[end[i]]] for i in chosen.tolist()]
+def _table_of(out: Output, title: str, head: Sequence[str], columns: Sequence[I8], chosen: I8) -> None:
+    """The rows ``chosen`` of the columns, where there are any."""
+    if len(chosen):
+        out.say("", title)
+        out.table(head, [[str(column[i]) for column in columns] for i in chosen.tolist()])
 
 
 def located_errors(out: Output, truth: Truth, tracks: Tracks, gate: float) -> object:

@@ -12,7 +12,7 @@ import typer
 from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.inputs import frame_size
-from phdtrack.cli.options import one_of, option
+from phdtrack.cli.options import listed, one_of, option
 from phdtrack.cli.output import Output, counted
 from phdtrack.errors import InputError
 from phdtrack.formats import EXPORTS, export_tracks
@@ -23,7 +23,7 @@ _TO = f"Format: {', '.join(EXPORTS)}."
 def export(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="The directory of a run, or a file of tracks.")],
     output: Output,
-    to: Annotated[str, option("FORMAT", _TO, callback=lambda value: one_of(value, *EXPORTS))],
+    to: Annotated[str, option("FORMAT", _TO, callback=lambda value: one_of(value, *EXPORTS), autocompletion=listed(_TO))],
     out: Annotated[Path | None, option("FILE", "File to write; default: beside the tracks.")] = None,
     overwrite: given.Overwrite = False,
     size: given.FrameSize = "",

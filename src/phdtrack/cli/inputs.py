@@ -50,6 +50,9 @@ _PATIENCE = 0.7
 # its header announces are the sign of a file that was cut short.
 _ENOUGH, _CERTAIN, _CUT = 0.03, 0.25, 0.6
 T = TypeVar("T")
+Part = tuple[int, int]
+"""The first and the last frame that are tracked; 0: the end."""
+WHOLE: Part = (1, 0)
 Mover = Callable[[Frame, Detections], F8]
 """(3, 3) from the pixels of the last frame to those of this one, or `types.STILL`."""
 
@@ -91,18 +94,20 @@ def detected(detector: Detector, frames: Iterable[Frame], mover: Mover | None = 
 
 
 def learn_scene(inputs: Inputs) -> None:
-    """Let a detector that learns the scene look through a file before its first frame."""
+    """Let a detector that learns the scene look through a file before its first frame: all of it, whatever is tracked."""
     if inputs.pictures and inputs.again:
-        study(inputs.detector, replace(inputs.source), inputs.source.sample)
+        study(inputs.detector, replace(inputs.source, first=1, last=0), inputs.source.sample)
 
 
 def expected(source: VideoSource, done: int, title: str) -> dict[str, Any]:
     """The number of frames, for a bar with this title. What the header of a file announces holds, unless there are more
     already, or what was read of the file tells of far fewer, as in one that is cut short. Without it, it is estimated."""
-    estimate = round(done / source.share) if source.share > _ENOUGH else None
+    before, done = source.first - 1, done + source.first - 1
+    estimate = round(done / source.share) if source.share > _ENOUGH else 0
     cut = source.share > _CERTAIN and done < _CUT * source.share * source.announced
     total = source.info.frames or (0 if cut or done > source.announced else source.announced)
-    return {"total": total or estimate, "description": title if total or not estimate else f"{title} (end estimated)"}
+    end = min(filter(None, (total or estimate, source.last)), default=before)
+    return {"total": end - before or None, "description": title if total or not estimate else f"{title} (end estimated)"}
 
 
 def write_detected(inputs: Inputs, path: Path) -> Iterator[int]:
@@ -120,14 +125,17 @@ def write_detected(inputs: Inputs, path: Path) -> Iterator[int]:
             yield len(found)
 
 
-def open_inputs(given: SourceOptions, parameters: dict[str, Any], last: int = 0) -> Inputs:
+def open_inputs(given: SourceOptions, parameters: dict[str, Any], last: int = 0, part: Part = WHOLE) -> Inputs:
     """Open what the options name; ``parameters`` are the detector's own settings.
 
-    ``last`` is the last annotated frame: a sequence without a video is at least that long. Raises `InputError` where
-    options do not go together or something cannot be read.
+    ``last`` is the last annotated frame: a sequence without a video is at least that long. ``part``: what is tracked of it.
+    Raises `InputError` where options do not go together or something cannot be read.
     """
     if not 0 <= given.fps < math.inf:
         raise InputError(f"expected frames per second above 0, got {given.fps:g}", where="--fps")
+    if part != WHOLE and (given.detections == Path("-") or not comes_again(given.source)):
+        problem = "frames are chosen of files, and this is read as it comes"
+        raise InputError(problem, where="--frames", cure="Leave it out.")
     if given.detections == Path("-"):
         return _streamed(given)
     pictures, path = bool(given.source), given.detections
@@ -135,7 +143,7 @@ def open_inputs(given: SourceOptions, parameters: dict[str, Any], last: int = 0)
     if path is None:
         # Wrong settings are found before anything is opened.
         _detector(given, parameters, given.max_width or 0)
-        source = _video(given)
+        source = _video(given, part)
         width = working_width(given.looked_by, given.max_width, source.info)
         detector, name = _detector(given, parameters, width), shown(given.source)
         names = class_names(detector)
@@ -151,7 +159,8 @@ def open_inputs(given: SourceOptions, parameters: dict[str, Any], last: int = 0)
     refuse(useless, problem, "--detections")
     left_out = None if given.on_error == "stop" else WrongRows()
     table = read_detections(path, left_out=left_out)
-    frames = _video(given) if pictures else _blank(given, path, table, last)
+    frames = _video(given, part) if pictures else _blank(given, path, table, last)
+    frames.first, frames.last = part
     seen, warnings = within_frame(table, frames.info, path)
     warnings = (*(left_out.sentences() if left_out else ()), *warnings)
     classes = frozenset(np.unique(seen.detections.class_id).tolist())
@@ -210,9 +219,10 @@ def refuse(useless: Mapping[str, object], problem: str, instead: str) -> None:
             raise InputError(problem, where=option, cure=f"Leave out {option} or {instead}.")
 
 
-def _video(given: SourceOptions) -> VideoSource:
+def _video(given: SourceOptions, part: Part) -> VideoSource:
     """The video; its own size holds, and another one in the options is a mistake."""
-    source = open_source(given.source, fps=given.fps) if comes_again(given.source) else _camera(given.source)
+    (first, last), again = part, comes_again(given.source)
+    source = open_source(given.source, fps=given.fps, first=first, last=last) if again else _camera(given.source)
     if given.frame_size and frame_size(given.frame_size) != (source.info.width, source.info.height):
         size = f"{source.info.width}x{source.info.height}"
         problem = f"{given.source} has frames of {size} pixels, not {given.frame_size}"
@@ -283,6 +293,15 @@ def frame_size(text: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
+def frame_range(text: str) -> Part:
+    """First and last frame from ``A-B``, ``A-`` or ``-B``; 1 and 0 (the end) where none is said. `InputError` otherwise."""
+    match = re.fullmatch(r"\s*(\d{0,9})\s*-\s*(\d{0,9})\s*", text or "-")
+    first, last = (int(match[1] or 1), int(match[2] or 0)) if match else (0, 0)
+    if first < 1 or (match and match[2] and last < first):
+        raise InputError(f"expected frames as 1500-3000, from 1, got {text!r}", where="--frames")
+    return first, last
+
+
 def _detector(given: SourceOptions, parameters: dict[str, Any], max_width: int) -> Detector:
     """The detector that the options name. Raises `InputError` where there is none, or nothing to look at."""
     if given.detector == "file":
@@ -313,7 +332,7 @@ def _blank(given: SourceOptions, path: Path, table: DetectionTable, last: int) -
         raise InputError("the rate of the frames is not known", where=path, cure=f"Say --fps F, {where_else}")
     info = replace(found, width=width, height=height, fps=fps, frames=max(found.frames, table.last, last))
     walked = partial(frames_walked, table, info.frames, fps)
-    return VideoSource(info, lambda _: ((number, (number - 1) / fps, NO_PICTURE, "") for number in walked()))
+    return VideoSource(info, lambda _: ((number, (number - 1) / fps, NO_PICTURE, "") for number in walked()), zero=0.0)
 
 
 def comes_again(source: str) -> bool:

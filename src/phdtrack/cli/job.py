@@ -42,7 +42,6 @@ from phdtrack.models import PlaneSensor
 from phdtrack.protocols import AnyStages, Sensor
 from phdtrack.report import About, Annotator, Recorder, report_html, run_document, sentences, write_run
 from phdtrack.report.pages import doubts, lines
-from phdtrack.report.record import LOW_EFFECTIVE
 from phdtrack.tracker import FinalTracks, Tracker, uninterrupted
 from phdtrack.types import F8, Detections, Frame, Image, SequenceInfo, Step, Tracks, Truth
 from phdtrack.video import VideoWriter
@@ -208,15 +207,15 @@ def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -
     if job.truth is not None:
         from phdtrack.metrics import evaluate
 
-        scores = evaluate(job.truth, tracks, frames=done.last)
+        scores = evaluate(job.truth, tracks, frames=done.last, first=job.inputs.source.first)
     if job.video:
         _draw(job, directory, done, tracks, advance)
     finished = time.perf_counter() - tracked
     return_memory()
     advance(done.frames, total=done.frames, description="report")
     record = replace(done.recorder.record(tracks, job.about), names=job.names)
-    # Of each the note comes first, then the warning if there is one.
-    about = (_confirmation(job, done), lines("chain.txt", chain=record.chain, least=LOW_EFFECTIVE))
+    # The note comes first, then the warning if there is one.
+    confirmed = _confirmation(job, done)
     wrong = unsuited(job.inputs.detector) or doubts(record, background=job.inputs.described in BACKGROUND)
     said = replace(
         job.about,
@@ -225,8 +224,8 @@ def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -
         finishing_seconds=finished,
         left_out=done.left_out,
         scores=() if scores is None else tuple((k, math.nan if v is None else v) for k, v in scores.as_dict().items()),
-        warnings=(*_problems(job, done), *wrong, *(warning for each in about for warning in each[1:])),
-        notes=(*(note for each in about for note in each[:1]), _WHICH, *([_HIDDEN.format(job.blur)] if job.blur else ())),
+        warnings=(*_problems(job, done), *wrong, *confirmed[1:]),
+        notes=(*confirmed[:1], _WHICH, *([_HIDDEN.format(job.blur)] if job.blur else ())),
     )
     reports = [observer.report() for observer in job.observers]
     record = replace(record, about=replace(said, sections="\n".join(report.section for report in reports)))

@@ -36,7 +36,10 @@ from phdtrack.errors import InputError
 from phdtrack.files import write_text
 from phdtrack.formats import read_detections
 from phdtrack.formats.checks import WrongRows
+from phdtrack.formats.markup import Annotated as AnnotatedFile
+from phdtrack.formats.markup import read_annotated
 from phdtrack.label import LabelStore
+from phdtrack.label.exchange import Exchange, frames_of
 from phdtrack.label.samples import LONGEST, Marks, clip, last_frame, shuffled
 from phdtrack.label.suggestions import Background, Evidence, Suggestion, suggest
 from phdtrack.label.training import SceneTraining
@@ -57,12 +60,17 @@ def label(
     frames: Annotated[int, option("N", "How many frames to draw.", min=1)] = 40,
     seed: Annotated[int, option("N", "Seed of the draw.", min=0)] = 0,
     suggest: Annotated[bool, typer.Option("--suggest/--no-suggest", help="Look for detections that may be false.")] = True,
+    labeller: Annotated[str, option("NAME", "Who labels: each mark says who made it. The page can change it.")] = "",
+    taken: Annotated[Path | None, option("FILE", "Take the marks of a COCO or CVAT file, and end.", "--import")] = None,
+    out: Annotated[Path | None, option("FILE", "Write COCO (.json), CVAT (.xml) or .csv, and end.", "--export")] = None,
+    overwrite: given.Overwrite = False,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
     blur: given.Blur = "",
     config: given.Config = None,
     sets: given.Sets = None,
 ) -> None:
-    """Mark false detections and births on frames drawn at random: the page says how. Every click is kept at once.
+    """Mark false detections, missed objects and births on frames drawn at random: the page says how. Every click is kept
+    at once.
 
     Meanwhile a tracker looks for detections that may be false and suggests them. Ctrl-C ends.
     """
@@ -72,7 +80,17 @@ def label(
     output, settings = Output(), load(config, sets or ())
     file = labels or labels_file(source)
     found = to_label(source, settings.values("detector"), file, output)
-    store = LabelStore.open(file, found.name, found.digest, shuffled(found.info.frames, seed)[:frames])
+    read = read_annotated(taken) if taken else None
+    if out and not read and not file.exists():
+        raise InputError("there is no such file of labels", where=file, cure="Make one: phdtrack label")
+    drawn = (frames_of(read) if read else []) or shuffled(found.info.frames, seed)[: 0 if out and not read else frames]
+    if max(drawn, default=0) > found.info.frames:
+        problem = f"expected frames up to {found.info.frames}, came {max(drawn)}"
+        raise InputError(problem, where=str(taken), cure="Is it of another video?")
+    store = LabelStore.open(file, found.name, found.digest, drawn)
+    if read or out:
+        _exchange(Exchange(store, found.table, found.info), read, labeller, (out, overwrite), output)
+        return
     numbers = [number for number, _ in store.frames()]
     around = {frame for number in numbers for frame in clip(number, found.info.frames)}
     pictures = _stills(source, numbers, around, partial(_shown, found.table, blur))
@@ -80,7 +98,7 @@ def label(
     kept = file.with_name(file.name.removesuffix(".sqlite") + ".suggestions.json")
     work = Background(partial(_suggestions, found, settings, numbers, kept)) if suggest else None
     command = _learn_command(source, file, {"config": config, "set": sets, "blur": blur})
-    session = Session(store, found.table, pictures, found.info, work, command)
+    session = Session(store, found.table, pictures, found.info, work, command, labeller)
     state = store.progress()
     output.say(f"{counted(state.frames, 'frame')}, {state.done} of them looked at; the marks are kept in {file}")
     output.say(f"the page: {address.url}   (Ctrl-C ends)")
@@ -92,6 +110,28 @@ def label(
     output.say(f"{looked}, {state.false} false, {counted(state.births, 'birth')}: {file}")
     done = state.done == state.frames
     output.say(f"{'now run' if done else 'the same command goes on; when all are looked at, run'}: {session.learn(state)}")
+
+
+def _exchange(
+    labels: Exchange, read: AnnotatedFile | None, labeller: str, to: tuple[Path | None, bool], output: Output
+) -> None:
+    """Take the marks that were read, if any, and write all to a file, if one is named, which may be there if the second of
+    ``to`` is true; say what was done."""
+    if read:
+        it = labels.take(read, labeller)
+        objects = f"{counted(it.objects, 'object')} with a detection, {it.drawn} without"
+        output.say(f"taken: {counted(it.false, 'false alarm')}, {objects}; {counted(it.done, 'frame')} done")
+        missing = f"{counted(it.unmatched, 'false alarm')} left out: the detector has none there"
+        elsewhere = f"{counted(it.elsewhere, 'box')} left out: on frames that are not drawn, see --frames"
+        output.warn([missing] * (it.unmatched > 0) + [elsewhere] * (it.elsewhere > 0))
+    out, overwrite = to
+    if out is not None:
+        if (kind := out.suffix.removeprefix(".")) not in ("json", "xml", "csv"):
+            raise InputError(f"expected a file that ends in .json, .xml or .csv, came {out.name}", where="--export")
+        if out.exists() and not overwrite:
+            raise InputError("the file is there already", where=out, cure="Say --overwrite, or choose another file.")
+        write_text(out, labels.text(kind))
+        output.say(f"the marks: {out}")
 
 
 def _learn_command(source: SourceOptions, labels: Path, more: dict[str, Any]) -> str:
@@ -144,8 +184,8 @@ def to_label(source: SourceOptions, parameters: dict[str, Any], labels: Path, ou
 def _kept_detections(
     source: SourceOptions, parameters: dict[str, Any], labels: Path, inputs: Inputs, output: Output
 ) -> Path:
-    """The file of what the detector sees, by its name and settings; it appears when it is whole."""
-    more = [parameters, inputs.max_width, str(source.mask or ""), source.fps]
+    """The file of what the detector sees, by video, detector and settings; it appears when it is whole."""
+    more = [source_of(str(Path(source.source).resolve())), parameters, inputs.max_width, str(source.mask or ""), source.fps]
     name, _, network = source.looked_by.partition(":")
     more += [source_of(network)] if network else []
     digest = hashlib.sha256(json.dumps(more, sort_keys=True, default=str).encode()).hexdigest()[:8]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -28,6 +29,12 @@ def one_of(value: str, *known: str) -> str:
     return value
 
 
+def listed(help: str) -> Callable[[str], list[str]]:
+    """Completes the words in lower case that a help text lists after commas or a colon."""
+    names = re.findall(r"(?:^|: |, (?:or )?)([a-z][\w-]{2,})", help)
+    return lambda incomplete: [name for name in names if name.startswith(incomplete)]
+
+
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout; everything else goes to stderr.")]
 _QUIET = "Say nothing but warnings and errors: neither how far it got nor what came of it."
 Quiet = Annotated[bool, typer.Option("--quiet", help=_QUIET)]
@@ -40,19 +47,22 @@ Mask = Annotated[Path | None, option("FILE", "Image of the frame's size; only wh
 Video = Annotated[bool, typer.Option("--video/--no-video", help="Write videos to look at.")]
 FrameSize = Annotated[str, option("WxH", "Size of the frames in pixels, as 1920x1080.")]
 Fps = Annotated[float, option("F", "Frames per second; 0: what the video or seqinfo.ini says.", min=0.0)]
-Detector = Annotated[
-    str, option("NAME", "change (default), mean-background, mog2, knn, face, person, or onnx:FILE, a network.")
-]
+_DETECTORS = "change (default), mean-background, mog2, knn, face, person, or onnx:FILE, a network."
+Detector = Annotated[str, option("NAME", _DETECTORS, autocompletion=listed(_DETECTORS))]
 Source = Annotated[str, typer.Argument(metavar="SOURCE", help="Video, folder or pattern of images, or camera number.")]
 _FILTERS = "pmb (default), gm-phd, particle-phd, gm-cphd, particle-cphd, mht, pmbm, mcmc, or none."
-Filter = Annotated[str, option("NAME", _FILTERS, "--filter")]
+Filter = Annotated[str, option("NAME", _FILTERS, "--filter", autocompletion=listed(_FILTERS))]
 SceneFile = Annotated[Path | None, option("FILE", "What `phdtrack learn` has learned of this scene.")]
 TruthFile = Annotated[Path | None, option("FILE", "Annotated objects to score against.")]
 _MARKED = "Where the marks of `phdtrack label` are kept; default: runs/NAME.labels.sqlite, or one next to the video."
 Labels = Annotated[Path | None, option("FILE", _MARKED)]
 Config = Annotated[Path | None, option("FILE", "Settings in a TOML file; an unknown name is an error.")]
 Sets = Annotated[list[str] | None, option("NAME=VALUE", "One setting, as sensor.box_noise=0.1; repeatable.", "--set")]
-Preset = Annotated[str, option("NAME", "Settings to start from: default, mot15, m07, m07-extended, m09, m09-mht, e13, …")]
+_PRESETS = "Settings to start from: default, mot15, m07, m07-extended, m09, m09-mht, e13, …"
+Preset = Annotated[str, option("NAME", _PRESETS, autocompletion=listed(_PRESETS))]
+Frames = Annotated[
+    str, option("A-B", "Only these frames, as 1500-3000 or 1500-; numbers and times stay those of the whole.")
+]
 DetectionsFile = Annotated[Path | None, option("FILE", "Detections instead of a detector's; -: rows from standard input.")]
 OnError = Annotated[
     str,
@@ -62,6 +72,14 @@ OnError = Annotated[
         callback=lambda value: one_of(value, "skip", "stop"),
     ),
 ]
+
+
+def seconds(text: str | float) -> float:
+    """Seconds of a duration as 90, 90s, 10m or 1.5h. `typer.BadParameter` where it is none."""
+    match = re.fullmatch(r"(\d{1,9}(?:\.\d{1,9})?) ?([smh]?)", str(text).strip().lower())
+    if match is None:
+        raise typer.BadParameter(f"expected a duration as 90s, 10m or 1h, got {text!r}")
+    return float(match[1]) * 60.0 ** "smh".index(match[2] or "s")
 
 
 def size(text: str) -> int:

@@ -28,7 +28,7 @@ except ImportError:  # pragma: no cover
 TRACKS, ONLINE, STATES, DETECTIONS = "tracks.csv", "tracks_online.csv", "states.csv", "detections.csv"
 GROUPS, MEMBERS, EVENTS, WARNINGS = "groups.csv", "members.csv", "events.csv", "warnings.csv"
 VIDEO, PLAN, REPORT, RUN, CAMERA_MOTION = "annotated.mp4", "plan.mp4", "report.html", "run.json", "camera_motion.csv"
-COUNTS, COUNTS_PICTURE, COUNTS_VIDEO = "counts.csv", "counts.png", "counts.mp4"
+COUNTS, COUNTS_PICTURE, COUNTS_VIDEO, COUNTS_PAGE = "counts.csv", "counts.png", "counts.mp4", "counts.html"
 # What a run that was stopped or killed goes on from; removed when it is complete.
 LOG, KNOWN = "checkpoint.log", "checkpoint.detector"
 # What a complete run has detected, for the next one; other runs leave it where it is.
@@ -49,6 +49,7 @@ RUN_FILES = {
     COUNTS: "who crossed a line, entered or left a zone, and when",
     COUNTS_PICTURE: "lines, zones and what was counted",
     COUNTS_VIDEO: "the same while it goes on",
+    COUNTS_PAGE: "the figures on a page, of tracks that were there already",
     REPORT: "the run in pictures and numbers",
     RUN: "everything that decided it, for programs",
 }

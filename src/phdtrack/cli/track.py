@@ -12,7 +12,7 @@ from phdtrack import config
 from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.checkpoint import EVERY, source_of
-from phdtrack.cli.inputs import open_inputs, write_detected
+from phdtrack.cli.inputs import frame_range, open_inputs, write_detected
 from phdtrack.cli.job import Job, about, run
 from phdtrack.cli.observers import CameraObserver, mover_of
 from phdtrack.cli.options import DEFAULT_DETECTOR, SourceOptions, TrackingOptions, option
@@ -38,6 +38,7 @@ def track(
     resume: given.Resume = False,
     checkpoint_every: given.CheckpointEvery = EVERY,
     blur: given.Blur = "",
+    frames: given.Frames = "",
 ) -> None:
     """Track the objects in a video, or in a file of detections.
 
@@ -48,7 +49,7 @@ def track(
     rundir.check(out, overwrite or resume)
     first = scene_settings(scene, camera_motion)
     settings = chosen(options, first, detector=source.looked_by)
-    job = replace(prepare(source, options, settings, video=video), every=checkpoint_every, blur=blur)
+    job = replace(prepare(source, options, settings, video=video, frames=frames), every=checkpoint_every, blur=blur)
     finish(output, job, out, overwrite, resume=resume)
 
 
@@ -91,22 +92,28 @@ def detect(
     output.document(document | {"frames_per_second": rate, "file": str(file), "warnings": warnings})
 
 
-def prepare(source: SourceOptions, options: TrackingOptions, settings: Settings, *, video: bool) -> Job:
-    """Everything that a run needs; ``settings`` are those `chosen`, or made of them. Raises `InputError` where an input
-    cannot be read, or options do not go together."""
+def prepare(source: SourceOptions, options: TrackingOptions, settings: Settings, *, video: bool, frames: str = "") -> Job:
+    """Everything that a run needs; ``settings`` are those `chosen`, or made of them; ``frames``: as `frame_range`. Raises
+    `InputError` where an input cannot be read, or options do not go together."""
     truth = None if options.truth is None else read_truth(options.truth)
     if source.detections is None:
         settings = config.for_detector(settings, source.looked_by)
-    inputs = open_inputs(source, settings.values("detector"), 0 if truth is None else int(truth.frame.max(initial=0)))
+    last = 0 if truth is None else int(truth.frame.max(initial=0))
+    inputs = open_inputs(source, settings.values("detector"), last, frame_range(frames))
     if not inputs.again and settings.build("associate").history == 0:
         settings = config.overlay(settings, {"associate": {"history": REMEMBERED}}, "a camera")
     kinds = config.build_kinds(settings, inputs.info, inputs.names, inputs.classes, moving=True)
+    if truth is not None and frames:
+        counts = (truth.frame >= inputs.source.first) & (truth.frame <= (inputs.source.last or truth.frame))
+        frame, identity, distractor = truth.frame[counts], truth.identity[counts], truth.distractor[counts]
+        truth = replace(truth, frame=frame, identity=identity, distractor=distractor, xyxy=truth.xyxy[counts])
     stages, moving = kinds.usual, settings.kind("camera_motion")
-    read: dict[str, object] = {"detections": str(source.detections), **inputs.left_out}
+    some = {"frames": frames} if frames else {}
+    read: dict[str, object] = {"detections": str(source.detections), **inputs.left_out, **some}
     looked: dict[str, object] = {}
     if source.detections is None:
         mask, fps = str(source.mask or ""), inputs.info.fps
-        read = {"detector": inputs.described, "max_width": inputs.max_width, "mask": mask, "fps": fps}
+        read = {"detector": inputs.described, "max_width": inputs.max_width, "mask": mask, "fps": fps} | some
         network = inputs.described.partition(":")[2]
         read |= {"network": source_of(network)} if network else {}
         if inputs.again and Path(source.source).exists():

@@ -1,30 +1,31 @@
-"""The results of a comparison as text, as CSV for programs, and as a page with charts."""
+"""The results of a comparison as text, as CSV for programs, and as a page."""
 
 from __future__ import annotations
 
 import csv
 import io
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from phdtrack.compare.runs import Comparison
-from phdtrack.compare.statistics import OTHERS, SCORES, UNKNOWN, Row, summary, values_of, widest
+from phdtrack.compare.statistics import OTHERS, SCORES, UNKNOWN, Row, leading, summary, values_of, widest
 from phdtrack.files import write_text
 from phdtrack.metrics.errors import SUMS
 from phdtrack.parallel import Failed
-from phdtrack.report.charts import Picture, score_chart
 from phdtrack.report.pages import flattened, lines, render, score_meanings
 from phdtrack.report.record import About
-from phdtrack.types import F8
 
 _SHOWN = ("MODA", "MOTA", "IDF1", "HOTA", "id_switches", "log_evidence", "ms")
 _COUNTS = "id_switches misses false_positives fragments false_tracks mostly_tracked mostly_lost tracks"
 _DIGITS = {"ms": 2, "boxes_per_frame": 2, "log_evidence": 1, "delay_mean": 1} | dict.fromkeys((*_COUNTS.split(), *SUMS), 1)
+# Of these neither more nor less is better, or not between filters.
+_NEUTRAL = (
+    "frames truth_boxes output_boxes truth_objects output_identities count_error_mean log_evidence tracks boxes_per_frame"
+)
 
 
 class Table(NamedTuple):
@@ -56,19 +57,30 @@ class Results:
         return replace(self, names=SUMS).table(rows)
 
     def table(self, rows: Iterable[Row], *, ahead: bool = False) -> Table:
-        """A line for each row, ``ahead`` with the differences to the first method; cells as in the line before are empty."""
+        """A line for each row, ``ahead`` with the differences to the first method; cells as in the line before are empty.
+
+        A star stands before the best of a score on the same input, and before what is not told apart from it.
+        """
         out: list[tuple[str, ...]] = []
         before: tuple[str, ...] = ("", "", "")
-        for row in rows:
-            values, sign = (row.ahead, "+") if ahead else (row.scores, "")
-            cells = [f"{values.get(name, UNKNOWN):{sign}.{_DIGITS.get(name, 3)}f}" for name in self.names]
-            if row.failed:
-                cells = ["failed", *[""] * (len(cells) - 1)]
-            where = (f"{row.sequence} ({row.cases})" if row.cases > 1 else row.sequence, row.detections, f"{row.clutter:g}")
-            same = next((i for i in range(3) if where[i] != before[i]), 3)
-            out.append((*([""] * same), *where[same:], row.filter, *cells))
-            before = where
+        for (sequence, cases, *rest), each in groupby(rows, lambda r: (r.sequence, r.cases, r.detections, f"{r.clutter:g}")):
+            own, where = list(each), (f"{sequence} ({cases})" if cases > 1 else sequence, *rest)
+            columns = [self._column(own, name, ahead=ahead) for name in self.names]
+            for k, row in enumerate(own):
+                cells = ["failed", *[""] * (len(columns) - 1)] if row.failed else [column[k] for column in columns]
+                same = next((i for i in range(3) if where[i] != before[i]), 3)
+                out.append((*([""] * same), *where[same:], row.filter, *cells))
+                before = where
         return Table(("sequence", "detections", "clutter", "filter", *map(_label, self.names)), out)
+
+    def _column(self, rows: Sequence[Row], name: str, *, ahead: bool) -> list[str]:
+        """A score, or its difference, of each of the rows, which are those of one input."""
+        values, sign = [row.ahead if ahead else row.scores for row in rows], "+" if ahead else ""
+        texts = [f"{each.get(name, UNKNOWN):{sign}.{_DIGITS.get(name, 3)}f}" for each in values]
+        best = () if ahead or name in _NEUTRAL.split() or len(rows) < 2 else leading(rows, name, lower=_lower(name))
+        # What looks the same is no worse.
+        same = {text for text, row in zip(texts, rows, strict=True) if row in best[:1]}
+        return ["*" * (row in best or text in same) + text for text, row in zip(texts, rows, strict=True)]
 
     def write_cells(self, path: Path) -> None:
         """One line for each row: every score's mean, half its interval, the difference to the first method."""
@@ -106,12 +118,11 @@ class Results:
             rows = [row for row in widest(self.rows) if row.clutter == rate and "MOTA" in row.scores]
             if len(rows) < 2:
                 continue
-            best, *others = sorted(rows, key=lambda row: -row.scores["MOTA"].mean)
-            name = {row.filter: f"{row.filter} {row.scores['MOTA']:.3f}" for row in rows}
-            alike = [name[row.filter] for row in others if not row.differs(best, "MOTA")]
-            behind = [name[row.filter] for row in others if row.differs(best, "MOTA")]
-            highest = best.filter, f"{best.scores['MOTA']:.3f}"
-            out += lines("comparison_rate.txt", rate=rate, best=highest, alike=[name[best.filter], *alike], behind=behind)
+            rows.sort(key=lambda row: -row.scores["MOTA"].mean)
+            named = {row.filter: f"{row.scores['MOTA']:.3f}" for row in rows}
+            alike = [f"{row.filter} {named.pop(row.filter)}" for row in leading(rows, "MOTA", lower=False)]
+            behind = [f"{name} {score}" for name, score in named.items()]
+            out += lines("comparison_rate.txt", rate=rate, alike=alike, behind=behind)
         return tuple(out)
 
     def notes(self, *, in_turn: bool) -> tuple[str, ...]:
@@ -134,7 +145,6 @@ class Results:
             about=about,
             first=plan.methods[0].name,
             pooled=self.table(row for row in rows if row.cases > 1),
-            charts=list(self._charts()),
             each=self.table(row for row in rows if row.cases == 1),
             differences=self.table((row for row in rows if row.ahead), ahead=True),
             errors=self.errors(),
@@ -142,36 +152,15 @@ class Results:
             seeds=len(plan.seeds),
         )
 
-    def _charts(self) -> Iterator[tuple[str, list[tuple[Picture, str]]]]:
-        """Titles, and charts of each score with captions."""
-        plan, top = self.comparison.plan, widest(self.rows)
-        if len(plan.rates) > 1:
-            rates, by_rate = sorted(plan.rates), {(row.filter, row.clutter): row for row in top}
-            over = ", pooled over everything" if top[0].cases > 1 else ""
-            rows = {method.name: [by_rate[method.name, rate] for rate in rates] for method in plan.methods}
-            yield f"By added clutter{over}", self._each(np.array(rates), "added clutter, boxes per frame", rows)
-        for rate in plan.rates:
-            single = [row for row in self.rows if row.clutter == rate and row.cases == 1]
-            rows = {method.name: [row for row in single if row.filter == method.name] for method in plan.methods}
-            places = [f"{case.sequence} {case.detections}" for case in plan.cases]
-            title = f"By sequence, {rate:g} added boxes per frame" if rate else "By sequence, as detected"
-            yield title, self._each(places, "", rows)
-
-    def _each(self, places: F8 | list[str], label: str, rows: Mapping[str, list[Row]]) -> list[tuple[Picture, str]]:
-        """A chart of each score, and its caption, which is its alternative text too; ``rows`` are each method's."""
-        out = []
-        for name in self.names:
-            each = {method: [row.scores.get(name, UNKNOWN) for row in own] for method, own in rows.items()}
-            methods = {method: np.array([(one.mean, one.half) for one in found]).T for method, found in each.items()}
-            _, lower, _ = score_meanings().get(name, "").partition("; lower is better")
-            caption = f"{_label(name)}, mean over the seeds with 95 % confidence intervals{lower}."
-            out.append((score_chart(places, label, _label(name), methods), caption))
-        return out
-
 
 def _label(name: str) -> str:
     """A score's name as a table's head has it."""
     return {"id_switches": "switches", "ms": "ms per frame"}.get(name, name.replace("_", " "))
+
+
+def _lower(name: str) -> bool:
+    """Whether less of a score is better."""
+    return score_meanings().get(name, "").endswith("; lower is better")
 
 
 def _number(value: float) -> str:

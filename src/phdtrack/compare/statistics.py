@@ -105,6 +105,19 @@ def widest(rows: Sequence[Row]) -> list[Row]:
     return [row for row in rows if row.cases == most]
 
 
+def leading(rows: Sequence[Row], name: str, *, lower: bool) -> list[Row]:
+    """The row with the best mean of a score, and those that do not differ from it by more than chance; the best first.
+
+    Parameters
+    ----------
+    rows : of one input; those without the score are left out.
+    name : of the score.
+    lower : whether less of it is better.
+    """
+    known = sorted((row for row in rows if name in row.scores), key=lambda row: row.scores[name].mean, reverse=not lower)
+    return [row for row in known if row is known[0] or not row.differs(known[0], name)]
+
+
 def _rows(comparison: Comparison, sequence: str, detections: str, cases: Sequence[Case]) -> Iterator[Row]:
     """Every method at every rate on these cases."""
     plan = comparison.plan

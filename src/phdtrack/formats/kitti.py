@@ -39,15 +39,19 @@ def rows_of_all(text: Text) -> Text:
 
 
 def rows_of_type(text: Text, kind: str) -> Text:
-    """The rows of a type, of its neighbours and regions, as a table with a header.
+    """The rows of a type, of its neighbours and regions, as a table with a header; the only type needs no name.
 
     Raises
     ------
-    InputError : no type was named, or whether an object is truncated or occluded is not said in numbers.
+    InputError : none of several types was named, or whether an object is truncated or occluded is not said in numbers.
     """
     if not kind:
-        where, cure = text.origin.path, "Say --kitti Car, or in Python kitti='Car'."
-        raise InputError("a KITTI label file has several types of objects, and none was named", where=where, cure=cure)
+        types = sorted({"".join(text.cells(row)[2:3]) for row in range(len(text))} - {"", "DontCare"})
+        if len(types) > 1:
+            where, cure = text.origin.path, f"Say --kitti {types[0]}, or in Python kitti={types[0]!r}."
+            problem = f"this KITTI label file has several types of objects ({', '.join(types[:9])}), and none was named"
+            raise InputError(problem, where=where, cure=cure)
+        kind = "".join(types)
     wanted, lines, kept = kind.lower(), list[str](), list[int]()
     for row in range(len(text)):
         cells = text.cells(row)

@@ -22,6 +22,7 @@ JSON lines are an object a line, whose keys are those that a header may have; ``
 from __future__ import annotations
 
 import json
+import math
 import re
 import reprlib
 from pathlib import Path, PurePosixPath
@@ -30,7 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.files import Element, read_json, read_xml
+from phdtrack.files import Element, load, read_json, read_xml
 from phdtrack.formats.checks import Origin
 from phdtrack.formats.table import CENTRE_SIZE, LTWH, Column, Kind, Source, Table, table_of_text
 from phdtrack.formats.text import Text, normalise
@@ -74,14 +75,7 @@ class _Entry(NamedTuple):
 def table_of_coco(source: Source) -> Table:
     """The boxes in COCO JSON; `InputError` where it is not of COCO's form, or truth and tracks have no identities."""
     path, document = source.path, read_json(source.path, source.content)
-    if isinstance(document, dict):
-        unit = "annotation"
-        images = _entries(path, _list(path, document, "images"), "image", "id and file_name") if "images" in document else []
-        given = _list(path, document, "annotations")
-    elif isinstance(document, list):
-        unit, images, given = "entry", [], document
-    else:
-        raise InputError(f"expected a list of results or a COCO data set, came {_brief(document)}", where=path)
+    unit, images, given = _parts(path, document)
     frame_of, entries, kept = _frame_of(path, images) if images else None, list[_Entry](), list[int]()
     for i, one in enumerate(given):
         try:
@@ -104,6 +98,96 @@ def table_of_coco(source: Source) -> Table:
             values[column] = np.array(found, np.float64)
     origin = Origin(path, unit, np.array(kept, np.int64))
     return Table(origin, source.first, values, np.zeros((len(entries), 0)), _names(path, document))
+
+
+def _parts(path: Path, document: Any) -> tuple[str, list[_Entry], list[Any]]:
+    """What an annotation is called, the images, and the annotations as they are given."""
+    if isinstance(document, list):
+        return "entry", [], document
+    if not isinstance(document, dict):
+        raise InputError(f"expected a list of results or a COCO data set, came {_brief(document)}", where=path)
+    images = _entries(path, _list(path, document, "images"), "image", "id and file_name") if "images" in document else []
+    return "annotation", images, _list(path, document, "annotations")
+
+
+class Annotated(NamedTuple):
+    """A file of COCO or CVAT with all that it says: of itself, of each picture and of each box, by the names it has.
+
+    Of pictures and boxes ``frame`` is the number of the frame, from 1, and of boxes ``xyxy`` the corners and ``label`` the
+    name of the class.
+    """
+
+    about: dict[str, Any]
+    pictures: list[dict[str, Any]]
+    boxes: list[dict[str, Any]]
+
+
+def read_annotated(path: Path) -> Annotated:
+    """All that a file of COCO or CVAT says. Raises `InputError` where it is none of these, or broken."""
+    content = load(path)
+    if (start := content.removeprefix(b"\xef\xbb\xbf").lstrip()[:1]) not in (b"<", b"{", b"["):
+        raise InputError(f"expected COCO (JSON) or CVAT (XML), came {_brief(content)}", where=path)
+    about, pictures, boxes = (_cvat_values if start == b"<" else _coco_values)(path, content)
+    # Some programs call the first picture 0 in COCO, too.
+    first = 0 if start == b"<" else min((one["frame"] for one in [*pictures, *boxes]), default=1)
+    for one in [*pictures, *boxes]:
+        number = one["frame"] + (first < 1)
+        if not (number.is_integer() and 1 <= number < 2**53):
+            raise InputError(f"expected whole numbers of frames, from 0 or 1, came {one['frame']:.15g}", where=path)
+        one["frame"] = int(number)
+    for one in boxes:
+        left, top, right, bottom = one["xyxy"]
+        if not (abs(left + top + right + bottom) < math.inf and right > left and bottom > top):
+            problem = f"expected a box of some width and height, came left, top, right, bottom {one['xyxy']}"
+            raise InputError(problem, where=f"{path}, frame {one['frame']}")
+    return Annotated(about, pictures, boxes)
+
+
+def _coco_values(path: Path, content: bytes) -> Annotated:
+    """What a file of COCO says; frames are as it counts them."""
+    document = read_json(path, content)
+    unit, images, given = _parts(path, document)
+    frame_of = _frame_of(path, images) if images else None
+    names = {float(key): name for key, name in _names(path, document).items()}
+    entries = _entries(path, given, unit, "image_id and bbox")
+    boxes = list[dict[str, Any]]()
+    for entry in entries:
+        _check(entry, frame_of)
+        (left, top, width, height), number = entry.box(), entry.number("image_id")
+        corners = (left, top, left + width, top + height)
+        label = names.get(entry.number("category_id", default=-1.0), "")
+        boxes.append(entry.values | {"frame": frame_of[number] if frame_of else number, "xyxy": corners, "label": label})
+    about = document.get("info") if isinstance(document, dict) else None
+    pictures = [one.values | {"frame": (frame_of or {})[one.number("id")]} for one in images]
+    return Annotated(about if isinstance(about, dict) else {}, pictures, boxes)
+
+
+def _cvat_values(path: Path, content: bytes) -> Annotated:
+    """What a file of CVAT says; frames count from 0."""
+    elements = read_xml(path, content)
+    if elements[0].name != "annotations":
+        problem = f"expected CVAT, whose outermost element is <annotations>, came <{elements[0].name}>"
+        raise InputError(problem, where=elements[0].where)
+    more: dict[int, dict[str, Any]] = {id(element): {} for element in elements}
+    for one in elements[1:]:
+        if one.name == "attribute":
+            more[id(one.around[-1])][one.attributes.get("name", "")] = "".join(one.text)
+    about, pictures, boxes = dict[str, Any](), list[dict[str, Any]](), list[dict[str, Any]]()
+    for one in elements:
+        around = {element.name: element for element in one.around}
+        picture, outer = around.get("image"), around.get("track", one)
+        if one.name == "phdtrack":
+            about |= one.attributes
+        elif one.name == "image":
+            pictures.append({**one.attributes, "frame": one.number("id")})
+        elif one.name == "tag" and picture is not None:
+            pictures[-1] |= more[id(one)]
+        elif one.name == "box" and one.attributes.get("outside") != "1":
+            frame = picture.number("id") if picture else one.number("frame")
+            corners = tuple(map(one.number, ("xtl", "ytl", "xbr", "ybr")))
+            label = outer.attributes.get("label", "")
+            boxes.append({**more[id(outer)], **more[id(one)], "frame": frame, "xyxy": corners, "label": label})
+    return Annotated(about, pictures, boxes)
 
 
 def _names(path: Path, document: Any) -> dict[int, str]:

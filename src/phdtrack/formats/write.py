@@ -11,7 +11,7 @@ whole sequence. All but the states are MOTChallenge files without a header, whic
 * truth: ``frame,id,left,top,width,height,flag,class,visibility``, distractors with flag 0 and class 8, as in MOT16.
 
 `export_tracks` writes tracks as other tools have them: MOTChallenge's ten columns, KITTI's eighteen, CSV with a header,
-Parquet, JSON lines, COCO, CVAT. `read_tracks` reads all of these.
+Parquet, JSON lines, COCO, CVAT. `read_tracks` reads all of these. A Rerun recording is for its viewer only.
 
 States have a header: ``frame,time,weight,detection,left,top,width,height,s0,s1,…``. Frames count from 1, times are seconds,
 boxes pixels of the video, state components as the model has them.
@@ -206,8 +206,11 @@ EXPORTS = {
     "coco": ".json",
     "cvat": ".xml",
     "kitti": ".txt",
+    "rerun": ".rrd",
 }
 """The formats of `export_tracks`, and what names of such files end in."""
+# Seconds of a track that its trail in a Rerun recording shows.
+_TRAIL = 2.0
 
 
 def export_tracks(
@@ -223,11 +226,11 @@ def export_tracks(
     path, tracks : the file, and what is written, sorted by frame.
     kind : one of `EXPORTS`.
     names : of the classes.
-    info : of the sequence, for COCO and CVAT.
+    info : of the sequence, for COCO, CVAT and Rerun.
 
     Raises
     ------
-    InputError : it cannot be written, there is no such format, or pyarrow is missing for Parquet.
+    InputError : it cannot be written, there is no such format, or pyarrow or rerun-sdk is missing for its format.
     """
     path, info = Path(path), info or SequenceInfo(0, 0, 0.0)
     classes = np.unique(tracks.class_id).tolist()
@@ -261,6 +264,9 @@ def export_tracks(
             arrow, parquet = (needed(name) for name in ("pyarrow", "pyarrow.parquet"))
             with whole(path) as part:
                 parquet.write_table(arrow.table(columns), part, compression="zstd")
+            return
+        case "rerun":
+            _rerun(path, tracks, words, info)
             return
         case _:
             raise InputError(f"there is no format {kind!r}", where="--to", cure=did_you_mean(kind, EXPORTS))
@@ -311,6 +317,40 @@ def _cvat(tracks: Tracks, words: Mapping[int, str], info: SequenceInfo) -> list[
                 lines.append(box.format(number, 1, *place))
         lines.append("</track>")
     return [*lines, "</annotations>"]
+
+
+def _rerun(path: Path, tracks: Tracks, words: Mapping[int, str], info: SequenceInfo) -> None:
+    """Write a recording: of each identity the box, called by it and its class, and the way of its foot point in the last two
+    seconds. There are the timelines ``frame``, and where the rate is known ``time``, seconds since the first frame."""
+    rr, fps = needed("rerun"), info.fps or 25.0
+    with whole(path) as part:
+        recording = rr.RecordingStream("phdtrack")
+        try:
+            recording.save(part)
+        except (OSError, RuntimeError) as error:
+            raise InputError(f"the file cannot be written ({error})", where=path) from None
+
+        def send(entity: str, number: I8, columns: Any) -> None:
+            index = [rr.TimeColumn("frame", sequence=number)]
+            index += [rr.TimeColumn("time", duration=(number - 1) / fps)] if info.fps else []
+            rr.send_columns(entity, index, columns, recording=recording)
+
+        for identity in np.unique(tracks.identity).tolist():
+            mine = tracks.take(tracks.identity == identity)
+            number, box, entity = mine.frame, mine.xyxy, f"tracks/{identity}"
+            foot = np.stack([box[:, [0, 2]].mean(axis=1), box[:, 3]], axis=1)
+            begin = np.searchsorted(number, number - round(_TRAIL * fps))
+            trail = [foot[first : last + 1] for last, first in enumerate(begin.tolist())]
+            label = [f"{identity} {words[k]}" for k in mine.class_id.tolist()]
+            color = np.full(len(mine), identity % 65536)
+            size = {"half_sizes": (box[:, 2:] - box[:, :2]) / 2, "centers": (box[:, :2] + box[:, 2:]) / 2}
+            send(entity, number, rr.Boxes2D.columns(**size, labels=label, class_ids=color))
+            send(f"{entity}/trail", number, rr.LineStrips2D.columns(strips=trail, class_ids=color))
+            # Nothing is shown where it is not seen.
+            ended = number[np.diff(number, append=number[-1:] + 2) > 1] + 1
+            for each in (entity, f"{entity}/trail"):
+                send(each, ended, rr.Clear.columns(is_recursive=np.zeros(len(ended), np.bool_)))
+        recording.disconnect()
 
 
 def _ltwh(xyxy: F8) -> F8:

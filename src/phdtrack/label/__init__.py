@@ -1,5 +1,5 @@
-"""What people say about detections: which are false, where objects enter."""
+"""What people say about detections: which are false, what was missed, where objects enter."""
 
-from phdtrack.label.store import Label, LabelStore, Mark, Progress
+from phdtrack.label.store import DRAWN, Label, LabelStore, Mark, Progress
 
-__all__ = ["Label", "LabelStore", "Mark", "Progress"]
+__all__ = ["DRAWN", "Label", "LabelStore", "Mark", "Progress"]

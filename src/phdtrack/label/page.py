@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,8 +20,9 @@ from starlette.routing import Route
 
 from phdtrack.arrays import iou
 from phdtrack.errors import InputError
+from phdtrack.label.exchange import Exchange
 from phdtrack.label.samples import boxes_of, clip, last_frame
-from phdtrack.label.store import Label, LabelStore, Progress
+from phdtrack.label.store import DRAWN, Label, LabelStore, Progress
 from phdtrack.label.suggestions import ALIKE, TICKED, Background
 from phdtrack.live.serving import static
 from phdtrack.scene.mixture import place_map
@@ -31,6 +33,8 @@ from phdtrack.types import F8, Detections, DetectionTable, Image, SequenceInfo
 _OF_TYPE = {
     "image/jpeg": {"Cache-Control": "private, max-age=86400, immutable"},
     "text/csv": {"Content-Disposition": 'attachment; filename="labels.csv"'},
+    "application/json; charset=utf-8": {"Content-Disposition": 'attachment; filename="labels.coco.json"'},
+    "text/xml": {"Content-Disposition": 'attachment; filename="labels.cvat.xml"'},
 }
 JSON = "application/json"
 STATIC = Path(__file__).parent / "static"
@@ -69,6 +73,7 @@ class Session:
     stills : the frames as JPEG by number, those of the clips too, of any size; the others are shown grey.
     background : looks for what may be false; None where nothing does.
     command : learns from the marks, in a terminal.
+    labeller : name of who labels, unless somebody gives another one on the page.
     """
 
     store: LabelStore
@@ -77,6 +82,12 @@ class Session:
     info: SequenceInfo
     background: Background | None = None
     command: str = "phdtrack learn"
+    labeller: str = ""
+
+    @property
+    def exchange(self) -> Exchange:
+        """The labels in the formats of other tools."""
+        return Exchange(self.store, self.table, self.info)
 
     def learn(self, progress: Progress) -> str:
         """The command that learns from the marks: births, too, where enough of them were marked."""
@@ -95,16 +106,24 @@ class Session:
             "frames": [{"number": number, "done": done, "clip": [c.start, c.stop - 1]} for number, done, c in clips],
             "progress": self._progress(),
             "kept": str(self.store.path),
+            "labeller": self.labeller,
+            "drawn": DRAWN,
         }
 
-    def frame(self, number: int) -> dict[str, object]:
-        """The boxes of a frame (left, top, right, bottom, score), their marks by index, whether it is done, what can
-        be undone."""
-        found, (undo, redo) = self._boxes(number), self.store.steps(number)
+    def disputes(self) -> list[tuple[int, int, dict[str, str]]]:
+        """(frame, box, what each labeller says) of the boxes of which several say different things."""
+        return [(*box, said) for box, said in self.store.disputes().items()]
+
+    def frame(self, number: int, who: str = "") -> dict[str, object]:
+        """The boxes of a frame (left, top, right, bottom, score), by their numbers the marks, who made them, and the places
+        of those that were drawn or moved; whether it is done, what ``who`` can undo."""
+        found, labels, (undo, redo) = self._boxes(number), self.store.labels(number), self.store.steps(number, who)
         return {
             "number": number,
             "boxes": np.column_stack([found.xyxy, found.confidence]).round(2).tolist(),
-            "marks": {str(label.box): label.mark for label in self.store.labels(number)},
+            "marks": {str(label.box): label.mark for label in labels},
+            "places": {str(label.box): label.place for label in labels if label.place is not None},
+            "by": {str(label.box): label.who for label in labels},
             "done": dict(self.store.frames()).get(number, False),
             "undo": undo,
             "redo": redo,
@@ -193,17 +212,18 @@ class Session:
             case "marks":
                 found = {number: self._boxes(number) for number in {label.frame for label in sent.marks}}
                 for label in sent.marks:
-                    _checked(found[label.frame], label.frame, label.box)
+                    if label.box < DRAWN:
+                        _checked(found[label.frame], label.frame, label.box)
                 store.mark(number, sent.marks, sent.who, sent.key)
             case "undo":
-                store.undo(number, sent.key)
+                store.undo(number, sent.key, sent.who)
             case "redo":
-                store.redo(number, sent.key)
+                store.redo(number, sent.key, sent.who)
             case "done":
-                store.finish(number, sent.done, sent.key)
+                store.finish(number, sent.done, sent.key, sent.who)
             case _:
                 raise InputError(f"nothing is called {what}")
-        return self.frame(number) | {"progress": self._progress()}
+        return self.frame(number, sent.who) | {"progress": self._progress()}
 
     def _progress(self) -> dict[str, object]:
         """How far the work is, and what to do ``next`` when all frames are done."""
@@ -239,24 +259,28 @@ def label_app(session: Session) -> Starlette:
     answers: dict[str, tuple[Callable[..., object], str]] = {
         "/": ((STATIC / "label.html").read_bytes, "text/html; charset=utf-8"),
         "/api/overview": (session.overview, JSON),
-        "/api/frame/{number:int}": (session.frame, JSON),
         "/api/frame/{number:int}/alike/{box:int}": (session.alike, JSON),
         "/api/suggestions": (session.suggestions, JSON),
         "/api/map/{mark:str}": (session.place_map, JSON),
-        "/api/labels.csv": (session.store.csv, "text/csv"),
+        "/api/labels.csv": (partial(session.exchange.text, "csv"), "text/csv"),
+        "/api/labels.json": (partial(session.exchange.text, "json"), "application/json; charset=utf-8"),
+        "/api/labels.xml": (partial(session.exchange.text, "xml"), "text/xml"),
+        "/api/disputes": (session.disputes, JSON),
         "/still/{number:int}.jpg": (session.still, "image/jpeg"),
         "/crop/{number:int}/{box:int}.jpg": (session.crop, "image/jpeg"),
     }
     routes = [Route(path, _endpoint(work, media)) for path, (work, media) in answers.items()]
+    routes.append(Route("/api/frame/{number:int}", _endpoint(session.frame, JSON, "who")))
     change = Route("/api/frame/{number:int}/{what:str}", _endpoint(session._change, JSON), methods=["POST"])
     return Starlette(routes=[*routes, change, *static(STATIC)])
 
 
-def _endpoint(work: Callable[..., Any], media: str) -> Callable[[Request], Any]:
-    """``work`` in a thread, with the path's parameters and the JSON sent; what it cannot use is a 400 with a sentence."""
+def _endpoint(work: Callable[..., Any], media: str, *query: str) -> Callable[[Request], Any]:
+    """``work`` in a thread, with the path's parameters, those of the ``query``, and the JSON sent; what it cannot use is a
+    400 with a sentence."""
 
     async def endpoint(request: Request) -> Response:
-        given = dict(request.path_params)
+        given = dict(request.path_params) | {name: request.query_params.get(name, "") for name in query}
         try:
             if request.method == "POST":
                 given["sent"] = Sent.model_validate_json(await request.body())

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.arrays import to_cxcywh
-from phdtrack.label.store import Label, LabelStore
+from phdtrack.label.store import DRAWN, Label, LabelStore
 from phdtrack.types import F8, I8, DetectionTable, SequenceInfo, Tracks
 
 # Frames of a sequence: five days at 25 a second.
@@ -45,8 +45,9 @@ def last_frame(info: SequenceInfo, table: DetectionTable) -> int:
 
 
 def boxes_of(labels: list[Label], table: DetectionTable) -> F8:
-    """(4, n) centres and sizes of the labelled boxes, pixels."""
-    return to_cxcywh(np.array([table.at(label.frame).xyxy[label.box] for label in labels]).reshape(-1, 4))
+    """(4, n) centres and sizes of the labelled boxes, pixels: where they were drawn or moved to, else the detections'."""
+    places = [table.at(one.frame).xyxy[one.box] if one.place is None else one.place for one in labels]
+    return to_cxcywh(np.array(places).reshape(-1, 4))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,10 +77,17 @@ class Marks:
 
     @property
     def object_boxes(self) -> F8:
-        """(4, n) centres and sizes, pixels, of the boxes that are not marked as false on frames that were `looked_at`."""
-        false = {(label.frame, label.box) for label in self._false}
-        found = [box for n in self.looked_at for k, box in enumerate(self.table.at(n).xyxy) if (n, k) not in false]
-        return to_cxcywh(np.array(found).reshape(-1, 4))
+        """(4, n) centres and sizes, pixels, of the objects on frames that were `looked_at`: the detections that are not
+        marked as false, where somebody moved them to if so, and behind them the `missed` ones."""
+        marked = {(label.frame, label.box): label for label in self.store.labels()}
+        seen = (marked.get((n, k), Label(n, k, "none")) for n in self.looked_at for k in range(len(self.table.at(n))))
+        return boxes_of([*(one for one in seen if one.mark != "false"), *self.missed], self.table)
+
+    @property
+    def missed(self) -> list[Label]:
+        """The objects that the detector missed on frames that were `looked_at`: boxes that a person has drawn."""
+        done = set(self.looked_at)
+        return [label for label in self.store.labels() if label.box >= DRAWN and label.frame in done]
 
     def share_followed(self, tracks: Tracks) -> float:
         """The share of the boxes marked as false, on frames that were `looked_at`, that carry one of the tracks.
@@ -126,7 +134,8 @@ class Marks:
 
 def _velocity(table: DetectionTable, birth: Label, fps: float) -> F8:
     """(2,) pixels per frame: the slope of the straight line through the box's centre and those that go on from it."""
-    own, frames, boxes = birth.box, [birth.frame], [to_cxcywh(table.at(birth.frame).xyxy)[:, birth.box]]
+    # A box that was drawn is none of the detections.
+    own, frames, boxes = birth.box if birth.box < DRAWN else -1, [birth.frame], [boxes_of([birth], table)[:, 0]]
     slope = np.zeros(2)
     for number in range(birth.frame + 1, birth.frame + 1 + _LINKS):
         passed = number - frames[-1]

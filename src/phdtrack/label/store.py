@@ -1,9 +1,10 @@
 """Labels of detections in one SQLite file: every mark is kept the moment it is made, by however many people at once.
 
-A file is a list of actions, each of one or more marks, or that a frame is done; nothing is ever overwritten. The last mark
-on a box, or on a frame, whose action is not undone counts. So undoing is a flag, and of two people who mark the same box
-both keep their click. A page that does not know whether its click arrived sends it again: what carries a ``key`` that the
-file has seen changes nothing.
+A file is a list of actions, each of one or more marks, or that a frame is done, and of who made it; nothing is ever
+overwritten. The last mark on a box, or on a frame, whose action is not undone counts, whoever made it. So undoing is a flag,
+which people set on their own actions only, and of two people who mark the same box both keep their click: where they
+disagree, `LabelStore.disputes` says it. A page that does not know whether its click arrived sends it again: what carries a
+``key`` that the file has seen changes nothing.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ import secrets
 import sqlite3
 from collections.abc import Iterable, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
@@ -22,12 +23,17 @@ from phdtrack.arrays import iou
 from phdtrack.errors import InputError
 from phdtrack.types import DetectionTable, Truth
 
-Mark = Literal["false", "birth", "none"]
-"""``false``: the detector is wrong there. ``birth``: a target enters there. ``none``: neither, after all."""
+Mark = Literal["false", "birth", "true", "none"]
+"""``false``: the detector is wrong there. ``birth``: a target enters there. ``true``: an object is where the box was drawn
+or moved to. ``none``: nothing of these, after all; a drawn box is gone then."""
 MARKS: tuple[str, ...] = get_args(Mark)
-FORMAT = "1"
+DRAWN = 1_000_000_000
+"""Boxes with numbers from this one on are not detections: they were drawn about objects that the detector missed."""
+FORMAT, _EARLIER = "2", "1"
 NO_OBJECT = 0.3
 """A box whose overlap (IoU) with every object is below this is on none."""
+# Pixels within which a place is.
+_FAR = 1e6
 # Seconds to wait while another person's click is written.
 _TIMEOUT = 30.0
 
@@ -45,6 +51,10 @@ CREATE TABLE IF NOT EXISTS mark (
     action INTEGER NOT NULL REFERENCES action (id), frame INTEGER NOT NULL, box INTEGER NOT NULL, mark TEXT NOT NULL,
     PRIMARY KEY (action, frame, box)
 ) STRICT;
+CREATE TABLE IF NOT EXISTS place (
+    action INTEGER NOT NULL REFERENCES action (id), frame INTEGER NOT NULL, box INTEGER NOT NULL,
+    x1 REAL NOT NULL, y1 REAL NOT NULL, x2 REAL NOT NULL, y2 REAL NOT NULL, PRIMARY KEY (action, frame, box)
+) STRICT;
 CREATE TABLE IF NOT EXISTS request (key TEXT PRIMARY KEY) STRICT;
 CREATE INDEX IF NOT EXISTS mark_by_box ON mark (frame, box, action);
 """
@@ -56,30 +66,48 @@ SELECT number, coalesce((
     WHERE a.undone = 0 AND m.frame = number AND m.box = {_FRAME} ORDER BY a.id DESC LIMIT 1
 ), done) FROM frame ORDER BY place
 """
+# Of a frame the actions of one person, and those of nobody by name.
+_OWN = "frame = ? AND who IN (?, '')"
 # SQLite takes the columns beside max(…) from the row that has the maximum.
 _CURRENT = """
-SELECT m.frame, m.box, m.mark, max(m.action) FROM mark m JOIN action a ON a.id = m.action
+SELECT m.frame, m.box, m.mark, a.who, x1, y1, x2, y2, max(m.action) FROM mark m JOIN action a ON a.id = m.action
+LEFT JOIN place p ON p.action = m.action AND p.frame = m.frame AND p.box = m.box
 WHERE a.undone = 0 AND m.box >= 0 AND m.frame = coalesce(?, m.frame) GROUP BY m.frame, m.box ORDER BY m.frame, m.box
+"""
+# The last mark of each person, for boxes that several have marked.
+_BY_PERSON = """
+SELECT frame, box, who, mark FROM (
+    SELECT m.frame, m.box, a.who, m.mark, max(m.action), count(*) OVER (PARTITION BY m.frame, m.box) people
+    FROM mark m JOIN action a ON a.id = m.action WHERE a.undone = 0 AND m.box >= 0 GROUP BY m.frame, m.box, a.who
+) WHERE people > 1 ORDER BY frame, box, who
 """
 
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """What a box is: ``box`` counts from 0 among the detections of ``frame``."""
+    """What a box is: ``box`` counts from 0 among the detections of ``frame``, or from `DRAWN` for a box that was drawn.
+
+    ``place`` (left, top, right, bottom; pixels) is where a person has drawn the box or moved it to, None for the detection's
+    own. ``who`` made the mark; labels are compared without it.
+    """
 
     frame: int
     box: int
     mark: Mark
+    place: tuple[float, float, float, float] | None = None
+    who: str = field(default="", compare=False)
 
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Frames looked at, of how many, and boxes marked as false and as births on all of them."""
+    """Frames looked at, of how many; on all of them boxes marked as false, as births, and drawn; those in dispute."""
 
     done: int
     frames: int
     false: int
     births: int
+    drawn: int = 0
+    disputed: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,12 +135,12 @@ class LabelStore:
             with store._connection() as db, db:
                 db.executescript(_TABLES)
                 known = about | dict(db.execute("SELECT name, value FROM about"))
-                if known["format"] != FORMAT:
+                if known["format"] not in (FORMAT, _EARLIER):
                     raise InputError(f"expected labels of format {FORMAT}, got {known['format']!r}", where=path)
                 if known["detections"] != digest:
                     problem = f"the labels are those of other detections (of {known['source']}), not of these of {source}"
                     raise InputError(problem, where=path, cure="Give another --labels file, or the detections of then")
-                db.executemany("INSERT OR IGNORE INTO about VALUES (?, ?)", about.items())
+                db.executemany("INSERT OR REPLACE INTO about VALUES (?, ?)", (known | {"format": FORMAT}).items())
                 place = "(SELECT coalesce(max(place) + 1, 0) FROM frame)"
                 rows = [(int(number),) for number in frames]
                 db.executemany(f"INSERT OR IGNORE INTO frame (number, place) VALUES (?, {place})", rows)
@@ -124,6 +152,11 @@ class LabelStore:
     def name(self) -> str:
         """A random name that the file keeps for good, wherever it is moved."""
         return str(self._rows("SELECT value FROM about WHERE name = 'name'")[0][0])
+
+    @property
+    def digest(self) -> str:
+        """That of the detections that are labelled."""
+        return str(self._rows("SELECT value FROM about WHERE name = 'detections'")[0][0])
 
     @property
     def ports(self) -> range:
@@ -142,15 +175,14 @@ class LabelStore:
 
         Raises
         ------
-        InputError : no mark, or an unknown one.
+        InputError : no mark, or an unknown one; a place that is none, or that the mark cannot have.
         """
-        rows = [(label.frame, label.box, label.mark) for label in marks]
-        if not rows:
+        given = list(marks)
+        if not given:
             raise InputError("expected a mark or more", where=f"frame {frame}")
-        for _, box, mark in rows:
-            if mark not in MARKS or box < 0:
-                raise InputError(f"expected one of {', '.join(MARKS)} on a box from 0, got {mark!r} on {box}")
-        self._act(frame, rows, who, key)
+        for label in given:
+            _check(label)
+        self._act(frame, given, who, key)
 
     def mark_false(self, table: DetectionTable, truth: Truth) -> None:
         """Mark the detections that are on no annotated object, `NO_OBJECT`, on all frames, which are done then.
@@ -167,35 +199,60 @@ class LabelStore:
                 self.mark(number, [Label(number, box, "false") for box in false.tolist()])
             self.finish(number)
 
-    def undo(self, frame: int, key: str = "") -> None:
-        """Take back the last action made on ``frame``, if there is one."""
-        last = "SELECT max(id) FROM action WHERE frame = ? AND undone = 0"
-        self._change(key, (f"UPDATE action SET undone = 1 WHERE id = ({last})", [(frame,)]))
+    def undo(self, frame: int, key: str = "", who: str = "") -> None:
+        """Take back the last action on a frame, if there is one.
 
-    def redo(self, frame: int, key: str = "") -> None:
-        """Make the action on ``frame`` that was undone last count again, if there is one."""
-        first = "SELECT min(id) FROM action WHERE frame = ? AND undone = 1"
-        self._change(key, (f"UPDATE action SET undone = 0 WHERE id = ({first})", [(frame,)]))
+        Parameters
+        ----------
+        frame : its number.
+        who, key : as in `mark`; actions of nobody by name are everybody's.
+        """
+        last = f"SELECT max(id) FROM action WHERE {_OWN} AND undone = 0"
+        self._change(key, (f"UPDATE action SET undone = 1 WHERE id = ({last})", [(frame, who)]))
 
-    def finish(self, frame: int, done: bool = True, key: str = "") -> None:
+    def redo(self, frame: int, key: str = "", who: str = "") -> None:
+        """Make the action on a frame that was undone last count again, if there is one.
+
+        Parameters
+        ----------
+        frame, who, key : as in `undo`.
+        """
+        first = f"SELECT min(id) FROM action WHERE {_OWN} AND undone = 1"
+        self._change(key, (f"UPDATE action SET undone = 0 WHERE id = ({first})", [(frame, who)]))
+
+    def finish(self, frame: int, done: bool = True, key: str = "", who: str = "") -> None:
         """Say that a frame has been looked at, which `undo` takes back. One without false boxes is looked at too.
 
         Parameters
         ----------
         frame : its number.
         done : False where it has not been looked at after all.
-        key : as in `mark`.
+        who, key : as in `mark`.
         """
-        self._act(frame, [(frame, _FRAME, "done" if done else "none")], "", key)
+        self._act(frame, [Label(frame, _FRAME, cast(Mark, "done" if done else "none"))], who, key)
 
-    def steps(self, frame: int) -> tuple[int, int]:
-        """How many actions on ``frame`` can be undone and redone."""
-        known = [undone for (undone,) in self._rows("SELECT undone FROM action WHERE frame = ?", frame)]
+    def steps(self, frame: int, who: str = "") -> tuple[int, int]:
+        """How many actions on ``frame`` ``who`` can undo and redo."""
+        known = [undone for (undone,) in self._rows(f"SELECT undone FROM action WHERE {_OWN}", frame, who)]
         return known.count(0), known.count(1)
 
     def labels(self, frame: int | None = None) -> list[Label]:
         """What every marked box is, or those of one ``frame``; boxes marked as ``none`` again are not listed."""
-        return [Label(number, box, mark) for number, box, mark, _ in self._rows(_CURRENT, frame) if mark != "none"]
+        return [
+            Label(number, box, mark, None if place[0] is None else tuple(place), who)
+            for number, box, mark, who, *place, _ in self._rows(_CURRENT, frame)
+            if mark != "none"
+        ]
+
+    def disputes(self) -> dict[tuple[int, int], dict[str, str]]:
+        """By frame and box: who says what of the boxes of which several people say different things, each by the last mark.
+
+        A detection that somebody took a mark off again, and one that was moved, is true to them.
+        """
+        said = dict[tuple[int, int], dict[str, str]]()
+        for frame, box, who, mark in self._rows(_BY_PERSON):
+            said.setdefault((frame, box), {})[who] = "true" if mark == "none" and box < DRAWN else mark
+        return {box: marks for box, marks in said.items() if len(set(marks.values())) > 1}
 
     def frames(self) -> list[tuple[int, bool]]:
         """The frames to label in the order to show them, and which of them have been looked at."""
@@ -203,26 +260,28 @@ class LabelStore:
 
     def progress(self) -> Progress:
         """How far the work is."""
-        done, marks = [done for _, done in self.frames()], [label.mark for label in self.labels()]
-        return Progress(sum(done), len(done), marks.count("false"), marks.count("birth"))
+        done, labels = [done for _, done in self.frames()], self.labels()
+        marks, drawn = [label.mark for label in labels], sum(label.box >= DRAWN for label in labels)
+        return Progress(sum(done), len(done), marks.count("false"), marks.count("birth"), drawn, len(self.disputes()))
 
-    def csv(self) -> str:
-        """The labels as CSV: frame, box, mark."""
-        return "frame,box,mark\n" + "".join(f"{label.frame},{label.box},{label.mark}\n" for label in self.labels())
-
-    def _rows(self, question: str, *values: int | None) -> list[tuple[Any, ...]]:
+    def _rows(self, question: str, *values: int | str | None) -> list[tuple[Any, ...]]:
         """The answer to a question."""
         with self._connection() as db:
             return db.execute(question, values).fetchall()
 
-    def _act(self, frame: int, rows: Sequence[tuple[int, int, str]], who: str, key: str) -> None:
-        """Keep rows (frame, box, mark) as one action made on ``frame``."""
+    def _act(self, frame: int, labels: Sequence[Label], who: str, key: str) -> None:
+        """Keep labels as one action made on ``frame``; of two on one box the last."""
+        last = {(label.frame, label.box): label for label in labels}.values()
         self._change(
             key,
             # What was undone before is gone for good once something new was done: redoing would mix the two.
-            ("UPDATE action SET undone = 2 WHERE frame = ? AND undone = 1", [(frame,)]),
+            (f"UPDATE action SET undone = 2 WHERE {_OWN} AND undone = 1", [(frame, who)]),
             ("INSERT INTO action (frame, who) VALUES (?, ?)", [(frame, who)]),
-            ("INSERT OR REPLACE INTO mark SELECT max(id), ?, ?, ? FROM action", rows),
+            ("INSERT INTO mark SELECT max(id), ?, ?, ? FROM action", [(one.frame, one.box, one.mark) for one in last]),
+            (
+                "INSERT INTO place SELECT max(id), ?, ?, ?, ?, ?, ? FROM action",
+                [(one.frame, one.box, *one.place) for one in last if one.place is not None],
+            ),
         )
 
     def _change(self, key: str, *steps: tuple[str, Sequence[tuple[object, ...]]]) -> None:
@@ -240,3 +299,21 @@ class LabelStore:
         db = sqlite3.connect(self.path, timeout=_TIMEOUT)
         db.execute("PRAGMA synchronous = FULL")
         return closing(db)
+
+
+def _check(label: Label) -> None:
+    """Raise `InputError` where a box cannot be what the label says."""
+    box, mark, place = label.box, label.mark, label.place
+    if mark not in MARKS or not 0 <= box < 2 * DRAWN:
+        raise InputError(f"expected one of {', '.join(MARKS)} on a box from 0, got {mark!r} on {box}")
+    problem = ""
+    if place is None and (mark == "true" or (mark == "birth" and box >= DRAWN)):
+        problem = f"expected the place of box {box}, got none"
+    elif place is not None and mark in ("false", "none"):
+        problem = f"expected no place of a box that is marked {mark}, got {place}"
+    elif mark == "false" and box >= DRAWN:
+        problem = "expected a detection to be marked as false, got a box that was drawn"
+    elif place and not (max(map(abs, place)) < _FAR and place[2] > place[0] and place[3] > place[1]):
+        problem = f"expected left < right and top < bottom in pixels, got {place}"
+    if problem:
+        raise InputError(problem, where=f"frame {label.frame}")

@@ -130,8 +130,12 @@ class SceneTraining:
         marks = self._marked
         frames = len(marks.looked_at)
         training = learn_boxes(marks.false_boxes, frames, self._size, FALSE_BOXES)
-        boxes = counted(training.learned.samples, "box", "boxes")
-        return training, f"{boxes} marked by a person on {counted(frames, 'frame')}"
+        text = f"{counted(training.learned.samples, 'box', 'boxes')} marked by a person on {counted(frames, 'frame')}"
+        if missed := len(marks.missed):
+            objects = marks.object_boxes.shape[1]
+            share = 100 * (1 - missed / objects)
+            text += f", where the detector missed {missed} of {counted(objects, 'object')} (it detects {share:.0f} %)"
+        return training, text
 
     def _unattended_clutter(self) -> tuple[Training, str]:
         """False alarms from what would be suggested to a person."""

@@ -16,13 +16,6 @@ A false box is the first of
 * clutter: all others. The track follows false alarms, or an object that nobody annotated.
 
 Without detections the first cause of misses holds all of them, and a ghost must overlap no true box by .1.
-
-Why an object, or a track with the object that it is mapped to last, is mapped no more after its last mapped frame:
-
-* object left the picture: the object has no box afterwards;
-* handed to another identity: the object is mapped to another track afterwards, or the track to another object;
-* detector lost it: less than half of the object's boxes afterwards are detected;
-* ended while detected: all others. Without detections the last two are one, "ended before its object".
 """
 
 from __future__ import annotations
@@ -38,14 +31,6 @@ from phdtrack.types import F8, I8, Bool, DetectionTable, Tracks, Truth
 
 CAUSES, PLACES = ("undetected", "unused"), ("never", "head", "gap", "tail")
 FALSE = ("loose", "ghost", "duplicate", "clutter")
-ENDS = (
-    "never matched",
-    "object left the picture",
-    "handed to another identity",
-    "detector lost it",
-    "ended while detected",
-    "ended before its object",
-)
 # The names of the sums in `Errors.sums`.
 SUMS = (*(f"miss_{name}" for name in (*CAUSES, *PLACES)), *(f"false_{name}" for name in FALSE))
 # Boxes that overlap less have nothing to do with each other.
@@ -63,7 +48,6 @@ class Errors:
     objects, tracks : (G,), (O,) identities.
     boxes, shown : (G,), (O,) number of boxes of each.
     last, last_shown : (G,), (O,) the last frame in which each is mapped, 0 where none is.
-    end, end_shown : (G,), (O,) indices in `ENDS`: why that was the last.
     ignored : number of output boxes that fell to distractors and ignored regions, and count as nothing.
     detected : whether detections were given; else all misses stand under the first cause.
     """
@@ -76,8 +60,6 @@ class Errors:
     shown: I8
     last: I8
     last_shown: I8
-    end: I8
-    end_shown: I8
     ignored: int
     detected: bool
 
@@ -105,12 +87,12 @@ class Errors:
         misses, false = self.misses.sum(axis=0).tolist(), self.false.sum(axis=0).tolist()
         objects = [
             {"identity": int(self.objects[i]), "boxes": int(self.boxes[i]), "misses": self._cells(self.misses[i].tolist()),
-             "last": int(self.last[i]), "end": ENDS[self.end[i]]}
+             "last": int(self.last[i])}
             for i in self.worst_objects(worst)
         ]  # fmt: skip
         tracks = [
             {"identity": int(self.tracks[i]), "boxes": int(self.shown[i]), "last": int(self.last_shown[i]),
-             "false_positives": dict(zip(FALSE, self.false[i].tolist(), strict=True)), "end": ENDS[self.end_shown[i]]}
+             "false_positives": dict(zip(FALSE, self.false[i].tolist(), strict=True))}
             for i in self.worst_tracks(worst)
         ]  # fmt: skip
         by_cause = {"misses": self._cells(misses), "false_positives": dict(zip(FALSE, false, strict=True))}
@@ -131,34 +113,28 @@ def _most(number: I8, most: int) -> I8:
 class _Rows(NamedTuple):
     """The (M,) boxes of one side, frames ascending.
 
-    Their frame, index of identity, the index that it is mapped to or −1, whether it is detected, the largest overlap with a
-    box of the other side, and whether that one is mapped.
+    Their frame, index of identity, whether it is mapped, whether it is detected, the largest overlap with a box of the other
+    side, and whether that one is mapped.
     """
 
     frame: I8
     who: I8
-    partner: I8
+    mapped: Bool
     detected: Bool
     best: F8
     rival: Bool
 
-    def lives(self, size: int) -> tuple[I8, I8, I8]:
-        """(size,) of each identity: the first and last frame in which it is mapped, 0 for none, and the last partner, −1."""
-        first, last, partner = np.zeros(size, np.int64), np.zeros(size, np.int64), np.full(size, -1)
-        mapped = self.partner >= 0
-        frame, who = self.frame[mapped], self.who[mapped]
+    def lives(self, size: int) -> tuple[I8, I8]:
+        """(size,) of each identity: the first and last frame in which it is mapped, 0 for none."""
+        first, last = np.zeros((2, size), np.int64)
+        frame, who = self.frame[self.mapped], self.who[self.mapped]
         # Where an index comes more than once the last value is kept.
-        first[who[::-1]], last[who], partner[who] = frame[::-1], frame, self.partner[mapped]
-        return first, last, partner
-
-    def after(self, who: int, frame: int) -> Bool:
-        """(M,) the boxes of an identity after a frame."""
-        later: Bool = (self.who == who) & (self.frame > frame)
-        return later
+        first[who[::-1]], last[who] = frame[::-1], frame
+        return first, last
 
 
 _NONE = np.zeros(0, np.int64)
-_NO_ROWS = _Rows(_NONE, _NONE, _NONE, _NONE > 0, np.zeros(0), _NONE > 0)
+_NO_ROWS = _Rows(_NONE, _NONE, _NONE > 0, _NONE > 0, np.zeros(0), _NONE > 0)
 
 
 def explain(
@@ -181,15 +157,15 @@ def explain(
     scene, given = build(truth, tracks, frames), detections is not None
     true, shown = _sides(scene, (truth.xyxy, tracks.xyxy), detections, iou)
     objects, outputs = len(scene.truth_identity), len(scene.output_identity)
-    (first, last, partner), (_, last_shown, partner_shown) = true.lives(objects), shown.lives(outputs)
+    (first, last), (_, last_shown) = true.lives(objects), shown.lives(outputs)
 
-    missed = true.partner < 0
+    missed = ~true.mapped
     frame, who = true.frame[missed], true.who[missed]
     place = np.select([last[who] == 0, frame < first[who], frame < last[who]], [0, 1, 2], 3)
     misses = np.zeros((objects, len(CAUSES), len(PLACES)), np.int64)
     np.add.at(misses, (who, true.detected[missed].astype(np.int64), place), 1)
 
-    wrong = shown.partner < 0
+    wrong = ~shown.mapped
     who, near = shown.who[wrong], shown.best[wrong] >= _NEAR
     ghost = (last_shown[who] > 0) & ~(shown.detected[wrong] if given else near)
     twice = shown.best[wrong] >= iou / 2 - ROUNDING
@@ -197,11 +173,6 @@ def explain(
     false = np.zeros((outputs, len(FALSE)), np.int64)
     np.add.at(false, (who, cause), 1)
 
-    end = [_end(true, shown, (i, int(j)), int(frame), given) for i, (j, frame) in enumerate(zip(partner, last, strict=True))]
-    end_shown = [
-        _end(true, shown, (int(i), j), int(frame), given)
-        for j, (i, frame) in enumerate(zip(partner_shown, last_shown, strict=True))
-    ]
     return Errors(
         misses=misses,
         false=false,
@@ -211,8 +182,6 @@ def explain(
         shown=np.bincount(shown.who, minlength=outputs),
         last=last,
         last_shown=last_shown,
-        end=np.array(end, np.int64),
-        end_shown=np.array(end_shown, np.int64),
         ignored=scene.ignored,
         detected=given,
     )
@@ -228,10 +197,9 @@ def _sides(scene: Scene, xyxy: tuple[F8, F8], detections: DetectionTable | None,
         seen = np.zeros((0, 4)) if detections is None else detections.at(pair.number).xyxy
         detected: Bool = above(overlaps(xyxy[0][pair.truth_row], seen), iou).max(axis=1, initial=0.0) > 0
         detected_shown: Bool = above(overlaps(xyxy[1][pair.output_row], seen), iou).max(axis=1, initial=0.0) > 0
-        partner = _looked_up(pair.truth, mapping.truth[now], mapping.output[now])
-        partner_shown = _looked_up(pair.output, mapping.output[now], mapping.truth[now])
-        true.append(_rows(pair.number, pair.truth, partner, detected, pair.iou, partner_shown >= 0))
-        shown.append(_rows(pair.number, pair.output, partner_shown, detected_shown, pair.iou.T, partner >= 0))
+        mapped, mapped_shown = np.isin(pair.truth, mapping.truth[now]), np.isin(pair.output, mapping.output[now])
+        true.append(_rows(pair.number, pair.truth, mapped, detected, pair.iou, mapped_shown))
+        shown.append(_rows(pair.number, pair.output, mapped_shown, detected_shown, pair.iou.T, mapped))
     return _joined(true), _joined(shown)
 
 
@@ -240,31 +208,10 @@ def _joined(parts: list[_Rows]) -> _Rows:
     return _Rows(*map(np.concatenate, zip(*parts, strict=True)))
 
 
-def _looked_up(wanted: I8, keys: I8, values: I8) -> I8:
-    """(n,) the value of each wanted key, −1 where there is none."""
-    value = dict(zip(keys.tolist(), values.tolist(), strict=True))
-    return np.array([value.get(key, -1) for key in wanted.tolist()], np.int64)
-
-
-def _rows(number: int, who: I8, partner: I8, detected: Bool, overlap: F8, others_mapped: Bool) -> _Rows:
+def _rows(number: int, who: I8, mapped: Bool, detected: Bool, overlap: F8, others_mapped: Bool) -> _Rows:
     """The boxes of one side in a frame; ``overlap`` (n, m) with those of the other, ``others_mapped`` (m,)."""
     n = len(who)
     if not overlap.size:
-        return _Rows(np.full(n, number), who, partner, detected, np.zeros(n), np.zeros(n, np.bool_))
+        return _Rows(np.full(n, number), who, mapped, detected, np.zeros(n), np.zeros(n, np.bool_))
     most = overlap.argmax(axis=1)
-    return _Rows(np.full(n, number), who, partner, detected, overlap.max(axis=1), others_mapped[most])
-
-
-def _end(true: _Rows, shown: _Rows, pair: tuple[int, int], frame: int, given: bool) -> int:
-    """Why an object and a track are not mapped after a frame, the last in which they are; 0: none. An index in `ENDS`."""
-    target, track = pair
-    if not frame:
-        return 0
-    after = true.after(target, frame)
-    if not after.any():
-        return 1
-    if (true.partner[after] >= 0).any() or (shown.partner[shown.after(track, frame)] >= 0).any():
-        return 2
-    if not given:
-        return 5
-    return 3 if 2 * true.detected[after].sum() < after.sum() else 4
+    return _Rows(np.full(n, number), who, mapped, detected, overlap.max(axis=1), others_mapped[most])

@@ -99,13 +99,14 @@ class Scene:
         return np.array([pair.iou.shape for pair in self.pairs], np.int64).reshape(-1, 2).T
 
 
-def build(truth: Truth, tracks: Tracks, frames: int = 0) -> Scene:
+def build(truth: Truth, tracks: Tracks, frames: int = 0, first: int = 1) -> Scene:
     """``truth`` and ``tracks`` side by side, frame by frame, without distractors.
 
     Parameters
     ----------
     truth, tracks : annotated boxes, output boxes.
     frames : number of frames of the sequence, later rows are left out; 0: up to the last row of either side.
+    first : the first of these that counts; there are no rows before it.
 
     Raises
     ------
@@ -128,7 +129,7 @@ def build(truth: Truth, tracks: Tracks, frames: int = 0) -> Scene:
         for p in raw
         if len(p.truth) or len(p.output)
     )
-    return Scene(tuple(pairs), last, names_t, names_o, len(rows_o) - sum(len(p.output) for p in raw))
+    return Scene(tuple(pairs), last - first + 1, names_t, names_o, len(rows_o) - sum(len(p.output) for p in raw))
 
 
 def _check(rows: Truth | Tracks, counted: Bool, name: str) -> None:

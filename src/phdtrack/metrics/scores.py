@@ -74,7 +74,7 @@ class Scores:
         return dict(json_value(self))
 
 
-def evaluate(truth: Truth, tracks: Tracks, *, frames: int = 0, iou: float = 0.5) -> Scores:
+def evaluate(truth: Truth, tracks: Tracks, *, frames: int = 0, iou: float = 0.5, first: int = 1) -> Scores:
     """Score ``tracks`` against ``truth``.
 
     Parameters
@@ -83,6 +83,7 @@ def evaluate(truth: Truth, tracks: Tracks, *, frames: int = 0, iou: float = 0.5)
     tracks : every row counts, confirmed or not, predicted or not. `Tracks.take` chooses among them.
     frames : number of frames of the sequence, rows after it are left out; 0: up to the last frame of either side.
     iou : the overlap from which a pair of boxes may match, in (0, 1]; HOTA has its own.
+    first : the first frame that counts, where a part of a sequence is scored: there are no rows before it.
 
     Raises
     ------
@@ -94,7 +95,7 @@ def evaluate(truth: Truth, tracks: Tracks, *, frames: int = 0, iou: float = 0.5)
         if not isinstance(one, kind):
             cure = "Of files they are read by phdtrack.formats.read_truth and read_tracks."
             raise InputError(f"expected {what} as {kind.__name__}, got {type(one).__name__}", where="evaluate", cure=cure)
-    return scores_of(count(build(truth, tracks, frames), iou), iou)
+    return scores_of(count(build(truth, tracks, frames, first), iou), iou)
 
 
 def pool(parts: Sequence[Scores]) -> Scores:

@@ -1,5 +1,7 @@
 """The charts and pictures of reports. Each function gives a `Picture`: charts are SVG, what lies over a photograph JPEG.
 
+Text and axes of a chart have the colour of the text around it, so that a page is light or dark as a whole.
+
 `Figure` objects are made directly: neither pyplot nor a display is needed and no rcParams change. matplotlib takes half a
 second to import: it is imported where a figure is made. Photographs are turned grey and darkened; axes are pixels of the
 original video.
@@ -10,11 +12,12 @@ from __future__ import annotations
 import base64
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
+from markupsafe import Markup
 
 from phdtrack.errors import needed
 from phdtrack.report.drawing import feet, identity_colour
@@ -28,15 +31,13 @@ if TYPE_CHECKING:
 
     from phdtrack.groups.pipeline import GroupFrame
 
-_INK, _GRID, _DARK, _CYAN = "#3a4250", "#dfe3ea", "#1b1f27", "#4cc9f0"
-_BLUE, _ORANGE, _GREEN, _RED, _GREY = "#3b6fd4", "#e08a1e", "#2a9d74", "#c0504d", "#9aa5b8"
-_METHODS = ((_BLUE, "o"), (_ORANGE, "s"), (_GREEN, "D"), ("#a45cc0", "^"), (_RED, "v"), ("#7a8599", "P"))
+# `_INK` stands in an SVG as ``currentColor``; `_PALE` is for what is written on `_DARK`.
+_INK, _PALE, _DARK, _CYAN = "#3a4250", "#c9d1de", "#1b1f27", "#4cc9f0"
+_BLUE, _ORANGE, _GREEN, _GREY = "#3b6fd4", "#e08a1e", "#2a9d74", "#9aa5b8"
 # Inches.
-_WIDE, _NARROW = 8.2, 5.4
+_WIDE = 8.2
 # Identities with a label each; points of a line, or bars, up to which they are outlines: more would swell the file.
 _LABELS, _LABELLED_ROWS, _OUTLINES = 80, 60, 3000
-# Characters of all labels together that fit beside each other.
-_LABEL_ROOM = 45
 _MAX_STRETCH, _CELLS = 6.0, 160
 _DOTS: Any = {"marker": ".", "linestyle": "", "color": _GREY, "markersize": 3, "alpha": 0.7}
 _STEPS: Any = {"drawstyle": "steps-mid"}
@@ -57,6 +58,11 @@ class Picture(NamedTuple):
     def address(self) -> str:
         """The picture as a ``data:`` address."""
         return f"data:{self.mime};base64,{base64.b64encode(self.data).decode('ascii')}"
+
+    @property
+    def svg(self) -> Markup:
+        """A chart as markup to stand in a page, empty for other pictures."""
+        return Markup(self.data.decode().replace(_INK, "currentColor") if self.mime == "image/svg+xml" else "")
 
 
 def count_chart(record: RunRecord) -> Picture:
@@ -122,37 +128,12 @@ def lifetime_chart(record: RunRecord) -> Picture:
     return _chart(axes, len(first))
 
 
-def score_chart(places: F8 | Sequence[str], x_label: str, y_label: str, methods: Mapping[str, F8]) -> Picture:
-    """The scores of each method with their intervals, moved a little to the side so that all can be seen.
-
-    Parameters
-    ----------
-    places : n numbers, which are joined by a line, or n names, at which the scores were taken.
-    x_label, y_label : what the axes show.
-    methods : by name, means and halves of the intervals (2, n); NaN where unknown.
-    """
-    axes, named = _axes(_NARROW, 3.0, x_label, y_label), not isinstance(places, np.ndarray)
-    names = [str(place) if named else f"{place:g}" for place in places]
-    x = np.arange(len(names), dtype=np.float64) if named else np.asarray(places, np.float64)
-    apart = min(0.8 / max(len(methods), 1), 0.2) if named else 0.012 * float(np.ptp(x))
-    for i, (label, (mean, half)) in enumerate(methods.items()):
-        (colour, marker), at = _METHODS[i % len(_METHODS)], x + apart * (i - (len(methods) - 1) / 2)
-        line = "" if named else "-"
-        axes.errorbar(at, mean, half, color=colour, capsize=3, marker=marker, linestyle=line, label=label)
-    if named:
-        axes.grid(False, axis="x")
-        axes.set_xlim(-0.5, max(len(names), 1) - 0.5)
-    crowded = named and max(map(len, names), default=0) * len(names) > _LABEL_ROOM
-    axes.set_xticks(x, names, rotation=25 if crowded else 0, ha="right" if crowded else "center")
-    return _chart(axes)
-
-
 def trajectory_picture(record: RunRecord) -> Picture:
     """The way of every identity's foot point over the scene: full where seen, thin where predicted, broken where rows are
     missing; a ring where it appeared, its number where it was last seen."""
     from matplotlib.collections import LineCollection
 
-    axes, tracks = _over_scene(record.info, record.background, _WIDE, darkness=0.4), record.tracks
+    axes, tracks = _over_scene(record.info, record.background, darkness=0.4), record.tracks
     rows = [np.flatnonzero(tracks.identity == identity) for identity in np.unique(tracks.identity)]
     paths = [tracks.take(own[np.argsort(tracks.frame[own])]) for own in rows]
     colours = [_colour(int(path.identity[0])) for path in paths]
@@ -183,10 +164,13 @@ def map_picture(learned: LearnedDensity, scene: Scene, image: Image, *, births: 
     births : whether to draw the mean way of the next second as arrows.
     """
     p, wide, high = learned.density, scene.width, scene.height
-    axes = _over_scene(SequenceInfo(wide, high, 25.0), image, _WIDE, darkness=0.5)
+    axes = _over_scene(SequenceInfo(wide, high, 25.0), image, darkness=0.5)
     step = max(wide, high) / _CELLS
     shape = (math.ceil(high / step), math.ceil(wide / step))
-    _shade(axes, place_map(p, shape, step), 1.0, (0, shape[1] * step, shape[0] * step, 0), "bilinear")
+    # Clear where nothing is expected, quickly opaque above it, because a weak mass matters.
+    density, extent = place_map(p, shape, step), (0, shape[1] * step, shape[0] * step, 0)
+    alpha = np.where(density > 0.004, 0.25 + 0.7 * np.clip(density, 0, 1) ** 0.5, 0.0)
+    axes.imshow(density, cmap="inferno", extent=extent, alpha=alpha, vmin=0, vmax=1, interpolation="bilinear")
     for m in np.flatnonzero(p.weight >= _MIN_WEIGHT) if births else ():
         start, way = p.mean[:2, m], p.mean[2:4, m] * scene.rate
         style = {"arrowstyle": "-|>", "color": _CYAN, "linewidth": 1 + 4 * float(p.weight[m])}
@@ -212,33 +196,33 @@ def _colour(identity: int) -> str:
     return f"#{bytes(identity_colour(identity)).hex()}"
 
 
-def _axes(width: float, height: float, x_label: str, y_label: str) -> Axes:
-    """Axes of ``width`` × ``height`` inches in the style of all charts: a light grid behind, no frame above and right."""
-    axes: Axes = needed("matplotlib.figure").Figure(figsize=(width, height), layout="constrained").add_subplot()
-    axes.set_xlabel(x_label, fontsize=10, color=_INK)
-    axes.set_ylabel(y_label, fontsize=10, color=_INK)
-    axes.tick_params(labelsize=9, colors=_INK)
-    axes.grid(True, color=_GRID, linewidth=0.8)
+def _axes(height: float, x_label: str, y_label: str, ink: str = _INK) -> Axes:
+    """Axes of so many inches in the style of all charts: a light grid behind, no frame above and right."""
+    axes: Axes = needed("matplotlib.figure").Figure(figsize=(_WIDE, height), layout="constrained").add_subplot()
+    axes.set_xlabel(x_label, fontsize=10, color=ink)
+    axes.set_ylabel(y_label, fontsize=10, color=ink)
+    axes.tick_params(labelsize=9, colors=ink)
+    axes.grid(True, color=ink, alpha=0.15, linewidth=0.8)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.spines[["left", "bottom"]].set_color(_INK)
+    axes.spines[["left", "bottom"]].set_color(ink)
     return axes
 
 
 def _time_axes(times: F8, y_label: str, height: float) -> Axes:
     """Axes over the whole run of frames at ``times`` (F,)."""
-    axes = _axes(_WIDE, height, "time in seconds", y_label)
+    axes = _axes(height, "time in seconds", y_label)
     if len(times) and times[-1] > times[0]:
         axes.set_xlim(float(times[0]), float(times[-1]))
     return axes
 
 
-def _over_scene(info: SequenceInfo, image: Image, width: float, *, darkness: float) -> Axes:
+def _over_scene(info: SequenceInfo, image: Image, *, darkness: float) -> Axes:
     """Axes that are the frame in pixels, over the darkened grey photograph or a dark ground."""
-    height = float(np.clip((width - 1.2) * info.height / info.width + 0.7, 1.8, 9.0))
-    axes = _axes(width, height, "x in pixels", "y in pixels")
+    height = float(np.clip((_WIDE - 1.2) * info.height / info.width + 0.7, 1.8, 9.0))
+    axes = _axes(height, "x in pixels", "y in pixels", _PALE)
     axes.grid(False)
-    axes.spines[:].set(visible=True, color="black")
+    axes.spines[:].set(visible=True, color=_PALE)
     axes.set_facecolor(_DARK)
     if image.size:
         grey = (image @ np.array([0.114, 0.587, 0.299], np.float32) * (1 - darkness)).astype(np.uint8)
@@ -248,32 +232,23 @@ def _over_scene(info: SequenceInfo, image: Image, width: float, *, darkness: flo
     return axes
 
 
-def _shade(axes: Axes, density: F8, top: float, extent: tuple[float, float, float, float], interpolation: str) -> None:
-    """Colour by the density: clear where nothing is expected, quickly opaque above it, because a weak mass matters."""
-    share = np.clip(density / top, 0, 1)
-    alpha = np.where(share > 0.004, 0.25 + 0.7 * share**0.5, 0.0)
-    axes.imshow(density, cmap="inferno", extent=extent, alpha=alpha, vmin=0, vmax=top, interpolation=interpolation)
-
-
 def _chart(axes: Axes, points: int = 0, bottom: float | None = None) -> Picture:
-    """The figure with legends above its axes, as SVG on a transparent ground: text as outlines, no date."""
+    """The figure with a legend above its axes, as SVG on a transparent ground: text as outlines, no date."""
     axes.set_ylim(bottom=bottom)
-    for each in axes.figure.axes:
-        for artist in (*each.lines, *each.collections):
-            artist.set_rasterized(points > _OUTLINES)
-        handles, _ = each.get_legend_handles_labels()
-        if handles:
-            look = {"ncols": len(handles), "frameon": False, "fontsize": 9.0, "labelcolor": _INK}
-            each.legend(loc="lower left", bbox_to_anchor=(0, 1), **look)
+    for artist in (*axes.lines, *axes.collections):
+        artist.set_rasterized(points > _OUTLINES)
+    if handles := axes.get_legend_handles_labels()[0]:
+        look = {"ncols": len(handles), "frameon": False, "fontsize": 9.0, "labelcolor": _INK}
+        axes.legend(loc="lower left", bbox_to_anchor=(0, 1), **look)
     nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
     return _saved(axes, "image/svg+xml", format="svg", transparent=True, metadata=nothing)
 
 
 def _saved(axes: Axes, mime: str = "image/jpeg", **look: Any) -> Picture:
-    """The figure as a file, JPEG on white if nothing else is said; its width and height are in CSS pixels."""
+    """The figure as a file, JPEG on a dark ground if nothing else is said; its width and height are in CSS pixels."""
     figure, buffer = axes.get_figure(root=True), io.BytesIO()
     assert figure is not None
-    figure.savefig(buffer, dpi=144, **(look or {"format": "jpg", "facecolor": "white", "pil_kwargs": {"quality": 87}}))
+    figure.savefig(buffer, dpi=144, **(look or {"format": "jpg", "facecolor": _DARK, "pil_kwargs": {"quality": 87}}))
     data, (wide, high) = buffer.getvalue(), (round(96 * float(inches)) for inches in figure.get_size_inches())
     # Of an SVG without its XML declaration.
     return Picture(mime, data[max(data.find(b"<svg"), 0) :], wide, high)

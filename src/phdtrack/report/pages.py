@@ -103,7 +103,7 @@ def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, o
     Times are seconds. ``frames_per_second`` is that of everything from the first frame up to the report: detection,
     tracking, drawing; but for the ``frames_left_out`` in which kernels were compiled or loaded. It has this meaning in the
     report and on the terminal, too; ``stages`` are milliseconds per frame, whose sum may
-    exceed a frame's share of the time because stages overlap. ``chain`` is null but for MCMC filters.
+    exceed a frame's share of the time because stages overlap.
     ``log_evidence`` is that of each frame, null where the filter has none.
     """
     about, info, times = record.about, record.info, record.stage_times
@@ -130,7 +130,6 @@ def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, o
         "notes": about.notes,
         "configuration": config,
         "frames_left_out": about.left_out,
-        "chain": record.chain,
         "log_evidence_mean": record.mean_log_evidence,
         "log_evidence": record.log_evidence,
     }

@@ -15,12 +15,10 @@ import cv2
 import numpy as np
 
 from phdtrack.arrays import pixelated
-from phdtrack.types import F8, I8, ChainInfo, Frame, Image, SequenceInfo, Step, Tracks, Truth
+from phdtrack.types import F8, I8, Frame, Image, SequenceInfo, Step, Tracks, Truth
 
 STAGES = ("detect", "filter", "extract", "associate")
 NO_IMAGE: Image = np.zeros((0, 0, 3), np.uint8)
-LOW_EFFECTIVE = 20.0
-"""Effective samples below which positions are doubtful: their error by chance is 1/√20 = 22 % of their posterior spread."""
 # Pictures that are kept, at most, and their width.
 _PICTURES, _PICTURE_WIDTH = 12, 800
 
@@ -56,36 +54,6 @@ class About:
     finishing_seconds: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class ChainSummary:
-    """How well the Markov chain of an MCMC filter moved over the frames of a run.
-
-    Attributes
-    ----------
-    acceptance : by the name of a move, how many of those proposed were accepted (0–1), mean over frames with any.
-    effective : mean number of effective samples over the frames with targets; NaN without such frames.
-    low : share of these frames (0–1) in which it was below `LOW_EFFECTIVE`.
-    """
-
-    acceptance: Mapping[str, float]
-    effective: float
-    low: float
-
-    @classmethod
-    def of(cls, frames: Sequence[ChainInfo]) -> ChainSummary | None:
-        """The chains of all frames in one summary; None without any."""
-        if not frames:
-            return None
-        proposed, accepted = (np.array(each) for each in zip(*((f.proposed, f.accepted) for f in frames), strict=True))
-        shares = zip(frames[0].moves, proposed.T, (accepted / np.maximum(proposed, 1)).T, strict=True)
-        means = {name: float(share[times > 0].mean()) for name, times, share in shares if times.any()}
-        effective = np.array([frame.effective for frame in frames])
-        known = effective[np.isfinite(effective)]
-        if not len(known):
-            return cls(means, math.nan, 0.0)
-        return cls(means, float(known.mean()), float((known < LOW_EFFECTIVE).mean()))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class RunRecord:
     """Everything that a report shows of a run of F frames.
@@ -103,7 +71,6 @@ class RunRecord:
     seconds : (F, S) time that each of the `STAGES` took.
     truth_count : (F,) annotated objects, or (0,) where there is no truth.
     background : (h, w, 3) BGR frame from the middle, scaled down; (0, 0, 3) without video.
-    chain : of an MCMC filter, None of others.
     log_evidence : (F,) `UpdateInfo.log_evidence`; NaN in frames without it.
     names : what classes are called; None without classes.
     """
@@ -120,7 +87,6 @@ class RunRecord:
     seconds: F8
     truth_count: I8
     background: Image
-    chain: ChainSummary | None
     log_evidence: F8
     names: Mapping[int, str] | None = None
 
@@ -194,7 +160,7 @@ class Recorder:
 
     def __init__(self, info: SequenceInfo, truth: Truth | None = None, most: int | None = None, blur: str = "") -> None:
         self._info, self._truth, self._seen, self._blur = info, truth, 0, blur
-        self._rows, self._chains = deque[tuple[float, ...]](maxlen=most), deque[ChainInfo](maxlen=most)
+        self._rows = deque[tuple[float, ...]](maxlen=most)
         self._kept: list[tuple[int, int, Image]] = []
         self._stride = 1
 
@@ -211,8 +177,6 @@ class Recorder:
         false = info.clutter_probability.sum()
         row = (step.number, step.time, len(step.detections), info.mass, false, info.log_evidence)
         self._rows.append((*row, *_likely_range(info.cardinality), detect_seconds, *step.seconds))
-        if info.chain is not None:
-            self._chains.append(info.chain)
         self._seen += 1
         index = self._seen
         if frame is None or index % self._stride:
@@ -241,7 +205,6 @@ class Recorder:
             seconds=table[:, 8:],
             truth_count=np.zeros(0, np.int64) if truth is None else _count(truth.frame[~truth.distractor], numbers),
             background=NO_IMAGE if middle is None else self._hidden(middle[2], middle[1], tracks),
-            chain=ChainSummary.of(list(self._chains)),
             log_evidence=table[:, 5],
         )
 

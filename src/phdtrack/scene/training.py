@@ -30,7 +30,7 @@ MIN_SAMPLES = 10
 # τ of births, fewer than which are no component.
 MIN_BIRTHS = math.ceil(parameters(6) / 2)
 # What boxes are, for messages.
-FALSE_BOXES, OBJECT_BOXES = "detections marked as false", "detections of objects on the frames that were looked at"
+FALSE_BOXES, OBJECT_BOXES = "detections marked as false", "objects on the frames that were looked at"
 # Every so many samples one is left out; up to so many samples each of them is left out in turn.
 FOLDS, MAX_ALL_FOLDS = 5, 400
 # Seconds of a track from which its first velocity is taken.

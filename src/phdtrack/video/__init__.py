@@ -4,6 +4,7 @@
 OpenCV are imported when the first file is opened.
 """
 
-from phdtrack.video.files import VideoSource, VideoWriter, open_source
+from phdtrack.video.files import VideoSource, open_source
+from phdtrack.video.writer import VideoWriter
 
 __all__ = ["VideoSource", "VideoWriter", "open_source"]

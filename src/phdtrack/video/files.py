@@ -10,8 +10,6 @@ Of a decoded picture BGR is made when somebody asks for it, and then in the size
 
 A video is opened once for its first frame, which settles size, orientation and rate (headers are often wrong), and once for
 each iteration. Packets that cannot be decoded are skipped; a file cut short gives the frames that it has.
-
-Videos are written as mp4 that plays in a browser: H.264, 4:2:0, even sizes, the index in front of the pictures.
 """
 
 from __future__ import annotations
@@ -22,11 +20,9 @@ import math
 import re
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from functools import cache
-from itertools import pairwise
+from itertools import dropwhile, islice, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -34,13 +30,15 @@ import numpy as np
 
 from phdtrack.devices import Picture, size_of
 from phdtrack.errors import InputError, needed
-from phdtrack.files import cannot_write, part_of, publish, refuse_part
+from phdtrack.files import refuse_part
 from phdtrack.types import Frame, Image, SequenceInfo
 
 SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp"})
 _MOST_MISSING, _DEFAULT_FPS = 10, 25.0
 # Seconds to wait for an address: until it is open, and for more of what it sends.
 CONNECT, READ = 10.0, 10.0
+# Pictures by which the order of packets may differ from that of presentation, at most.
+_REORDERED = 32
 Read = tuple[int, float | None, Image | Picture, str]
 """A frame's number, its time stamp in seconds (None where the stream has none), its picture, and where it is in words."""
 
@@ -61,6 +59,8 @@ class VideoSource:
     share : how much of the file was read so far, from 0 to 1; 0 where that is not known.
     announced : how many frames the header of the file announces, which may be wrong; 0 where it does not.
     sample : so many frames in order, spread over all of the file; fewer where it cannot jump to that many places.
+    first, last : the frames that are given; 0: up to the end. Their numbers and times are those of the whole.
+    zero : the stamp whose time is 0; NaN: that of the first frame.
     """
 
     info: SequenceInfo
@@ -70,12 +70,17 @@ class VideoSource:
     share: float = 0.0
     announced: int = 0
     sample: Callable[[int], Iterator[Frame]] = lambda count: iter(())
+    first: int = 1
+    last: int = 0
+    zero: float = math.nan
 
     def __iter__(self) -> Iterator[Frame]:
         """The frames. Raises `InputError` for a picture of another size than the first; empty ones pass."""
-        self.problem, interval = "", 1 / self.info.fps
-        last, zero = -interval, math.nan
+        self.problem, interval, number = "", 1 / self.info.fps, 0
+        last, zero = -interval, self.zero
         for number, stamp, image, where in self.read(self):
+            if self.last and number > self.last:
+                return
             frame = Frame(number, math.nan, image)
             wide, high = size_of(frame)
             if wide and (wide, high) != (self.info.width, self.info.height):
@@ -88,10 +93,13 @@ class VideoSource:
             last = moment if moment > last else last + interval
             if stamp is not None:
                 zero = stamp - last
-            yield replace(frame, time=last)
+            if number >= self.first:
+                yield replace(frame, time=last)
+        if number < self.first > 1:
+            self.problem = f"there is no frame {self.first}: the last one is {number}"
 
 
-def open_source(spec: str | Path, *, fps: float = 0.0) -> VideoSource:
+def open_source(spec: str | Path, *, fps: float = 0.0, first: int = 1, last: int = 0) -> VideoSource:
     """The frames that ``spec`` names.
 
     Parameters
@@ -99,6 +107,7 @@ def open_source(spec: str | Path, *, fps: float = 0.0) -> VideoSource:
     spec : a video file; a folder of images; a glob pattern of images; an address with ``://``.
     fps : frames per second. Above 0 it replaces the time stamps of a video and is the rate of a folder of images; 0 takes
         the stream's own times, and 25 for images.
+    first, last : only these frames, from 1; 0: up to the end. In a video file they are jumped to, if it has time stamps.
 
     Raises
     ------
@@ -110,15 +119,16 @@ def open_source(spec: str | Path, *, fps: float = 0.0) -> VideoSource:
     path = Path(text)
     refuse_part(path)
     if path.is_dir():
-        return _images([file for file in path.iterdir() if file.suffix.lower() in SUFFIXES], fps, path)
+        source = _images([file for file in path.iterdir() if file.suffix.lower() in SUFFIXES], fps, path)
+        return replace(source, first=first, last=last)
     if "://" in text or path.exists():
         # `phdtrack.live` reads what never ends.
-        return _video(text, fps)
+        return replace(_video(text, fps, first), last=last)
     if set(text) & set("*?["):
         files = [Path(name) for name in glob.glob(text, recursive=True) if Path(name).is_file()]
         if not files:
             raise InputError("no file matches this pattern", where=text, cure="Check the folder and the pattern.")
-        return _images(files, fps, files[0].parent)
+        return replace(_images(files, fps, files[0].parent), first=first, last=last)
     cure = f"The folder {path.parent} does not exist either."
     if path.parent.is_dir():
         close = difflib.get_close_matches(path.name, [file.name for file in path.parent.iterdir()], n=1)
@@ -143,15 +153,16 @@ def _images(files: Sequence[Path], fps: float, folder: Path) -> VideoSource:
     rate, note = _rate(fps, "images do")
     height, width = _image(paths[0]).shape[:2]
 
-    def read(_: VideoSource) -> Iterator[Read]:
+    def read(source: VideoSource) -> Iterator[Read]:
         for path, number in zip(paths, numbers, strict=True):
-            yield number, (number - 1) / rate, _image(path), f"{path}, frame {number}"
+            if number >= source.first:
+                yield number, (number - 1) / rate, _image(path), f"{path}, frame {number}"
 
     def sample(count: int) -> Iterator[Frame]:
         for k in np.unique(np.linspace(0, len(paths) - 1, count).round().astype(int)).tolist():
             yield Frame(numbers[k], (numbers[k] - 1) / rate, _image(paths[k]))
 
-    return VideoSource(SequenceInfo(width, height, rate, len(paths), name), read, note, sample=sample)
+    return VideoSource(SequenceInfo(width, height, rate, len(paths), name), read, note, sample=sample, zero=0.0)
 
 
 def frame_numbers(stems: Sequence[str]) -> list[int]:
@@ -183,16 +194,36 @@ def _image(path: Path) -> Image:
     return np.asarray(image, np.uint8)
 
 
-def _video(path: str, fps: float) -> VideoSource:
-    """The frames of a video file or of an address that FFmpeg can open, in order of presentation.
+def _stamps(container: Any, stream: Any, count: int) -> list[int]:
+    """The time stamps of the first ``count`` pictures in order of presentation, of packets that are not decoded; nothing
+    where some have none, or they jump back, as in recordings that were joined: then they do not tell which frame it is."""
+    packets = (packet.pts for packet in container.demux(stream) if packet.size and not packet.is_discard)
+    found = list(islice(packets, count + _REORDERED))
+    order = [] if None in found else sorted(range(len(found)), key=found.__getitem__)
+    ordered = all(abs(place - number) <= _REORDERED for place, number in enumerate(order))
+    return [found[number] for number in order[:count]] if ordered else []
+
+
+def _video(path: str, fps: float, first: int = 1) -> VideoSource:
+    """The frames of a video file or of an address that FFmpeg can open, in order of presentation, from frame ``first`` on.
 
     ``fps`` above 0 replaces the stream's time stamps. Raises `InputError` where no frame can be decoded.
     """
     losses: list[tuple[int, str]] = []
     container, stream = _open(path)
     with container:
-        stated = stream.average_rate or stream.guessed_rate or stream.base_rate
+        stated, length = stream.average_rate or stream.guessed_rate or stream.base_rate, container.duration or 0
         picture = next(_pictures(container, stream, losses), None)
+    stamps = list[int]()
+    if first > 1 and picture is not None:
+        container, stream = _open(path)
+        with container:
+            stamps = _stamps(container, stream, first)
+        container, stream = _open(path)
+        with container:
+            found = next(_from(container, stream, stamps, losses), None) if stamps else None
+            # A file that cannot jump there is decoded from its beginning.
+            stamps = stamps if found is not None and found.pts == stamps[-1] else []
     if picture is None:
         raise InputError(
             f"no frame could be decoded{f' ({losses[0][1]})' if losses else ''}",
@@ -204,11 +235,13 @@ def _video(path: str, fps: float) -> VideoSource:
 
     def read(source: VideoSource) -> Iterator[Read]:
         losses: list[tuple[int, str]] = []
-        number = 0
+        jump = stamps if source.first > 1 else []
+        number = before = max(0, len(jump) - 1)
         container, stream = _open(path)
         with container:
-            for number, picture in enumerate(_pictures(container, stream, losses, source), start=1):
-                yield number, None if fps else picture.time, Decoded(picture), f"{path}, frame {number}"
+            for number, picture in enumerate(_from(container, stream, jump, losses, source), start=before + 1):
+                stamp = (number - 1) / fps if fps else picture.time
+                yield number, stamp, Decoded(picture), f"{path}, frame {number}"
         if losses:
             after, reason = losses[0]
             source.problem = f"{path}: damaged after frame {after} ({reason}); {number} frames could be decoded"
@@ -228,7 +261,20 @@ def _video(path: str, fps: float) -> VideoSource:
                 last = picture.time
                 yield Frame(k + 1, last, Decoded(picture))
 
-    return VideoSource(info, read, note, announced=stream.frames, sample=sample)
+    zero = 0.0 if fps else float(stamps[0] * stream.time_base) if stamps else math.nan
+    announced = stream.frames or round(length / 1e6 * rate)
+    return VideoSource(info, read, note, announced=announced, sample=sample, first=first, zero=zero)
+
+
+def _from(
+    container: Any, stream: Any, stamps: list[int], losses: list[tuple[int, str]], source: VideoSource | None = None
+) -> Iterator[Any]:
+    """As `_pictures`, from the last of the stamps on; all without any."""
+    if not stamps:
+        return _pictures(container, stream, losses, source)
+    # Some pictures earlier, so that those before the next one that stands by itself are whole.
+    container.seek(stamps[max(0, len(stamps) - 1 - _REORDERED)], stream=stream)
+    return dropwhile(lambda one: one.pts is not None and one.pts < stamps[-1], _pictures(container, stream, losses, source))
 
 
 def _reason(error: Exception) -> str:
@@ -356,142 +402,3 @@ def endless(path: str) -> bool:
     container, stream = _open(path)
     with container:
         return not stream.frames and container.duration is None
-
-
-ENCODERS = ["libx264", "libopenh264", "h264_videotoolbox", "h264_mf", "h264_nvenc", "h264_qsv", "h264_amf", "h264_v4l2m2m"]
-_LARGEST_DENOMINATOR = 1001
-# The same on every machine, each thread with a frame of its own: x264's pictures depend on the number of threads. Its tree
-# of macroblocks (mbtree) is off, as with it the same pictures are now and then encoded in another way.
-_THREADS = 4
-# No picture waits for later ones, and each is compared with one other: these are what takes memory, 12 MB each at 1080p.
-_FAST = "threads=2:bframes=0:rc-lookahead=0:ref=1:weightp=0:subme=0:me=dia"
-
-
-class VideoWriter:
-    """Writes BGR images at a constant rate; close it, or use it in a ``with`` statement.
-
-    The file has its name when it is closed; until then, or where a ``with`` block is left by an error, it ends in ``.part``.
-
-    Parameters
-    ----------
-    path : the file, which is overwritten; its folder must exist.
-    width, height : of the images in pixels. An odd size is padded by one row or column, for H.264 needs even ones.
-    fps : frames per second, fractions too (29.97).
-    quality : constant rate factor from 0 (lossless) to 51 where the encoder has one; 23 is usual.
-    fast : it takes x264 less than half of the time and a quarter of the memory, and files are two to three times as large.
-    fragmented : it has its name at once, and what is written can be played also when the file is never closed, but for the
-        last seconds.
-
-    Raises InputError where the file cannot be written or no H.264 encoder works here.
-    """
-
-    def __init__(
-        self,
-        path: str | Path,
-        width: int,
-        height: int,
-        fps: float,
-        *,
-        quality: int = 23,
-        fast: bool = False,
-        fragmented: bool = False,
-    ) -> None:
-        if width < 1 or height < 1 or not fps > 0 or not np.isfinite(fps):
-            problem = f"a video needs a size and a rate above 0, not {width}x{height} at {fps} per second"
-            raise InputError(problem, where=path)
-        av = needed("av")
-
-        self._path, self._width, self._height = Path(path), width, height
-        self._grown = self._path if fragmented else part_of(self._path)
-        rate = Fraction(fps).limit_denominator(_LARGEST_DENOMINATOR)
-        padded = (width + width % 2, height + height % 2)
-        name, options = _working_encoder(*padded, rate), dict[str, str]()
-        if name == "libx264":
-            parameters = _FAST if fast else f"threads={_THREADS}"
-            options = {"crf": str(quality), "preset": "ultrafast" if fast else "veryfast"}
-            options["x264-params"] = f"{parameters}:sliced-threads=0:mbtree=0"
-        try:
-            muxing = {"movflags": "+faststart"}
-            if fragmented:
-                # A fragment a second, which goes to the file at once.
-                muxing = {"movflags": "+frag_keyframe+empty_moov", "frag_duration": "1000000", "flush_packets": "1"}
-            self._container: Any = av.open(str(self._grown), "w", format="mp4", options=muxing)
-            self._stream: Any = self._container.add_stream(name, rate=rate, options=options)
-            self._stream.width, self._stream.height = padded
-            self._stream.pix_fmt = "yuv420p"
-            self._container.start_encoding()
-        except (av.FFmpegError, OSError) as error:
-            raise cannot_write(path, error) from None
-        self.frames, self._stamp, self._fps = 0, -1, float(rate)  # frames written so far
-        self._open = True
-
-    def write(self, image: Image, at: float = math.nan) -> None:
-        """Append ``image``, (height, width, 3) BGR uint8, or `Decoded.planes`; InputError where it is none of these.
-
-        ``at``: its time in seconds, where the video is to have the times of its pictures and not a constant rate.
-        """
-        av = needed("av")
-
-        planes = image.shape == (self._height * 3 // 2, self._width)
-        if (not planes and image.shape != (self._height, self._width, 3)) or image.dtype != np.uint8:
-            raise InputError(
-                f"expected an image of shape {(self._height, self._width, 3)} and type uint8, "
-                f"got {image.shape} and {image.dtype}",
-                where=f"{self._path}, frame {self.frames + 1}",
-            )
-        if not self._open:
-            raise InputError("this video is closed already", where=self._path)
-        odd = (0, 0) if planes else (self._height % 2, self._width % 2)
-        padded = np.pad(image, ((0, odd[0]), (0, odd[1]), (0, 0)), mode="edge") if any(odd) else np.ascontiguousarray(image)
-        picture = av.VideoFrame.from_numpy_buffer(padded, format="yuv420p" if planes else "bgr24")
-        self._stamp = self._stamp + 1 if math.isnan(at) else max(self._stamp + 1, round(at * self._fps))
-        picture.pts = self._stamp
-        picture.time_base = 1 / self._stream.codec_context.framerate
-        with self._checked():
-            self._container.mux(self._stream.encode(picture))
-        self.frames += 1
-
-    def close(self, *, complete: bool = True) -> None:
-        """Finish the file; a second call does nothing. Where it is not ``complete`` it keeps the name that it grew under."""
-        if not self._open:
-            return
-        self._open = False
-        with self._checked():
-            if self.frames:
-                self._container.mux(self._stream.encode(None))
-            self._container.close()
-            if complete and self._grown != self._path:
-                publish(self._path)
-
-    @contextmanager
-    def _checked(self) -> Iterator[None]:
-        """What goes wrong with the disk, in a sentence."""
-        av = needed("av")
-
-        try:
-            yield
-        except (av.FFmpegError, OSError) as error:
-            raise cannot_write(self._path, error) from error
-
-    def __enter__(self) -> VideoWriter:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self.close(complete=kind is None)
-
-
-def _working_encoder(width: int, height: int, rate: Fraction) -> str:
-    """The first of `ENCODERS` that opens: some are listed by FFmpeg and then lack their device."""
-    av = needed("av")
-
-    for name in ENCODERS:
-        try:
-            context: Any = av.CodecContext.create(name, "w")
-            context.width, context.height, context.pix_fmt = width, height, "yuv420p"
-            context.time_base, context.framerate = 1 / rate, rate
-            context.open()
-        except (av.FFmpegError, ValueError, OSError):
-            continue
-        return name
-    cure = "Install a build of PyAV that has one: python -m pip install --force-reinstall av"
-    raise InputError(f"no H.264 encoder works here; tried {', '.join(ENCODERS)}", cure=cure)

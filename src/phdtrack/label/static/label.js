@@ -1,16 +1,17 @@
 // Marking false detections and births: one click or key each, kept at once.
 
 import { Clip } from "./clip.js";
+import { Editor } from "./edit.js";
 import { drawMaps } from "./maps.js";
 import { Queue } from "./queue.js";
 import { Sweep } from "./sweep.js";
-import { View } from "./view.js";
+import { boxesOf, placeOf, View } from "./view.js";
 
 const $ = (id) => document.getElementById(id);
 const view = new View($("canvas"));
 const frames = new Map();
 const pictures = new Map();
-const MEANS = { false: "marked as false", birth: "marked as an object that enters" };
+const MEANS = { false: "marked as false", birth: "marked as an object that enters", true: "set by hand" };
 let overview = null;
 let here = 0;
 let alike = [];
@@ -19,8 +20,15 @@ let mapTimer = 0;
 // From now on the cookie says who this is; nobody is to read the token here.
 history.replaceState(null, "", location.pathname);
 
-const who = (localStorage.getItem("phdtrack-who") ?? Math.random().toString(36).slice(2, 10));
+// Who labels: the name typed here in this tab, that of the command, that of another day; else something that is nobody's.
+let who = localStorage.getItem("phdtrack-who") ?? Math.random().toString(36).slice(2, 10);
 localStorage.setItem("phdtrack-who", who);
+
+function named(name, storage) {
+  if (!name.trim()) return;
+  who = name.trim();
+  storage?.setItem("phdtrack-who", who);
+}
 
 async function ask(path) {
   const response = await fetch(path);
@@ -28,6 +36,7 @@ async function ask(path) {
   return response.json();
 }
 
+const asked = (n) => ask(`/api/frame/${n}?who=${encodeURIComponent(who)}`);
 const numbers = () => overview.frames.map((frame) => frame.number);
 // The drawn frame, to which what is done belongs, and the one of its clip that is seen.
 const number = () => numbers()[here];
@@ -41,7 +50,7 @@ const mode = () => document.querySelector("input[name=mode]:checked").value;
 const clip = new Clip({ load, show: shown });
 
 async function load(n) {
-  if (!frames.has(n)) frames.set(n, await ask(`/api/frame/${n}`));
+  if (!frames.has(n)) frames.set(n, await asked(n));
   if (!pictures.has(n)) {
     const image = new Image();
     image.src = `/still/${n}.jpg`;
@@ -92,7 +101,7 @@ function finish() {
     one.done = true;
     overview.progress.done += 1;
     acted();
-    queue.add(number(), "done", { done: true });
+    queue.add(number(), "done", { done: true, who });
   }
   if (here + 1 < overview.frames.length) go(here + 1);
   else tell();
@@ -112,9 +121,12 @@ function acted() {
 // --- marks --------------------------------------------------------------------------------------------------------------
 
 function mark(marks) {
-  for (const { frame: n, box, mark: what } of marks) {
+  for (const { frame: n, box, mark: what, place } of marks) {
     const known = frames.get(n);
-    if (known) what === "none" ? delete known.marks[box] : (known.marks[box] = what);
+    if (!known) continue;
+    for (const [all, value] of [[known.marks, what === "none" ? null : what], [known.by, who], [known.places, place]]) {
+      value ? (all[box] = value) : delete all[box];
+    }
   }
   acted();
   finished = -1;
@@ -126,12 +138,18 @@ function mark(marks) {
 
 function swept(marks) {
   mark(marks);
-  say(`${marks.length} ${marks.length === 1 ? "box was" : "boxes were"} marked as false; Z on this frame takes that back`);
+  told(marks, "on this frame ");
+}
+
+function told(marks, where = "") {
+  const [many, what] = [marks.length === 1 ? "box was" : "boxes were", marks[0].mark];
+  say(`${marks.length} ${many} marked as ${what === "none" ? "nothing" : what}; Z ${where}takes that back`);
 }
 
 // Why a mark cannot be made on the frame that is seen, or nothing.
 function objection() {
   if (mode() === "false" && seen() !== number()) return "false boxes are marked on the drawn frame itself: Home goes back there";
+  if (mode() === "true" && seen() !== number()) return "boxes are drawn and moved on the drawn frame itself: Home goes back there";
   if (mode() === "birth" && seen() === clip.range[0]) return "who is there in a clip's first frame may have been there before";
   return "";
 }
@@ -139,22 +157,36 @@ function objection() {
 function turn(box) {
   if (box < 0) return;
   if (objection()) return say(objection());
-  const what = frame().marks[box] === mode() ? "none" : mode();
-  mark([{ frame: seen(), box, mark: what }]);
+  if (mode() === "true" && !frame().marks[box]) return say("this is a detection as it was made: drag it, or an edge of it");
+  mark([changedTo(box, frame().marks[box] === mode())]);
+}
+
+// The mark of the mode for a box, or none of it. What was drawn is an object all the same, and goes only where nothing is left.
+function changedTo(box, off) {
+  const [place, own] = [frame().places[box], box >= overview.drawn];
+  if (mode() === "birth") return { frame: seen(), box, mark: off ? (place ? "true" : "none") : "birth", place };
+  return { frame: seen(), box, mark: off || own || mode() === "true" ? "none" : "false" };
 }
 
 function several(boxes, off) {
   if (objection()) return say(objection());
-  const what = off ? "none" : mode();
-  const changing = boxes.filter((box) => (frame().marks[box] ?? "none") !== what);
-  if (changing.length) mark(changing.map((box) => ({ frame: seen(), box, mark: what })));
+  const changing = boxes.filter((box) => {
+    const has = frame().marks[box];
+    // A lasso is about detections, unless it is about who enters: then boxes that were drawn or moved stay so.
+    if (mode() === "false") return box < overview.drawn && (off ? has : has !== "false");
+    return off ? has && has !== "true" : has !== "birth";
+  });
+  if (changing.length) mark(changing.map((box) => changedTo(box, off)));
 }
 
 async function undo(what) {
   const back = what === "undo" ? finished : -1;
   finished = -1;
   if (back >= 0 && back !== here) await go(back);
-  if (drawn()[what] > 0) queue.add(number(), what);
+  if (drawn()[what] > 0) {
+    queue.add(number(), what, { who });
+    say(what === "undo" ? "taken back; Y does it again" : "done again");
+  }
 }
 
 async function choose(box) {
@@ -164,7 +196,7 @@ async function choose(box) {
   view.draw();
   tell();
   // Births are each of their own: only false boxes come again in the same place.
-  if (box < 0 || mode() === "birth") return;
+  if (box < 0 || box >= overview.drawn || mode() !== "false") return;
   const n = seen();
   const found = await ask(`/api/frame/${n}/alike/${box}`).catch(() => []);
   if (n === seen() && view.chosen === box) {
@@ -174,8 +206,11 @@ async function choose(box) {
 }
 
 function markAlike() {
-  if (alike.length) mark(alike.map(([n, box]) => ({ frame: n, box, mark: mode() })));
+  const marks = alike.map(([n, box]) => ({ frame: n, box, mark: mode() }));
   alike = [];
+  if (!marks.length) return;
+  mark(marks);
+  told(marks);
 }
 
 // --- the queue ------------------------------------------------------------------------------------------------------------
@@ -190,7 +225,7 @@ function kept(item, answer) {
   // While more is on its way for this frame, the page knows better than the server.
   if (!queue.concerns(item.frame)) {
     const known = frames.get(item.frame);
-    if (known) Object.assign(known, { marks: answer.marks, undo: answer.undo, redo: answer.redo });
+    if (known) for (const name of ["marks", "places", "by", "undo", "redo"]) known[name] = answer[name];
     const listed = overview.frames.find((one) => one.number === item.frame);
     if (listed) listed.done = answer.done;
     if (item.what === "undo" || item.what === "redo" || item.adopted) others(item.frame);
@@ -209,7 +244,7 @@ function others(but) {
   sweep.load().catch(() => {});
   if (seen() === but) return;
   const n = seen();
-  ask(`/api/frame/${n}`).then((answer) => {
+  asked(n).then((answer) => {
     frames.set(n, answer);
     if (n === seen()) shown();
   }).catch(() => {});
@@ -227,8 +262,11 @@ function saving(waiting, away) {
 // --- what is shown -----------------------------------------------------------------------------------------------------------
 
 function tell() {
-  const { done, frames: all, false: wrong, births } = overview.progress;
-  $("progress").textContent = `${done} of ${all} frames · ${wrong} false · ${births} ${births === 1 ? "birth" : "births"}`;
+  const { done, frames: all, false: wrong, births, drawn: missed, disputed } = overview.progress;
+  $("progress").textContent = `${done} of ${all} frames · ${wrong} false · ${births} ${births === 1 ? "birth" : "births"}` +
+    (missed ? ` · ${missed} drawn` : "");
+  $("dispute").hidden = !disputed;
+  $("dispute").textContent = `${disputed} ${disputed === 1 ? "disagreement" : "disagreements"} (D)`;
   $("title").textContent = `${overview.name || "detections"}, frame ${number()}`;
   nextStep(all, overview.progress.next);
   $("undo").disabled = !(drawn()?.undo > 0 || finished >= 0);
@@ -236,9 +274,10 @@ function tell() {
   tellClip();
   $("alike").disabled = alike.length < 2;
   $("alike").textContent = alike.length > 1 ? `all ${alike.length} like this (A)` : "all like this (A)";
-  const box = $("wall").hidden ? frame()?.boxes[view.chosen] : null;
+  const box = $("wall").hidden && frame() && placeOf(frame(), view.chosen);
   $("tip").textContent = box
-    ? `score ${box[4]} · ${Math.round(box[2] - box[0])}×${Math.round(box[3] - box[1])}` +
+    ? `${score(view.chosen)} · ${Math.round(box[2] - box[0])}×${Math.round(box[3] - box[1])}` +
+      (frame().marks[view.chosen] ? ` · ${MEANS[frame().marks[view.chosen]]}, by ${frame().by[view.chosen] || "nobody by name"}` : "") +
       (alike.length > 1 ? ` · ${alike.length} like this on all frames` : "")
     : "";
   [...$("frames").children].forEach(({ firstChild: button }, k) => {
@@ -249,6 +288,8 @@ function tell() {
     button.ariaCurrent = k === here ? "true" : "false";
   });
 }
+
+const score = (box) => (frame().boxes[box] ? `score ${frame().boxes[box][4]}` : "drawn");
 
 // All frames are done: what to do now.
 function nextStep(all, command) {
@@ -323,22 +364,25 @@ $("canvas").addEventListener("pointerdown", (event) => {
   $("canvas").setPointerCapture(event.pointerId);
   $("canvas").focus();
   pressed = { x: event.clientX, y: event.clientY, moved: false, button: event.button, pan: [...view.pan] };
-  view.lasso = [view.at(event)];
+  if (mode() === "true" && event.button === 0) objection() ? say(objection()) : editor.press(view.at(event));
+  else view.lasso = [view.at(event)];
 });
 $("canvas").addEventListener("pointermove", (event) => {
   cursor = view.at(event);
-  if (!pressed) return void choose(view.under(cursor)[0] ?? -1);
+  if (!pressed) return mode() === "true" ? pointer() : void choose(view.under(cursor)[0] ?? -1);
   const [dx, dy] = [event.clientX - pressed.x, event.clientY - pressed.y];
   pressed.moved ||= Math.hypot(dx, dy) > 4;
   if (pressed.button !== 0) view.pan = [pressed.pan[0] + dx, pressed.pan[1] + dy];
-  else if (pressed.moved) view.lasso.push(cursor);
+  else if (pressed.moved) editor.hold ? editor.drag(cursor) : view.lasso.push(cursor);
   view.draw();
 });
 $("canvas").addEventListener("pointerup", (event) => {
   if (!pressed) return;
   const { moved, button } = pressed;
   pressed = null;
-  if (button === 0 && moved) several(view.caught(), event.shiftKey);
+  if (editor.hold) editor.release(moved);
+  else if (mode() === "true") return view.draw();
+  else if (button === 0 && moved) several(view.caught(), event.shiftKey);
   else if (button === 0) {
     const under = view.under(view.at(event));
     turn(under.includes(view.chosen) ? view.chosen : under[0] ?? -1);
@@ -346,6 +390,12 @@ $("canvas").addEventListener("pointerup", (event) => {
   view.lasso = [];
   view.draw();
 });
+// What a drag would do here.
+function pointer() {
+  const [left, top, right, bottom] = editor.grip(cursor) ?? [];
+  const side = (top ? "n" : bottom ? "s" : "") + (left ? "w" : right ? "e" : "");
+  $("canvas").style.cursor = left && right ? "move" : side ? `${side}-resize` : "crosshair";
+}
 $("canvas").addEventListener("pointerleave", () => (cursor = null));
 $("canvas").addEventListener("contextmenu", (event) => event.preventDefault());
 $("canvas").addEventListener("wheel", (event) => {
@@ -355,7 +405,7 @@ $("canvas").addEventListener("wheel", (event) => {
 
 function nextBox(back) {
   const under = cursor ? view.under(cursor) : [];
-  const list = under.length ? under : frame().boxes.map((_, k) => k);
+  const list = under.length ? under : boxesOf(frame());
   if (!list.length) return;
   const at = list.indexOf(view.chosen);
   choose(list[(at + (back ? -1 : 1) + list.length) % list.length] ?? list[0]);
@@ -365,18 +415,30 @@ function nextBox(back) {
 // What is chosen or marked by keyboard is read out; what the mouse passes over is only shown.
 function speak() {
   const box = view.chosen;
-  if (box < 0) return;
-  const { boxes, marks } = frame();
-  $("spoken").textContent = `box ${box + 1} of ${boxes.length}, score ${boxes[box][4]}, ${MEANS[marks[box]] ?? "no mark"}`;
+  if (!placeOf(frame(), box)) return;
+  const all = boxesOf(frame());
+  const [left, top, right, bottom] = placeOf(frame(), box).map(Math.round);
+  const at = mode() === "true" ? `, from ${left}, ${top} to ${right}, ${bottom}` : "";
+  $("spoken").textContent = `box ${all.indexOf(box) + 1} of ${all.length}, ${score(box)}, ${MEANS[frame().marks[box]] ?? "no mark"}${at}`;
 }
 
 const KEYS = {
   Enter: finish, ArrowRight: () => browse(here + 1), ArrowLeft: () => browse(here - 1), x: turnChosen, a: markAlike,
   z: () => undo("undo"), y: () => undo("redo"), h: toggleBoxes, w: toggleWall,
-  "1": () => setMode("false"), "2": () => setMode("birth"), s: () => sweep.toggle(),
+  "1": () => setMode("false"), "2": () => setMode("birth"), "3": () => setMode("true"), n: add,
+  Delete: turnChosen, d: () => dispute(), s: () => sweep.toggle(),
   ",": () => clip.step(-1), ".": () => clip.step(1), " ": () => clip.play(), Home: () => clip.back(),
   "+": () => view.zoomBy(1.25), "-": () => view.zoomBy(0.8), "0": () => view.zoomBy(0),
 };
+
+const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+
+function add() {
+  setMode("true");
+  if (objection()) return say(objection());
+  editor.add();
+  speak();
+}
 
 function turnChosen() {
   turn(view.chosen);
@@ -389,7 +451,8 @@ function setMode(value) {
 }
 
 function changed() {
-  for (const kind of ["false", "birth"]) $(`rule-${kind}`).hidden = mode() !== kind;
+  $("canvas").style.cursor = "";
+  for (const kind of ["false", "birth", "true"]) $(`rule-${kind}`).hidden = mode() !== kind;
   alike = [];
   if (mode() === "birth") clip.ahead();
   else clip.back();
@@ -398,7 +461,7 @@ function changed() {
 
 for (const act of ["pointerdown", "keydown"]) document.addEventListener(act, () => say(""), true);
 document.addEventListener("keydown", (event) => {
-  if (!overview || event.altKey) return;
+  if (!overview || event.altKey || event.target === $("who")) return;
   // Buttons and links are reached with Tab from elsewhere; on the picture it goes from box to box.
   const onPicture = document.activeElement === $("canvas") || document.activeElement === document.body;
   // The wall of suggestions lies over everything: its crops are buttons, and what is behind does not hear.
@@ -415,14 +478,49 @@ document.addEventListener("keydown", (event) => {
   }
   if ((event.key === "Enter" || event.key === " ") && !onPicture) return;
   const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
+  // In the mode that moves boxes arrows move the chosen one.
+  if (ARROWS[key] && mode() === "true" && view.chosen >= 0 && onPicture && !objection()) {
+    event.preventDefault();
+    return editor.nudge(ARROWS[key], event.shiftKey);
+  }
+  editor.still();
   const action = key === "z" && event.shiftKey ? KEYS.y : KEYS[key];
   if (!action || ((event.ctrlKey || event.metaKey) && key !== "z" && key !== "y")) return;
   event.preventDefault();
   action();
 });
+// Who has clicked on a button with a mouse goes on with the keys of the picture.
+document.addEventListener("click", (event) => {
+  if (event.detail > 0 && event.target.closest("#frames, #next, #previous, #undo, #redo, #hide, #alike")) $("canvas").focus();
+});
 // Who leaves the picture by Escape can go through the buttons with Tab.
 document.addEventListener("keydown", (event) => event.key === "Escape" && !event.defaultPrevented && $("previous").focus());
 
+document.addEventListener("keyup", (event) => {
+  if (!ARROWS[event.key] || !view.rubber) return;
+  editor.still();
+  speak();
+});
+
+// To the next box of which people say different things, and what they say.
+async function dispute() {
+  const all = await ask("/api/disputes").catch(() => []);
+  if (!all.length) return say("nobody disagrees");
+  const at = all.findIndex(([n, box]) => n === seen() && box === view.chosen);
+  const [n, box, said] = all[(at + 1) % all.length];
+  const about = overview.frames.findIndex(({ clip: [first, last] }) => first <= n && n <= last);
+  await go(numbers().includes(n) ? numbers().indexOf(n) : about);
+  if (seen() !== n) await clip.go(n);
+  choose(box);
+  say(Object.entries(said).map(([name, mark]) => `${name || "nobody by name"}: ${mark}`).join(" · "));
+}
+
+$("dispute").addEventListener("click", dispute);
+$("who").addEventListener("change", () => {
+  named($("who").value, sessionStorage);
+  localStorage.setItem("phdtrack-who", who);
+  asked(number()).then(({ undo, redo }) => Object.assign(drawn(), { undo, redo })).then(tell).catch(() => {});
+});
 $("done").addEventListener("click", finish);
 $("next").addEventListener("click", () => browse(here + 1));
 $("previous").addEventListener("click", () => browse(here - 1));
@@ -448,6 +546,12 @@ $("mode").addEventListener("change", () => {
 // --- begin ------------------------------------------------------------------------------------------------------------------
 
 overview = await ask("/api/overview");
+named(sessionStorage.getItem("phdtrack-who") ?? overview.labeller);
+$("who").value = who;
+const editor = new Editor(view, overview.drawn, {
+  change: (box, place) => mark([{ frame: seen(), box, mark: frame().marks[box] === "birth" ? "birth" : "true", place }]),
+  choose,
+});
 const queue = new Queue(overview.file, overview.name, { kept, refused: say, changed: saving });
 $("kept").textContent = overview.kept;
 $("frames").replaceChildren(...overview.frames.map((_, k) => {

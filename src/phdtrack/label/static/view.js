@@ -1,7 +1,16 @@
 // The picture with its boxes on a canvas: where it lies, what is under the cursor, what is drawn.
 
-const COLOUR = { none: "#ffd23e", false: "#ff3b30", birth: "#2fd573" };
+const COLOUR = { none: "#ffd23e", false: "#ff3b30", birth: "#2fd573", true: "#5ab8ff" };
 const LARGEST = 40;
+
+// Where a box is: where a person drew it or moved it to, else where the detector has it.
+export const placeOf = (frame, box) => frame.places[box] ?? frame.boxes[box];
+
+// The numbers of all boxes: of the detections, and those that were drawn.
+export function boxesOf(frame) {
+  const drawn = Object.keys(frame.places).map(Number).filter((box) => !frame.boxes[box]);
+  return [...frame.boxes.keys(), ...drawn];
+}
 
 export class View {
   constructor(canvas) {
@@ -24,9 +33,7 @@ export class View {
     this.size = size;
     this.chosen = -1;
     this.lasso = [];
-    // The smallest first: that is the one a click means.
-    const area = ([left, top, right, bottom]) => (right - left) * (bottom - top);
-    this.order = frame.boxes.map((_, k) => k).sort((a, b) => area(frame.boxes[a]) - area(frame.boxes[b]));
+    this.rubber = null;
     this.draw();
   }
 
@@ -63,17 +70,20 @@ export class View {
     this.draw();
   }
 
+  // The boxes there, the smallest first: that is the one a click means.
   under([x, y]) {
-    return this.order.filter((k) => {
-      const [left, top, right, bottom] = this.frame.boxes[k];
+    const area = ([left, top, right, bottom]) => (right - left) * (bottom - top);
+    return boxesOf(this.frame).filter((k) => {
+      const [left, top, right, bottom] = placeOf(this.frame, k);
       return left <= x && x <= right && top <= y && y <= bottom;
-    });
+    }).sort((a, b) => area(placeOf(this.frame, a)) - area(placeOf(this.frame, b)));
   }
 
   // Boxes whose centre lies in the lasso.
   caught() {
     const path = this.lasso;
-    return this.frame.boxes.flatMap(([left, top, right, bottom], k) => {
+    return boxesOf(this.frame).flatMap((k) => {
+      const [left, top, right, bottom] = placeOf(this.frame, k);
       const [x, y] = [(left + right) / 2, (top + bottom) / 2];
       let inside = false;
       for (let i = 0, j = path.length - 1; i < path.length; j = i++) {
@@ -120,16 +130,16 @@ export class View {
   // Each box is stroked by itself: one path of a thousand boxes that overlap takes a browser without a graphics card 135 ms,
   // a thousand strokes take 5 ms.
   boxes(c, pixel) {
-    const { boxes, marks } = this.frame;
+    const { marks } = this.frame;
     for (const [mark, colour] of Object.entries(COLOUR)) {
-      const shown = boxes.filter((_, k) => (marks[k] ?? "none") === mark);
+      const shown = boxesOf(this.frame).filter((k) => (marks[k] ?? "none") === mark).map((k) => placeOf(this.frame, k));
       for (const [width, style] of [[3.5, "#0009"], [1.75, colour]]) {
         c.lineWidth = width * pixel;
         c.strokeStyle = style;
         for (const box of shown) outline(c, box, mark === "false");
       }
     }
-    const chosen = this.frame.boxes[this.chosen];
+    const chosen = this.rubber ?? placeOf(this.frame, this.chosen);
     if (chosen) {
       const [left, top, right, bottom] = chosen;
       c.fillStyle = "#ffffff40";

@@ -1,0 +1,74 @@
+"""Reports in a real browser: light and dark, on a desktop and on a phone, with many tracks and long tables."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from report_runs import run_record
+
+from browsers import CHROMIUM, FLAGS, faults, needs_browser
+from phdtrack.report import report_html
+from phdtrack.report.pages import environment, render
+
+pytestmark = needs_browser
+
+
+@pytest.fixture(scope="module")
+def browser():
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
+        yield browser
+        browser.close()
+
+
+def opened(browser, source: str, width: int, scheme: str):
+    page = browser.new_context(viewport={"width": width, "height": 844}, color_scheme=scheme).new_page()
+    page.set_content(source)
+    # Only what has a scroll bar of its own is wider than the window.
+    assert page.evaluate("document.documentElement.scrollWidth") == width
+    return page
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
+def test_charts_are_as_light_or_dark_as_the_page_and_can_be_read(browser, width: int, scheme: str) -> None:
+    page = opened(browser, report_html(run_record(20, 3), {}), width, scheme)
+    for chart in page.locator(".chart").all():
+        seen = cv2.imdecode(np.frombuffer(chart.screenshot(), np.uint8), cv2.IMREAD_GRAYSCALE)
+        ground = int(seen[3, 3])
+        assert (ground > 250) if scheme == "light" else (ground < 50)
+        # Axes and text.
+        assert np.abs(seen.astype(int) - ground).max() > 150
+    assert faults(page) == []
+    page.close()
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_many_lifetimes_are_folded(browser, width: int) -> None:
+    for objects, folded in ((5, False), (200, True)):
+        page = opened(browser, report_html(run_record(20, objects), {}), width, "light")
+        bars = page.locator('[aria-label^="Bar chart"]')
+        assert bars.is_visible() != folded
+        assert page.evaluate("document.documentElement.scrollHeight") < 3000
+        if folded:
+            page.get_by_text("200 tracks").click()
+            assert bars.is_visible()
+        page.close()
+
+
+def test_a_long_table_shows_its_first_rows_and_the_others_at_a_click(browser) -> None:
+    rows = [(f"row {k}", "word " * 40) for k in range(40)]
+    table = "{% import 'macros.html' as m %}{% call m.section('Long') %}{{ m.table(('a', 'b'), rows) }}{% endcall %}"
+    base = str(render("base.html", title="t", source="", lead=""))
+    source = base.replace("</main>", environment().from_string(table).render(rows=rows) + "</main>")
+    page = opened(browser, source, 390, "dark")
+    shown = page.locator("tbody tr:visible")
+    assert shown.count() == 10
+    page.get_by_text("30 more rows").click()
+    assert shown.count() == 40
+    page.get_by_text("30 more rows").click()
+    page.emulate_media(media="print")
+    assert shown.count() == 40
+    page.close()
