@@ -64,7 +64,8 @@ PART = re.compile(r"([A-Z]\d{2})(?: (.+))?")
 
 HEAD = """# Equations and where they are
 
-Made by `make docs` from the tags in the docstrings under `src/phdtrack`; do not edit. `docs/notation.md` lists the symbols.
+Made by `make docs` from the tags in the docstrings under `src/phdtrack`; do not edit. [Methods](methods.md) has
+the main equations themselves, [notation](notation.md) the symbols.
 """
 
 

@@ -1,5 +1,5 @@
 """What the site needs beside the pages in docs/: the README as its first page, the pages of results, docstrings as its
-generator expects them; and links to files that are no pages are their names.
+generator expects them, equations as MathML; and links to files that are no pages are their names.
 
 A hook of MkDocs and an extension of Griffe, used by `make site`. The README is read where it is, so that it stands once.
 """
@@ -11,11 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import griffe
+from latex2mathml.converter import convert
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).resolve().parents[1]
+EQUATION = re.compile(r"^```math\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"(?<!!)\[([^\]]*)\]\(([^)#\s]+)(#[^)\s]*)?\)")
 
 
@@ -35,7 +37,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(text: str, page: Page, config: MkDocsConfig, files: Files, **_: Any) -> str:
-    """Links to what is no page of the site, as a module, are its name; MkDocs checks all others."""
+    """Links to what is no page of the site, as a module, are its name; MkDocs checks all others. Browsers typeset MathML."""
     here = (ROOT / "docs" / page.file.src_uri).parent
 
     def kept(found: re.Match[str]) -> str:
@@ -45,7 +47,13 @@ def on_page_markdown(text: str, page: Page, config: MkDocsConfig, files: Files, 
         other = path.is_relative_to(ROOT / "docs") and path.exists() and path.suffix not in (".md", ".jpg", ".png", ".ipynb")
         return words if outside or other or target == "CHANGELOG.md" else found[0]
 
-    return LINK.sub(kept, text)
+    def typeset(found: re.Match[str]) -> str:
+        # Browsers know no columnalign.
+        mathml = convert(found[1], display="block")
+        mathml = re.sub(r'columnalign="(\w+)"', r'style="text-align: \1; padding: 0.3em 0"', mathml)
+        return f'\n<div style="overflow-x: auto; overflow-y: hidden">{mathml}</div>\n'
+
+    return EQUATION.sub(typeset, LINK.sub(kept, text))
 
 
 class Docstrings(griffe.Extension):

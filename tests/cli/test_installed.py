@@ -55,6 +55,36 @@ again.load_state_dict(pickle.loads(pickle.dumps(tracker.state_dict())))
 assert set(again.tracks().identity.tolist()) == set(tracker.tracks().identity.tolist()) == {1, 2}
 print(len(rows), len(final.rest()))
 """
+# The order of the boxes changes from frame to frame: whose identity is whose is said by nothing but the detection.
+PEERS = """
+import numpy as np
+import supervision as sv
+from phdtrack import Tracker
+from trackers import ByteTrackTracker, SORTTracker
+
+ours, after, sort = Tracker(frame_size=(640, 360), fps=25), Tracker(frame_size=(640, 360), fps=25), SORTTracker()
+peers, given = [SORTTracker(), ByteTrackTracker()], [set(), set(), set()]
+for k in range(30):
+    boxes = np.array([[100 + 4 * k, 100, 140 + 4 * k, 200], [400 - 3 * k, 120, 445 - 3 * k, 230]], np.float32)
+    who, known = np.roll([0, 1], k), {"confidence": np.array([0.9, 0.8]), "class_id": np.zeros(2, int)}
+    found = sv.Detections(boxes[who], data={"who": who}, **known)
+    rows = ours.update(found)
+    seen = rows[~rows.predicted]
+    mine = found[seen.detection]
+    mine.tracker_id = seen.identity
+    theirs = [peer.update(found) for peer in peers]
+    chained, back = after.update(theirs[0]), sort.update(rows.to_supervision())
+    if k < 10:
+        continue
+    for pairs, out in zip(given, [mine, *theirs]):
+        assert np.array_equal(boxes[out.data["who"]], out.xyxy), k
+        pairs |= {*zip(out.data["who"].tolist(), out.tracker_id.tolist())}
+    assert len(chained) == 2 and np.array_equal(np.sort(back.xyxy, axis=0), np.sort(rows.xyxy.astype(np.float32), axis=0)), k
+    assert (back.tracker_id >= 0).all() and back.data["detection"].tolist() == rows.detection.tolist(), k
+for pairs in given:
+    assert [*map(len, map(set, zip(*pairs)))] == [2, 2] and len(pairs) == 2, given
+print(given)
+"""
 REPORTS, VIDEOS, PAGES = "phdtrack[report]", "phdtrack[video]", "phdtrack[web]"
 
 
@@ -210,6 +240,23 @@ def test_a_wheel_alone_in_an_empty_environment_tracks(alone: Alone) -> None:
 
 
 @pytest.mark.slow
+def test_the_first_blocks_of_the_readme_can_be_pasted_one_by_one(alone: Alone) -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    first, loop, more = re.findall(r"^```(?:python)?\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)[:3]
+    pip, _, first = first.partition("\n")
+    assert shlex.split(pip, comments=True) == ["pip", "install", ".[all]"]
+    (wheel,) = alone.folder.glob("*.whl")
+    alone.install(f"{wheel}[all]")
+    for words in (shlex.split(line, comments=True) for line in (first + more).splitlines()):
+        assert words[0] == "phdtrack", words
+        done = alone.run("-m", *words)
+        assert done.returncode == 0, (words, done.stderr)
+    done = alone.run("-c", loop)
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"^29 1 \[", done.stdout, re.MULTILINE), done.stdout
+
+
+@pytest.mark.slow
 def test_the_loops_for_those_who_come_from_elsewhere_run_with_the_real_packages(alone: Alone) -> None:
     """But for networks, which would fetch their weights. Norfair itself asks for NumPy 1: a fork has the same names."""
     alone.install("supervision", "norfair-enough")
@@ -219,4 +266,14 @@ def test_the_loops_for_those_who_come_from_elsewhere_run_with_the_real_packages(
         programs += f"{program}\nassert set(tracker.tracks().identity.tolist()) == {{1, 2}}\n"
     (alone.folder / "loops.py").write_text(programs, encoding="utf-8")
     done = alone.run("-c", "import loops")
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.slow
+def test_the_package_trackers_and_phdtrack_take_and_give_the_same_detections(alone: Alone) -> None:
+    alone.install("supervision")
+    pinned = (ROOT / "benchmarks" / "peers-constraints.txt").read_text(encoding="utf-8")
+    # What it asks for beside these would put another OpenCV in place.
+    alone.install("--no-deps", *re.findall(r"^(?:trackers|pyDeprecate|rich|requests)==\S+", pinned, re.MULTILINE))
+    done = alone.run("-c", PEERS)
     assert done.returncode == 0, done.stderr

@@ -27,6 +27,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "how-to"
 NAMES = sorted(page.name for page in PAGES.glob("*.md"))
 LOOPS = "from-other-trackers.md"
+TOML_NAME = re.compile(r"# (\w+\.toml)\n")
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -59,6 +60,12 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.move(folder / "street" / "scene.mp4", folder / "street.mp4")
     networks.write(folder / "people.onnx", shape=("N", 3, 320, 320), metadata={"names": "['person', 'car', 'bus']"})
     return folder
+
+
+@pytest.fixture(scope="module")
+def written() -> dict[Path, str]:
+    """The page that wrote a file, for who follows all pages in one folder."""
+    return {}
 
 
 class Boxes:
@@ -127,7 +134,9 @@ REAL = ("supervision", "norfair")
 
 
 @pytest.mark.parametrize("page", NAMES)
-def test_what_the_page_says_runs(page: str, scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_page_says_runs(
+    page: str, scene: Path, written: dict[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name, members in STAND_INS.items():
         if name not in REAL or find_spec(name) is None:
             module = ModuleType(name)
@@ -140,7 +149,7 @@ def test_what_the_page_says_runs(page: str, scene: Path, tmp_path: Path, monkeyp
     for block in blocks(page):
         match block.language:
             case "toml":
-                (work / "mine.toml").write_text(block.text, encoding="utf-8")
+                (work / TOML_NAME.match(block.text)[1]).write_text(block.text, encoding="utf-8")
             case "console":
                 for line in block.text.splitlines():
                     assert line.startswith("$ "), line
@@ -154,6 +163,9 @@ def test_what_the_page_says_runs(page: str, scene: Path, tmp_path: Path, monkeyp
                     assert set(names["tracker"].tracks().identity.tolist()) == {1, 2}, f"{page}, line {block.line}"
             case other:
                 pytest.fail(f"{page}, line {block.line}: blocks of {other} are not run")
+    given = {path.relative_to(scene) for path in scene.rglob("*")}
+    for path in {path.relative_to(work) for path in work.rglob("*") if path.is_file()} - given:
+        assert written.setdefault(path, page) == page, f"{page} and {written[path]} both write {path}"
 
 
 def test_pages_have_something_to_run_and_are_listed() -> None:

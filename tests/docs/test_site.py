@@ -21,6 +21,19 @@ def test_every_page_is_in_the_navigation_and_every_entry_is_a_page():
     assert named == there - results | {"index.md", "results/*.md"}
 
 
+def test_every_equation_of_the_methods_is_one_that_a_function_implements():
+    """Tags are written as in docstrings; `docs/equations.md` lists those."""
+    listed = {
+        (paper, place.strip())
+        for part in (DOCS / "equations.md").read_text(encoding="utf-8").split("\n## ")[1:]
+        for paper, rows in [part.split("\n", 1)]
+        for place in re.findall(r"^\|([^|]+)\|", rows, re.MULTILINE)
+    }
+    shown = re.findall(r"\[([A-Z]\d\d)(?: ([^\]]+))?\]", (DOCS / "methods.md").read_text(encoding="utf-8"))
+    assert len(shown) > 20
+    assert [tag for tag in shown if (tag[0], " ".join(tag[1].split()) or "–") not in listed] == []
+
+
 def test_the_table_of_filters_has_the_figures_of_the_results():
     found = re.findall(r"\| (frcnn|public) \| ([a-z-]+) \|([^\n]*)\|\n", (DOCS / "results" / "peers.md").read_text())
     scores = {(case, name): re.findall(r"\d+\.\d", row) for case, name, row in found}
@@ -45,6 +58,8 @@ def test_the_site_builds_and_needs_nothing_from_the_network(site: Path):
         assert (site / page).exists(), page
     text = (site / "api" / "tracker.html").read_text(encoding="utf-8")
     assert "frame_size" in text
+    methods = (site / "methods.html").read_text(encoding="utf-8")
+    assert methods.count("<math ") == (DOCS / "methods.md").read_text(encoding="utf-8").count("```math") > 10
     assert not re.findall(r'<(?:script|link)[^>]*(?:src|href)="(?:https?:)?//', text)
 
 

@@ -15,7 +15,7 @@ import pytest
 from camera_server import CameraServer, Scripted, until, walker
 from starlette.testclient import TestClient
 
-from browsers import CHROMIUM, FLAGS, needs_browser
+from browsers import CHROMIUM, FLAGS, faults, needs_browser
 from phdtrack.config import build_kinds, load
 from phdtrack.detect import make_detector
 from phdtrack.live.engine import Camera, CameraSettings, Making
@@ -232,6 +232,7 @@ def test_in_a_browser(browser, address, server: CameraServer, width: int, height
     until(lambda: page.evaluate("Number(document.body.dataset.frame)") > number + 3)
     assert page.evaluate("document.documentElement.scrollWidth") == width
     assert page.locator('#state dt:text("boxes left out") + dd').text_content() == "none"
+    assert faults(page) == []
     assert (page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(18, 20, 23)") == (scheme == "dark")
     # Draw over the middle of the picture, where the square goes to and fro.
     corners = [(80, 110), (80, 20)] if kind == "line" else [(60, 20), (100, 20), (100, 110), (60, 110)]

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import shutil
-
 import cv2
 import numpy as np
 import pytest
 from report_runs import run_record
 
+from browsers import CHROMIUM, FLAGS, faults, needs_browser
 from phdtrack.report import report_html
 from phdtrack.report.pages import environment, render
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), "")
-pytestmark = pytest.mark.skipif(not CHROMIUM, reason="needs Chromium (Debian: apt-get install chromium)")
+pytestmark = needs_browser
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +19,7 @@ def browser():
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        browser = play.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
         yield browser
         browser.close()
 
@@ -43,6 +41,7 @@ def test_charts_are_as_light_or_dark_as_the_page_and_can_be_read(browser, width:
         assert (ground > 250) if scheme == "light" else (ground < 50)
         # Axes and text.
         assert np.abs(seen.astype(int) - ground).max() > 150
+    assert faults(page) == []
     page.close()
 
 
