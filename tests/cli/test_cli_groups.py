@@ -20,7 +20,7 @@ from phdtrack.video import VideoWriter, open_source
 # Ten pixels are a metre, x to the right and y up, the origin in the lower left corner.
 CAMERA = 'homography = [[0.1, 0.0, 0.0], [0.0, -0.1, 24.0], [0.0, 0.0, 1.0]]\nmaps = "pixel-to-ground"\nunit = "m"\n'
 FRAMES, RATE = 40, 10.0
-FILES = {*rundir.RUN_FILES} - {rundir.CAMERA_MOTION, rundir.COUNTS, rundir.COUNTS_PICTURE, rundir.COUNTS_VIDEO}
+FILES = {name for name in rundir.RUN_FILES if not name.startswith("counts.")} - {rundir.CAMERA_MOTION}
 
 
 def walking(k: int) -> np.ndarray:

@@ -50,6 +50,8 @@ class Clip:
     note: str = ""
     share: float = 0.0
     announced: int = 0
+    first: int = 1
+    last: int = 0
     info: SequenceInfo = INFO
     passes: int = 0
 

@@ -43,7 +43,7 @@ def test_too_little_is_told():
         (
             learn_boxes,
             (np.ones((4, 9)), 40, SIZE, OBJECT_BOXES),
-            "at least 10 detections of objects .*, got 9.* Look at",
+            "at least 10 objects .*, got 9.* Look at",
         ),
         (learn_boxes, (np.ones((4, 9)), 40, SIZE, FALSE_BOXES), "at least 10 detections marked as false, got 9"),
         (learn_boxes, (np.ones((4, 20)), 0, SIZE, FALSE_BOXES), "expected frames on which detections were looked at, got 0"),

@@ -10,7 +10,7 @@ import pytest
 from video_clips import picture
 
 from phdtrack.errors import InputError
-from phdtrack.video import VideoWriter, files, open_source
+from phdtrack.video import VideoWriter, open_source, writer
 
 
 def test_it_is_what_browsers_play(clip: Path) -> None:
@@ -102,6 +102,6 @@ def test_bad_places_sizes_and_rates_and_a_closed_file(tmp_path: Path) -> None:
 
 
 def test_a_missing_encoder_is_explained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(files, "ENCODERS", ("no_such_encoder", "neither_this"))
+    monkeypatch.setattr(writer, "ENCODERS", ("no_such_encoder", "neither_this"))
     with pytest.raises(InputError, match=r"tried no_such_encoder, neither_this.*pip install"):
         VideoWriter(tmp_path / "x.mp4", 64, 48, 25)
