@@ -15,6 +15,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,19 +23,20 @@ import pyarrow.parquet
 
 from phdtrack.cli.batch import DOCUMENT, planned
 
-SHORT, MANY, DONE = 50, 9, 1000
+SHORT, MIDDLE, MANY, DONE = 50, 200, 9, 1000
 
 
 class Used(NamedTuple):
-    """CPU seconds of a command with all its processes, and the memory of the largest of them, MiB."""
+    """CPU seconds of a command with all its processes, the memory of the largest of them, MiB, and seconds."""
 
     cpu: float
     memory: float
+    wall: float
 
 
 def run(*words: object) -> Used:
     """Run ``phdtrack`` to its end."""
-    command = [sys.executable, "-m", "phdtrack", *map(str, words)]
+    command, began = [sys.executable, "-m", "phdtrack", *map(str, words)], time.monotonic()
     child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     assert child.stderr is not None
     said = child.stderr.read().decode()
@@ -42,7 +44,7 @@ def run(*words: object) -> Used:
     child.returncode = os.waitstatus_to_exitcode(status)
     if child.returncode:
         raise SystemExit(f"{' '.join(command)}: {said}")
-    return Used(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
+    return Used(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024, time.monotonic() - began)
 
 
 def sources(folder: Path, frames: int) -> tuple[Path, Path]:
@@ -67,7 +69,6 @@ def costs(source: Path, long: Path, frames: int, folder: Path) -> list[tuple[str
     run(*batch, folder / "warm", many[0], "--", "--no-video")
     one = run(*batch, folder / "one", many[0], "--", "--no-video")
     all_of_them = run(*batch, folder / "many", *many, "--", "--no-video")
-    two = run("batch", "--jobs", 2, "--out", folder / "two", *many, "--", "--no-video")
     longer = run(*batch, folder / "long", long, "--", "--no-video")
     each, frame = (all_of_them.cpu - one.cpu) / (MANY - 1), (longer.cpu - one.cpu) / (frames - SHORT)
     rows = next((folder / "long" / "tracks").iterdir())
@@ -77,12 +78,18 @@ def costs(source: Path, long: Path, frames: int, folder: Path) -> list[tuple[str
         ("a frame, CPU ms", f"{1000 * frame:.1f}"),
         ("a video beside its frames, CPU s", f"{each - SHORT * frame:.2f}"),
         ("the command and its process, CPU s", f"{one.cpu - each:.1f}"),
-        ("work a CPU second of two processes, of that of one", f"{all_of_them.cpu / two.cpu:.2f}"),
         ("memory of the process, MiB", f"{longer.memory:.0f}"),
         ("rows a frame", f"{count / frames:.2f}"),
         ("a row of the data set, bytes", f"{rows.stat().st_size / count:.1f}"),
         ("the run's folder, bytes a frame", f"{size / frames:.0f}"),
     ]
+
+
+def per_core(source: Path, folder: Path) -> str:
+    """Work per core of two processes on two cores over that of one, by CPU and by the clock, starts included."""
+    many = copies(source, folder, 6)
+    one, two = (run("batch", "--jobs", n, "--out", folder / f"by{n}", *many, "--", "--no-video") for n in (1, 2))
+    return f"{one.cpu / two.cpu:.2f}, {one.wall / two.wall / 2:.2f}"
 
 
 def done(source: Path, out: Path, folder: Path) -> float:
@@ -110,6 +117,9 @@ def main() -> None:
         for kind, one, other in zip(("video", "detections"), short, long, strict=True):
             for what, value in costs(one, other, frames, folder / kind):
                 print(f"{kind:12} {what:52} {value:>8}", flush=True)
+        (folder / "middle").mkdir()
+        for kind, one in zip(("video", "detections"), sources(folder / "middle", MIDDLE), strict=True):
+            print(f"{kind:12} {'work per core of two processes: CPU, clock':52} {per_core(one, folder / ('two' + kind)):>8}")
         again = done(short[1], folder / "video" / "one", folder / "done")
         print(f"{'':12} {'a video that is done, CPU ms':52} {again:8.2f}")
 
