@@ -5,9 +5,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import sync_playwright
 
-from browsers import CHROMIUM, needs_browser
+from browsers import needs_browser
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -65,14 +64,12 @@ def test_the_site_builds_and_needs_nothing_from_the_network(site: Path):
 
 @pytest.mark.slow
 @needs_browser
-def test_the_pages_are_searched_as_files(site: Path):
-    with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        page = browser.new_page()
-        page.goto((site / "how-to" / "live.html").as_uri())
-        page.locator(".md-search__input").click()
-        page.get_by_text("Type to start searching").wait_for()
-        page.locator(".md-search__input").press_sequentially("homography")
-        page.locator(".md-search-result__item").first.wait_for()
-        assert "cameras" in page.locator(".md-search-result__item").first.inner_text()
-        browser.close()
+def test_the_pages_are_searched_as_files(browser, site: Path):
+    page = browser.new_page()
+    page.goto((site / "how-to" / "live.html").as_uri())
+    page.locator(".md-search__input").click()
+    page.get_by_text("Type to start searching").wait_for()
+    page.locator(".md-search__input").press_sequentially("homography")
+    page.locator(".md-search-result__item").first.wait_for()
+    assert "cameras" in page.locator(".md-search-result__item").first.inner_text()
+    page.close()

@@ -7,22 +7,12 @@ import numpy as np
 import pytest
 from page_cases import FRAMES, SIZE, server
 
-from browsers import CHROMIUM, FLAGS, faults, needs_browser
+from browsers import faults, needs_browser
 from phdtrack.label import Label, LabelStore
 
 pytestmark = needs_browser
 VIEWPORT = {"width": 1280, "height": 800}
 KEPT = '#saving:text-is("all kept")'
-
-
-@pytest.fixture(scope="module")
-def browser():
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
-        yield browser
-        browser.close()
 
 
 class Page:

@@ -15,7 +15,7 @@ import pytest
 from camera_server import CameraServer, Scripted, until, walker
 from starlette.testclient import TestClient
 
-from browsers import CHROMIUM, FLAGS, faults, needs_browser
+from browsers import faults, needs_browser
 from phdtrack.config import build_kinds, load
 from phdtrack.detect import make_detector
 from phdtrack.live.engine import Camera, CameraSettings, Making
@@ -200,16 +200,6 @@ def address(server: CameraServer, tmp_path_factory: pytest.TempPathFactory) -> I
         finally:
             child.terminate()
             assert child.wait(20) == 0
-
-
-@pytest.fixture(scope="module")
-def browser():
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
-        yield browser
-        browser.close()
 
 
 @needs_browser

@@ -53,6 +53,17 @@ def test_names_of_identities_do_not_matter(seed: int):
     assert ours == pytest.approx(theirs, abs=1e-12)
 
 
+@given(seeds)
+@settings(max_examples=25, deadline=None)
+def test_a_part_is_scored_as_if_it_were_all(seed: int):
+    truth, tracks = random_case(np.random.default_rng(seed), objects=6, distractors=True)
+    last = int(truth.frame.max(initial=4))
+    part = evaluate(truth, tracks, first=4, frames=last).as_dict()
+    cut = take(truth, truth.frame >= 4), tracks.take(tracks.frame >= 4)
+    early = replace(cut[0], frame=cut[0].frame - 3), replace(cut[1], frame=cut[1].frame - 3)
+    assert part == evaluate(*early, frames=last - 3).as_dict()
+
+
 @given(seeds, st.booleans())
 @settings(max_examples=25, deadline=None)
 def test_perfect_output(seed: int, distractors: bool):

@@ -7,21 +7,11 @@ import numpy as np
 import pytest
 from report_runs import run_record
 
-from browsers import CHROMIUM, FLAGS, faults, needs_browser
+from browsers import faults, needs_browser
 from phdtrack.report import report_html
 from phdtrack.report.pages import environment, render
 
 pytestmark = needs_browser
-
-
-@pytest.fixture(scope="module")
-def browser():
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
-        yield browser
-        browser.close()
 
 
 def opened(browser, source: str, width: int, scheme: str):

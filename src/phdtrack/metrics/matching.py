@@ -106,7 +106,7 @@ def build(truth: Truth, tracks: Tracks, frames: int = 0, first: int = 1) -> Scen
     ----------
     truth, tracks : annotated boxes, output boxes.
     frames : number of frames of the sequence, later rows are left out; 0: up to the last row of either side.
-    first : the first of these that counts; there are no rows before it.
+    first : the first of these that counts, earlier rows are left out.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def build(truth: Truth, tracks: Tracks, frames: int = 0, first: int = 1) -> Scen
     _check(truth, ~truth.distractor, "truth")
     _check(tracks, np.ones(len(tracks.frame), np.bool_), "tracks")
     last = int(frames or max(truth.frame.max(initial=0), tracks.frame.max(initial=0)))
-    rows_t, rows_o = _ordered(truth, last), _ordered(tracks, last)
+    rows_t, rows_o = _ordered(truth, first, last), _ordered(tracks, first, last)
     numbers = np.union1d(truth.frame[rows_t], tracks.frame[rows_o])
     each_t = np.split(rows_t, np.searchsorted(truth.frame[rows_t], numbers[1:]))
     each_o = np.split(rows_o, np.searchsorted(tracks.frame[rows_o], numbers[1:]))
@@ -159,9 +159,9 @@ def _check(rows: Truth | Tracks, counted: Bool, name: str) -> None:
         )
 
 
-def _ordered(rows: Truth | Tracks, last: int) -> I8:
+def _ordered(rows: Truth | Tracks, first: int, last: int) -> I8:
     order = np.lexsort((rows.identity, *rows.xyxy.T[::-1], rows.frame))
-    return order[rows.frame[order] <= last]
+    return order[(rows.frame[order] >= first) & (rows.frame[order] <= last)]
 
 
 def _frame(truth: Truth, tracks: Tracks, t: I8, o: I8, number: int) -> FramePair:

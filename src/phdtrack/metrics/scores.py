@@ -83,7 +83,7 @@ def evaluate(truth: Truth, tracks: Tracks, *, frames: int = 0, iou: float = 0.5,
     tracks : every row counts, confirmed or not, predicted or not. `Tracks.take` chooses among them.
     frames : number of frames of the sequence, rows after it are left out; 0: up to the last frame of either side.
     iou : the overlap from which a pair of boxes may match, in (0, 1]; HOTA has its own.
-    first : the first frame that counts, where a part of a sequence is scored: there are no rows before it.
+    first : the first frame that counts, where a part of a sequence is scored: rows before it are left out.
 
     Raises
     ------

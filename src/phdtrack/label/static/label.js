@@ -20,8 +20,8 @@ let mapTimer = 0;
 // From now on the cookie says who this is; nobody is to read the token here.
 history.replaceState(null, "", location.pathname);
 
-// Who labels: the name typed here in this tab, that of the command, that of another day; else something that is nobody's.
-let who = localStorage.getItem("phdtrack-who") ?? Math.random().toString(36).slice(2, 10);
+// Who labels: the name typed here in this tab, that of the command, that of another day; else one that nobody has.
+let who = localStorage.getItem("phdtrack-who") ?? `labeller-${Math.random().toString(36).slice(2, 8)}`;
 localStorage.setItem("phdtrack-who", who);
 
 function named(name, storage) {
