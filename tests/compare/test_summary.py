@@ -123,7 +123,7 @@ def test_the_best_of_a_column_has_a_star_and_what_is_as_good_too(comparison: Com
         Row("x", "det", 1, 0.0, name, scores={"ms": interval([ms])}, each=({"ms": ms},) * 3)
         for name, ms in (("a", 1.0), ("b", 2.0))
     ]
-    assert [line[4] for line in Results(comparison, timed, ("ms",)).table(timed).rows] == ["*1.00", "*2.00"]
+    assert [line[4] for line in Results(comparison, timed, ("ms",)).table(timed).rows] == ["1.00", "2.00"]
     # Of random methods those are as good that the seeds do not tell apart; one alone is no best.
     many = [made_up("a", [0.50, 0.60, 0.40]), made_up("b", [0.51, 0.59, 0.41]), made_up("c", [0.49, 0.57, 0.39])]
     found = Results(comparison, (), ("MOTA",))

@@ -78,9 +78,10 @@ class Results:
         values, sign = [row.ahead if ahead else row.scores for row in rows], "+" if ahead else ""
         texts = [f"{each.get(name, UNKNOWN):{sign}.{_DIGITS.get(name, 3)}f}" for each in values]
         best = () if ahead or name in _NEUTRAL.split() or len(rows) < 2 else leading(rows, name, lower=_lower(name))
-        # What looks the same is no worse.
+        # What looks the same is no worse; where all are best none is.
         same = {text for text, row in zip(texts, rows, strict=True) if row in best[:1]}
-        return ["*" * (row in best or text in same) + text for text, row in zip(texts, rows, strict=True)]
+        stars = [row in best or text in same for text, row in zip(texts, rows, strict=True)]
+        return ["*" * (star and not all(stars)) + text for star, text in zip(stars, texts, strict=True)]
 
     def write_cells(self, path: Path) -> None:
         """One line for each row: every score's mean, half its interval, the difference to the first method."""
