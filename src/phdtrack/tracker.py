@@ -311,7 +311,7 @@ class FinalTracks:
     """The corrected rows of a loop without end, each given once, when it is final.
 
     A row is final ``lag`` seconds after its frame. A track that lasts longer than the tracker remembers keeps its identity
-    (``associate={"history": S}``: at least twice the lag and ``every`` together).
+    (``associate={"history": S}``: the lag, ``every``, and what comes before the rows, 30 s or more).
 
     Parameters
     ----------

@@ -22,8 +22,9 @@ from phdtrack.config import Settings, load
 from phdtrack.errors import InputError, shown
 from phdtrack.formats import read_truth
 
-# Seconds that a tracker remembers of a camera: its corrected rows are final after half a minute.
-REMEMBERED = 120.0
+# Seconds that a tracker remembers of a camera. Its corrected rows are final after half a minute and are made every half
+# minute, so that each has half a minute of its past at least, and is smoothed three times.
+REMEMBERED = 90.0
 
 
 def track(
