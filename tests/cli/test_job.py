@@ -207,6 +207,25 @@ def test_an_interrupt_while_a_frame_is_written_waits_for_its_end(
     consistent(directory, outcome, 7)
 
 
+def test_after_a_signal_a_long_video_is_not_drawn_to_its_end(
+    job: Job, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = DetectionsWriter.append
+
+    def signalling(self: DetectionsWriter, number: int, found: Detections) -> None:
+        if number == 7:
+            signal.raise_signal(signal.SIGINT)
+        real(self, number, found)
+
+    monkeypatch.setattr(DetectionsWriter, "append", signalling)
+    monkeypatch.setattr("phdtrack.cli.job._SHORTLY", 0.0)
+    outcome = run(job, directory)
+    assert isinstance(outcome.stop, KeyboardInterrupt)
+    assert len(list(open_source(directory.file(rundir.VIDEO)))) == 1
+    assert len(read_tracks(directory.file(rundir.TRACKS))) == 7
+    assert any("annotated.mp4 ends after frame 1," in warning for warning in outcome.warnings)
+
+
 def test_stopped_while_drawing(job: Job, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch) -> None:
     real, drawn = Annotator.__call__, count(1)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import shlex
 import sys
+import threading
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
@@ -60,6 +61,8 @@ _HIDDEN = "In all pictures {} of detections and tracks are hidden; what was neit
 _TRIED, _SLOW = 25, 5
 # Frames of which is kept what was seen, and what the report shows, where there is no end to them.
 _SAMPLE, _CHARTED = 1000, 100_000
+# Seconds for which videos are drawn after a signal, and what the end of a run imports.
+_SHORTLY, _LATE = 0.5, ("scipy.optimize", "scipy.sparse.csgraph", "matplotlib.figure")
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,11 +136,12 @@ class _Seen(NamedTuple):
 
 @dataclass(slots=True)
 class _Progress:
-    """How far it got. ``stop`` ended the loop, ``cut`` the drawing; ``lost`` is what the source said when it ended.
+    """How far it got. ``stop`` ended the loop, ``cut`` the drawing; ``lost`` is what the source said when it ended; ``drawn``
+    the last frame of videos that end early because of a signal, or 0.
 
-    ``seconds`` is what the loop took, but for ``left_out`` frames in which kernels were compiled or loaded. ``unwritten`` is
-    what ended the writing of files; the others are written all the same. ``resumed`` is the frame that it went on from;
-    ``reused``: the detections are those of an earlier run.
+    ``seconds`` is what the loop took, but for ``left_out`` frames in which kernels were compiled or loaded. ``unwritten`` ended
+    the writing of files; the others are written all the same. ``resumed`` is the frame that it went on from; ``reused``: the
+    detections are those of an earlier run.
     """
 
     tracker: Tracker
@@ -147,6 +151,7 @@ class _Progress:
     seconds: float = 0.0
     left_out: int = 0
     lost: str = ""
+    drawn: int = 0
     stop: Stop | None = None
     cut: Stop | None = None
     unwritten: list[Stop] = field(default_factory=list)
@@ -183,6 +188,8 @@ def run(job: Job, directory: RunDirectory, *, resume: bool = False) -> Outcome:
     return_memory()
     if job.video and (job.inputs.pictures or job.observers):
         needed("av")  # at the end, perhaps after hours
+    # It takes a second, which a signal need not wait for.
+    threading.Thread(target=lambda: [*map(needed, _LATE)], daemon=True).start()
     with progress("tracking", 0) as advance:
         return _run(job, directory, advance, resume=resume)
 
@@ -415,11 +422,15 @@ def _draw(job: Job, directory: RunDirectory, done: _Progress, tracks: Tracks, ad
                 draw.insert(0, lambda number, picture: video.write(picture))
             if not draw:
                 return
+            end = time.monotonic() + (_SHORTLY if isinstance(done.stop, KeyboardInterrupt) else math.inf)
             try:
                 for count, (seen, picture) in enumerate(zip(done.seen, pictures, strict=False), start=1):
                     for one in draw:
                         one(seen.number, picture)
                     advance(count, total=done.frames, description="drawing")
+                    if time.monotonic() > end and count < done.frames:
+                        done.drawn = seen.number
+                        break
             except KeyboardInterrupt as stop:
                 # The videos end here, and can be played.
                 done.cut = stop
@@ -451,10 +462,9 @@ def _as_meant(stop: Stop) -> Stop:
 def _problems(job: Job, done: _Progress) -> Iterator[str]:
     """What did not go as it should, in sentences: what the source lost, and what stopped the run."""
     yield from filter(None, (*job.inputs.warnings, job.inputs.source.note, done.lost))
-    annotated = 0 if job.truth is None else int(job.truth.frame.max(initial=0))
-    asked = f"stopped by {signals.which()}"
+    annotated, asked = 0 if job.truth is None else int(job.truth.frame.max(initial=0)), f"stopped by {signals.which()}"
     why = [asked if isinstance(stop, KeyboardInterrupt) else stop for stop in (done.stop, done.cut)]
-    yield from lines("problems.txt", stop=why[0], cut=why[1], last=done.last, annotated=annotated, video=rundir.VIDEO)
+    yield from lines("problems.txt", stop=why[0], cut=why[1], done=done, annotated=annotated, video=rundir.VIDEO)
     yield from done.tracker.left_out.sentences()
 
 
