@@ -63,6 +63,7 @@ TREE, EMPTY = "wallflower-WavingTrees", 242
 # Parts of the change detector that are left out in turn, and what the page calls them.
 PARTS = {
     "file": "all that samples of the whole file teach: reference, modes, heights",
+    "hidden": "places that something hides most of the time: the noise of the scene all around",
     "modes": "modes: what was seen at a pixel, or near it, in other samples",
     "heights": "heights of objects by place",
     "join": "joining of fragments",
@@ -112,10 +113,13 @@ def lacking(part: str, source: VideoSource) -> Detector:
     """The change detector as `phdtrack track` has it for a file, without one of the `PARTS`."""
     blobs = {part: 0.0} if part in ("join", "split") else {}
     detector = make_detector("change", max_width=working_width("change", None, source.info), **blobs)
-    if part != "file":
-        study(detector, source, source.sample)
     inner = detector.detector if isinstance(detector, Rescaled) else detector
     assert isinstance(inner, ChangeDetector)
+    if part == "hidden":
+        learn = inner._learn_scene_noise
+        inner._learn_scene_noise = lambda samples, hidden=None: learn(samples)  # type: ignore[method-assign]
+    if part != "file":
+        study(detector, source, source.sample)
     if part == "modes":
         inner._past = inner._past._replace(samples=np.zeros((*inner._past.samples.shape[:3], 0), np.uint8))
     elif part == "heights":

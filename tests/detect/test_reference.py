@@ -20,12 +20,12 @@ def scene(seed: int = 0) -> Image:
 
 
 def crowd(count: int = 51) -> list[Image]:
-    """Samples in which somebody dark sways around one place, which is hidden in most of them."""
+    """Samples in which dark people stand around one place, one in each, which is hidden in most of them."""
     rng, out = np.random.default_rng(1), list[Image]()
     for _ in range(count):
         image = scene().astype(np.int16) + rng.integers(-2, 3, (120, 160, 1))
         left, top = 60 + rng.integers(-14, 15), 40 + rng.integers(-14, 15)
-        image[top : top + 40, left : left + 24] = 20
+        image[top : top + 40, left : left + 24] = rng.integers(0, 50, 3)
         out.append(image.clip(0, 255).astype(np.uint8))
     return out
 
@@ -38,10 +38,24 @@ def test_the_median_is_that_of_numpy() -> None:
 def test_a_place_that_is_mostly_hidden_is_seen() -> None:
     samples = crowd()
     hidden = slice(56, 64), slice(70, 75)
-    assert median(samples)[hidden].mean() < 30
-    found = background(samples).astype(float) - scene()
+    assert median(samples)[hidden].mean() < 40
+    reference, where = background(samples)
+    found = reference.astype(float) - scene()
     assert np.abs(found[hidden]).mean() < 15
     assert np.abs(found).mean() < 2
+    assert where[hidden].all()
+    assert where.mean() < 0.2
+    assert not background([scene()] * 7)[1].any()
+
+
+def test_who_hides_a_place_most_of_the_time_is_detected_there() -> None:
+    samples, detector = crowd(), ChangeDetector()
+    study(detector, [Frame(k + 1, k / 2, image) for k, image in enumerate(samples)])
+    detector(Frame(1, 0.0, samples[0]))
+    for k, image in enumerate(samples[1:], start=1):
+        dark = np.argwhere(image.max(axis=2) < 60)
+        (top, left), (bottom, right) = dark.min(axis=0), dark.max(axis=0) + 1
+        np.testing.assert_allclose(detector(Frame(k + 1, k / 2, image)).xyxy, [[left, top, right, bottom]], atol=6)
 
 
 @pytest.mark.parametrize(("width", "jumps"), [(0, False), (100, False), (0, True), (100, True)])

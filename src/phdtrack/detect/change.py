@@ -11,8 +11,9 @@ The noise has three parts: the camera's, σ_c; local light (shadows, reflections
 and stronger towards dark; and the scene's, s(q) ≥ 1, learned for each pixel (leaves, edges that tremble). Global
 illumination changes all pixels of a channel by about a gain and an offset, which are fitted to the background.
 
-Of a file the reference is learned from some 50 samples (`reference.background`, `registry.study`). A pixel that differs from
-it is not changed where those samples often showed the same there, or, where much changes, some pixels away
+Of a file the reference and s(q) are learned from some 50 samples (`reference.background`, `registry.study`); where something
+hid the scene most of the time they say nothing of its noise, which is then that of the rest. A pixel that differs from the
+reference is not changed where those samples often showed the same there, or, where much changes, some pixels away
 (`kernels.change`): leaves, flags, lamps, edges before a camera that shakes. The samples also teach how high objects are at
 each place (`components.Heights`), so that two of them one above the other are not joined.
 
@@ -56,7 +57,7 @@ from phdtrack.kernels.change import (
     noise,
     often_near,
 )
-from phdtrack.types import F8, I8, Detections, Frame, Image
+from phdtrack.types import F8, I8, Bool, Detections, Frame, Image
 
 F4 = NDArray[np.float32]
 OpenShare = Annotated[float, Gt(0), Lt(1)]
@@ -65,7 +66,8 @@ Planes = tuple[Image, Image, Image]
 _GRID_POINTS, _SPARSE = 4000, 4
 _SAME_LIGHT: F4 = np.array([[1, 1, 1], [0, 0, 0]], np.float32)
 _QUARTILE_OF_NORMAL = 1.1503
-_MEDIAN_OF_CHI2 = 0.789
+# The quantile of energies that tells the scene's noise, and that of a third of χ²₃.
+_QUIET, _QUIET_OF_CHI2 = 0.4, 0.623
 _NOISE_MEMORY = 0.9
 _LOUDEST = 20.0
 _GHOST_EDGE = 0.8
@@ -152,8 +154,9 @@ class ChangeDetector:
         self._begin(samples[0])
         self._learning = False
         images = [one.image for one in samples]
-        self._reference = background(images).astype(np.float32)
-        self._learn_scene_noise(images[:: max(1, len(images) // self.samples)])
+        reference, hidden = background(images)
+        self._reference = reference.astype(np.float32)
+        self._learn_scene_noise(images, hidden)
         # What two samples show of the same moment is not seen twice.
         duration = max(samples[-1].time - samples[0].time, 1e-9)
         apart = images[:: max(1, math.ceil(_APART * (len(samples) - 1) / duration))]
@@ -217,11 +220,14 @@ class ChangeDetector:
         if not self._learning:
             del self._samples[1:]
 
-    def _learn_scene_noise(self, samples: Sequence[Image]) -> None:
-        """s(q) from the samples of the first reference."""
+    def _learn_scene_noise(self, samples: Sequence[Image], hidden: Bool | None = None) -> None:
+        """s(q) from the samples of the first reference; where it was ``hidden`` (H, W) in most of them, as it usually is."""
         energies = np.stack([self._compared(sample)[1] for sample in samples])
-        # The median is not moved by objects that pass by.
-        typical = np.median(energies, axis=0, overwrite_input=True).astype(np.float32) / _MEDIAN_OF_CHI2
+        # Objects that pass by only add to it: less than the median is moved by them less.
+        energies.partition(rank := round(_QUIET * (len(samples) - 1)), axis=0)
+        typical = energies[rank] / _QUIET_OF_CHI2
+        if hidden is not None and hidden.any() and not hidden.all():
+            typical[hidden] = np.minimum(typical[hidden], np.median(typical[~hidden]))
         spread = cv2.dilate(cv2.blur(typical, (5, 5)), np.ones((3, 3), np.uint8))
         self._scene = np.minimum(spread, np.float32(CHANNELS * _LOUDEST))
 

@@ -28,6 +28,9 @@ F4 = NDArray[np.float32]
 _SAME, _CERTAIN = 12, 0.9
 # Grey levels of the two pictures' difference from which the median is not the scene.
 _WRONG = 12.0
+# Where the scene differs by more grey levels from the median, something hid it most of the time. Such places are as large as
+# objects, in heights of the picture: leaves hide some pixels each.
+_HIDDEN, _OBJECT = 6.0, 0.03
 # Pixels of the smaller picture; bytes of which the median is made at a time.
 _COARSE, _BAND = 12_000, 4_000_000
 _RING = np.ones((3, 3), np.uint8)
@@ -44,8 +47,8 @@ def median(images: Sequence[Image]) -> Image:
     return out
 
 
-def background(samples: Sequence[Image]) -> Image:
-    """The empty scene.
+def background(samples: Sequence[Image]) -> tuple[Image, Bool]:
+    """The empty scene, and where it was hidden.
 
     Parameters
     ----------
@@ -53,7 +56,8 @@ def background(samples: Sequence[Image]) -> Image:
 
     Returns
     -------
-    The picture (H, W, 3): the median, and where gradients contradict it the sample that they agree with most.
+    The picture (H, W, 3): the median, and where gradients contradict it the sample that they agree with most. And (H, W) the
+    places as large as an object where it is not the median, which shows something that stood there most of the time.
     """
     typical = median(samples)
     height, width = typical.shape[:2]
@@ -63,7 +67,7 @@ def background(samples: Sequence[Image]) -> Image:
     integrated = _integrated(small)
     wrong = np.abs(integrated - _middle(small).astype(np.float32)).max(axis=2) > _WRONG
     if not wrong.any():
-        return typical
+        return typical, np.zeros((height, width), np.bool_)
     wrong = cv2.resize(cv2.dilate(wrong.astype(np.uint8), _RING), (width, height)) > 0
     aim = cv2.resize(integrated, (width, height))[wrong]
     nearest, least = aim.copy(), np.full(len(aim), 2 * _WRONG, np.float32)
@@ -76,7 +80,9 @@ def background(samples: Sequence[Image]) -> Image:
     out[wrong] = np.clip(np.rint(nearest), 0, 255)
     # A pixel that chose otherwise than all around it chose by noise.
     out[wrong] = cv2.medianBlur(out, 5)[wrong]
-    return out
+    element = np.ones((max(3, round(_OBJECT * height) | 1),) * 2, np.uint8)
+    hidden = (cv2.absdiff(out, typical).max(axis=2) > _HIDDEN).astype(np.uint8)
+    return out, cv2.dilate(cv2.morphologyEx(hidden, cv2.MORPH_OPEN, element), element) > 0
 
 
 def _middle(values: NDArray[Any]) -> NDArray[Any]:
