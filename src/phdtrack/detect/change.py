@@ -11,7 +11,7 @@ The noise has three parts: the camera's, σ_c; local light (shadows, reflections
 and stronger towards dark; and the scene's, s(q) ≥ 1, learned for each pixel (leaves, edges that tremble). Global
 illumination changes all pixels of a channel by about a gain and an offset, which are fitted to the background.
 
-Of a file the reference and s(q) are learned from some 50 samples (`reference.background`, `registry.study`); where something
+Of a file the reference and s(q) are learned from some 50 samples (`reference.background`, `registry.study`); where objects
 hid the scene most of the time they say nothing of its noise, which is then that of the rest. A pixel that differs from the
 reference is not changed where those samples often showed the same there, or, where much changes, some pixels away
 (`kernels.change`): leaves, flags, lamps, edges before a camera that shakes. The samples also teach how high objects are at
@@ -40,7 +40,7 @@ from annotated_types import Gt, Lt
 from numpy.typing import NDArray
 
 from phdtrack.detect.components import BlobSettings, Contour, Heights, check_same_size
-from phdtrack.detect.reference import background, median
+from phdtrack.detect.reference import background, median, of_objects
 from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, check
 from phdtrack.kernels.change import (
     CHANNELS,
@@ -66,6 +66,8 @@ Planes = tuple[Image, Image, Image]
 _GRID_POINTS, _SPARSE = 4000, 4
 _SAME_LIGHT: F4 = np.array([[1, 1, 1], [0, 0, 0]], np.float32)
 _QUARTILE_OF_NORMAL = 1.1503
+# The side of a square that fits into an object, in its heights; that in heights of the picture, where it is not known.
+_SIDE, _USUAL = 0.3, 0.1
 # The quantile of energies that tells the scene's noise, and that of a third of χ²₃.
 _QUIET, _QUIET_OF_CHI2 = 0.4, 0.623
 _NOISE_MEMORY = 0.9
@@ -156,23 +158,37 @@ class ChangeDetector:
         images = [one.image for one in samples]
         reference, hidden = background(images)
         self._reference = reference.astype(np.float32)
-        self._learn_scene_noise(images, hidden)
         # What two samples show of the same moment is not seen twice.
         duration = max(samples[-1].time - samples[0].time, 1e-9)
         apart = images[:: max(1, math.ceil(_APART * (len(samples) - 1) / duration))]
         # The samples of a pixel side by side: it is compared with all of them.
         seen: Image = np.empty((*images[0].shape, len(apart)), np.uint8)
-        differing: Image = np.zeros(seen.shape[:2], np.uint8)
         extremes = _Extremes(OFTEN, images[0].shape), _Extremes(often_near(len(apart)), images[0].shape)
         for k, one in enumerate(apart):
             seen[..., k] = planes = np.dstack(_planes(one))
-            differing += self._compared(one)[1] > self._threshold
             extremes[0].add(planes, planes)
             extremes[1].add(cv2.erode(planes, _NEIGHBOURS), cv2.dilate(planes, _NEIGHBOURS))
-        self._past = Past(seen, differing, *(each.found() for each in extremes))
-        shape, alone = differing.shape, replace(self.blobs, join=0.0)
-        masks = [self.blobs.clean(self._compared(one)[0]) for one in apart]
-        self._usual = Heights.learned([alone.boxes(alone.components(mask), shape) for mask in masks], shape)
+        nowhere: Image = np.zeros(hidden.shape, np.uint8)
+        self._past = Past(seen, nowhere, *(each.found() for each in extremes))
+        height = len(hidden)
+        margin, least = max(3, round(_SIDE * _USUAL * height) | 1), np.full(height, _SIDE * _USUAL * height)
+        places = of_objects(hidden, least, margin)
+        self._learn_usual(images, apart, places)
+        if self._usual is None:
+            return
+        # Once more, where what hid something is as large as objects are at its place.
+        again = of_objects(hidden, np.array([max(3.0, _SIDE * self._usual.at(row)) for row in range(height)]), margin)
+        if (again != places).any():
+            self._learn_usual(images, apart, again)
+
+    def _learn_usual(self, images: Sequence[Image], apart: Sequence[Image], hidden: Bool) -> None:
+        """The scene's noise, how often each pixel differs in the samples that are ``apart``, and how high objects are."""
+        self._learn_scene_noise(images, hidden)
+        differing = sum((self._compared(one)[1] > self._threshold).astype(np.uint8) for one in apart)
+        self._past = self._past._replace(differing=np.asarray(differing, np.uint8))
+        masks, alone = [self.blobs.clean(self._compared(one)[0]) for one in apart], replace(self.blobs, join=0.0)
+        boxes = [alone.boxes(alone.components(mask), hidden.shape) for mask in masks]
+        self._usual: Heights | None = Heights.learned(boxes, hidden.shape)
 
     def __call__(self, frame: Frame) -> Detections:
         """The boxes of what changed in ``frame`` (H, W, 3) [M09]."""

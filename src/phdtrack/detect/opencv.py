@@ -148,7 +148,7 @@ class FaceDetector:
 
 @dataclass(eq=False)
 class PersonDetector:
-    """Boxes around pedestrians; it remembers nothing.
+    """Boxes around pedestrians; it remembers nothing. It takes a third of a second at 768x576: for stills and short clips.
 
     Attributes
     ----------

@@ -21,16 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phdtrack.kernels.change import middle
-from phdtrack.types import I8, Bool, Image
+from phdtrack.types import F8, I8, Bool, Image
 
 F4 = NDArray[np.float32]
 # Grey levels within which two samples show the same, and the share of samples that must for the median to be certain.
 _SAME, _CERTAIN = 12, 0.9
 # Grey levels of the two pictures' difference from which the median is not the scene.
 _WRONG = 12.0
-# Where the scene differs by more grey levels from the median, something hid it most of the time. Such places are as large as
-# objects, in heights of the picture: leaves hide some pixels each.
-_HIDDEN, _OBJECT = 6.0, 0.03
+# Grey levels by which the scene differs from the median where something hid it most of the time.
+_HIDDEN = 6.0
 # Pixels of the smaller picture; bytes of which the median is made at a time.
 _COARSE, _BAND = 12_000, 4_000_000
 _RING = np.ones((3, 3), np.uint8)
@@ -48,7 +47,7 @@ def median(images: Sequence[Image]) -> Image:
 
 
 def background(samples: Sequence[Image]) -> tuple[Image, Bool]:
-    """The empty scene, and where it was hidden.
+    """The empty scene, and where something hid it most of the time.
 
     Parameters
     ----------
@@ -56,8 +55,8 @@ def background(samples: Sequence[Image]) -> tuple[Image, Bool]:
 
     Returns
     -------
-    The picture (H, W, 3): the median, and where gradients contradict it the sample that they agree with most. And (H, W) the
-    places as large as an object where it is not the median, which shows something that stood there most of the time.
+    The picture (H, W, 3): the median, and where gradients contradict it the sample that they agree with most. And (H, W)
+    where it is not the median.
     """
     typical = median(samples)
     height, width = typical.shape[:2]
@@ -80,9 +79,18 @@ def background(samples: Sequence[Image]) -> tuple[Image, Bool]:
     out[wrong] = np.clip(np.rint(nearest), 0, 255)
     # A pixel that chose otherwise than all around it chose by noise.
     out[wrong] = cv2.medianBlur(out, 5)[wrong]
-    element = np.ones((max(3, round(_OBJECT * height) | 1),) * 2, np.uint8)
-    hidden = (cv2.absdiff(out, typical).max(axis=2) > _HIDDEN).astype(np.uint8)
-    return out, cv2.dilate(cv2.morphologyEx(hidden, cv2.MORPH_OPEN, element), element) > 0
+    return out, np.asarray(cv2.absdiff(out, typical).max(axis=2) > _HIDDEN)
+
+
+def of_objects(hidden: Bool, least: F8, margin: int) -> Bool:
+    """The parts of what is ``hidden`` (H, W) that hold a square as large as ``least`` (H,) in its row, with a margin around
+    them, an odd number of pixels wide in all: those that objects hide, for leaves hide some pixels each."""
+    spots = hidden.astype(np.uint8)
+    # From the edge of the picture on it is taken to go on.
+    inside = cv2.distanceTransform(cv2.copyMakeBorder(spots, 1, 1, 1, 1, cv2.BORDER_REPLICATE), cv2.DIST_C, 3)[1:-1, 1:-1]
+    _, part = cv2.connectedComponents(cv2.morphologyEx(spots, cv2.MORPH_OPEN, _RING))
+    large = np.setdiff1d(part[2 * inside - 1 >= least[:, None]], 0)
+    return np.asarray(cv2.dilate(np.isin(part, large).astype(np.uint8), np.ones((margin, margin), np.uint8)) > 0)
 
 
 def _middle(values: NDArray[Any]) -> NDArray[Any]:
