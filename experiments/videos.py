@@ -21,7 +21,7 @@ import numpy as np
 
 from experiments.common import ROOT, Options, in_parallel, need_data, table, write
 from phdtrack import config
-from phdtrack.detect import make_detector
+from phdtrack.detect import change, make_detector
 from phdtrack.detect.change import ChangeDetector
 from phdtrack.detect.registry import Rescaled, study, working_width
 from phdtrack.devices import Detector
@@ -64,6 +64,7 @@ TREE, EMPTY = "wallflower-WavingTrees", 242
 PARTS = {
     "file": "all that samples of the whole file teach: reference, modes, heights",
     "hidden": "places that something hides most of the time: the noise of the scene all around",
+    "quiet": "the noise of the scene from below the median of samples: the median",
     "modes": "modes: what was seen at a pixel, or near it, in other samples",
     "heights": "heights of objects by place",
     "join": "joining of fragments",
@@ -118,8 +119,12 @@ def lacking(part: str, source: VideoSource) -> Detector:
     if part == "hidden":
         learn = inner._learn_scene_noise
         inner._learn_scene_noise = lambda samples, hidden=None: learn(samples)  # type: ignore[method-assign]
+    below = change._QUIET, change._QUIET_OF_CHI2
+    if part == "quiet":
+        change._QUIET, change._QUIET_OF_CHI2 = 0.5, 0.789
     if part != "file":
         study(detector, source, source.sample)
+    change._QUIET, change._QUIET_OF_CHI2 = below
     if part == "modes":
         inner._past = inner._past._replace(samples=np.zeros((*inner._past.samples.shape[:3], 0), np.uint8))
     elif part == "heights":

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import shlex
 import sys
-import threading
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
@@ -35,7 +34,7 @@ from phdtrack.cli.output import Advance, progress, versions
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.detect import BACKGROUND
 from phdtrack.detect.registry import unsuited
-from phdtrack.errors import InputError, interrupted, needed, shown
+from phdtrack.errors import InputError, interrupted, needed, needed_soon, shown
 from phdtrack.files import return_memory, write_text
 from phdtrack.filters import NoFilter
 from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter
@@ -61,7 +60,7 @@ _HIDDEN = "In all pictures {} of detections and tracks are hidden; what was neit
 _TRIED, _SLOW = 25, 5
 # Frames of which is kept what was seen, and what the report shows, where there is no end to them.
 _SAMPLE, _CHARTED = 1000, 100_000
-# Seconds for which videos are drawn after a signal, and what the end of a run imports.
+# Seconds for which videos are drawn after a signal; what the end of a run imports, which takes a second.
 _SHORTLY, _LATE = 0.5, ("scipy.optimize", "scipy.sparse.csgraph", "matplotlib.figure")
 
 
@@ -188,9 +187,7 @@ def run(job: Job, directory: RunDirectory, *, resume: bool = False) -> Outcome:
     return_memory()
     if job.video and (job.inputs.pictures or job.observers):
         needed("av")  # at the end, perhaps after hours
-    # It takes a second, which a signal need not wait for.
-    threading.Thread(target=lambda: [*map(needed, _LATE)], daemon=True).start()
-    with progress("tracking", 0) as advance:
+    with needed_soon(_LATE), progress("tracking", 0) as advance:
         return _run(job, directory, advance, resume=resume)
 
 
