@@ -16,9 +16,7 @@ import difflib
 import math
 import re
 import signal
-import threading
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import fields
 from functools import cache
 from importlib import import_module
@@ -99,20 +97,6 @@ def needed(module: str) -> Any:
         return import_module(module)
     except ImportError as error:
         raise absent(error, module) from None
-
-
-@contextmanager
-def needed_soon(modules: Iterable[str], seconds: float = 2.0) -> Iterator[None]:
-    """Import modules in a thread of their own once the block has lasted so many seconds: its end need not wait for them."""
-    timer = threading.Timer(seconds, lambda: [*map(needed, modules)])
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        # Python may crash where it ends while something is imported.
-        timer.cancel()
-        timer.join()
 
 
 def absent(error: ImportError, module: str = "") -> InputError:

@@ -34,7 +34,7 @@ from phdtrack.cli.output import Advance, progress, versions
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.detect import BACKGROUND
 from phdtrack.detect.registry import unsuited
-from phdtrack.errors import InputError, interrupted, needed, needed_soon, shown
+from phdtrack.errors import InputError, interrupted, needed, shown
 from phdtrack.files import return_memory, write_text
 from phdtrack.filters import NoFilter
 from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter
@@ -187,7 +187,7 @@ def run(job: Job, directory: RunDirectory, *, resume: bool = False) -> Outcome:
     return_memory()
     if job.video and (job.inputs.pictures or job.observers):
         needed("av")  # at the end, perhaps after hours
-    with needed_soon(_LATE), progress("tracking", 0) as advance:
+    with signals.needed_soon(_LATE), progress("tracking", 0) as advance:
         return _run(job, directory, advance, resume=resume)
 
 

@@ -13,8 +13,10 @@ import socket
 import sys
 import threading
 import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
-from phdtrack.errors import DEFERRED, INTERRUPTING, later
+from phdtrack.errors import DEFERRED, INTERRUPTING, later, needed
 
 _ENDING = ("SIGINT", "SIGTERM", "SIGHUP")
 # Signals that came, and those that have raised KeyboardInterrupt.
@@ -46,6 +48,20 @@ def last_chance(what: str) -> None:
         for number in _numbers():
             if signal.getsignal(number) is _end:
                 signal.signal(number, signal.SIG_DFL)
+
+
+@contextmanager
+def needed_soon(modules: Iterable[str], seconds: float = 2.0) -> Iterator[None]:
+    """Import modules in a thread of their own once the block has lasted so many seconds: its end need not wait for them."""
+    timer = threading.Timer(seconds, lambda: [*map(needed, modules)])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        # Python may crash where it ends while something is imported.
+        timer.cancel()
+        timer.join()
 
 
 def status() -> int:

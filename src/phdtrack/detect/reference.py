@@ -83,8 +83,18 @@ def background(samples: Sequence[Image]) -> tuple[Image, Bool]:
 
 
 def of_objects(hidden: Bool, least: F8, margin: int) -> Bool:
-    """The parts of what is ``hidden`` (H, W) that hold a square as large as ``least`` (H,) in its row, with a margin around
-    them, an odd number of pixels wide in all: those that objects hide, for leaves hide some pixels each."""
+    """What objects hid, for leaves hide some pixels each.
+
+    Parameters
+    ----------
+    hidden : (H, W) where something hid the scene most of the time.
+    least : (H,) side in pixels of a square that fits into an object in this row.
+    margin : pixels by which what hides is widened in all, odd.
+
+    Returns
+    -------
+    (H, W) the parts into which such a square fits, widened.
+    """
     spots = hidden.astype(np.uint8)
     # From the edge of the picture on it is taken to go on.
     inside = cv2.distanceTransform(cv2.copyMakeBorder(spots, 1, 1, 1, 1, cv2.BORDER_REPLICATE), cv2.DIST_C, 3)[1:-1, 1:-1]
