@@ -83,6 +83,7 @@ def test_a_state_far_from_everybody_is_nobodys_error():
     assert outcome.overall == pytest.approx(5.0)
 
 
+@pytest.mark.slow
 def test_the_sampler_nears_the_posterior_mean_and_the_greedy_chain_does_not():
     """Where the model is true: root mean squared distances per axis from the exact mean, two seeds."""
     far = {

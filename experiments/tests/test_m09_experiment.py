@@ -141,6 +141,7 @@ def garden() -> m09_scenes.Halves:
     return m09_scenes.halves(("garden", 700))
 
 
+@pytest.mark.slow
 def test_the_paper_learns_from_a_few_marks_where_false_alarms_last(garden, monkeypatch) -> None:
     """In the garden a few hundred marks are enough, and the filter is better with what they teach."""
     monkeypatch.setattr(m09, "MARKS", (10, 300))
@@ -195,6 +196,7 @@ def learned_scene(train: Case) -> m09_lessons.LearnedScene:
     return m09_lessons.LearnedScene(*parts, (1.0, 2.0, 3.0), 9)
 
 
+@pytest.mark.slow
 def test_a_scene_is_learned_and_tracked_better(garden) -> None:
     """The whole way, on a rendered scene too short for births but not for false alarms."""
     scene = m09_lessons.learn((garden, 1))

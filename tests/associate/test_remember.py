@@ -24,6 +24,7 @@ def circling(frames: int):
     return (cycle[k % 100] for k in range(frames))
 
 
+@pytest.mark.slow
 def test_the_state_stops_growing():
     """Over 10 000 frames: its bytes after 2000 are those after 10 000."""
     matching, state, size = matching_of(history=8.0, back_dating=3), matching_of().start(), {}

@@ -42,6 +42,7 @@ def test_places_that_fire_are_unlearned(tmp_path: Path, name: str, clutter: str)
     assert taught["MOTA"] > max(0.9, plain["MOTA"] + 0.3)
 
 
+@pytest.mark.slow
 def test_who_stays_among_lights_that_tremble_is_held_back(tmp_path: Path):
     """A yard with trees in the wind and eight lights that tremble, 20 s, learned on the first half. Such light moves as a
     person does who stands: to know its places does not keep it from being followed."""

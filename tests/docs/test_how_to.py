@@ -133,6 +133,7 @@ STAND_INS: dict[str, dict[str, Any]] = {
 REAL = ("supervision", "norfair")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", NAMES)
 def test_what_the_page_says_runs(
     page: str, scene: Path, written: dict[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -34,7 +34,7 @@ def symmetric(rng: np.random.Generator, n: int, shift: float = 0.0) -> F8:
     return out
 
 
-@pytest.mark.parametrize("n", [1, 2, 3, 5, 7])
+@pytest.mark.parametrize("n", [1, 2, 3, 5, pytest.param(7, marks=pytest.mark.slow)])
 def test_clusters_are_the_best_of_all_partitions(n: int) -> None:
     rng = np.random.default_rng(n)
     for _ in range(20):

@@ -181,6 +181,7 @@ def test_em_raises_the_likelihood_step_by_step_and_leaves_what_was_given():
     assert likelihood_of(_fitted(shifted, seen), seen) > likelihood_of(p, seen)
 
 
+@pytest.mark.slow
 def test_a_component_with_less_than_half_its_parameters_goes_and_the_last_stays():
     x = drawn_of(two(), 100, np.random.default_rng(3))
     far = density([[320, 240, 40, 90], [10, 10, 5, 5]], [WIDE, PLACE], [0.9, 0.1])
