@@ -170,6 +170,25 @@ def test_the_status_names_the_signal_while_the_command_line_is_read() -> None:
     assert (done.returncode, done.stderr.strip().splitlines()[-1]) == (143, "phdtrack: stopped")
 
 
+def test_a_signal_is_not_lost_where_python_drops_what_is_raised() -> None:
+    """As while an object is deleted, or in the callback of a weak reference."""
+    code = (
+        "import signal, time\n"
+        "from phdtrack.cli import signals\n"
+        "class Gone:\n"
+        "    def __del__(self):\n"
+        "        signal.raise_signal(signal.SIGTERM)\n"
+        "signals.listen()\n"
+        "try:\n"
+        "    Gone()\n"
+        "    time.sleep(60)\n"
+        "except KeyboardInterrupt:\n"
+        "    signals.leave(signals.status())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30, check=False)
+    assert (done.returncode, done.stderr) == (143, "")
+
+
 def test_a_signal_that_comes_as_soon_as_it_is_listened_for_ends_the_command() -> None:
     done = ended(["settings"], ("threading", "Thread", "start", 1), "SIGTERM")
     assert (done.returncode, done.stderr.strip()) == (143, "phdtrack: stopped")

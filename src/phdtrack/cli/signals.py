@@ -13,6 +13,7 @@ import socket
 import sys
 import threading
 import time
+from _thread import interrupt_main
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
@@ -35,6 +36,7 @@ def listen() -> None:
         if signal.getsignal(number) not in (signal.SIG_IGN, None):
             signal.signal(number, _end)
     INTERRUPTING.append(_end)
+    sys.unraisablehook = _again
     ends = socket.socketpair()
     ends[1].setblocking(False)
     signal.set_wakeup_fd(ends[1].fileno(), warn_on_full_buffer=False)
@@ -104,6 +106,24 @@ def _end(number: int, frame: object) -> None:
         return
     _answered.append(number)
     raise KeyboardInterrupt
+
+
+def _again(lost: sys.UnraisableHookArgs) -> None:
+    """A KeyboardInterrupt that came where Python drops what is raised, as while an object is deleted, comes once more."""
+    if lost.exc_type is not KeyboardInterrupt:
+        sys.__unraisablehook__(lost)
+        return
+    timer = threading.Timer(_LOOK, _send, [_came[-1] if _came else int(signal.SIGINT)])
+    timer.daemon = True
+    timer.start()
+
+
+def _send(number: int) -> None:
+    """A signal to the main thread, which it wakes where the system can do that."""
+    if sys.platform == "win32":
+        interrupt_main(number)
+    else:
+        signal.pthread_kill(threading.main_thread().ident or 0, number)
 
 
 def _watch(told: socket.socket, _: socket.socket) -> None:

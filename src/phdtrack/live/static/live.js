@@ -3,7 +3,8 @@ const $ = (id) => document.getElementById(id);
 const SVG = "http://www.w3.org/2000/svg";
 // From now on the cookie says who this is; nobody is to read the token here.
 history.replaceState(null, "", location.pathname);
-let camera = "", known = null, minutes = [], span = 60, draft = null, shown = "";
+// `doomed`: the place that is to be deleted, if it is clicked once more.
+let camera = "", known = null, minutes = [], span = 60, draft = null, shown = "", doomed = "";
 
 function element(kind, attributes = {}, text = "", space = null) {
   const made = space ? document.createElementNS(space, kind) : document.createElement(kind);
@@ -124,14 +125,16 @@ function places() {
     const row = element("tr"), remove = element("button", { "aria-label": `delete ${place.name}` }, "×");
     const now = place.kind === "zone" ? place.entered - place.left : "";
     row.append(...[place.name, place.entered, place.left, now].map((value) => element("td", {}, String(value))), element("td"));
-    // The first click asks, the second deletes.
+    // The first click asks, the second deletes, also where the counts have changed in between.
+    const ask = (name) => { doomed = name; remove.className = name ? "bad" : ""; remove.textContent = name ? "delete?" : "×"; };
+    if (doomed === place.name) ask(doomed);
     remove.onclick = () => {
-      if (!remove.classList.contains("bad")) {
-        remove.className = "bad";
-        remove.textContent = "delete?";
-        setTimeout(() => { remove.className = ""; remove.textContent = "×"; }, 4000);
+      if (doomed !== place.name) {
+        ask(place.name);
+        setTimeout(() => { if (doomed === place.name) { doomed = shown = ""; } }, 4000);
         return;
       }
+      doomed = "";
       save(known.places.filter((_, other) => other !== k), `${place.name} was deleted`);
     };
     if (known.drawable) row.lastChild.append(remove);
