@@ -86,7 +86,10 @@ def test_work_in_processes_keeps_the_order_and_says_what_it_does(monkeypatch: py
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in EXPERIMENTS if name != "videos"])
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(k, marks=[pytest.mark.data] * bool(one.data)) for k, one in EXPERIMENTS.items() if k != "videos"],
+)
 def test_every_short_form_runs(name: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     """The pages have all their figures; the pictures that they show are there."""
     if EXPERIMENTS[name].data:
