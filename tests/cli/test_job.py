@@ -191,9 +191,9 @@ def test_an_interrupt_in_the_loop_stops_the_stages(job: Job, directory: rundir.R
     assert threading.active_count() == before
 
 
-def test_an_interrupt_while_a_frame_is_written_waits_for_its_end(
-    job: Job, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C comes while frame 7 is written."""
     real = DetectionsWriter.append
 
     def signalling(self: DetectionsWriter, number: int, found: Detections) -> None:
@@ -202,22 +202,19 @@ def test_an_interrupt_while_a_frame_is_written_waits_for_its_end(
         real(self, number, found)
 
     monkeypatch.setattr(DetectionsWriter, "append", signalling)
+
+
+@pytest.mark.usefixtures("stopped")
+def test_an_interrupt_while_a_frame_is_written_waits_for_its_end(job: Job, directory: rundir.RunDirectory) -> None:
     outcome = run(job, directory)
     assert isinstance(outcome.stop, KeyboardInterrupt)
     consistent(directory, outcome, 7)
 
 
+@pytest.mark.usefixtures("stopped")
 def test_after_a_signal_a_long_video_is_not_drawn_to_its_end(
     job: Job, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = DetectionsWriter.append
-
-    def signalling(self: DetectionsWriter, number: int, found: Detections) -> None:
-        if number == 7:
-            signal.raise_signal(signal.SIGINT)
-        real(self, number, found)
-
-    monkeypatch.setattr(DetectionsWriter, "append", signalling)
     monkeypatch.setattr("phdtrack.cli.job._SHORTLY", 0.0)
     outcome = run(job, directory)
     assert isinstance(outcome.stop, KeyboardInterrupt)

@@ -419,13 +419,15 @@ def _draw(job: Job, directory: RunDirectory, done: _Progress, tracks: Tracks, ad
                 draw.insert(0, lambda number, picture: video.write(picture))
             if not draw:
                 return
-            end = time.monotonic() + (_SHORTLY if isinstance(done.stop, KeyboardInterrupt) else math.inf)
+            end, shortly = math.inf, _SHORTLY if isinstance(done.stop, KeyboardInterrupt) else math.inf
             try:
                 for count, (seen, picture) in enumerate(zip(done.seen, pictures, strict=False), start=1):
                     for one in draw:
                         one(seen.number, picture)
                     advance(count, total=done.frames, description="drawing")
-                    if time.monotonic() > end and count < done.frames:
+                    # Without the first one, for which kernels are loaded.
+                    end = time.monotonic() + shortly if count == 1 else end
+                    if time.monotonic() >= end and count < done.frames:
                         done.drawn = seen.number
                         break
             except KeyboardInterrupt as stop:
