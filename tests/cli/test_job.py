@@ -27,7 +27,8 @@ from phdtrack.formats import DetectionsWriter, read_detections, read_tracks
 from phdtrack.models import BoxClutter, BoxMotion, BoxSensor, MeasurementBirth
 from phdtrack.protocols import Model, Stages
 from phdtrack.report import About, Annotator
-from phdtrack.types import Detections, Frame, SequenceInfo, Truth
+from phdtrack.tracker import Tracker
+from phdtrack.types import Detections, Frame, SequenceInfo, Tracks, Truth
 from phdtrack.video import open_source
 
 INFO = SequenceInfo(96, 64, 25.0, 0, "clip")
@@ -209,6 +210,22 @@ def test_an_interrupt_while_a_frame_is_written_waits_for_its_end(job: Job, direc
     outcome = run(job, directory)
     assert isinstance(outcome.stop, KeyboardInterrupt)
     consistent(directory, outcome, 7)
+
+
+def test_a_signal_while_corrected_tracks_are_smoothed_waits_for_them(
+    job: Job, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After the last frame; the run ends as after any other signal, with all its files."""
+    real = Tracker.tracks
+
+    def signalling(self: Tracker) -> Tracks:
+        signal.raise_signal(signal.SIGINT)
+        return real(self)
+
+    monkeypatch.setattr(Tracker, "tracks", signalling)
+    outcome = run(job, directory)
+    assert isinstance(outcome.stop, KeyboardInterrupt)
+    consistent(directory, outcome, FRAMES)
 
 
 @pytest.mark.usefixtures("stopped")

@@ -56,6 +56,7 @@ _WHICH = (
 )
 _REUSED = "The detections are those of an earlier run with the same detector; --detect-again detects anew."
 _HIDDEN = "In all pictures {} of detections and tracks are hidden; what was neither detected nor tracked can be seen."
+_STOPPED = "stopped after frame {}; its files are being completed"
 # An object detected so often in a row must have been reported; after more than _SLOW detections the user is warned.
 _TRIED, _SLOW = 25, 5
 # Frames of which is kept what was seen, and what the report shows, where there is no end to them.
@@ -90,12 +91,8 @@ class Job:
     @property
     def key(self) -> dict[str, object]:
         """What decides the result: a checkpoint of another is refused."""
-        return {
-            "settings": self.configuration,
-            **self.read,
-            "seed": self.about.seed,
-            "file": source_of(str(self.read["source"])),
-        }
+        seed, file = self.about.seed, source_of(str(self.read["source"]))
+        return {"settings": self.configuration, **self.read, "seed": seed, "file": file}
 
     @property
     def sensor(self) -> Sensor:
@@ -145,7 +142,7 @@ class _Progress:
 
     tracker: Tracker
     recorder: Recorder
-    seen: list[_Seen] | deque[_Seen] = field(default_factory=list)
+    seen: list[_Seen] | deque[_Seen]
     frames: int = 0
     seconds: float = 0.0
     left_out: int = 0
@@ -201,7 +198,7 @@ def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -
         if not resume:
             directory.clear()
         raise done.stop
-    tracks = done.tracker.tracks()
+    tracks = _smoothed(done)
     if job.inputs.again:
         with done.saving(), TracksWriter(directory.file(rundir.TRACKS), job.names) as file:
             file.append(tracks, places(job.sensor, tracks.xyxy))
@@ -237,18 +234,14 @@ def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -
         write_text(directory.file(rundir.REPORT), report_html(record, job.configuration | {"input": job.read}))
     complete = done.ended is None
     document = run_document(record, job.configuration) | {"complete": complete, "input": job.read}
+    document |= {"boxes_left_out": done.tracker.left_out._asdict()}
     document |= {"resumed_from_frame": done.resumed} if done.resumed else {}
     document |= {"detections_reused": True} if done.reused else {}
-    document |= {"boxes_left_out": done.tracker.left_out._asdict()}
     with done.saving():
         document = finish_document(document, directory, *(report.document for report in reports))
     if complete and done.ended is None:
         directory.sweep()
-    summary = (
-        *([_REUSED] * done.reused),
-        *sentences(record),
-        *(sentence for report in reports for sentence in report.sentences),
-    )
+    summary = (*([_REUSED] * done.reused), *sentences(record), *(one for report in reports for one in report.sentences))
     warnings = (*said.warnings, *(str(error) for error in done.unwritten if error is not done.ended))
     return Outcome(document, summary, scores, warnings, done.ended)
 
@@ -268,7 +261,8 @@ def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool)
     """Every frame through detector and tracker, into files and record, until the source ends or something stops it."""
     inputs = job.inputs
     tracker = Tracker(stages=job.kinds, fps=inputs.info.fps, seed=job.about.seed)
-    done = _Progress(tracker, Recorder(inputs.info, job.truth, None if inputs.again else _CHARTED, job.blur))
+    recorder = Recorder(inputs.info, job.truth, None if inputs.again else _CHARTED, job.blur)
+    done = _Progress(tracker, recorder, [] if inputs.again else deque(maxlen=_SAMPLE))
     found_in, checkpoint = partial(detected, inputs.detector, mover=job.mover), None
     if job.every > 0 and inputs.pictures and inputs.again:
         checkpoint = Checkpoint(directory, job.key, job.looked, job.every, resume=resume, anew=job.anew)
@@ -292,8 +286,7 @@ def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool)
                         step = tracker.step
                         assert step is not None
                         written.take(frame, found, step, rows)
-                        picture = frame if inputs.pictures else None
-                        done.recorder.add(picture, step, seconds)
+                        done.recorder.add(frame if inputs.pictures else None, step, seconds)
                         seen = _Seen(step.number, step.detections, step.info.mass, step.info.clutter_probability)
                         done.seen.append(seen)
                         done.frames += 1
@@ -309,9 +302,20 @@ def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool)
             done.stop = _as_meant(stop)
         written.rest()
         if isinstance(done.stop, KeyboardInterrupt):
-            signals.last_chance(f"stopped after frame {done.last}; its files are being completed")
+            signals.last_chance(_STOPPED.format(done.last))
         done.lost = ". ".join(filter(None, (inputs.source.problem, checkpoint.problem if checkpoint else "")))
     return done
+
+
+def _smoothed(done: _Progress) -> Tracks:
+    """The corrected tracks. A signal that comes meanwhile waits for them."""
+    try:
+        with uninterrupted():
+            tracks = done.tracker.tracks()
+    except KeyboardInterrupt as stop:
+        done.stop = done.stop or stop
+        signals.last_chance(_STOPPED.format(done.last))
+    return tracks
 
 
 class _Written:
@@ -334,8 +338,6 @@ class _Written:
         for observer in job.observers:
             files.enter_context(done.saving())
             observer.open(directory, files)
-        if not again:
-            done.seen = deque(maxlen=_SAMPLE)
 
     def take(self, frame: Frame, found: Detections, step: Step, rows: Tracks) -> None:
         """A frame, its detections, and the online rows that it brought."""
@@ -388,8 +390,7 @@ class _DrawnOnce:
 
     def _draw(self, rows: Tracks) -> None:
         frame, step = self._waiting.popleft()
-        mine = rows.take(rows.frame == frame.number)
-        chances, mass = step.info.clutter_probability, step.info.mass
+        mine, chances, mass = rows.take(rows.frame == frame.number), step.info.clutter_probability, step.info.mass
         picture = self._annotate(frame.image, frame.number, mine, step.detections, mass=mass, clutter_probability=chances)
         self._video.write(picture, frame.time)
 
