@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from smoothing_cases import model_of, piece, sequence, walk
 
+from phdtrack.kernels import rts
 from phdtrack.protocols import Model
 from phdtrack.smooth.paths import paths_of
 from phdtrack.smooth.smoothing import Sequence, Smoothing, _candidates, _matched
@@ -45,6 +46,18 @@ def test_paths_side_by_side_are_what_each_is_alone(rng):
         rows = slice(both[0].start[k], both[0].start[k + 1])
         np.testing.assert_allclose(both[1].mean[rows], states.mean, rtol=1e-9)
         np.testing.assert_allclose(both[1].covariance[rows], states.covariance, rtol=1e-9, atol=1e-9)
+
+
+def test_one_path_and_several_go_through_the_same_kernel(rng):
+    """A kernel of its own for one path would be compiled when two tracks are joined for the first time, after hours."""
+    model = model_of()
+    a, b = walk(rng, 30, (100, 200), (2, 0)), walk(rng, 30, (400, 100), (-1, 1))
+    known = []
+    for pieces in ([piece(a, 1, (1, 30)), piece(b, 1, (1, 30))], [piece(a, 1, (1, 30))]):
+        paths, _, seen = smoothed(*sequence(pieces, 30, model), model)
+        seen.smooth(paths, seen.fitting(paths))
+        known.append(len(rts.filtered.signatures))
+    assert known[0] == known[1]
 
 
 def test_errors_are_as_large_as_the_covariance_says():

@@ -216,8 +216,8 @@ def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -
     advance(done.frames, total=done.frames, description="report")
     record = replace(done.recorder.record(tracks, job.about), names=job.names)
     # The note comes first, then the warning if there is one.
-    confirmed = _confirmation(job, done)
-    wrong = unsuited(job.inputs.detector) or doubts(record, background=job.inputs.described in BACKGROUND)
+    confirmed, background = _confirmation(job, done), job.inputs.described in BACKGROUND
+    wrong = unsuited(job.inputs.detector) or doubts(record, background=background)
     said = replace(
         job.about,
         seconds=time.perf_counter() - clock,
@@ -350,6 +350,7 @@ class _Written:
             self._once.take(frame, step, rows)
         if self._final and self._corrected and len(final := self._final.due()):
             self._append(self._corrected, final)
+            return_memory()
 
     def flush(self) -> None:
         """The online rows that were held back."""
@@ -405,11 +406,10 @@ def _draw(job: Job, directory: RunDirectory, done: _Progress, tracks: Tracks, ad
     """The videos of the frames that were tracked, but for pictures that do not come again: they are drawn as they come."""
     try:
         with ExitStack() as files:
-            info, pictures_again = job.inputs.info, job.inputs.pictures and job.inputs.again
-            found = (observer.drawing(directory, files, pictures=pictures_again) for observer in job.observers)
-            draw = list(filter(None, found))
+            info, again = job.inputs.info, job.inputs.pictures and job.inputs.again
+            draw = [one for observer in job.observers if (one := observer.drawing(directory, files, pictures=again))]
             pictures: Iterable[Image] = repeat(NO_PICTURE)
-            if pictures_again:
+            if again:
                 path, size = directory.file(rundir.VIDEO), (info.width, info.height)
                 video = files.enter_context(VideoWriter(path, *size, info.fps, fast=True))
                 frames = files.enter_context(ahead(job.inputs.source))

@@ -257,7 +257,9 @@ class Sequence:
     def _scales(self, factors: F8) -> Scales:
         """From the factors (4, K) of acceleration, changes of size, position noise and size noise."""
         d, r = len(self.state), len(self.observed)
-        return Scales(np.repeat(factors[:2], [4, d - 4], axis=0).T, np.repeat(factors[2:], [2, r - 2], axis=0).T)
+        # In one order, whether there is one path or more: a kernel is compiled for each order that it meets.
+        of_states, of_sizes = factors[:2].T, factors[2:].T
+        return Scales(np.repeat(of_states, [4, d - 4], axis=1), np.repeat(of_sizes, [2, r - 2], axis=1))
 
     def _filtered(self, paths: Paths, scales: Scales, *, brief: bool = False) -> _Filtered:
         """The states of all rows of the paths, given the measurements up to each; if ``brief`` only the last ones."""
