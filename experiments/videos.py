@@ -63,8 +63,8 @@ TREE, EMPTY = "wallflower-WavingTrees", 242
 # Parts of the change detector that are left out in turn, and what the page calls them.
 PARTS = {
     "file": "all that samples of the whole file teach: reference, modes, heights",
-    "hidden": "places that something hides most of the time: the noise of the scene all around",
-    "quiet": "the noise of the scene from below the median of samples: the median",
+    "hidden": "the rule for places that objects hide most of the time: their noise is that around them",
+    "quiet": "noise at the 0.4 quantile of samples: at their median instead",
     "modes": "modes: what was seen at a pixel, or near it, in other samples",
     "heights": "heights of objects by place",
     "join": "joining of fragments",
