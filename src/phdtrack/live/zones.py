@@ -21,7 +21,7 @@ import json
 import math
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any, Literal
@@ -58,11 +58,8 @@ class Place:
     closed: bool
     anchor: Anchor = "feet"
     classes: tuple[str, ...] = ()
-    # Its pieces, of a zone the last one back to the first corner.
-    edges: tuple[tuple[Point, Point], ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "edges", tuple(pairwise((*self.points, self.points[0]) if self.closed else self.points)))
         what, least = ("zone", 3) if self.closed else ("line", 2)
         where = f"{what} {self.name!r}"
         if not all(math.isfinite(x) and math.isfinite(y) for x, y in self.points):
@@ -73,6 +70,11 @@ class Place:
             raise InputError("two points that follow each other are the same", where=where, cure="Leave one out.")
         if self.closed and _self_crossing(self.edges):
             raise InputError("the border crosses itself", where=where, cure="Name the corners in their order around it.")
+
+    @property
+    def edges(self) -> list[tuple[Point, Point]]:
+        """Its pieces, of a zone the last one back to the first corner."""
+        return list(pairwise((*self.points, self.points[0]) if self.closed else self.points))
 
     def distance(self, point: Point) -> float:
         """Pixels from a point to the line, or to the border of the zone; negative outside of a zone.
