@@ -142,3 +142,8 @@ def test_errors_by_cause(truth: Path) -> None:
     brief = phdtrack(*asked, "--worst", 0).out
     assert "Misses by cause" in brief
     assert "most misses" not in brief
+
+
+def test_detections_without_errors_are_refused(tmp_path: Path) -> None:
+    given = ("--truth", tmp_path / "gt.txt", "--tracks", tmp_path / "tracks.csv", "--detections", tmp_path / "none.txt")
+    assert "--errors" in refused("evaluate", *given)

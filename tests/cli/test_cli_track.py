@@ -194,3 +194,34 @@ def test_an_earlier_run_is_kept(sequence: Path, tmp_path: Path) -> None:
     assert phdtrack(*arguments, "--overwrite").status == 0
     assert (tmp_path / rundir.TRACKS).read_text() != "precious"
     assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("overwrite", [(), ("--overwrite",)])
+def test_what_a_run_reads_is_never_replaced(clip: Path, sequence: Path, tmp_path: Path, overwrite: tuple[str, ...]) -> None:
+    found, truth = sequence / "det" / "det.txt", sequence / "gt" / "gt.txt"
+    video, boxes, tracks = (tmp_path / name for name in (rundir.VIDEO, rundir.DETECTIONS, rundir.TRACKS))
+    before = {video: clip.read_bytes(), boxes: found.read_bytes(), tracks: truth.read_bytes()}
+    for copy, content in before.items():
+        copy.write_bytes(content)
+    sized = ("--frame-size", "320x240", "--fps", 25)
+    for given in ([video], ["--detections", boxes, *sized], ["--detections", found, "--truth", tracks]):
+        words = refused("track", *given, "--out", tmp_path, *overwrite)
+        assert "is read for this run" in words if overwrite else "holds files of these names" in words
+    assert {copy: copy.read_bytes() for copy in tmp_path.iterdir()} == before
+
+
+def test_the_directory_of_a_run_is_no_folder_of_pictures(tmp_path: Path) -> None:
+    (tmp_path / "counts.csv").write_text("")
+    (tmp_path / "counts.png").write_text("")
+    assert "the directory of a run" in refused("track", tmp_path, "--out", tmp_path / "run")
+
+
+def test_detections_of_later_frames_are_told(clip: Path, sequence: Path, tmp_path: Path) -> None:
+    rows = [line.split(",", 1) for line in (sequence / "det" / "det.txt").read_text().splitlines()]
+    late = tmp_path / "late.txt"
+    late.write_text("".join(f"{int(number) + 30},{rest}\n" for number, rest in rows))
+    said = phdtrack("track", clip, "--detections", late, "--out", tmp_path / "run", "--no-video", "--json")
+    (warning,) = said.object["warnings"]
+    assert f"{sum(int(number) > 10 for number, _ in rows)} of {len(rows)} detections are of frames after 40" in warning
+    part = phdtrack("track", clip, "--detections", late, "--out", tmp_path / "part", "--frames", "32-35", "--json")
+    assert part.object["warnings"] == []

@@ -178,3 +178,33 @@ def test_boxes_without_area_are_left_out_and_counted(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table.detections.xyxy, plain.detections.xyxy)
     (said,) = within_frame(table, SequenceInfo(10_000, 10_000, 25.0), path)[1]
     assert said == f"{path}: 2 of the boxes have width or height 0 and are left out"
+
+
+def test_a_missing_identity_is_told(tmp_path: Path) -> None:
+    """The columns after it would be taken for each other."""
+    path = put(tmp_path, "1,281.9,187,80.2,207,0.998,-1\n")
+    with pytest.raises(InputError, match=r"column 2 is the identity.*281\.9"):
+        read_detections(path)
+
+
+def test_tracks_that_are_given_as_detections_keep_their_class(tmp_path: Path) -> None:
+    """Their eleventh column says which detection a row used."""
+    path = put(tmp_path, "1,3,10,20,30,40,0.9,-1,-1,-1,5,1,2\n2,3,11,20,30,40,0.9,-1,-1,-1,-1,1,2\n")
+    assert read_detections(path).detections.class_id.tolist() == [2, 2]
+    path = put(tmp_path, "1,-1,10,20,30,40,0.9,-1,-1,-1,5\n")
+    assert read_detections(path).detections.class_id.tolist() == [5]
+
+
+@pytest.mark.parametrize(
+    ("scale", "corners", "words"), [(1 / 640, False, "not shares of its size"), (1, True, "corners are taken for sizes")]
+)
+def test_boxes_in_other_units_are_told(
+    tmp_path: Path, rng: np.random.Generator, scale: float, corners: bool, words: str
+) -> None:
+    left, top = rng.uniform(150, 560, 60), rng.uniform(150, 340, 60)
+    width, height = rng.uniform(30, 70, (2, 60))
+    last = np.stack([left + width, top + height] if corners else [width, height])
+    rows = np.stack([np.arange(1, 61), np.full(60, -1.0), *(scale * np.stack([left, top, *last])), np.ones(60)], axis=1)
+    path = put(tmp_path, "".join(",".join(f"{value:.4f}" for value in row) + "\n" for row in rows))
+    with pytest.raises(InputError, match=words):
+        within_frame(read_detections(path), SequenceInfo(640, 480, 25.0), path)

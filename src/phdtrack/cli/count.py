@@ -137,7 +137,7 @@ def _count_known(
         cure = "Say --overwrite to replace them, or choose another --out."
         raise InputError(f"the directory holds {', '.join(held)}", where=f"--out {at}", cure=cure)
     # The rest of a run that is there stays as it is.
-    directory = rundir.claim(at, True, _FILES, resume=True)
+    directory = rundir.claim(at, True, _FILES, resume=True, inputs=(source.source, path))
     for file in directory.written():
         file.unlink()
     observer = CountObserver(replace(watch, names=found.names), info, video, asked.blur)

@@ -68,6 +68,8 @@ def evaluate(
     A row of the truth that the benchmark ignores is ignored here; every row of the tracks counts. --errors says why boxes
     are missed or false. With --json a score whose denominator is empty is null.
     """
+    if not asked.errors and asked.detections is not None:
+        raise InputError("only --errors looks at detections", where="--detections", cure="Say --errors, or leave it out.")
     if asked.per_class:
         output.document(per_class(output, truth, tracks, asked, iou=iou, frames=frames))
         return

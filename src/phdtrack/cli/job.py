@@ -217,7 +217,7 @@ def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -
     record = replace(done.recorder.record(tracks, job.about), names=job.names)
     # The note comes first, then the warning if there is one.
     confirmed, background = _confirmation(job, done), job.inputs.described in BACKGROUND
-    wrong = unsuited(job.inputs.detector) or doubts(record, background=background)
+    wrong = (unsuited(job.inputs.detector) if done.stop is None else ()) or doubts(record, background=background)
     said = replace(
         job.about,
         seconds=time.perf_counter() - clock,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -66,8 +66,8 @@ class GivenTracks(NamedTuple):
 
 
 def is_run(path: Path) -> bool:
-    """Whether it is the directory of a run."""
-    return (path / TRACKS).exists() or (path / RUN).exists()
+    """Whether it is the directory of a run, or of counts."""
+    return any((path / name).exists() for name in (TRACKS, RUN, COUNTS))
 
 
 def given_tracks(path: Path) -> GivenTracks:
@@ -159,7 +159,8 @@ def check(path: Path | None, overwrite: bool, files: Mapping[str, str] = RUN_FIL
         cure = "Say --resume to go on with it, --overwrite to begin anew, or choose another --out."
         raise InputError("the directory holds a run that was not completed, or is still going on", where=where, cure=cure)
     if held and not overwrite:
-        problem = f"the directory holds an earlier run ({', '.join(held)})"
+        what = "an earlier run" if (path / RUN).exists() else "files of these names"
+        problem = f"the directory holds {what} ({', '.join(held)})"
         raise InputError(problem, where=where, cure="Say --overwrite to replace these files, or choose another --out.")
 
 
@@ -174,15 +175,26 @@ def completed(directory: RunDirectory) -> bool:
 
 
 def claim(
-    out: Path | None, overwrite: bool, files: Mapping[str, str] = RUN_FILES, *, name: str = "", resume: bool = False
+    out: Path | None,
+    overwrite: bool,
+    files: Mapping[str, str] = RUN_FILES,
+    *,
+    name: str = "",
+    resume: bool = False,
+    inputs: Iterable[object] = (),
 ) -> RunDirectory:
     """``out``, or ``runs/NAME``, made ready and locked: files of an earlier run are removed, so that none is taken for one
     of this run. To ``resume`` nothing is removed.
 
-    Raises `InputError` as `check`, or where the directory cannot be made or written into, another process writes there, or a
-    package is missing that the report needs.
+    Raises `InputError` as `check`, or where one of the ``inputs`` (paths or addresses; None, empty: none) would be replaced,
+    the directory cannot be made or written into, another process writes there, or a package is missing for the report.
     """
     path = out or Path("runs") / name
+    written = {(path / one).resolve(): one for one in files}
+    for one in filter(None, inputs):
+        if (file := Path(str(one)).resolve()) in written:
+            problem = f"{written[file]} is read for this run, and would be replaced by it"
+            raise InputError(problem, where=f"--out {path}", cure="Choose another --out.")
     check(path, overwrite or resume, files)
     if REPORT in files:
         needed("matplotlib")  # at the end, perhaps after hours

@@ -75,7 +75,7 @@ def detect(
     sets = [*(sets or ()), *([f"detector.classes={json.dumps(classes)}"] if classes else [])]
     inputs = open_inputs(looked, load(config, sets).values("detector"))
     files = {rundir.DETECTIONS: rundir.RUN_FILES[rundir.DETECTIONS]}
-    directory = rundir.claim(out, overwrite, files, name=inputs.info.name)
+    directory = rundir.claim(out, overwrite, files, name=inputs.info.name, inputs=(source, mask))
     counts, file, clock = list[int](), directory.file(rundir.DETECTIONS), time.perf_counter()
     try:
         counts.extend(write_detected(inputs, file))
@@ -100,7 +100,11 @@ def prepare(source: SourceOptions, options: TrackingOptions, settings: Settings,
     if source.detections is None:
         settings = config.for_detector(settings, source.looked_by)
     last = 0 if truth is None else int(truth.frame.max(initial=0))
+    if source.source and rundir.is_run(Path(source.source)):
+        cure = f"Name the video, or give --detections {Path(source.source) / rundir.DETECTIONS}."
+        raise InputError("a video was expected, and this is the directory of a run", where=source.source, cure=cure)
     inputs = open_inputs(source, settings.values("detector"), last, frame_range(frames))
+    inputs = replace(inputs, files=(source.source, source.detections, source.mask, options.truth, options.config))
     if not inputs.again and settings.build("associate").history == 0:
         settings = config.overlay(settings, {"associate": {"history": REMEMBERED}}, "a camera")
     kinds = config.build_kinds(settings, inputs.info, inputs.names, inputs.classes, moving=True)
@@ -141,9 +145,10 @@ def finish(output: Output, job: Job, out: Path | None, overwrite: bool, *, resum
     if resume and not job.inputs.again:
         cure = "`phdtrack live` goes on by itself after an interruption."
         raise InputError("the pictures of a camera do not come again", where="--resume", cure=cure)
-    directory = rundir.claim(out, overwrite, name=job.inputs.info.name, resume=resume)
+    directory = rundir.claim(out, overwrite, name=job.inputs.info.name, resume=resume, inputs=job.inputs.files)
     if resume and rundir.completed(directory):
-        output.say(f"The run in {directory.path} is complete: there is nothing to go on with.")
+        cure = "With other options it is another run: choose another --out, or say --overwrite."
+        output.say(f"The run in {directory.path} is complete: there is nothing to go on with. {cure}")
         return
     outcome = run(job, directory, resume=resume)
     output.warn(outcome.warnings)

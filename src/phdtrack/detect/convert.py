@@ -26,6 +26,8 @@ _LARGEST_CLASS = 2.0**53
 SHORTEST, LONGEST, UNKNOWN = 1e-3, 10.0, 1e6
 # Pixels that boxes in shares of the image's size do not exceed.
 _SMALL = 1.5
+# Boxes that are enough to tell corners from sizes; the share that must reach beyond the frame, and that look like corners.
+_SOME, _MOST, _ALMOST_ALL = 20, 0.5, 0.95
 
 
 def as_detections(obj: object, *, where: str = "") -> Detections:
@@ -158,8 +160,16 @@ def within_frame(table: DetectionTable, info: SequenceInfo, path: Path) -> tuple
 
     Raises
     ------
-    InputError : all of them are outside: the size or the units are wrong.
+    InputError : all of them are outside, or as in shares of its size, or as right and bottom in place of width and height.
     """
+    size, (left, top, right, bottom) = np.array([info.width, info.height]), table.detections.xyxy.T
+    if len(table) and max(right.max(), bottom.max()) <= _SMALL and size.min() > _SMALL:
+        raise InputError(doubtful(table.detections, (info.width, info.height)), where=path, cure="Multiply by it.")
+    beyond, corners = (right > info.width) | (bottom > info.height), (right - left > left) & (bottom - top > top)
+    if len(table) >= _SOME and beyond.mean() > _MOST and corners.mean() > _ALMOST_ALL:
+        problem = f"{beyond.sum()} of {len(table)} boxes reach beyond the frame of {info.width}x{info.height} pixels"
+        cure = "Name the columns in a header line: frame, left, top, right, bottom, score."
+        raise InputError(f"{problem}, as where corners are taken for sizes", where=path, cure=cure)
     kept = share_inside(table.detections.xyxy, info.width, info.height) > 0
     empty = (f"{path}: {table.empty} of the boxes have width or height 0 and are left out",) if table.empty else ()
     if kept.all():

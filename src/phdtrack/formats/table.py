@@ -140,7 +140,7 @@ def table_of_text(source: Source, text: Text) -> Table:
         problem = f"expected at least 6 columns (frame, id, left, top, width, height), came {text.width}"
         cure = "Give the columns in this order, or name them in a header line."
         raise InputError(problem, where=text.origin.at(0), cure=cure)
-    header = text.header or _by_position(source.kind, text.width or 6)
+    header = text.header or _by_position(_kind(source, text), text.width or 6)
     layout = _layout(source, header, text.empty)
     columns = {i: header[i] for i in layout.at}
     if source.left_out is not None:
@@ -174,6 +174,21 @@ def table_of_parquet(source: Source) -> Table:
             raise InputError(problem, where=source.path, cure="Convert it before it is written.") from None
     origin = Origin(source.path, "row", np.arange(1, len(table) + 1))
     return replace(_table(source, origin, layout, np.stack(values, axis=1)), names=names)
+
+
+def _kind(source: Source, text: Text) -> Kind:
+    """What a table without a header holds: a file of tracks may be given as one of detections, for its boxes.
+
+    Raises `InputError` where the second column of detections holds no identity: then one is missing.
+    """
+    if source.kind is not Kind.DETECTIONS or not len(text):
+        return source.kind
+    cell = [*text.cells(0), "", ""][1]
+    if is_number(cell) and float(cell) % 1 > 0:
+        problem = f"column 2 is the identity, a whole number (-1 where there is none), came {cell}"
+        cure = "Give frame, id, left, top, width, height, score in this order, or name the columns in a header line."
+        raise InputError(problem, where=text.origin.at(0), cure=cure)
+    return Kind.TRACKS if text.width in (12, 13) and is_number(cell) and float(cell) >= 0 else source.kind
 
 
 def _by_position(kind: Kind, width: int) -> list[str]:
