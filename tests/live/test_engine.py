@@ -141,6 +141,42 @@ def test_places_and_settings_change_while_it_runs(tmp_path: Path) -> None:
     assert [event["kind"] for event in events(tmp_path / "out")].count("appear") == 1
 
 
+def test_settings_that_cannot_be_worked_with_stop_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = tmp_path / "mine.toml"
+    config.write_text("")
+    one = camera(Scripted(), CameraSettings(tmp_path / "out", None, config, video=0), config=config)
+    until(lambda: one.frames > 5)
+    monkeypatch.setattr(Tracker, "warm_up", lambda self: [][1])
+    replaced(config, "[sensor]\ndetection_probability = 0.9\n")
+    until(lambda: one.problems)
+    assert one.problems == ["the settings stay as they were: list index out of range"]
+    seen = one.frames
+    until(lambda: one.frames > seen + 5)
+    assert one.stop(600.0)
+
+
+def test_a_first_picture_that_fails_leaves_what_was_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The next one takes it up: half of it would be saved as all that there is."""
+    settings = CameraSettings(tmp_path, watch=Watch((DOOR,)), video=0, checkpoint=0.2)
+    one = camera(Scripted(last=100), settings)
+    until(lambda: one.counted["cross"] > 1)
+    assert one.stop(600.0)
+    before, failed = one.watched[1].counts, list[int]()
+    real = Camera._go_on
+
+    def go_on(self: Camera, frame: LiveFrame) -> None:
+        failed.append(frame.number)
+        if len(failed) < 3:
+            raise MemoryError
+        real(self, frame)
+
+    monkeypatch.setattr(Camera, "_go_on", go_on)
+    one = camera(Scripted(wall=WALL + 400), settings)
+    until(lambda: len(failed) == 3 and one.frames)
+    assert sum(count.entered + count.left for count in one.watched[1].counts) >= sum(c.entered + c.left for c in before) > 0
+    assert one.stop(600.0)
+
+
 @pytest.mark.parametrize("what", ["camera", "detector"])
 def test_it_ends_in_time_with_whole_files_whatever_hangs(tmp_path: Path, what: str) -> None:
     source, detector = Scripted(), Bright()

@@ -50,6 +50,19 @@ def test_rows_are_in_the_file_of_their_hour(tmp_path: Path) -> None:
     assert first[1] == "2026-11-24T05:59:58.000Z,1,1,0,0,5,8,20,0.5,0,1"
 
 
+def test_an_hour_whose_file_could_not_be_opened_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log, real = RowsLog(tmp_path), Path.open
+    with monkeypatch.context() as broken:
+        broken.setattr(Path, "open", lambda *_, **__: (_ for _ in ()).throw(OSError(24, "Too many open files")))
+        with pytest.raises(OSError, match="Too many"):
+            log.write(rows(1), [WALL] * 2)
+    assert Path.open is real
+    log.write(rows(2), [WALL + 1] * 2)
+    log.finish()
+    (file,) = tmp_path.iterdir()
+    assert len(file.read_text().splitlines()) == 3
+
+
 def test_what_a_killed_run_left_is_kept_up_to_its_last_line(tmp_path: Path) -> None:
     log = RowsLog(tmp_path)
     log.write(rows(1), [WALL] * 2)
@@ -225,6 +238,23 @@ def test_events_reach_a_webhook_in_their_order_also_after_failures(tmp_path: Pat
     courier.wake()
     until(lambda: len(receiver.taken) == 3)  # type: ignore[attr-defined]
     assert [key for key, _ in receiver.taken] == ["gate-1-0", "gate-2-0", "gate-3-0"]  # type: ignore[attr-defined]
+    courier.stop()
+    log.close()
+
+
+def test_whatever_a_receiver_raises_is_said_and_tried_again(tmp_path: Path) -> None:
+    log, taken = EventLog(tmp_path), list[str]()
+
+    def send(name: str, event: str) -> None:
+        taken.append(name)
+        if len(taken) == 1:
+            raise ValueError("topics have no wildcards")
+
+    courier = Courier(log, send, "mqtt")
+    log.write([event(1)])
+    courier.wake()
+    until(lambda: courier.problem == "topics have no wildcards")
+    until(lambda: len(taken) == 2)
     courier.stop()
     log.close()
 

@@ -95,7 +95,8 @@ def live(
     addresses = named_sources(sources)
     for url in write.webhook or []:
         Webhook(url)
-    rundir.claim(out, False, {})
+    # Locked as long as it is held.
+    directory = rundir.claim(out, False, {})
     server = _Server(at) if page else None
     # Who reads slowly misses lines, and finds them in the files.
     lines = queue.Queue[dict[str, object]](_LINES)
@@ -122,7 +123,7 @@ def live(
     _print(lines, output)
     for one in cameras:
         events = counted(one.counted.total(), "event")
-        output.say(f"{one.name}: {counted(one.frames, 'frame')}, {events}: {out / one.name}")
+        output.say(f"{one.name}: {counted(one.frames, 'frame')}, {events}: {directory.file(one.name)}")
         output.warn([f"{one.name}: {sentence}" for sentence in one.left_out.sentences()])
     if cut:
         names = ", ".join(cut)
@@ -249,7 +250,9 @@ def _attend(cameras: Sequence[Camera], lines: queue.Queue[dict[str, object]], ou
                 with suppress(queue.Full):
                     lines.put_nowait(line)
             elif now[0] != "connecting" or now[1:] != ("",):
-                output.note(": ".join(filter(None, (one.name, *now))))
+                # Where stderr cannot be written, as on a full disk, the cameras go on.
+                with suppress(OSError):
+                    output.note(": ".join(filter(None, (one.name, *now))))
         _print(lines, output, 0.2)
 
 

@@ -11,7 +11,6 @@ import http.client
 import ipaddress
 import json
 import socket
-import sqlite3
 import ssl
 import threading
 import time
@@ -211,8 +210,8 @@ class Courier:
                     pause, self.problem = FIRST_PAUSE, ""
                     if self._stopped.is_set():
                         return
-            except (OSError, sqlite3.Error) as error:
-                self.problem = str(getattr(error, "strerror", None) or error)
+            except Exception as error:
+                self.problem = str(getattr(error, "strerror", None) or error) or type(error).__name__
                 # New events do not shorten the pause.
                 self._stopped.wait(pause)
                 pause = min(2 * pause, LONGEST_PAUSE)

@@ -47,6 +47,8 @@ MINUTES = 24 * 60
 _LATENCIES, _EVENTS, _UNWRITTEN = 2048, 200, 1000
 # Pictures, or seconds, from which the rate of a source is taken; seconds for which a page that asked is drawn for.
 _MEASURED, _MEASURING, _WATCHED = 10, 2.0, 3.0
+# Seconds after a picture that failed: where all do, the processor is not for them alone.
+_REST = 0.05
 
 
 class Making(NamedTuple):
@@ -233,8 +235,9 @@ class Camera:
                     self._saving.join()
                 self._saver(ended=True)()
             return not self._unwritten
-        except (InputError, OSError) as error:
-            self._problems["files"] = str(error)
+        except Exception as error:
+            # The other cameras are still to be completed.
+            self._problems["files"] = str(error) or type(error).__name__
             return False
         finally:
             self._open = False
@@ -273,16 +276,16 @@ class Camera:
 
     def _run(self) -> None:
         while not self._stopped.is_set():
-            self._reload()
-            frame = self.source.next(0.25)
-            if frame is None:
-                continue
             try:
-                self._take(frame)
-                self._problems.pop("frame", None)
+                self._reload()
+                frame = self.source.next(0.25)
+                if frame is not None:
+                    self._take(frame)
+                    self._problems.pop("frame", None)
             except Exception as error:
                 # A camera that runs for months is not ended by one picture, or by a full disk.
                 self._problems["frame"] = str(error) or type(error).__name__
+                self._stopped.wait(_REST)
 
     def _reload(self) -> None:
         """Read places and settings again where their files have changed; tracks and counts go on.
@@ -305,8 +308,8 @@ class Camera:
                 self._problems.pop(what, None)
             except FileNotFoundError:
                 continue
-            except (OSError, InputError) as error:
-                self._problems[what] = f"the {what} stay as they were: {error}"
+            except Exception as error:
+                self._problems[what] = f"the {what} stay as they were: {str(error) or type(error).__name__}"
 
     def _places(self, path: Path, first: bool) -> None:
         before, state = self.watched
@@ -329,21 +332,31 @@ class Camera:
         going_on.load_state_dict(tracker.state_dict())
         self._tracker, self._made = going_on, made._replace(detector=old.detector)
 
+    def _prepare(self, frame: LiveFrame, fps: float) -> tuple[Making, Tracker]:
+        """What is made for the size of the first picture, and a tracker."""
+        height, width = frame.image.shape[:2]
+        made = self._make(SequenceInfo(width, height, round(max(fps, 1.0), 1), 0, self.name))
+        tracker, names = Tracker(stages=made.kinds, fps=made.info.fps, seed=made.seed), self.watched[0].names
+        tracker.warm_up()
+        first = self.log.highest("group") + 1
+        self._companies = None if made.groups is None else Companies(made.groups, made.kinds, first)
+        self._annotate = Annotator(made.info, names=names or None, blur=self.settings.blur)
+        self.maps = Maps.of(width, height)
+        return made, tracker
+
     def _take(self, frame: LiveFrame) -> None:
         """One picture through detector, tracker and watch, into all files."""
         if self._made is None or self._tracker is None:
             status, self._begun = self.source.status(), self._begun or time.monotonic()
             if status.frames < _MEASURED and time.monotonic() - self._begun < _MEASURING:
                 return
-            height, width = frame.image.shape[:2]
-            self._made = self._make(SequenceInfo(width, height, round(max(status.fps, 1.0), 1), 0, self.name))
-            info, kinds, groups = self._made.info, self._made.kinds, self._made.groups
-            self._tracker, names = Tracker(stages=kinds, fps=info.fps, seed=self._made.seed), self.watched[0].names
-            self._tracker.warm_up()
-            self._companies = None if groups is None else Companies(groups, kinds, self.log.highest("group") + 1)
-            self._annotate = Annotator(info, names=names or None, blur=self.settings.blur)
-            self.maps = Maps.of(width, height)
-            self._go_on(frame)
+            try:
+                self._made, self._tracker = self._prepare(frame, status.fps)
+                self._go_on(frame)
+            except Exception:
+                # The next picture begins anew: a half of it would be saved as all there is.
+                self._made = self._tracker = None
+                raise
         frame = frame._replace(number=frame.number + self._ahead[0], time=frame.time + self._ahead[1])
         found = self._made.detector(Frame(frame.number, frame.time, frame.image))
         rows = self._tracker.update(found, frame.number, frame.time)

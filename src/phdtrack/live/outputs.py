@@ -116,14 +116,14 @@ class RowsLog:
         """Append rows; ``wall`` (M,) is the time of each, seconds since 1970. They reach the operating system."""
         if not len(rows):
             return
-        if self._segments.over(wall[0]):
+        # There is none where one could not be opened, either.
+        if self._file is None or self._segments.over(wall[0]):
             self.finish()
             self._file = self._segments.begin(wall[0]).open("w", encoding="ascii", newline="\n")
             self._file.write(HEAD)
         boxes = np.hstack([rows.xyxy[:, :2], rows.xyxy[:, 2:] - rows.xyxy[:, :2]])
         columns = (rows.frame, rows.identity, rows.class_id, *boxes.T, rows.confidence, rows.detection, rows.confirmed)
         values = zip(map(stamp, wall), *(column.tolist() for column in columns), strict=True)
-        assert self._file is not None
         self._file.write("".join(_ROW % row for row in values))
         self._file.flush()
 
@@ -162,12 +162,12 @@ class VideoLog:
 
     def write(self, image: Image, wall: float) -> None:
         """Show (H, W, 3) BGR from this time on."""
-        if self._segments.over(wall) or wall - self._last > self._longest or wall < self._last:
+        ended = self._segments.over(wall) or wall - self._last > self._longest or wall < self._last
+        if self._video is None or ended:
             self.finish()
             height, width = image.shape[:2]
             self._video = VideoWriter(self._segments.begin(wall), width, height, self._fps, fragmented=True)
             self._start = wall
-        assert self._video is not None
         due = round((wall - self._start) * self._fps) + 1 - self._video.frames
         for _ in range(due):
             self._video.write(image)

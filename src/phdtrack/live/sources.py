@@ -189,10 +189,11 @@ class LiveSource:
                         self._arrived(picture, at or time.monotonic())
                     pause = FIRST_PAUSE
                 problem = "the stream ended"
-            except (av.FFmpegError, OSError, ValueError) as error:
+            except Exception as error:
                 # FFmpeg's own words for a time-out are "Immediate exit requested".
                 late = isinstance(error, av.ExitError)
-                problem = "no answer in time" if late else str(getattr(error, "strerror", None) or error)
+                said = str(getattr(error, "strerror", None) or error) or type(error).__name__
+                problem = "no answer in time" if late else said
             with self._change:
                 if not self._current(generation):
                     return
