@@ -102,6 +102,14 @@ def test_places_in_a_file_and_what_looks_like_a_mistake(run: Path, tmp_path: Pat
     assert said.out.count("counts.mp4") == 1
 
 
+def test_counts_that_are_there_are_not_taken_for_pictures_and_deleted(run: Path, tmp_path: Path) -> None:
+    counted = tmp_path / "counted"
+    assert phdtrack("count", run / "gt" / "gt.txt", "--line", LINE, "--out", counted).status == 0
+    before = {file: file.read_bytes() for file in counted.iterdir()}
+    assert "tracks.csv" in refused("count", counted, "--line", LINE, "--overwrite")
+    assert {file: file.read_bytes() for file in counted.iterdir()} == before
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [

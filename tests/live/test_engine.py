@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import sqlite3
 import threading
 import time
 from itertools import pairwise
@@ -161,8 +162,7 @@ def test_a_first_picture_that_fails_leaves_what_was_saved(tmp_path: Path, monkey
     one = camera(Scripted(last=100), settings)
     until(lambda: one.counted["cross"] > 1)
     assert one.stop(600.0)
-    before, failed = one.watched[1].counts, list[int]()
-    real = Camera._go_on
+    before, failed, real = one.watched[1].counts[0], list[int](), Camera._go_on
 
     def go_on(self: Camera, frame: LiveFrame) -> None:
         failed.append(frame.number)
@@ -173,8 +173,22 @@ def test_a_first_picture_that_fails_leaves_what_was_saved(tmp_path: Path, monkey
     monkeypatch.setattr(Camera, "_go_on", go_on)
     one = camera(Scripted(wall=WALL + 400), settings)
     until(lambda: len(failed) == 3 and one.frames)
-    assert sum(count.entered + count.left for count in one.watched[1].counts) >= sum(c.entered + c.left for c in before) > 0
+    after = one.watched[1].counts[0]
+    assert after.entered + after.left >= before.entered + before.left > 0
     assert one.stop(600.0)
+
+
+def test_whatever_fails_at_the_end_is_said_and_leaves_the_other_cameras_their_turn(tmp_path: Path) -> None:
+    one = camera(Scripted(), CameraSettings(tmp_path, video=0))
+    until(lambda: one.frames > 5)
+
+    def full() -> None:
+        raise sqlite3.OperationalError("database or disk is full")
+
+    one.log.close, close = full, one.log.close  # type: ignore[method-assign]
+    assert not one.stop(600.0)
+    assert one.problems == ["database or disk is full"]
+    close()
 
 
 @pytest.mark.parametrize("what", ["camera", "detector"])

@@ -23,6 +23,7 @@ from typer.testing import CliRunner
 from phdtrack.cli.app import application
 from phdtrack.cli.live import LiveOptions, _settings, named_sources
 from phdtrack.cli.options import TrackingOptions, size
+from phdtrack.cli.output import Output
 from phdtrack.live.engine import CameraSettings
 from phdtrack.live.events import Watch
 from phdtrack.types import SequenceInfo
@@ -128,6 +129,33 @@ def test_it_ends_by_itself_and_says_what_it_did(tmp_path: Path) -> None:
     assert status == 0, said
     assert f"gate: no frames, no events: {tmp_path / 'gate'}" in said
     assert not (tmp_path / "gate" / "video").exists()
+
+
+def test_nobody_else_writes_into_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = "import pathlib, sys\nfrom phdtrack.cli.run_directory import claim\nclaim(pathlib.Path(sys.argv[1]), False, {})"
+    said = list[str]()
+
+    def attend(*_: object) -> None:
+        said.append(subprocess.run([sys.executable, "-c", code, tmp_path], capture_output=True, text=True).stderr)
+
+    monkeypatch.setattr("phdtrack.cli.live._attend", attend)
+    address = f"gate=http://127.0.0.1:{free_port()}/x"
+    assert invoked(address, "--out", str(tmp_path), "--no-page")[0] == 0
+    assert "another run is writing into this directory" in said[0]
+
+
+def test_it_goes_on_where_stderr_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tried = list[str]()
+
+    def full(self: Output, text: str) -> None:
+        tried.append(text)
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Output, "note", full)
+    address = f"gate=http://127.0.0.1:{free_port()}/x"
+    status, said = invoked(address, "--out", str(tmp_path), "--no-page", "--duration", "2")
+    assert tried
+    assert status == 0, said
 
 
 def test_options_are_the_cameras(tmp_path: Path) -> None:

@@ -163,6 +163,17 @@ def test_hls_is_played_at_the_pace_of_its_stamps_and_found_again(tmp_path: Path)
     server.end()
 
 
+def test_whatever_a_source_raises_it_is_tried_again(server: CameraServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as broken:
+        # As where a stream has no pictures.
+        broken.setattr(LiveSource, "_pictures", lambda self, generation: iter([][0]))
+        source = LiveSource(server.url)
+        source.start()
+        until(lambda: source.status().problem == "list index out of range")
+    waited(source, "live")
+    source.stop()
+
+
 def test_it_is_tried_again_twice_a_second(server: CameraServer) -> None:
     """However long the camera is away, it is found within two seconds of its return."""
     server.kill()

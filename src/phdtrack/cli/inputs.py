@@ -62,8 +62,8 @@ class Inputs:
     """What a run reads. ``pictures``: the frames have any. ``again``: they can be read a second time (a camera's cannot).
     ``name`` is for people; ``described`` says where the detections come from. ``classes`` are those of a file of detections
     or of a network, and ``names`` what it calls them; None without. ``left_out``: wrong rows, for run.json.
-    ``max_width``: of the pictures that the detector sees, 0 for their own. ``files``: that are read, None for those not
-    given."""
+    ``max_width``: of the pictures that the detector sees, 0 for their own. ``last_detected``: frame of which a
+    file has detections. ``files``: what is read, None for what was not given."""
 
     info: SequenceInfo
     source: VideoSource
@@ -77,6 +77,7 @@ class Inputs:
     classes: frozenset[int] | None = None
     left_out: Mapping[str, object] = field(default_factory=dict)
     max_width: int = 0
+    last_detected: int = 0
     files: tuple[object, ...] = ()
 
 
@@ -164,14 +165,13 @@ def open_inputs(given: SourceOptions, parameters: dict[str, Any], last: int = 0,
     frames = _video(given, part) if pictures else _blank(given, path, table, last)
     frames.first, frames.last = part
     seen, warnings = within_frame(table, frames.info, path)
-    if part != WHOLE:
-        mine = (seen.frame >= part[0]) & (seen.frame <= (part[1] or seen.frame))
-        seen = DetectionTable(seen.frame[mine], seen.detections.take(mine), seen.empty, seen.names)
     warnings = (*(left_out.sentences() if left_out else ()), *warnings)
     classes = frozenset(np.unique(seen.detections.class_id).tolist())
     name = shown(given.source) or str(path)
     found = Inputs(frames.info, frames, TableDetector(seen), name, str(path), pictures, again, warnings)
     found = replace(found, left_out=left_out.document()) if left_out else found
+    latest = int(seen.frame.max(initial=0))
+    found = replace(found, last_detected=min(latest, part[1] or latest))
     return replace(found, names=seen.names, classes=classes) if seen.names or classes - {0} else found
 
 

@@ -216,8 +216,8 @@ def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -
     advance(done.frames, total=done.frames, description="report")
     record = replace(done.recorder.record(tracks, job.about), names=job.names)
     # The note comes first, then the warning if there is one.
-    confirmed, background = _confirmation(job, done), job.inputs.described in BACKGROUND
-    wrong = (unsuited(job.inputs.detector) if done.stop is None else ()) or doubts(record, background=background)
+    confirmed = _confirmation(job, done)
+    wrong = unsuited(job.inputs.detector) or doubts(record, background=job.inputs.described in BACKGROUND)
     said = replace(
         job.about,
         seconds=time.perf_counter() - clock,
@@ -350,7 +350,7 @@ class _Written:
             self._once.take(frame, step, rows)
         if self._final and self._corrected and len(final := self._final.due()):
             self._append(self._corrected, final)
-            return_memory()
+            return_memory()  # what smoothing has freed, or the heap grows for days
 
     def flush(self) -> None:
         """The online rows that were held back."""
@@ -464,7 +464,7 @@ def _problems(job: Job, done: _Progress) -> Iterator[str]:
     yield from filter(None, (*job.inputs.warnings, job.inputs.source.note, done.lost))
     annotated, asked = 0 if job.truth is None else int(job.truth.frame.max(initial=0)), f"stopped by {signals.which()}"
     why = [asked if isinstance(stop, KeyboardInterrupt) else stop for stop in (done.stop, done.cut)]
-    yield from lines("problems.txt", stop=why[0], cut=why[1], done=done, annotated=annotated, video=rundir.VIDEO)
+    yield from lines("problems.txt", stop=why[0], cut=why[1], done=done, annotated=annotated, job=job, video=rundir.VIDEO)
     yield from done.tracker.left_out.sentences()
 
 

@@ -101,8 +101,8 @@ def prepare(source: SourceOptions, options: TrackingOptions, settings: Settings,
         settings = config.for_detector(settings, source.looked_by)
     last = 0 if truth is None else int(truth.frame.max(initial=0))
     if source.source and rundir.is_run(Path(source.source)):
-        cure = f"Name the video, or give --detections {Path(source.source) / rundir.DETECTIONS}."
-        raise InputError("a video was expected, and this is the directory of a run", where=source.source, cure=cure)
+        problem = "a video was expected, and this is the directory of a run"
+        raise InputError(problem, where=source.source, cure="Name the video, or give detections with --detections.")
     inputs = open_inputs(source, settings.values("detector"), last, frame_range(frames))
     inputs = replace(inputs, files=(source.source, source.detections, source.mask, options.truth, options.config))
     if not inputs.again and settings.build("associate").history == 0:

@@ -26,7 +26,7 @@ _LARGEST_CLASS = 2.0**53
 SHORTEST, LONGEST, UNKNOWN = 1e-3, 10.0, 1e6
 # Pixels that boxes in shares of the image's size do not exceed.
 _SMALL = 1.5
-# Boxes that are enough to tell corners from sizes; the share that must reach beyond the frame, and that look like corners.
+# Boxes that are enough to tell corners from sizes; the shares of them that reach beyond the frame, and look like corners.
 _SOME, _MOST, _ALMOST_ALL = 20, 0.5, 0.95
 
 
@@ -160,11 +160,12 @@ def within_frame(table: DetectionTable, info: SequenceInfo, path: Path) -> tuple
 
     Raises
     ------
-    InputError : all of them are outside, or as in shares of its size, or as right and bottom in place of width and height.
+    InputError : all of them are outside, or they look like shares of the frame's size, or like corners in place of sizes.
     """
-    size, (left, top, right, bottom) = np.array([info.width, info.height]), table.detections.xyxy.T
-    if len(table) and max(right.max(), bottom.max()) <= _SMALL and size.min() > _SMALL:
-        raise InputError(doubtful(table.detections, (info.width, info.height)), where=path, cure="Multiply by it.")
+    left, top, right, bottom = table.detections.xyxy.T
+    if table.detections.xyxy.max(initial=0) <= _SMALL < min(info.width, info.height) and len(table):
+        cure = "Multiply them by the frame's width and height."
+        raise InputError(doubtful(table.detections, (info.width, info.height)), where=path, cure=cure)
     beyond, corners = (right > info.width) | (bottom > info.height), (right - left > left) & (bottom - top > top)
     if len(table) >= _SOME and beyond.mean() > _MOST and corners.mean() > _ALMOST_ALL:
         problem = f"{beyond.sum()} of {len(table)} boxes reach beyond the frame of {info.width}x{info.height} pixels"

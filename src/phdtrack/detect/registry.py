@@ -51,29 +51,18 @@ _NEVER_KEPT = ("_threshold", "_past", "_usual")
 _SAMPLES, _FEWEST_SAMPLES, _QUICKLY = 51, 7, 2e9
 
 
-@dataclass
+@dataclass(frozen=True)
 class TableDetector:
-    """The rows of ``table`` by frame number; frames without rows are empty. The picture is not looked at.
-
-    ``last``: the frame that was asked for last.
-    """
+    """The rows of ``table`` by frame number; frames without rows are empty. The picture is not looked at."""
 
     table: DetectionTable
-    last: int = 0
 
     def reset(self) -> None:
         """Nothing to forget."""
 
     def __call__(self, frame: Frame) -> Detections:
         """The detections of frame ``frame.number``."""
-        self.last = frame.number
         return self.table.at(frame.number)
-
-    def unsuited(self) -> tuple[str, ...]:
-        """How many detections are of later frames than there were, in a sentence."""
-        late = int((self.table.frame > self.last).sum())
-        said = f"{late} of {len(self.table)} detections are of frames after {self.last}, the last one that was tracked"
-        return (f"{said}: is this the file of this video, and numbered from 1?",) if late else ()
 
 
 def frames_walked(table: DetectionTable, last: int, fps: float) -> Iterator[int]:
@@ -289,9 +278,9 @@ def class_names(detector: Detector) -> Mapping[int, str] | None:
 
 
 def unsuited(detector: Detector) -> tuple[str, ...]:
-    """What of a file or its scene makes a detector's boxes doubtful, in sentences, as far as it has learned it."""
+    """What of a file's scene makes a detector's boxes doubtful, in sentences, as far as it has learned it."""
     inner, _ = _inner(detector)
-    return inner.unsuited() if isinstance(inner, ChangeDetector | TableDetector) else ()
+    return inner.unsuited() if isinstance(inner, ChangeDetector) else ()
 
 
 def _inner(detector: Detector) -> tuple[Detector, Rescaled | None]:

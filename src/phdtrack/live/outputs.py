@@ -116,7 +116,7 @@ class RowsLog:
         """Append rows; ``wall`` (M,) is the time of each, seconds since 1970. They reach the operating system."""
         if not len(rows):
             return
-        # There is none where one could not be opened, either.
+        # There is none at the beginning, and where the last one could not be opened.
         if self._file is None or self._segments.over(wall[0]):
             self.finish()
             self._file = self._segments.begin(wall[0]).open("w", encoding="ascii", newline="\n")
