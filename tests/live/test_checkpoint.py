@@ -47,9 +47,10 @@ def show(one: Camera, lefts: list[int], wall: float, first: int = 0) -> None:
         one._take(LiveFrame(k + 1, k / 10, wall + k / 10, image))
 
 
-def crashed(one: Camera) -> None:
-    """A process that was killed after a checkpoint."""
-    one._saver(ended=False)()
+def crashed(one: Camera, *, saved: bool = True) -> None:
+    """A process that was killed, after a checkpoint where that is to be saved now."""
+    if saved:
+        one._saver(ended=False)()
     one.log.close()
     if one._rows._file is not None:
         one._rows._file.close()
@@ -98,6 +99,36 @@ def test_who_is_there_when_it_is_killed_goes_on(tmp_path: Path, delay: int) -> N
     assert len(set(found)) == 2
     frames = [row["frame"] for row in rows(tmp_path)]
     assert len(frames) == len(set(frames)), "no frame comes twice"
+
+
+@pytest.mark.parametrize("hour", [0.0, 3600.0])
+@pytest.mark.parametrize("delay", [0, 2])
+def test_what_came_after_the_checkpoint_comes_once(tmp_path: Path, delay: int, hour: float) -> None:
+    """Somebody crosses, goes, and somebody else comes, all after the checkpoint; then it is killed, and starts at once, or
+    in another hour, in whose file the rows are then."""
+    first = run(tmp_path, delay=delay)
+    show(first, [20 + 3 * k for k in range(15)], START)
+    first._saver(ended=False)()
+    show(first, [65 + 3 * k for k in range(15)], START, 15)
+    show(first, [0] * 50 + [20 + 2 * k for k in range(15)], START, 30)
+    crashed(first, saved=False)
+    before = events(tmp_path)
+    assert [event["kind"] for event in before] == ["appear", "cross", "leave", "appear"]
+    counts = first.watched[1].counts
+    second = run(tmp_path, delay=delay)
+    show(second, [45 + k for k in range(15)] + [0] * 50, START + 9.6 + hour)
+    assert second.problems == []
+    assert second.watched[1].counts == counts
+    assert second.stop(10.0)
+    after = events(tmp_path)
+    assert after[: len(before)] == before
+    # After an hour all are others. At once he is a track of another number, as the checkpoint did not know him.
+    assert sorted(event["kind"] for event in after[len(before) :]) == ["appear", "leave", "leave"]
+    gone = [event["identity"] for event in after if event["kind"] == "leave"]
+    assert sorted(gone) == sorted(event["identity"] for event in after if event["kind"] == "appear")
+    numbers = [(row["frame"], row["identity"]) for row in rows(tmp_path)]
+    assert len(numbers) == len(set(numbers))
+    assert [int(number) for number, _ in numbers] == sorted(int(number) for number, _ in numbers)
 
 
 def test_after_an_end_in_order_identities_go_on_without_a_gap(tmp_path: Path) -> None:

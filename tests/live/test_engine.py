@@ -16,8 +16,9 @@ import pytest
 from camera_server import SIDE, WALL, Scripted, until
 
 from phdtrack.config import build_groups, build_kinds, load
-from phdtrack.live.engine import Camera, CameraSettings, Companies, Making, _Held
-from phdtrack.live.events import Maps, Watch
+from phdtrack.groups.pipeline import OnlineGroups
+from phdtrack.live.engine import Camera, CameraSettings, Making
+from phdtrack.live.events import Event, Maps, Watch
 from phdtrack.live.outputs import stamp
 from phdtrack.live.sources import LiveFrame
 from phdtrack.live.zones import Place, write_places
@@ -233,11 +234,11 @@ def test_events_that_a_full_disk_refused_are_written_later(tmp_path: Path) -> No
     one = camera(Scripted(), CameraSettings(tmp_path, video=0))
     write, refused = one.log.write, list[object]()
 
-    def full(given):
+    def full(*given):
         refused.append(given)
         if len(refused) < 4:
             raise OSError(28, "No space left on device")
-        return write(given)
+        return write(*given)
 
     one.log.write = full
     until(lambda: one.counted["appear"])
@@ -245,6 +246,60 @@ def test_events_that_a_full_disk_refused_are_written_later(tmp_path: Path) -> No
     assert len(refused) >= 4
     assert one.stop(600.0)
     assert events(tmp_path)[0]["kind"] == "appear"
+
+
+def test_a_table_that_another_process_holds_keeps_no_picture_waiting(tmp_path: Path) -> None:
+    one = camera(Scripted(), CameraSettings(tmp_path, video=0))
+    other = sqlite3.connect(tmp_path / "events.sqlite", isolation_level=None)
+    other.execute("BEGIN IMMEDIATE")
+    until(lambda: one.problems)
+    assert one.problems == ["events are still to be written, the last 1000 are kept: database is locked"]
+    seen = one.frames
+    until(lambda: one.frames > seen + 20)
+    assert not one.counted
+    assert one.tracks == 1
+    other.execute("ROLLBACK")
+    until(lambda: one.counted["appear"])
+    assert one.problems == []
+    assert one.stop(600.0)
+    other.close()
+    assert [event["kind"] for event in events(tmp_path)] == ["appear"]
+    with next((tmp_path / "tracks").glob("*.csv")).open() as file:
+        numbers = [int(row["frame"]) for row in csv.DictReader(file)]
+    assert numbers == list(range(numbers[0], numbers[-1] + 1))
+
+
+def test_a_camera_whose_pictures_all_fail_is_not_at_work(tmp_path: Path) -> None:
+    detector = Bright()
+    one = camera(Scripted(), CameraSettings(tmp_path, video=0), detector)
+    until(lambda: one.frames > 5)
+    assert one.working
+    one._made = one._made._replace(detector=lambda frame: 1 / 0)
+    until(lambda: not one.working)
+    assert one.alive
+    one._made = one._made._replace(detector=detector)
+    until(lambda: one.working)
+    assert one.stop(600.0)
+
+
+def test_a_file_of_places_that_is_rewritten_in_place_is_read_when_it_is_whole(tmp_path: Path) -> None:
+    places = tmp_path / "places.toml"
+    write_places(places, (DOOR,))
+    text = places.read_text()
+    one = camera(Scripted(), CameraSettings(tmp_path / "out", places, video=0))
+    until(lambda: one.counted["cross"])
+    counts = one.watched[1].counts[0]
+    with places.open("w") as file:
+        file.flush()
+        seen = one.frames
+        until(lambda: one.frames > seen + 5)
+        file.write(text + "# the same\n")
+    seen = one._seen["places"]
+    until(lambda: one._seen["places"] != seen)
+    assert one.watched[0].places == (DOOR,)
+    assert one.watched[1].counts[0].entered >= counts.entered
+    assert one.watched[1].counts[0].left >= counts.left
+    assert one.stop(600.0)
 
 
 def test_rows_that_come_late_go_with_their_frames(tmp_path: Path) -> None:
@@ -268,15 +323,14 @@ def test_groups_on_the_ground_are_events(tmp_path: Path) -> None:
         sets=["motion.kind=plane", "sensor.scaling=fixed", "sensor.fixed_noise=0.1", "camera.region=[-30,-30,30,30]"]
     )
     kinds = build_kinds(found, info)
-    companies, tracker = Companies(build_groups(found, kinds.usual), kinds, first=8), Tracker(stages=kinds, fps=5.0)
+    groups, tracker = OnlineGroups(build_groups(found, kinds.usual), kinds.usual, first=8), Tracker(stages=kinds, fps=5.0)
     told = []
     for k in range(1, 41):
         # Two walk together, a third far from them.
         centre = np.array([[0.2 * k - 4, 0.0], [0.2 * k - 4, 0.8], [4 - 0.2 * k, 15.0]])
         rows = tracker.update(Detections.of(np.hstack([centre - 0.3, centre + 0.3])), k, k / 5)
-        frame = LiveFrame(k, k / 5, 0.0, np.zeros((0, 0, 3), np.uint8))
-        held = _Held(frame, tracker.step, companies.mixture(tracker.state.intensity, tracker.step))
-        told += companies.events(held, rows.take(rows.confirmed))
+        mixture = groups.mixture(tracker.state.intensity, tracker.step)
+        told += [Event.of_group(one) for one in groups.events(mixture, rows.take(rows.confirmed), k, k / 5)]
     assert [(event.kind, event.place) for event in told] == [("group", "appear")] * 2
     # Numbers of an earlier run are not given again.
     assert min(event.identity for event in told) >= 8

@@ -173,6 +173,8 @@ def test_options_are_the_cameras(tmp_path: Path) -> None:
     [
         (["missing.mp4"], "there is no such file"),
         (["a=0", "a=1"], "two sources are called a"),
+        ([f"rtsp://bob:12/{SECRET}@127.0.0.1/stream"], "Write / in a password as %2F"),
+        (["gate=rtsp://[::1/stream"], "expected an address (Invalid IPv6 URL)"),
         (["0", "--quota", "much"], "expected a size as 500MB"),
         (["0", "--blur", "hands"], "expected boxes or faces"),
         (["0", "--webhook", f"ftp://bob:{SECRET}@example.com"], "expected an address that begins with http"),

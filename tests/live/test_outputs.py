@@ -12,13 +12,14 @@ from collections.abc import Iterator
 from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from phdtrack.errors import InputError
 from phdtrack.live import delivery
-from phdtrack.live.delivery import Courier, Webhook
+from phdtrack.live.delivery import Courier, Mqtt, Webhook, receivers
 from phdtrack.live.outputs import HEAD, EventLog, RowsLog, Segments, VideoLog, stamp
 from phdtrack.types import Tracks
 from phdtrack.video import open_source
@@ -39,9 +40,12 @@ def names(folder: Path) -> list[str]:
 def test_rows_are_in_the_file_of_their_hour(tmp_path: Path) -> None:
     log = RowsLog(tmp_path)
     for k in range(4):
-        log.write(rows(k + 1), [WALL + k] * 2)
+        log.write(rows(k + 1), WALL + k)
         assert names(tmp_path)[-1].endswith(".part")
-    log.write(Tracks.empty(), [])
+    # Also where nobody is seen, an hour that is over gets its name.
+    log.write(Tracks.empty(), WALL + 3602)
+    assert names(tmp_path)[-1] == "2026-11-24T06.csv"
+    assert log.last_frame() == 4
     log.finish()
     assert names(tmp_path) == ["2026-11-24T05.csv", "2026-11-24T06.csv"]
     first, second = (file.read_text().splitlines() for file in sorted(tmp_path.iterdir()))
@@ -58,8 +62,8 @@ def test_an_hour_whose_file_could_not_be_opened_is_tried_again(tmp_path: Path, m
     with monkeypatch.context() as broken:
         broken.setattr(Path, "open", full)
         with pytest.raises(OSError, match="Too many"):
-            log.write(rows(1), [WALL] * 2)
-    log.write(rows(2), [WALL + 1] * 2)
+            log.write(rows(1), WALL)
+    log.write(rows(2), WALL + 1)
     log.finish()
     (file,) = tmp_path.iterdir()
     assert len(file.read_text().splitlines()) == 3
@@ -67,7 +71,7 @@ def test_an_hour_whose_file_could_not_be_opened_is_tried_again(tmp_path: Path, m
 
 def test_what_a_killed_run_left_is_kept_up_to_its_last_line(tmp_path: Path) -> None:
     log = RowsLog(tmp_path)
-    log.write(rows(1), [WALL] * 2)
+    log.write(rows(1), WALL)
     part = tmp_path / "2026-11-24T05.csv.part"
     with part.open("a") as file:
         file.write("2026-11-24T05:59:59.000Z,2,1,0,0.1")
@@ -76,7 +80,7 @@ def test_what_a_killed_run_left_is_kept_up_to_its_last_line(tmp_path: Path) -> N
     again = RowsLog(tmp_path)
     assert names(tmp_path) == ["2026-11-24T05.csv"]
     assert len((tmp_path / "2026-11-24T05.csv").read_text().splitlines()) == 3
-    again.write(rows(2), [WALL + 1] * 2)
+    again.write(rows(2), WALL + 1)
     again.finish()
     assert names(tmp_path) == ["2026-11-24T05.2.csv", "2026-11-24T05.csv"]
 
@@ -102,12 +106,13 @@ def test_an_hour_becomes_parquet(tmp_path: Path) -> None:
     from pyarrow import parquet
 
     log = RowsLog(tmp_path, parquet=True)
-    log.write(rows(1), [WALL] * 2)
+    log.write(rows(1), WALL)
     log.finish()
     assert names(tmp_path) == ["2026-11-24T05.parquet"]
     table = parquet.read_table(tmp_path / "2026-11-24T05.parquet")
     assert table.column_names == HEAD.strip().split(",")
     assert table["identity"].to_pylist() == [1, 2]
+    assert log.last_frame() == 1
 
 
 def test_time_in_a_video_is_true_however_pictures_come(tmp_path: Path) -> None:
@@ -167,14 +172,14 @@ def test_each_receiver_has_what_comes_after_it_was_named(tmp_path: Path) -> None
     log.write([event(1), event(2)])
     log.register("two")
     log.write([event(3)])
-    log.delivered("one", "gate-1-0")
+    log.delivered("one", log.waiting("one")[0][0])
     log.close()
     log = EventLog(tmp_path)
     for name in ("one", "two"):
         log.register(name)
-    assert [name for name, _ in log.waiting("one")] == ["gate-2-0", "gate-3-0"]
-    assert [name for name, _ in log.waiting("two")] == ["gate-3-0"]
-    log.delivered("two", "gate-3-0")
+    assert [name for _, name, _ in log.waiting("one")] == ["gate-2-0", "gate-3-0"]
+    assert [name for _, name, _ in log.waiting("two")] == ["gate-3-0"]
+    log.delivered("two", log.waiting("two")[0][0])
     assert (len(log.waiting("one")), log.waiting("two")) == (2, [])
     log.close()
 
@@ -187,6 +192,98 @@ def test_lines_that_a_kill_kept_from_the_file_are_written_later(tmp_path: Path) 
     os.truncate(tmp_path / "events.jsonl", len(whole) - 20)
     EventLog(tmp_path).close()
     assert (tmp_path / "events.jsonl").read_bytes() == whole
+
+
+def test_lines_that_could_not_be_written_come_with_the_next_event(tmp_path: Path) -> None:
+    log, lines = EventLog(tmp_path), tmp_path / "events.jsonl"
+    log.write([event(1)])
+    # The disk was full in the middle of a line.
+    first = lines.read_bytes()
+    lines.unlink()
+    lines.mkdir()
+    assert log.write([event(2)]) == [event(2)]
+    assert log.problem.startswith("events.jsonl lacks events that events.sqlite has")
+    lines.rmdir()
+    lines.write_bytes(first + b'{"id": "gate-2')
+    assert log.write([event(3)]) == [event(3)]
+    assert log.problem == ""
+    assert [json.loads(line) for line in lines.read_text().splitlines()] == [event(1), event(2), event(3)]
+    log.close()
+
+
+def test_lines_that_are_moved_away_and_rows_that_are_deleted_do_not_matter(tmp_path: Path) -> None:
+    log, lines = EventLog(tmp_path), tmp_path / "events.jsonl"
+    log.register("one")
+    log.write([event(1), event(2)])
+    lines.rename(tmp_path / "old.jsonl")
+    log.write([event(3)])
+    log.delivered("one", log.waiting("one")[-1][0])
+    log.close()
+    base = sqlite3.connect(tmp_path / "events.sqlite")
+    with base:
+        base.execute("DELETE FROM events")
+    base.close()
+    log = EventLog(tmp_path)
+    log.write([event(4)])
+    assert [name for _, name, _ in log.waiting("one")] == ["gate-4-0"]
+    assert [json.loads(line) for line in lines.read_text().splitlines()] == [event(3), event(4)]
+    log.close()
+
+
+def test_what_is_known_of_visitors_goes_with_the_events_or_not_at_all(tmp_path: Path) -> None:
+    log = EventLog(tmp_path)
+    assert log.watched() is None
+    log.write([event(1)], (7, b"seven"))
+    with pytest.raises(TypeError):
+        log.write([event(2), {"id": object()}], (8, b"eight"))
+    assert log.watched() == (7, b"seven")
+    assert log.highest() == 1
+    log.forget_watched()
+    assert log.watched() is None
+    log.close()
+
+
+def test_a_receiver_is_the_same_with_another_password_or_token() -> None:
+    first, second = receivers(["https://a:b@hooks.example/x?token=1", "mqtt://u:p@hooks.example/x"])
+    assert receivers(["https://a:c@hooks.example/x?token=2"]) == [first]
+    assert len({first, second, *receivers(["https://hooks.example/y"]), *receivers(["https://other.example/x"])}) == 4
+    alike = receivers(["https://hooks.example/x?to=1", "https://hooks.example/x?to=2"])
+    assert alike[0] == first
+    assert alike[1] not in (first, second)
+
+
+class Client:
+    """Stands for that of paho: it says when the broker confirms."""
+
+    def __init__(self, *_: object) -> None:
+        self.sent, self.confirms = list[tuple[str, str]](), False
+
+    def is_connected(self) -> bool:
+        return True
+
+    def publish(self, topic: str, event: str, qos: int) -> Client:
+        self.sent.append((topic, event))
+        return self
+
+    def wait_for_publish(self, seconds: float) -> None: ...
+
+    def is_published(self) -> bool:
+        return self.confirms
+
+
+def test_an_event_that_the_broker_does_not_confirm_is_given_to_the_client_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = SimpleNamespace(Client=Client, CallbackAPIVersion=SimpleNamespace(VERSION2=2))
+    monkeypatch.setattr(delivery, "needed", lambda module: made)
+    mqtt = Mqtt("mqtt://broker.example/site")
+    for _ in range(3):
+        with pytest.raises(OSError, match="the broker did not confirm"):
+            mqtt("a", '{"kind": "appear"}')
+    mqtt._client.confirms = True
+    mqtt("a", '{"kind": "appear"}')
+    mqtt("b", '{"kind": "leave"}')
+    assert mqtt._client.sent == [("site/appear", '{"kind": "appear"}'), ("site/leave", '{"kind": "leave"}')]
+    with pytest.raises(InputError, match="a topic without the wildcards"):
+        Mqtt("mqtt://broker.example/site/+")
 
 
 def test_a_folder_that_cannot_be_written_is_said(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from camera_server import CameraServer, HlsServer, RtspServer, until
 
+from phdtrack.live import sources
 from phdtrack.live.sources import LONGEST_PAUSE, LiveFrame, LiveSource, named, shown
 from phdtrack.video import VideoWriter
 
@@ -98,6 +99,22 @@ def test_a_camera_that_dies_is_found_again(server: CameraServer, source: LiveSou
         assert now.time > last.time
         last = now
     assert source.status().connects == 4
+
+
+def test_a_stream_of_which_no_picture_comes_is_tried_again(server: CameraServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its packets come in time, and nothing can be made of them."""
+    monkeypatch.setattr(sources, "UNDECODED", 0.2)
+    monkeypatch.setattr(sources, "GRACE", 0.1)
+    server.broken = True
+    source = LiveSource(server.url, connect=0.3, read=0.3)
+    source.start()
+    until(lambda: source.next(0.05) is None and len(server.asked) >= 3)
+    assert source.status().undecodable > 0
+    # Of a machine that is too slow for these time-outs nothing more can be asked.
+    monkeypatch.setattr(sources, "GRACE", 300.0)
+    server.broken = False
+    frames(source, 1)
+    source.stop()
 
 
 def place(frame: LiveFrame) -> int:

@@ -154,7 +154,10 @@ class Checkpoint:
             return
         try:
             # It is to outlast the process. What a power cut takes is what came since the last checkpoint.
-            log.write(to_bytes(block))
+            left = memoryview(to_bytes(block))
+            while left:
+                # On a disk that is nearly full a part of it is taken.
+                left = left[log.write(left) :]
             if "number" in block:
                 self._save(inputs, block["number"], log)
         except OSError as error:

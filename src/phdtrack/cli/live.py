@@ -17,6 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
+from urllib.parse import urlsplit
 
 import typer
 
@@ -34,7 +35,7 @@ from phdtrack.devices import Detector
 from phdtrack.errors import InputError, shown
 from phdtrack.files import json_value
 from phdtrack.live.checkpoint import EVERY
-from phdtrack.live.delivery import Courier, Mqtt, Send, Webhook
+from phdtrack.live.delivery import Courier, Mqtt, Send, Webhook, receivers
 from phdtrack.live.engine import Camera, CameraSettings, Making
 from phdtrack.live.events import Watch
 from phdtrack.live.sources import LiveSource, named
@@ -112,7 +113,7 @@ def live(
     ]
     try:
         for one in cameras:
-            one.start([Courier(one.log, send, url) for url, send in _receivers(write)])
+            one.start([Courier(one.log, send, name) for name, send in _receivers(write)])
         if server is not None:
             server.start(cameras, output)
         _attend(cameras, lines, output, time.monotonic() + (duration or math.inf))
@@ -175,7 +176,15 @@ def named_sources(given: Sequence[str]) -> dict[str, str]:
     found = dict[str, str]()
     for word in given:
         match = re.fullmatch(r"([A-Za-z0-9][A-Za-z0-9._-]*)=(.+)", word)
-        name, address = match.groups() if match else (named(word), word)
+        try:
+            name, address = match.groups() if match else (named(word), word)
+            urlsplit(address)
+        except ValueError as error:
+            raise InputError(f"expected an address ({error})", where="SOURCE") from None
+        if re.match(r"[A-Za-z0-9+.-]+://[^/@]*:[^/@]*/.*@", address):
+            problem = "expected user:password@host in the address, got an @ behind the first /"
+            cure = "Write / in a password as %2F, and @ behind the host as %40."
+            raise InputError(problem, where="SOURCE", cure=cure)
         if "://" not in address and not address.isdecimal() and not Path(address).is_file():
             cure = "Name rtsp://…, http://…, a camera's number or a video."
             raise InputError("there is no such file", where=address, cure=cure)
@@ -208,11 +217,10 @@ def _places(given: Sequence[str], name: str, out: Path) -> Path:
 
 
 def _receivers(write: LiveOptions) -> Iterator[tuple[str, Send]]:
-    """Where events of a camera are sent to."""
-    for url in write.webhook or []:
-        yield url, Webhook(url, write.allow_private)
-    if write.mqtt:
-        yield write.mqtt, Mqtt(write.mqtt)
+    """Where events of a camera are sent to, by the names of the receivers."""
+    addresses = [*(write.webhook or []), *([write.mqtt] if write.mqtt else [])]
+    for name, url in zip(receivers(addresses), addresses, strict=True):
+        yield name, Webhook(url, write.allow_private) if url in (write.webhook or []) else Mqtt(url)
 
 
 class _Server:

@@ -16,11 +16,11 @@ from phdtrack.filters.cardinality import Cardinalised
 from phdtrack.filters.extract import KMeans, Mixture
 from phdtrack.groups.clusters import Contours, Grouping, Groups, group_moments
 from phdtrack.groups.life_cycle import Encounter, EncounterWarning, Event, GroupLifeCycle, LifeCycleState
-from phdtrack.groups.pairs import Pairs, Walkers
+from phdtrack.groups.pairs import Pairs, PairState, Walkers
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.smooth.paths import paths_of
 from phdtrack.smooth.smoothing import Sequence
-from phdtrack.types import F8, I8, GaussianMixture, MeasurementHistory, Step, Tracks
+from phdtrack.types import F8, I8, Detections, GaussianMixture, MeasurementHistory, Step, Tracks
 
 # Heads from which on a cluster without a track is a group: Vo and Ma's weight of a target.
 UNNAMED = 0.5
@@ -243,3 +243,31 @@ def carriers(mixture: GaussianMixture, place: F8, lightest: float) -> I8:
     nearest = distance.argmin(axis=1)
     near = distance[np.arange(len(nearest)), nearest] <= REACH
     return np.where(near, heavy[nearest], -1)
+
+
+class OnlineGroups:
+    """Groups by what was seen so far, frame by frame; numbered from ``first``."""
+
+    def __init__(self, groups: GroupStages, stages: AnyStages, first: int = 1) -> None:
+        self._groups, self._stages = groups, stages
+        self._light = 0.0 if isinstance(groups.grouping, Pairs) else groups.grouping.min_weight
+        self._pairs, self._life = PairState(), LifeCycleState(following=first)
+
+    def mixture(self, intensity: Any, step: Step) -> GaussianMixture:
+        """What is known of people after a step."""
+        z = self._stages.model.sensor.measure(step.detections)
+        return mixture_of(intensity, step, np.ascontiguousarray(z[:, np.isfinite(z).all(axis=0)]), self._stages, self._light)
+
+    def events(self, mixture: GaussianMixture, rows: Tracks, number: int, time: float) -> tuple[Event, ...]:
+        """What happened to groups in frame ``number``, at ``time`` seconds, with these confirmed rows."""
+        rows = rows.take(np.argsort(rows.identity, kind="stable"))
+        carrier = carriers(mixture, self._stages.model.sensor.measure(Detections.of(rows.xyxy))[:2], self._light)
+        if isinstance(self._groups.grouping, Pairs):
+            rows, carrier = rows.take(carrier >= 0), carrier[carrier >= 0]
+            covariance = mixture.covariance[carrier, :4, :4]
+            walkers = Walkers(rows.identity, np.ascontiguousarray(mixture.mean[:4, carrier]), covariance, time)
+            self._pairs, label = self._groups.grouping.extend(self._pairs, walkers)
+            self._life, found = self._groups.people(self._life, walkers, label, rows.confidence, number)
+        else:
+            self._life, found = self._groups.advance(self._life, mixture, rows.identity, carrier, number, time)
+        return tuple(found.events)

@@ -37,6 +37,23 @@ class HeldFrame(NamedTuple):
     xyxy: F8
 
 
+class SavedWatch(NamedTuple):
+    """Lines and zones, who is there, and the counts. It is saved with each event, so that none comes twice or is missing."""
+
+    places: tuple[Place, ...]
+    state: WatchState
+
+    def content(self) -> bytes:
+        """For `EventLog.write`."""
+        return to_bytes({"watch": pack(self)})
+
+    @classmethod
+    def read(cls, content: bytes, where: Path) -> SavedWatch:
+        """What `content` gave. Raises `InputError` where it is damaged."""
+        found: SavedWatch = restored(from_bytes(content, where)["watch"], cls, None, World(None, {}), str(where))
+        return found
+
+
 class SavedCamera(NamedTuple):
     """What a camera knows besides its tracker.
 

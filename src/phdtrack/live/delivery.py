@@ -14,7 +14,7 @@ import socket
 import ssl
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
@@ -153,6 +153,10 @@ class Mqtt:
         if parts.scheme not in ("mqtt", "mqtts") or not parts.hostname:
             raise InputError("expected an address that begins with mqtt:// or mqtts://", where="--mqtt")
         self._topic = parts.path.strip("/") or "phdtrack"
+        if set(self._topic) & set("+#"):
+            raise InputError("expected a topic without the wildcards + and #", where="--mqtt")
+        # The event that the broker has not confirmed yet, and what waits for it.
+        self._unconfirmed: tuple[str, Any] = ("", None)
         self._host, self._port = parts.hostname, parts.port or (8883 if parts.scheme == "mqtts" else 1883)
         self._client: Any = client.Client(enums.CallbackAPIVersion.VERSION2)
         if parts.username:
@@ -165,25 +169,46 @@ class Mqtt:
         if not self._client.is_connected():
             self._client.connect(self._host, self._port)
             self._client.loop_start()
-        sent = self._client.publish(f"{self._topic}/{json.loads(event)['kind']}", event, qos=1)
+        before, sent = self._unconfirmed
+        if before != name:
+            # The client itself sends again what is not confirmed: given twice it would come twice.
+            sent = self._client.publish(f"{self._topic}/{json.loads(event)['kind']}", event, qos=1)
+            self._unconfirmed = name, sent
         try:
             sent.wait_for_publish(TIMEOUT)
         except (RuntimeError, ValueError) as error:
+            self._unconfirmed = "", None
             raise OSError(str(error)) from error
         if not sent.is_published():
             raise OSError("the broker did not confirm")
 
 
+def receivers(addresses: Iterable[str]) -> list[str]:
+    """A name for each address, by which it is known after a restart, too.
+
+    It is the hash of host, port and path: user, password and query may be renewed, and are written nowhere. Those that are
+    alike in it are numbered.
+    """
+    found = list[str]()
+    for address in addresses:
+        parts = urlsplit(address)
+        plain = f"{parts.scheme.removesuffix('s')}://{parts.hostname}:{parts.port}{parts.path}"
+        name, count = hashlib.sha256(plain.encode()).hexdigest()[:16], 1
+        while f"{name}-{count}" in found:
+            count += 1
+        found.append(f"{name}-{count}")
+    return found
+
+
 class Courier:
     """Delivers what waits in a log, in a thread of its own: on each failure it waits twice as long, at most five minutes.
 
-    ``address`` is told apart from others by its hash: it may hold secrets, which are not written.
+    ``receiver`` is its name in the log, from `receivers`.
     """
 
-    def __init__(self, log: EventLog, send: Send, address: str) -> None:
-        self._log, self._send, self.problem = log, send, ""
-        self._receiver = hashlib.sha256(address.encode()).hexdigest()[:16]
-        log.register(self._receiver)
+    def __init__(self, log: EventLog, send: Send, receiver: str) -> None:
+        self._log, self._send, self._receiver, self.problem = log, send, receiver, ""
+        log.register(receiver)
         self._wake, self._stopped = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="phdtrack events", daemon=True)
         self._thread.start()
@@ -204,9 +229,9 @@ class Courier:
             self._wake.clear()
             try:
                 waiting = self._log.waiting(self._receiver)
-                for name, event in waiting:
+                for place, name, event in waiting:
                     self._send(name, event)
-                    self._log.delivered(self._receiver, name)
+                    self._log.delivered(self._receiver, place)
                     pause, self.problem = FIRST_PAUSE, ""
                     if self._stopped.is_set():
                         return

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import sqlite3
 import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,10 +18,8 @@ from phdtrack.classes import Kinds
 from phdtrack.detect.convert import LeftOut
 from phdtrack.devices import Detector
 from phdtrack.errors import InputError, shown
-from phdtrack.groups.life_cycle import LifeCycleState
-from phdtrack.groups.pairs import Pairs, PairState, Walkers
-from phdtrack.groups.pipeline import GroupStages, carriers, mixture_of
-from phdtrack.live.checkpoint import LOST, HeldFrame, SavedCamera, key_of, load, save
+from phdtrack.groups.pipeline import GroupStages, OnlineGroups
+from phdtrack.live.checkpoint import LOST, HeldFrame, SavedCamera, SavedWatch, key_of, load, save
 from phdtrack.live.delivery import Courier
 from phdtrack.live.events import Event, Maps, Watch, WatchState
 from phdtrack.live.outputs import EventLog, RowsLog, VideoLog, stamp
@@ -47,8 +46,9 @@ MINUTES = 24 * 60
 _LATENCIES, _EVENTS, _UNWRITTEN = 2048, 200, 1000
 # Pictures, or seconds, from which the rate of a source is taken; seconds for which a page that asked is drawn for.
 _MEASURED, _MEASURING, _WATCHED = 10, 2.0, 3.0
-# Seconds after a picture that failed: where all do, the processor is not for them alone.
-_REST = 0.05
+# Seconds after a picture that failed: where all do, the processor is not for them alone; until events that could not be
+# written are tried again; for which a file must be as it is before it is read again: it may be written in place.
+_REST, _AGAIN, _SETTLED = 0.05, 1.0, 0.5
 
 
 class Making(NamedTuple):
@@ -115,36 +115,6 @@ class _Held(NamedTuple):
     mixture: GaussianMixture | None
 
 
-class Companies:
-    """Groups of people who are followed on the ground, by what was seen so far, frame by frame; numbered from ``first``."""
-
-    def __init__(self, groups: GroupStages, kinds: Kinds, first: int = 1) -> None:
-        self._groups, self._stages = groups, kinds.usual
-        self._light = 0.0 if isinstance(groups.grouping, Pairs) else groups.grouping.min_weight
-        self._pairs, self._life = PairState(), LifeCycleState(following=first)
-
-    def mixture(self, intensity: Any, step: Step) -> GaussianMixture:
-        """What is known of people after a step."""
-        z = self._stages.model.sensor.measure(step.detections)
-        return mixture_of(intensity, step, np.ascontiguousarray(z[:, np.isfinite(z).all(axis=0)]), self._stages, self._light)
-
-    def events(self, held: _Held, rows: Tracks) -> list[Event]:
-        """What happened to groups in a frame with these confirmed rows."""
-        mixture, number, time = held.mixture, held.frame.number, held.frame.time
-        assert mixture is not None
-        rows = rows.take(np.argsort(rows.identity, kind="stable"))
-        carrier = carriers(mixture, self._stages.model.sensor.measure(Detections.of(rows.xyxy))[:2], self._light)
-        if isinstance(self._groups.grouping, Pairs):
-            rows, carrier = rows.take(carrier >= 0), carrier[carrier >= 0]
-            covariance = mixture.covariance[carrier, :4, :4]
-            walkers = Walkers(rows.identity, np.ascontiguousarray(mixture.mean[:4, carrier]), covariance, time)
-            self._pairs, label = self._groups.grouping.extend(self._pairs, walkers)
-            self._life, found = self._groups.people(self._life, walkers, label, rows.confidence, number)
-        else:
-            self._life, found = self._groups.advance(self._life, mixture, rows.identity, carrier, number, time)
-        return [Event.of_group(event) for event in found.events]
-
-
 class Camera:
     """One camera.
 
@@ -169,7 +139,7 @@ class Camera:
         self._make, self._send = make, send
         self._made: Making | None = None
         self._tracker: Tracker | None = None
-        self._companies: Companies | None = None
+        self._groups: OnlineGroups | None = None
         self.log = EventLog(settings.folder)
         self._rows = RowsLog(settings.folder / "tracks", settings.quota, parquet=settings.parquet)
         self._video = VideoLog(settings.folder / "video", settings.video, settings.quota) if settings.video else None
@@ -177,16 +147,16 @@ class Camera:
         """The settings of what is watched, and its state: who is there, and the counts."""
         # What went wrong, by what it concerns; when each file was changed that was read.
         self._problems, self._seen = dict[str, str](), dict[str, tuple[int, int]]()
+        # Since when a file is as it is that is to be read again; from when on events that could not be written are tried.
+        self._changing, self._patient = dict[str, tuple[tuple[int, int], float]](), 0.0
         self._stopped, self._files, self._open = threading.Event(), threading.Lock(), True
         self._held, self._unwritten = deque[_Held](), deque[dict[str, object]](maxlen=_UNWRITTEN)
-        self._latency: deque[float] = deque(maxlen=_LATENCIES)
-        self._begun = 0.0
+        self._latency, self._begun = deque[float](maxlen=_LATENCIES), 0.0
         # Of the next checkpoint the time, and what writes the last one; what lies between the source's numbers and times and
         # those of tracks, which go on after a restart; number, time and time of day of the last frame.
         self._due, self._saving = 0.0, threading.Thread()
         self._ahead, self._last = (0, 0.0), (0, 0.0, 0.0)
-        self.minutes: deque[Minute] = deque(maxlen=MINUTES)
-        self.recent: deque[dict[str, object]] = deque(maxlen=_EVENTS)
+        self.minutes, self.recent = deque[Minute](maxlen=MINUTES), deque[dict[str, object]](maxlen=_EVENTS)
         self.counted, self.frames, self.tracks = Counter[str](), 0, 0
         self.maps: Maps | None = None
         self._fresh, self._asked = threading.Condition(), -np.inf
@@ -221,27 +191,36 @@ class Camera:
         with self._fresh:
             self._fresh.notify_all()
         try:
-            if self._open and self._tracker is not None and not self._thread.is_alive():
-                rows = self._tracker.flush()
-                while self._held:
-                    held = self._held.popleft()
-                    self._finish(held, rows.take(rows.frame == held.frame.number))
-            self._rows.finish()
-            if self._video is not None:
-                self._video.finish()
-            self.log.close()
-            if self.settings.checkpoint and self._open and self._last[0] and not self._thread.is_alive():
-                if self._saving.ident is not None:
-                    self._saving.join()
-                self._saver(ended=True)()
-            return not self._unwritten
-        except Exception as error:
-            # The other cameras are still to be completed.
-            self._problems["files"] = str(error) or type(error).__name__
-            return False
+            video = [] if self._video is None else [self._video.finish]
+            steps = [self._flush, lambda: self._tell(()), self._rows.finish, *video, self.log.close, self._save_end]
+            return [self._tried(step) for step in steps].count(False) == len(self._unwritten) == 0
         finally:
             self._open = False
             self._files.release()
+
+    def _tried(self, step: Callable[[], None]) -> bool:
+        """Whether it was done: the other files, and the other cameras, are still to be completed."""
+        try:
+            step()
+        except Exception as error:
+            self._problems["files"] = str(error) or type(error).__name__
+            return False
+        return True
+
+    def _flush(self) -> None:
+        """The rows of the frames that are held."""
+        if self._open and self._tracker is not None and not self._thread.is_alive():
+            rows = self._tracker.flush()
+            while self._held:
+                held = self._held.popleft()
+                self._finish(held, rows.take(rows.frame == held.frame.number))
+
+    def _save_end(self) -> None:
+        """The last checkpoint."""
+        if self.settings.checkpoint and self._open and self._last[0] and not self._thread.is_alive():
+            if self._saving.ident is not None:
+                self._saving.join()
+            self._saver(ended=True)()
 
     @property
     def alive(self) -> bool:
@@ -249,10 +228,15 @@ class Camera:
         return self._thread.is_alive()
 
     @property
+    def working(self) -> bool:
+        """Whether its last picture was worked on without an error, if there was one."""
+        return self.alive and "frame" not in self._problems
+
+    @property
     def problems(self) -> list[str]:
         """What is not as it should be, in sentences without secrets."""
         waiting = [f"events wait to be sent: {one.problem}" for one in self._couriers if one.problem]
-        return [shown(sentence) for sentence in (*self._problems.values(), *waiting)]
+        return [shown(sentence) for sentence in (*self._problems.values(), self.log.problem, *waiting) if sentence]
 
     @property
     def left_out(self) -> LeftOut:
@@ -299,11 +283,16 @@ class Camera:
             try:
                 if path is None:
                     continue
-                # The size too: times of files are coarse, and this one may be read while it is written.
+                # The size too: times of files are coarse.
                 changed = (path.stat().st_mtime_ns, path.stat().st_size)
                 if changed == self._seen.get(what):
                     continue
-                first, self._seen[what] = what not in self._seen, changed
+                first, now = what not in self._seen, time.monotonic()
+                if self._changing.get(what, ((), 0.0))[0] != changed:
+                    self._changing[what] = changed, now
+                if not first and now < self._changing[what][1] + _SETTLED:
+                    continue
+                self._seen[what] = changed
                 use(path, first)
                 self._problems.pop(what, None)
             except FileNotFoundError:
@@ -339,7 +328,7 @@ class Camera:
         tracker, names = Tracker(stages=made.kinds, fps=made.info.fps, seed=made.seed), self.watched[0].names
         tracker.warm_up()
         first = self.log.highest("group") + 1
-        self._companies = None if made.groups is None else Companies(made.groups, made.kinds, first)
+        self._groups = None if made.groups is None else OnlineGroups(made.groups, made.kinds.usual, first)
         self._annotate = Annotator(made.info, names=names or None, blur=self.settings.blur)
         self.maps = Maps.of(width, height)
         return made, tracker
@@ -362,7 +351,7 @@ class Camera:
         rows = self._tracker.update(found, frame.number, frame.time)
         step = self._tracker.step
         assert step is not None
-        mixture = None if self._companies is None else self._companies.mixture(self._tracker.state.intensity, step)
+        mixture = None if self._groups is None else self._groups.mixture(self._tracker.state.intensity, step)
         self._held.append(_Held(frame, step, mixture))
         self.frames, self._last = self.frames + 1, (frame.number, frame.time, frame.wall)
         if len(self._held) > self._made.delay:
@@ -410,6 +399,7 @@ class Camera:
         try:
             found = load(self.settings.folder, key_of(made.fixed, made.info.width, made.info.height))
             if found is None:
+                self.log.forget_watched()
                 tracker.skip_identities(highest if highest > LOST else 0)
                 return
             highest, ended, packed, seen = max(found[0], highest), *found[1:]
@@ -417,20 +407,26 @@ class Camera:
                 raise seen
             if seen.people.shape != maps.people.shape:
                 raise InputError("its maps are of another picture")
+            # What came after the checkpoint, where it was killed: up to the last event, and up to the last row.
+            number, content = self.log.watched() or (0, b"")
+            later = number >= (seen.held[0].number if seen.held else seen.number + 1)
+            known = SavedWatch.read(content, self.settings.folder) if later else SavedWatch(seen.places, seen.watch)
+            last = 0 if ended else max(number, self._rows.last_frame())
             tracker.load_state_dict(packed)
         except InputError as error:
             self._problems["checkpoint"] = f"the checkpoint cannot be used, tracks and counts begin anew: {error}"
+            self.log.forget_watched()
             tracker.skip_identities(highest)
             return
         if not ended:
             tracker.skip_identities(highest - tracker.highest)
         interval = max(frame.wall - seen.wall, 1 / made.info.fps)
-        self._ahead = (seen.number + 1 - frame.number, seen.time + interval - frame.time)
-        self.watched = (watch, watch.carried(seen.watch, replace(watch, places=seen.places)))
+        self._ahead = (max(seen.number, last) + 1 - frame.number, seen.time + interval - frame.time)
+        self.watched = (watch, watch.carried(known.state, replace(watch, places=known.places)))
         self.maps = Maps(seen.people, seen.clutter, maps.cell, seen.mapped)
         self.minutes.extend(Minute(wall, mean, int(most), int(count)) for wall, mean, most, count in seen.minutes.tolist())
         nothing = UpdateInfo(0.0, 0.0, 0.0, np.zeros(0), np.zeros(0))
-        for one in seen.held:
+        for one in (held for held in seen.held if held.number > last):
             step = Step(one.number, one.time, Detections.of(one.xyxy), nothing, Estimates.empty(0), Tracks.empty())
             self._held.append(_Held(LiveFrame(one.number, one.time, one.wall, np.zeros((0, 0, 3), np.uint8)), step, None))
 
@@ -440,11 +436,11 @@ class Camera:
         state, events = watch.advance(state, rows, frame.number, frame.time)
         self.watched = (watch, state)
         confirmed = rows.take(rows.confirmed)
-        if self._companies is not None and held.mixture is not None:
-            groups = self._companies.events(held, confirmed)
-            events = (*events, *(replace(one, index=k) for k, one in enumerate(groups, len(events))))
-        self._tell(events, frame.wall, watch.names)
-        self._rows.write(rows, [frame.wall] * len(rows))
+        if self._groups is not None and held.mixture is not None:
+            found = self._groups.events(held.mixture, confirmed, frame.number, frame.time)
+            events = (*events, *(Event.of_group(one, k) for k, one in enumerate(found, len(events))))
+        self._tell(events, frame)
+        self._rows.write(rows, frame.wall)
         self._latency.append(max(0.0, time.time() - frame.wall))
         probability = step.info.clutter_probability
         known = probability if len(probability) == len(step.detections) else np.zeros(len(step.detections))
@@ -468,12 +464,26 @@ class Camera:
         if recorded and self._video is not None:
             self._video.write(picture, frame.wall)
 
-    def _tell(self, events: Sequence[Event], wall: float, names: Mapping[int, str]) -> None:
-        """Events to the log, and word of them to everybody; those that could not be written come first the next time."""
-        self._unwritten.extend(one.as_dict(self.name, stamp(wall), names) for one in events)
-        if not self._unwritten:
+    def _tell(self, events: Sequence[Event], frame: LiveFrame | None = None) -> None:
+        """Events of a frame to the log, and word of them to everybody; those that could not be written come first the next
+        time. Without a frame those are tried now."""
+        watch, state = self.watched
+        if frame is not None:
+            self._unwritten.extend(one.as_dict(self.name, stamp(frame.wall), watch.names) for one in events)
+        if not self._unwritten or (frame is not None and time.monotonic() < self._patient):
             return
-        for event in self.log.write(self._unwritten):
+        saved = None
+        if self.settings.checkpoint and frame is not None:
+            saved = frame.number, SavedWatch(watch.places, state).content()
+        try:
+            fresh = self.log.write(self._unwritten, saved)
+        except (OSError, sqlite3.Error) as error:
+            # Not with each picture: another process that holds the table keeps this one waiting.
+            self._patient = time.monotonic() + _AGAIN
+            self._problems["events"] = f"events are still to be written, the last {_UNWRITTEN} are kept: {error}"
+            return
+        self._problems.pop("events", None)
+        for event in fresh:
             self.counted[str(event["kind"])] += 1
             self.recent.append(event)
             self._send(event)

@@ -4,8 +4,8 @@ A folder for each camera:
 
 * ``tracks/2026-11-24T05.csv``: the online rows of an hour (UTC), or ``.parquet``;
 * ``video/2026-11-24T05-10-00.mp4``: annotated pictures, ten minutes each;
-* ``events.jsonl``: a line for each event;
-* ``events.sqlite``: the same in a table, with how far each receiver was told of them.
+* ``events.sqlite``: the events in a table, with how far each receiver was told of them;
+* ``events.jsonl``: the same, a line for each.
 
 A file that grows ends in ``.part`` and gets its name when it is complete. An event is on disk before it is passed on.
 """
@@ -15,7 +15,9 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
-from collections.abc import Iterable, Sequence
+import threading
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TextIO
@@ -23,11 +25,30 @@ from typing import TextIO
 import numpy as np
 
 from phdtrack.errors import InputError, needed
+from phdtrack.files import PART, whole
 from phdtrack.types import Image, Tracks
 from phdtrack.video import VideoWriter
 
-PART = ".part"
+_LINES = "events.jsonl"
+# Seconds for which is waited for another process that writes into the table.
+_PATIENCE = 0.2
+_TABLES = (
+    "PRAGMA journal_mode=WAL",
+    "PRAGMA synchronous=FULL",
+    "CREATE TABLE IF NOT EXISTS events (id TEXT PRIMARY KEY, time TEXT, kind TEXT, place TEXT, identity INTEGER, "
+    "event TEXT NOT NULL)",
+    "CREATE TABLE IF NOT EXISTS receivers (name TEXT PRIMARY KEY, has INTEGER NOT NULL)",
+    "CREATE TABLE IF NOT EXISTS watched (one INTEGER PRIMARY KEY, number INTEGER NOT NULL, state BLOB NOT NULL)",
+)
+# A place that no event has had, also where somebody has deleted some.
+_NEXT = "(SELECT 1 + MAX(COALESCE(MAX(rowid), 0), (SELECT COALESCE(MAX(has), 0) FROM receivers)) FROM events)"
+_ADD = f"INSERT OR IGNORE INTO events (rowid, id, time, kind, place, identity, event) VALUES ({_NEXT}, ?, ?, ?, ?, ?, ?)"
+_WAITING = (
+    "SELECT rowid, id, event FROM events WHERE rowid > (SELECT has FROM receivers WHERE name = ?) ORDER BY rowid LIMIT ?"
+)
 HEAD = "time,frame,identity,class,left,top,width,height,confidence,detection,confirmed\n"
+Told = dict[str, object]
+"""An event for JSON."""
 HOUR, SEGMENT = 3600.0, 600.0
 _ROW = "%s,%d,%d,%d,%.7g,%.7g,%.7g,%.7g,%.4g,%d,%d\n"
 
@@ -83,9 +104,13 @@ class Segments:
         """The ``.part`` files that an earlier run left, oldest first."""
         return sorted(self.folder.glob(f"*{self._suffix}{PART}"), key=_age)
 
+    def complete(self) -> list[Path]:
+        """The complete files, oldest first."""
+        return sorted((file for file in self.folder.iterdir() if file.suffix != PART), key=_age)
+
     def prune(self) -> None:
         """Remove the oldest complete files until all are within the quota."""
-        files = sorted((file for file in self.folder.iterdir() if file.suffix != PART), key=_age)
+        files = self.complete()
         sizes = [file.stat().st_size for file in files]
         while self._quota and files and sum(sizes) > self._quota:
             files.pop(0).unlink()
@@ -112,20 +137,30 @@ class RowsLog:
             _whole_lines(left)
             left.replace(left.with_name(left.name.removesuffix(PART)))
 
-    def write(self, rows: Tracks, wall: Sequence[float]) -> None:
-        """Append rows; ``wall`` (M,) is the time of each, seconds since 1970. They reach the operating system."""
+    def write(self, rows: Tracks, wall: float) -> None:
+        """Append the rows of a frame, also none; ``wall``: its seconds since 1970. They reach the operating system."""
+        if self._file is not None and self._segments.over(wall):
+            self.finish()
         if not len(rows):
             return
         # There is none at the beginning, and where the last one could not be opened.
-        if self._file is None or self._segments.over(wall[0]):
-            self.finish()
-            self._file = self._segments.begin(wall[0]).open("w", encoding="ascii", newline="\n")
+        if self._file is None:
+            self._file = self._segments.begin(wall).open("w", encoding="ascii", newline="\n")
             self._file.write(HEAD)
         boxes = np.hstack([rows.xyxy[:, :2], rows.xyxy[:, 2:] - rows.xyxy[:, :2]])
         columns = (rows.frame, rows.identity, rows.class_id, *boxes.T, rows.confidence, rows.detection, rows.confirmed)
-        values = zip(map(stamp, wall), *(column.tolist() for column in columns), strict=True)
-        self._file.write("".join(_ROW % row for row in values))
+        values = zip(*(column.tolist() for column in columns), strict=True)
+        self._file.write("".join(_ROW % (stamp(wall), *row) for row in values))
         self._file.flush()
+
+    def last_frame(self) -> int:
+        """The number of the frame of the newest row that is on disk; 0 where there is none, or it cannot be read."""
+        for file in reversed(self._segments.complete()):
+            if file.suffix == ".parquet":
+                return int(needed("pyarrow.parquet").read_table(file, columns=["frame"])["frame"][-1].as_py())
+            with suppress(IndexError, ValueError):
+                return int(_last_line(file).split(",")[1])
+        return 0
 
     def finish(self) -> None:
         """Complete the present file."""
@@ -182,82 +217,141 @@ class VideoLog:
 
 
 class EventLog:
-    """Events as JSON lines and in SQLite, each once however often it is given, and how far each receiver has them.
+    """Events in SQLite, each once however often it is given, and how far each receiver has them; the same as JSON lines.
+
+    The table is what counts: in one transaction with the events it takes up what is known of the visitors after them. The
+    file of lines is a receiver like others, and may lag behind or be moved away; ``problem`` says why it lags.
 
     Raises `InputError` where the files cannot be written.
     """
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        self._path = folder / "events.jsonl"
+        self._path, self._lock, self._closed, self.problem = folder / _LINES, threading.Lock(), False, ""
         try:
-            self._base = sqlite3.connect(folder / "events.sqlite", check_same_thread=False, isolation_level=None)
-            self._base.execute("PRAGMA journal_mode=WAL")
-            self._base.execute("PRAGMA synchronous=FULL")
-            self._base.execute(
-                "CREATE TABLE IF NOT EXISTS events (id TEXT PRIMARY KEY, time TEXT, kind TEXT, place TEXT, "
-                "identity INTEGER, event TEXT NOT NULL)"
+            self._base = sqlite3.connect(
+                folder / "events.sqlite", timeout=_PATIENCE, check_same_thread=False, isolation_level=None
             )
-            self._base.execute("CREATE TABLE IF NOT EXISTS receivers (name TEXT PRIMARY KEY, has INTEGER NOT NULL)")
-            if self._path.exists():
-                _whole_lines(self._path)
-            self._lines = self._path.open("a", encoding="utf-8", newline="\n")
-            # What a run that was killed had put into the table only.
-            with self._path.open("rb") as file:
-                count = sum(1 for _ in file)
-            missing = self._base.execute("SELECT event FROM events ORDER BY rowid LIMIT -1 OFFSET ?", (count,))
-            self._lines.writelines(f"{event}\n" for (event,) in missing)
-            self._lines.flush()
+            for statement in _TABLES:
+                self._base.execute(statement)
+            self._take_up_lines()
         except (OSError, sqlite3.Error) as error:
             raise InputError(f"the events cannot be written: {error}", where=folder, cure="Choose another --out.") from None
+        self._add_lines()
 
-    def write(self, events: Iterable[dict[str, object]]) -> list[dict[str, object]]:
-        """Those of the events that are new, once they are on disk; each has at least ``id``, ``time`` and ``kind``."""
+    def write(self, events: Iterable[Told], watched: tuple[int, bytes] | None = None) -> list[Told]:
+        """Those of the events that are new, once they are on disk.
+
+        Parameters
+        ----------
+        events : each with at least ``id``, ``time`` and ``kind``.
+        watched : number of the frame, and what is known of visitors after it; None to leave that as it is.
+
+        Raises
+        ------
+        sqlite3.Error : nothing was written.
+        """
         fresh = []
-        for event in events:
-            values = [event.get(name) for name in ("id", "time", "kind", "place", "identity")]
-            sentence = json.dumps(event, ensure_ascii=False, allow_nan=False)
-            added = self._base.execute(
-                "INSERT OR IGNORE INTO events (id, time, kind, place, identity, event) VALUES (?, ?, ?, ?, ?, ?)",
-                (*values, sentence),
-            )
-            if added.rowcount:
-                fresh.append(event)
-                self._lines.write(sentence + "\n")
-        if fresh:
-            self._lines.flush()
-            os.fsync(self._lines.fileno())
+        with self._lock:
+            with self._transaction():
+                for event in events:
+                    values = [event.get(name) for name in ("id", "time", "kind", "place", "identity")]
+                    sentence = json.dumps(event, ensure_ascii=False, allow_nan=False)
+                    if self._base.execute(_ADD, (*values, sentence)).rowcount:
+                        fresh.append(event)
+                if watched is not None:
+                    self._base.execute("REPLACE INTO watched (one, number, state) VALUES (1, ?, ?)", watched)
+            self._add_lines()
         return fresh
+
+    def watched(self) -> tuple[int, bytes] | None:
+        """What `write` was given last; None for nothing."""
+        with self._lock:
+            found: tuple[int, bytes] | None = self._base.execute("SELECT number, state FROM watched").fetchone()
+            return found
+
+    def forget_watched(self) -> None:
+        """Visitors begin anew, and frames are numbered anew."""
+        with self._lock:
+            self._base.execute("DELETE FROM watched")
 
     def highest(self, kind: str = "") -> int:
         """The highest identity of all events, or of those of a kind."""
-        ((found,),) = self._base.execute("SELECT MAX(identity) FROM events WHERE ? IN ('', kind)", (kind,))
-        return int(found or 0)
+        with self._lock:
+            ((found,),) = self._base.execute("SELECT MAX(identity) FROM events WHERE ? IN ('', kind)", (kind,))
+            return int(found or 0)
 
     def register(self, receiver: str) -> None:
         """Say that a receiver is to have all events from now on; one that is known goes on where it was."""
-        self._base.execute(
-            "INSERT OR IGNORE INTO receivers (name, has) SELECT ?, COALESCE(MAX(rowid), 0) FROM events", (receiver,)
-        )
+        with self._lock:
+            self._base.execute(f"INSERT OR IGNORE INTO receivers (name, has) VALUES (?, {_NEXT} - 1)", (receiver,))
 
-    def waiting(self, receiver: str, most: int = 100) -> list[tuple[str, str]]:
-        """Identifier and JSON of the oldest events that a receiver does not have."""
-        rows = self._base.execute(
-            "SELECT id, event FROM events WHERE rowid > (SELECT has FROM receivers WHERE name = ?) ORDER BY rowid LIMIT ?",
-            (receiver, most),
-        )
-        return [(str(name), str(event)) for name, event in rows]
+    def waiting(self, receiver: str, most: int = 100) -> list[tuple[int, str, str]]:
+        """Place, identifier and JSON of the oldest events that a receiver does not have."""
+        with self._lock:
+            return list(self._base.execute(_WAITING, (receiver, most)))
 
-    def delivered(self, receiver: str, name: str) -> None:
-        """Say that a receiver has an event, and with it all before."""
-        self._base.execute(
-            "UPDATE receivers SET has = (SELECT rowid FROM events WHERE id = ?) WHERE name = ?", (name, receiver)
-        )
+    def delivered(self, receiver: str, place: int) -> None:
+        """Say that a receiver has the event at this place, and with it all before."""
+        with self._lock:
+            self._base.execute("UPDATE receivers SET has = ? WHERE name = ?", (place, receiver))
 
     def close(self) -> None:
-        """Nothing is left to write."""
-        self._lines.close()
-        self._base.close()
+        """Nothing is left to write. Raises `InputError` where the file of lines lacks some of the events."""
+        with self._lock:
+            if not self._closed:
+                self._add_lines()
+            self._base.close()
+            self._closed = True
+        if self.problem:
+            raise InputError(self.problem)
+
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
+        """All of the block is on disk when it is left, or nothing."""
+        self._base.execute("BEGIN IMMEDIATE")
+        try:
+            yield
+            self._base.execute("COMMIT")
+        except BaseException:
+            with suppress(sqlite3.Error):
+                self._base.execute("ROLLBACK")
+            raise
+
+    def _take_up_lines(self) -> None:
+        """Find out how far the file of lines goes: a run that was killed may have written more, or half a line."""
+        self._base.execute("INSERT OR IGNORE INTO receivers (name, has) VALUES (?, 0)", (_LINES,))
+        last = _last_line(self._path)
+        with suppress(ValueError, TypeError, KeyError):
+            found = self._base.execute("SELECT rowid FROM events WHERE id = ?", (json.loads(last)["id"],)).fetchone()
+            self._base.execute("UPDATE receivers SET has = ? WHERE name = ?", (*found, _LINES))
+
+    def _add_lines(self) -> None:
+        """Bring the file of lines up to date."""
+        try:
+            if self.problem:
+                self._take_up_lines()
+            while waiting := self._base.execute(_WAITING, (_LINES, 1000)).fetchall():
+                # It may have been moved away meanwhile.
+                with self._path.open("a", encoding="utf-8", newline="\n") as file:
+                    file.writelines(f"{event}\n" for _, _, event in waiting)
+                    file.flush()
+                    os.fsync(file.fileno())
+                self._base.execute("UPDATE receivers SET has = ? WHERE name = ?", (waiting[-1][0], _LINES))
+            self.problem = ""
+        except (OSError, sqlite3.Error) as error:
+            self.problem = f"{_LINES} lacks events that events.sqlite has: {error}"
+
+
+def _last_line(path: Path) -> str:
+    """The last line of a text file, which is cut after it; empty where there is none."""
+    if not path.exists():
+        return ""
+    _whole_lines(path)
+    with path.open("rb") as file:
+        end = file.seek(0, os.SEEK_END)
+        file.seek(max(0, end - 65536))
+        return file.read().rpartition(b"\n")[0].rpartition(b"\n")[2].decode("utf-8", "replace")
 
 
 def _whole_lines(path: Path) -> None:
@@ -294,7 +388,6 @@ def _whole_fragments(path: Path) -> bool:
 def _to_parquet(path: Path) -> None:
     """Turn a complete file of rows into Parquet beside it. Raises `InputError` without pyarrow."""
     csv, parquet = (needed(f"pyarrow.{name}") for name in ("csv", "parquet"))
-    part = path.with_suffix(".parquet" + PART)
-    parquet.write_table(csv.read_csv(path), part, compression="zstd")
-    part.replace(path.with_suffix(".parquet"))
+    with whole(path.with_suffix(".parquet")) as part:
+        parquet.write_table(csv.read_csv(path), part, compression="zstd")
     path.unlink()

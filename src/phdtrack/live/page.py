@@ -203,7 +203,7 @@ def live_app(cameras: Sequence[Camera]) -> Starlette:
         return PlainTextResponse(page.metrics(), media_type="text/plain; version=0.0.4")
 
     async def health(request: Request) -> Response:
-        dead = [one.name for one in cameras if not one.alive]
+        dead = [one.name for one in cameras if not one.working]
         return PlainTextResponse(f"{', '.join(dead)} not working\n" if dead else "ok\n", 503 if dead else 200)
 
     def known(endpoint: Callable[[Request], Any]) -> Callable[[Request], Any]:

@@ -30,8 +30,9 @@ from phdtrack.video.files import bgr
 State = Literal["connecting", "live", "silent", "down"]
 # Seconds between two tries: the first, and the longest.
 FIRST_PAUSE, LONGEST_PAUSE = 0.1, 0.5
-# A read that takes so much longer than its time-out is left behind. Pictures of which the rate is measured.
-GRACE, RECENT = 2.0, 64
+# A read that takes so much longer than its time-out is left behind. Pictures of which the rate is measured. Seconds for
+# which pictures may be left out that came while the connection was made; for which packets may bring none.
+GRACE, RECENT, CATCH_UP, UNDECODED = 2.0, 64, 3.0, 60.0
 
 
 class LiveFrame(NamedTuple):
@@ -153,11 +154,12 @@ class LiveSource:
             self._set("down", "nothing came, and the connection did not end")
             self._begin()
 
-    def _current(self, generation: int) -> bool:
-        """Whether a thread is the one that counts; it has just shown that it does not hang."""
+    def _current(self, generation: int, *, moves: bool = True) -> bool:
+        """Whether a thread is the one that counts; where it ``moves`` it has just shown that it does not hang."""
         if self._stopped or generation != self._generation:
             return False
-        self._progress = time.monotonic()
+        if moves:
+            self._progress = time.monotonic()
         return True
 
     def _set(self, state: State, problem: str | None = None) -> None:
@@ -232,9 +234,12 @@ class LiveSource:
             stream.thread_type = "SLICE"
             paced, begun, first, last = not remote or "hls" in container.format.name, 0.0, 0.0, -math.inf
             behind, before, stamp = remote and not paced and container.format.name != "mpjpeg", 0.0, 0.0
+            pictured = time.monotonic()
+            caught_up = pictured + CATCH_UP
             for packet in container.demux(stream):
                 with self._change:
-                    if not self._current(generation):
+                    # Until the next key frame no picture comes, which cameras may take half a minute for.
+                    if not self._current(generation, moves=time.monotonic() < pictured + UNDECODED):
                         return
                 try:
                     pictures: list[Any] = list(packet.decode())
@@ -246,7 +251,7 @@ class LiveSource:
                     if behind and picture.time is not None:
                         # What came while the connection was made is older than its arrival, and comes all at once.
                         now = time.monotonic()
-                        behind = not before or now - before < (picture.time - stamp) / 2
+                        behind = now < caught_up and (not before or now - before < (picture.time - stamp) / 2)
                         before, stamp = now, picture.time
                         if behind:
                             continue
@@ -262,6 +267,7 @@ class LiveSource:
                             time.sleep(-late)
                         last = at
                     yield picture, at
+                    pictured = time.monotonic()
 
     def _camera(self, index: int) -> Iterator[Image]:
         """The pictures of a camera of this machine."""
