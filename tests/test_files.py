@@ -1,5 +1,6 @@
 """Files that are too large, have no text in them, numbers without end, or brackets within brackets; nothing is unpickled."""
 
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -9,7 +10,7 @@ import pytest
 import phdtrack
 from phdtrack.config import load as load_settings
 from phdtrack.errors import InputError
-from phdtrack.files import MAX_SIZE, SIZE_LIMIT, load, read_json, read_toml, read_xml
+from phdtrack.files import MAX_SIZE, SIZE_LIMIT, load, read_json, read_toml, read_xml, write_text
 from phdtrack.formats import read_detections, read_tracks, read_truth
 from phdtrack.formats.truth import ignoring
 from phdtrack.ground import read_camera
@@ -163,3 +164,12 @@ def test_nothing_that_is_read_can_run() -> None:
         for line in path.read_text(encoding="utf-8").splitlines()
         if re.search(r"\bnp\.load\(", line)
     )
+
+
+def test_a_device_or_a_pipe_is_not_replaced(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", tmp_path, Path("/dev/null"), Path("/dev/stdout")):
+        before = path.lstat().st_mode
+        with pytest.raises(InputError, match="expected the name of a file"):
+            write_text(path, "text")
+        assert path.lstat().st_mode == before

@@ -83,9 +83,11 @@ def whole(path: Path) -> Iterator[Path]:
 
     Raises
     ------
-    InputError : it cannot be written.
+    InputError : it cannot be written, or is a device, a pipe or a folder, which are not replaced.
     """
     part = part_of(path)
+    if (path.exists() and not path.is_file()) or path.absolute().parts[1:2] in (("dev",), ("proc",)):
+        raise InputError("expected the name of a file, and this is none", where=path, cure="Choose another.")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield part

@@ -58,6 +58,8 @@ def test_the_motion_is_measured_told_and_read_back(walk, tmp_path):
     # The file makes the same run, without looking at the pictures.
     again = options(folder, tmp_path / "again", "--camera-motion", tmp_path / "flow" / "camera_motion.csv")
     assert phdtrack(*again).object["camera_motion"]["kind"] == "file"
+    over = options(folder, tmp_path / "flow", "--camera-motion", tmp_path / "flow" / "camera_motion.csv", "--overwrite")
+    assert "camera_motion.csv is read for this run" in refused(*(word for word in over if word != "--json"))
     assert (tmp_path / "again" / "tracks.csv").read_bytes() == (tmp_path / "flow" / "tracks.csv").read_bytes()
 
 

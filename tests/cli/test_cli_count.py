@@ -114,6 +114,7 @@ def test_counts_that_are_there_are_not_taken_for_pictures_and_deleted(run: Path,
     ("given", "words"),
     [
         ((), "there is nothing to count at. Say --line"),
+        (("--line", LINE, "--tracks", "tracks.csv"), "has tracks of its own"),
         (("--line", "160,0,160,240"), "expected NAME=x1,y1,x2,y2 in pixels, got '160,0,160,240'"),
         (("--line", "a=160,0,160"), "expected NAME=x1,y1,x2,y2"),
         (("--line", "a=160,0"), "line 'a': expected at least 2 points, got 1"),
@@ -138,6 +139,7 @@ def test_a_run_is_exported_in_every_format(run: Path, tmp_path: Path, kind: str)
     assert (said.object["rows"], said.object["identities"]) == (len(rows), 2)
     again = read_tracks(path, kitti="object" if kind == "kitti" else "")
     assert again.identity.tolist() == rows.identity.tolist()
+    assert "expected the name of a file, got -" in refused("export", run / "out", "--to", kind, "--out", "-")
     assert "there already" in refused("export", run / "out", "--to", kind, "--out", path)
     assert phdtrack("export", run / "out" / "tracks.csv", "--to", kind, "--out", path, "--overwrite").status == 0
 

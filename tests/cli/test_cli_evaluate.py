@@ -145,5 +145,6 @@ def test_errors_by_cause(truth: Path) -> None:
 
 
 def test_detections_without_errors_are_refused(tmp_path: Path) -> None:
-    given = ("--truth", tmp_path / "gt.txt", "--tracks", tmp_path / "tracks.csv", "--detections", tmp_path / "none.txt")
-    assert "--errors" in refused("evaluate", *given)
+    given = ("--truth", tmp_path / "gt.txt", "--tracks", tmp_path / "tracks.csv")
+    for more in (("--detections", tmp_path / "none.txt"), ("--worst", 3)):
+        assert f"{more[0]}: it goes with --errors only" in refused("evaluate", *given, *more)

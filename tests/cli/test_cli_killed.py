@@ -20,6 +20,7 @@ import pytest
 from cli_runner import phdtrack, refused
 
 from phdtrack.cli import run_directory as rundir
+from phdtrack.cli.checkpoint import Checkpoint
 from phdtrack.files import part_of
 from phdtrack.state import blocks, from_bytes, to_bytes
 from phdtrack.video import VideoWriter, open_source
@@ -333,11 +334,23 @@ def test_two_runs_do_not_write_into_one_folder(clip: Path, tmp_path: Path) -> No
     assert phdtrack(*given(clip, out, "--overwrite")).status == 0
 
 
+def test_a_complete_run_is_not_gone_on_with(clip: Path, whole: Path, tmp_path: Path) -> None:
+    out, words = tmp_path / "run", ["track", str(clip), "--fps", "25"]
+    before = {file.name: file.read_bytes() for file in shutil.copytree(whole, out).iterdir()}
+    said = phdtrack(*given(clip, out, "--resume"))
+    assert (said.status, "nothing to go on with" in said.out) == (0, True)
+    assert "its seed was another" in refused(*given(clip, out, "--resume", "--seed", "3"))
+    assert "its configuration was another" in refused(*given(clip, out, "--resume", "--filter", "gm-phd"))
+    assert {file.name: file.read_bytes() for file in out.iterdir()} == before
+    said = phdtrack(*words, "--out", tmp_path / "new", "--resume", "--no-video")
+    assert (said.status, "There is no checkpoint" in said.err) == (0, True)
+
+
 def test_a_checkpoint_of_another_run_is_refused(clip: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     ended(given(clip, out), ("phdtrack.formats", "StatesWriter", "append", 50), "SIGKILL")
-    assert "another seed" in refused(*given(clip, out, "--resume", "--seed", "3"))
-    assert "another settings" in refused(*given(clip, out, "--resume", "--filter", "gm-phd"))
+    assert "differs in: seed" in refused(*given(clip, out, "--resume", "--seed", "3"))
+    assert "of a run that differs in: settings" in refused(*given(clip, out, "--resume", "--filter", "gm-phd"))
 
     def other(**more: object) -> Callable[[bytes], bytes]:
         return lambda held: zlib.compress(to_bytes({**from_bytes(zlib.decompress(held)), **more}))
@@ -370,3 +383,19 @@ def test_nothing_that_grows_is_read(clip: Path, tmp_path: Path) -> None:
         grown = part_of(tmp_path / name)
         shutil.copy(clip, grown)
         assert "this file is not complete" in refused(*words, str(grown), "--out", str(tmp_path / "run"))
+
+
+def test_a_write_that_takes_a_part_is_gone_on_with(tmp_path: Path) -> None:
+    class Nearly:
+        """A file on a disk that takes a few bytes at once."""
+
+        taken = b""
+
+        def write(self, content: memoryview) -> int:
+            self.taken += bytes(content[:7])
+            return min(7, len(content))
+
+    file, block = Nearly(), {"looked": "at all", "array": np.arange(9)}
+    checkpoint = Checkpoint(rundir.claim(tmp_path / "run", False, {}), {}, {}, 10.0, resume=False)
+    checkpoint._add(None, block, file)  # type: ignore[arg-type]
+    assert file.taken == to_bytes(block)

@@ -141,7 +141,7 @@ def test_after_an_end_in_order_identities_go_on_without_a_gap(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(("what", "says"), [
-    ("damaged", "cut off or changed"), ("settings", "another settings"), ("state", "lanes"), ("huge", "too large"),
+    ("damaged", "cut off or changed"), ("settings", "differs in: settings"), ("state", "lanes"), ("huge", "too large"),
     ("time", "do not fit"), ("missing", ""),
 ])  # fmt: skip
 def test_what_cannot_be_used_is_said_and_identities_are_new(tmp_path: Path, what: str, says: str) -> None:

@@ -135,7 +135,7 @@ def test_a_report_of_any_run_is_well_formed(
     source = report_html(run_record(frames, objects, info=info, video=video, truth=truth), {})
     Page(source)
     offline(source)
-    assert ("The detector found nothing." in source) == (objects == 0 < frames)
+    assert ("There were no detections." in source) == (objects == 0 < frames)
 
 
 def test_a_filter_without_mass_or_judgement_has_a_report() -> None:

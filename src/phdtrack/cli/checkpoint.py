@@ -203,7 +203,7 @@ class Checkpoint:
         if key != self._key:
             now = json.loads(self._key)
             different = sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name))
-            problem = f"this checkpoint is of a run with another {', '.join(different)}"
+            problem = f"this checkpoint is of a run that differs in: {', '.join(different)}"
             raise InputError(problem, where=where, cure=f"Give the same, or choose another --out. {cure}")
         return known
 

@@ -84,6 +84,9 @@ def count(
     """
     watch = Watch(_places(asked), dwell=asked.dwell, leave_after=asked.leave_after)
     path = Path(source.source)
+    if asked.tracks is not None and source.source and rundir.is_run(path):
+        cure = "Name the video in its place, or leave --tracks out."
+        raise InputError(f"the run in {path} has tracks of its own", where="--tracks", cure=cure)
     if asked.tracks is None and source.source and (rundir.is_run(path) or path.suffix.lower() in TABLES):
         asked, source = replace(asked, tracks=path), replace(source, source="")
     if asked.tracks is not None:

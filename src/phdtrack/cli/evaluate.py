@@ -35,6 +35,7 @@ MODA N_MODA MODP MOTA MOTA_log MOTP IDF1 HOTA OSPA GOSPA OSPA2 SFDA ATA id_switc
 false_tracks delay_mean frames
 """
 ErrorCauses = Annotated[bool, typer.Option("--errors", help="Misses and false boxes by cause, and the worst tracks.")]
+WORST = 5
 NO_TRUTH = Truth(*(np.zeros(0, np.int64),) * 2, np.zeros((0, 4)), np.zeros(0, np.bool_))
 BY_TRAJECTORY = ("TGOSPA", "TGOSPA_localisation", "TGOSPA_missed", "TGOSPA_false", "TGOSPA_switching")
 
@@ -49,7 +50,7 @@ class EvaluateOptions:
     per_class: Annotated[bool, typer.Option("--per-class", help="Scores of each class; no pair is of two classes.")] = False
     errors: ErrorCauses = False
     detections: Annotated[Path | None, option("FILE", "For --errors: what the tracker was given.")] = None
-    worst: Annotated[int, option("N", "For --errors: how many objects and tracks are named.", min=0)] = 5
+    worst: Annotated[int, option("N", "For --errors: how many objects and tracks are named.", min=0)] = WORST
     max_file_size: given.MaxFileSize = ""
 
 
@@ -68,8 +69,9 @@ def evaluate(
     A row of the truth that the benchmark ignores is ignored here; every row of the tracks counts. --errors says why boxes
     are missed or false. With --json a score whose denominator is empty is null.
     """
-    if not asked.errors and asked.detections is not None:
-        raise InputError("only --errors looks at detections", where="--detections", cure="Say --errors, or leave it out.")
+    for name, usual in (("detections", None), ("worst", WORST)):
+        if not asked.errors and getattr(asked, name) != usual:
+            raise InputError("it goes with --errors only", where=f"--{name}", cure="Say --errors, or leave it out.")
     if asked.per_class:
         output.document(per_class(output, truth, tracks, asked, iou=iou, frames=frames))
         return

@@ -36,6 +36,8 @@ def export(
     width, height = frame_size(size) if size else (found.info.width, found.info.height)
     folder, stem = (run, "tracks") if run.is_dir() else (run.parent, run.stem)
     path = out or folder / f"{stem}_{to}{EXPORTS[to]}"
+    if path.name == "-":
+        raise InputError("expected the name of a file, got -", where="--out", cure="Name one.")
     if path.exists() and not overwrite:
         raise InputError("the file is there already", where=path, cure="Say --overwrite, or choose another --out.")
     export_tracks(path, found.tracks, to, found.names, replace(found.info, width=width, height=height))

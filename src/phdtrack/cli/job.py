@@ -234,9 +234,8 @@ def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -
         write_text(directory.file(rundir.REPORT), report_html(record, job.configuration | {"input": job.read}))
     complete = done.ended is None
     document = run_document(record, job.configuration) | {"complete": complete, "input": job.read}
-    document |= {"boxes_left_out": done.tracker.left_out._asdict()}
-    document |= {"resumed_from_frame": done.resumed} if done.resumed else {}
-    document |= {"detections_reused": True} if done.reused else {}
+    some = {"resumed_from_frame": done.resumed, "detections_reused": done.reused}
+    document |= {"boxes_left_out": done.tracker.left_out._asdict()} | {name: one for name, one in some.items() if one}
     with done.saving():
         document = finish_document(document, directory, *(report.document for report in reports))
     if complete and done.ended is None:
@@ -287,8 +286,7 @@ def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool)
                         assert step is not None
                         written.take(frame, found, step, rows)
                         done.recorder.add(frame if inputs.pictures else None, step, seconds)
-                        seen = _Seen(step.number, step.detections, step.info.mass, step.info.clutter_probability)
-                        done.seen.append(seen)
+                        done.seen.append(_Seen(step.number, step.detections, step.info.mass, step.info.clutter_probability))
                         done.frames += 1
                     advance(done.frames, **expected(inputs.source, done.frames, "tracking"))
                     before, clock = clock, time.perf_counter()
@@ -298,6 +296,8 @@ def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool)
                     else:
                         done.seconds += clock - before
             written.flush()
+            if not done.frames and inputs.source.first > 1:
+                raise InputError(f"the source ended before frame {inputs.source.first}", where="--frames")
         except (Exception, KeyboardInterrupt) as stop:
             done.stop = _as_meant(stop)
         written.rest()

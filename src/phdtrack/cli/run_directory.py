@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from weakref import WeakValueDictionary
 
 from phdtrack.errors import InputError, needed
@@ -164,14 +164,19 @@ def check(path: Path | None, overwrite: bool, files: Mapping[str, str] = RUN_FIL
         raise InputError(problem, where=where, cure="Say --overwrite to replace these files, or choose another --out.")
 
 
-def completed(directory: RunDirectory) -> bool:
-    """Whether it holds a run that went to its end, and nothing of a later one."""
+def decided(directory: RunDirectory) -> dict[str, Any]:
+    """What run.json says; nothing where there is none that can be read."""
     try:
         document = json.loads(directory.file(RUN).read_bytes())
     except (OSError, ValueError, RecursionError):
-        return False
+        return {}
+    return document if isinstance(document, dict) else {}
+
+
+def completed(directory: RunDirectory) -> bool:
+    """Whether it holds a run that went to its end, and nothing of a later one."""
     under_way = directory.file(LOG).exists() or any(part_of(directory.file(name)).exists() for name in directory.files)
-    return isinstance(document, dict) and document.get("complete") is True and not under_way
+    return decided(directory).get("complete") is True and not under_way
 
 
 def claim(

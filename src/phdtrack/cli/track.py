@@ -20,6 +20,7 @@ from phdtrack.cli.output import Output, counted
 from phdtrack.cli.settings import chosen, scene_settings
 from phdtrack.config import Settings, load
 from phdtrack.errors import InputError, shown
+from phdtrack.files import json_value
 from phdtrack.formats import read_truth
 
 # Seconds that a tracker remembers of a camera. Its corrected rows are final after half a minute and are made every half
@@ -104,7 +105,9 @@ def prepare(source: SourceOptions, options: TrackingOptions, settings: Settings,
         problem = "a video was expected, and this is the directory of a run"
         raise InputError(problem, where=source.source, cure="Name the video, or give detections with --detections.")
     inputs = open_inputs(source, settings.values("detector"), last, frame_range(frames))
-    inputs = replace(inputs, files=(source.source, source.detections, source.mask, options.truth, options.config))
+    motion = settings.values("camera_motion").get("file")
+    files = (source.source, source.detections, source.mask, options.truth, options.config, motion)
+    inputs = replace(inputs, files=files)
     if not inputs.again and settings.build("associate").history == 0:
         settings = config.overlay(settings, {"associate": {"history": REMEMBERED}}, "a camera")
     kinds = config.build_kinds(settings, inputs.info, inputs.names, inputs.classes, moving=True)
@@ -147,9 +150,15 @@ def finish(output: Output, job: Job, out: Path | None, overwrite: bool, *, resum
         raise InputError("the pictures of a camera do not come again", where="--resume", cure=cure)
     directory = rundir.claim(out, overwrite, name=job.inputs.info.name, resume=resume, inputs=job.inputs.files)
     if resume and rundir.completed(directory):
-        cure = "With other options it is another run: choose another --out, or say --overwrite."
-        output.say(f"The run in {directory.path} is complete: there is nothing to go on with. {cure}")
+        before, cure = rundir.decided(directory), "Choose another --out, or say --overwrite."
+        now = json_value({"configuration": job.configuration, "input": job.read, "seed": job.about.seed})
+        if other := [name for name, value in now.items() if before.get(name) != value]:
+            problem = f"the run is complete, and its {', '.join(other)} was another"
+            raise InputError(problem, where=f"--resume, {directory.path}", cure=cure)
+        output.say(f"The run in {directory.path} is complete: there is nothing to go on with.")
         return
+    if resume and not directory.file(rundir.KNOWN).exists():
+        output.note("There is no checkpoint to go on from: the run begins with the first frame.")
     outcome = run(job, directory, resume=resume)
     output.warn(outcome.warnings)
     output.say(*outcome.summary, "", *directory.listing())

@@ -138,5 +138,5 @@ def load(folder: Path, key: str) -> tuple[int, bool, Any, SavedCamera | InputErr
     except (zlib.error, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise InputError("it is cut off or changed", where=path) from error
     if other:
-        return highest, True, None, InputError(f"it is of another {', '.join(other)}", where=path)
+        return highest, True, None, InputError(f"it differs in: {', '.join(other)}", where=path)
     return highest, bool(ended), tracker, restored(camera, SavedCamera, None, World(None, {}), str(path))
