@@ -463,3 +463,23 @@ def test_the_table_of_events_can_be_asked(tmp_path: Path) -> None:
     assert base.execute("SELECT count(*) FROM events WHERE kind = 'appear'").fetchone() == (5,)
     base.close()
     log.close()
+
+
+def test_files_of_rows_that_somebody_has_changed_are_passed_over(tmp_path: Path) -> None:
+    log = RowsLog(tmp_path)
+    log.write(rows(7), WALL)
+    log.finish()
+    (tmp_path / "2026-11-24T06.csv").write_text(HEAD)
+    (tmp_path / "2026-11-24T07.parquet").write_bytes(b"PAR1 and no more")
+    (tmp_path / "2026-11-24T08.csv").write_text("")
+    assert log.last_frame() == 7
+    assert (tmp_path / "2026-11-24T07.parquet").exists()
+
+
+def test_a_receiver_that_cannot_be_written_down_is_said(tmp_path: Path) -> None:
+    log, other = EventLog(tmp_path), sqlite3.connect(tmp_path / "events.sqlite", isolation_level=None)
+    other.execute("BEGIN IMMEDIATE")
+    with pytest.raises(InputError, match=r"events.sqlite: cannot be written into \(database is locked\)"):
+        log.register("one")
+    other.close()
+    log.close()

@@ -156,9 +156,10 @@ class RowsLog:
     def last_frame(self) -> int:
         """The number of the frame of the newest row that is on disk; 0 where there is none, or it cannot be read."""
         for file in reversed(self._segments.complete()):
-            if file.suffix == ".parquet":
-                return int(needed("pyarrow.parquet").read_table(file, columns=["frame"])["frame"][-1].as_py())
-            with suppress(IndexError, ValueError):
+            # What somebody has changed or cut is passed over.
+            with suppress(OSError, ValueError, IndexError):
+                if file.suffix == ".parquet":
+                    return int(needed("pyarrow.parquet").read_table(file, columns=["frame"])["frame"][-1].as_py())
                 return int(_last_line(file).split(",")[1])
         return 0
 
@@ -282,9 +283,18 @@ class EventLog:
             return int(found or 0)
 
     def register(self, receiver: str) -> None:
-        """Say that a receiver is to have all events from now on; one that is known goes on where it was."""
-        with self._lock:
-            self._base.execute(f"INSERT OR IGNORE INTO receivers (name, has) VALUES (?, {_NEXT} - 1)", (receiver,))
+        """Say that a receiver is to have all events from now on; one that is known goes on where it was.
+
+        Raises `InputError` where that cannot be written.
+        """
+        try:
+            with self._lock:
+                self._base.execute(f"INSERT OR IGNORE INTO receivers (name, has) VALUES (?, {_NEXT} - 1)", (receiver,))
+        except sqlite3.Error as error:
+            cure = "Does another program hold it?"
+            raise InputError(
+                f"cannot be written into ({error})", where=self._path.with_suffix(".sqlite"), cure=cure
+            ) from None
 
     def waiting(self, receiver: str, most: int = 100) -> list[tuple[int, str, str]]:
         """Place, identifier and JSON of the oldest events that a receiver does not have."""
@@ -321,9 +331,12 @@ class EventLog:
     def _take_up_lines(self) -> None:
         """Find out how far the file of lines goes: a run that was killed may have written more, or half a line."""
         self._base.execute("INSERT OR IGNORE INTO receivers (name, has) VALUES (?, 0)", (_LINES,))
-        last = _last_line(self._path)
+        if not self._path.exists():
+            return
+        _whole_lines(self._path)
         with suppress(ValueError, TypeError, KeyError):
-            found = self._base.execute("SELECT rowid FROM events WHERE id = ?", (json.loads(last)["id"],)).fetchone()
+            last = json.loads(_last_line(self._path))["id"]
+            found = self._base.execute("SELECT rowid FROM events WHERE id = ?", (last,)).fetchone()
             self._base.execute("UPDATE receivers SET has = ? WHERE name = ?", (*found, _LINES))
 
     def _add_lines(self) -> None:
@@ -344,10 +357,7 @@ class EventLog:
 
 
 def _last_line(path: Path) -> str:
-    """The last line of a text file, which is cut after it; empty where there is none."""
-    if not path.exists():
-        return ""
-    _whole_lines(path)
+    """The last complete line of a text file; empty where there is none."""
     with path.open("rb") as file:
         end = file.seek(0, os.SEEK_END)
         file.seek(max(0, end - 65536))
