@@ -254,6 +254,7 @@ def element(value, place=0, column: str = ""):
     (few("particle-phd"), (*MIXTURE, "state"), lambda a: a.astype(np.float64), "do not fit"),
     (few("mht"), (*LAYER, "parent"), element(10**6), "Hypotheses do not fit"),
     (few("mht"), (*MIXTURE, "lone"), lambda a: np.array([10**6]), "Hypotheses do not fit"),
+    (few("mht"), (*MIXTURE, "lone"), lambda a: a[1:], "Hypotheses do not fit"),
     ({}, (*LEARNED, "alone"), lambda a: [0.0, 0.0], "ScoresSeen do not fit"),
     ({}, (*STATE, "camera", "fields", "scale"), element(0.0), "scale: expected numbers from 0.01"),
 ])  # fmt: skip

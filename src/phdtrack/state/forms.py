@@ -124,7 +124,7 @@ def _bernoullis(r: Any, w: World) -> bool:
 
 
 def _hypotheses(r: Any, w: World) -> bool:
-    """Parents are in the layer before; hypotheses hold leaves that there are, each of one cluster."""
+    """Parents are in the layer before; hypotheses hold all leaves, each of one cluster."""
     if not r.layers or len(r.steps) != len(r.layers) or any(not _within(x.label, 0, r.next_label) for x in r.layers):
         return False
     if any(not (0 <= dt < LARGEST and _is_warp(warp)) for dt, warp in r.steps) or (r.layers[0].parent >= 0).any():
@@ -132,7 +132,7 @@ def _hypotheses(r: Any, w: World) -> bool:
     held = [r.lone, *(np.unique(x.leaf[x.leaf >= 0]) for x in r.clusters)]
     whole = all(len(x.weight) and x.weight.sum() > 0 and x.leaf.shape[1] and _within(x.leaf, -1, len(r)) for x in r.clusters)
     apart = np.concatenate(held)
-    once = _within(apart, 0, len(r)) and len(np.unique(apart)) == len(apart)
+    once = _within(apart, 0, len(r)) and len(np.unique(apart)) == len(apart) == len(r)
     return whole and once and all(_within(b.parent, -1, len(a)) for a, b in pairwise(r.layers))
 
 
