@@ -2,6 +2,7 @@
 
 import os
 import re
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -173,3 +174,10 @@ def test_a_device_or_a_pipe_is_not_replaced(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="expected the name of a file"):
             write_text(path, "text")
         assert path.lstat().st_mode == before
+    # That is a folder as others.
+    if Path("/dev/shm").is_dir():
+        with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
+            write_text(Path(folder) / "a.txt", "text")
+            assert (Path(folder) / "a.txt").read_text() == "text"
+    with pytest.raises(InputError, match="cannot be written"):
+        write_text(tmp_path / ("a" * 300), "text")

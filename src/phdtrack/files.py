@@ -86,9 +86,11 @@ def whole(path: Path) -> Iterator[Path]:
     InputError : it cannot be written, or is a device, a pipe or a folder, which are not replaced.
     """
     part = part_of(path)
-    if (path.exists() and not path.is_file()) or path.absolute().parts[1:2] in (("dev",), ("proc",)):
-        raise InputError("expected the name of a file, and this is none", where=path, cure="Choose another.")
     try:
+        # Under /dev and /proc a name stands for something else, as /dev/stdout does.
+        folder = path.parent.resolve().parts
+        if folder == ("/", "dev") or folder[:2] == ("/", "proc") or (path.exists() and not path.is_file()):
+            raise InputError("expected the name of a file, and this is none", where=path, cure="Choose another.")
         path.parent.mkdir(parents=True, exist_ok=True)
         yield part
         publish(path)

@@ -31,7 +31,8 @@ from phdtrack.protocols import AnyStages
 from phdtrack.types import I8, STILL, Detections, SequenceInfo, Step, Tracks
 
 _LOG = logging.getLogger(__name__)
-# Of a saved state: it changes when a record of the state does.
+# Of a saved state: what is in it, and its format, which changes when a record of the state does.
+_SAVED = {"format", "dim", "state", "lanes", "left_out"}
 FORMAT = 20
 # Seconds that are remembered where nothing is said of it.
 HISTORY = 600.0
@@ -279,13 +280,7 @@ class Tracker:
                 where="load_state_dict",
                 cure="Load it with the version that saved it, or begin anew",
             )
-        if not (isinstance(saved, dict) and isinstance(form, int)) or saved.keys() != {
-            "format",
-            "dim",
-            "state",
-            "lanes",
-            "left_out",
-        }:
+        if not (isinstance(saved, dict) and isinstance(form, int)) or saved.keys() != _SAVED:
             raise InputError("this is no state of a tracker", where="load_state_dict")
         dim, lanes = self.stages.model.motion.dim, Lanes(self.kinds, self.seed)
         if not isinstance(saved["dim"], int) or saved["dim"] != dim:

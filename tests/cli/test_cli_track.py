@@ -210,12 +210,6 @@ def test_what_a_run_reads_is_never_replaced(clip: Path, sequence: Path, tmp_path
     assert {copy: copy.read_bytes() for copy in tmp_path.iterdir()} == before
 
 
-def test_frames_that_the_video_does_not_have_are_no_run(clip: Path, tmp_path: Path) -> None:
-    words = refused("track", clip, "--frames", "1000-", "--out", tmp_path / "run")
-    assert "--frames: the source ended before frame 1000" in words
-    assert not list((tmp_path / "run").iterdir())
-
-
 def test_the_directory_of_a_run_is_no_folder_of_pictures(tmp_path: Path) -> None:
     (tmp_path / "counts.csv").write_text("")
     (tmp_path / "counts.png").write_text("")

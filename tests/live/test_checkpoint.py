@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import sqlite3
+import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,6 +14,7 @@ import numpy as np
 import pytest
 
 from phdtrack.config import build_kinds, load
+from phdtrack.live import engine
 from phdtrack.live.checkpoint import LOST, NAME
 from phdtrack.live.engine import Camera, CameraSettings, Making
 from phdtrack.live.events import Count, Watch, WatchState
@@ -131,6 +134,64 @@ def test_what_came_after_the_checkpoint_comes_once(tmp_path: Path, delay: int, h
     assert [int(number) for number, _ in numbers] == sorted(int(number) for number, _ in numbers)
 
 
+def test_a_kill_soon_after_an_end_in_order_repeats_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The checkpoint is that of the end before."""
+    one = run(tmp_path)
+    show(one, [20 + 3 * k for k in range(10)], START)
+    assert one.stop(10.0)
+    second = run(tmp_path)
+    with monkeypatch.context() as never:
+        never.setattr(engine, "save", lambda *given, **more: None)
+        show(second, [20 + 3 * k for k in range(25)], START + 100)
+        crashed(second, saved=False)
+    third = run(tmp_path)
+    show(third, [20 + 3 * k for k in range(10)], START + 200)
+    assert third.problems == []
+    assert third.watched[1].counts == second.watched[1].counts
+    assert third.stop(10.0)
+    appeared = [event["identity"] for event in events(tmp_path) if event["kind"] == "appear"]
+    assert len(appeared) == len(set(appeared)) == 3
+    numbers = [(row["frame"], row["identity"]) for row in rows(tmp_path)]
+    assert len(numbers) == len(set(numbers))
+
+
+@pytest.mark.parametrize("end", ["killed", "stopped"])
+def test_events_that_wait_for_the_table_are_not_in_the_counts_of_a_restart(tmp_path: Path, end: str) -> None:
+    one = run(tmp_path)
+    show(one, [20 + 3 * k for k in range(10)], START)
+    one._saving.join()
+    other = sqlite3.connect(tmp_path / "events.sqlite", isolation_level=None)
+    other.execute("BEGIN IMMEDIATE")
+    one._due = 0.0
+    show(one, [50 + 3 * k for k in range(10)], START, 10)
+    assert "events are still to be written" in one.problems[0]
+    assert not one.stop(10.0) if end == "stopped" else crashed(one, saved=False) is None
+    other.close()
+    second = run(tmp_path)
+    show(second, [80 + 3 * k for k in range(10)], START + 2.0)
+    assert second.stop(10.0)
+    crossed = [event for event in events(tmp_path) if event["kind"] == "cross"]
+    assert len(crossed) == second.watched[1].counts[0].entered + second.watched[1].counts[0].left
+
+
+def test_a_checkpoint_that_cannot_be_read_now_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    one = run(tmp_path)
+    show(one, [20 + 3 * k for k in range(25)], START)
+    assert one.stop(10.0)
+    second = run(tmp_path)
+    with monkeypatch.context() as busy:
+
+        def full(path: Path) -> bytes:
+            raise OSError(24, "Too many open files")
+
+        busy.setattr(Path, "read_bytes", full)
+        with pytest.raises(OSError, match="Too many open files"):
+            show(second, [20], START + 9)
+    show(second, [20], START + 9)
+    assert second.watched[1].counts[0].entered + second.watched[1].counts[0].left == 1
+    assert second.stop(10.0)
+
+
 def test_after_an_end_in_order_identities_go_on_without_a_gap(tmp_path: Path) -> None:
     for k in range(3):
         one = run(tmp_path)
@@ -183,10 +244,13 @@ def test_without_the_option_there_is_none(tmp_path: Path) -> None:
 def test_it_is_written_beside_the_loop_when_it_is_due(tmp_path: Path) -> None:
     one = run(tmp_path)
     show(one, [20, 23], START)
-    assert not (tmp_path / NAME).exists()
+    # The first one at once: who is killed before it has nothing to go on with.
+    one._saving.join()
+    first = (tmp_path / NAME).read_bytes()
+    assert one._due > time.monotonic()
     one._due = 0.0
     one._take(LiveFrame(3, 0.2, START + 0.2, np.full((120, 160, 3), 26, np.uint8)))
     one._saving.join()
-    assert (tmp_path / NAME).exists()
+    assert (tmp_path / NAME).read_bytes() != first
     assert one._due > 0
     assert one.stop(10.0)

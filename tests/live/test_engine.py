@@ -293,8 +293,8 @@ def test_a_file_of_places_that_is_rewritten_in_place_is_read_when_it_is_whole(tm
         file.flush()
         seen = one.frames
         until(lambda: one.frames > seen + 5)
+        seen = one._seen["places"]
         file.write(text + "# the same\n")
-    seen = one._seen["places"]
     until(lambda: one._seen["places"] != seen)
     assert one.watched[0].places == (DOOR,)
     assert one.watched[1].counts[0].entered >= counts.entered

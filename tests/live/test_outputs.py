@@ -13,12 +13,13 @@ from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from phdtrack.errors import InputError
-from phdtrack.live import delivery
+from phdtrack.live import delivery, outputs
 from phdtrack.live.delivery import Courier, Mqtt, Webhook, receivers
 from phdtrack.live.outputs import HEAD, EventLog, RowsLog, Segments, VideoLog, stamp
 from phdtrack.types import Tracks
@@ -202,7 +203,7 @@ def test_lines_that_could_not_be_written_come_with_the_next_event(tmp_path: Path
     lines.unlink()
     lines.mkdir()
     assert log.write([event(2)]) == [event(2)]
-    assert log.problem.startswith("events.jsonl lacks events that events.sqlite has")
+    assert log.problem.startswith("events.jsonl is still to be brought up to date")
     lines.rmdir()
     lines.write_bytes(first + b'{"id": "gate-2')
     assert log.write([event(3)]) == [event(3)]
@@ -247,6 +248,7 @@ def test_a_receiver_is_the_same_with_another_password_or_token() -> None:
     first, second = receivers(["https://a:b@hooks.example/x?token=1", "mqtt://u:p@hooks.example/x"])
     assert receivers(["https://a:c@hooks.example/x?token=2"]) == [first]
     assert len({first, second, *receivers(["https://hooks.example/y"]), *receivers(["https://other.example/x"])}) == 4
+    assert receivers(["https://hooks.example:443/x"]) == [first]
     alike = receivers(["https://hooks.example/x?to=1", "https://hooks.example/x?to=2"])
     assert alike[0] == first
     assert alike[1] not in (first, second)
@@ -255,35 +257,58 @@ def test_a_receiver_is_the_same_with_another_password_or_token() -> None:
 class Client:
     """Stands for that of paho: it says when the broker confirms."""
 
+    on_publish: Any = None
+
     def __init__(self, *_: object) -> None:
-        self.sent, self.confirms = list[tuple[str, str]](), False
+        self.sent, self.confirms = list[tuple[str, str]](), True
 
     def is_connected(self) -> bool:
         return True
 
-    def publish(self, topic: str, event: str, qos: int) -> Client:
+    def publish(self, topic: str, event: str, qos: int) -> SimpleNamespace:
         self.sent.append((topic, event))
-        return self
-
-    def wait_for_publish(self, seconds: float) -> None: ...
-
-    def is_published(self) -> bool:
-        return self.confirms
+        if self.confirms:
+            self.on_publish(self, None, len(self.sent), 0, None)
+        # What there is no connection for is sent later.
+        return SimpleNamespace(rc=4, mid=len(self.sent))
 
 
 def test_an_event_that_the_broker_does_not_confirm_is_given_to_the_client_once(monkeypatch: pytest.MonkeyPatch) -> None:
     made = SimpleNamespace(Client=Client, CallbackAPIVersion=SimpleNamespace(VERSION2=2))
     monkeypatch.setattr(delivery, "needed", lambda module: made)
+    monkeypatch.setattr(delivery, "TIMEOUT", 0.01)
     mqtt = Mqtt("mqtt://broker.example/site")
+    mqtt._client.confirms = False
     for _ in range(3):
         with pytest.raises(OSError, match="the broker did not confirm"):
             mqtt("a", '{"kind": "appear"}')
-    mqtt._client.confirms = True
+    mqtt._client.on_publish(mqtt._client, None, 1, 0, None)
     mqtt("a", '{"kind": "appear"}')
+    mqtt._client.confirms = True
     mqtt("b", '{"kind": "leave"}')
     assert mqtt._client.sent == [("site/appear", '{"kind": "appear"}'), ("site/leave", '{"kind": "leave"}')]
     with pytest.raises(InputError, match="a topic without the wildcards"):
         Mqtt("mqtt://broker.example/site/+")
+
+
+def test_an_event_is_sent_once_though_that_cannot_be_written_down(tmp_path: Path) -> None:
+    log, taken, tried = EventLog(tmp_path), list[str](), list[int]()
+    delivered = log.delivered
+
+    def busy(receiver: str, place: int) -> None:
+        tried.append(place)
+        if len(tried) < 2:
+            raise sqlite3.OperationalError("database is locked")
+        delivered(receiver, place)
+
+    log.delivered = busy  # type: ignore[method-assign]
+    courier = Courier(log, lambda name, event: taken.append(name), "one")
+    log.write([event(1)])
+    courier.wake()
+    until(lambda: len(tried) == 2)
+    courier.stop()
+    assert taken == ["gate-1-0"]
+    log.close()
 
 
 def test_a_folder_that_cannot_be_written_is_said(tmp_path: Path) -> None:
@@ -476,9 +501,10 @@ def test_files_of_rows_that_somebody_has_changed_are_passed_over(tmp_path: Path)
     assert (tmp_path / "2026-11-24T07.parquet").exists()
 
 
-def test_a_receiver_that_cannot_be_written_down_is_said(tmp_path: Path) -> None:
+def test_a_receiver_that_cannot_be_written_down_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log, other = EventLog(tmp_path), sqlite3.connect(tmp_path / "events.sqlite", isolation_level=None)
     other.execute("BEGIN IMMEDIATE")
+    monkeypatch.setattr(outputs, "_PATIENT", "PRAGMA busy_timeout=1")
     with pytest.raises(InputError, match=r"events.sqlite: cannot be written into \(database is locked\)"):
         log.register("one")
     other.close()

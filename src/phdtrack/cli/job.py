@@ -296,8 +296,6 @@ def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool)
                     else:
                         done.seconds += clock - before
             written.flush()
-            if not done.frames and inputs.source.first > 1:
-                raise InputError(f"the source ended before frame {inputs.source.first}", where="--frames")
         except (Exception, KeyboardInterrupt) as stop:
             done.stop = _as_meant(stop)
         written.rest()

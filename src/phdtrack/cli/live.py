@@ -179,9 +179,10 @@ def named_sources(given: Sequence[str]) -> dict[str, str]:
         try:
             name, address = match.groups() if match else (named(word), word)
             urlsplit(address)
-        except ValueError as error:
-            raise InputError(f"expected an address ({error})", where="SOURCE") from None
-        if re.match(r"[A-Za-z0-9+.-]+://[^/@]*:[^/@]*/.*@", address):
+        except ValueError:
+            # Its own words may hold a part of a password.
+            raise InputError("expected an address, and this is none", where="SOURCE") from None
+        if re.match(r"[A-Za-z0-9+.-]+://[^/@?]*:(?!\d+/)[^/@?]*/[^?]*@|[A-Za-z0-9+.-]+://[^/@?.\]]*:\d+/[^?]*@", address):
             problem = "expected user:password@host in the address, got an @ behind the first /"
             cure = "Write / in a password as %2F, and @ behind the host as %40."
             raise InputError(problem, where="SOURCE", cure=cure)

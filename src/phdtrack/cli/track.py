@@ -6,7 +6,7 @@ import json
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from phdtrack import config
 from phdtrack.cli import options as given
@@ -150,14 +150,14 @@ def finish(output: Output, job: Job, out: Path | None, overwrite: bool, *, resum
         raise InputError("the pictures of a camera do not come again", where="--resume", cure=cure)
     directory = rundir.claim(out, overwrite, name=job.inputs.info.name, resume=resume, inputs=job.inputs.files)
     if resume and rundir.completed(directory):
-        before, cure = rundir.decided(directory), "Choose another --out, or say --overwrite."
-        now = json_value({"configuration": job.configuration, "input": job.read, "seed": job.about.seed})
-        if other := [name for name, value in now.items() if before.get(name) != value]:
-            problem = f"the run is complete, and its {', '.join(other)} was another"
+        before, now = rundir.decided(directory), {"seed": job.about.seed, "configuration": job.configuration}
+        if other := _differing(before, json_value(now)):
+            problem = f"the run is complete, and differs in {', '.join(other)}"
+            cure = "Choose another --out, or say --overwrite."
             raise InputError(problem, where=f"--resume, {directory.path}", cure=cure)
         output.say(f"The run in {directory.path} is complete: there is nothing to go on with.")
         return
-    if resume and not directory.file(rundir.KNOWN).exists():
+    if resume and not any(directory.file(name).exists() for name in (rundir.KNOWN, rundir.DETECTED)):
         output.note("There is no checkpoint to go on from: the run begins with the first frame.")
     outcome = run(job, directory, resume=resume)
     output.warn(outcome.warnings)
@@ -171,3 +171,11 @@ def finish(output: Output, job: Job, out: Path | None, overwrite: bool, *, resum
     output.document(outcome.document)
     if outcome.stop is not None:
         raise outcome.stop
+
+
+def _differing(before: Any, now: Any, name: str = "") -> list[str]:
+    """The names, as section.name, of values that two documents both have and that are not the same."""
+    if not (isinstance(before, dict) and isinstance(now, dict)):
+        return [] if before == now else [name.removeprefix("configuration.")]
+    both = [key for key in now if key in before]
+    return [one for key in both for one in _differing(before[key], now[key], f"{name}.{key}".strip("."))]

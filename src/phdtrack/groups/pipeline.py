@@ -259,7 +259,14 @@ class OnlineGroups:
         return mixture_of(intensity, step, np.ascontiguousarray(z[:, np.isfinite(z).all(axis=0)]), self._stages, self._light)
 
     def events(self, mixture: GaussianMixture, rows: Tracks, number: int, time: float) -> tuple[Event, ...]:
-        """What happened to groups in frame ``number``, at ``time`` seconds, with these confirmed rows."""
+        """What happened to groups in a frame.
+
+        Parameters
+        ----------
+        mixture : from `mixture`.
+        rows : confirmed ones of the frame.
+        number, time : of the frame, and in seconds.
+        """
         rows = rows.take(np.argsort(rows.identity, kind="stable"))
         carrier = carriers(mixture, self._stages.model.sensor.measure(Detections.of(rows.xyxy))[:2], self._light)
         if isinstance(self._groups.grouping, Pairs):

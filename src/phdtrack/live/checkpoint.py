@@ -122,11 +122,12 @@ def load(folder: Path, key: str) -> tuple[int, bool, Any, SavedCamera | InputErr
     Raises
     ------
     InputError : it is damaged.
+    OSError : it cannot be read now.
     """
     path = folder / NAME
     try:
         content = path.read_bytes()
-    except OSError:
+    except FileNotFoundError:
         return None
     try:
         value = from_bytes(zlib.decompressobj().decompress(content, _LARGEST), path)

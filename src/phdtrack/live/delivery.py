@@ -155,10 +155,11 @@ class Mqtt:
         self._topic = parts.path.strip("/") or "phdtrack"
         if set(self._topic) & set("+#"):
             raise InputError("expected a topic without the wildcards + and #", where="--mqtt")
-        # The event that the broker has not confirmed yet, and what waits for it.
-        self._unconfirmed: tuple[str, Any] = ("", None)
+        # The event that was given to the client last, and its number there; the numbers that the broker has confirmed.
+        self._given, self._confirmed, self._news = ("", 0), set[int](), threading.Condition()
         self._host, self._port = parts.hostname, parts.port or (8883 if parts.scheme == "mqtts" else 1883)
         self._client: Any = client.Client(enums.CallbackAPIVersion.VERSION2)
+        self._client.on_publish = self._heard
         if parts.username:
             self._client.username_pw_set(unquote(parts.username), unquote(parts.password or ""))
         if parts.scheme == "mqtts":
@@ -169,30 +170,33 @@ class Mqtt:
         if not self._client.is_connected():
             self._client.connect(self._host, self._port)
             self._client.loop_start()
-        before, sent = self._unconfirmed
-        if before != name:
-            # The client itself sends again what is not confirmed: given twice it would come twice.
-            sent = self._client.publish(f"{self._topic}/{json.loads(event)['kind']}", event, qos=1)
-            self._unconfirmed = name, sent
-        try:
-            sent.wait_for_publish(TIMEOUT)
-        except (RuntimeError, ValueError) as error:
-            self._unconfirmed = "", None
-            raise OSError(str(error)) from error
-        if not sent.is_published():
-            raise OSError("the broker did not confirm")
+        if self._given[0] != name:
+            # The client itself sends again what is not confirmed, also over a new connection: given twice it comes twice.
+            topic = f"{self._topic}/{json.loads(event)['kind']}"
+            self._given = name, int(self._client.publish(topic, event, qos=1).mid)
+        with self._news:
+            if not self._news.wait_for(lambda: self._given[1] in self._confirmed, TIMEOUT):
+                raise OSError("the broker did not confirm")
+            self._confirmed.clear()
+
+    def _heard(self, client: Any, data: Any, number: int, *more: Any) -> None:
+        """The broker has confirmed an event."""
+        with self._news:
+            self._confirmed.add(number)
+            self._news.notify_all()
 
 
 def receivers(addresses: Iterable[str]) -> list[str]:
     """A name for each address, by which it is known after a restart, too.
 
     It is the hash of host, port and path: user, password and query may be renewed, and are written nowhere. Those that are
-    alike in it are numbered.
+    alike in it are numbered. Raises `InputError` for what is no address.
     """
     found = list[str]()
     for address in addresses:
-        parts = urlsplit(address)
-        plain = f"{parts.scheme.removesuffix('s')}://{parts.hostname}:{parts.port}{parts.path}"
+        parts = _parts(address, "--webhook, --mqtt")
+        port = parts.port or {"http": 80, "https": 443, "mqtt": 1883, "mqtts": 8883}.get(parts.scheme)
+        plain = f"{parts.scheme.removesuffix('s')}://{parts.hostname}:{port}{parts.path}"
         name, count = hashlib.sha256(plain.encode()).hexdigest()[:16], 1
         while f"{name}-{count}" in found:
             count += 1
@@ -209,6 +213,8 @@ class Courier:
     def __init__(self, log: EventLog, send: Send, receiver: str) -> None:
         self._log, self._send, self._receiver, self.problem = log, send, receiver, ""
         log.register(receiver)
+        # Of the event that it got last: to write that down may fail.
+        self._sent = 0
         self._wake, self._stopped = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="phdtrack events", daemon=True)
         self._thread.start()
@@ -230,7 +236,9 @@ class Courier:
             try:
                 waiting = self._log.waiting(self._receiver)
                 for place, name, event in waiting:
-                    self._send(name, event)
+                    if place != self._sent:
+                        self._send(name, event)
+                        self._sent = place
                     self._log.delivered(self._receiver, place)
                     pause, self.problem = FIRST_PAUSE, ""
                     if self._stopped.is_set():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 import threading
 import time
 from collections import Counter, deque
@@ -21,7 +20,7 @@ from phdtrack.errors import InputError, shown
 from phdtrack.groups.pipeline import GroupStages, OnlineGroups
 from phdtrack.live.checkpoint import LOST, HeldFrame, SavedCamera, SavedWatch, key_of, load, save
 from phdtrack.live.delivery import Courier
-from phdtrack.live.events import Event, Maps, Watch, WatchState
+from phdtrack.live.events import Event, Maps, Minute, Watch, WatchState
 from phdtrack.live.outputs import EventLog, RowsLog, VideoLog, stamp
 from phdtrack.live.sources import LiveFrame, LiveSource
 from phdtrack.live.zones import read_places
@@ -98,15 +97,6 @@ class CameraSettings:
     checkpoint: float = 0.0
 
 
-class Minute(NamedTuple):
-    """The mean and the largest number of confirmed tracks in a minute's ``frames``; it begins at ``wall`` (UTC seconds)."""
-
-    wall: float
-    mean: float
-    most: int
-    frames: int
-
-
 class _Held(NamedTuple):
     """A frame whose rows are not known yet."""
 
@@ -153,9 +143,10 @@ class Camera:
         self._held, self._unwritten = deque[_Held](), deque[dict[str, object]](maxlen=_UNWRITTEN)
         self._latency, self._begun = deque[float](maxlen=_LATENCIES), 0.0
         # Of the next checkpoint the time, and what writes the last one; what lies between the source's numbers and times and
-        # those of tracks, which go on after a restart; number, time and time of day of the last frame.
+        # those of tracks, which go on after a restart; number, time and time of day of the last frame; the last one with
+        # rows.
         self._due, self._saving = 0.0, threading.Thread()
-        self._ahead, self._last = (0, 0.0), (0, 0.0, 0.0)
+        self._ahead, self._last, self._finished = (0, 0.0), (0, 0.0, 0.0), 0
         self.minutes, self.recent = deque[Minute](maxlen=MINUTES), deque[dict[str, object]](maxlen=_EVENTS)
         self.counted, self.frames, self.tracks = Counter[str](), 0, 0
         self.maps: Maps | None = None
@@ -192,7 +183,8 @@ class Camera:
             self._fresh.notify_all()
         try:
             video = [] if self._video is None else [self._video.finish]
-            steps = [self._flush, lambda: self._tell(()), self._rows.finish, *video, self.log.close, self._save_end]
+            first, then = [self._flush, lambda: self._tell((), last=True)], [self.log.close, self._save_end]
+            steps = [*first, self._rows.finish, *video, *then]
             return [self._tried(step) for step in steps].count(False) == len(self._unwritten) == 0
         finally:
             self._open = False
@@ -217,7 +209,8 @@ class Camera:
 
     def _save_end(self) -> None:
         """The last checkpoint."""
-        if self.settings.checkpoint and self._open and self._last[0] and not self._thread.is_alive():
+        whole = self._open and not self._thread.is_alive() and not self._unwritten
+        if self.settings.checkpoint and self._last[0] and whole:
             if self._saving.ident is not None:
                 self._saving.join()
             self._saver(ended=True)()
@@ -360,7 +353,9 @@ class Camera:
                 # When it was stopped while it hung, its files are complete already.
                 if self._open:
                     self._finish(held, rows)
-        if self.settings.checkpoint and time.monotonic() >= self._due and not self._saving.is_alive():
+        # A checkpoint with events that are not written would lose them.
+        due = self.settings.checkpoint and time.monotonic() >= self._due and not self._unwritten
+        if due and not self._saving.is_alive():
             self._due = time.monotonic() + self.settings.checkpoint
             self._saving = threading.Thread(
                 target=self._saver(ended=False), name=f"phdtrack {self.name} checkpoint", daemon=True
@@ -382,7 +377,7 @@ class Camera:
             try:
                 save(self.settings.folder, *what, ended=ended)
                 self._problems.pop("checkpoint", None)
-            except InputError as error:
+            except Exception as error:
                 self._problems["checkpoint"] = f"there is no newer checkpoint: {error}"
 
         return write
@@ -395,7 +390,7 @@ class Camera:
         assert maps is not None
         if not self.settings.checkpoint:
             return
-        self._due, highest = time.monotonic() + self.settings.checkpoint, self.log.highest() + LOST
+        highest = self.log.highest() + LOST
         try:
             found = load(self.settings.folder, key_of(made.fixed, made.info.width, made.info.height))
             if found is None:
@@ -411,10 +406,14 @@ class Camera:
             number, content = self.log.watched() or (0, b"")
             later = number >= (seen.held[0].number if seen.held else seen.number + 1)
             known = SavedWatch.read(content, self.settings.folder) if later else SavedWatch(seen.places, seen.watch)
-            last = 0 if ended else max(number, self._rows.last_frame())
+            last = max(number, self._rows.last_frame())
+            # A run that was killed before its first checkpoint may have come after one that ended in order.
+            ended = ended and last <= seen.number
             tracker.load_state_dict(packed)
         except InputError as error:
             self._problems["checkpoint"] = f"the checkpoint cannot be used, tracks and counts begin anew: {error}"
+            # So long it is there to be read.
+            self._due = time.monotonic() + self.settings.checkpoint
             self.log.forget_watched()
             tracker.skip_identities(highest)
             return
@@ -439,7 +438,8 @@ class Camera:
         if self._groups is not None and held.mixture is not None:
             found = self._groups.events(held.mixture, confirmed, frame.number, frame.time)
             events = (*events, *(Event.of_group(one, k) for k, one in enumerate(found, len(events))))
-        self._tell(events, frame)
+        self._finished = frame.number
+        self._tell(events, frame.wall)
         self._rows.write(rows, frame.wall)
         self._latency.append(max(0.0, time.time() - frame.wall))
         probability = step.info.clutter_probability
@@ -447,7 +447,7 @@ class Camera:
         assert self.maps is not None
         self.maps.add(frame.time, feet(confirmed.xyxy), step.detections.xyxy, known)
         self.tracks = len(confirmed)
-        self._count(len(confirmed), frame.wall)
+        Minute.add(self.minutes, len(confirmed), frame.wall)
         if not frame.image.size:
             # It was seen by the run before.
             return
@@ -464,25 +464,23 @@ class Camera:
         if recorded and self._video is not None:
             self._video.write(picture, frame.wall)
 
-    def _tell(self, events: Sequence[Event], frame: LiveFrame | None = None) -> None:
+    def _tell(self, events: Sequence[Event], wall: float = 0.0, *, last: bool = False) -> None:
         """Events of a frame to the log, and word of them to everybody; those that could not be written come first the next
-        time. Without a frame those are tried now."""
+        time, or now, where that is the ``last`` one."""
         watch, state = self.watched
-        if frame is not None:
-            self._unwritten.extend(one.as_dict(self.name, stamp(frame.wall), watch.names) for one in events)
-        if not self._unwritten or (frame is not None and time.monotonic() < self._patient):
+        self._unwritten.extend(one.as_dict(self.name, stamp(wall), watch.names) for one in events)
+        if not (self._unwritten or self.log.problem) or (time.monotonic() < self._patient and not last):
             return
-        saved = None
-        if self.settings.checkpoint and frame is not None:
-            saved = frame.number, SavedWatch(watch.places, state).content()
+        # Not with each picture: another process that holds the table keeps this one waiting.
+        self._patient = time.monotonic() + _AGAIN
         try:
+            saved = (self._finished, SavedWatch(watch.places, state).content()) if self.settings.checkpoint else None
             fresh = self.log.write(self._unwritten, saved)
-        except (OSError, sqlite3.Error) as error:
-            # Not with each picture: another process that holds the table keeps this one waiting.
-            self._patient = time.monotonic() + _AGAIN
+        except Exception as error:
             self._problems["events"] = f"events are still to be written, the last {_UNWRITTEN} are kept: {error}"
             return
         self._problems.pop("events", None)
+        self._patient = self._patient if self.log.problem else 0.0
         for event in fresh:
             self.counted[str(event["kind"])] += 1
             self.recent.append(event)
@@ -490,11 +488,3 @@ class Camera:
         self._unwritten.clear()
         for courier in self._couriers:
             courier.wake()
-
-    def _count(self, tracks: int, wall: float) -> None:
-        """Add to the present minute."""
-        start = wall // 60 * 60
-        if not self.minutes or self.minutes[-1].wall != start:
-            self.minutes.append(Minute(start, 0.0, 0, 0))
-        _, mean, most, frames = self.minutes[-1]
-        self.minutes[-1] = Minute(start, mean + (tracks - mean) / (frames + 1), max(most, tracks), frames + 1)

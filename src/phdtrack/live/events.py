@@ -10,6 +10,7 @@ other side, and a zone is left when it is outside by that much. The hysteresis i
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple
@@ -396,6 +397,30 @@ def _tally(place: Place, label: str, events: Sequence[Event], seconds: float) ->
 def _rounded(value: float) -> float | None:
     """Two decimals; None for NaN."""
     return None if math.isnan(value) else round(value, 2)
+
+
+class Minute(NamedTuple):
+    """The mean and the largest number of confirmed tracks in a minute's ``frames``; it begins at ``wall`` (UTC seconds)."""
+
+    wall: float
+    mean: float
+    most: int
+    frames: int
+
+    @staticmethod
+    def add(minutes: deque[Minute], tracks: int, wall: float) -> None:
+        """A frame, to the last minute or a new one.
+
+        Parameters
+        ----------
+        minutes : in order.
+        tracks, wall : how many are confirmed in the frame, and its time (UTC seconds).
+        """
+        start = wall // 60 * 60
+        if not minutes or minutes[-1].wall != start:
+            minutes.append(Minute(start, 0.0, 0, 0))
+        _, mean, most, frames = minutes[-1]
+        minutes[-1] = Minute(start, mean + (tracks - mean) / (frames + 1), max(most, tracks), frames + 1)
 
 
 @dataclass(slots=True)

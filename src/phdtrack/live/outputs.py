@@ -30,8 +30,8 @@ from phdtrack.types import Image, Tracks
 from phdtrack.video import VideoWriter
 
 _LINES = "events.jsonl"
-# Seconds for which is waited for another process that writes into the table.
-_PATIENCE = 0.2
+# Milliseconds for which is waited for another process that writes into the table: at first, and while a camera waits.
+_PATIENT, _IMPATIENT = "PRAGMA busy_timeout=5000", "PRAGMA busy_timeout=200"
 _TABLES = (
     "PRAGMA journal_mode=WAL",
     "PRAGMA synchronous=FULL",
@@ -136,6 +136,9 @@ class RowsLog:
         for left in self._segments.left():
             _whole_lines(left)
             left.replace(left.with_name(left.name.removesuffix(PART)))
+        # What was killed while it made Parquet: a part of a file, or an hour twice.
+        for file in folder.glob("*.parquet*"):
+            (file if file.suffix == PART else file.with_suffix(".csv")).unlink(missing_ok=True)
 
     def write(self, rows: Tracks, wall: float) -> None:
         """Append the rows of a frame, also none; ``wall``: its seconds since 1970. They reach the operating system."""
@@ -230,14 +233,14 @@ class EventLog:
         folder.mkdir(parents=True, exist_ok=True)
         self._path, self._lock, self._closed, self.problem = folder / _LINES, threading.Lock(), False, ""
         try:
-            self._base = sqlite3.connect(
-                folder / "events.sqlite", timeout=_PATIENCE, check_same_thread=False, isolation_level=None
-            )
-            for statement in _TABLES:
+            self._base = sqlite3.connect(folder / "events.sqlite", check_same_thread=False, isolation_level=None)
+            for statement in (_PATIENT, *_TABLES):
                 self._base.execute(statement)
             self._take_up_lines()
+            self._base.execute(_IMPATIENT)
         except (OSError, sqlite3.Error) as error:
-            raise InputError(f"the events cannot be written: {error}", where=folder, cure="Choose another --out.") from None
+            cure = "Does another program hold events.sqlite? If not, choose another --out."
+            raise InputError(f"the events cannot be written: {error}", where=folder, cure=cure) from None
         self._add_lines()
 
     def write(self, events: Iterable[Told], watched: tuple[int, bytes] | None = None) -> list[Told]:
@@ -289,7 +292,9 @@ class EventLog:
         """
         try:
             with self._lock:
+                self._base.execute(_PATIENT)
                 self._base.execute(f"INSERT OR IGNORE INTO receivers (name, has) VALUES (?, {_NEXT} - 1)", (receiver,))
+                self._base.execute(_IMPATIENT)
         except sqlite3.Error as error:
             cure = "Does another program hold it?"
             raise InputError(
@@ -334,8 +339,8 @@ class EventLog:
         if not self._path.exists():
             return
         _whole_lines(self._path)
-        with suppress(ValueError, TypeError, KeyError):
-            last = json.loads(_last_line(self._path))["id"]
+        with suppress(ValueError, TypeError, KeyError, RecursionError):
+            last = str(json.loads(_last_line(self._path))["id"])
             found = self._base.execute("SELECT rowid FROM events WHERE id = ?", (last,)).fetchone()
             self._base.execute("UPDATE receivers SET has = ? WHERE name = ?", (*found, _LINES))
 
@@ -353,7 +358,7 @@ class EventLog:
                 self._base.execute("UPDATE receivers SET has = ? WHERE name = ?", (waiting[-1][0], _LINES))
             self.problem = ""
         except (OSError, sqlite3.Error) as error:
-            self.problem = f"{_LINES} lacks events that events.sqlite has: {error}"
+            self.problem = f"{_LINES} is still to be brought up to date: {error}"
 
 
 def _last_line(path: Path) -> str:
