@@ -174,6 +174,20 @@ def test_events_that_wait_for_the_table_are_not_in_the_counts_of_a_restart(tmp_p
     assert len(crossed) == second.watched[1].counts[0].entered + second.watched[1].counts[0].left
 
 
+def test_lines_that_lag_behind_the_table_do_not_wait_for_the_next_event(tmp_path: Path) -> None:
+    one, lines = run(tmp_path), tmp_path / "events.jsonl"
+    lines.mkdir()
+    show(one, [20 + 3 * k for k in range(25)], START)
+    (said,) = one.problems
+    assert "events.jsonl is still to be brought up to date" in said
+    lines.rmdir()
+    one._patient = 0.0
+    show(one, [95], START, 25)
+    assert one.problems == []
+    assert [event["kind"] for event in events(tmp_path)] == ["appear", "cross"]
+    assert one.stop(10.0)
+
+
 def test_a_checkpoint_that_cannot_be_read_now_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     one = run(tmp_path)
     show(one, [20 + 3 * k for k in range(25)], START)
