@@ -1,5 +1,6 @@
 """Detections from a pipe: the same as of a file, each frame when it is whole, errors with the line."""
 
+import json
 import os
 import subprocess
 import sys
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from phdtrack.errors import InputError
-from phdtrack.formats import read_detections
+from phdtrack.formats import read_detections, read_tracks
 from phdtrack.formats.stream import stream_detections
 
 
@@ -93,3 +94,11 @@ def test_the_command_tracks_a_pipe_as_it_tracks_the_file(tmp_path: Path) -> None
     online = [(tmp_path / name / "tracks_online.csv").read_text() for name in ("file", "pipe")]
     assert online[0] == online[1]
     assert online[0].count("\n") > 150
+    # The past of a pipe is forgotten; figures are of all.
+    for name in ("file", "pipe"):
+        run, rows = json.loads((tmp_path / name / "run.json").read_text()), read_tracks(tmp_path / name / "tracks.csv")
+        assert (run["frames"], run["detections"]) == (1609, 3 * len(frames))
+        assert (run["tracks"], run["track_rows"]) == (len(np.unique(rows.identity)), len(rows))
+        assert 0 < run["predicted_rows"] == rows.predicted.sum()
+        assert "1 h 6 min of video" in run["summary"][0]
+        assert ("The source had no end" in (tmp_path / name / "report.html").read_text()) == (name == "pipe")

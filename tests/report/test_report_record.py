@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from report_runs import HIGH, WIDE, run_record, step, walkers
 
-from phdtrack.report import About, Recorder, sentences
+from phdtrack.report import About, Recorder, run_document, sentences
 from phdtrack.report.pages import doubts
 from phdtrack.types import Frame, SequenceInfo, Tracks, Truth
 
@@ -82,3 +82,22 @@ def test_tracks_that_look_wrong_are_doubted_with_what_helps() -> None:
     # Low scores of another detector are what the filter is for.
     assert doubts(crowded, background=False) == ()
     assert doubts(replace(fine, tracks=Tracks.empty()), background=False) == ()
+
+
+def test_of_a_source_without_an_end_figures_are_of_all_frames_and_charts_of_the_last():
+    recorder = Recorder(INFO, most=10)
+    for number, boxes in walkers(30, 2, INFO).items():
+        recorder.add(None, step(number, boxes), 0.01)
+    rows = Tracks.of(np.repeat(np.arange(1, 31), 2), np.tile([1, 2], 30), np.tile([[0.0, 0, 9, 9]], (60, 1)), 0.5, 0)
+    # Somebody is in several parts, and counts once.
+    for first in (1, 11, 21):
+        recorder.finish(rows.take((rows.frame >= first) & (rows.frame < first + 10)))
+    record = recorder.record(rows.take(rows.frame > 25), About(tracking_seconds=3.0))
+    assert len(record) == len(record.track_count) == 10
+    whole = record.whole
+    assert (whole.frames, whole.objects, whole.rows) == (30, 2, 60)
+    assert whole.seconds == pytest.approx(29 / INFO.fps)
+    assert (whole.detections, record.n_detections.sum()) == (60, 20)
+    assert record.frames_per_second == pytest.approx(10.0)
+    document = run_document(record, {})
+    assert (document["frames"], document["tracks"], document["track_rows"]) == (30, 2, 60)

@@ -54,6 +54,7 @@ _WHICH = (
     f"{rundir.TRACKS} holds the corrected tracks of the whole run, {rundir.ONLINE} the rows as they were given "
     "frame by frame, which did not change afterwards."
 )
+_LATEST = "The source had no end: figures are of the whole run, charts of its last frames, paths of the last tracks."
 _REUSED = "The detections are those of an earlier run with the same detector; --detect-again detects anew."
 _HIDDEN = "In all pictures {} of detections and tracks are hidden; what was neither detected nor tracked can be seen."
 _STOPPED = "stopped after frame {}; its files are being completed"
@@ -226,7 +227,7 @@ def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -
         left_out=done.left_out,
         scores=() if scores is None else tuple((k, math.nan if v is None else v) for k, v in scores.as_dict().items()),
         warnings=(*_problems(job, done), *wrong, *confirmed[1:]),
-        notes=(*confirmed[:1], _WHICH, *([_HIDDEN.format(job.blur)] if job.blur else ())),
+        notes=(*confirmed[:1], _WHICH, *[_HIDDEN.format(job.blur)] * bool(job.blur), *[_LATEST] * (not job.inputs.again)),
     )
     reports = [observer.report() for observer in job.observers]
     record = replace(record, about=replace(said, sections="\n".join(report.section for report in reports)))
@@ -320,7 +321,7 @@ class _Written:
     """The files that grow while frames come, opened in ``files``; what goes wrong when they are closed is in ``done``."""
 
     def __init__(self, job: Job, directory: RunDirectory, done: _Progress, files: ExitStack) -> None:
-        self._job, self._tracker, again = job, done.tracker, job.inputs.again
+        self._job, self._done, again = job, done, job.inputs.again
         self._detections = DetectionsWriter(directory.file(rundir.DETECTIONS), job.names)
         self._states = StatesWriter(directory.file(rundir.STATES))
         self._online = TracksWriter(directory.file(rundir.ONLINE), job.names)
@@ -343,17 +344,17 @@ class _Written:
         self._states.append(step)
         self._append(self._online, rows)
         for observer in self._job.observers:
-            observer.take(found, step, self._tracker.state)
+            observer.take(found, step, self._done.tracker.state)
         if self._once:
             self._once.take(frame, step, rows)
         if self._final and self._corrected and len(final := self._final.due()):
             self._append(self._corrected, final)
+            self._done.recorder.finish(final)
             return_memory()  # what smoothing has freed, or the heap grows for days
 
     def flush(self) -> None:
         """The online rows that were held back."""
-        held = self._tracker.flush()
-        self._append(self._online, held)
+        self._append(self._online, held := self._done.tracker.flush())
         for observer in self._job.observers:
             observer.flush(held)
         if self._once:
@@ -362,7 +363,8 @@ class _Written:
     def rest(self) -> None:
         """All corrected rows that are not written yet."""
         if self._final and self._corrected:
-            self._append(self._corrected, self._final.rest())
+            self._append(self._corrected, rest := self._final.rest())
+            self._done.recorder.finish(rest)
 
     def _append(self, writer: TracksWriter, rows: Tracks) -> None:
         writer.append(rows, places(self._job.sensor, rows.xyxy))

@@ -85,8 +85,8 @@ def doubts(record: RunRecord, *, background: bool) -> tuple[str, ...]:
     """
     length = np.unique(record.tracks.identity, return_counts=True)[1]
     short = float((length < _SHORT * record.info.fps).mean()) if len(length) else 0.0
-    boxes, used = int(record.n_detections.sum()), int((record.tracks.detection >= 0).sum())
-    unused = 1 - used / boxes if background and boxes else 0.0
+    whole = record.whole
+    unused = 1 - (whole.rows - whole.predicted) / whole.detections if background and whole.detections else 0.0
     limits = {"most_short": _MOST_SHORT, "most_unused": _MOST_UNUSED, "enough": _ENOUGH}
     return lines("doubts.txt", short=short, count=len(length), unused=unused, **limits)
 
@@ -116,14 +116,14 @@ def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, o
         "started": about.started,
         "seconds": about.seconds,
         "source": {"name": info.name, "width": info.width, "height": info.height, "fps": info.fps},
-        "frames": len(record),
+        "frames": record.whole.frames,
         "frames_per_second": record.frames_per_second,
         "stages": {name: dict(zip(_STAGE_TIMES, times[name], strict=True)) for name in STAGES if name in times},
-        "tracks": len(record.lifetimes),
-        "track_rows": len(record.tracks),
-        "predicted_rows": int(record.tracks.predicted.sum()),
-        "detections": int(record.n_detections.sum()),
-        "expected_false_alarms": record.false_alarms,
+        "tracks": record.whole.objects,
+        "track_rows": record.whole.rows,
+        "predicted_rows": record.whole.predicted,
+        "detections": record.whole.detections,
+        "expected_false_alarms": record.whole.false_alarms,
         "expected_count_mean": record.mean_mass,
         "scores": dict(about.scores),
         "warnings": about.warnings,

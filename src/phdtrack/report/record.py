@@ -7,9 +7,10 @@ some hundred bytes a frame.
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -54,6 +55,31 @@ class About:
     finishing_seconds: float = 0.0
 
 
+class Whole(NamedTuple):
+    """Counts of a whole run, of which a record may hold the last part only.
+
+    Attributes
+    ----------
+    frames, seconds : how many, and from the first to the last one.
+    detections, false_alarms : how many, and how many of them are expected to be false.
+    classes : how many objects there were of each class.
+    rows, predicted : rows of the corrected tracks, and those without a detection.
+    """
+
+    frames: int
+    seconds: float
+    detections: int
+    false_alarms: float
+    classes: Mapping[int, int]
+    rows: int
+    predicted: int
+
+    @property
+    def objects(self) -> int:
+        """Of all classes."""
+        return sum(self.classes.values())
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RunRecord:
     """Everything that a report shows of a run of F frames.
@@ -61,7 +87,7 @@ class RunRecord:
     Attributes
     ----------
     info, about : the sequence; words and single values.
-    tracks : the corrected tracks of the whole run.
+    tracks : the corrected tracks.
     numbers, times : (F,) frame numbers from 1, ascending, and seconds.
     n_detections : (F,) detections.
     mass : (F,) expected number of objects, the integral of the intensity; NaN where the filter has none.
@@ -73,6 +99,8 @@ class RunRecord:
     background : (h, w, 3) BGR frame from the middle, scaled down; (0, 0, 3) without video.
     log_evidence : (F,) `UpdateInfo.log_evidence`; NaN in frames without it.
     names : what classes are called; None without classes.
+    counted, online_count : counts of the whole run, and (F,) online tracks in each frame; used where there was no end to
+        the source, and all else is of its last part.
     """
 
     info: SequenceInfo
@@ -89,9 +117,27 @@ class RunRecord:
     background: Image
     log_evidence: F8
     names: Mapping[int, str] | None = None
+    counted: Whole | None = None
+    online_count: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def __len__(self) -> int:
         return len(self.numbers)
+
+    @property
+    def whole(self) -> Whole:
+        """Counts of the whole run."""
+        if self.counted is not None:
+            return self.counted
+        first = np.unique(self.tracks.identity, return_index=True)[1]
+        seconds = float(self.times[-1] - self.times[0]) if len(self) else 0.0
+        boxes, false, predicted = int(self.n_detections.sum()), float(np.nansum(self.clutter_mass)), self.tracks.predicted
+        classes = Counter(self.tracks.class_id[first].tolist())
+        return Whole(len(self), seconds, boxes, false, classes, len(self.tracks), int(predicted.sum()))
+
+    @property
+    def track_count(self) -> I8:
+        """(F,) tracks in each frame."""
+        return _count(self.tracks.frame, self.numbers) if self.counted is None else self.online_count
 
     @property
     def mean_mass(self) -> float:
@@ -104,11 +150,6 @@ class RunRecord:
         return known_mean(self.log_evidence)
 
     @property
-    def track_count(self) -> I8:
-        """(F,) tracks in each frame."""
-        return _count(self.tracks.frame, self.numbers)
-
-    @property
     def lifetimes(self) -> I8:
         """(n,) number of boxes of each identity, ascending."""
         return np.sort(np.unique(self.tracks.identity, return_counts=True)[1])
@@ -118,14 +159,7 @@ class RunRecord:
         """The number of tracks of each class that has any, by its name; {} without classes."""
         if self.names is None:
             return {}
-        label = self.tracks.class_id[np.unique(self.tracks.identity, return_index=True)[1]]
-        each = zip(*(column.tolist() for column in np.unique(label, return_counts=True)), strict=True)
-        return {self.names.get(one, str(one)): count for one, count in each}
-
-    @property
-    def false_alarms(self) -> float:
-        """Expected number of false alarms among all detections; frames in which it is unknown (NaN) count as none."""
-        return float(np.nansum(self.clutter_mass))
+        return {self.names.get(one, str(one)): self.whole.classes[one] for one in sorted(self.whole.classes)}
 
     @property
     def frames_per_second(self) -> float:
@@ -133,7 +167,7 @@ class RunRecord:
 
         Where it was not measured it is by the sum of the stages; NaN without either.
         """
-        about, frames = self.about, len(self)
+        about, frames = self.about, self.whole.frames
         total = about.tracking_seconds or (0.0 if about.left_out else float(self.seconds.sum()))
         if not total > 0 or frames <= about.left_out:
             return math.nan
@@ -154,13 +188,16 @@ class Recorder:
     """Collects a `RunRecord` while a run goes on: `add` every frame in order, `record` at the end or when it breaks off.
 
     Pictures are kept of frames whose index is a multiple of a stride, which doubles when they become too many. ``truth`` is
-    None where nothing is annotated. Of more than ``most`` frames the last ones are kept. ``blur`` (`arrays.pixelated`) hides
-    the boxes of detections, estimates and tracks.
+    None where nothing is annotated. Of more than ``most`` frames the last ones are kept, and corrected rows are to be
+    counted by `finish`, when they are final. ``blur`` (`arrays.pixelated`) hides boxes of detections, estimates and tracks.
     """
 
     def __init__(self, info: SequenceInfo, truth: Truth | None = None, most: int | None = None, blur: str = "") -> None:
         self._info, self._truth, self._seen, self._blur = info, truth, 0, blur
-        self._rows = deque[tuple[float, ...]](maxlen=most)
+        self._rows, self._endless = deque[tuple[float, ...]](maxlen=most), most is not None
+        self._first, self._detections, self._false = math.nan, 0, 0.0
+        # Of rows that are final; identities of the last two times.
+        self._classes, self._final, self._predicted, self._known = Counter[int](), 0, 0, (set[int](), set[int]())
         self._kept: list[tuple[int, int, Image]] = []
         self._stride = 1
 
@@ -174,10 +211,11 @@ class Recorder:
         detect_seconds : time that detection took, seconds.
         """
         info = step.info
-        false = info.clutter_probability.sum()
+        false, tracks = info.clutter_probability.sum(), int(step.tracks.confirmed.sum())
         row = (step.number, step.time, len(step.detections), info.mass, false, info.log_evidence)
-        self._rows.append((*row, *_likely_range(info.cardinality), detect_seconds, *step.seconds))
-        self._seen += 1
+        self._rows.append((*row, *_likely_range(info.cardinality), tracks, detect_seconds, *step.seconds))
+        self._seen, self._first = self._seen + 1, step.time if not self._seen else self._first
+        self._detections, self._false = self._detections + len(step.detections), self._false + float(np.nan_to_num(false))
         index = self._seen
         if frame is None or index % self._stride:
             return
@@ -187,22 +225,35 @@ class Recorder:
             self._stride *= 2
             self._kept = [each for each in self._kept if each[0] % self._stride == 0]
 
+    def finish(self, rows: Tracks) -> None:
+        """Count corrected rows of a source without an end."""
+        names, first = np.unique(rows.identity, return_index=True)
+        fresh = ~np.isin(names, [*self._known[0], *self._known[1]])
+        self._classes.update(rows.class_id[first[fresh]].tolist())
+        self._final, self._predicted = self._final + len(rows), self._predicted + int(rows.predicted.sum())
+        # No track is away for longer.
+        self._known = self._known[1], set(names.tolist())
+
     def record(self, tracks: Tracks, about: About) -> RunRecord:
-        """Everything so far, with the corrected tracks of the whole run; collecting may go on."""
-        truth, table = self._truth, np.array(self._rows, dtype=np.float64).reshape(-1, 8 + len(STAGES))
+        """Everything so far, with the corrected tracks of all frames that are kept; collecting may go on."""
+        truth, table = self._truth, np.array(self._rows, dtype=np.float64).reshape(-1, 9 + len(STAGES))
         numbers, ranges = table[:, 0].astype(np.int64), table[:, 6:8]
+        seconds = float(table[-1, 1]) - self._first if len(table) else 0.0
+        counts = self._detections, self._false, dict(self._classes), self._final, self._predicted
         middle = self._kept[len(self._kept) // 2] if self._kept else None
         return RunRecord(
             info=self._info,
             about=about,
             tracks=tracks,
+            counted=Whole(self._seen, seconds, *counts) if self._endless else None,
+            online_count=table[:, 8].astype(np.int64),
             numbers=numbers,
             times=table[:, 1],
             n_detections=table[:, 2].astype(np.int64),
             mass=table[:, 3],
             clutter_mass=table[:, 4],
             count_range=ranges if np.isfinite(ranges).any() else ranges[:0],
-            seconds=table[:, 8:],
+            seconds=table[:, 9:],
             truth_count=np.zeros(0, np.int64) if truth is None else _count(truth.frame[~truth.distractor], numbers),
             background=NO_IMAGE if middle is None else self._hidden(middle[2], middle[1], tracks),
             log_evidence=table[:, 5],
