@@ -52,6 +52,8 @@ def show(one: Camera, lefts: list[int], wall: float, first: int = 0) -> None:
 
 def crashed(one: Camera, *, saved: bool = True) -> None:
     """A process that was killed, after a checkpoint where that is to be saved now."""
+    if one._saving.ident is not None:
+        one._saving.join()
     if saved:
         one._saver(ended=False)()
     one.log.close()
@@ -111,6 +113,7 @@ def test_what_came_after_the_checkpoint_comes_once(tmp_path: Path, delay: int, h
     in another hour, in whose file the rows are then."""
     first = run(tmp_path, delay=delay)
     show(first, [20 + 3 * k for k in range(15)], START)
+    first._saving.join()
     first._saver(ended=False)()
     show(first, [65 + 3 * k for k in range(15)], START, 15)
     show(first, [0] * 50 + [20 + 2 * k for k in range(15)], START, 30)
