@@ -50,6 +50,14 @@ def show(one: Camera, lefts: list[int], wall: float, first: int = 0) -> None:
         one._take(LiveFrame(k + 1, k / 10, wall + k / 10, image))
 
 
+def stopped(folder: Path, steps: int, wall: float) -> Camera:
+    """A camera that somebody walked past for so many steps, and that ended in order."""
+    one = run(folder)
+    show(one, [20 + 3 * k for k in range(steps)], wall)
+    assert one.stop(10.0)
+    return one
+
+
 def crashed(one: Camera, *, saved: bool = True) -> None:
     """A process that was killed, after a checkpoint where that is to be saved now."""
     if one._saving.ident is not None:
@@ -72,6 +80,11 @@ def rows(folder: Path) -> list[dict[str, str]]:
         with path.open() as file:
             found += csv.DictReader(file)
     return sorted(found, key=lambda row: row["time"])
+
+
+def numbered(folder: Path) -> list[tuple[int, int]]:
+    """Frame and identity of all rows, by time."""
+    return [(int(row["frame"]), int(row["identity"])) for row in rows(folder)]
 
 
 @pytest.mark.parametrize("delay", [0, 2])
@@ -132,16 +145,14 @@ def test_what_came_after_the_checkpoint_comes_once(tmp_path: Path, delay: int, h
     assert sorted(event["kind"] for event in after[len(before) :]) == ["appear", "leave", "leave"]
     gone = [event["identity"] for event in after if event["kind"] == "leave"]
     assert sorted(gone) == sorted(event["identity"] for event in after if event["kind"] == "appear")
-    numbers = [(row["frame"], row["identity"]) for row in rows(tmp_path)]
+    numbers = numbered(tmp_path)
     assert len(numbers) == len(set(numbers))
-    assert [int(number) for number, _ in numbers] == sorted(int(number) for number, _ in numbers)
+    assert numbers == sorted(numbers)
 
 
 def test_a_kill_soon_after_an_end_in_order_repeats_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The checkpoint is that of the end before."""
-    one = run(tmp_path)
-    show(one, [20 + 3 * k for k in range(10)], START)
-    assert one.stop(10.0)
+    stopped(tmp_path, 10, START)
     second = run(tmp_path)
     with monkeypatch.context() as never:
         never.setattr(engine, "save", lambda *given, **more: None)
@@ -154,8 +165,7 @@ def test_a_kill_soon_after_an_end_in_order_repeats_nothing(tmp_path: Path, monke
     assert third.stop(10.0)
     appeared = [event["identity"] for event in events(tmp_path) if event["kind"] == "appear"]
     assert len(appeared) == len(set(appeared)) == 3
-    numbers = [(row["frame"], row["identity"]) for row in rows(tmp_path)]
-    assert len(numbers) == len(set(numbers))
+    assert len(numbered(tmp_path)) == len(set(numbered(tmp_path)))
 
 
 @pytest.mark.parametrize("end", ["killed", "stopped"])
@@ -192,9 +202,7 @@ def test_lines_that_lag_behind_the_table_do_not_wait_for_the_next_event(tmp_path
 
 
 def test_a_checkpoint_that_cannot_be_read_now_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    one = run(tmp_path)
-    show(one, [20 + 3 * k for k in range(25)], START)
-    assert one.stop(10.0)
+    stopped(tmp_path, 25, START)
     second = run(tmp_path)
     with monkeypatch.context() as busy:
 
@@ -211,10 +219,7 @@ def test_a_checkpoint_that_cannot_be_read_now_is_tried_again(tmp_path: Path, mon
 
 def test_after_an_end_in_order_identities_go_on_without_a_gap(tmp_path: Path) -> None:
     for k in range(3):
-        one = run(tmp_path)
-        show(one, [20 + 3 * k for k in range(10)], START + 100 * k)
-        assert one.stop(10.0)
-        assert one.problems == []
+        assert stopped(tmp_path, 10, START + 100 * k).problems == []
     assert [event["identity"] for event in events(tmp_path) if event["kind"] == "appear"] == [1, 2, 3]
 
 

@@ -116,6 +116,14 @@ def test_an_hour_becomes_parquet(tmp_path: Path) -> None:
     assert log.last_frame() == 1
 
 
+def test_an_hour_that_was_killed_while_it_became_parquet_is_there_once(tmp_path: Path) -> None:
+    """Before its name, and after it."""
+    for name in ("T05.csv", "T05.parquet.part", "T06.csv", "T06.parquet", "T07.parquet"):
+        (tmp_path / f"2026-11-24{name}").write_text("x")
+    RowsLog(tmp_path, parquet=True)
+    assert names(tmp_path) == [f"2026-11-24{name}" for name in ("T05.csv", "T06.parquet", "T07.parquet")]
+
+
 def test_time_in_a_video_is_true_however_pictures_come(tmp_path: Path) -> None:
     """Pictures at uneven times, at 10 a second: each is shown from its time to the next one's."""
     log = VideoLog(tmp_path, 10.0)
@@ -295,11 +303,11 @@ def test_an_event_is_sent_once_though_that_cannot_be_written_down(tmp_path: Path
     log, taken, tried = EventLog(tmp_path), list[str](), list[int]()
     delivered = log.delivered
 
-    def busy(receiver: str, place: int) -> None:
-        tried.append(place)
+    def busy(receiver: str, row: int) -> None:
+        tried.append(row)
         if len(tried) < 2:
             raise sqlite3.OperationalError("database is locked")
-        delivered(receiver, place)
+        delivered(receiver, row)
 
     log.delivered = busy  # type: ignore[method-assign]
     courier = Courier(log, lambda name, event: taken.append(name), "one")

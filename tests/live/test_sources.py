@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -115,6 +117,26 @@ def test_a_stream_of_which_no_picture_comes_is_tried_again(server: CameraServer,
     server.broken = False
     frames(source, 1)
     source.stop()
+
+
+def test_a_stream_whose_time_runs_faster_than_the_clock_is_shown_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All its pictures look as if they had come while the connection was made."""
+    monkeypatch.setattr(sources, "CATCH_UP", 0.2)
+
+    def packets(stream: object) -> Iterator[SimpleNamespace]:
+        for k in range(100):
+            time.sleep(0.01)
+            yield SimpleNamespace(decode=lambda k=k: [SimpleNamespace(time=10.0 * k)])
+
+    stream = SimpleNamespace(thread_type="")
+    container = SimpleNamespace(
+        format=SimpleNamespace(name="mpegts"), streams=SimpleNamespace(video=[stream]), demux=packets
+    )
+    opened = SimpleNamespace(open=lambda *_, **__: nullcontext(container), InvalidDataError=ValueError)
+    monkeypatch.setattr(sources, "needed", lambda module: opened)
+    times = [picture.time for picture, _ in LiveSource("http://camera.example/stream")._pictures(0)]
+    assert 0 < len(times) < 100
+    assert times == [10.0 * k for k in range(100 - len(times), 100)]
 
 
 def place(frame: LiveFrame) -> int:

@@ -91,7 +91,7 @@ def test_of_a_source_without_an_end_figures_are_of_all_frames_and_charts_of_the_
     rows = Tracks.of(np.repeat(np.arange(1, 31), 2), np.tile([1, 2], 30), np.tile([[0.0, 0, 9, 9]], (60, 1)), 0.5, 0)
     # Somebody is in several parts, and counts once.
     for first in (1, 11, 21):
-        recorder.finish(rows.take((rows.frame >= first) & (rows.frame < first + 10)))
+        recorder.count(rows.take((rows.frame >= first) & (rows.frame < first + 10)))
     record = recorder.record(rows.take(rows.frame > 25), About(tracking_seconds=3.0))
     assert len(record) == len(record.track_count) == 10
     whole = record.whole

@@ -11,6 +11,7 @@ import numpy as np
 import typer
 
 from phdtrack.cli import options as given
+from phdtrack.cli.inputs import refuse
 from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, number
 from phdtrack.errors import InputError
@@ -69,9 +70,9 @@ def evaluate(
     A row of the truth that the benchmark ignores is ignored here; every row of the tracks counts. --errors says why boxes
     are missed or false. With --json a score whose denominator is empty is null.
     """
-    for name, usual in (("detections", None), ("worst", WORST)):
-        if not asked.errors and getattr(asked, name) != usual:
-            raise InputError("it goes with --errors only", where=f"--{name}", cure="Say --errors, or leave it out.")
+    if not asked.errors:
+        useless = {"--detections": asked.detections, "--worst": asked.worst != WORST}
+        refuse(useless, "it goes with --errors only", "say --errors")
     if asked.per_class:
         output.document(per_class(output, truth, tracks, asked, iou=iou, frames=frames))
         return

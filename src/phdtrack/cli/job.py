@@ -51,8 +51,7 @@ if TYPE_CHECKING:
 Stop = Exception | KeyboardInterrupt
 
 _WHICH = (
-    f"{rundir.TRACKS} holds the corrected tracks of the whole run, {rundir.ONLINE} the rows as they were given "
-    "frame by frame, which did not change afterwards."
+    f"{rundir.TRACKS} holds the corrected tracks of the whole run, {rundir.ONLINE} the rows as they came frame by frame."
 )
 _LATEST = "The source had no end: figures are of the whole run, charts of its last frames, paths of the last tracks."
 _REUSED = "The detections are those of an earlier run with the same detector; --detect-again detects anew."
@@ -219,6 +218,7 @@ def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -
     # The note comes first, then the warning if there is one.
     confirmed = _confirmation(job, done)
     wrong = unsuited(job.inputs.detector) or doubts(record, background=job.inputs.described in BACKGROUND)
+    hidden, latest = job.blur and _HIDDEN.format(job.blur), "" if job.inputs.again else _LATEST
     said = replace(
         job.about,
         seconds=time.perf_counter() - clock,
@@ -227,7 +227,7 @@ def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -
         left_out=done.left_out,
         scores=() if scores is None else tuple((k, math.nan if v is None else v) for k, v in scores.as_dict().items()),
         warnings=(*_problems(job, done), *wrong, *confirmed[1:]),
-        notes=(*confirmed[:1], _WHICH, *[_HIDDEN.format(job.blur)] * bool(job.blur), *[_LATEST] * (not job.inputs.again)),
+        notes=tuple(filter(None, (*confirmed[:1], _WHICH, hidden, latest))),
     )
     reports = [observer.report() for observer in job.observers]
     record = replace(record, about=replace(said, sections="\n".join(report.section for report in reports)))
@@ -349,7 +349,7 @@ class _Written:
             self._once.take(frame, step, rows)
         if self._final and self._corrected and len(final := self._final.due()):
             self._append(self._corrected, final)
-            self._done.recorder.finish(final)
+            self._done.recorder.count(final)
             return_memory()  # what smoothing has freed, or the heap grows for days
 
     def flush(self) -> None:
@@ -364,7 +364,7 @@ class _Written:
         """All corrected rows that are not written yet."""
         if self._final and self._corrected:
             self._append(self._corrected, rest := self._final.rest())
-            self._done.recorder.finish(rest)
+            self._done.recorder.count(rest)
 
     def _append(self, writer: TracksWriter, rows: Tracks) -> None:
         writer.append(rows, places(self._job.sensor, rows.xyxy))

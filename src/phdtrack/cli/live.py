@@ -182,7 +182,9 @@ def named_sources(given: Sequence[str]) -> dict[str, str]:
         except ValueError:
             # Its own words may hold a part of a password.
             raise InputError("expected an address, and this is none", where="SOURCE") from None
-        if re.match(r"[A-Za-z0-9+.-]+://[^/@?]*:(?!\d+/)[^/@?]*/[^?]*@|[A-Za-z0-9+.-]+://[^/@?.\]]*:\d+/[^?]*@", address):
+        # A password with / in it: what stands before is no host with a port.
+        before = re.match(r"[A-Za-z0-9+.-]+://([^/@?]*):([^/@?]*)/[^?]*@", address)
+        if before and not (before[2].isdecimal() and re.search(r"[.\]]", before[1])):
             problem = "expected user:password@host in the address, got an @ behind the first /"
             cure = "Write / in a password as %2F, and @ behind the host as %40."
             raise InputError(problem, where="SOURCE", cure=cure)
@@ -219,9 +221,9 @@ def _places(given: Sequence[str], name: str, out: Path) -> Path:
 
 def _receivers(write: LiveOptions) -> Iterator[tuple[str, Send]]:
     """Where events of a camera are sent to, by the names of the receivers."""
-    addresses = [*(write.webhook or []), *([write.mqtt] if write.mqtt else [])]
-    for name, url in zip(receivers(addresses), addresses, strict=True):
-        yield name, Webhook(url, write.allow_private) if url in (write.webhook or []) else Mqtt(url)
+    hooks, brokers = write.webhook or [], [write.mqtt] if write.mqtt else []
+    names = receivers([*hooks, *brokers])
+    yield from zip(names, [*(Webhook(url, write.allow_private) for url in hooks), *map(Mqtt, brokers)], strict=True)
 
 
 class _Server:

@@ -164,7 +164,7 @@ def check(path: Path | None, overwrite: bool, files: Mapping[str, str] = RUN_FIL
         raise InputError(problem, where=where, cure="Say --overwrite to replace these files, or choose another --out.")
 
 
-def decided(directory: RunDirectory) -> dict[str, Any]:
+def document_of(directory: RunDirectory) -> dict[str, Any]:
     """What run.json says; nothing where there is none that can be read."""
     try:
         document = json.loads(directory.file(RUN).read_bytes())
@@ -176,7 +176,7 @@ def decided(directory: RunDirectory) -> dict[str, Any]:
 def completed(directory: RunDirectory) -> bool:
     """Whether it holds a run that went to its end, and nothing of a later one."""
     under_way = directory.file(LOG).exists() or any(part_of(directory.file(name)).exists() for name in directory.files)
-    return decided(directory).get("complete") is True and not under_way
+    return document_of(directory).get("complete") is True and not under_way
 
 
 def claim(

@@ -150,7 +150,7 @@ def finish(output: Output, job: Job, out: Path | None, overwrite: bool, *, resum
         raise InputError("the pictures of a camera do not come again", where="--resume", cure=cure)
     directory = rundir.claim(out, overwrite, name=job.inputs.info.name, resume=resume, inputs=job.inputs.files)
     if resume and rundir.completed(directory):
-        before, now = rundir.decided(directory), {"seed": job.about.seed, "configuration": job.configuration}
+        before, now = rundir.document_of(directory), {"seed": job.about.seed, "configuration": job.configuration}
         if other := _differing(before, json_value(now)):
             problem = f"the run is complete, and differs in {', '.join(other)}"
             cure = "Choose another --out, or say --overwrite."

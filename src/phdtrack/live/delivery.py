@@ -213,7 +213,7 @@ class Courier:
     def __init__(self, log: EventLog, send: Send, receiver: str) -> None:
         self._log, self._send, self._receiver, self.problem = log, send, receiver, ""
         log.register(receiver)
-        # Of the event that it got last: to write that down may fail.
+        # The row of the event that it got last: to write that down may fail.
         self._sent = 0
         self._wake, self._stopped = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="phdtrack events", daemon=True)
@@ -235,11 +235,11 @@ class Courier:
             self._wake.clear()
             try:
                 waiting = self._log.waiting(self._receiver)
-                for place, name, event in waiting:
-                    if place != self._sent:
+                for row, name, event in waiting:
+                    if row != self._sent:
                         self._send(name, event)
-                        self._sent = place
-                    self._log.delivered(self._receiver, place)
+                        self._sent = row
+                    self._log.delivered(self._receiver, row)
                     pause, self.problem = FIRST_PAUSE, ""
                     if self._stopped.is_set():
                         return

@@ -137,7 +137,8 @@ class Camera:
         """The settings of what is watched, and its state: who is there, and the counts."""
         # What went wrong, by what it concerns; when each file was changed that was read.
         self._problems, self._seen = dict[str, str](), dict[str, tuple[int, int]]()
-        # Since when a file is as it is that is to be read again; from when on events that could not be written are tried.
+        # Time and size of a file that is to be read again, and since when they are so; from when on events are tried again
+        # that could not be written.
         self._changing, self._patient = dict[str, tuple[tuple[int, int], float]](), 0.0
         self._stopped, self._files, self._open = threading.Event(), threading.Lock(), True
         self._held, self._unwritten = deque[_Held](), deque[dict[str, object]](maxlen=_UNWRITTEN)
@@ -182,10 +183,10 @@ class Camera:
         with self._fresh:
             self._fresh.notify_all()
         try:
-            video = [] if self._video is None else [self._video.finish]
-            first, then = [self._flush, lambda: self._tell((), last=True)], [self.log.close, self._save_end]
-            steps = [*first, self._rows.finish, *video, *then]
-            return [self._tried(step) for step in steps].count(False) == len(self._unwritten) == 0
+            steps = [self._flush, lambda: self._tell((), last=True), self._rows.finish]
+            steps += [] if self._video is None else [self._video.finish]
+            done = [self._tried(step) for step in (*steps, self.log.close, self._save_end)]
+            return all(done) and not self._unwritten
         finally:
             self._open = False
             self._files.release()
@@ -412,7 +413,7 @@ class Camera:
             tracker.load_state_dict(packed)
         except InputError as error:
             self._problems["checkpoint"] = f"the checkpoint cannot be used, tracks and counts begin anew: {error}"
-            # So long it is there to be read.
+            # The next checkpoint takes this sentence away: not at once.
             self._due = time.monotonic() + self.settings.checkpoint
             self.log.forget_watched()
             tracker.skip_identities(highest)

@@ -40,7 +40,7 @@ _TABLES = (
     "CREATE TABLE IF NOT EXISTS receivers (name TEXT PRIMARY KEY, has INTEGER NOT NULL)",
     "CREATE TABLE IF NOT EXISTS watched (one INTEGER PRIMARY KEY, number INTEGER NOT NULL, state BLOB NOT NULL)",
 )
-# A place that no event has had, also where somebody has deleted some.
+# The number of the next row: none that an event has had, also where somebody has deleted some.
 _NEXT = "(SELECT 1 + MAX(COALESCE(MAX(rowid), 0), (SELECT COALESCE(MAX(has), 0) FROM receivers)) FROM events)"
 _ADD = f"INSERT OR IGNORE INTO events (rowid, id, time, kind, place, identity, event) VALUES ({_NEXT}, ?, ?, ?, ?, ?, ?)"
 _WAITING = (
@@ -302,14 +302,14 @@ class EventLog:
             ) from None
 
     def waiting(self, receiver: str, most: int = 100) -> list[tuple[int, str, str]]:
-        """Place, identifier and JSON of the oldest events that a receiver does not have."""
+        """Row number, identifier and JSON of the oldest events that a receiver does not have."""
         with self._lock:
             return list(self._base.execute(_WAITING, (receiver, most)))
 
-    def delivered(self, receiver: str, place: int) -> None:
-        """Say that a receiver has the event at this place, and with it all before."""
+    def delivered(self, receiver: str, row: int) -> None:
+        """Say that a receiver has the event in this row, and with it all before."""
         with self._lock:
-            self._base.execute("UPDATE receivers SET has = ? WHERE name = ?", (place, receiver))
+            self._base.execute("UPDATE receivers SET has = ? WHERE name = ?", (row, receiver))
 
     def close(self) -> None:
         """Nothing is left to write. Raises `InputError` where the file of lines lacks some of the events."""

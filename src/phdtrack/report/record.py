@@ -159,7 +159,7 @@ class RunRecord:
         """The number of tracks of each class that has any, by its name; {} without classes."""
         if self.names is None:
             return {}
-        return {self.names.get(one, str(one)): self.whole.classes[one] for one in sorted(self.whole.classes)}
+        return {self.names.get(one, str(one)): count for one, count in sorted(self.whole.classes.items())}
 
     @property
     def frames_per_second(self) -> float:
@@ -189,7 +189,7 @@ class Recorder:
 
     Pictures are kept of frames whose index is a multiple of a stride, which doubles when they become too many. ``truth`` is
     None where nothing is annotated. Of more than ``most`` frames the last ones are kept, and corrected rows are to be
-    counted by `finish`, when they are final. ``blur`` (`arrays.pixelated`) hides boxes of detections, estimates and tracks.
+    counted by `count`, when they are final. ``blur`` (`arrays.pixelated`) hides boxes of detections, estimates and tracks.
     """
 
     def __init__(self, info: SequenceInfo, truth: Truth | None = None, most: int | None = None, blur: str = "") -> None:
@@ -225,7 +225,7 @@ class Recorder:
             self._stride *= 2
             self._kept = [each for each in self._kept if each[0] % self._stride == 0]
 
-    def finish(self, rows: Tracks) -> None:
+    def count(self, rows: Tracks) -> None:
         """Count corrected rows of a source without an end."""
         names, first = np.unique(rows.identity, return_index=True)
         fresh = ~np.isin(names, [*self._known[0], *self._known[1]])
