@@ -178,23 +178,24 @@ def loop(video: str, out: str) -> float:
 
 
 def detectors(video: Path, warm: int = 20) -> dict[str, float]:
-    """Median milliseconds a frame, in turn: `change` at the command's width, shrinking included, MOG2 at the full one."""
+    """Median milliseconds a frame: `change` at the command's width, shrinking included, and then MOG2 at the full one.
+
+    One after the other, for each empties the other's caches.
+    """
     from phdtrack.detect.registry import make_detector, study, working_width
     from phdtrack.video import open_source
 
     source, subtractor = open_source(video), cv2.createBackgroundSubtractorMOG2(detectShadows=True)
     change = make_detector("change", max_width=working_width("change", None, source.info))
     study(change, source, source.sample)
-    taken: list[tuple[float, float]] = []
-    for frame in source:
-        began = time.perf_counter()
-        change(frame)
-        between, image = time.perf_counter(), frame.image
-        again = time.perf_counter()
-        subtractor.apply(image)
-        taken.append((between - began, time.perf_counter() - again))
-    mine, other = 1e3 * np.median(taken[warm:], axis=0)
-    return {"change": float(mine), "mog2": float(other)}
+    taken: dict[str, list[float]] = {"change": [], "mog2": []}
+    for name, times in taken.items():
+        for frame in source:
+            image = frame.image if name == "mog2" else None
+            began = time.perf_counter()
+            change(frame) if image is None else subtractor.apply(image)
+            times.append(time.perf_counter() - began)
+    return {name: 1e3 * float(np.median(times[warm:])) for name, times in taken.items()}
 
 
 def run(scale: Scale, say: Callable[[str], None]) -> Outcome:

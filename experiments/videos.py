@@ -126,7 +126,7 @@ def lacking(part: str, source: VideoSource) -> Detector:
         study(detector, source, source.sample)
     change._QUIET, change._QUIET_OF_CHI2 = below
     if part == "modes":
-        inner._past = inner._past._replace(samples=np.zeros((*inner._past.samples.shape[:3], 0), np.uint8))
+        inner._past = inner._past._replace(samples=np.zeros((len(inner._past.samples), 0), np.uint8))
     elif part == "heights":
         inner._usual = None
     return detector

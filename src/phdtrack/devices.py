@@ -37,10 +37,49 @@ class Picture(Protocol):
         """Width and height in pixels."""
 
     def bgr(self, size: tuple[int, int] | None = None) -> Image:
-        """(H, W, 3) BGR uint8 of this width and height, or of its own."""
+        """(H, W, 3) BGR uint8 of this width and height, or of its own: that is made once."""
 
-    def planes(self) -> Image | None:
-        """(3H/2, W) uint8, a copy of brightness and below it the colours (YUV 4:2:0); None where it is kept otherwise."""
+    def planes(self, size: tuple[int, int] | None = None) -> Image:
+        """(n,) uint8, YUV 4:2:0 (black is 16) of this width and height, or its own: brightness, H·W numbers, then blue and
+        red colour differences, as the source defines them, of half width and height, rounded up. May be written into."""
+
+
+class Planar:
+    """A picture kept as ``planes`` of this ``size``, as `Picture.planes` gives them."""
+
+    def __init__(self, size: tuple[int, int], planes: Image) -> None:
+        self.size, self._planes = size, planes
+        self._image: Image | None = None
+
+    def bgr(self, size: tuple[int, int] | None = None) -> Image:
+        """(H, W, 3) BGR uint8 of this width and height, or of its own: that is made once."""
+        import cv2
+
+        if self._image is None:
+            width, height = self.size
+            grey = np.pad(self._planes[: height * width].reshape(height, width), ((0, height % 2), (0, width % 2)), "edge")
+            whole = np.concatenate([grey.ravel(), self._planes[height * width :]]).reshape(-1, grey.shape[1])
+            bgr = cv2.cvtColor(whole, cv2.COLOR_YUV2BGR_I420)[:height, :width]
+            self._image = np.ascontiguousarray(bgr, np.uint8)
+        return self._image if size is None else np.asarray(cv2.resize(self._image, size), np.uint8)
+
+    def planes(self, size: tuple[int, int] | None = None) -> Image:
+        """As `Picture.planes`."""
+        return self._planes.copy() if size in (None, self.size) else planes_of(self.bgr(), size)
+
+
+def planes_of(picture: Image | Picture, size: tuple[int, int] | None = None) -> Image:
+    """What `Picture.planes` says, of a picture or an image (H, W, 3) BGR uint8."""
+    import cv2
+
+    if not isinstance(picture, np.ndarray):
+        return picture.planes(size)
+    image = picture if size is None else cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    height, width = image.shape[:2]
+    # Of a row and a column that are added only the colours are kept.
+    even = cv2.copyMakeBorder(image, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE)
+    whole = np.asarray(cv2.cvtColor(even, cv2.COLOR_BGR2YUV_I420), np.uint8)
+    return np.concatenate([whole[:height, :width].ravel(), whole[len(even) :].ravel()])
 
 
 def size_of(frame: Frame) -> tuple[int, int]:

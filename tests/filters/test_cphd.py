@@ -9,8 +9,7 @@ import pytest
 from phd_cases import crowd, seen_by, with_births, world
 
 from phdtrack.filters import GMCPHD, GMPHD, ParticleCPHD, ParticlePHD
-from phdtrack.filters.cardinality import Cardinalised, poisson, weigh
-from phdtrack.filters.terms import UpdateTerms
+from phdtrack.filters.cardinality import Cardinalised, UpdateTerms, poisson, weigh
 from phdtrack.types import GaussianMixture, Particles
 
 NOTHING = np.zeros((4, 0))

@@ -6,13 +6,16 @@ from fractions import Fraction
 from pathlib import Path
 
 import av
+import cv2
 import numpy as np
 import pytest
 from video_clips import encode, picture
 
+from phdtrack.devices import Planar, planes_of
 from phdtrack.errors import InputError
 from phdtrack.types import Image
 from phdtrack.video import VideoWriter, open_source
+from phdtrack.video.files import Decoded
 
 
 def test_a_written_clip_reads_back(clip: Path) -> None:
@@ -132,19 +135,34 @@ def test_caviar_is_counted_by_decoding(data: Path) -> None:
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_small_pictures_are_made_of_what_was_decoded(clip: Path, tmp_path: Path, turned: bool) -> None:
-    """In the size asked for, the mean of what each pixel covers; planes only where nothing is turned."""
+    """In the size asked for, the mean of what each pixel covers, also as planes, turned as the picture is."""
     source = open_source(portrait(clip, tmp_path / "turned.mp4") if turned else clip)
     frame = next(iter(source))
     wide, high = frame.picture.size
     assert frame.image.shape == (high, wide, 3)
-    small = frame.picture.bgr((wide // 2, high // 2))
-    mean = frame.image.reshape(high // 2, 2, wide // 2, 2, 3).mean(axis=(1, 3))
-    assert small.shape == mean.shape
-    assert np.abs(small - mean).mean() < 4
-    planes = frame.picture.planes()
-    assert (planes is None) if turned else (planes.shape == (high * 3 // 2, wide))
+    for size in ((wide, high), (wide // 2, high // 2), (wide // 2 - 1, high // 2 - 1)):
+        expected = cv2.resize(frame.image, size, interpolation=cv2.INTER_AREA)
+        for planes in (frame.picture.planes(size), planes_of(frame.image, size)):
+            assert len(planes) == size[0] * size[1] + 2 * ((size[0] + 1) // 2) * ((size[1] + 1) // 2)
+            found = Planar(size, planes).bgr()
+            assert found.shape == expected.shape
+            assert np.abs(found.astype(int) - expected).mean() < 4
     assert len(list(source)) == 30
     assert 0.5 < source.share <= 1
+
+
+@pytest.mark.parametrize("kind", ["yuv420p", "yuvj420p", "yuv420p10le", "yuv422p", "yuv444p", "nv12", "gray", "full"])
+def test_planes_of_all_kinds_of_pictures_are_the_same(kind: str) -> None:
+    ramp = np.add.outer(np.arange(33), np.arange(21)).repeat(3).reshape(33, 21, 3)
+    image = (4 * ramp + 20).astype(np.uint8)
+    whole, full = av.VideoFrame.from_ndarray(image, format="bgr24"), kind == "full"
+    made = whole.reformat(format="yuv420p" if full else kind, dst_color_range="JPEG" if full else None)
+    made.color_range = 2 if full or kind == "yuvj420p" else 1
+    for size in (None, (10, 16)):
+        found, expected = Decoded(made).planes(size).astype(int), planes_of(image, size).astype(int)
+        assert found.shape == expected.shape
+        assert np.abs(found - expected).mean() < 1.5
+        assert abs((found - expected).mean()) < 1
 
 
 def coded(path: Path, count: int = 90, *, jump: bool = False) -> Path:

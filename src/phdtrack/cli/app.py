@@ -43,6 +43,8 @@ COMMANDS = {
     "calibrate": "Make a camera of four or more points of flat ground, and say how well it fits each of them.",
     "settings": "Print settings as TOML, with units and meaning, for --config to read back.",
 }
+# Seconds after which a thread gives the interpreter to one that waits: those of a run need it often, each time briefly.
+_SWITCH = 1e-5
 _MODULES = {"demo": "simulate", "detect": "track", "learn": "label"}
 _SUMMARY = (
     "From a video, or any detector's boxes, to tracks: a filter of random finite sets between detector and identities."
@@ -154,6 +156,7 @@ def main() -> None:
         # A shell asks how a line goes on, and has it here; bash under the second name.
         line = os.environ.get("_TYPER_COMPLETE_ARGS") or os.environ.get("COMP_WORDS", "")
         name = "".join(line.split()[1:2])
+    sys.setswitchinterval(_SWITCH)
     try:
         # A signal may come before this has returned.
         signals.listen()

@@ -35,8 +35,8 @@ from phdtrack.types import STILL, Detections, Frame
 
 EVERY = 10.0
 """Seconds between two checkpoints, where nothing else is said."""
-# Of the files: it changes with them.
-FORMAT = 3
+# Of the files: it changes with them, and with what a detector finds.
+FORMAT = 4
 Key = Mapping[str, object]
 # Bytes that a detector's knowledge may have: several times that of pictures of 8192x4320.
 _LARGEST = 1 << 32
@@ -218,7 +218,7 @@ def source_of(path: str) -> list[object]:
 
 def _text(key: Key) -> str:
     """What decides a result, as text; empty for nothing."""
-    return "" if not key else json.dumps(json_value({"version": __version__, **key}), sort_keys=True)
+    return "" if not key else json.dumps(json_value({"version": __version__, "format": FORMAT, **key}), sort_keys=True)
 
 
 def _plain(one: Detected) -> dict[str, Any]:

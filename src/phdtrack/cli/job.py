@@ -414,9 +414,9 @@ def _draw(job: Job, directory: RunDirectory, done: _Progress, tracks: Tracks, ad
                 video = files.enter_context(VideoWriter(path, *size, info.fps, fast=True))
                 frames = files.enter_context(ahead(job.inputs.source))
                 annotate = Annotator(info, names=job.names, blur=job.blur)
-                # What is drawn on the decoder's planes goes to the encoder as it is; others need BGR.
-                annotated = _annotated(annotate, done.seen, frames, tracks, planes=not draw and not job.blur)
-                pictures = files.enter_context(ahead(annotated))
+                # What is drawn on the decoder's planes goes to the encoder as it is; the others need BGR.
+                whole = not (draw or job.blur or info.width % 2 or info.height % 2)
+                pictures = files.enter_context(ahead(_annotated(annotate, done.seen, frames, tracks, planes=whole)))
                 draw.insert(0, lambda number, picture: video.write(picture))
             if not draw:
                 return
@@ -449,8 +449,8 @@ def _annotated(
     for one, frame in zip(seen, frames, strict=False):
         rows = tracks.take(np.arange(*np.searchsorted(tracks.frame, [one.number, one.number + 1])))
         chances = one.clutter_probability
-        picture = frame.picture.planes() if planes and not isinstance(frame.picture, np.ndarray) else None
-        image = frame.image if picture is None else picture
+        kept = planes and not isinstance(frame.picture, np.ndarray)
+        image = frame.picture.planes().reshape(-1, frame.picture.size[0]) if kept else frame.image
         yield annotate(image, one.number, rows, one.detections, mass=one.mass, clutter_probability=chances)
 
 

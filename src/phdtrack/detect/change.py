@@ -2,8 +2,9 @@
 
 **change** is statistical colour change detection, after Cavallaro and Ebrahimi (2004). Without change, frame and reference
 differ by noise. The difference of each pixel is taken in three channels c that keep brightness apart from colour (logarithm
-of luma; the two chroma differences), divided by the deviation that noise explains there, and summed; the mean of that over a
-small window W is the statistic, compared with a χ² quantile of 3 degrees:
+of brightness; the two colour differences, which four pixels share as in what decoders give, smoothed), divided by the
+deviation that noise explains there, and summed; the mean of that over a small window W is the statistic, compared with a χ²
+quantile of 3 degrees:
 
     T(p) = (1/|W|) Σ_{q∈W} (1/s(q)) Σ_c d_c(q)² / σ_c²   >   χ²₃(1 − false alarm rate)
 
@@ -32,28 +33,34 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from statistics import NormalDist
-from typing import Annotated, Any
+from typing import Annotated
 
 import cv2
 import numpy as np
 from annotated_types import Gt, Lt
 from numpy.typing import NDArray
 
-from phdtrack.detect.components import BlobSettings, Contour, Heights, check_same_size
+from phdtrack.detect.components import BlobSettings, Component, Heights, check_same_size
 from phdtrack.detect.reference import background, median, of_objects
+from phdtrack.devices import planes_of, size_of
 from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, check
+from phdtrack.kernels.blobs import edges
 from phdtrack.kernels.change import (
+    BLACK,
     CHANNELS,
+    COLOURS,
+    GREYS,
     LOG,
     LOG_SCALE,
     OFTEN,
     REACH,
     Past,
     Statistic,
+    colours,
     compare,
-    edge,
     follow,
     lighting,
+    luma,
     noise,
     often_near,
 )
@@ -61,10 +68,9 @@ from phdtrack.types import F8, I8, Bool, Detections, Frame, Image
 
 F4 = NDArray[np.float32]
 OpenShare = Annotated[float, Gt(0), Lt(1)]
-Planes = tuple[Image, Image, Image]
 
-_GRID_POINTS, _SPARSE = 4000, 4
-_SAME_LIGHT: F4 = np.array([[1, 1, 1], [0, 0, 0]], np.float32)
+_GRID_POINTS, _SPARSE = 2000, 4
+_SAME_LIGHT: F4 = np.eye(3, 4, dtype=np.float32)
 _QUARTILE_OF_NORMAL = 1.1503
 # The side of a square that fits into an object, in its heights; that in heights of the picture, where it is not known.
 _SIDE, _USUAL = 0.3, 0.1
@@ -76,13 +82,17 @@ _GHOST_EDGE = 0.8
 # What flies past and hides an edge looks like a ghost for a frame or two: learned at once, it would be one ever after.
 _GHOST_SECONDS = 0.2
 # Seconds between samples that count as seen at different times, and the share of the threshold below which they are alike.
-_APART, _RESEMBLING = 0.5, 0.5
+_APART, _RESEMBLING = 0.5, 0.45
 # The mean share of pixels that differ from the scene in a sample, and the mean grey level, at which boxes become doubtful.
 _RESTLESS, _DARK = 0.2, 40.0
 _TRAINED = "Boxes of a trained detector help: --detections FILE or --detector onnx:FILE"
-_MARGIN, _DISC = np.ones((5, 5), np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
+# How far an outline reaches on both sides of the border of a component.
+_OUTLINE = 3
+_MARGIN, _RING = np.ones((5, 5), np.uint8), np.ones((2 * _OUTLINE + 1, 2 * _OUTLINE + 1), np.uint8)
+# Where what is `REACH` pixels away lies, and where the colours of that may.
 _NEIGHBOURS = np.zeros((2 * REACH + 1, 2 * REACH + 1), np.uint8)
 _NEIGHBOURS[::REACH, ::REACH] = 1
+_COLOURS_NEAR = np.ones((2 * ((REACH + 1) // 2) + 1,) * 2, np.uint8)
 
 
 @dataclass(eq=False)
@@ -102,11 +112,11 @@ class ChangeDetector:
     blobs : how the mask becomes boxes.
     """
 
-    false_alarm: OpenShare = 0.005
+    false_alarm: OpenShare = 0.0055
     window: PositiveCount = 5
     shadow: Positive = 0.11
     glare: Positive = 0.055
-    chroma: Positive = 3.0
+    chroma: Positive = 2.9
     learn: Positive = 4.0
     samples: PositiveCount = 15
     adapt: Positive = 10.0
@@ -129,15 +139,22 @@ class ChangeDetector:
         self._samples: list[Image] = []
 
     @property
+    def _shape(self) -> tuple[int, int]:
+        """Height and width of the frames."""
+        height, width = self._foreground.shape
+        return height, width
+
+    @property
     def studied(self) -> bool:
         """Whether it has learned the scene from samples of a file."""
-        return bool(self._samples) and self._past.samples.shape[3] > 0
+        return bool(self._samples) and self._past.samples.shape[1] > 0
 
     def unsuited(self) -> tuple[str, ...]:
         """What of the scene of a file makes the boxes doubtful, with what would help, in sentences."""
         if not self.studied:
             return ()
-        share, light = self._past.differing.mean() / self._past.samples.shape[3], self._reference.mean()
+        share = self._past.differing.mean() / self._past.samples.shape[1]
+        light = GREYS * (luma(self._reference, self._shape).mean() - BLACK)
         out = []
         if share > _RESTLESS:
             what = f"on average {100 * share:.0f} % of the picture changes, as where the camera moves"
@@ -154,36 +171,38 @@ class ChangeDetector:
         samples : an odd number of frames in order, at least 7.
         """
         self._begin(samples[0])
-        self._learning = False
-        images = [one.image for one in samples]
-        reference, hidden = background(images)
+        self._learning, shape = False, self._shape
+        pictures = [_smooth(one) for one in samples]
+        reference, hidden = background(pictures, shape)
         self._reference = reference.astype(np.float32)
         # What two samples show of the same moment is not seen twice.
         duration = max(samples[-1].time - samples[0].time, 1e-9)
-        apart = images[:: max(1, math.ceil(_APART * (len(samples) - 1) / duration))]
-        # The samples of a pixel side by side: it is compared with all of them.
-        seen: Image = np.empty((*images[0].shape, len(apart)), np.uint8)
-        extremes = _Extremes(OFTEN, images[0].shape), _Extremes(often_near(len(apart)), images[0].shape)
+        apart = pictures[:: max(1, math.ceil(_APART * (len(samples) - 1) / duration))]
+        # The samples of a number side by side: it is compared with all of them.
+        seen: Image = np.empty((len(reference), len(apart)), np.uint8)
+        extremes = _Extremes(OFTEN, len(reference)), _Extremes(often_near(len(apart)), len(reference))
         for k, one in enumerate(apart):
-            seen[..., k] = planes = np.dstack(_planes(one))
+            seen[:, k] = planes = _logarithmic(one, shape)
             extremes[0].add(planes, planes)
-            extremes[1].add(cv2.erode(planes, _NEIGHBOURS), cv2.dilate(planes, _NEIGHBOURS))
-        nowhere: Image = np.zeros(hidden.shape, np.uint8)
+            parts = [(luma(planes, shape), _NEIGHBOURS), *((each, _COLOURS_NEAR) for each in colours(planes, shape))]
+            near = [np.concatenate([of(*part).ravel() for part in parts]) for of in (cv2.erode, cv2.dilate)]
+            extremes[1].add(*near)
+        nowhere: Image = np.zeros(shape, np.uint8)
         self._past = Past(seen, nowhere, *(each.found() for each in extremes))
         height = len(hidden)
         margin, least = max(3, round(_SIDE * _USUAL * height) | 1), np.full(height, _SIDE * _USUAL * height)
         places = of_objects(hidden, least, margin)
-        self._learn_usual(images, apart, places)
+        self._learn_usual(pictures, apart, places)
         if self._usual is None:
             return
         # Once more, where what hid something is as large as objects are at its place.
         again = of_objects(hidden, np.array([max(3.0, _SIDE * self._usual.at(row)) for row in range(height)]), margin)
         if (again != places).any():
-            self._learn_usual(images, apart, again)
+            self._learn_usual(pictures, apart, again)
 
-    def _learn_usual(self, images: Sequence[Image], apart: Sequence[Image], hidden: Bool) -> None:
+    def _learn_usual(self, pictures: Sequence[Image], apart: Sequence[Image], hidden: Bool) -> None:
         """The scene's noise, how often each pixel differs in the samples that are ``apart``, and how high objects are."""
-        self._learn_scene_noise(images, hidden)
+        self._learn_scene_noise(pictures, hidden)
         differing = sum((self._compared(one)[1] > self._threshold).astype(np.uint8) for one in apart)
         self._past = self._past._replace(differing=np.asarray(differing, np.uint8))
         masks, alone = [self.blobs.clean(self._compared(one)[0]) for one in apart], replace(self.blobs, join=0.0)
@@ -191,42 +210,49 @@ class ChangeDetector:
         self._usual: Heights | None = Heights.learned(boxes, hidden.shape)
 
     def __call__(self, frame: Frame) -> Detections:
-        """The boxes of what changed in ``frame`` (H, W, 3) [M09]."""
+        """The boxes of what changed in ``frame`` [M09]."""
         if not self._samples:
             self._begin(frame)
             return Detections.empty()
-        check_same_size(frame, self._foreground.shape)
-        self._learn_camera_noise(frame.image)
-        self._sample(frame)
-        changed, energy, expected = self._compared(frame.image, light=True)
+        check_same_size(frame, self._shape)
+        picture = _smooth(frame)
+        self._learn_camera_noise(picture)
+        self._sample(frame, picture)
+        lit = self._lit(picture)
+        changed, energy = self._compared(picture, lit)
         mask = self.blobs.clean(changed)
         found = self.blobs.components(mask)
-        ghosts = [contour for contour in found if _is_ghost(contour, _flat(frame.image), expected)]
-        self._adapt(frame, energy, mask, ghosts)
-        real = [contour for contour in found if not any(contour is ghost for ghost in ghosts)]
+        left = self._left(found, mask, picture, lit)
+        self._adapt(frame, picture, energy, mask, [one for one, gone in zip(found, left, strict=True) if gone])
+        real = [one for one, gone in zip(found, left, strict=True) if not gone]
         return Detections.of(self.blobs.boxes(real, mask.shape, self._usual))
 
     def _begin(self, frame: Frame) -> None:
         """Take the first frame as the reference."""
-        shape = frame.image.shape[:2]
-        self._past = Past(*(np.zeros((*shape, *rest), np.uint8) for rest in ((3, 0), (), (3, 2), (3, 2))))
+        width, height = size_of(frame)
+        self._foreground: Image = np.zeros((height, width), np.uint8)
+        shape = self._shape
+        picture = _smooth(frame)
+        self._past = Past(
+            *(np.zeros(size, np.uint8) for size in ((picture.size, 0), shape, (picture.size, 2), (picture.size, 2)))
+        )
         self._usual = None
-        self._samples, self._due = [frame.image], frame.time + self.learn / self.samples
+        self._samples, self._due = [picture], frame.time + self.learn / self.samples
         self._learning = self.samples > 1
-        self._reference = frame.image.astype(np.float32)
-        self._foreground: Image = np.zeros(shape, np.uint8)
+        self._reference = picture.astype(np.float32)
         self._scene: F4 = np.full(shape, float(CHANNELS), np.float32)
         self._haunted: F4 = np.zeros(shape, np.float32)
         self._camera: F8 = np.ones(CHANNELS)
-        self._previous = np.stack(_planes(frame.image[::_SPARSE, ::_SPARSE]))
+        planes, step = _logarithmic(picture, shape), slice(None, None, _SPARSE // 2)
+        self._previous = np.stack([luma(planes, shape)[::_SPARSE, ::_SPARSE], *colours(planes, shape)[:, step, step]])
         self._time = frame.time
 
-    def _sample(self, frame: Frame) -> None:
+    def _sample(self, frame: Frame, picture: Image) -> None:
         """Take the frame for the first reference if one is due; of every other one the median, and the scene's noise."""
         if not self._learning or frame.time < self._due:
             return
         self._due += self.learn / self.samples
-        self._samples.append(frame.image)
+        self._samples.append(picture)
         self._learning = len(self._samples) < self.samples
         if len(self._samples) % 2 == 0:
             return
@@ -247,49 +273,57 @@ class ChangeDetector:
         spread = cv2.dilate(cv2.blur(typical, (5, 5)), np.ones((3, 3), np.uint8))
         self._scene = np.minimum(spread, np.float32(CHANNELS * _LOUDEST))
 
-    def _learn_camera_noise(self, image: Image) -> None:
+    def _learn_camera_noise(self, picture: Image) -> None:
         """σ_c from the third quartile of |difference of successive frames| on a sparse grid."""
-        quartile = [_quartile(counts) for counts in noise(_flat(image), self._previous, _SPARSE)]
+        quartile = [_quartile(counts) for counts in noise(picture, self._previous, self._shape, _SPARSE)]
         latest = np.array(quartile) / (_QUARTILE_OF_NORMAL * np.sqrt(2))
         self._camera = _NOISE_MEMORY * self._camera + (1 - _NOISE_MEMORY) * latest
 
-    def _compared(self, image: Image, *, light: bool = False) -> tuple[Image, F4, Image]:
-        """The raw mask, the energy, the picture (H, 3W) that was expected; in the light of ``image`` or of the reference."""
-        usual = np.array([LOG_SCALE * self.shadow, LOG_SCALE * self.glare, self.chroma, self.chroma])
+    def _lit(self, picture: Image) -> F4:
+        """(3, 4) how the reference looks in the light of a picture, as `kernels.change.lighting` has it."""
+        step = max(1, round((self._foreground.size / _GRID_POINTS) ** 0.5))
+        return np.asarray(lighting(self._reference, picture, self._foreground, step))
+
+    def _compared(self, picture: Image, light: F4 = _SAME_LIGHT) -> tuple[Image, F4]:
+        """(H, W) the raw mask and the energy of a picture, against the reference in this light."""
+        chroma = self.chroma / COLOURS
+        usual = np.array([LOG_SCALE * self.shadow, LOG_SCALE * self.glare, chroma, chroma])
         weights = tuple((1 / (usual**2 + self._camera[[0, 0, 1, 2]] ** 2)).astype(np.float32))
         rule = Statistic(weights, self.window, self._threshold, _RESEMBLING * self._threshold)
-        flat, reference = _flat(image), _flat(self._reference)
-        lit = _SAME_LIGHT
-        if light:
-            step = max(1, round((self._foreground.size / _GRID_POINTS) ** 0.5))
-            lit = lighting(reference, flat, self._foreground, step)
-        mask, energy, expected = compare(flat, reference, lit, self._scene, rule, self._past)
-        return mask, energy, expected
+        mask, energy = compare(picture, self._reference, light, self._scene, rule, self._past)
+        return mask, energy
 
-    def _adapt(self, frame: Frame, energy: F4, mask: Image, ghosts: list[Contour]) -> None:
+    def _left(self, components: Sequence[Component], mask: Image, picture: Image, light: F4) -> list[bool]:
+        """Whether outlines in each component's box are more of an edge in the reference than in the picture: it has left."""
+        outline = cv2.morphologyEx(mask, cv2.MORPH_GRADIENT, _RING)
+        size = np.array(self._shape)[[1, 0, 1, 0]]
+        boxes = np.array([box for box, _ in components], np.int64).reshape(-1, 4)
+        wide = np.clip(boxes + np.array([-_OUTLINE, -_OUTLINE, _OUTLINE, _OUTLINE]), 0, size)
+        now, then = (luma(each, self._shape) for each in (picture, self._reference))
+        found = edges(now, then, np.asarray(outline, np.uint8), wide)
+        return [bool(one < _GHOST_EDGE * light[0, 0] * other) for one, other in found]
+
+    def _adapt(self, frame: Frame, picture: Image, energy: F4, mask: Image, ghosts: list[Component]) -> None:
         """Let reference and scene noise follow, by the time that has passed."""
         passed = max(0.0, frame.time - self._time)
         self._time = frame.time
         self._foreground = cv2.dilate(mask, _MARGIN)
         rates = [0.0 if self._learning else min(1.0, passed / each) for each in (self.adapt, self.adapt_objects)]
         rates += [min(0.2, passed / self.adapt), CHANNELS * _LOUDEST]
-        reference = _flat(self._reference)
-        follow(_flat(frame.image), energy, reference, self._scene, self._foreground, np.array(rates, np.float32))
+        follow(picture, energy, self._reference, self._scene, self._foreground, np.array(rates, np.float32))
         if self._learning or not (ghosts or self._haunted.any()):
             return
         left = np.zeros_like(mask)
-        cv2.drawContours(left, ghosts, -1, 255, cv2.FILLED)
+        cv2.drawContours(left, [contour for _, contour in ghosts], -1, 255, cv2.FILLED)
         # The time since its first frame: however few frames a second there are, one alone is not enough.
         lasted = np.where(self._haunted > 0, self._haunted + np.float32(passed), np.float32(1e-6))
         self._haunted = np.where(left > 0, lasted, np.float32(0))
         lasting = (self._haunted >= _GHOST_SECONDS).astype(np.uint8)
         if lasting.any():
-            cv2.accumulateWeighted(frame.image, self._reference, 1.0, cv2.dilate(lasting, _MARGIN))
-
-
-def _flat(image: NDArray[Any]) -> NDArray[Any]:
-    """(H, 3W) of (H, W, 3), the same memory where it is in order."""
-    return np.ascontiguousarray(image).reshape(len(image), -1)
+            where = cv2.dilate(lasting, _MARGIN) > 0
+            for plane, seen in ((luma, where), (colours, where[::2, ::2])):
+                now, then = plane(picture, self._shape), plane(self._reference, self._shape)
+                then[..., seen] = now[..., seen]
 
 
 def _quartile(counts: I8) -> float:
@@ -300,29 +334,28 @@ def _quartile(counts: I8) -> float:
     return float(low + (high - low) * (place % 1))
 
 
-def _planes(image: Image) -> Planes:
-    """A picture as (H, W) uint8 planes: logarithm of luma, and the two chroma differences."""
-    luma, red, blue = cv2.split(cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb))
-    return cv2.LUT(luma, LOG), red, blue
+def _smooth(frame: Frame) -> Image:
+    """The planes (n,) of a frame, its colours smoothed."""
+    width, height = size_of(frame)
+    planes = planes_of(frame.picture)
+    for plane in colours(planes, (height, width)):
+        plane[:] = cv2.blur(plane, (3, 3))
+    return planes
 
 
-def _is_ghost(contour: Contour, image: Image, expected: Image) -> bool:
-    """Whether a component's outline is more of an edge in the reference (H, 3W) than in the frame: its object has left."""
-    x, y, width, height = cv2.boundingRect(contour)
-    left, top = max(0, x - 4), max(0, y - 4)
-    right, bottom = min(x + width + 4, image.shape[1] // CHANNELS), min(y + height + 4, len(image))
-    filled = np.zeros((bottom - top, right - left), np.uint8)
-    cv2.drawContours(filled, [contour], -1, 255, cv2.FILLED, offset=(-left, -top))
-    outline = cv2.morphologyEx(filled, cv2.MORPH_GRADIENT, _DISC)
-    return bool(edge(image, left, top, outline) < _GHOST_EDGE * edge(expected, left, top, outline))
+def _logarithmic(picture: Image, shape: tuple[int, int]) -> Image:
+    """The planes (n,) of a picture with the logarithm of brightness."""
+    out = picture.copy()
+    luma(out, shape)[:] = LOG[luma(picture, shape)]
+    return out
 
 
 class _Extremes:
-    """The ``rank``-th smallest and largest of pictures (H, W, 3)."""
+    """The ``rank``-th smallest and largest of each number of pictures (n,)."""
 
-    def __init__(self, rank: int, shape: tuple[int, ...]) -> None:
-        self._low: Image = np.full((rank, *shape), 255, np.uint8)
-        self._high: Image = np.zeros((rank, *shape), np.uint8)
+    def __init__(self, rank: int, n: int) -> None:
+        self._low: Image = np.full((rank, n), 255, np.uint8)
+        self._high: Image = np.zeros((rank, n), np.uint8)
 
     def add(self, low: Image, high: Image) -> None:
         """A picture for each of them."""
@@ -331,8 +364,8 @@ class _Extremes:
             self._high[j], high = np.maximum(self._high[j], high), np.minimum(self._high[j], high)
 
     def found(self) -> Image:
-        """(H, W, 3, 2) of those that were added."""
-        return np.stack([self._low[-1], self._high[-1]], axis=3)
+        """(n, 2) of those that were added."""
+        return np.stack([self._low[-1], self._high[-1]], axis=1)
 
 
 @dataclass(eq=False)

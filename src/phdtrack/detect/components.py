@@ -18,12 +18,15 @@ import numpy as np
 from annotated_types import Ge, Lt
 from numpy.typing import NDArray
 
+from phdtrack.devices import size_of
 from phdtrack.errors import Checked, InputError
+from phdtrack.kernels.blobs import measured, valley
 from phdtrack.types import F8, Bool, Detections, Frame, Image
 
-Contour = NDArray[np.int32]
 # Corners in whole pixels: left, top, right, bottom; right and bottom are one beyond the last.
 Box = tuple[int, int, int, int]
+# The box of a component, and its outer contour (n, 1, 2).
+Component = tuple[Box, NDArray[np.int32]]
 FrameShare = Annotated[float, Ge(0), Lt(1)]
 _SMALLEST_SHARE = 0.3
 _NARROWEST = 0.15
@@ -39,8 +42,8 @@ _ENOUGH, _MANY, _APART, _UNLIKE, _HIGHER = 12, 500, 0.05, 0.35, 1.35
 
 def check_same_size(frame: Frame, shape: tuple[int, ...]) -> None:
     """Raise InputError where ``frame`` is not of the (H, W) ``shape`` that the detector has learned."""
-    if frame.image.shape[:2] != shape[:2]:
-        got, learned = (f"{size[1]}x{size[0]}" for size in (frame.image.shape, shape))
+    if size_of(frame) != shape[1::-1]:
+        got, learned = (f"{size[0]}x{size[1]}" for size in (size_of(frame), shape[1::-1]))
         raise InputError(
             f"this frame is {got} pixels, the background was learned at {learned}",
             where=f"frame {frame.number}",
@@ -126,26 +129,23 @@ class BlobSettings(Checked):
         opened[inside] = cv2.morphologyEx(opened[inside], cv2.MORPH_CLOSE, element)
         return np.asarray(opened, np.uint8)
 
-    def components(self, mask: Image) -> list[Contour]:
-        """The outer contours (n, 1, 2) of what is large enough in a cleaned ``mask``, objects that touch parted."""
-        found, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    def components(self, mask: Image) -> list[Component]:
+        """What is large enough in a cleaned ``mask``, objects that touch parted."""
         least = self.min_area * mask.size
-        large = (np.asarray(contour, np.int32) for contour in found if cv2.contourArea(contour) >= least)
-        return [part for contour in large for part in _split(contour, self.split, least)]
+        return [part for one in _components(mask, least) for part in _split(one, self.split, least)]
 
-    def boxes(self, contours: Sequence[Contour], shape: tuple[int, ...], usual: Heights | None = None) -> F8:
+    def boxes(self, components: Sequence[Component], shape: tuple[int, ...], usual: Heights | None = None) -> F8:
         """(N, 4) xyxy of the objects in the components, from top to bottom.
 
         Parameters
         ----------
-        contours : of `components`.
+        components : as of `components`.
         shape : (H, W, ...) of the frame.
         usual : how high objects are where; what would be much higher as one is two objects.
         """
         height, width = shape[:2]
         found: list[Box] = []
-        for x, y, w, h in map(cv2.boundingRect, contours):
-            box = x, y, x + w, y + h
+        for box, _ in components:
             while partner := next((other for other in found if _belong(box, other, self.join, usual)), None):
                 found.remove(partner)
                 box = _union(box, partner)
@@ -160,36 +160,35 @@ class BlobSettings(Checked):
         return Detections.of(self.boxes(self.components(self.clean(mask)), mask.shape))
 
 
-def _split(contour: Contour, depth: float, least: float) -> list[Contour]:
-    """The contours of the parts into which the component falls at the valleys of its column profile."""
-    x, y, width, height = cv2.boundingRect(contour)
-    if depth <= 0 or width < 2 * max(2, _NARROWEST * height):
-        return [contour]
+def _components(mask: Image, least: float, left: int = 0, top: int = 0) -> list[Component]:
+    """The components of a mask whose outer contours enclose at least so much, seen from (left, top)."""
+    found, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE, offset=(left, top))
+    if not found:
+        return []
+    points = np.concatenate(found)[:, 0]
+    boxes, areas = measured(points, np.cumsum([len(one) for one in found]))
+    rows = zip(boxes.tolist(), found, areas.tolist(), strict=True)
+    return [((x, y, right, bottom), np.asarray(one, np.int32)) for (x, y, right, bottom), one, area in rows if area >= least]
+
+
+def _split(component: Component, depth: float, least: float) -> list[Component]:
+    """The parts into which the component falls at the valleys of its column profile."""
+    (x, y, right, bottom), contour = component
+    width, height = right - x, bottom - y
+    margin = _NARROWEST * height
+    if depth <= 0 or width < 2 * max(2, margin):
+        return [component]
     filled = np.zeros((height, width), np.uint8)
     cv2.drawContours(filled, [contour], -1, 255, cv2.FILLED, offset=(-x, -y))
-    cut = _valley(filled, depth)
-    parts: list[Contour] = []
-    for left, right in () if cut is None else ((0, cut), (cut, width)):
-        pieces, _ = cv2.findContours(filled[:, left:right].copy(), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-        largest = max(pieces, key=cv2.contourArea)
-        if cv2.contourArea(largest) >= least:
-            parts.extend(_split(np.asarray(largest + np.array([x + left, y]), np.int32), depth, least))
-    return parts or [contour]
-
-
-def _valley(filled: Image, depth: float) -> int | None:
-    """The column at which to cut ``filled`` (h, w), None where no valley is deep enough."""
-    height, width = filled.shape
-    profile = cv2.reduce(filled, 0, cv2.REDUCE_SUM, dtype=cv2.CV_64F) / 255
-    profile = cv2.blur(profile, (max(3, round(_SMOOTHING * height)) | 1, 1))[0]
-    left, right = np.maximum.accumulate(profile), np.maximum.accumulate(profile[::-1])[::-1]
-    before, margin = np.cumsum(profile), round(max(2.0, _NARROWEST * height))
-    allowed = (before > _SMALLEST_SHARE * before[-1]) & (before < (1 - _SMALLEST_SHARE) * before[-1])
-    allowed[:margin] = False
-    allowed[width - margin :] = False
-    ratio = np.where(allowed, profile / np.maximum(np.minimum(left, right), 1.0), np.inf)
-    lowest = int(ratio.argmin())
-    return lowest if ratio[lowest] <= depth else None
+    smooth = max(3, round(_SMOOTHING * height)) | 1
+    cut = valley(filled, depth, smooth, round(max(2.0, margin)), _SMALLEST_SHARE)
+    parts: list[Component] = []
+    for start, end in () if cut < 0 else ((0, cut), (cut, width)):
+        pieces = _components(filled[:, start:end].copy(), 0.0, x + start, y)
+        largest = max(pieces, key=lambda piece: cv2.contourArea(piece[1]))
+        if cv2.contourArea(largest[1]) >= least:
+            parts.extend(_split(largest, depth, least))
+    return parts or [component]
 
 
 def _union(a: Box, b: Box) -> Box:

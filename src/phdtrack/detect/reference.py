@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from phdtrack.kernels.change import middle
+from phdtrack.kernels.change import BLACK, FROM_BGR, TO_BGR, colours, luma, middle
 from phdtrack.types import F8, I8, Bool, Image
 
 F4 = NDArray[np.float32]
@@ -33,53 +33,81 @@ _HIDDEN = 6.0
 # Pixels of the smaller picture; bytes of which the median is made at a time.
 _COARSE, _BAND = 12_000, 4_000_000
 _RING = np.ones((3, 3), np.uint8)
+# Brightness and colour differences of black.
+_ZERO: F8 = np.array([BLACK, 128.0, 128.0])
 
 
-def median(images: Sequence[Image]) -> Image:
-    """Per-pixel median of an odd number of uint8 images of one size."""
-    out = np.empty_like(images[0])
-    # In bands of some megabytes: the images side by side would take as much memory as they do.
-    rows = max(1, _BAND // (len(images) * out[:1].size))
-    for top in range(0, len(out), rows):
-        band = slice(top, top + rows)
-        out[band] = _middle(np.stack([image[band] for image in images]))
+def median(samples: Sequence[Image]) -> Image:
+    """(n,) the median of each number of an odd number of samples (n,) uint8."""
+    out = np.empty_like(samples[0])
+    # In bands of some megabytes: the samples side by side would take as much memory as they do.
+    step = max(1, _BAND // len(samples))
+    for start in range(0, len(out), step):
+        band = slice(start, start + step)
+        out[band] = _middle(np.stack([one[band] for one in samples]))
     return out
 
 
-def background(samples: Sequence[Image]) -> tuple[Image, Bool]:
+def background(samples: Sequence[Image], shape: tuple[int, int]) -> tuple[Image, Bool]:
     """The empty scene, and where something hid it most of the time.
 
     Parameters
     ----------
-    samples : an odd number of pictures (H, W, 3) of one size, far apart in time.
+    samples : an odd number of pictures (n,), planes as in `kernels.change`, far apart in time.
+    shape : (H, W) of them.
 
     Returns
     -------
-    The picture (H, W, 3): the median, and where gradients contradict it the sample that they agree with most. And (H, W)
-    where it is not the median.
+    The picture (n,): the median, and where gradients contradict it the sample that they agree with most. And (H, W) where it
+    is not the median.
     """
-    typical = median(samples)
-    height, width = typical.shape[:2]
+    typical, (height, width) = median(samples), shape
     scale = min(1.0, (_COARSE / (height * width)) ** 0.5)
     size = (max(8, round(width * scale)), max(8, round(height * scale)))
-    small = np.stack([cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in samples])
+    small = np.stack([_shrunk(one, shape, size) for one in samples])
     integrated = _integrated(small)
     wrong = np.abs(integrated - _middle(small).astype(np.float32)).max(axis=2) > _WRONG
     if not wrong.any():
-        return typical, np.zeros((height, width), np.bool_)
+        return typical, np.zeros(shape, np.bool_)
     wrong = cv2.resize(cv2.dilate(wrong.astype(np.uint8), _RING), (width, height)) > 0
+    # Where the three numbers of each pixel are.
+    y, x = np.indices(shape)
+    first = height * width + y // 2 * ((width + 1) // 2) + x // 2
+    whole = np.stack([y * width + x, first, first + (height + 1) // 2 * ((width + 1) // 2)], axis=2)
+    places = whole[wrong]
     aim = cv2.resize(integrated, (width, height))[wrong]
-    nearest, least = aim.copy(), np.full(len(aim), 2 * _WRONG, np.float32)
+    nearest, least = _planes(aim), np.full(len(aim), 2 * _WRONG, np.float32)
     for one in samples:
-        values = one[wrong]
-        distance = np.abs(values - aim).max(axis=1)
+        values = one[places]
+        distance = np.abs(_bgr(values) - aim).max(axis=1)
         closer = distance < least
         nearest[closer], least[closer] = values[closer], distance[closer]
-    out = typical.copy()
-    out[wrong] = np.clip(np.rint(nearest), 0, 255)
+    out, chosen = typical.copy(), np.zeros((*shape, 3), np.uint8)
     # A pixel that chose otherwise than all around it chose by noise.
-    out[wrong] = cv2.medianBlur(out, 5)[wrong]
-    return out, np.asarray(cv2.absdiff(out, typical).max(axis=2) > _HIDDEN)
+    chosen[wrong] = np.clip(np.rint(nearest), 0, 255)
+    chosen[~wrong] = typical[whole][~wrong]
+    found = cv2.medianBlur(chosen, 5)[wrong]
+    out[places] = found
+    hidden = np.zeros(shape, np.bool_)
+    hidden[wrong] = np.abs(_bgr(found) - _bgr(typical[places])).max(axis=1) > _HIDDEN
+    return out, hidden
+
+
+def _shrunk(picture: Image, shape: tuple[int, int], size: tuple[int, int]) -> Image:
+    """(h, w, 3) BGR of planes (n,) in another size."""
+    planes = (luma(picture, shape), *colours(picture, shape))
+    small = [cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in planes]
+    return np.asarray(np.clip(np.rint(_bgr(np.dstack(small))), 0, 255), np.uint8)
+
+
+def _bgr(planes: NDArray[Any]) -> F4:
+    """(..., 3) blue, green and red of brightness and colour differences."""
+    return np.asarray((planes - _ZERO) @ TO_BGR.T, np.float32)
+
+
+def _planes(bgr: F4) -> F4:
+    """The other way."""
+    return np.asarray(bgr @ FROM_BGR.T + _ZERO, np.float32)
 
 
 def of_objects(hidden: Bool, least: F8, margin: int) -> Bool:

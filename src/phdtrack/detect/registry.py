@@ -17,7 +17,7 @@ from phdtrack.detect.change import ChangeDetector, MeanBackgroundDetector
 from phdtrack.detect.components import BlobSettings
 from phdtrack.detect.onnx import OnnxDetector
 from phdtrack.detect.opencv import FaceDetector, PersonDetector, SubtractorDetector
-from phdtrack.devices import Detector, size_of
+from phdtrack.devices import Detector, Planar, planes_of, size_of
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.files import load
 from phdtrack.types import Bool, Detections, DetectionTable, Frame, Image, SequenceInfo
@@ -138,9 +138,10 @@ class Rescaled:
             )
         if isinstance(frame.picture, np.ndarray):
             image = np.asarray(cv2.resize(frame.image, small, interpolation=cv2.INTER_AREA), np.uint8)
-        else:
-            image = frame.picture.bgr(small)
-        return Frame(frame.number, frame.time, image)
+            return Frame(frame.number, frame.time, image)
+        planar = isinstance(self.detector, ChangeDetector)
+        picture = Planar(small, frame.picture.planes(small)) if planar else frame.picture.bgr(small)
+        return Frame(frame.number, frame.time, picture)
 
     def __call__(self, frame: Frame) -> Detections:
         """The boxes found in the smaller picture, (N, 4) in pixels of ``frame``."""
@@ -349,7 +350,8 @@ def study(detector: Detector, frames: Iterable[Frame], sample: Callable[[int], I
         return
 
     def seen(frame: Frame) -> Frame:
-        return Frame(frame.number, frame.time, frame.image if small is None else small.shrunk(frame).image)
+        frame = frame if small is None else small.shrunk(frame)
+        return Frame(frame.number, frame.time, Planar(size_of(frame), planes_of(frame.picture)))
 
     for count in (_SAMPLES, _SAMPLES // 2):
         kept = list[Frame]()

@@ -23,17 +23,59 @@ Everything is summed in logarithms of positive terms (`kernels.esf`). Detections
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from phdtrack.filters.blocks import Intensity
-from phdtrack.filters.terms import TINY, UpdateTerms
 from phdtrack.kernels.esf import log_products, log_sums_without
-from phdtrack.types import F8, GaussianMixture
+from phdtrack.types import F8, GaussianMixture, UpdateInfo
 
 # Of the distribution's upper end, as much is cut as it adds to the mean.
 CUT = 1e-14
+TINY = float(np.finfo(np.float64).tiny)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UpdateTerms:
+    """The terms of an update before they are weighed, which the PHD filter [V06, M07] and the cardinalised one share.
+
+    D = a (1 − p_D) D⁺ + Σ_z b_z p_D g(z|·) D⁺; for the PHD filter a = 1, b_z = 1/(κ(z) + C(z)).
+
+    Attributes
+    ----------
+    mass, born, missed : of D⁺, newborn included; of the newborn; ∫ (1 − p_D) D⁺.
+    evidence, clutter : (N,) C(z) and κ(z), per unit of measurement volume.
+    weighed : D for a and b (N,).
+    least : what κ + C is at least where it is not taken for 0.
+    """
+
+    mass: float
+    born: float
+    missed: float
+    evidence: F8
+    clutter: F8
+    weighed: Callable[[float, F8], Any]
+    least: float = TINY
+
+    def info(self, mass: float, vanished: int = 0) -> UpdateInfo:
+        """What the update learned, ``mass`` being that after it."""
+        detected = self.mass - self.missed
+        return UpdateInfo(self.mass, self.born, mass, self.evidence, self.clutter, vanished, detected=detected)
+
+    def phd(self) -> tuple[Any, UpdateInfo]:
+        """The intensity after the update of a PHD filter, and what it learned."""
+        factor, vanished = self.factors()
+        after = self.weighed(1.0, factor)
+        return after, self.info(after.mass, vanished)
+
+    def factors(self) -> tuple[F8, int]:
+        """(N,) 1/(κ + C) [V06 (32); M07 (5)], and how many are 0 because κ + C is."""
+        total = self.clutter + self.evidence
+        known = total >= self.least
+        return np.divide(1.0, total, out=np.zeros_like(total), where=known), int(np.count_nonzero(~known))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,7 +24,7 @@ import numpy as np
 
 from phdtrack.arrays import GATE, chi2_quantile
 from phdtrack.errors import Checked, Count, NonNegative, Share
-from phdtrack.filters.terms import UpdateTerms
+from phdtrack.filters.cardinality import UpdateTerms
 from phdtrack.kernels.gaussian import Expected, Measurements
 from phdtrack.kernels.gm_merge import Merging, Rows, merged_rows
 from phdtrack.kernels.gm_update import Newborn, Reach, mixture_of, phd_step, terms_of

@@ -82,7 +82,7 @@ class _Canvas:
             cv2.polylines(self._opacity, [line], False, round(255 * opacity), width, cv2.LINE_AA)
 
     def onto(self, picture: Image) -> Image:
-        """The picture, (H, W, 3) BGR or its `Decoded.planes`, with what is on this sheet, which is empty afterwards."""
+        """The picture, (H, W, 3) BGR or its planes (3H/2, W), with what is on this sheet, which is empty afterwards."""
         if picture.ndim == 2:
             flat, (high, wide) = picture.reshape(-1), self._opacity.shape
             light, rest = flat[: high * wide].reshape(high, wide), flat[high * wide :].reshape(2, high // 2, wide // 2)
@@ -197,11 +197,11 @@ class Annotator:
         mass: float = math.nan,
         clutter_probability: F8 = _UNKNOWN,
     ) -> Image:
-        """The frame with everything drawn on it, a new picture; planes are drawn on.
+        """The frame with everything drawn on it, a new picture; into planes it is drawn in place.
 
         Parameters
         ----------
-        image : (H, W, 3) BGR uint8, or (3H/2, W) of `Picture.planes`.
+        image : (H, W, 3) BGR uint8, or `Picture.planes` as (3H/2, W).
         number : of the frame, from 1.
         tracks : rows of any frames; those of frame ``number`` are drawn.
         detections : the boxes of this frame.

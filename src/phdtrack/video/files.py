@@ -6,7 +6,7 @@ missing from ``000001.jpg 000002.jpg 000004.jpg`` is a dropped frame, and the ti
 Names without numbers, names whose numbers do not increase, and names in which more than nine frames in ten would be missing
 (time stamps) are only counted.
 
-Of a decoded picture BGR is made when somebody asks for it, and then in the size that he needs.
+Of a decoded picture BGR or planes are made when somebody asks for them, and in the size that he needs.
 
 A video is opened once for its first frame, which settles size, orientation and rate (headers are often wrong), and once for
 each iteration. Packets that cannot be decoded are skipped; a file cut short gives the frames that it has.
@@ -37,6 +37,8 @@ SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", "
 _MOST_MISSING, _DEFAULT_FPS = 10, 25.0
 # Seconds to wait for an address: until it is open, and for more of what it sends.
 CONNECT, READ = 10.0, 10.0
+# What FFmpeg calls pictures whose black is 0.
+_FULL_RANGE = 2
 # Pictures by which the order of packets may differ from that of presentation, at most.
 _REORDERED = 32
 Read = tuple[int, float | None, Image | Picture, str]
@@ -381,17 +383,29 @@ class Decoded:
         """(H, W, 3) BGR uint8 of this width and height, or of its own: that is made once."""
         if size is None and self._image is not None:
             return self._image
-        wide, high = (size or self.size)[:: -1 if self._turns % 2 else 1]
-        image = bgr(self._picture, wide, high)
-        image = np.ascontiguousarray(np.rot90(image, self._turns)) if self._turns else image
+        image = np.ascontiguousarray(np.rot90(bgr(self._picture, *self._before_turns(size)), self._turns))
         self._image = image if size is None else self._image
         return image
 
-    def planes(self) -> Image | None:
-        """(3H/2, W) uint8, a copy of brightness and below it the colours (YUV 4:2:0); None where it is kept otherwise."""
-        even = not (self._turns or self._picture.width % 2 or self._picture.height % 2)
-        planes: Image | None = self._picture.to_ndarray() if even and self._picture.format.name == "yuv420p" else None
-        return planes
+    def planes(self, size: tuple[int, int] | None = None) -> Image:
+        """As `Picture.planes`."""
+        picture, (wide, high) = self._picture, self._before_turns(size)
+        full = "JPEG" if picture.color_range == _FULL_RANGE else None
+        if (wide, high) != (picture.width, picture.height) or picture.format.name != "yuv420p" or full:
+            # Versions of PyAV before 18 do not ask the picture for its range.
+            picture = _converter().reformat(
+                picture, wide, high, "yuv420p", interpolation="AREA", src_color_range=full, dst_color_range="MPEG"
+            )
+        half, parts = ((wide + 1) // 2, (high + 1) // 2), list[Image]()
+        for plane, (across, low) in zip(picture.planes, ((wide, high), half, half), strict=True):
+            part = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)[:low, :across]
+            parts.append(np.rot90(part, self._turns).ravel())
+        return np.concatenate(parts)
+
+    def _before_turns(self, size: tuple[int, int] | None) -> tuple[int, int]:
+        """Width and height of what is turned to have this size."""
+        wide, high = size or self.size
+        return (high, wide) if self._turns % 2 else (wide, high)
 
 
 def endless(path: str) -> bool:

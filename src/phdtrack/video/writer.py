@@ -83,7 +83,7 @@ class VideoWriter:
         self._open = True
 
     def write(self, image: Image, at: float = math.nan) -> None:
-        """Append ``image``, (height, width, 3) BGR uint8, or `Decoded.planes`; InputError where it is none of these.
+        """Append ``image``, (height, width, 3) BGR uint8, or `Decoded.planes` as (3H/2, W); InputError otherwise.
 
         ``at``: its time in seconds, where the video is to have the times of its pictures and not a constant rate.
         """
