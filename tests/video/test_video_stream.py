@@ -153,8 +153,9 @@ def test_small_pictures_are_made_of_what_was_decoded(clip: Path, tmp_path: Path,
 
 @pytest.mark.parametrize("kind", ["yuv420p", "yuvj420p", "yuv420p10le", "yuv422p", "yuv444p", "nv12", "gray", "full"])
 def test_planes_of_all_kinds_of_pictures_are_the_same(kind: str) -> None:
-    ramp = np.add.outer(np.arange(33), np.arange(21)).repeat(3).reshape(33, 21, 3)
-    image = (4 * ramp + 20).astype(np.uint8)
+    # Red grows to the right and downwards, green less, blue not.
+    ramp = np.add.outer(np.arange(33), np.arange(21))[..., None] * ((1, 1, 1) if kind == "gray" else (0, 0.5, 1))
+    image = (3 * ramp + 40).astype(np.uint8)
     whole, full = av.VideoFrame.from_ndarray(image, format="bgr24"), kind == "full"
     made = whole.reformat(format="yuv420p" if full else kind, dst_color_range="JPEG" if full else None)
     made.color_range = 2 if full or kind == "yuvj420p" else 1

@@ -89,7 +89,7 @@ _TRAINED = "Boxes of a trained detector help: --detections FILE or --detector on
 # How far an outline reaches on both sides of the border of a component.
 _OUTLINE = 3
 _MARGIN, _RING = np.ones((5, 5), np.uint8), np.ones((2 * _OUTLINE + 1, 2 * _OUTLINE + 1), np.uint8)
-# Where what is `REACH` pixels away lies, and where the colours of that may.
+# Where pixels `REACH` away lie, and where their colours may, which have half the resolution.
 _NEIGHBOURS = np.zeros((2 * REACH + 1, 2 * REACH + 1), np.uint8)
 _NEIGHBOURS[::REACH, ::REACH] = 1
 _COLOURS_NEAR = np.ones((2 * ((REACH + 1) // 2) + 1,) * 2, np.uint8)
@@ -222,20 +222,17 @@ class ChangeDetector:
         changed, energy = self._compared(picture, lit)
         mask = self.blobs.clean(changed)
         found = self.blobs.components(mask)
-        left = self._left(found, mask, picture, lit)
-        self._adapt(frame, picture, energy, mask, [one for one, gone in zip(found, left, strict=True) if gone])
-        real = [one for one, gone in zip(found, left, strict=True) if not gone]
+        gone = self._gone(found, mask, picture, lit)
+        self._adapt(frame, picture, energy, mask, [one for one, ghost in zip(found, gone, strict=True) if ghost])
+        real = [one for one, ghost in zip(found, gone, strict=True) if not ghost]
         return Detections.of(self.blobs.boxes(real, mask.shape, self._usual))
 
     def _begin(self, frame: Frame) -> None:
         """Take the first frame as the reference."""
-        width, height = size_of(frame)
-        self._foreground: Image = np.zeros((height, width), np.uint8)
-        shape = self._shape
-        picture = _smooth(frame)
-        self._past = Past(
-            *(np.zeros(size, np.uint8) for size in ((picture.size, 0), shape, (picture.size, 2), (picture.size, 2)))
-        )
+        shape, picture = size_of(frame)[::-1], _smooth(frame)
+        n = picture.size
+        self._foreground: Image = np.zeros(shape, np.uint8)
+        self._past = Past(*(np.zeros(size, np.uint8) for size in ((n, 0), shape, (n, 2), (n, 2))))
         self._usual = None
         self._samples, self._due = [picture], frame.time + self.learn / self.samples
         self._learning = self.samples > 1
@@ -293,8 +290,8 @@ class ChangeDetector:
         mask, energy = compare(picture, self._reference, light, self._scene, rule, self._past)
         return mask, energy
 
-    def _left(self, components: Sequence[Component], mask: Image, picture: Image, light: F4) -> list[bool]:
-        """Whether outlines in each component's box are more of an edge in the reference than in the picture: it has left."""
+    def _gone(self, components: Sequence[Component], mask: Image, picture: Image, light: F4) -> list[bool]:
+        """Whether outlines in each component's box are more of an edge in the reference than in the picture: it is gone."""
         outline = cv2.morphologyEx(mask, cv2.MORPH_GRADIENT, _RING)
         size = np.array(self._shape)[[1, 0, 1, 0]]
         boxes = np.array([box for box, _ in components], np.int64).reshape(-1, 4)

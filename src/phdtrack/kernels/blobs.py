@@ -1,6 +1,6 @@
 """Components of a mask, measured: where they are and how large, where one falls into two, how much of an edge it has.
 
-They are many and small: each call of a library would let another thread go first, and wait for it.
+A frame has many of them, and they are small: several calls of OpenCV for each take longer than the work that these do.
 """
 
 from __future__ import annotations

@@ -31,12 +31,12 @@ OFTEN, SHARE = 4, 0.35
 # sway. Then it takes the share `NEAR` of all samples, and as many as differ there: no more resemble a passer-by than pass.
 BUSY, NEAR, REACH = 0.1, 0.33, 3
 CHANNELS = 3
-LOG_SCALE = 88.0
 # Brightness is 16 (black) to 235 (white), colour differences 16 to 240 (BT.601): grey levels and levels of colour in each.
 BLACK, GREYS, COLOURS = 16, 255 / 219, 255 / 224
-# Differences of brightness are those of the logarithm of grey levels and `_DARK` more, of which `LOG` has whole numbers.
-_DARK = 15
-LOG: U1 = np.rint(LOG_SCALE * np.log1p(GREYS * np.clip(np.arange(256) - BLACK, 0, 219) / _DARK)).astype(np.uint8)
+# Brightness is compared as the logarithm of grey level + `_LIFT`: noise in the dark counts less. `LOG` has it in whole
+# numbers, 0 for black; by its scale they fit into a byte.
+_LIFT, LOG_SCALE = 15, 88.0
+LOG: U1 = np.rint(LOG_SCALE * np.log1p(GREYS * np.clip(np.arange(256) - BLACK, 0, 219) / _LIFT)).astype(np.uint8)
 # Blue, green and red, 0 to 255, of brightness less BLACK, and the colour differences of blue and red less 128.
 TO_BGR: F8 = np.array([[1, 1.772, 0], [1, -0.344136, -0.714136], [1, 0, 1.402]]) * np.array([GREYS, COLOURS, COLOURS])
 FROM_BGR: F8 = np.asarray(np.linalg.inv(TO_BGR), np.float64)
@@ -46,7 +46,8 @@ _BINS = 8192
 # Columns whose medians are made together: their samples stay in the cache. Pixels that are passed over at once.
 _BLOCK, _PIXELS = 512, 64
 _NONE, _BLACK, _WHITE, _MIDDLE, _THIRD = F(0), F(BLACK), F(235), F(128), F(1 / CHANNELS)
-_LOG_SCALE, _ORIGIN = F(LOG_SCALE), F(BLACK - _DARK / GREYS)
+# `_ORIGIN`: the brightness at which grey level + `_LIFT` would be 0.
+_LOG_SCALE, _ORIGIN = F(LOG_SCALE), F(BLACK - _LIFT / GREYS)
 _1 = D(1)
 
 
@@ -167,11 +168,10 @@ def follow(image: U1, energy: F4, reference: F4, scene: F4, foreground: U1, rate
 
 @njit(**ENTRY)
 def lighting(reference: F4, image: U1, foreground: U1, step: int) -> F4:
-    """(3, 4) brightness less 16, blue and red less 128 of ``image``, of these and 1 in ``reference`` outside of the
-    ``foreground``.
+    """(3, 4) what brings the ``reference`` into the light of ``image``: a matrix, and in its last column what is added.
 
-    Blue, green and red each have a gain and an offset, fitted to every ``step``-th pixel both ways; 1 and 0 where too few of
-    them tell.
+    It maps brightness less 16, and the colour differences of blue and red less 128. Blue, green and red each have a gain and
+    an offset, fitted to every ``step``-th pixel both ways outside of the ``foreground``; 1 and 0 where too few tell.
     """
     height, width = foreground.shape
     first, n, across = step // 2, np.zeros(3, np.int64), (width + 1) // 2
