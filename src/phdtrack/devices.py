@@ -43,6 +43,9 @@ class Picture(Protocol):
         """(n,) uint8, YUV 4:2:0 (black is 16) of this width and height, or its own: brightness, H·W numbers, then blue and
         red colour differences, as the source defines them, of half width and height, rounded up. May be written into."""
 
+    def prepare(self, size: tuple[int, int]) -> None:
+        """Make the planes of this width and height now, for the next one who asks for them."""
+
 
 class Planar:
     """A picture kept as ``planes`` of this ``size``, as `Picture.planes` gives them."""
@@ -66,6 +69,9 @@ class Planar:
     def planes(self, size: tuple[int, int] | None = None) -> Image:
         """As `Picture.planes`."""
         return self._planes.copy() if size in (None, self.size) else planes_of(self.bgr(), size)
+
+    def prepare(self, size: tuple[int, int]) -> None:
+        """Nothing: they are there."""
 
 
 def planes_of(picture: Image | Picture, size: tuple[int, int] | None = None) -> Image:

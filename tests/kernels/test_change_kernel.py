@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from phdtrack.kernels.blobs import edges, measured, valley
-from phdtrack.kernels.change import Past, Statistic, compare, follow, lighting, middle, noise
+from phdtrack.kernels.blobs import cleaned, edges, measured, valley
+from phdtrack.kernels.change import Past, Statistic, changed, compare, follow, middle
+from phdtrack.kernels.planes import colours, lighting, noise, smooth
 from reference import change_twin as twin
 
 WEIGHTS = tuple(np.array([1 / 100, 1 / 40, 1 / 12, 1 / 9], np.float32))
@@ -14,8 +15,12 @@ SAME = np.eye(3, 4, dtype=np.float32)
 SIZES = [(24, 40, 5), (9, 37, 3), (3, 2, 5), (1, 1, 1)]
 
 
+# Deviations by the camera's noise, which explain a part of the weights.
+CAMERA = np.array([3.0, 1.5, 0.0])
+
+
 def rule(window: int) -> Statistic:
-    return Statistic(WEIGHTS, window, 6.0, 3.0)
+    return Statistic(1 / np.array(WEIGHTS, np.float64) - np.square(CAMERA)[[0, 0, 1, 2]], window, 6.0, 3.0)
 
 
 def nothing(n: int, height: int, width: int) -> Past:
@@ -40,7 +45,7 @@ def test_what_changed(rng: np.random.Generator, height: int, width: int, window:
     inverse = np.linalg.inv(twin.TO_BGR)
     light = np.column_stack([inverse @ np.diag(gain) @ twin.TO_BGR, inverse @ offset]).astype(np.float32)
     flat, then = twin.parted(image), twin.parted(reference)
-    mask, energy = compare(flat, then, light, scene, rule(window), nothing(len(flat), height, width))
+    mask, energy = compare(flat, then, light, scene, rule(window), CAMERA, nothing(len(flat), height, width))
     usual = twin.energy(image, twin.relit(reference.astype(float), gain, offset), WEIGHTS)
     np.testing.assert_allclose(energy, usual, rtol=1e-3, atol=2e-3)
     expected = twin.mask(energy.astype(float), scene, window, 6.0)
@@ -56,8 +61,8 @@ def test_what_was_seen_before_has_not_changed(rng: np.random.Generator) -> None:
     flat, seen = twin.parted(image), twin.parted(samples)
     samples, differing = twin.joined(seen, height, width), rng.integers(0, 21, (height, width), dtype=np.uint8)
     past, then = Past(seen, differing, *twin.extremes(seen, height, width)), twin.parted(reference)
-    before = compare(flat, then, SAME, scene, rule(3), nothing(len(flat), height, width))[0] > 0
-    after = compare(flat, then, SAME, scene, rule(3), past)[0] > 0
+    before = compare(flat, then, SAME, scene, rule(3), CAMERA, nothing(len(flat), height, width))[0] > 0
+    after = compare(flat, then, SAME, scene, rule(3), CAMERA, past)[0] > 0
     known = twin.recalled(now, samples, differing, WEIGHTS, 3.0)
     np.testing.assert_array_equal(after, before & ~known)
     # Some of it is known from nearby alone.
@@ -93,7 +98,7 @@ def test_what_is_as_bright_as_it_can_be_has_not_changed() -> None:
     light = SAME.copy()
     light[0, 0] = 2.0
     past, scene = nothing(216, 12, 12), np.ones((12, 12), np.float32)
-    mask, energy = compare(twin.parted(image), twin.parted(reference), light, scene, rule(3), past)
+    mask, energy = compare(twin.parted(image), twin.parted(reference), light, scene, rule(3), CAMERA, past)
     assert not mask.any()
     np.testing.assert_allclose(energy, 0, atol=1e-6)
 
@@ -164,6 +169,49 @@ def test_where_two_that_touch_are_parted(rng: np.random.Generator) -> None:
         cuts.add(cut)
     assert len(cuts) > 5
     assert -1 in cuts
+
+
+@pytest.mark.parametrize(("height", "width"), [(24, 40), (9, 37)])
+def test_a_frame_is_smoothed_and_looked_at_in_one_call(rng: np.random.Generator, height: int, width: int) -> None:
+    reference, image, scene = case(rng, height, width)
+    flat, then, past = twin.parted(image), twin.parted(reference), nothing(len(twin.parted(image)), height, width)
+    foreground, own = np.zeros((height, width), np.uint8), flat.copy()
+    before, camera = twin.logarithmic(image)[::4, ::4].transpose(2, 0, 1) // 2 + 40, CAMERA.copy()
+    sparse = before.copy()
+    found = changed(own, sparse, camera, (then, scene, foreground), rule(3), past, (4, 2))
+    smooth(flat, (height, width))
+    np.testing.assert_array_equal(own, flat)
+    counts = noise(flat, before, (height, width), 4)
+    np.testing.assert_array_equal(sparse, before)
+    quartiles = [np.percentile(np.repeat(np.arange(256), each), 75) for each in counts]
+    np.testing.assert_allclose(camera, 0.9 * CAMERA + 0.1 * np.array(quartiles) / (1.1503 * np.sqrt(2)))
+    light = lighting(then, flat, foreground, 2)
+    for one, other in zip(found, (*compare(flat, then, light, scene, rule(3), camera, past), light), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize(("height", "width"), [(24, 40), (9, 37), (2, 1), (5, 3)])
+def test_colours_are_smoothed_as_by_opencv(rng: np.random.Generator, height: int, width: int) -> None:
+    picture = twin.parted(rng.integers(0, 256, (height, width, 3), dtype=np.uint8))
+    before = picture.copy()
+    smooth(picture, (height, width))
+    np.testing.assert_array_equal(picture[: height * width], before[: height * width])
+    for now, was in zip(colours(picture, (height, width)), colours(before, (height, width)), strict=True):
+        np.testing.assert_array_equal(now, cv2.blur(was, (3, 3)))
+
+
+@pytest.mark.parametrize(("height", "width"), [(60, 190), (35, 128), (4, 66), (3, 7)])
+@pytest.mark.parametrize("peel", [0, 1, 2])
+def test_masks_are_cleaned_as_by_opencv(rng: np.random.Generator, height: int, width: int, peel: int) -> None:
+    mask = cv2.dilate((rng.random((height, width)) < 0.03).astype(np.uint8), np.ones((9, 6), np.uint8)) * 255
+    mask[rng.random((height, width)) < 0.02] = 0
+    opening, closing = (cv2.getStructuringElement(cv2.MORPH_ELLIPSE, size) for size in ((3, 3), (5, 15)))
+    before = mask.copy()
+    rows = [element.sum(axis=1, dtype=np.int64) // 2 for element in (opening, closing)]
+    expected = cv2.erode(mask, np.ones((2 * peel + 1, 2 * peel + 1), np.uint8))
+    expected = cv2.morphologyEx(cv2.morphologyEx(expected, cv2.MORPH_OPEN, opening), cv2.MORPH_CLOSE, closing)
+    np.testing.assert_array_equal(cleaned(mask, peel, *rows), expected)
+    np.testing.assert_array_equal(mask, before)
 
 
 @pytest.mark.parametrize(("count", "n", "kind"), [(51, 30, np.uint8), (7, 700, np.int16), (1, 3, np.uint8)])

@@ -36,7 +36,7 @@ from phdtrack.types import STILL, Detections, Frame
 EVERY = 10.0
 """Seconds between two checkpoints, where nothing else is said."""
 # Of the files: it changes with them, and with what a detector finds.
-FORMAT = 4
+FORMAT = 5
 Key = Mapping[str, object]
 # Bytes that a detector's knowledge may have: several times that of pictures of 8192x4320.
 _LARGEST = 1 << 32

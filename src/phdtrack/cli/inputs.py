@@ -27,7 +27,7 @@ from phdtrack.cli.options import SourceOptions
 from phdtrack.cli.output import counted, progress
 from phdtrack.detect import TableDetector, make_detector
 from phdtrack.detect.convert import within_frame
-from phdtrack.detect.registry import class_names, frames_up_to, frames_walked, looked_at, study, working_width
+from phdtrack.detect.registry import class_names, frames_up_to, frames_walked, looked_at, prepared, study, working_width
 from phdtrack.devices import Detector
 from phdtrack.errors import InputError, shown
 from phdtrack.formats import DetectionsWriter, find_seqinfo, read_detections
@@ -119,7 +119,7 @@ def write_detected(inputs: Inputs, path: Path) -> Iterator[int]:
     with (
         DetectionsWriter(path, inputs.names) as writer,
         progress("detecting", 0) as advance,
-        ahead(inputs.source) as pictures,
+        ahead(prepared(inputs.detector, inputs.source)) as pictures,
         ahead(detected(inputs.detector, pictures)) as looked,
     ):
         for count, (frame, found, *_) in enumerate(looked, start=1):

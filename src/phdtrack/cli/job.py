@@ -33,7 +33,7 @@ from phdtrack.cli.observers import RunObserver
 from phdtrack.cli.output import Advance, progress, versions
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.detect import BACKGROUND
-from phdtrack.detect.registry import unsuited
+from phdtrack.detect.registry import prepared, unsuited
 from phdtrack.errors import InputError, interrupted, needed, shown
 from phdtrack.files import return_memory, write_text
 from phdtrack.filters import NoFilter
@@ -278,7 +278,7 @@ def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool)
         try:
             if checkpoint is None:
                 learn_scene(inputs)
-            with ahead(inputs.source) as frames, ahead(found_in(frames)) as looked:
+            with ahead(prepared(inputs.detector, inputs.source)) as frames, ahead(found_in(frames)) as looked:
                 for frame, found, warp, seconds in looked:
                     # No frame stands in one file only; and Numba does not survive Ctrl-C while it makes objects.
                     with uninterrupted():

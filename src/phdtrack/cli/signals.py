@@ -53,7 +53,7 @@ def last_chance(what: str) -> None:
 
 
 @contextmanager
-def needed_soon(modules: Iterable[str], seconds: float = 2.0) -> Iterator[None]:
+def needed_soon(modules: Iterable[str], seconds: float = 5.0) -> Iterator[None]:
     """Import modules in a thread of their own once the block has lasted so many seconds: its end need not wait for them."""
     timer = threading.Timer(seconds, lambda: [*map(needed, modules)])
     timer.daemon = True

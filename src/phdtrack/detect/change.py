@@ -45,38 +45,19 @@ from phdtrack.detect.reference import background, median, of_objects
 from phdtrack.devices import planes_of, size_of
 from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, check
 from phdtrack.kernels.blobs import edges
-from phdtrack.kernels.change import (
-    BLACK,
-    CHANNELS,
-    COLOURS,
-    GREYS,
-    LOG,
-    LOG_SCALE,
-    OFTEN,
-    REACH,
-    Past,
-    Statistic,
-    colours,
-    compare,
-    follow,
-    lighting,
-    luma,
-    noise,
-    often_near,
-)
-from phdtrack.types import F8, I8, Bool, Detections, Frame, Image
+from phdtrack.kernels.change import CHANNELS, OFTEN, REACH, Past, Statistic, changed, compare, follow, often_near
+from phdtrack.kernels.planes import BLACK, COLOURS, GREYS, LOG, LOG_SCALE, colours, luma, smooth
+from phdtrack.types import F8, Bool, Detections, Frame, Image
 
 F4 = NDArray[np.float32]
 OpenShare = Annotated[float, Gt(0), Lt(1)]
 
 _GRID_POINTS, _SPARSE = 2000, 4
 _SAME_LIGHT: F4 = np.eye(3, 4, dtype=np.float32)
-_QUARTILE_OF_NORMAL = 1.1503
 # The side of a square that fits into an object, in its heights; that in heights of the picture, where it is not known.
 _SIDE, _USUAL = 0.3, 0.1
 # The quantile of energies that tells the scene's noise, and that of a third of χ²₃.
 _QUIET, _QUIET_OF_CHI2 = 0.4, 0.623
-_NOISE_MEMORY = 0.9
 _LOUDEST = 20.0
 _GHOST_EDGE = 0.8
 # What flies past and hides an edge looks like a ghost for a frame or two: learned at once, it would be one ever after.
@@ -131,7 +112,10 @@ class ChangeDetector:
         # χ² quantile by the cube-root approximation of Wilson and Hilferty, within 1 % for 3 degrees.
         c = 2.0 / (9.0 * CHANNELS)
         z = NormalDist().inv_cdf(1.0 - self.false_alarm)
-        self._threshold = CHANNELS * max(0.0, 1.0 - c + z * c**0.5) ** 3
+        threshold = CHANNELS * max(0.0, 1.0 - c + z * c**0.5) ** 3
+        chroma = self.chroma / COLOURS
+        local = np.square([LOG_SCALE * self.shadow, LOG_SCALE * self.glare, chroma, chroma])
+        self._rule = Statistic(local, self.window, threshold, _RESEMBLING * threshold)
         self.reset()
 
     def reset(self) -> None:
@@ -203,7 +187,7 @@ class ChangeDetector:
     def _learn_usual(self, pictures: Sequence[Image], apart: Sequence[Image], hidden: Bool) -> None:
         """The scene's noise, how often each pixel differs in the samples that are ``apart``, and how high objects are."""
         self._learn_scene_noise(pictures, hidden)
-        differing = sum((self._compared(one)[1] > self._threshold).astype(np.uint8) for one in apart)
+        differing = sum((self._compared(one)[1] > self._rule.threshold).astype(np.uint8) for one in apart)
         self._past = self._past._replace(differing=np.asarray(differing, np.uint8))
         masks, alone = [self.blobs.clean(self._compared(one)[0]) for one in apart], replace(self.blobs, join=0.0)
         boxes = [alone.boxes(alone.components(mask), hidden.shape) for mask in masks]
@@ -215,12 +199,11 @@ class ChangeDetector:
             self._begin(frame)
             return Detections.empty()
         check_same_size(frame, self._shape)
-        picture = _smooth(frame)
-        self._learn_camera_noise(picture)
+        steps = _SPARSE, max(1, round((self._foreground.size / _GRID_POINTS) ** 0.5))
+        picture, known = planes_of(frame.picture), (self._reference, self._scene, self._foreground)
+        raw, energy, lit = changed(picture, self._previous, self._camera, known, self._rule, self._past, steps)
         self._sample(frame, picture)
-        lit = self._lit(picture)
-        changed, energy = self._compared(picture, lit)
-        mask = self.blobs.clean(changed)
+        mask = self.blobs.clean(raw)
         found = self.blobs.components(mask)
         gone = self._gone(found, mask, picture, lit)
         self._adapt(frame, picture, energy, mask, [one for one, ghost in zip(found, gone, strict=True) if ghost])
@@ -239,6 +222,7 @@ class ChangeDetector:
         self._reference = picture.astype(np.float32)
         self._scene: F4 = np.full(shape, float(CHANNELS), np.float32)
         self._haunted: F4 = np.zeros(shape, np.float32)
+        self._ghostly = False
         self._camera: F8 = np.ones(CHANNELS)
         planes, step = _logarithmic(picture, shape), slice(None, None, _SPARSE // 2)
         self._previous = np.stack([luma(planes, shape)[::_SPARSE, ::_SPARSE], *colours(planes, shape)[:, step, step]])
@@ -270,24 +254,9 @@ class ChangeDetector:
         spread = cv2.dilate(cv2.blur(typical, (5, 5)), np.ones((3, 3), np.uint8))
         self._scene = np.minimum(spread, np.float32(CHANNELS * _LOUDEST))
 
-    def _learn_camera_noise(self, picture: Image) -> None:
-        """σ_c from the third quartile of |difference of successive frames| on a sparse grid."""
-        quartile = [_quartile(counts) for counts in noise(picture, self._previous, self._shape, _SPARSE)]
-        latest = np.array(quartile) / (_QUARTILE_OF_NORMAL * np.sqrt(2))
-        self._camera = _NOISE_MEMORY * self._camera + (1 - _NOISE_MEMORY) * latest
-
-    def _lit(self, picture: Image) -> F4:
-        """(3, 4) how the reference looks in the light of a picture, as `kernels.change.lighting` has it."""
-        step = max(1, round((self._foreground.size / _GRID_POINTS) ** 0.5))
-        return np.asarray(lighting(self._reference, picture, self._foreground, step))
-
-    def _compared(self, picture: Image, light: F4 = _SAME_LIGHT) -> tuple[Image, F4]:
-        """(H, W) the raw mask and the energy of a picture, against the reference in this light."""
-        chroma = self.chroma / COLOURS
-        usual = np.array([LOG_SCALE * self.shadow, LOG_SCALE * self.glare, chroma, chroma])
-        weights = tuple((1 / (usual**2 + self._camera[[0, 0, 1, 2]] ** 2)).astype(np.float32))
-        rule = Statistic(weights, self.window, self._threshold, _RESEMBLING * self._threshold)
-        mask, energy = compare(picture, self._reference, light, self._scene, rule, self._past)
+    def _compared(self, picture: Image) -> tuple[Image, F4]:
+        """(H, W) the raw mask and the energy of a picture against the reference."""
+        mask, energy = compare(picture, self._reference, _SAME_LIGHT, self._scene, self._rule, self._camera, self._past)
         return mask, energy
 
     def _gone(self, components: Sequence[Component], mask: Image, picture: Image, light: F4) -> list[bool]:
@@ -308,13 +277,13 @@ class ChangeDetector:
         rates = [0.0 if self._learning else min(1.0, passed / each) for each in (self.adapt, self.adapt_objects)]
         rates += [min(0.2, passed / self.adapt), CHANNELS * _LOUDEST]
         follow(picture, energy, self._reference, self._scene, self._foreground, np.array(rates, np.float32))
-        if self._learning or not (ghosts or self._haunted.any()):
+        if self._learning or not (ghosts or self._ghostly):
             return
         left = np.zeros_like(mask)
         cv2.drawContours(left, [contour for _, contour in ghosts], -1, 255, cv2.FILLED)
         # The time since its first frame: however few frames a second there are, one alone is not enough.
         lasted = np.where(self._haunted > 0, self._haunted + np.float32(passed), np.float32(1e-6))
-        self._haunted = np.where(left > 0, lasted, np.float32(0))
+        self._haunted, self._ghostly = np.where(left > 0, lasted, np.float32(0)), bool(ghosts)
         lasting = (self._haunted >= _GHOST_SECONDS).astype(np.uint8)
         if lasting.any():
             where = cv2.dilate(lasting, _MARGIN) > 0
@@ -323,20 +292,11 @@ class ChangeDetector:
                 then[..., seen] = now[..., seen]
 
 
-def _quartile(counts: I8) -> float:
-    """The third quartile of whole numbers from 0 on of which there are so many each, as NumPy's percentile."""
-    total = np.cumsum(counts)
-    place = 0.75 * (total[-1] - 1)
-    low, high = np.searchsorted(total, [math.floor(place), math.ceil(place)], side="right")
-    return float(low + (high - low) * (place % 1))
-
-
 def _smooth(frame: Frame) -> Image:
     """The planes (n,) of a frame, its colours smoothed."""
     width, height = size_of(frame)
     planes = planes_of(frame.picture)
-    for plane in colours(planes, (height, width)):
-        plane[:] = cv2.blur(plane, (3, 3))
+    smooth(planes, (height, width))
     return planes
 
 

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from phdtrack.devices import size_of
 from phdtrack.errors import Checked, InputError
-from phdtrack.kernels.blobs import measured, valley
-from phdtrack.types import F8, Bool, Detections, Frame, Image
+from phdtrack.kernels.blobs import cleaned, measured, valley
+from phdtrack.types import F8, I8, Bool, Detections, Frame, Image
 
 # Corners in whole pixels: left, top, right, bottom; right and bottom are one beyond the last.
 Box = tuple[int, int, int, int]
@@ -120,14 +120,7 @@ class BlobSettings(Checked):
         height = mask.shape[0]
         radius = round(self.peel * height)  # 0 in small pictures, where a pixel is a good part of an arm
         speck, across, along = 2 * max(1, radius) + 1, *(max(1, round(self.closing * height / k)) | 1 for k in (3, 1))
-        peeled = cv2.erode(mask, np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)) if radius else mask
-        opened = cv2.morphologyEx(peeled, cv2.MORPH_OPEN, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (speck, speck)))
-        element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (across, along))
-        # Nothing is closed outside of the rectangle around what there is.
-        x, y, w, h = cv2.boundingRect(opened)
-        inside = slice(max(0, y - along), y + h + along), slice(max(0, x - across), x + w + across)
-        opened[inside] = cv2.morphologyEx(opened[inside], cv2.MORPH_CLOSE, element)
-        return np.asarray(opened, np.uint8)
+        return np.asarray(cleaned(mask, radius, _ellipse(speck, speck), _ellipse(across, along)), np.uint8)
 
     def components(self, mask: Image) -> list[Component]:
         """What is large enough in a cleaned ``mask``, objects that touch parted."""
@@ -158,6 +151,12 @@ class BlobSettings(Checked):
     def detections(self, mask: Image) -> Detections:
         """The detections in a raw foreground ``mask`` (H, W) uint8."""
         return Detections.of(self.boxes(self.components(self.clean(mask)), mask.shape))
+
+
+def _ellipse(width: int, height: int) -> I8:
+    """(height,) half the width of each row of OpenCV's ellipse; both odd."""
+    element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, height))
+    return np.asarray(element.sum(axis=1, dtype=np.int64) // 2)
 
 
 def _components(mask: Image, least: float, left: int = 0, top: int = 0) -> list[Component]:

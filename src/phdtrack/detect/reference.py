@@ -20,7 +20,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from phdtrack.kernels.change import BLACK, FROM_BGR, TO_BGR, colours, luma, middle
+from phdtrack.kernels.change import middle
+from phdtrack.kernels.planes import BLACK, FROM_BGR, TO_BGR, colours, luma
 from phdtrack.types import F8, I8, Bool, Image
 
 F4 = NDArray[np.float32]

@@ -46,7 +46,7 @@ _WORKING = 640
 # No number that a detector has learned is larger.
 _LARGEST = 1e30
 # What a detector knows by its settings, or by `study`, which can be done again.
-_NEVER_KEPT = ("_threshold", "_past", "_usual")
+_NEVER_KEPT = ("_rule", "_past", "_usual")
 # Frames of a file that its scene is learned from, the fewest, and pixels that are decoded for them in some seconds.
 _SAMPLES, _FEWEST_SAMPLES, _QUICKLY = 51, 7, 2e9
 
@@ -124,12 +124,18 @@ class Rescaled:
         """Reset the detector inside."""
         self.detector.reset()
 
+    def size(self, frame: Frame) -> tuple[int, int]:
+        """Width and height of the frame as the detector sees it."""
+        width, height = size_of(frame)
+        small = (self.max_width, round(height * self.max_width / width))
+        return small if width > self.max_width else (width, height)
+
     def shrunk(self, frame: Frame) -> Frame:
         """The frame as the detector sees it."""
         width, height = size_of(frame)
         if width <= self.max_width:
             return frame
-        small = (self.max_width, round(height * self.max_width / width))
+        small = self.size(frame)
         if min(small) < _SMALLEST:
             raise InputError(
                 f"frames of {width}x{height} pixels would be shrunk to {small[0]}x{small[1]}",
@@ -313,6 +319,18 @@ def looked_at(detector: Detector, frames: Iterable[Frame]) -> Iterator[tuple[Fra
         yield from ((frame, one, seconds) for frame, one in zip(batch, found, strict=True))
     if not isinstance(stop, StopIteration):
         raise stop
+
+
+def prepared(detector: Detector, frames: Iterable[Frame]) -> Iterator[Frame]:
+    """The frames, with the planes that the detector will ask for, where it is one that looks at planes.
+
+    To be used in the thread that decodes: the detector's has enough to do.
+    """
+    inner, small = _inner(detector)
+    for frame in frames:
+        if isinstance(inner, ChangeDetector) and not isinstance(frame.picture, np.ndarray):
+            frame.picture.prepare(size_of(frame) if small is None else small.size(frame))
+        yield frame
 
 
 def knowledge(detector: Detector) -> dict[str, Any] | None:

@@ -1,6 +1,8 @@
-"""Components of a mask, measured: where they are and how large, where one falls into two, how much of an edge it has.
+"""Masks cleaned, and their components measured: where they are, where one falls into two, how much of an edge
+they have.
 
-A frame has many of them, and they are small: several calls of OpenCV for each take longer than the work that these do.
+A mask is cleaned with 64 pixels in a number, which takes a tenth of the time of OpenCV's bytes. A frame has many components,
+and they are small: several calls of OpenCV for each take longer than the work that these do.
 """
 
 from __future__ import annotations
@@ -11,14 +13,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phdtrack.kernels.cache import njit
-from phdtrack.kernels.fast32 import ENTRY, INNER, F
+from phdtrack.kernels.fast32 import ENTRY, INNER, VECTOR, D, F
 
 U1 = NDArray[np.uint8]
 F4 = NDArray[np.float32]
 F8 = NDArray[np.float64]
 I4 = NDArray[np.int32]
 I8 = NDArray[np.int64]
+U8 = NDArray[np.uint64]
 _2 = F(2)
+# Pixels in a number; the lowest bit of each of its bytes, all others but the highest, all; bit k of byte k.
+_BITS, _FLAGS, _FULL, _ALL, _EACH = 64, D(0x0101010101010101), D(0x7F7F7F7F7F7F7F7F), D(2**64 - 1), D(0x8040201008040201)
+_0, _1, _7, _14, _28, _BYTE = D(0), D(1), D(7), D(14), D(28), D(255)
+
+
+@njit(**ENTRY)
+def cleaned(mask: U1, peel: int, opening: I8, closing: I8) -> U1:
+    """(H, W) 255 where a mask (H, W) of 0 and 255 is left by erosion, opening and closing.
+
+    Outside of the picture all is as it would suit, as in OpenCV.
+
+    Parameters
+    ----------
+    mask : not 0 in the foreground.
+    peel : half the side of the square of the erosion.
+    opening, closing : of the elements of these, which are symmetric, half the width of each row, odd numbers of rows.
+    """
+    width, bits = mask.shape[1], _packed(mask)
+    bits = _eroded(bits, width, np.full(2 * peel + 1, peel))
+    bits = _dilated(_eroded(bits, width, opening), width, opening)
+    out: U1 = _unpacked(_eroded(_dilated(bits, width, closing), width, closing), width)
+    return out
 
 
 @njit(**ENTRY)
@@ -111,3 +136,83 @@ def mirrored(k: int, size: int) -> int:
     while k < 0 or k >= size:
         k = 0 if size == 1 else (-k if k < 0 else 2 * size - 2 - k)
     return k
+
+
+@njit(**INNER)
+def _packed(mask: U1) -> U8:
+    """(H, W / 64, rounded up) the mask with bit j of number k for pixel 64 k + j."""
+    height, width = mask.shape
+    whole, out = width // 8, np.zeros((height, (width + _BITS - 1) // _BITS), np.uint64)
+    for y in range(height):
+        _gather(mask[y, : 8 * whole].view(np.uint64), out[y].view(np.uint8)[:whole])
+        for j in range(8 * whole, width):
+            if mask[y, j]:
+                out[y, j // _BITS] |= _1 << D(j % _BITS)
+    return out
+
+
+@njit(**INNER)
+def _unpacked(bits: U8, width: int) -> U1:
+    """The mask (H, W) of 0 and 255."""
+    out, whole = np.empty((len(bits), width), np.uint8), width // 8
+    for y in range(len(bits)):
+        _scatter(bits[y].view(np.uint8)[:whole], out[y, : 8 * whole].view(np.uint64))
+        for j in range(8 * whole, width):
+            out[y, j] = 255 if (bits[y, j // _BITS] >> D(j % _BITS)) & _1 else 0
+    return out
+
+
+@njit(**VECTOR)
+def _gather(eights: U8, out: U1) -> None:
+    """The lowest bit of each byte: eight side by side in a byte."""
+    for k in range(D(out.size)):
+        x = eights[k] & _FLAGS
+        x |= x >> _7
+        x |= x >> _14
+        out[k] = np.uint8((x | (x >> _28)) & _BYTE)
+
+
+@njit(**VECTOR)
+def _scatter(packed: U1, out: U8) -> None:
+    """A byte of 0 or 255 for each bit."""
+    for k in range(D(out.size)):
+        # Bit j to byte j, from there to its highest bit, and down to all of it.
+        out[k] = ((((D(packed[k]) * _FLAGS & _EACH) + _FULL) >> _7) & _FLAGS) * _BYTE
+
+
+@njit(**INNER)
+def _eroded(bits: U8, width: int, element: I8) -> U8:
+    """Where an element lies within the foreground."""
+    out: U8 = _inverse(_dilated(_inverse(bits, width), width, element), width)
+    return out
+
+
+@njit(**INNER)
+def _inverse(bits: U8, width: int) -> U8:
+    """The background, within the picture."""
+    out = ~bits
+    if width % _BITS:
+        out[:, -1] &= _ALL >> D(_BITS - width % _BITS)
+    return out
+
+
+@njit(**INNER)
+def _dilated(bits: U8, width: int, element: I8) -> U8:
+    """Where an element meets the foreground: rows of so many pixels to both sides, below 64."""
+    height, out, spread, last = len(bits), np.zeros_like(bits), bits.copy(), bits.shape[1] - 1
+    for reach in range(element.max() + 1):
+        ahead, back = D(reach), D(_BITS - reach)
+        for y in range(height) if reach else range(0):
+            for k in range(last + 1):
+                x = spread[y, k] | (bits[y, k] << ahead) | (bits[y, k] >> ahead)
+                x |= bits[y, k - 1] >> back if k > 0 else _0
+                spread[y, k] = x | (bits[y, k + 1] << back if k < last else _0)
+        for i in range(len(element)):
+            shift = i - len(element) // 2
+            if element[i] == reach:
+                for y in range(max(0, -shift), min(height, height - shift)):
+                    for k in range(last + 1):
+                        out[y, k] |= spread[y + shift, k]
+    if width % _BITS:
+        out[:, -1] &= _ALL >> D(_BITS - width % _BITS)
+    return out

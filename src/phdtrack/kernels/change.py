@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from phdtrack.kernels.blobs import mirrored
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER, INT, ONE, VECTOR, D, F, log32
+from phdtrack.kernels.planes import BLACK, GREYS, LIFT, LOG, LOG_SCALE, lighting, noise, quartile, smooth
 
 U1 = NDArray[np.uint8]
 F4 = NDArray[np.float32]
@@ -24,6 +25,7 @@ I4 = NDArray[np.int32]
 I8 = NDArray[np.int64]
 Pixel = tuple[np.int32, np.int32, np.int32]
 Weights = tuple[np.float32, np.float32, np.float32, np.float32]
+Reaches = tuple[np.int32, np.int32, np.int32, np.int32]
 # A pixel is not changed where it resembles samples in at least `OFTEN` runs, and at least the share `SHARE` of the samples
 # that differ from the reference there: passers-by hardly resemble each other, leaves do.
 OFTEN, SHARE = 4, 0.35
@@ -31,34 +33,24 @@ OFTEN, SHARE = 4, 0.35
 # sway. Then it takes the share `NEAR` of all samples, and as many as differ there: no more resemble a passer-by than pass.
 BUSY, NEAR, REACH = 0.1, 0.33, 3
 CHANNELS = 3
-# Brightness is 16 (black) to 235 (white), colour differences 16 to 240 (BT.601): grey levels and levels of colour in each.
-BLACK, GREYS, COLOURS = 16, 255 / 219, 255 / 224
-# Brightness is compared as the logarithm of grey level + `_LIFT`: noise in the dark counts less. `LOG` has it in whole
-# numbers, 0 for black; by its scale they fit into a byte.
-_LIFT, LOG_SCALE = 15, 88.0
-LOG: U1 = np.rint(LOG_SCALE * np.log1p(GREYS * np.clip(np.arange(256) - BLACK, 0, 219) / _LIFT)).astype(np.uint8)
-# Blue, green and red, 0 to 255, of brightness less BLACK, and the colour differences of blue and red less 128.
-TO_BGR: F8 = np.array([[1, 1.772, 0], [1, -0.344136, -0.714136], [1, 0, 1.402]]) * np.array([GREYS, COLOURS, COLOURS])
-FROM_BGR: F8 = np.asarray(np.linalg.inv(TO_BGR), np.float64)
-# Grey levels between which a pixel tells of the light, the fewest pixels, and the deviations within which they fit.
-_DARKEST, _BRIGHTEST, _FEWEST, _NEAR, _ROUNDS = 8, 245, 50, 2.5, 3
-_BINS = 8192
 # Columns whose medians are made together: their samples stay in the cache. Pixels that are passed over at once.
 _BLOCK, _PIXELS = 512, 64
 _NONE, _BLACK, _WHITE, _MIDDLE, _THIRD = F(0), F(BLACK), F(235), F(128), F(1 / CHANNELS)
 # `_ORIGIN`: the brightness at which grey level + `_LIFT` would be 0.
-_LOG_SCALE, _ORIGIN = F(LOG_SCALE), F(BLACK - _LIFT / GREYS)
+_LOG_SCALE, _ORIGIN = F(LOG_SCALE), F(BLACK - LIFT / GREYS)
+# The third quartile of |difference of two numbers| of deviation 1; how much of the camera's noise is kept in each frame.
+_QUARTILE_OF_DIFFERENCES, _MEMORY = 1.1503 * 2**0.5, 0.9
 _1 = D(1)
 
 
 class Statistic(NamedTuple):
     """What decides that a pixel changed.
 
-    ``weights``: 1/σ² of differences of brightness towards dark and bright, and of blue and red; ``window`` its side, odd;
-    ``threshold`` of the window's mean; ``alike``: energy below which a sample resembles a pixel.
+    ``local`` (4,): variances by local light of differences of brightness towards dark and bright, and of blue and red;
+    ``window`` its side, odd; ``threshold`` of the window's mean; ``alike``: energy below which a sample resembles a pixel.
     """
 
-    weights: Weights
+    local: F8
     window: int
     threshold: float
     alike: float
@@ -75,24 +67,49 @@ class Past(NamedTuple):
     near: U1
 
 
+class Alike(NamedTuple):
+    """What decides that a sample resembles a pixel: ``weights`` 1/σ² as of `Statistic.local`, ``limit`` of the energy, and
+    ``reaches``, the least differences of each alone that are too large."""
+
+    weights: Weights
+    limit: np.float32
+    reaches: Reaches
+
+
 def often_near(count: int) -> int:
     """How many of so many samples a pixel has to resemble some pixels away at the least."""
     return max(1, math.ceil(NEAR * count))
 
 
-def luma(picture: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:
-    """(H, W) the brightness of a picture (n, ...) of this shape, the same memory."""
-    return picture[: shape[0] * shape[1]].reshape(*shape, *picture.shape[1:])
+@njit(**ENTRY)
+def changed(
+    image: U1, before: U1, camera: F8, known: tuple[F4, F4, U1], rule: Statistic, past: Past, steps: tuple[int, int]
+) -> tuple[U1, F4, F4]:
+    """The next frame: mask and energy of `compare`, and the light (3, 4) of `lighting`.
 
+    All of it in one call: a thread that runs Python beside this one is in its way at each begin and end of one.
 
-def colours(picture: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:
-    """(2, h, w) its colour differences of blue and red, the same memory."""
-    height, width = shape
-    return picture[height * width :].reshape(2, (height + 1) // 2, (width + 1) // 2, *picture.shape[1:])
+    Parameters
+    ----------
+    image : (n,), whose colours are smoothed.
+    before : (3, h, w) sparse pixels of the frame before, which become those of this one.
+    camera : (3,) deviations of brightness and colours by the camera's noise, which follow.
+    known : reference (n,), usual energy (H, W), and the frame before's foreground (H, W).
+    rule, past : as for `compare`.
+    steps : every so many pixels both ways are looked at for the camera's noise, even, and for the light.
+    """
+    reference, scene, foreground = known
+    smooth(image, scene.shape)
+    counts = noise(image, before, scene.shape, steps[0])
+    for c in range(3):
+        camera[c] += (1 - _MEMORY) * (quartile(counts[c]) / _QUARTILE_OF_DIFFERENCES - camera[c])
+    light = lighting(reference, image, foreground, steps[1])
+    mask, energy = compare(image, reference, light, scene, rule, camera, past)
+    return mask, energy, light
 
 
 @njit(**ENTRY)
-def compare(image: U1, reference: F4, light: F4, scene: F4, rule: Statistic, past: Past) -> tuple[U1, F4]:
+def compare(image: U1, reference: F4, light: F4, scene: F4, rule: Statistic, camera: F8, past: Past) -> tuple[U1, F4]:
     """(H, W) 255 where ``image`` changed against the ``reference`` in another ``light``, and (H, W) its energy.
 
     Parameters
@@ -101,47 +118,34 @@ def compare(image: U1, reference: F4, light: F4, scene: F4, rule: Statistic, pas
     light : (3, 4) as `lighting` has it.
     scene : (H, W) energy that is usual there, three times s.
     rule, past : as above.
+    camera : (3,) deviations by the camera's noise of brightness and of colours.
     """
     height, width = scene.shape
     mask, energy = np.empty((height, width), np.uint8), np.empty((height, width), np.float32)
-    low, across = (height + 1) // 2, (width + 1) // 2
-    first, second = height * width, height * width + low * across
-    window, reach = rule.window, rule.window // 2
+    window, reach, across = rule.window, rule.window // 2, (width + 1) // 2
     limit, least = F(rule.threshold * window * window), F(rule.threshold / 2)
-    # The statistic of the rows of a window; the sum of that, with a margin, and the sum over windows.
-    normal, column = np.empty((window, width), np.float32), np.empty(width + 2 * reach, np.float32)
-    total, count = np.empty(width, np.float32), past.samples.shape[1]
+    weights, count = _weights(rule.local, camera), past.samples.shape[1]
+    alike = Alike(weights, F(rule.alike), _reaches(weights, F(rule.alike)))
+    # Of a row: its brightness, the colours' part of the energy and the colours' part of the light, of every other pixel; the
+    # last two of all pixels; and the sums over columns of the window, with a margin.
+    half, whole = np.zeros((3, across), np.float32), np.zeros((2, 2 * across), np.float32)
+    column = np.empty(width + 2 * reach, np.float32)
+    normal, total = np.empty((window, width), np.float32), np.empty(width, np.float32)
     work = np.empty(count, np.uint8), np.empty((2, 9), np.int64)
-    colour, half = np.empty(2 * across, np.float32), np.empty((2, across), np.float32)
-    tint, tinted = np.zeros(2 * across, np.float32), light[0, 1] != 0 or light[0, 2] != 0
     for y in range(height + reach):
         if y < height:
-            row, place = reference[y * width : (y + 1) * width], y // 2 * across
             if y % 2 == 0:
-                blue, red = reference[first + place :][:across], reference[second + place :][:across]
-                now_blue, now_red = image[first + place :][:across], image[second + place :][:across]
-                _halved(row, half[0])
-                if tinted:
-                    _tint(blue, red, light, half[1])
-                    _spread(half[1], tint)
-                _colour_energy(half[0], blue, red, now_blue, now_red, light, rule.weights, half[1])
-                _spread(half[1], colour)
-            now = image[y * width : (y + 1) * width]
-            _energy(now, row, light, tint, rule.weights, scene[y], colour, energy[y], normal[y % window])
+                _colour_energy(y, image, reference, light, weights, scene, half, whole)
+            _energy(y, image, reference, light, weights, scene, whole, energy, normal)
         at = y - reach
         if at >= 0:
-            column[:] = 0
-            total[:] = 0
-            for k in range(at - reach, at + reach + 1):
-                _add(normal[mirrored(k, height) % window], column[reach : reach + width])
+            _columns(at, height, normal, column)
+            _copy(column, reach, total)
             for k in range(reach):
-                column[k] = column[reach + mirrored(k - reach, width)]
-                column[reach + width + k] = column[reach + mirrored(width + k, width)]
-            for k in range(window):
-                _add(column[k : k + width], total)
-            _passed(total, normal[at % window], limit, least, mask[at])
+                _add(column, k, 2 * reach - k, total)
+            _passed(at, normal, total, limit, least, mask)
             if count:
-                _recall(image, rule, past, at, work, mask[at])
+                _recall(image, alike, past, at, work, mask)
     return mask, energy
 
 
@@ -153,123 +157,35 @@ def follow(image: U1, energy: F4, reference: F4, scene: F4, foreground: U1, rate
     """
     height, width = scene.shape
     low, across = (height + 1) // 2, (width + 1) // 2
-    half = np.empty(across, np.uint8)
-    for y in range(height):
-        row = slice(y * width, (y + 1) * width)
-        _approach(image[row], foreground[y], rates, reference[row])
-        _settle(energy[y], foreground[y], rates[2], rates[3], scene[y])
-        if y % 2 == 0:
-            _halved(foreground[y], half)
-            for k in range(2):
-                start = height * width + (k * low + y // 2) * across
-                place = slice(start, start + across)
-                _approach(image[place], half, rates, reference[place])
-
-
-@njit(**ENTRY)
-def lighting(reference: F4, image: U1, foreground: U1, step: int) -> F4:
-    """(3, 4) what brings the ``reference`` into the light of ``image``: a matrix, and in its last column what is added.
-
-    It maps brightness less 16, and the colour differences of blue and red less 128. Blue, green and red each have a gain and
-    an offset, fitted to every ``step``-th pixel both ways outside of the ``foreground``; 1 and 0 where too few tell.
-    """
-    height, width = foreground.shape
-    first, n, across = step // 2, np.zeros(3, np.int64), (width + 1) // 2
-    room = len(range(first, height, step)) * len(range(first, width, step))
-    x, y, size, counts = np.empty((3, room)), np.empty((3, room)), np.empty(room), np.empty(_BINS, np.int32)
-    for i in range(first, height, step):
-        for j in range(first, width, step):
-            if foreground[i, j] == 0:
-                blue = height * width + i // 2 * across + j // 2
-                red = blue + (height + 1) // 2 * across
-                p = i * width + j
-                for c in range(3):
-                    a, b, d = TO_BGR[c, 0], TO_BGR[c, 1], TO_BGR[c, 2]
-                    was = a * (reference[p] - 16) + b * (reference[blue] - 128) + d * (reference[red] - 128)
-                    now = a * (F(image[p]) - 16) + b * (F(image[blue]) - 128) + d * (F(image[red]) - 128)
-                    if was > _DARKEST and was < _BRIGHTEST and now > _DARKEST and now < _BRIGHTEST:
-                        x[c, n[c]], y[c, n[c]] = was, now
-                        n[c] += 1
-    out = np.zeros((3, 4), np.float32)
-    for c in range(3):
-        gain, offset = _line(x[c, : n[c]], y[c, : n[c]], size[: n[c]], counts)
-        for i in range(3):
-            for j in range(3):
-                out[i, j] += F(FROM_BGR[i, c] * gain * TO_BGR[c, j])
-            out[i, 3] += F(FROM_BGR[i, c] * offset)
-    return out
-
-
-@njit(**ENTRY)
-def noise(image: U1, before: U1, shape: tuple[int, int], step: int) -> I8:
-    """(3, 256) how often every ``step``-th pixel both ways of ``image`` (n,), of this shape, differs by so much.
-
-    From ``before`` (3, h, w): logarithm of brightness, and the colours, which become those of this image; ``step`` is even.
-    """
-    (tall, wide), (_, height, width) = shape, before.shape
-    across = (wide + 1) // 2
-    counts, now = np.zeros((3, 256), np.int64), np.empty(3, np.uint8)
-    for y in range(height):
-        for x in range(width):
-            now[0] = LOG[image[step * (y * wide + x)]]
-            now[1] = image[tall * wide + step // 2 * (y * across + x)]
-            now[2] = image[tall * wide + (tall + 1) // 2 * across + step // 2 * (y * across + x)]
-            for c in range(3):
-                counts[c, abs(np.int64(now[c]) - np.int64(before[c, y, x]))] += 1
-                before[c, y, x] = now[c]
-    return counts
+    _approach(image, foreground.reshape(-1), rates, reference, 0)
+    _settle(energy.reshape(-1), foreground.reshape(-1), rates[2], rates[3], scene.reshape(-1))
+    colours = np.empty((low, across), np.uint8)
+    for y in range(low):
+        _halved(foreground, y, colours)
+    for k in range(2):
+        _approach(image, colours.reshape(-1), rates, reference, height * width + k * low * across)
 
 
 @njit(**INNER)
-def _line(x: F8, y: F8, size: F8, counts: I4) -> tuple[float, float]:
-    """Gain and offset of y ≈ gain·x + offset, robust; ``size`` and ``counts`` are overwritten."""
-    if x.size < _FEWEST:
-        return 1.0, 0.0
-    for i in range(x.size):
-        size[i] = y[i] / x[i]
-    gain, offset = _median(size, counts), 0.0
-    for _ in range(_ROUNDS):
-        for i in range(x.size):
-            size[i] = abs(y[i] - gain * x[i] - offset)
-        limit = _NEAR * (1.4826 * _median(size, counts) + 0.5)
-        n, a, b, aa, ab = 0, 0.0, 0.0, 0.0, 0.0
-        for i in range(x.size):
-            if size[i] < limit:
-                n += 1
-                a += x[i]
-                b += y[i]
-                aa += x[i] * x[i]
-                ab += x[i] * y[i]
-        a, b, aa, ab = a / n, b / n, aa / n, ab / n
-        # A scene of one brightness does not tell gain from offset: keep the gain and move the offset alone.
-        if aa - a * a > 100.0:
-            gain = (ab - a * b) / (aa - a * a)
-        n = 0
-        for i in range(x.size):
-            if size[i] < limit:
-                size[n] = y[i] - gain * x[i]
-                n += 1
-        offset = _median(size[:n], counts)
-    return gain, offset
+def _weights(local: F8, camera: F8) -> Weights:
+    """1/σ² of the differences whose variances by local light these are."""
+    grey = camera[0] ** 2
+    blue, red = F(1 / (local[2] + camera[1] ** 2)), F(1 / (local[3] + camera[2] ** 2))
+    return F(1 / (local[0] + grey)), F(1 / (local[1] + grey)), blue, red
 
 
 @njit(**INNER)
-def _median(values: F8, counts: I4) -> float:
-    """The median of n > 0 numbers, within a few thousandths of their range: the mean of those that share its bin."""
-    low, high = values[0], values[0]
-    for value in values:
-        low, high = min(low, value), max(high, value)
-    scale, reached, bin, total = (counts.size - 1) / max(high - low, 1e-9), 0, 0, 0.0
-    counts[:] = 0
-    for value in values:
-        counts[int((value - low) * scale)] += 1
-    while reached + counts[bin] <= values.size // 2:
-        reached += counts[bin]
-        bin += 1
-    for value in values:
-        if int((value - low) * scale) == bin:
-            total += value
-    return float(total / counts[bin])
+def _reaches(weights: Weights, limit: np.float32) -> Reaches:
+    return _reach(weights[0], limit), _reach(weights[1], limit), _reach(weights[2], limit), _reach(weights[3], limit)
+
+
+@njit(**INNER)
+def _reach(weight: np.float32, limit: np.float32) -> np.int32:
+    """The least difference with an energy not below the limit."""
+    for difference in range(256):
+        if F(difference) * F(difference) * weight >= limit:
+            return INT(difference)
+    return INT(256)
 
 
 @njit(**ENTRY)
@@ -291,114 +207,138 @@ def middle(samples: NDArray[np.integer[Any]]) -> NDArray[np.integer[Any]]:
 
 
 @njit(**VECTOR)
-def _halved(row: NDArray[Any], out: NDArray[Any]) -> None:
-    """The first of each two numbers."""
-    for i in range(D(out.size)):
-        out[i] = row[i + i]
+def _halved(foreground: U1, row: int, out: U1) -> None:
+    """Of every other pixel both ways, one row."""
+    for i in range(D(out.shape[1])):
+        out[row, i] = foreground[2 * row, i + i]
 
 
+# The functions of a row take whole arrays and where it is in them: to take a row out costs as much as to work on it.
 @njit(**VECTOR)
-def _spread(half: F4, out: F4) -> None:
-    """Each number twice."""
-    for i in range(D(half.size)):
-        out[i + i], out[i + i + _1] = half[i], half[i]
-
-
-@njit(**VECTOR)
-def _tint(blue: F4, red: F4, light: F4, out: F4) -> None:
-    """What the colours of the reference add to its brightness in another light."""
-    a, b = light[0, 1], light[0, 2]
-    for i in range(D(out.size)):
-        out[i] = (blue[i] - _MIDDLE) * a + (red[i] - _MIDDLE) * b
-
-
-@njit(**VECTOR)
-def _colour_energy(grey: F4, blue: F4, red: F4, now_blue: U1, now_red: U1, light: F4, weights: Weights, out: F4) -> None:
-    """The part of the energy that colours have."""
-    v, w = weights[2], weights[3]
+def _colour_energy(y: int, image: U1, reference: F4, light: F4, weights: Weights, scene: F4, half: F4, whole: F4) -> None:
+    """The part of the energy that colours have, and what they add to the brightness of the reference in another light."""
+    height, width = scene.shape
+    across, row = (width + 1) // 2, D(y * width)
+    blue = D(height * width + y // 2 * across)
+    red, n = blue + D((height + 1) // 2 * across), D(across)
     a, b, c, d = light[1, 0], light[1, 1], light[1, 2], light[1, 3]
     e, f, g, h = light[2, 0], light[2, 1], light[2, 2], light[2, 3]
-    for i in range(D(out.size)):
-        x, y, z = grey[i] - _BLACK, blue[i] - _MIDDLE, red[i] - _MIDDLE
-        s = F(now_blue[i]) - _MIDDLE - (a * x + b * y + c * z + d)
-        t = F(now_red[i]) - _MIDDLE - (e * x + f * y + g * z + h)
-        out[i] = s * s * v + t * t * w
+    v, w, by_blue, by_red = weights[2], weights[3], light[0, 1], light[0, 2]
+    for i in range(n):
+        half[0, i] = reference[row + i + i]
+    for i in range(n):
+        x, t, u = half[0, i] - _BLACK, reference[blue + i] - _MIDDLE, reference[red + i] - _MIDDLE
+        q = F(image[blue + i]) - _MIDDLE - (a * x + b * t + c * u + d)
+        r = F(image[red + i]) - _MIDDLE - (e * x + f * t + g * u + h)
+        half[1, i], half[2, i] = q * q * v + r * r * w, t * by_blue + u * by_red
+    for i in range(n):
+        whole[0, i + i] = half[1, i]
+        whole[0, i + i + _1] = half[1, i]
+    for i in range(n):
+        whole[1, i + i] = half[2, i]
+        whole[1, i + i + _1] = half[2, i]
 
 
 @njit(**VECTOR)
 def _energy(
-    now: U1, reference: F4, light: F4, tint: F4, weights: Weights, scene: F4, colour: F4, out: F4, normal: F4
+    y: int, image: U1, reference: F4, light: F4, weights: Weights, scene: F4, whole: F4, energy: F4, normal: F4
 ) -> None:
     """The energy of a row, and what it is over what is usual there."""
-    dark, bright = weights[0], weights[1]
+    dark, bright, slot, start = weights[0], weights[1], y % normal.shape[0], D(y * scene.shape[1])
     gain, offset = light[0, 0], light[0, 3] + _BLACK - light[0, 0] * _BLACK
-    for i in range(D(out.size)):
-        usual = min(max(reference[i] * gain + tint[i] + offset, _BLACK), _WHITE) - _ORIGIN
-        d = _LOG_SCALE * log32((min(max(F(now[i]), _BLACK), _WHITE) - _ORIGIN) / usual)
-        out[i] = value = d * d * (dark if d < _NONE else bright) + colour[i]
-        normal[i] = value / max(scene[i] * _THIRD, ONE)
+    for i in range(D(scene.shape[1])):
+        usual = min(max(reference[start + i] * gain + whole[1, i] + offset, _BLACK), _WHITE) - _ORIGIN
+        d = _LOG_SCALE * log32((min(max(F(image[start + i]), _BLACK), _WHITE) - _ORIGIN) / usual)
+        value = d * d * (dark if d < _NONE else bright) + whole[0, i]
+        energy[y, i] = value
+        normal[slot, i] = value / max(scene[y, i] * _THIRD, ONE)
 
 
 @njit(**VECTOR)
-def _add(row: F4, out: F4) -> None:
-    for i in range(D(out.size)):
-        out[i] += row[i]
+def _columns(at: int, height: int, normal: F4, column: F4) -> None:
+    """The sums of the rows of the window around a row, and beyond its ends what they are mirrored."""
+    window, width = normal.shape
+    reach, n = window // 2, D(width)
+    start, here = D(reach), at % window
+    for i in range(n):
+        column[start + i] = normal[here, i]
+    for k in range(1, reach + 1):
+        above, below = mirrored(at - k, height) % window, mirrored(at + k, height) % window
+        for i in range(n):
+            column[start + i] += normal[above, i] + normal[below, i]
+    for k in range(reach):
+        column[k] = column[reach + mirrored(k - reach, width)]
+        column[reach + width + k] = column[reach + mirrored(width + k, width)]
 
 
 @njit(**VECTOR)
-def _passed(total: F4, normal: F4, limit: np.float32, least: np.float32, out: U1) -> None:
+def _copy(column: F4, start: int, total: F4) -> None:
+    for i in range(D(total.size)):
+        total[i] = column[D(start) + i]
+
+
+@njit(**VECTOR)
+def _add(column: F4, a: int, b: int, total: F4) -> None:
+    x, y = D(a), D(b)
+    for i in range(D(total.size)):
+        total[i] += column[x + i] + column[y + i]
+
+
+@njit(**VECTOR)
+def _passed(at: int, normal: F4, total: F4, limit: np.float32, least: np.float32, mask: U1) -> None:
     """The window's mean must pass, and half of it the pixel itself, which keeps outlines sharp."""
-    for i in range(D(out.size)):
-        out[i] = np.uint8(255) if (total[i] > limit) & (normal[i] > least) else np.uint8(0)
+    slot = at % normal.shape[0]
+    for i in range(D(total.size)):
+        mask[at, i] = np.uint8(255) if (total[i] > limit) & (normal[slot, i] > least) else np.uint8(0)
 
 
 @njit(**INNER)
-def _recall(image: U1, rule: Statistic, past: Past, y: int, work: tuple[U1, I8], mask: U1) -> None:
+def _recall(image: U1, alike: Alike, past: Past, y: int, work: tuple[U1, I8], mask: U1) -> None:
     """Take what was seen before out of row ``y`` of the mask; ``work`` is overwritten."""
-    (seen, near), samples, limit = work, past.samples, F(rule.alike)
+    (seen, near), samples, reaches = work, past.samples, alike.reaches
     height, width = past.differing.shape
     across, plane = (width + 1) // 2, (height + 1) // 2 * ((width + 1) // 2)
     for start in range(0, width, _PIXELS):
+        stop = min(start + _PIXELS, width)
         # Most of a picture has not changed.
-        for x in range(start, min(start + _PIXELS, width)) if _any(mask[start : start + _PIXELS]) else range(0):
-            if mask[x] == 0:
+        for x in range(start, stop) if _any(mask, y, start, stop) else range(0):
+            if mask[y, x] == 0:
                 continue
             p, q, differing = y * width + x, height * width + y // 2 * across + x // 2, past.differing[y, x]
             pixel = INT(LOG[image[p]]), INT(image[q]), INT(image[q + plane])
-            if not _beyond(pixel, past.extremes, (p, q, q + plane), rule.weights, limit):
+            if not _beyond(pixel, past.extremes, (p, q, q + plane), reaches):
                 near[0, 0], near[1, 0] = p, q
-                count = _resembling(pixel, samples, near[:, :1], plane, rule.weights, limit, seen)
+                count = _resembling(pixel, samples, near, 1, plane, alike, seen)
                 if _often(count, seen, SHARE * differing):
-                    mask[x] = 0
-            busy = mask[x] and differing >= BUSY * seen.size
-            if busy and not _beyond(pixel, past.near, (p, q, q + plane), rule.weights, limit):
+                    mask[y, x] = 0
+            busy = mask[y, x] and differing >= BUSY * seen.size
+            if busy and not _beyond(pixel, past.near, (p, q, q + plane), reaches):
                 n = 0
                 for i in (y - REACH, y, y + REACH):
                     for j in (x - REACH, x, x + REACH):
                         if 0 <= i < height and 0 <= j < width:
                             near[0, n], near[1, n] = i * width + j, height * width + i // 2 * across + j // 2
                             n += 1
-                count = _resembling(pixel, samples, near[:, :n], plane, rule.weights, limit, seen)
+                count = _resembling(pixel, samples, near, n, plane, alike, seen)
                 if _often(count, seen, max(NEAR * seen.size, differing)):
-                    mask[x] = 0
+                    mask[y, x] = 0
 
 
 @njit(**VECTOR)
-def _any(row: U1) -> bool:
-    """Whether not all are 0."""
+def _any(mask: U1, y: int, start: int, stop: int) -> bool:
+    """Whether not all of a part of a row are 0."""
     found = np.uint8(0)
-    for i in range(D(row.size)):
-        found |= row[i]
+    for i in range(D(start), D(stop)):
+        found |= mask[y, i]
     return bool(found)
 
 
 @njit(**INNER)
-def _beyond(pixel: Pixel, extremes: U1, at: tuple[int, int, int], weights: Weights, limit: np.float32) -> bool:
+def _beyond(pixel: Pixel, extremes: U1, at: tuple[int, int, int], reaches: Reaches) -> bool:
     """Whether a pixel is too far below the first or above the second of two values of a plane to resemble those between."""
     for c in range(3):
-        below, above = F(pixel[c] - INT(extremes[at[c], 0])), F(pixel[c] - INT(extremes[at[c], 1]))
-        dark, bright = weights[0 if c == 0 else c + 1], weights[c + 1]
-        if (below < _NONE and below * below * dark >= limit) or (above > _NONE and above * above * bright >= limit):
+        low, high = INT(extremes[at[c], 0]), INT(extremes[at[c], 1])
+        if low - pixel[c] >= reaches[0 if c == 0 else c + 1] or pixel[c] - high >= reaches[c + 1]:
             return True
     return False
 
@@ -415,27 +355,33 @@ def _often(count: int, seen: U1, least: float) -> bool:
 
 
 @njit(**VECTOR)
-def _resembling(pixel: Pixel, samples: U1, near: I8, plane: int, weights: Weights, limit: np.float32, out: U1) -> Any:
+def _resembling(pixel: Pixel, samples: U1, near: I8, places: int, plane: int, alike: Alike, out: U1) -> Any:
     """1 for each of the samples that a pixel resembles at one of the places ``near``, of brightness and of blue, and their
     number; red is a ``plane`` behind blue."""
-    (a, b, c), (dark, bright, v, w), count = pixel, weights, INT(0)
-    out[:] = 0
-    for m in range(near.shape[1]):
-        grey, blue, red = samples[near[0, m]], samples[near[1, m]], samples[near[1, m] + plane]
+    (a, b, c), (dark, bright, v, w), limit, count = pixel, alike.weights, alike.limit, INT(0)
+    for k in range(D(out.size)):
+        out[k] = 0
+    for m in range(places):
+        # No rows are taken out of the array, which would take longer than to compare them.
+        i, j = D(near[0, m]), D(near[1, m])
+        red = j + D(plane)
         for k in range(D(out.size)):
-            d, e, f = F(INT(a - INT(grey[k]))), F(INT(b - INT(blue[k]))), F(INT(c - INT(red[k])))
-            alike = d * d * (dark if d < _NONE else bright) + e * e * v + f * f * w < limit
-            out[k] |= np.uint8(1) if alike else np.uint8(0)
+            d, e = F(INT(a - INT(samples[i, k]))), F(INT(b - INT(samples[j, k])))
+            f = F(INT(c - INT(samples[red, k])))
+            same = d * d * (dark if d < _NONE else bright) + e * e * v + f * f * w < limit
+            out[k] |= np.uint8(1) if same else np.uint8(0)
     for k in range(D(out.size)):
         count += INT(out[k])
     return count
 
 
 @njit(**VECTOR)
-def _approach(image: U1, foreground: U1, rates: F4, reference: F4) -> None:
-    outside, inside = rates[0], rates[1]
-    for i in range(D(reference.size)):
-        reference[i] += (F(image[i]) - reference[i]) * (outside if foreground[i] == 0 else inside)
+def _approach(image: U1, foreground: U1, rates: F4, reference: F4, start: int) -> None:
+    """Of the numbers from ``start`` on, as many as there are of the foreground."""
+    outside, inside, first = rates[0], rates[1], D(start)
+    for i in range(D(foreground.size)):
+        k = first + i
+        reference[k] += (F(image[k]) - reference[k]) * (outside if foreground[i] == 0 else inside)
 
 
 @njit(**VECTOR)

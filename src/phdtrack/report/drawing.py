@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from phdtrack.arrays import pixelated
 from phdtrack.errors import InputError
-from phdtrack.kernels.drawing import blend
+from phdtrack.kernels.planes import blend
 from phdtrack.types import F8, I8, Bool, Detections, Image, SequenceInfo, Tracks
 
 if TYPE_CHECKING:
@@ -40,8 +40,8 @@ _UNKNOWN: F8 = np.zeros(0)
 _GRID, _INK, _WITHOUT_IDENTITY = (228, 231, 236), (58, 66, 80), (140, 140, 140)
 _PAPER: Rgb = (235, 235, 228)
 _FIELD, _ROAD_EDGE, _WARNING = (216, 228, 246), (150, 120, 80), (208, 60, 60)
-# Lines of the grid across a plan at most; plans are drawn in sixteenths of a pixel; strengths of a trail.
-_MAX_LINES, _FRACTION_BITS, _FADING = 12, 4, 8
+# Lines of the grid across a plan at most; plans are drawn in sixteenths of a pixel; strengths and points of a trail.
+_MAX_LINES, _FRACTION_BITS, _FADING, _POINTS = 12, 4, 8, 19
 
 
 def identity_colour(identity: int) -> Rgb:
@@ -73,13 +73,16 @@ class _Canvas:
             cv2.rectangle(self._opacity, (left, top), (right, bottom), round(255 * opacity), width)
             if crossed:
                 ends = np.array([[[left, top], [right, bottom]], [[left, bottom], [right, top]]], np.int32)
-                self.glaze_lines(list(ends), colour, width, [opacity] * 2)
+                self.coloured_lines(list(ends), colour, width)
+                self.glaze_lines(list(ends), width, opacity)
 
-    def glaze_lines(self, lines: Sequence[NDArray[np.int32]], colour: Rgb, width: int, opacities: Sequence[float]) -> None:
-        """Lines through points (n, 2) with a smoothed edge, for which the colour needs a margin."""
+    def coloured_lines(self, lines: Sequence[NDArray[np.int32]], colour: Rgb, width: int) -> None:
+        """The colour of lines through points (n, 2), with the margin that their smoothed edges need."""
         cv2.polylines(self.image, lines, False, colour[::-1], width + 2)
-        for line, opacity in zip(lines, opacities, strict=True):
-            cv2.polylines(self._opacity, [line], False, round(255 * opacity), width, cv2.LINE_AA)
+
+    def glaze_lines(self, lines: Sequence[NDArray[np.int32]], width: int, opacity: float) -> None:
+        """How much of their colour is seen."""
+        cv2.polylines(self._opacity, lines, False, round(255 * opacity), width, cv2.LINE_AA)
 
     def onto(self, picture: Image) -> Image:
         """The picture, (H, W, 3) BGR or its planes (3H/2, W), with what is on this sheet, which is empty afterwards."""
@@ -114,24 +117,13 @@ class _Canvas:
 
     def plate(self, text: str, corner: Sequence[int], fill: Rgb, opacity: float = 1.0) -> None:
         """Text on a coloured plate with this lower left corner, moved and shrunk to stay in the picture."""
-        # OpenCV's fonts have no letters but ASCII.
-        text, font, room = text.encode("ascii", "replace").decode("ascii"), self._font, self.image.shape[1]
-        (wide, high), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, font, self._bold)
-        pad = max(2, high // 4)
-        if wide + 2 * pad > room:
-            font *= max(0.1, (room - 2 * pad) / wide)
-            (wide, high), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, font, self._bold)
-        under = pad + (0 if text.isdigit() else below // 2)
-        wide, high = wide + 2 * pad, high + pad + under
+        plate, alpha = _plate(text, fill, round(255 * opacity), self._font, self._bold, self.image.shape[1])
+        (high, wide), (tall, room) = alpha.shape, self.image.shape[:2]
         left = min(max(corner[0], 0), max(room - wide, 0))
-        bottom = min(max(corner[1], high), max(self.image.shape[0], high))
-        self.image[bottom - high : bottom, left : left + wide] = fill[::-1]
-        self._opacity[bottom - high : bottom, left : left + wide] = round(255 * opacity)
-        # Black or white, whichever is easier to read by relative luminance.
-        light = np.array([0.2126, 0.7152, 0.0722]) @ (np.array(fill) / 255) ** 2.2 > 0.2
-        for sheet, colour in ((self.image, _BLACK if light else _WHITE), (self._opacity, 255))[: 1 + (opacity < 1)]:
-            look = (cv2.FONT_HERSHEY_SIMPLEX, font, colour, self._bold, cv2.LINE_AA)
-            cv2.putText(sheet, text, (left + pad, bottom - under), *look)
+        bottom = min(max(corner[1], high), max(tall, high))
+        seen = slice(bottom - high, bottom), slice(left, left + wide)
+        part = self.image[seen].shape[:2]
+        self.image[seen], self._opacity[seen] = plate[: part[0], : part[1]], alpha[: part[0], : part[1]]
 
     def text(self, text: str, spot: Sequence[int], colour: Rgb) -> None:
         """Small letters without a plate."""
@@ -172,6 +164,29 @@ class _Canvas:
         seen = np.flatnonzero(np.isfinite(boxes).all(axis=1) & (high >= 0).all(axis=1) & (low <= size).all(axis=1))
         cut = np.hstack([np.clip(each[seen], -size, 2 * size) for each in (low, high)]).round().astype(int)
         return list(zip(seen.tolist(), cut.tolist(), strict=True))
+
+
+@lru_cache(maxsize=500)
+def _plate(text: str, fill: Rgb, opacity: int, font: float, bold: int, room: int) -> tuple[Image, Image]:
+    """(h, w, 3) BGR of text on a coloured plate, and its opacity (h, w); kept, for most are drawn again in the next frame.
+
+    Where it would be wider than the ``room`` its letters are smaller.
+    """
+    # OpenCV's fonts have no letters but ASCII.
+    text = text.encode("ascii", "replace").decode("ascii")
+    (wide, high), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, font, bold)
+    pad = max(2, high // 4)
+    if wide + 2 * pad > room:
+        font *= max(0.1, (room - 2 * pad) / wide)
+        (wide, high), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, font, bold)
+    under = pad + (0 if text.isdigit() else below // 2)
+    plate = np.full((high + pad + under, wide + 2 * pad, 3), fill[::-1], np.uint8)
+    alpha = np.full(plate.shape[:2], opacity, np.uint8)
+    # Black or white, whichever is easier to read by relative luminance.
+    light = np.array([0.2126, 0.7152, 0.0722]) @ (np.array(fill) / 255) ** 2.2 > 0.2
+    for sheet, colour in ((plate, _BLACK if light else _WHITE), (alpha, 255))[: 1 + (opacity < 255)]:
+        cv2.putText(sheet, text, (pad, len(alpha) - under), cv2.FONT_HERSHEY_SIMPLEX, font, colour, bold, cv2.LINE_AA)
+    return plate, alpha
 
 
 class Annotator:
@@ -250,13 +265,23 @@ class Annotator:
         """A line through the earlier and present feet of each identity, which fades towards the oldest."""
         past = Tracks.concatenate([self._past, rows])
         self._past = past = past.take(past.frame > number - self._length)
-        for identity in np.unique(past.identity).tolist():
-            there = feet(past.xyxy[past.identity == identity])
-            points = np.clip(there[np.isfinite(there).all(axis=1)], -1e4, 1e4).round().astype(np.int32)
-            bounds = np.linspace(0, len(points) - 1, min(_FADING, len(points) - 1) + 1).round().astype(int).tolist()
+        # By identity, and the lines by strength: OpenCV draws many at once in the time of a few.
+        order = np.argsort(past.identity, kind="stable")
+        identities, starts = np.unique(past.identity[order], return_index=True)
+        there, by_strength = feet(past.xyxy[order]), dict[float, list[NDArray[np.int32]]]()
+        for identity, start, end in zip(identities.tolist(), starts, [*starts[1:], len(order)], strict=False):
+            mine = there[start:end]
+            # So many points are enough, and the last one always is among them.
+            mine = mine[:: -max(1, self._length // _POINTS)][::-1]
+            points = np.clip(mine[np.isfinite(mine).all(axis=1)], -1e4, 1e4).round().astype(np.int32)
+            pieces = min(_FADING, len(points) - 1)
+            bounds = [round(k * (len(points) - 1) / pieces) for k in range(pieces + 1)] if pieces > 0 else []
             lines = [points[first : last + 1] for first, last in pairwise(bounds)]
-            strengths = [(30 + 200 * k / len(lines)) / 255 for k in range(1, len(lines) + 1)]
-            canvas.glaze_lines(lines, identity_colour(identity), canvas.line, strengths)
+            canvas.coloured_lines(lines, identity_colour(identity), canvas.line)
+            for k, line in enumerate(lines, start=1):
+                by_strength.setdefault((30 + 200 * k / pieces) / 255, []).append(line)
+        for strength, lines in by_strength.items():
+            canvas.glaze_lines(lines, canvas.line, strength)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

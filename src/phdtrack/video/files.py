@@ -371,13 +371,18 @@ def bgr(picture: Any, width: int, height: int) -> Image:
 class Decoded:
     """A picture as FFmpeg decodes it, turned by the orientation that the recording carries."""
 
-    __slots__ = ("_image", "_picture", "_turns", "size")
+    __slots__ = ("_image", "_picture", "_ready", "_turns", "size")
 
     def __init__(self, picture: Any) -> None:
         self._picture, self._turns = picture, round(picture.rotation / 90) % 4
         wide, high = picture.width, picture.height
         self.size = (high, wide) if self._turns % 2 else (wide, high)
         self._image: Image | None = None
+        self._ready: tuple[tuple[int, int], Image] | None = None
+
+    def prepare(self, size: tuple[int, int]) -> None:
+        """As `Picture.prepare`."""
+        self._ready = size, self.planes(size)
 
     def bgr(self, size: tuple[int, int] | None = None) -> Image:
         """(H, W, 3) BGR uint8 of this width and height, or of its own: that is made once."""
@@ -389,6 +394,9 @@ class Decoded:
 
     def planes(self, size: tuple[int, int] | None = None) -> Image:
         """As `Picture.planes`."""
+        ready, self._ready = self._ready, None
+        if ready is not None and ready[0] == (size or self.size):
+            return ready[1]
         picture, (wide, high) = self._picture, self._before_turns(size)
         full = "JPEG" if picture.color_range == _FULL_RANGE else None
         if (wide, high) != (picture.width, picture.height) or picture.format.name != "yuv420p" or full:
@@ -396,11 +404,13 @@ class Decoded:
             picture = _converter().reformat(
                 picture, wide, high, "yuv420p", interpolation="AREA", src_color_range=full, dst_color_range="MPEG"
             )
-        half, parts = ((wide + 1) // 2, (high + 1) // 2), list[Image]()
+        half, start = ((wide + 1) // 2, (high + 1) // 2), 0
+        out: Image = np.empty(wide * high + 2 * half[0] * half[1], np.uint8)
         for plane, (across, low) in zip(picture.planes, ((wide, high), half, half), strict=True):
-            part = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)[:low, :across]
-            parts.append(np.rot90(part, self._turns).ravel())
-        return np.concatenate(parts)
+            part = np.rot90(np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)[:low, :across], self._turns)
+            out[start : start + part.size].reshape(part.shape)[:] = part
+            start += part.size
+        return out
 
     def _before_turns(self, size: tuple[int, int] | None) -> tuple[int, int]:
         """Width and height of what is turned to have this size."""
