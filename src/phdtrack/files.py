@@ -34,8 +34,9 @@ _LONG_NUMBER = re.compile(rb"\d[\d_]{299}|0x[\da-fA-F_]{250}")
 _LONG_NAME = re.compile(rb"(?<![\w\"'-])(?:[\w\"'-]++\s*+\.\s*+){100}")
 # Elements within each other: each one knows those around it.
 _DEEPEST = 100
-# A parameter of mallopt: the number of heaps.
-_M_ARENA_MAX = -8
+# Parameters of mallopt: the number of heaps, and from how many bytes on memory comes from the system and goes back to it.
+# Of itself that grows to the largest that was freed, and then pictures lie between small things and are never given back.
+_M_ARENA_MAX, _M_MMAP_THRESHOLD, _LARGE = -8, -3, 4_000_000
 
 
 def part_of(path: Path) -> Path:
@@ -317,4 +318,5 @@ def return_memory() -> None:
     library = ctypes.CDLL(None) if sys.platform == "linux" else None
     if library is not None and getattr(library, "malloc_trim", None) is not None:
         library.mallopt(_M_ARENA_MAX, 2)
+        library.mallopt(_M_MMAP_THRESHOLD, _LARGE)
         library.malloc_trim(0)

@@ -30,6 +30,7 @@ from phdtrack.detect.convert import within_frame
 from phdtrack.detect.registry import class_names, frames_up_to, frames_walked, looked_at, prepared, study, working_width
 from phdtrack.devices import Detector
 from phdtrack.errors import InputError, shown
+from phdtrack.files import return_memory
 from phdtrack.formats import DetectionsWriter, find_seqinfo, read_detections
 from phdtrack.formats.checks import WrongRows
 from phdtrack.formats.stream import stream_detections
@@ -100,6 +101,7 @@ def learn_scene(inputs: Inputs) -> None:
     """Let a detector that learns the scene look through a file before its first frame: all of it, whatever is tracked."""
     if inputs.pictures and inputs.again:
         study(inputs.detector, replace(inputs.source, first=1, last=0), inputs.source.sample)
+        return_memory()
 
 
 def expected(source: VideoSource, done: int, title: str) -> dict[str, Any]:

@@ -30,7 +30,7 @@ difference to a frame is smoothed by a Gaussian low-pass and thresholded; connec
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from statistics import NormalDist
 from typing import Annotated
@@ -58,7 +58,7 @@ _SAME_LIGHT: F4 = np.eye(3, 4, dtype=np.float32)
 _SIDE, _USUAL = 0.3, 0.1
 # The quantile of energies that tells the scene's noise, and that of a third of χ²₃.
 _QUIET, _QUIET_OF_CHI2 = 0.4, 0.623
-_LOUDEST = 20.0
+_LOUDEST, _BANDS = 20.0, 2
 _GHOST_EDGE = 0.8
 # What flies past and hides an edge looks like a ghost for a frame or two: learned at once, it would be one ever after.
 _GHOST_SECONDS = 0.2
@@ -147,21 +147,25 @@ class ChangeDetector:
             out.append(f"the pictures are dark (mean grey level {light:.0f} of 255): much is not seen in them. {_TRAINED}")
         return tuple(out)
 
-    def study(self, samples: Sequence[Frame]) -> None:
+    def study(self, samples: Iterable[Frame]) -> None:
         """Learn the scene from frames of a file, before its first one.
 
         Parameters
         ----------
-        samples : an odd number of frames in order, at least 7.
+        samples : an odd number of frames in order, at least 7; none is kept.
         """
-        self._begin(samples[0])
+        pictures, times = list[Image](), list[float]()
+        for frame in samples:
+            if not pictures:
+                self._begin(frame)
+            pictures.append(_smooth(frame))
+            times.append(frame.time)
         self._learning, shape = False, self._shape
-        pictures = [_smooth(one) for one in samples]
         reference, hidden = background(pictures, shape)
         self._reference = reference.astype(np.float32)
         # What two samples show of the same moment is not seen twice.
-        duration = max(samples[-1].time - samples[0].time, 1e-9)
-        apart = pictures[:: max(1, math.ceil(_APART * (len(samples) - 1) / duration))]
+        duration = max(times[-1] - times[0], 1e-9)
+        apart = pictures[:: max(1, math.ceil(_APART * (len(times) - 1) / duration))]
         # The samples of a number side by side: it is compared with all of them.
         seen: Image = np.empty((len(reference), len(apart)), np.uint8)
         extremes = _Extremes(OFTEN, len(reference)), _Extremes(often_near(len(apart)), len(reference))
@@ -245,10 +249,15 @@ class ChangeDetector:
 
     def _learn_scene_noise(self, samples: Sequence[Image], hidden: Bool | None = None) -> None:
         """s(q) from the samples of the first reference; where it was ``hidden`` (H, W) in most of them, as it usually is."""
-        energies = np.stack([self._compared(sample)[1] for sample in samples])
-        # Objects that pass by only add to it: less than the median is moved by them less.
-        energies.partition(rank := round(_QUIET * (len(samples) - 1)), axis=0)
-        typical = energies[rank] / _QUIET_OF_CHI2
+        typical, rank = np.empty(self._shape, np.float32), round(_QUIET * (len(samples) - 1))
+        # In bands: all energies at once would be the largest piece of memory of a run.
+        for band in (slice(k * len(typical) // _BANDS, (k + 1) * len(typical) // _BANDS) for k in range(_BANDS)):
+            energies = np.empty((len(samples), *typical[band].shape), np.float32)
+            for k, sample in enumerate(samples):
+                energies[k] = self._compared(sample)[1][band]
+            # Objects that pass by only add to it: less than the median is moved by them less.
+            energies.partition(rank, axis=0)
+            typical[band] = energies[rank] / _QUIET_OF_CHI2
         if hidden is not None and hidden.any() and not hidden.all():
             typical[hidden] = np.minimum(typical[hidden], np.median(typical[~hidden]))
         spread = cv2.dilate(cv2.blur(typical, (5, 5)), np.ones((3, 3), np.uint8))

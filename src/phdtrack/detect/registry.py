@@ -384,7 +384,9 @@ def study(detector: Detector, frames: Iterable[Frame], sample: Callable[[int], I
     if number >= _FEWEST_SAMPLES:
         # The others are not kept while it learns.
         kept = [kept[k] for k in np.linspace(0, len(kept) - 1, number).round().astype(int)]
-        detector.study(kept)
+        kept.reverse()
+        # Each is forgotten when the detector has what it needs of it.
+        detector.study(kept.pop() for _ in range(number))
 
 
 def _thinned(frames: Iterable[Frame], seen: Callable[[Frame], Frame]) -> list[Frame]:

@@ -220,7 +220,7 @@ class Recorder:
         if frame is None or index % self._stride:
             return
         boxes = np.vstack([step.detections.xyxy, step.estimates.xyxy])
-        self._kept.append((index, step.number, shrunk(pixelated(frame.image, boxes, self._blur), _PICTURE_WIDTH).copy()))
+        self._kept.append((index, step.number, self._hidden(_small(frame), boxes)))
         if len(self._kept) > _PICTURES:
             self._stride *= 2
             self._kept = [each for each in self._kept if each[0] % self._stride == 0]
@@ -255,14 +255,13 @@ class Recorder:
             count_range=ranges if np.isfinite(ranges).any() else ranges[:0],
             seconds=table[:, 9:],
             truth_count=np.zeros(0, np.int64) if truth is None else _count(truth.frame[~truth.distractor], numbers),
-            background=NO_IMAGE if middle is None else self._hidden(middle[2], middle[1], tracks),
+            background=NO_IMAGE if middle is None else self._hidden(middle[2], tracks.xyxy[tracks.frame == middle[1]]),
             log_evidence=table[:, 5],
         )
 
-    def _hidden(self, image: Image, number: int, tracks: Tracks) -> Image:
-        """The small picture of a frame with what is in the boxes of its tracks hidden, too."""
-        scale = image.shape[1] / max(1, self._info.width)
-        return pixelated(image, scale * tracks.xyxy[tracks.frame == number], self._blur)
+    def _hidden(self, image: Image, boxes: F8) -> Image:
+        """A small picture of a frame with what is in boxes of the frame, in its own pixels, hidden."""
+        return pixelated(image, image.shape[1] / max(1, self._info.width) * boxes, self._blur)
 
 
 def known_mean(values: F8) -> float:
@@ -278,6 +277,15 @@ def shrunk(image: Image, width: int) -> Image:
         return image
     small: Image = cv2.resize(image, (width, max(1, round(high * width / wide))), interpolation=cv2.INTER_AREA)
     return small
+
+
+def _small(frame: Frame) -> Image:
+    """The picture of a frame as it is kept; a decoder makes no larger one for it."""
+    if isinstance(frame.picture, np.ndarray):
+        return shrunk(frame.picture, _PICTURE_WIDTH).copy()
+    wide, high = frame.picture.size
+    width = min(wide, _PICTURE_WIDTH)
+    return np.asarray(frame.picture.bgr((width, max(1, round(high * width / wide)))))
 
 
 def _count(frame: I8, numbers: I8) -> I8:
