@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 from cli_runner import phdtrack, refused
@@ -61,6 +62,29 @@ def test_the_motion_is_measured_told_and_read_back(walk, tmp_path):
     over = options(folder, tmp_path / "flow", "--camera-motion", tmp_path / "flow" / "camera_motion.csv", "--overwrite")
     assert "camera_motion.csv is read for this run" in refused(*(word for word in over if word != "--json"))
     assert (tmp_path / "again" / "tracks.csv").read_bytes() == (tmp_path / "flow" / "tracks.csv").read_bytes()
+
+
+def test_a_camera_that_shakes_is_steadied_by_itself(tmp_path):
+    """Two cross before a wall. The tracker is told how the picture moves, also where detections are used again."""
+    rng = np.random.default_rng(2)
+    wall = cv2.resize(rng.integers(60, 200, (30, 40, 3), np.uint8), (320, 240), interpolation=cv2.INTER_CUBIC)
+    truth = []
+    with VideoWriter(tmp_path / "v.mp4", 320, 240, 10) as video:
+        for k in range(60):
+            image, shift = wall.copy(), 5 * rng.standard_normal(2)
+            for name, (left, top) in enumerate([(10 + 4 * k, 60), (280 - 4 * k, 150)], start=1):
+                image[top : top + 60, left : left + 24] = 20
+                truth.append(f"{k + 1},{name},{left + shift[0]:.2f},{top + shift[1]:.2f},24,60,1,1,1\n")
+            matrix = np.array([[1, 0, shift[0]], [0, 1, shift[1]]])
+            video.write(cv2.warpAffine(image, matrix, (320, 240), borderMode=cv2.BORDER_REPLICATE))
+    (tmp_path / "gt.txt").write_text("".join(truth), encoding="utf-8")
+    run = ("track", tmp_path / "v.mp4", "--truth", tmp_path / "gt.txt", "--no-video", "--out", tmp_path / "run", "--json")
+    first = phdtrack(*run).object
+    assert first["scores"]["MOTA"] > 0.8
+    rows = (tmp_path / "run" / "tracks.csv").read_bytes()
+    again = phdtrack(*run, "--overwrite").object
+    assert again["detections_reused"]
+    assert (tmp_path / "run" / "tracks.csv").read_bytes() == rows
 
 
 def test_what_does_not_go_together_is_refused(walk, tmp_path):

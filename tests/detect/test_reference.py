@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
 from phdtrack.detect.change import ChangeDetector
-from phdtrack.detect.reference import background, median, of_objects
-from phdtrack.detect.registry import Rescaled, study, unsuited
+from phdtrack.detect.reference import Anchor, background, median, of_objects, stilled
+from phdtrack.detect.registry import Rescaled, pose_of, study, unsuited
 from phdtrack.devices import Planar, planes_of
-from phdtrack.types import Frame, Image
+from phdtrack.kernels.planes import luma
+from phdtrack.types import STILL, Frame, Image
 from reference import change_twin as twin
 
 
@@ -140,3 +142,69 @@ def test_a_camera_that_moves_and_dark_pictures_are_doubtful() -> None:
         said = unsuited(detector)
         assert [word for word in ("camera moves", "dark") if any(word in sentence for sentence in said)] == words
         assert all("--detector onnx:FILE" in sentence for sentence in said)
+
+
+WALL = cv2.resize(
+    np.random.default_rng(3).integers(60, 200, (30, 40, 3), np.uint8), (320, 240), interpolation=cv2.INTER_CUBIC
+)
+
+
+def shaken(x: float, y: float, turn: float = 0.0, left: int = -1) -> tuple[Image, np.ndarray]:
+    """A wall as a camera sees it that is moved by some pixels and turned, and (2, 3) where it moved to.
+
+    Before it stands something dark, 30 pixels wide and 60 high, from column ``left`` on.
+    """
+    image = WALL.copy()
+    if left >= 0:
+        image[100:160, left : left + 30] = 20
+    pose = cv2.getRotationMatrix2D((160, 120), turn, 1.0) + np.array([[0, 0, x], [0, 0, y]])
+    return cv2.warpAffine(image, pose, (320, 240), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), pose
+
+
+def test_where_a_picture_lies_is_found_although_something_hides_a_part() -> None:
+    anchor, grey = Anchor(luma(planes_of(WALL), (240, 320))), {}
+    for x, y, turn in ((0, 0, 0), (3.3, -5.6, 0), (-9, 12, 0.4)):
+        image, pose = shaken(x, y, turn, left=100)
+        grey[x] = planes_of(image)
+        found = anchor.pose(luma(grey[x], (240, 320)))
+        corners = np.array([[30, 290, 160], [30, 210, 120], [1, 1, 1]])
+        np.testing.assert_allclose(found[:2] @ corners, pose @ corners, atol=0.25)
+    back = stilled(grey[3.3], (240, 320), anchor.pose(luma(grey[3.3], (240, 320))))
+    was, before, after = (
+        luma(each, (240, 320))[20:220, 140:300].astype(float) for each in (planes_of(WALL), grey[3.3], back)
+    )
+    assert np.abs(after - was).mean() < 3 < np.abs(before - was).mean() / 3
+
+
+def test_where_nothing_can_be_followed_the_camera_is_taken_to_stand() -> None:
+    plain, wall = np.full((240, 320), 100, np.uint8), luma(planes_of(WALL), (240, 320))
+    noise = np.random.default_rng(0).integers(0, 255, (240, 320), np.uint8)
+    for one, other in ((plain, plain), (plain, wall), (wall, plain), (wall, noise)):
+        assert Anchor(one).pose(other) is STILL
+
+
+@pytest.mark.parametrize("amount", [0.0, 4.0])
+@pytest.mark.parametrize("width", [0, 200])
+def test_objects_are_found_where_they_are_though_the_camera_shakes(amount: float, width: int) -> None:
+    rng, frames, truth = np.random.default_rng(5), list[Frame](), []
+    for k in range(80):
+        x, y = amount * rng.standard_normal(2)
+        left = 20 + 3 * k
+        image, pose = shaken(x, y, left=left)
+        truth.append(np.array([left, 100, left + 30, 160]) + np.tile(pose[:, 2], 2))
+        image = np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8)
+        frames.append(Frame(k + 1, k / 10, Planar((320, 240), planes_of(image))))
+    detector = Rescaled(ChangeDetector(), width) if width else ChangeDetector()
+    study(detector, frames)
+    counts, misses, moved = [], [], []
+    for frame, true in zip(frames, truth, strict=True):
+        found = detector(frame).xyxy
+        pose = pose_of(detector, frame)
+        assert (len(pose) > 0) == (amount > 0)
+        # The wall lies where it lies in the last frame, but for what the camera moved.
+        moved.append(pose[:2, 2] - true[:2] + [3 * frame.number, 0] if amount else np.zeros(2))
+        counts.append(len(found))
+        misses.append(np.abs(found - true).max(axis=1).min() if len(found) else np.inf)
+    assert np.mean(np.array(counts) == 1) > 0.9
+    assert np.median(misses) < (6 if width else 4)
+    assert np.ptp(moved, axis=0).max() < 1.5

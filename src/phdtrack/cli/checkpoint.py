@@ -121,7 +121,7 @@ class Checkpoint:
             for frame in frames:
                 one = _made(next(stored, (0, None))[1], frame, self._kept, "Say --detect-again")
                 # How the camera moved may be wanted otherwise than then.
-                yield one._replace(warp=STILL if mover is None else mover(frame, one.found))
+                yield one._replace(warp=STILL if mover is None else mover(frame, one.found, one.pose))
 
     def _kept_first(self) -> str:
         """What decided the detections that an earlier run has left; empty where there are none."""
@@ -142,7 +142,7 @@ class Checkpoint:
                     restore(inputs.detector, known.detector, frame)
                     if mover is not None:
                         # It knows the picture before.
-                        mover(frame, one.found)
+                        mover(frame, one.found, one.pose)
                     yield one
                     return
                 yield one
@@ -227,22 +227,23 @@ def _plain(one: Detected) -> dict[str, Any]:
     arrays = {"xyxy": found.xyxy, "confidence": found.confidence, "class_id": found.class_id}
     more = {} if found.covariance is None else {"covariance": found.covariance}
     state = {"number": one.frame.number, "time": one.frame.time, "observed": found.observed, "seconds": one.seconds}
-    return {**arrays, **more, **state, "warp": one.warp}
+    return {**arrays, **more, **state, "warp": one.warp, "pose": one.pose}
 
 
 def _made(plain: Any, frame: Frame, where: Path, cure: str = "Say --overwrite to begin anew.") -> Detected:
     """What a block of the log says of the frame. Raises `InputError` where it is of another frame, or no such block."""
     try:
         same = plain["number"] == frame.number and plain["time"] == frame.time
-        warp, seconds, observed = plain["warp"], float(plain["seconds"]), bool(plain["observed"])
+        warp, pose, seconds, observed = plain["warp"], plain["pose"], float(plain["seconds"]), bool(plain["observed"])
         found = Detections(plain["xyxy"], plain["confidence"], plain["class_id"], plain.get("covariance"), observed)
-        good = same and _sound(found) and warp.dtype == np.float64 and warp.shape in ((3, 3), STILL.shape)
+        maps = all(one.dtype == np.float64 and one.shape in ((3, 3), STILL.shape) for one in (warp, pose))
+        good = same and _sound(found) and maps and bool(np.isfinite(pose).all())
     except _NONE:
         good = False
     if not good:
         problem = f"what it says of frame {frame.number} does not fit the source"
         raise InputError(problem, where=where, cure=cure)
-    return Detected(frame, found, warp, seconds)
+    return Detected(frame, found, warp, seconds, pose)
 
 
 def _sound(found: Detections) -> bool:

@@ -27,7 +27,16 @@ from phdtrack.cli.options import SourceOptions
 from phdtrack.cli.output import counted, progress
 from phdtrack.detect import TableDetector, make_detector
 from phdtrack.detect.convert import within_frame
-from phdtrack.detect.registry import class_names, frames_up_to, frames_walked, looked_at, prepared, study, working_width
+from phdtrack.detect.registry import (
+    class_names,
+    frames_up_to,
+    frames_walked,
+    looked_at,
+    pose_of,
+    prepared,
+    study,
+    working_width,
+)
 from phdtrack.devices import Detector
 from phdtrack.errors import InputError, shown
 from phdtrack.files import return_memory
@@ -54,8 +63,8 @@ T = TypeVar("T")
 Part = tuple[int, int]
 """The first and the last frame that are tracked; 0: the end."""
 WHOLE: Part = (1, 0)
-Mover = Callable[[Frame, Detections], F8]
-"""(3, 3) from the pixels of the last frame to those of this one, or `types.STILL`."""
+Mover = Callable[[Frame, Detections, F8], F8]
+"""(3, 3) from the pixels of the last frame to those of this one, or `types.STILL`; it is given `Detected.pose`, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,18 +92,21 @@ class Inputs:
 
 
 class Detected(NamedTuple):
-    """A frame, what the detector sees in it, how the camera moved, and how many seconds the detector looked."""
+    """A frame, what the detector sees in it, how the camera moved, how many seconds the detector looked, and where it finds
+    that the scene lies, as `pose_of`."""
 
     frame: Frame
     found: Detections
     warp: F8
     seconds: float
+    pose: F8
 
 
 def detected(detector: Detector, frames: Iterable[Frame], mover: Mover | None = None) -> Iterator[Detected]:
     """Each frame with what ``detector`` sees in it."""
     for frame, found, seconds in looked_at(detector, frames):
-        yield Detected(frame, found, STILL if mover is None else mover(frame, found), seconds)
+        pose = pose_of(detector, frame)
+        yield Detected(frame, found, STILL if mover is None else mover(frame, found, pose), seconds, pose)
 
 
 def learn_scene(inputs: Inputs) -> None:

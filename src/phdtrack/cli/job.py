@@ -279,7 +279,7 @@ def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool)
             if checkpoint is None:
                 learn_scene(inputs)
             with ahead(prepared(inputs.detector, inputs.source)) as frames, ahead(found_in(frames)) as looked:
-                for frame, found, warp, seconds in looked:
+                for frame, found, warp, seconds, _ in looked:
                     # No frame stands in one file only; and Numba does not survive Ctrl-C while it makes objects.
                     with uninterrupted():
                         rows = tracker.update(found, frame.number, frame.time, warp if len(warp) else None)

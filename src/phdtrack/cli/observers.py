@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import NamedTuple
+
+import numpy as np
 
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.inputs import Inputs, Mover
@@ -12,6 +14,7 @@ from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.config import Settings
 from phdtrack.errors import InputError
 from phdtrack.formats.columns import WarpsWriter, read_warps
+from phdtrack.models import PlaneSensor
 from phdtrack.models.scene import refuse_standing
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import Model
@@ -80,12 +83,16 @@ class CameraObserver(RunObserver):
 
 
 def mover_of(settings: Settings, inputs: Inputs, model: Model) -> Mover | None:
-    """How the camera moves: None for not at all, as measured in the pictures, or as a file has it.
+    """How the camera moves: as the detector finds it to shake, as measured in the pictures, or as a file has it.
 
     Raises `InputError` where there are no pictures, and for settings that hold only while the camera stands still.
     """
     kind, chosen = settings.kind("camera_motion"), settings.build("camera_motion")
     if kind == "none":
+        # A model that lies at pixels, or on the ground, is taken to hold: it is not moved for some pixels.
+        with suppress(InputError):
+            refuse_standing(model)
+            return None if isinstance(model.sensor, PlaneSensor) else _shaking()
         return None
     refuse_standing(model)
     if kind == "flow":
@@ -95,7 +102,7 @@ def mover_of(settings: Settings, inputs: Inputs, model: Model) -> Mover | None:
             raise InputError(problem, where="camera_motion.kind=flow", cure=cure)
         motion = CameraMotion(chosen)
 
-        def measured(frame: Frame, found: Detections) -> F8:
+        def measured(frame: Frame, found: Detections, pose: F8) -> F8:
             warp = motion(frame.image, found.xyxy)
             return warp if motion.measured else STILL
 
@@ -103,10 +110,22 @@ def mover_of(settings: Settings, inputs: Inputs, model: Model) -> Mover | None:
     warps = read_warps(chosen.file)
     last = 0
 
-    def read(frame: Frame, found: Detections) -> F8:
+    def read(frame: Frame, found: Detections, pose: F8) -> F8:
         """The motions of the frames since the last one, dropped frames among them."""
         nonlocal last
         before, last = last or frame.number - 1, frame.number
         return warps.between(before, frame.number)
 
     return read
+
+
+def _shaking() -> Mover:
+    """The motion of a camera that stands and shakes."""
+    before = STILL
+
+    def moved(frame: Frame, found: Detections, pose: F8) -> F8:
+        nonlocal before
+        last, before = before, pose if len(pose) else before
+        return pose @ np.linalg.inv(last) if len(pose) and len(last) else STILL
+
+    return moved

@@ -41,13 +41,13 @@ from annotated_types import Gt, Lt
 from numpy.typing import NDArray
 
 from phdtrack.detect.components import BlobSettings, Component, Heights, check_same_size
-from phdtrack.detect.reference import background, median, of_objects
+from phdtrack.detect.reference import Anchor, background, median, of_objects, stilled
 from phdtrack.devices import planes_of, size_of
 from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, check
 from phdtrack.kernels.blobs import edges
 from phdtrack.kernels.change import CHANNELS, OFTEN, REACH, Past, Statistic, changed, compare, follow, often_near
 from phdtrack.kernels.planes import BLACK, COLOURS, GREYS, LOG, LOG_SCALE, colours, luma, smooth
-from phdtrack.types import F8, Bool, Detections, Frame, Image
+from phdtrack.types import F8, STILL, Bool, Detections, Frame, Image
 
 F4 = NDArray[np.float32]
 OpenShare = Annotated[float, Gt(0), Lt(1)]
@@ -66,6 +66,8 @@ _GHOST_SECONDS = 0.2
 _APART, _RESEMBLING = 0.5, 0.45
 # The mean share of pixels that differ from the scene in a sample, and the mean grey level, at which boxes become doubtful.
 _RESTLESS, _DARK = 0.2, 40.0
+# Pixels by which pictures usually move where the camera shakes, and the share of the width from which on it is another one.
+_SHAKES, _MOVES = 0.25, 0.05
 _TRAINED = "Boxes of a trained detector help: --detections FILE or --detector onnx:FILE"
 # How far an outline reaches on both sides of the border of a component.
 _OUTLINE = 3
@@ -133,6 +135,11 @@ class ChangeDetector:
         """Whether it has learned the scene from samples of a file."""
         return bool(self._samples) and self._past.samples.shape[1] > 0
 
+    @property
+    def pose(self) -> F8:
+        """(3, 3) from pixels of the scene to those of the last frame of a camera that shakes, or `types.STILL`."""
+        return self._pose if self._samples else STILL
+
     def unsuited(self) -> tuple[str, ...]:
         """What of the scene of a file makes the boxes doubtful, with what would help, in sentences."""
         if not self.studied:
@@ -161,8 +168,11 @@ class ChangeDetector:
             pictures.append(_smooth(frame))
             times.append(frame.time)
         self._learning, shape = False, self._shape
+        pictures = self._steadied(pictures)
         reference, hidden = background(pictures, shape)
         self._reference = reference.astype(np.float32)
+        if self._shaky:
+            self._anchor = Anchor(luma(reference, shape))
         # What two samples show of the same moment is not seen twice.
         duration = max(times[-1] - times[0], 1e-9)
         apart = pictures[:: max(1, math.ceil(_APART * (len(times) - 1) / duration))]
@@ -188,6 +198,20 @@ class ChangeDetector:
         if (again != places).any():
             self._learn_usual(pictures, apart, again)
 
+    def _steadied(self, pictures: list[Image]) -> list[Image]:
+        """Pictures of the scene (n,) moved onto each other where the camera shakes."""
+        anchor, middle = Anchor(luma(pictures[len(pictures) // 2], self._shape)), np.array([*self._shape[::-1], 2]) / 2
+        poses = [anchor.pose(luma(one, self._shape)) for one in pictures]
+        usual = np.median([pose[:2] @ middle - middle[:2] if len(pose) else np.zeros(2) for pose in poses], axis=0)
+        # Where most lie, and not where the one in the middle happens to.
+        back = np.array([[1, 0, -usual[0]], [0, 1, -usual[1]], [0, 0, 1]])
+        poses = [pose @ back if len(pose) else pose for pose in poses]
+        moves = np.median([self._moves(pose).max() for pose in poses])
+        self._shaky = bool(_SHAKES < moves < _MOVES * self._shape[1])
+        if not self._shaky:
+            return pictures
+        return [stilled(one, self._shape, pose) if len(pose) else one for one, pose in zip(pictures, poses, strict=True)]
+
     def _learn_usual(self, pictures: Sequence[Image], apart: Sequence[Image], hidden: Bool) -> None:
         """The scene's noise, how often each pixel differs in the samples that are ``apart``, and how high objects are."""
         self._learn_scene_noise(pictures, hidden)
@@ -205,14 +229,35 @@ class ChangeDetector:
         check_same_size(frame, self._shape)
         steps = _SPARSE, max(1, round((self._foreground.size / _GRID_POINTS) ** 0.5))
         picture, known = planes_of(frame.picture), (self._reference, self._scene, self._foreground)
+        if self._shaky:
+            self._pose = self._anchor.pose(luma(picture, self._shape))
+        if len(self._pose):
+            picture = stilled(picture, self._shape, self._pose)
         raw, energy, lit = changed(picture, self._previous, self._camera, known, self._rule, self._past, steps)
         self._sample(frame, picture)
+        if len(self._pose):
+            # What lies beyond the picture is not known.
+            across, down = np.ceil(self._moves(self._pose)).astype(int)
+            raw[:, :across], raw[:, raw.shape[1] - across :], raw[:down], raw[len(raw) - down :] = 0, 0, 0, 0
         mask = self.blobs.clean(raw)
         found = self.blobs.components(mask)
         gone = self._gone(found, mask, picture, lit)
         self._adapt(frame, picture, energy, mask, [one for one, ghost in zip(found, gone, strict=True) if ghost])
         real = [one for one, ghost in zip(found, gone, strict=True) if not ghost]
-        return Detections.of(self.blobs.boxes(real, mask.shape, self._usual))
+        boxes = self.blobs.boxes(real, mask.shape, self._usual)
+        if len(self._pose):
+            corners = boxes.reshape(-1, 2) @ self._pose[:2, :2].T + self._pose[:2, 2]
+            boxes = np.clip(corners.reshape(-1, 4), 0, np.tile(self._shape[::-1], 2))
+        return Detections.of(boxes)
+
+    def _moves(self, pose: F8) -> F8:
+        """(2,) by how many pixels a picture is moved at the most, across and down; 0 where it is not known."""
+        if not len(pose):
+            return np.zeros(2)
+        height, width = self._shape
+        corners = np.array([[0, width, 0, width], [0, 0, height, height]])
+        moved = pose[:2, :2] @ corners + pose[:2, 2:] - corners
+        return np.asarray(np.abs(moved).max(axis=1))
 
     def _begin(self, frame: Frame) -> None:
         """Take the first frame as the reference."""
@@ -226,7 +271,8 @@ class ChangeDetector:
         self._reference = picture.astype(np.float32)
         self._scene: F4 = np.full(shape, float(CHANNELS), np.float32)
         self._haunted: F4 = np.zeros(shape, np.float32)
-        self._ghostly = False
+        self._ghostly = self._shaky = False
+        self._pose = STILL
         self._camera: F8 = np.ones(CHANNELS)
         planes, step = _logarithmic(picture, shape), slice(None, None, _SPARSE // 2)
         self._previous = np.stack([luma(planes, shape)[::_SPARSE, ::_SPARSE], *colours(planes, shape)[:, step, step]])

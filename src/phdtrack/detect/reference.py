@@ -13,6 +13,7 @@ on a smaller picture, because it only has to say which of the values that a pixe
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 
 from phdtrack.kernels.change import middle
 from phdtrack.kernels.planes import BLACK, FROM_BGR, TO_BGR, colours, luma
-from phdtrack.types import F8, I8, Bool, Image
+from phdtrack.types import F8, I8, STILL, Bool, Image
 
 F4 = NDArray[np.float32]
 # Grey levels within which two samples show the same, and the share of samples that must for the median to be certain.
@@ -34,8 +35,53 @@ _HIDDEN = 6.0
 # Pixels of the smaller picture; bytes of which the median is made at a time.
 _COARSE, _BAND = 12_000, 4_000_000
 _RING = np.ones((3, 3), np.uint8)
+# Corners that are followed at most, and share of the width that they are apart; window and levels of the pyramids.
+_CORNERS, _APART, _LOOK, _LEVELS = 150, 0.03, (15, 15), 3
+# The fewest corners that tell of a motion, the pixels within which they agree with it, the share that has to, and by what
+# share a camera that stands may zoom.
+_FEWEST, _AGREE, _MOST, _ZOOM = 12, 1.0, 0.25, 0.1
 # Brightness and colour differences of black.
 _ZERO: F8 = np.array([BLACK, 128.0, 128.0])
+
+
+class Anchor:
+    """Corners of a picture, by which it is told where others of the same scene lie: a camera in the wind shakes.
+
+    Each is followed by pyramids of Lucas and Kanade's method. RANSAC finds the similarity that most of them agree on:
+    objects hide some.
+    """
+
+    def __init__(self, picture: Image) -> None:
+        """``picture`` : (H, W) uint8, brightness."""
+        corners = cv2.goodFeaturesToTrack(picture, _CORNERS, 0.01, max(3.0, _APART * picture.shape[1]))
+        self._corners = np.zeros((0, 1, 2), np.float32) if corners is None else np.asarray(corners, np.float32)
+        self._picture = picture.copy()
+
+    def pose(self, picture: Image) -> F8:
+        """(3, 3) from pixels of the anchor's picture to those of another one (H, W); `types.STILL` where it is not found."""
+        if len(self._corners) < _FEWEST:
+            return STILL
+        there, found, _ = cv2.calcOpticalFlowPyrLK(
+            self._picture, picture, self._corners, None, winSize=_LOOK, maxLevel=_LEVELS
+        )
+        good = found.ravel() == 1
+        if good.sum() < _FEWEST:
+            return STILL
+        matrix, inside = cv2.estimateAffinePartial2D(self._corners[good], there[good], ransacReprojThreshold=_AGREE)
+        if matrix is None or inside.mean() < _MOST or abs(math.hypot(*matrix[:, 0]) - 1) > _ZOOM:
+            return STILL
+        return np.vstack([matrix, [0.0, 0.0, 1.0]])
+
+
+def stilled(picture: Image, shape: tuple[int, int], pose: F8) -> Image:
+    """(n,) the planes of a picture of (H, W) ``shape`` moved back from where it lies; what comes in is as at the border."""
+    out = np.empty_like(picture)
+    planes = [(luma(each, shape), *colours(each, shape)) for each in (out, picture)]
+    for now, was, scale in zip(*planes, (1.0, 0.5, 0.5), strict=True):
+        matrix = pose[:2] * [1, 1, scale]
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        now[:] = cv2.warpAffine(was, matrix, was.shape[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    return out
 
 
 def median(samples: Sequence[Image]) -> Image:

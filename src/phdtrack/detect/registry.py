@@ -20,7 +20,7 @@ from phdtrack.detect.opencv import FaceDetector, PersonDetector, SubtractorDetec
 from phdtrack.devices import Detector, Planar, planes_of, size_of
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.files import load
-from phdtrack.types import Bool, Detections, DetectionTable, Frame, Image, SequenceInfo
+from phdtrack.types import F8, STILL, Bool, Detections, DetectionTable, Frame, Image, SequenceInfo
 
 _WORDS = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
 _INSIDE = 0.5
@@ -46,7 +46,7 @@ _WORKING = 640
 # No number that a detector has learned is larger.
 _LARGEST = 1e30
 # What a detector knows by its settings, or by `study`, which can be done again.
-_NEVER_KEPT = ("_rule", "_past", "_usual")
+_NEVER_KEPT = ("_rule", "_past", "_usual", "_anchor")
 # Frames of a file that its scene is learned from, the fewest, and pixels that are decoded for them in some seconds.
 _SAMPLES, _FEWEST_SAMPLES, _QUICKLY = 51, 7, 2e9
 
@@ -331,6 +331,17 @@ def prepared(detector: Detector, frames: Iterable[Frame]) -> Iterator[Frame]:
         if isinstance(inner, ChangeDetector) and not isinstance(frame.picture, np.ndarray):
             frame.picture.prepare(size_of(frame) if small is None else small.size(frame))
         yield frame
+
+
+def pose_of(detector: Detector, frame: Frame) -> F8:
+    """(3, 3) from pixels of the scene to those of a detector's last frame, where it finds that the camera shakes; `types.STILL`
+    elsewhere."""
+    inner, small = _inner(detector)
+    pose = inner.pose if isinstance(inner, ChangeDetector) else STILL
+    if small is None or not len(pose):
+        return pose
+    factor = size_of(frame)[0] / small.size(frame)[0]
+    return np.asarray(pose * [[1, 1, factor], [1, 1, factor], [1, 1, 1]])
 
 
 def knowledge(detector: Detector) -> dict[str, Any] | None:
