@@ -22,7 +22,7 @@ import numpy as np
 
 from experiments.common import ROOT, Options, in_parallel, need_data, table, write
 from phdtrack import config
-from phdtrack.detect import change, make_detector
+from phdtrack.detect import make_detector
 from phdtrack.detect.change import ChangeDetector
 from phdtrack.detect.registry import Rescaled, study, working_width
 from phdtrack.devices import Detector
@@ -72,7 +72,6 @@ main()"""
 PARTS = {
     "file": "all that samples of the whole file teach: reference, modes, heights",
     "hidden": "the rule for places that objects hide most of the time: their noise is that around them",
-    "quiet": "noise at the 0.4 quantile of samples: at their median instead",
     "modes": "modes: what was seen at a pixel, or near it, in other samples",
     "heights": "heights of objects by place",
     "join": "joining of fragments",
@@ -127,12 +126,8 @@ def lacking(part: str, source: VideoSource) -> Detector:
     if part == "hidden":
         learn = inner._learn_scene_noise
         inner._learn_scene_noise = lambda samples, hidden=None: learn(samples)  # type: ignore[method-assign]
-    below = change._QUIET, change._QUIET_OF_CHI2
-    if part == "quiet":
-        change._QUIET, change._QUIET_OF_CHI2 = 0.5, 0.789
     if part != "file":
         study(detector, source, source.sample)
-    change._QUIET, change._QUIET_OF_CHI2 = below
     if part == "modes":
         inner._past = inner._past._replace(samples=np.zeros((len(inner._past.samples), 0), np.uint8))
     elif part == "heights":

@@ -56,8 +56,8 @@ _GRID_POINTS, _SPARSE = 2000, 4
 _SAME_LIGHT: F4 = np.eye(3, 4, dtype=np.float32)
 # The side of a square that fits into an object, in its heights; that in heights of the picture, where it is not known.
 _SIDE, _USUAL = 0.3, 0.1
-# The quantile of energies that tells the scene's noise, and that of a third of χ²₃.
-_QUIET, _QUIET_OF_CHI2 = 0.4, 0.623
+# The median of a third of χ²₃.
+_MEDIAN_OF_CHI2 = 0.789
 _LOUDEST, _BANDS = 20.0, 2
 _GHOST_EDGE = 0.8
 # What flies past and hides an edge looks like a ghost for a frame or two: learned at once, it would be one ever after.
@@ -67,7 +67,7 @@ _APART, _RESEMBLING = 0.5, 0.45
 # The mean share of pixels that differ from the scene in a sample, and the mean grey level, at which boxes become doubtful.
 _RESTLESS, _DARK = 0.2, 40.0
 # Pixels by which pictures usually move where the camera shakes, and the share of the width from which on it is another one.
-_SHAKES, _MOVES = 0.25, 0.05
+_SHAKES, _MOVES = 0.5, 0.05
 _TRAINED = "Boxes of a trained detector help: --detections FILE or --detector onnx:FILE"
 # How far an outline reaches on both sides of the border of a component.
 _OUTLINE = 3
@@ -295,15 +295,14 @@ class ChangeDetector:
 
     def _learn_scene_noise(self, samples: Sequence[Image], hidden: Bool | None = None) -> None:
         """s(q) from the samples of the first reference; where it was ``hidden`` (H, W) in most of them, as it usually is."""
-        typical, rank = np.empty(self._shape, np.float32), round(_QUIET * (len(samples) - 1))
+        typical, rank = np.empty(self._shape, np.float32), len(samples) // 2
         # In bands: all energies at once would be the largest piece of memory of a run.
         for band in (slice(k * len(typical) // _BANDS, (k + 1) * len(typical) // _BANDS) for k in range(_BANDS)):
             energies = np.empty((len(samples), *typical[band].shape), np.float32)
             for k, sample in enumerate(samples):
                 energies[k] = self._compared(sample)[1][band]
-            # Objects that pass by only add to it: less than the median is moved by them less.
             energies.partition(rank, axis=0)
-            typical[band] = energies[rank] / _QUIET_OF_CHI2
+            typical[band] = energies[rank] / _MEDIAN_OF_CHI2
         if hidden is not None and hidden.any() and not hidden.all():
             typical[hidden] = np.minimum(typical[hidden], np.median(typical[~hidden]))
         spread = cv2.dilate(cv2.blur(typical, (5, 5)), np.ones((3, 3), np.uint8))

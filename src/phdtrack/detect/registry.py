@@ -334,8 +334,7 @@ def prepared(detector: Detector, frames: Iterable[Frame]) -> Iterator[Frame]:
 
 
 def pose_of(detector: Detector, frame: Frame) -> F8:
-    """(3, 3) from pixels of the scene to those of a detector's last frame, where it finds that the camera shakes; `types.STILL`
-    elsewhere."""
+    """(3, 3) from pixels of the scene to those of a detector's last frame, `types.STILL` where the camera does not shake."""
     inner, small = _inner(detector)
     pose = inner.pose if isinstance(inner, ChangeDetector) else STILL
     if small is None or not len(pose):
