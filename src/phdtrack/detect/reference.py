@@ -74,7 +74,14 @@ class Anchor:
 
 
 def stilled(picture: Image, shape: tuple[int, int], pose: F8) -> Image:
-    """(n,) the planes of a picture of (H, W) ``shape`` moved back from where it lies; what comes in is as at the border."""
+    """(n,) the planes of a picture moved back from where it lies; what comes in is as at the border.
+
+    Parameters
+    ----------
+    picture : (n,) planes.
+    shape : (H, W) of it.
+    pose : (3, 3) of `Anchor.pose`.
+    """
     out = np.empty_like(picture)
     planes = [(luma(each, shape), *colours(each, shape)) for each in (out, picture)]
     for now, was, scale in zip(*planes, (1.0, 0.5, 0.5), strict=True):

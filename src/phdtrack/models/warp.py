@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from phdtrack.errors import InputError
-from phdtrack.kernels.warp import warped_slopes, warped_states
+from phdtrack.kernels.box import warped_slopes, warped_states
 from phdtrack.types import F8
 
 # Of det A: no camera makes an image so much smaller or larger from one frame to the next.
