@@ -195,7 +195,7 @@ def _shake(source: str, truth: str, pixels: float, folder: Path) -> None:
     with VideoWriter(folder / "video.mp4", *size, frames.info.fps, quality=20) as out:
         for frame in frames:
             shift = 0.7 * shift + (1 - 0.7**2) ** 0.5 * pixels * rng.standard_normal(2)
-            shifts[min(frame.number, len(shifts) - 1)] = shift
+            shifts[frame.number : frame.number + 1] = shift
             matrix = np.column_stack([np.eye(2), shift])
             look = {"flags": cv2.INTER_CUBIC, "borderMode": cv2.BORDER_REPLICATE}
             out.write(cv2.warpAffine(frame.image, matrix, size, **look))

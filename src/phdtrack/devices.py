@@ -71,7 +71,7 @@ class Planar:
         return self._planes.copy() if size in (None, self.size) else planes_of(self.bgr(), size)
 
     def prepare(self, size: tuple[int, int]) -> None:
-        """Nothing: they are there."""
+        """Nothing is prepared: `planes` has them already."""
 
 
 def planes_of(picture: Image | Picture, size: tuple[int, int] | None = None) -> Image:

@@ -81,6 +81,7 @@ def test_a_camera_that_shakes_is_steadied_by_itself(tmp_path):
     run = ("track", tmp_path / "v.mp4", "--truth", tmp_path / "gt.txt", "--no-video", "--out", tmp_path / "run", "--json")
     first = phdtrack(*run).object
     assert first["scores"]["MOTA"] > 0.8
+    assert any("The camera shakes" in note for note in first["notes"])
     rows = (tmp_path / "run" / "tracks.csv").read_bytes()
     again = phdtrack(*run, "--overwrite").object
     assert again["detections_reused"]

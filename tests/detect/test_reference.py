@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
+
 import cv2
 import numpy as np
 import pytest
 
 from phdtrack.detect.change import ChangeDetector
 from phdtrack.detect.reference import Anchor, background, median, of_objects, stilled
-from phdtrack.detect.registry import Rescaled, pose_of, study, unsuited
+from phdtrack.detect.registry import Rescaled, knowledge, pose_of, restore, steadied, study, unsuited
 from phdtrack.devices import Planar, planes_of
 from phdtrack.kernels.planes import luma
 from phdtrack.types import STILL, Frame, Image
@@ -183,28 +185,76 @@ def test_where_nothing_can_be_followed_the_camera_is_taken_to_stand() -> None:
         assert Anchor(one).pose(other) is STILL
 
 
-@pytest.mark.parametrize("amount", [0.0, 4.0])
-@pytest.mark.parametrize("width", [0, 200])
-def test_objects_are_found_where_they_are_though_the_camera_shakes(amount: float, width: int) -> None:
+def passing(amount: float, hidden: tuple[int, ...] = ()) -> tuple[list[Frame], list[np.ndarray]]:
+    """Frames of a camera that shakes by ``amount``, with something dark that passes, and its boxes; the ``hidden`` are white."""
     rng, frames, truth = np.random.default_rng(5), list[Frame](), []
     for k in range(80):
-        x, y = amount * rng.standard_normal(2)
-        left = 20 + 3 * k
+        left, (x, y) = 20 + 3 * k, amount * rng.standard_normal(2)
         image, pose = shaken(x, y, left=left)
         truth.append(np.array([left, 100, left + 30, 160]) + np.tile(pose[:, 2], 2))
         image = np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8)
+        image[:] = 255 if k in hidden else image
         frames.append(Frame(k + 1, k / 10, Planar((320, 240), planes_of(image))))
+    return frames, truth
+
+
+@pytest.mark.parametrize("amount", [0.0, 4.0])
+@pytest.mark.parametrize("width", [0, 200])
+def test_objects_are_found_where_they_are_though_the_camera_shakes(amount: float, width: int) -> None:
+    frames, truth = passing(amount)
     detector = Rescaled(ChangeDetector(), width) if width else ChangeDetector()
     study(detector, frames)
+    assert bool(steadied(detector)) == (amount > 0)
     counts, misses, moved = [], [], []
     for frame, true in zip(frames, truth, strict=True):
         found = detector(frame).xyxy
         pose = pose_of(detector, frame)
         assert (len(pose) > 0) == (amount > 0)
-        # The wall lies where it lies in the last frame, but for what the camera moved.
-        moved.append(pose[:2, 2] - true[:2] + [3 * frame.number, 0] if amount else np.zeros(2))
+        if amount:
+            # The wall lies where it lies in the last frame, but for what the camera moved.
+            moved.append(pose[:2, 2] - true[:2] + [3 * frame.number, 0])
         counts.append(len(found))
         misses.append(np.abs(found - true).max(axis=1).min() if len(found) else np.inf)
     assert np.mean(np.array(counts) == 1) > 0.9
     assert np.median(misses) < (6 if width else 4)
-    assert np.ptp(moved, axis=0).max() < 1.5
+    assert not amount or np.ptp(moved, axis=0).max() < 1.5
+
+
+def test_a_picture_that_shows_nothing_of_the_scene_says_nothing_for_a_while() -> None:
+    # Among them the one in the middle, which would otherwise be what the others are laid onto.
+    frames, _ = passing(4.0, hidden=(39, 40, 41, *range(60, 80)))
+    detector = ChangeDetector()
+    study(detector, frames)
+    assert steadied(detector)
+    seen = [detector(frame).observed for frame in frames]
+    assert not any(seen[39:42])
+    assert all(seen[:39])
+    assert all(seen[42:60])
+    # The camera may stand elsewhere for good.
+    assert not any(seen[60:79])
+    assert detector(Frame(81, 8.5, frames[-1].picture)).observed
+
+
+def test_what_is_known_of_a_camera_that_shakes_goes_on_in_another_detector() -> None:
+    frames, _ = passing(4.0)
+    first, second = ChangeDetector(), ChangeDetector()
+    for detector in (first, second):
+        study(detector, frames)
+    for frame in frames[:30]:
+        first(frame)
+    restore(second, deepcopy(knowledge(first)), frames[30])
+    for frame in frames[30:]:
+        np.testing.assert_array_equal(second(frame).xyxy, first(frame).xyxy)
+        np.testing.assert_array_equal(second.pose, first.pose)
+
+
+def test_one_patch_to_hold_on_to_does_not_make_noise_a_shaking_camera() -> None:
+    rng, frames = np.random.default_rng(8), list[Frame]()
+    for k in range(60):
+        image = np.full((240, 320, 3), 120.0)
+        image[30:90, 40:100] = WALL[30:90, 40:100]
+        image = np.clip(image + rng.normal(0, 4, image.shape), 0, 255).astype(np.uint8)
+        frames.append(Frame(k + 1, k / 10, Planar((320, 240), planes_of(image))))
+    detector = ChangeDetector()
+    study(detector, frames)
+    assert not steadied(detector)

@@ -132,17 +132,18 @@ class Checkpoint:
     def _again(self, inputs: Inputs, frames: Iterator[Frame], mover: Mover | None, known: Known) -> Iterator[Detected]:
         """What the log holds, up to the frame that the detector's knowledge is of; the detector knows it then."""
         with self._log.open("rb") as log:
-            stored = blocks(log)
+            stored, pose = blocks(log), STILL
             next(stored, None)
             for (end, plain), frame in zip(stored, frames, strict=False):
                 one = _made(plain, frame, self._log)
+                pose = one.pose if len(one.pose) else pose
                 if end == known.size:
                     if one.frame.number != known.number:
                         break
                     restore(inputs.detector, known.detector, frame)
                     if mover is not None:
                         # It knows the picture before.
-                        mover(frame, one.found, one.pose)
+                        mover(frame, one.found, pose)
                     yield one
                     return
                 yield one

@@ -92,8 +92,7 @@ class Inputs:
 
 
 class Detected(NamedTuple):
-    """A frame, what the detector sees in it, how the camera moved, how many seconds the detector looked, and where it finds
-    that the scene lies, as `pose_of`."""
+    """A frame, what the detector sees in it, how the camera moved, how many seconds the detector looked, and its pose."""
 
     frame: Frame
     found: Detections

@@ -33,7 +33,7 @@ from phdtrack.cli.observers import RunObserver
 from phdtrack.cli.output import Advance, progress, versions
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.detect import BACKGROUND
-from phdtrack.detect.registry import prepared, unsuited
+from phdtrack.detect.registry import prepared, steadied, unsuited
 from phdtrack.errors import InputError, interrupted, needed, shown
 from phdtrack.files import return_memory, write_text
 from phdtrack.filters import NoFilter
@@ -227,7 +227,7 @@ def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -
         left_out=done.left_out,
         scores=() if scores is None else tuple((k, math.nan if v is None else v) for k, v in scores.as_dict().items()),
         warnings=(*_problems(job, done), *wrong, *confirmed[1:]),
-        notes=tuple(filter(None, (*confirmed[:1], _WHICH, hidden, latest))),
+        notes=tuple(filter(None, (*confirmed[:1], _WHICH, hidden, latest, steadied(job.inputs.detector)))),
     )
     reports = [observer.report() for observer in job.observers]
     record = replace(record, about=replace(said, sections="\n".join(report.section for report in reports)))

@@ -15,8 +15,9 @@ illumination changes all pixels of a channel by about a gain and an offset, whic
 Of a file the reference and s(q) are learned from some 50 samples (`reference.background`, `registry.study`); where objects
 hid the scene most of the time they say nothing of its noise, which is then that of the rest. A pixel that differs from the
 reference is not changed where those samples often showed the same there, or, where much changes, some pixels away
-(`kernels.change`): leaves, flags, lamps, edges before a camera that shakes. The samples also teach how high objects are at
-each place (`components.Heights`), so that two of them one above the other are not joined.
+(`kernels.change`): leaves, flags, lamps. Where the samples show that the camera shakes, each picture is laid onto the scene
+first (`reference.Anchor`). The samples also teach how high objects are at each place (`components.Heights`), so that two of
+them one above the other are not joined.
 
 Of a live source the reference is at first the median of samples of the first seconds. Then it adapts exponentially, on
 foreground with a much longer time constant. A component whose outline is a stronger edge in the reference than in the frame
@@ -66,8 +67,9 @@ _GHOST_SECONDS = 0.2
 _APART, _RESEMBLING = 0.5, 0.45
 # The mean share of pixels that differ from the scene in a sample, and the mean grey level, at which boxes become doubtful.
 _RESTLESS, _DARK = 0.2, 40.0
-# Pixels by which pictures usually move where the camera shakes, and the share of the width from which on it is another one.
-_SHAKES, _MOVES = 0.5, 0.05
+# Pixels by which pictures usually move where the camera shakes, the share of the width from which on it does not shake but
+# move, and the share of samples of which it has to be known; seconds for which nothing is said where it is not found.
+_SHAKES, _MOVES, _KNOWN, _LOST = 0.5, 0.05, 0.5, 2.0
 _TRAINED = "Boxes of a trained detector help: --detections FILE or --detector onnx:FILE"
 # How far an outline reaches on both sides of the border of a component.
 _OUTLINE = 3
@@ -136,6 +138,11 @@ class ChangeDetector:
         return bool(self._samples) and self._past.samples.shape[1] > 0
 
     @property
+    def shaky(self) -> bool:
+        """Whether the camera shakes, as samples of a file show."""
+        return self.studied and self._shaky
+
+    @property
     def pose(self) -> F8:
         """(3, 3) from pixels of the scene to those of the last frame of a camera that shakes, or `types.STILL`."""
         return self._pose if self._samples else STILL
@@ -199,25 +206,30 @@ class ChangeDetector:
             self._learn_usual(pictures, apart, again)
 
     def _steadied(self, pictures: list[Image]) -> list[Image]:
-        """Pictures of the scene (n,) moved onto each other where the camera shakes."""
-        anchor, middle = Anchor(luma(pictures[len(pictures) // 2], self._shape)), np.array([*self._shape[::-1], 2]) / 2
-        poses = [anchor.pose(luma(one, self._shape)) for one in pictures]
-        usual = np.median([pose[:2] @ middle - middle[:2] if len(pose) else np.zeros(2) for pose in poses], axis=0)
-        # Where most lie, and not where the one in the middle happens to.
+        """Pictures of the scene (n,), laid onto each other where the camera shakes."""
+        grey = [luma(one, self._shape) for one in pictures]
+        # Whatever hides one of them does not hide all three.
+        anchors = [Anchor(grey[k * len(grey) // 4]) for k in (2, 1, 3)]
+        found = [[anchor.pose(one) for one in grey] for anchor in anchors]
+        anchor, poses = max(zip(anchors, found, strict=True), key=lambda each: sum(map(len, each[1])))
+        steps = np.array([anchor.moved(pose) for pose in poses])
+        usual = np.median(steps, axis=0)
+        moves = np.median(np.abs(steps - usual).max(axis=1))
+        known = np.mean([len(pose) > 0 for pose in poses])
+        self._shaky = bool(_SHAKES < moves < _MOVES * self._shape[1] and known > _KNOWN)
+        # The scene lies where it does in most pictures, not where it does in the anchor's.
         back = np.array([[1, 0, -usual[0]], [0, 1, -usual[1]], [0, 0, 1]])
-        poses = [pose @ back if len(pose) else pose for pose in poses]
-        moves = np.median([self._moves(pose).max() for pose in poses])
-        self._shaky = bool(_SHAKES < moves < _MOVES * self._shape[1])
-        if not self._shaky:
-            return pictures
-        return [stilled(one, self._shape, pose) if len(pose) else one for one, pose in zip(pictures, poses, strict=True)]
+        for k, pose in enumerate(poses if self._shaky else ()):
+            pictures[k] = stilled(pictures[k], self._shape, pose @ back) if len(pose) else pictures[k]
+        return pictures
 
     def _learn_usual(self, pictures: Sequence[Image], apart: Sequence[Image], hidden: Bool) -> None:
         """The scene's noise, how often each pixel differs in the samples that are ``apart``, and how high objects are."""
         self._learn_scene_noise(pictures, hidden)
         differing = sum((self._compared(one)[1] > self._rule.threshold).astype(np.uint8) for one in apart)
         self._past = self._past._replace(differing=np.asarray(differing, np.uint8))
-        masks, alone = [self.blobs.clean(self._compared(one)[0]) for one in apart], replace(self.blobs, join=0.0)
+        masks = [self.blobs.clean(self._compared(one, recall=True)[0]) for one in apart]
+        alone = replace(self.blobs, join=0.0)
         boxes = [alone.boxes(alone.components(mask), hidden.shape) for mask in masks]
         self._usual: Heights | None = Heights.learned(boxes, hidden.shape)
 
@@ -231,18 +243,17 @@ class ChangeDetector:
         picture, known = planes_of(frame.picture), (self._reference, self._scene, self._foreground)
         if self._shaky:
             self._pose = self._anchor.pose(luma(picture, self._shape))
-        if len(self._pose):
-            picture = stilled(picture, self._shape, self._pose)
+            if len(self._pose):
+                self._steady, picture = frame.time, stilled(picture, self._shape, self._pose)
+            elif frame.time - self._steady < _LOST:
+                return Detections.empty(observed=False)
         raw, energy, lit = changed(picture, self._previous, self._camera, known, self._rule, self._past, steps)
-        self._sample(frame, picture)
-        if len(self._pose):
-            # What lies beyond the picture is not known.
-            across, down = np.ceil(self._moves(self._pose)).astype(int)
-            raw[:, :across], raw[:, raw.shape[1] - across :], raw[:down], raw[len(raw) - down :] = 0, 0, 0, 0
+        self._mark_beyond(raw, 0)
         mask = self.blobs.clean(raw)
         found = self.blobs.components(mask)
         gone = self._gone(found, mask, picture, lit)
         self._adapt(frame, picture, energy, mask, [one for one, ghost in zip(found, gone, strict=True) if ghost])
+        self._sample(frame, picture)
         real = [one for one, ghost in zip(found, gone, strict=True) if not ghost]
         boxes = self.blobs.boxes(real, mask.shape, self._usual)
         if len(self._pose):
@@ -250,14 +261,15 @@ class ChangeDetector:
             boxes = np.clip(corners.reshape(-1, 4), 0, np.tile(self._shape[::-1], 2))
         return Detections.of(boxes)
 
-    def _moves(self, pose: F8) -> F8:
-        """(2,) by how many pixels a picture is moved at the most, across and down; 0 where it is not known."""
-        if not len(pose):
-            return np.zeros(2)
-        height, width = self._shape
-        corners = np.array([[0, width, 0, width], [0, 0, height, height]])
-        moved = pose[:2, :2] @ corners + pose[:2, 2:] - corners
-        return np.asarray(np.abs(moved).max(axis=1))
+    def _mark_beyond(self, mask: Image, value: int) -> None:
+        """Write a value where a picture that was moved back shows nothing of the scene: it is not known there."""
+        if len(self._pose):
+            height, width = self._shape
+            corners = np.array([[0, width, 0, width], [0, 0, height, height]])
+            moved = self._pose[:2, :2] @ corners + self._pose[:2, 2:] - corners
+            across, down = np.ceil(np.abs(moved).max(axis=1)).astype(int)
+            mask[:, :across], mask[:, max(0, width - across) :] = value, value
+            mask[:down], mask[max(0, height - down) :] = value, value
 
     def _begin(self, frame: Frame) -> None:
         """Take the first frame as the reference."""
@@ -272,7 +284,7 @@ class ChangeDetector:
         self._scene: F4 = np.full(shape, float(CHANNELS), np.float32)
         self._haunted: F4 = np.zeros(shape, np.float32)
         self._ghostly = self._shaky = False
-        self._pose = STILL
+        self._pose, self._steady = STILL, frame.time
         self._camera: F8 = np.ones(CHANNELS)
         planes, step = _logarithmic(picture, shape), slice(None, None, _SPARSE // 2)
         self._previous = np.stack([luma(planes, shape)[::_SPARSE, ::_SPARSE], *colours(planes, shape)[:, step, step]])
@@ -308,9 +320,11 @@ class ChangeDetector:
         spread = cv2.dilate(cv2.blur(typical, (5, 5)), np.ones((3, 3), np.uint8))
         self._scene = np.minimum(spread, np.float32(CHANNELS * _LOUDEST))
 
-    def _compared(self, picture: Image) -> tuple[Image, F4]:
-        """(H, W) the raw mask and the energy of a picture against the reference."""
-        mask, energy = compare(picture, self._reference, _SAME_LIGHT, self._scene, self._rule, self._camera, self._past)
+    def _compared(self, picture: Image, *, recall: bool = False) -> tuple[Image, F4]:
+        """(H, W) the raw mask of a picture against the reference, with what is recalled of other samples, and its energy."""
+        # That takes most of the time, and changes no energy.
+        past = self._past if recall else self._past._replace(samples=np.zeros((picture.size, 0), np.uint8))
+        mask, energy = compare(picture, self._reference, _SAME_LIGHT, self._scene, self._rule, self._camera, past)
         return mask, energy
 
     def _gone(self, components: Sequence[Component], mask: Image, picture: Image, light: F4) -> list[bool]:
@@ -328,6 +342,7 @@ class ChangeDetector:
         passed = max(0.0, frame.time - self._time)
         self._time = frame.time
         self._foreground = cv2.dilate(mask, _MARGIN)
+        self._mark_beyond(self._foreground, 255)
         rates = [0.0 if self._learning else min(1.0, passed / each) for each in (self.adapt, self.adapt_objects)]
         rates += [min(0.2, passed / self.adapt), CHANNELS * _LOUDEST]
         follow(picture, energy, self._reference, self._scene, self._foreground, np.array(rates, np.float32))

@@ -28,6 +28,8 @@ Box = tuple[int, int, int, int]
 # The box of a component, and its outer contour (n, 1, 2).
 Component = tuple[Box, NDArray[np.int32]]
 FrameShare = Annotated[float, Ge(0), Lt(1)]
+# Half the width in pixels of what masks are cleaned with, at most.
+_WIDE = 63
 _SMALLEST_SHARE = 0.3
 _NARROWEST = 0.15
 _SMOOTHING = 0.06
@@ -118,9 +120,10 @@ class BlobSettings(Checked):
     def clean(self, mask: Image) -> Image:
         """(H, W) uint8, 255 where ``mask`` (H, W) still is foreground after peeling and closing."""
         height = mask.shape[0]
-        radius = round(self.peel * height)  # 0 in small pictures, where a pixel is a good part of an arm
+        radius = min(_WIDE, round(self.peel * height))  # 0 in small pictures, where a pixel is a good part of an arm
         speck, across, along = 2 * max(1, radius) + 1, *(max(1, round(self.closing * height / k)) | 1 for k in (3, 1))
-        return np.asarray(cleaned(mask, radius, _ellipse(speck, speck), _ellipse(across, along)), np.uint8)
+        elements = _ellipse(speck, speck), _ellipse(across, along)
+        return np.asarray(cleaned(np.ascontiguousarray(mask), radius, *elements), np.uint8)
 
     def components(self, mask: Image) -> list[Component]:
         """What is large enough in a cleaned ``mask``, objects that touch parted."""
@@ -156,7 +159,7 @@ class BlobSettings(Checked):
 def _ellipse(width: int, height: int) -> I8:
     """(height,) half the width of each row of OpenCV's ellipse; both odd."""
     element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, height))
-    return np.asarray(element.sum(axis=1, dtype=np.int64) // 2)
+    return np.asarray(np.minimum(element.sum(axis=1, dtype=np.int64) // 2, _WIDE))
 
 
 def _components(mask: Image, least: float, left: int = 0, top: int = 0) -> list[Component]:

@@ -37,9 +37,9 @@ _COARSE, _BAND = 12_000, 4_000_000
 _RING = np.ones((3, 3), np.uint8)
 # Corners that are followed at most, and share of the width that they are apart; window and levels of the pyramids.
 _CORNERS, _APART, _LOOK, _LEVELS = 150, 0.03, (15, 15), 3
-# The fewest corners that tell of a motion, the pixels within which they agree with it, the share that has to, and by what
-# share a camera that stands may zoom.
-_FEWEST, _AGREE, _MOST, _ZOOM = 12, 1.0, 0.25, 0.1
+# The fewest corners that tell of a motion, the pixels within which they agree with it, the share that has to; by what share
+# a camera that stands may zoom, and by what share of the width it may move the picture.
+_FEWEST, _AGREE, _MOST, _ZOOM, _FARTHEST = 12, 1.0, 0.25, 0.1, 0.15
 # Brightness and colour differences of black.
 _ZERO: F8 = np.array([BLACK, 128.0, 128.0])
 
@@ -56,6 +56,7 @@ class Anchor:
         corners = cv2.goodFeaturesToTrack(picture, _CORNERS, 0.01, max(3.0, _APART * picture.shape[1]))
         self._corners = np.zeros((0, 1, 2), np.float32) if corners is None else np.asarray(corners, np.float32)
         self._picture = picture.copy()
+        self.middle: F8 = np.append(self._corners.reshape(-1, 2).sum(axis=0) / max(1, len(self._corners)), 1.0)
 
     def pose(self, picture: Image) -> F8:
         """(3, 3) from pixels of the anchor's picture to those of another one (H, W); `types.STILL` where it is not found."""
@@ -68,9 +69,15 @@ class Anchor:
         if good.sum() < _FEWEST:
             return STILL
         matrix, inside = cv2.estimateAffinePartial2D(self._corners[good], there[good], ransacReprojThreshold=_AGREE)
-        if matrix is None or inside.mean() < _MOST or abs(math.hypot(*matrix[:, 0]) - 1) > _ZOOM:
+        if matrix is None or inside.mean() < _MOST or inside.sum() < _FEWEST:
             return STILL
-        return np.vstack([matrix, [0.0, 0.0, 1.0]])
+        pose = np.vstack([matrix, [0.0, 0.0, 1.0]])
+        near = np.abs(self.moved(pose)).max() < _FARTHEST * picture.shape[1] and abs(math.hypot(*matrix[:, 0]) - 1) < _ZOOM
+        return pose if near else STILL
+
+    def moved(self, pose: F8) -> F8:
+        """(2,) pixels by which the middle of the corners is moved; 0 where it is not known."""
+        return pose[:2] @ self.middle - self.middle[:2] if len(pose) else np.zeros(2)
 
 
 def stilled(picture: Image, shape: tuple[int, int], pose: F8) -> Image:

@@ -46,7 +46,7 @@ _WORKING = 640
 # No number that a detector has learned is larger.
 _LARGEST = 1e30
 # What a detector knows by its settings, or by `study`, which can be done again.
-_NEVER_KEPT = ("_rule", "_past", "_usual", "_anchor")
+_NEVER_KEPT = ("_rule", "_past", "_usual", "_anchor", "_pose", "_shaky")
 # Frames of a file that its scene is learned from, the fewest, and pixels that are decoded for them in some seconds.
 _SAMPLES, _FEWEST_SAMPLES, _QUICKLY = 51, 7, 2e9
 
@@ -339,8 +339,15 @@ def pose_of(detector: Detector, frame: Frame) -> F8:
     pose = inner.pose if isinstance(inner, ChangeDetector) else STILL
     if small is None or not len(pose):
         return pose
-    factor = size_of(frame)[0] / small.size(frame)[0]
-    return np.asarray(pose * [[1, 1, factor], [1, 1, factor], [1, 1, 1]])
+    scale = np.diag([*np.divide(size_of(frame), small.size(frame)), 1.0])
+    return np.asarray(scale @ pose @ np.linalg.inv(scale))
+
+
+def steadied(detector: Detector) -> str:
+    """A sentence where a detector has found that the camera shakes; empty elsewhere."""
+    inner, _ = _inner(detector)
+    shakes = isinstance(inner, ChangeDetector) and inner.shaky
+    return "The camera shakes: each picture was laid onto the scene before it was compared with it." if shakes else ""
 
 
 def knowledge(detector: Detector) -> dict[str, Any] | None:

@@ -24,12 +24,12 @@ U8 = NDArray[np.uint64]
 _2 = F(2)
 # Pixels in a number; the lowest bit of each of its bytes, all others but the highest, all; bit k of byte k.
 _BITS, _FLAGS, _FULL, _ALL, _EACH = 64, D(0x0101010101010101), D(0x7F7F7F7F7F7F7F7F), D(2**64 - 1), D(0x8040201008040201)
-_0, _1, _7, _14, _28, _BYTE = D(0), D(1), D(7), D(14), D(28), D(255)
+_0, _1, _2_BITS, _4, _7, _14, _28, _BYTE = D(0), D(1), D(2), D(4), D(7), D(14), D(28), D(255)
 
 
 @njit(**ENTRY)
 def cleaned(mask: U1, peel: int, opening: I8, closing: I8) -> U1:
-    """(H, W) 255 where a mask (H, W) of 0 and 255 is left by erosion, opening and closing.
+    """(H, W) 255 where a mask (H, W) is left by erosion, opening and closing; half an element is below 64 pixels wide.
 
     Outside of the picture all is as it would suit, as in OpenCV.
 
@@ -164,9 +164,12 @@ def _unpacked(bits: U8, width: int) -> U1:
 
 @njit(**VECTOR)
 def _gather(eights: U8, out: U1) -> None:
-    """The lowest bit of each byte: eight side by side in a byte."""
+    """Whether each byte is not 0: eight bits side by side in a byte."""
     for k in range(D(out.size)):
-        x = eights[k] & _FLAGS
+        # All bits of a byte to its lowest one.
+        x = eights[k] | (eights[k] >> _4)
+        x |= x >> _2_BITS
+        x = (x | (x >> _1)) & _FLAGS
         x |= x >> _7
         x |= x >> _14
         out[k] = np.uint8((x | (x >> _28)) & _BYTE)

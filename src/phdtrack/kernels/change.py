@@ -21,7 +21,6 @@ from phdtrack.kernels.planes import BLACK, GREYS, LIFT, LOG, LOG_SCALE, lighting
 U1 = NDArray[np.uint8]
 F4 = NDArray[np.float32]
 F8 = NDArray[np.float64]
-I4 = NDArray[np.int32]
 I8 = NDArray[np.int64]
 Pixel = tuple[np.int32, np.int32, np.int32]
 Weights = tuple[np.float32, np.float32, np.float32, np.float32]

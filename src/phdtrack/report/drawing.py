@@ -268,11 +268,13 @@ class Annotator:
         # By identity, and the lines by strength: OpenCV draws many at once in the time of a few.
         order = np.argsort(past.identity, kind="stable")
         identities, starts = np.unique(past.identity[order], return_index=True)
-        there, by_strength = feet(past.xyxy[order]), dict[float, list[NDArray[np.int32]]]()
+        there, frames, by_strength = feet(past.xyxy[order]), past.frame[order], dict[float, list[NDArray[np.int32]]]()
         for identity, start, end in zip(identities.tolist(), starts, [*starts[1:], len(order)], strict=False):
             mine = there[start:end]
-            # So many points are enough, and the last one always is among them.
-            mine = mine[:: -max(1, self._length // _POINTS)][::-1]
+            # So many points are enough; the same in each frame, and the last one.
+            kept = frames[start:end] % max(1, self._length // _POINTS) == 0
+            kept[-1] = True
+            mine = mine[kept]
             points = np.clip(mine[np.isfinite(mine).all(axis=1)], -1e4, 1e4).round().astype(np.int32)
             pieces = min(_FADING, len(points) - 1)
             bounds = [round(k * (len(points) - 1) / pieces) for k in range(pieces + 1)] if pieces > 0 else []
