@@ -186,7 +186,7 @@ def test_where_nothing_can_be_followed_the_camera_is_taken_to_stand() -> None:
 
 
 def passing(amount: float, hidden: tuple[int, ...] = ()) -> tuple[list[Frame], list[np.ndarray]]:
-    """Frames of a camera that shakes by ``amount``, with something dark that passes, and its boxes; the ``hidden`` are white."""
+    """Frames of a camera that shakes, with something dark that passes, and its boxes; the ``hidden`` frames are white."""
     rng, frames, truth = np.random.default_rng(5), list[Frame](), []
     for k in range(80):
         left, (x, y) = 20 + 3 * k, amount * rng.standard_normal(2)

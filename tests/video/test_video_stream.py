@@ -166,6 +166,20 @@ def test_planes_of_all_kinds_of_pictures_are_the_same(kind: str) -> None:
         assert abs((found - expected).mean()) < 1
 
 
+@pytest.mark.parametrize("asked", [(20, 12), (40, 24), None])
+def test_planes_that_are_prepared_are_those_that_are_asked_for(asked: tuple[int, int] | None) -> None:
+    image = np.random.default_rng(0).integers(0, 256, (24, 40, 3), dtype=np.uint8)
+    frame = av.VideoFrame.from_ndarray(image, format="bgr24").reformat(format="yuv420p")
+    picture, other = Decoded(frame), Decoded(frame)
+    for size in ((20, 12), (40, 24)):
+        picture.prepare(size)
+        first = picture.planes(asked)
+        np.testing.assert_array_equal(first, other.planes(asked))
+        # They may be written into: who asks again gets others.
+        first[:] = 0
+        np.testing.assert_array_equal(picture.planes(asked), other.planes(asked))
+
+
 def coded(path: Path, count: int = 90, *, jump: bool = False) -> Path:
     """H.264 with pictures between others that they are decoded from, a key every 12, and intervals that vary; with a
     ``jump`` its stamps begin anew in the middle, as where recordings are joined."""
