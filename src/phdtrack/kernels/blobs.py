@@ -193,16 +193,18 @@ def _eroded(bits: U8, width: int, element: I8) -> U8:
 @njit(**INNER)
 def _inverse(bits: U8, width: int) -> U8:
     """The background, within the picture."""
-    out = ~bits
-    if width % _BITS:
-        out[:, -1] &= _ALL >> D(_BITS - width % _BITS)
+    out, last = np.empty(bits.shape, np.uint64), bits.shape[1] - 1
+    inside = _ALL >> D(_BITS * (last + 1) - width)
+    for y in range(len(bits)):
+        for k in range(last + 1):
+            out[y, k] = bits[y, k] ^ (_ALL if k < last else inside)
     return out
 
 
 @njit(**INNER)
 def _dilated(bits: U8, width: int, element: I8) -> U8:
     """Where an element meets the foreground: rows of so many pixels to both sides, below 64."""
-    height, out, spread, last = len(bits), np.zeros_like(bits), bits.copy(), bits.shape[1] - 1
+    height, out, spread, last = len(bits), np.zeros(bits.shape, np.uint64), bits.copy(), bits.shape[1] - 1
     for reach in range(element.max() + 1):
         ahead, back = D(reach), D(_BITS - reach)
         for y in range(height) if reach else range(0):
@@ -216,6 +218,7 @@ def _dilated(bits: U8, width: int, element: I8) -> U8:
                 for y in range(max(0, -shift), min(height, height - shift)):
                     for k in range(last + 1):
                         out[y, k] |= spread[y + shift, k]
-    if width % _BITS:
-        out[:, -1] &= _ALL >> D(_BITS - width % _BITS)
+    inside = _ALL >> D(_BITS * (last + 1) - width)
+    for y in range(height):
+        out[y, last] &= inside
     return out
