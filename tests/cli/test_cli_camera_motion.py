@@ -10,9 +10,11 @@ import pytest
 from cli_runner import phdtrack, refused
 
 from moving_cases import filmed, handheld, moving, points, step
+from phdtrack.cli.observers import _shaking
 from phdtrack.formats import read_warps, write_detections, write_truth
 from phdtrack.scene import LearnedDensity, Scene, uniform_density, write_scene
 from phdtrack.simulate import DetectorModel, Rendered, make_scene
+from phdtrack.types import STILL, Detections, Frame
 from phdtrack.video import VideoWriter
 
 FRAMES = 60
@@ -86,6 +88,14 @@ def test_a_camera_that_shakes_is_steadied_by_itself(tmp_path):
     again = phdtrack(*run, "--overwrite").object
     assert again["detections_reused"]
     assert (tmp_path / "run" / "tracks.csv").read_bytes() == rows
+
+
+def test_the_tracker_is_told_how_a_shaking_camera_moved_since_it_was_last_known():
+    moved, frame, found = _shaking(), Frame(1, 0.0, np.zeros((2, 2, 3), np.uint8)), Detections.empty()
+    poses = [np.array([[1.0, 0, x], [0, 1, -x], [0, 0, 1]]) for x in (1.0, 4.0)]
+    assert len(moved(frame, found, poses[0])) == 0
+    assert len(moved(frame, found, STILL)) == 0
+    np.testing.assert_allclose(moved(frame, found, poses[1]), [[1, 0, 3], [0, 1, -3], [0, 0, 1]])
 
 
 def test_what_does_not_go_together_is_refused(walk, tmp_path):

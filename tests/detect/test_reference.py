@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from phdtrack.detect.change import ChangeDetector
-from phdtrack.detect.reference import Anchor, background, median, of_objects, stilled
+from phdtrack.detect.reference import Anchor, background, median, of_objects, stabilised
 from phdtrack.detect.registry import Rescaled, knowledge, pose_of, restore, steadied, study, unsuited
 from phdtrack.devices import Planar, planes_of
 from phdtrack.kernels.planes import luma
@@ -171,7 +171,7 @@ def test_where_a_picture_lies_is_found_although_something_hides_a_part() -> None
         found = anchor.pose(luma(grey[x], (240, 320)))
         corners = np.array([[30, 290, 160], [30, 210, 120], [1, 1, 1]])
         np.testing.assert_allclose(found[:2] @ corners, pose @ corners, atol=0.25)
-    back = stilled(grey[3.3], (240, 320), anchor.pose(luma(grey[3.3], (240, 320))))
+    back = stabilised(grey[3.3], (240, 320), anchor.pose(luma(grey[3.3], (240, 320))))
     was, before, after = (
         luma(each, (240, 320))[20:220, 140:300].astype(float) for each in (planes_of(WALL), grey[3.3], back)
     )

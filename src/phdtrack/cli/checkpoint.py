@@ -238,7 +238,9 @@ def _made(plain: Any, frame: Frame, where: Path, cure: str = "Say --overwrite to
         warp, pose, seconds, observed = plain["warp"], plain["pose"], float(plain["seconds"]), bool(plain["observed"])
         found = Detections(plain["xyxy"], plain["confidence"], plain["class_id"], plain.get("covariance"), observed)
         maps = all(one.dtype == np.float64 and one.shape in ((3, 3), STILL.shape) for one in (warp, pose))
-        good = same and _sound(found) and maps and bool(np.isfinite(pose).all())
+        # A camera that shakes hardly zooms; of a damaged pose there may be no inverse.
+        likely = bool(np.isfinite(pose).all()) and (not len(pose) or 0.5 < np.linalg.det(pose) < 2.0)
+        good = same and _sound(found) and maps and likely
     except _NONE:
         good = False
     if not good:

@@ -42,7 +42,7 @@ from annotated_types import Gt, Lt
 from numpy.typing import NDArray
 
 from phdtrack.detect.components import BlobSettings, Component, Heights, check_same_size
-from phdtrack.detect.reference import Anchor, background, median, of_objects, stilled
+from phdtrack.detect.reference import Anchor, background, median, of_objects, stabilised
 from phdtrack.devices import planes_of, size_of
 from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, check
 from phdtrack.kernels.blobs import edges
@@ -220,7 +220,7 @@ class ChangeDetector:
         # The scene lies where it does in most pictures, not where it does in the anchor's.
         back = np.array([[1, 0, -usual[0]], [0, 1, -usual[1]], [0, 0, 1]])
         for k, pose in enumerate(poses if self._shaky else ()):
-            pictures[k] = stilled(pictures[k], self._shape, pose @ back) if len(pose) else pictures[k]
+            pictures[k] = stabilised(pictures[k], self._shape, pose @ back) if len(pose) else pictures[k]
         return pictures
 
     def _learn_usual(self, pictures: Sequence[Image], apart: Sequence[Image], hidden: Bool) -> None:
@@ -244,7 +244,7 @@ class ChangeDetector:
         if self._shaky:
             self._pose = self._anchor.pose(luma(picture, self._shape))
             if len(self._pose):
-                self._steady, picture = frame.time, stilled(picture, self._shape, self._pose)
+                self._steady, picture = frame.time, stabilised(picture, self._shape, self._pose)
             elif frame.time - self._steady < _LOST:
                 return Detections.empty(observed=False)
         raw, energy, lit = changed(picture, self._previous, self._camera, known, self._rule, self._past, steps)

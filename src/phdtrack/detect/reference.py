@@ -80,7 +80,7 @@ class Anchor:
         return pose[:2] @ self.middle - self.middle[:2] if len(pose) else np.zeros(2)
 
 
-def stilled(picture: Image, shape: tuple[int, int], pose: F8) -> Image:
+def stabilised(picture: Image, shape: tuple[int, int], pose: F8) -> Image:
     """(n,) the planes of a picture moved back from where it lies; what comes in is as at the border.
 
     Parameters
