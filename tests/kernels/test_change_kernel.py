@@ -138,12 +138,14 @@ def test_the_noise_between_two_pictures(rng: np.random.Generator) -> None:
 
 def test_how_much_of_an_edge_there_is(rng: np.random.Generator) -> None:
     image, reference = rng.integers(0, 256, (20, 30), dtype=np.uint8), rng.uniform(0, 255, (20, 30)).astype(np.float32)
-    outline = rng.integers(0, 2, (20, 30), dtype=np.uint8) * 255
+    mask = np.where(cv2.blur(rng.random((20, 30)), (7, 7)) > 0.5, 255, 0).astype(np.uint8)
+    outline = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_GRADIENT, np.ones((5, 5), np.uint8)), np.uint8)
+    assert 0.2 < (outline > 0).mean() < 0.9
     boxes = np.array([[0, 0, 12, 9], [18, 11, 30, 20], [5, 7, 9, 20]])
-    found = edges(image, reference, outline, boxes)
+    found = edges(image, reference, mask, 2, boxes)
     expected = [[twin.edge(each, outline, box) for each in (image, reference)] for box in boxes]
     np.testing.assert_allclose(found, expected, rtol=1e-5)
-    np.testing.assert_array_equal(edges(image, reference, np.zeros((20, 30), np.uint8), boxes), 0)
+    np.testing.assert_array_equal(edges(image, reference, np.zeros((20, 30), np.uint8), 2, boxes), 0)
 
 
 def test_boxes_and_areas_of_contours_are_those_of_opencv(rng: np.random.Generator) -> None:

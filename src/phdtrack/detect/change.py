@@ -72,8 +72,7 @@ _RESTLESS, _DARK = 0.2, 40.0
 _SHAKES, _MOVES, _KNOWN, _LOST = 0.5, 0.05, 0.5, 2.0
 _TRAINED = "Boxes of a trained detector help: --detections FILE or --detector onnx:FILE"
 # How far an outline reaches on both sides of the border of a component.
-_OUTLINE = 3
-_MARGIN, _RING = np.ones((5, 5), np.uint8), np.ones((2 * _OUTLINE + 1, 2 * _OUTLINE + 1), np.uint8)
+_OUTLINE, _MARGIN = 3, np.ones((5, 5), np.uint8)
 # Where pixels `REACH` away lie, and where their colours may, which have half the resolution.
 _NEIGHBOURS = np.zeros((2 * REACH + 1, 2 * REACH + 1), np.uint8)
 _NEIGHBOURS[::REACH, ::REACH] = 1
@@ -329,12 +328,11 @@ class ChangeDetector:
 
     def _gone(self, components: Sequence[Component], mask: Image, picture: Image, light: F4) -> list[bool]:
         """Whether outlines in each component's box are more of an edge in the reference than in the picture: it is gone."""
-        outline = cv2.morphologyEx(mask, cv2.MORPH_GRADIENT, _RING)
         size = np.array(self._shape)[[1, 0, 1, 0]]
         boxes = np.array([box for box, _ in components], np.int64).reshape(-1, 4)
         wide = np.clip(boxes + np.array([-_OUTLINE, -_OUTLINE, _OUTLINE, _OUTLINE]), 0, size)
         now, then = (luma(each, self._shape) for each in (picture, self._reference))
-        found = edges(now, then, np.asarray(outline, np.uint8), wide)
+        found = edges(now, then, mask, _OUTLINE, wide)
         return [bool(one < _GHOST_EDGE * light[0, 0] * other) for one, other in found]
 
     def _adapt(self, frame: Frame, picture: Image, energy: F4, mask: Image, ghosts: list[Component]) -> None:

@@ -100,16 +100,18 @@ def valley(filled: U1, depth: float, smooth: int, margin: int, least: float) -> 
 
 
 @njit(**ENTRY)
-def edges(now: U1, reference: F4, outline: U1, boxes: I8) -> F8:
-    """(n, 2) mean gradient (Sobel) of ``now`` and of the ``reference`` (H, W) where the ``outline`` (H, W) in each box is
-    not 0, in every other row; n ``boxes`` of left, top, right and bottom."""
-    height, width = outline.shape
+def edges(now: U1, reference: F4, mask: U1, reach: int, boxes: I8) -> F8:
+    """(n, 2) mean gradient (Sobel) of ``now`` and of the ``reference`` (H, W) at most ``reach`` pixels from both sides of
+    the outline of a mask (H, W), in every other row of each box; n ``boxes`` of left, top, right and bottom."""
+    height, width = mask.shape
+    element, bits = np.full(2 * reach + 1, reach), _packed(mask)
+    outside, inside = _dilated(bits, width, element), _eroded(bits, width, element)
     out = np.zeros((len(boxes), 2))
     for k, (left, top, right, bottom) in enumerate(boxes):
         count = 0
         for i in range(top, bottom, 2):
             for j in range(left, right):
-                if outline[i, j]:
+                if ((outside[i, j // _BITS] & ~inside[i, j // _BITS]) >> D(j % _BITS)) & _1:
                     rows = mirrored(i - 1, height), i, mirrored(i + 1, height)
                     columns = mirrored(j - 1, width), j, mirrored(j + 1, width)
                     out[k, 0] += _gradient(now, rows, columns)
@@ -143,8 +145,14 @@ def _packed(mask: U1) -> U8:
     """(H, W / 64, rounded up) the mask with bit j of number k for pixel 64 k + j."""
     height, width = mask.shape
     whole, out = width // 8, np.zeros((height, (width + _BITS - 1) // _BITS), np.uint64)
+    if width % 8 == 0:
+        # To take a row out of an array costs as much as to work on it.
+        eights, bits = mask.reshape(-1).view(np.uint64), out.reshape(-1).view(np.uint8)
+        for y in range(height):
+            _gather(eights, y * whole, bits, y * 8 * out.shape[1], whole)
+        return out
     for y in range(height):
-        _gather(mask[y, : 8 * whole].view(np.uint64), out[y].view(np.uint8)[:whole])
+        _gather(mask[y, : 8 * whole].view(np.uint64), 0, out[y].view(np.uint8), 0, whole)
         for j in range(8 * whole, width):
             if mask[y, j]:
                 out[y, j // _BITS] |= _1 << D(j % _BITS)
@@ -155,32 +163,39 @@ def _packed(mask: U1) -> U8:
 def _unpacked(bits: U8, width: int) -> U1:
     """The mask (H, W) of 0 and 255."""
     out, whole = np.empty((len(bits), width), np.uint8), width // 8
+    if width % 8 == 0:
+        packed, eights = bits.reshape(-1).view(np.uint8), out.reshape(-1).view(np.uint64)
+        for y in range(len(bits)):
+            _scatter(packed, y * 8 * bits.shape[1], eights, y * whole, whole)
+        return out
     for y in range(len(bits)):
-        _scatter(bits[y].view(np.uint8)[:whole], out[y, : 8 * whole].view(np.uint64))
+        _scatter(bits[y].view(np.uint8), 0, out[y, : 8 * whole].view(np.uint64), 0, whole)
         for j in range(8 * whole, width):
             out[y, j] = 255 if (bits[y, j // _BITS] >> D(j % _BITS)) & _1 else 0
     return out
 
 
 @njit(**VECTOR)
-def _gather(eights: U8, out: U1) -> None:
-    """Whether each byte is not 0: eight bits side by side in a byte."""
-    for k in range(D(out.size)):
+def _gather(eights: U8, first: int, out: U1, start: int, count: int) -> None:
+    """Whether each byte of ``count`` numbers is not 0: eight bits side by side in a byte."""
+    a, b = D(first), D(start)
+    for k in range(D(count)):
         # All bits of a byte to its lowest one.
-        x = eights[k] | (eights[k] >> _4)
+        x = eights[a + k] | (eights[a + k] >> _4)
         x |= x >> _2_BITS
         x = (x | (x >> _1)) & _FLAGS
         x |= x >> _7
         x |= x >> _14
-        out[k] = np.uint8((x | (x >> _28)) & _BYTE)
+        out[b + k] = np.uint8((x | (x >> _28)) & _BYTE)
 
 
 @njit(**VECTOR)
-def _scatter(packed: U1, out: U8) -> None:
-    """A byte of 0 or 255 for each bit."""
-    for k in range(D(out.size)):
+def _scatter(packed: U1, first: int, out: U8, start: int, count: int) -> None:
+    """A byte of 0 or 255 for each bit of ``count`` bytes."""
+    a, b = D(first), D(start)
+    for k in range(D(count)):
         # Bit j to byte j, from there to its highest bit, and down to all of it.
-        out[k] = ((((D(packed[k]) * _FLAGS & _EACH) + _FULL) >> _7) & _FLAGS) * _BYTE
+        out[b + k] = ((((D(packed[a + k]) * _FLAGS & _EACH) + _FULL) >> _7) & _FLAGS) * _BYTE
 
 
 @njit(**INNER)
