@@ -74,13 +74,23 @@ class Planar:
         """Nothing is prepared: `planes` has them already."""
 
 
+def bgr_of(picture: Image | Picture, size: tuple[int, int] | None = None) -> Image:
+    """What `Picture.bgr` says, of a picture or an image (H, W, 3) BGR uint8."""
+    import cv2
+
+    if not isinstance(picture, np.ndarray):
+        return picture.bgr(size)
+    same = size is None or size == picture.shape[1::-1]
+    return picture if same else np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
 def planes_of(picture: Image | Picture, size: tuple[int, int] | None = None) -> Image:
     """What `Picture.planes` says, of a picture or an image (H, W, 3) BGR uint8."""
     import cv2
 
     if not isinstance(picture, np.ndarray):
         return picture.planes(size)
-    image = picture if size is None else cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    image = bgr_of(picture, size)
     height, width = image.shape[:2]
     # Of a row and a column that are added only the colours are kept.
     even = cv2.copyMakeBorder(image, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE)

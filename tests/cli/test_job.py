@@ -18,7 +18,8 @@ from phdtrack.associate.graph import GraphMatching
 from phdtrack.classes import Kinds
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.inputs import DEPTH, Inputs, expected
-from phdtrack.cli.job import Job, Outcome, detections_needed, run
+from phdtrack.cli.job import Job, Outcome, run
+from phdtrack.cli.settings import detections_needed
 from phdtrack.config import build, load
 from phdtrack.errors import InputError
 from phdtrack.filters import NoFilter
@@ -258,6 +259,26 @@ def test_stopped_while_drawing(job: Job, directory: rundir.RunDirectory, monkeyp
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+@pytest.mark.parametrize("again", [True, False])
+@pytest.mark.parametrize("size", [48, 96, 300])
+def test_the_video_may_be_smaller_than_the_pictures(
+    job: Job, directory: rundir.RunDirectory, size: int, *, again: bool
+) -> None:
+    """With the tracks where they are in the pictures, also of a source whose pictures come once."""
+    run(replace(job, video_size=size, inputs=replace(job.inputs, again=again)), directory)
+    width, height = min(size, 96), min(size, 96) * 2 // 3
+    pictures = [frame.image for frame in open_source(directory.file(rundir.VIDEO))]
+    assert [image.shape for image in pictures] == [(height, width, 3)] * FRAMES
+    tracks = read_tracks(directory.file(rundir.TRACKS))
+    for row in range(2, FRAMES):
+        left, top, right, bottom = np.round(tracks.xyxy[row] * width / 96).astype(int)
+        inside, outside = np.zeros((2, height, width), np.bool_)
+        inside[top + 2 : bottom - 1, left + 2 : right - 1] = True
+        outside[: top - 5], outside[bottom + 5 :] = True, True
+        grey = pictures[row].mean(axis=2)
+        assert grey[inside].mean() > 150 > 90 > grey[outside].mean()
+
+
 def test_frames_that_compile_are_left_out_of_the_speed(job: Job, directory: rundir.RunDirectory) -> None:
     run(job, directory)
     double = numba.njit(lambda x: 2 * x)

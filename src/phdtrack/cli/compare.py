@@ -17,10 +17,10 @@ import typer
 from phdtrack import compare as comparing
 from phdtrack.cli import options as given
 from phdtrack.cli import run_directory as rundir
-from phdtrack.cli.job import about, detections_needed
+from phdtrack.cli.job import about
 from phdtrack.cli.options import option
 from phdtrack.cli.output import PACE, Output, progress
-from phdtrack.cli.settings import only_classes, scene_settings
+from phdtrack.cli.settings import detections_needed, only_classes, scene_settings
 from phdtrack.compare import Comparison, Plan
 from phdtrack.compare.results import Results
 from phdtrack.compare.runs import RunResult

@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 from numba.core import event
 
-from phdtrack import pipeline
 from phdtrack.classes import Kinds
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli import signals
@@ -32,18 +31,19 @@ from phdtrack.cli.inputs import NO_PICTURE, Inputs, Mover, ahead, detected, expe
 from phdtrack.cli.observers import RunObserver
 from phdtrack.cli.output import Advance, progress, versions
 from phdtrack.cli.run_directory import RunDirectory
+from phdtrack.cli.settings import confirmation
 from phdtrack.detect import BACKGROUND
 from phdtrack.detect.registry import prepared, steadied, unsuited
+from phdtrack.devices import bgr_of, planes_of, size_of
 from phdtrack.errors import InputError, interrupted, needed, shown
 from phdtrack.files import return_memory, write_text
-from phdtrack.filters import NoFilter
 from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter
 from phdtrack.models import PlaneSensor
 from phdtrack.protocols import AnyStages, Sensor
 from phdtrack.report import About, Annotator, Recorder, report_html, run_document, sentences, write_run
 from phdtrack.report.pages import doubts, lines
 from phdtrack.tracker import FinalTracks, Tracker, uninterrupted
-from phdtrack.types import F8, Detections, Frame, Image, SequenceInfo, Step, Tracks, Truth
+from phdtrack.types import F8, Detections, Frame, Image, Step, Tracks, Truth
 from phdtrack.video import VideoWriter
 
 if TYPE_CHECKING:
@@ -57,8 +57,6 @@ _LATEST = "The source had no end: figures are of the whole run, charts of its la
 _REUSED = "The detections are those of an earlier run with the same detector; --detect-again detects anew."
 _HIDDEN = "In all pictures {} of detections and tracks are hidden; what was neither detected nor tracked can be seen."
 _STOPPED = "stopped after frame {}; its files are being completed"
-# An object detected so often in a row must have been reported; after more than _SLOW detections the user is warned.
-_TRIED, _SLOW = 25, 5
 # Frames of which is kept what was seen, and what the report shows, where there is no end to them.
 _SAMPLE, _CHARTED = 1000, 100_000
 # Seconds for which videos are drawn after a signal; what the end of a run imports, which takes a second.
@@ -70,7 +68,8 @@ class Job:
     """What is to be run; ``configuration`` and ``read``, what was read and how, decide the result; ``ground`` measures where
     boxes of tracks in an image stand; ``looked``: what decides the detections, empty where they are not kept; ``anew``:
     those of an earlier run are not taken; ``every``: seconds between checkpoints, 0 for none; ``delay``:
-    frames by which online rows lag; ``blur``: what is made unrecognisable in pictures."""
+    frames by which online rows lag; ``blur``: what is made unrecognisable in pictures; ``video_size``: of the longer
+    side of the annotated video in pixels, at most; 0: as the source."""
 
     inputs: Inputs
     kinds: Kinds
@@ -87,6 +86,7 @@ class Job:
     every: float = 0.0
     delay: int = 0
     blur: str = ""
+    video_size: int = 0
 
     @property
     def key(self) -> dict[str, object]:
@@ -122,7 +122,7 @@ class Outcome(NamedTuple):
 
 
 class _Seen(NamedTuple):
-    """What the second pass needs of a frame."""
+    """What drawing needs of a frame."""
 
     number: int
     detections: Detections
@@ -216,7 +216,8 @@ def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -
     advance(done.frames, total=done.frames, description="report")
     record = replace(done.recorder.record(tracks, job.about), names=job.names)
     # The note comes first, then the warning if there is one.
-    confirmed = _confirmation(job, done)
+    boxes = np.concatenate([np.zeros((0, 4)), *(seen.detections.xyxy for seen in done.seen)])
+    confirmed = confirmation(job.stages, job.inputs.info, boxes)
     wrong = unsuited(job.inputs.detector) or doubts(record, background=job.inputs.described in BACKGROUND)
     hidden, latest = job.blur and _HIDDEN.format(job.blur), "" if job.inputs.again else _LATEST
     said = replace(
@@ -285,9 +286,10 @@ def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool)
                         rows = tracker.update(found, frame.number, frame.time, warp if len(warp) else None)
                         step = tracker.step
                         assert step is not None
-                        written.take(frame, found, step, rows)
+                        seen = _Seen(step.number, step.detections, step.info.mass, step.info.clutter_probability)
+                        written.take(frame, found, step, seen, rows)
                         done.recorder.add(frame if inputs.pictures else None, step, seconds)
-                        done.seen.append(_Seen(step.number, step.detections, step.info.mass, step.info.clutter_probability))
+                        done.seen.append(seen)
                         done.frames += 1
                     advance(done.frames, **expected(inputs.source, done.frames, "tracking"))
                     before, clock = clock, time.perf_counter()
@@ -338,7 +340,7 @@ class _Written:
             files.enter_context(done.saving())
             observer.open(directory, files)
 
-    def take(self, frame: Frame, found: Detections, step: Step, rows: Tracks) -> None:
+    def take(self, frame: Frame, found: Detections, step: Step, seen: _Seen, rows: Tracks) -> None:
         """A frame, its detections, and the online rows that it brought."""
         self._detections.append(frame.number, found)
         self._states.append(step)
@@ -346,7 +348,7 @@ class _Written:
         for observer in self._job.observers:
             observer.take(found, step, self._done.tracker.state)
         if self._once:
-            self._once.take(frame, step, rows)
+            self._once.take(frame, seen, rows)
         if self._final and self._corrected and len(final := self._final.due()):
             self._append(self._corrected, final)
             self._done.recorder.count(final)
@@ -370,30 +372,52 @@ class _Written:
         writer.append(rows, places(self._job.sensor, rows.xyxy))
 
 
+class _Drawing:
+    """Draws frames for the annotated video, whose longer side has at most so many pixels, even numbers; 0: as the source."""
+
+    def __init__(self, job: Job, *, planes: bool = False) -> None:
+        info, longest = job.inputs.info, job.video_size
+        share = longest / max(info.width, info.height)
+        self.size = info.width, info.height
+        if 0 < share < 1:
+            self.size = max(2, 2 * round(share * info.width / 2)), max(2, 2 * round(share * info.height / 2))
+        self._factor = np.tile(np.divide(self.size, (info.width, info.height)), 2)
+        self._annotate = Annotator(replace(info, width=self.size[0], height=self.size[1]), names=job.names, blur=job.blur)
+        # What is drawn on the decoder's planes goes to the encoder as it is; what blurs, and odd sizes, need BGR.
+        self._planes = planes and not (job.blur or self.size[0] % 2 or self.size[1] % 2)
+
+    def __call__(self, frame: Frame, seen: _Seen, rows: Tracks) -> Image:
+        """The picture with rows of tracks and what else was seen in it: BGR or, where they may be, its `Picture.planes`."""
+        planes, size = self._planes and not isinstance(frame.picture, np.ndarray), self.size
+        # A picture keeps BGR of its own size only.
+        own = None if size == size_of(frame) else size
+        image = planes_of(frame.picture, own).reshape(-1, size[0]) if planes else bgr_of(frame.picture, own)
+        rows = replace(rows, xyxy=rows.xyxy * self._factor)
+        found = replace(seen.detections, xyxy=seen.detections.xyxy * self._factor)
+        return self._annotate(image, seen.number, rows, found, mass=seen.mass, clutter_probability=seen.clutter_probability)
+
+
 class _DrawnOnce:
     """The video of pictures that come only once: the online rows are drawn when they come, and no picture is kept."""
 
     def __init__(self, job: Job, directory: RunDirectory) -> None:
-        info, self._delay = job.inputs.info, job.delay
-        self._annotate, self._waiting = Annotator(info, names=job.names, blur=job.blur), deque[tuple[Frame, Step]]()
-        self._video = VideoWriter(directory.file(rundir.VIDEO), info.width, info.height, info.fps, fast=True)
+        self._draw, self._delay, self._waiting = _Drawing(job), job.delay, deque[tuple[Frame, _Seen]]()
+        self._video = VideoWriter(directory.file(rundir.VIDEO), *self._draw.size, job.inputs.info.fps, fast=True)
 
-    def take(self, frame: Frame, step: Step, rows: Tracks) -> None:
+    def take(self, frame: Frame, seen: _Seen, rows: Tracks) -> None:
         """Draw the frame that the rows are of, which the output delay holds back."""
-        self._waiting.append((frame, step))
+        self._waiting.append((frame, seen))
         if len(self._waiting) > self._delay:
-            self._draw(rows)
+            self._write(rows)
 
     def flush(self, rows: Tracks) -> None:
         """Draw what still waits."""
         while self._waiting:
-            self._draw(rows)
+            self._write(rows)
 
-    def _draw(self, rows: Tracks) -> None:
-        frame, step = self._waiting.popleft()
-        mine, chances, mass = rows.take(rows.frame == frame.number), step.info.clutter_probability, step.info.mass
-        picture = self._annotate(frame.image, frame.number, mine, step.detections, mass=mass, clutter_probability=chances)
-        self._video.write(picture, frame.time)
+    def _write(self, rows: Tracks) -> None:
+        frame, seen = self._waiting.popleft()
+        self._video.write(self._draw(frame, seen, rows.take(rows.frame == frame.number)), frame.time)
 
     def __enter__(self) -> Self:
         return self
@@ -410,13 +434,11 @@ def _draw(job: Job, directory: RunDirectory, done: _Progress, tracks: Tracks, ad
             draw = [one for observer in job.observers if (one := observer.drawing(directory, files, pictures=again))]
             pictures: Iterable[Image] = repeat(NO_PICTURE)
             if again:
-                path, size = directory.file(rundir.VIDEO), (info.width, info.height)
-                video = files.enter_context(VideoWriter(path, *size, info.fps, fast=True))
+                # Observers draw on the same pictures, and in their coordinates.
+                drawing = _Drawing(replace(job, video_size=0) if draw else job, planes=not draw)
+                video = files.enter_context(VideoWriter(directory.file(rundir.VIDEO), *drawing.size, info.fps, fast=True))
                 frames = files.enter_context(ahead(job.inputs.source))
-                annotate = Annotator(info, names=job.names, blur=job.blur)
-                # What is drawn on the decoder's planes goes to the encoder as it is; the others need BGR.
-                whole = not (draw or job.blur or info.width % 2 or info.height % 2)
-                pictures = files.enter_context(ahead(_annotated(annotate, done.seen, frames, tracks, planes=whole)))
+                pictures = files.enter_context(ahead(_annotated(drawing, done.seen, frames, tracks)))
                 draw.insert(0, lambda number, picture: video.write(picture))
             if not draw:
                 return
@@ -442,16 +464,10 @@ def _draw(job: Job, directory: RunDirectory, done: _Progress, tracks: Tracks, ad
             done.cut = _as_meant(error)
 
 
-def _annotated(
-    annotate: Annotator, seen: Iterable[_Seen], frames: Iterable[Frame], tracks: Tracks, *, planes: bool
-) -> Iterator[Image]:
-    """The frames that were seen, drawn on: their `Picture.planes` where they are wanted and there are any, or BGR."""
+def _annotated(draw: _Drawing, seen: Iterable[_Seen], frames: Iterable[Frame], tracks: Tracks) -> Iterator[Image]:
+    """The frames that were seen, drawn on."""
     for one, frame in zip(seen, frames, strict=False):
-        rows = tracks.take(np.arange(*np.searchsorted(tracks.frame, [one.number, one.number + 1])))
-        chances = one.clutter_probability
-        kept = planes and not isinstance(frame.picture, np.ndarray)
-        image = frame.picture.planes().reshape(-1, frame.picture.size[0]) if kept else frame.image
-        yield annotate(image, one.number, rows, one.detections, mass=one.mass, clutter_probability=chances)
+        yield draw(frame, one, tracks.take(np.arange(*np.searchsorted(tracks.frame, [one.number, one.number + 1]))))
 
 
 def _as_meant(stop: Stop) -> Stop:
@@ -466,31 +482,6 @@ def _problems(job: Job, done: _Progress) -> Iterator[str]:
     why = [asked if isinstance(stop, KeyboardInterrupt) else stop for stop in (done.stop, done.cut)]
     yield from lines("problems.txt", stop=why[0], cut=why[1], done=done, annotated=annotated, job=job, video=rundir.VIDEO)
     yield from done.tracker.left_out.sentences()
-
-
-def _confirmation(job: Job, done: _Progress) -> tuple[str, ...]:
-    """After how many detections of the usual size an object is reported: a note, and a warning where it takes long."""
-    boxes = [seen.detections.xyxy for seen in done.seen if len(seen.detections)]
-    if isinstance(job.stages.filter, NoFilter) or not boxes:
-        return ()
-    xyxy = np.concatenate(boxes)
-    width, height = np.median(xyxy[:, 2:] - xyxy[:, :2], axis=0)
-    needed = detections_needed(job.stages, job.inputs.info, (float(width), float(height)))
-    return lines("confirmation.txt", needed=needed, tried=_TRIED, slow=_SLOW)
-
-
-def detections_needed(stages: AnyStages, info: SequenceInfo, size: tuple[float, float]) -> int:
-    """Detections in a row of an object up to its first state; 0 for more than 25.
-
-    The ratio of the densities of births and of clutter decides it, which settings do not show. So it is tried: an object
-    of ``size`` (width, height in pixels) moves through the middle of the frame, by a tenth of its width a frame, and is
-    detected in every frame: what stands still from its first frame on may be a false alarm that lasts.
-    """
-    centre, half = np.array([info.width, info.height]) / 2, np.array(size) / 2
-    box, step = np.concatenate([centre - half, centre + half]), np.array([0.1 * size[0], 0, 0.1 * size[0], 0])
-    frames = ((k, k / info.fps, Detections.of(box + (k - _TRIED / 2) * step)) for k in range(1, _TRIED + 1))
-    steps = pipeline.run(stages, frames, np.random.default_rng(0))
-    return next((step.number for _, step in steps if len(step.estimates)), 0)
 
 
 def places(sensor: Sensor, xyxy: F8) -> F8:

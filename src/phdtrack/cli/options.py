@@ -45,6 +45,8 @@ _WIDTH = "Wider frames are shrunk to N pixels for the detector; 0: not at all (d
 MaxWidth = Annotated[int | None, option("N", _WIDTH, min=0)]
 Mask = Annotated[Path | None, option("FILE", "Image of the frame's size; only what lies where it is not black is reported.")]
 Video = Annotated[bool, typer.Option("--video/--no-video", help="Write videos to look at.")]
+_VIDEO_SIZE = "Longer side of annotated.mp4 in pixels, at most; 0: that of the source."
+VideoSize = Annotated[int, option("N", _VIDEO_SIZE, min=0)]
 FrameSize = Annotated[str, option("WxH", "Size of the frames in pixels, as 1920x1080.")]
 Fps = Annotated[float, option("F", "Frames per second; 0: what the video or seqinfo.ini says.", min=0.0)]
 _DETECTORS = "change (default), mean-background, mog2, knn, face, person, or onnx:FILE, a network."

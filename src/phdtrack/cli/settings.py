@@ -13,15 +13,23 @@ from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
+from phdtrack import pipeline
 from phdtrack.cli import options as given
 from phdtrack.cli.options import TrackingOptions
 from phdtrack.cli.output import Output
 from phdtrack.config import Settings, load, overlay
 from phdtrack.config.kinds import SECTIONS, record, settable
 from phdtrack.config.presets import PRESETS
+from phdtrack.filters import NoFilter
+from phdtrack.protocols import AnyStages
+from phdtrack.report.pages import lines
+from phdtrack.types import F8, Detections, SequenceInfo
 
+# An object detected so often in a row must have been reported; after more than _SLOW detections the user is warned.
+_TRIED, _SLOW = 25, 5
 # The settings to know, besides preset, scene and filter.
 MAIN = {
     "motion": ("acceleration", "survival_probability"),
@@ -133,3 +141,27 @@ def meanings(kind: type[Any]) -> dict[str, str]:
     # The first sentence of each, on one line.
     said = {name: re.split(r"(?<=[^.\d])\. ", " ".join(words.split()))[0] for name, words in found.items()}
     return {name: words.rstrip(".").replace("`", "") for name, words in said.items()}
+
+
+def confirmation(stages: AnyStages, info: SequenceInfo, boxes: F8) -> tuple[str, ...]:
+    """After how many detections of the usual size of ``boxes`` (n, 4) an object is reported: a note, and a warning where it
+    takes long; nothing without boxes or a filter."""
+    if isinstance(stages.filter, NoFilter) or not len(boxes):
+        return ()
+    width, height = np.median(boxes[:, 2:] - boxes[:, :2], axis=0)
+    needed = detections_needed(stages, info, (float(width), float(height)))
+    return lines("confirmation.txt", needed=needed, tried=_TRIED, slow=_SLOW)
+
+
+def detections_needed(stages: AnyStages, info: SequenceInfo, size: tuple[float, float]) -> int:
+    """Detections in a row of an object up to its first state; 0 for more than 25.
+
+    The ratio of the densities of births and of clutter decides it, which settings do not show. So it is tried: an object
+    of ``size`` (width, height in pixels) moves through the middle of the frame, by a tenth of its width a frame, and is
+    detected in every frame: what stands still from its first frame on may be a false alarm that lasts.
+    """
+    centre, half = np.array([info.width, info.height]) / 2, np.array(size) / 2
+    box, step = np.concatenate([centre - half, centre + half]), np.array([0.1 * size[0], 0, 0.1 * size[0], 0])
+    frames = ((k, k / info.fps, Detections.of(box + (k - _TRIED / 2) * step)) for k in range(1, _TRIED + 1))
+    steps = pipeline.run(stages, frames, np.random.default_rng(0))
+    return next((step.number for _, step in steps if len(step.estimates)), 0)

@@ -35,6 +35,7 @@ def track(
     out: given.Out = None,
     overwrite: given.Overwrite = False,
     video: given.Video = True,
+    video_size: given.VideoSize = 1920,
     scene: given.SceneFile = None,
     camera_motion: Annotated[str, option("flow|FILE|none", "A camera that moves: measured, or from a file.")] = "",
     resume: given.Resume = False,
@@ -51,7 +52,8 @@ def track(
     rundir.check(out, overwrite or resume)
     first = scene_settings(scene, camera_motion)
     settings = chosen(options, first, detector=source.looked_by)
-    job = replace(prepare(source, options, settings, video=video, frames=frames), every=checkpoint_every, blur=blur)
+    job = prepare(source, options, settings, video=video, frames=frames)
+    job = replace(job, every=checkpoint_every, blur=blur, video_size=video_size)
     finish(output, job, out, overwrite, resume=resume)
 
 

@@ -17,7 +17,7 @@ from phdtrack.detect.change import ChangeDetector, MeanBackgroundDetector
 from phdtrack.detect.components import BlobSettings
 from phdtrack.detect.onnx import OnnxDetector
 from phdtrack.detect.opencv import FaceDetector, PersonDetector, SubtractorDetector
-from phdtrack.devices import Detector, Planar, planes_of, size_of
+from phdtrack.devices import Detector, Planar, bgr_of, planes_of, size_of
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.files import load
 from phdtrack.types import F8, STILL, Bool, Detections, DetectionTable, Frame, Image, SequenceInfo
@@ -142,11 +142,8 @@ class Rescaled:
                 where="max_width",
                 cure=f"At least {_SMALLEST} pixels must be left on either side; 320 is a usual width.",
             )
-        if isinstance(frame.picture, np.ndarray):
-            image = np.asarray(cv2.resize(frame.image, small, interpolation=cv2.INTER_AREA), np.uint8)
-            return Frame(frame.number, frame.time, image)
-        planar = isinstance(self.detector, ChangeDetector)
-        picture = Planar(small, frame.picture.planes(small)) if planar else frame.picture.bgr(small)
+        planar = isinstance(self.detector, ChangeDetector) and not isinstance(frame.picture, np.ndarray)
+        picture = Planar(small, planes_of(frame.picture, small)) if planar else bgr_of(frame.picture, small)
         return Frame(frame.number, frame.time, picture)
 
     def __call__(self, frame: Frame) -> Detections:
