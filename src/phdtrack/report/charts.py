@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 # `_INK` stands in an SVG as ``currentColor``; `_PALE` is for what is written on `_DARK`.
 _INK, _PALE, _DARK, _CYAN = "#3a4250", "#c9d1de", "#1b1f27", "#4cc9f0"
 _BLUE, _ORANGE, _GREEN, _GREY = "#3b6fd4", "#e08a1e", "#2a9d74", "#9aa5b8"
-# Inches.
-_WIDE = 8.2
+# Inches, and dots in each.
+_WIDE, _DOTS_PER_INCH = 8.2, 144
 # Identities with a label each; points of a line, or bars, up to which they are outlines: more would swell the file.
 _LABELS, _LABELLED_ROWS, _OUTLINES = 80, 60, 3000
 _MAX_STRETCH, _CELLS = 6.0, 160
@@ -225,8 +225,10 @@ def _over_scene(info: SequenceInfo, image: Image, *, darkness: float) -> Axes:
     axes.spines[:].set(visible=True, color=_PALE)
     axes.set_facecolor(_DARK)
     if image.size:
-        grey = (image @ np.array([0.114, 0.587, 0.299], np.float32) * (1 - darkness)).astype(np.uint8)
-        axes.imshow(grey, cmap="gray", vmin=0, vmax=255, extent=(0, info.width, info.height, 0))
+        # No larger than it is shown, and scaled before it is coloured: matplotlib's colours are eight bytes each.
+        grey = cv2.cvtColor(shrunk(image, round(_DOTS_PER_INCH * _WIDE)), cv2.COLOR_BGR2GRAY) * np.float32(1 - darkness)
+        look: Any = {"cmap": "gray", "vmin": 0, "vmax": 255, "interpolation_stage": "data"}
+        axes.imshow(grey, extent=(0, info.width, info.height, 0), **look)
     stretched = not 1 / _MAX_STRETCH < info.width / info.height < _MAX_STRETCH
     axes.set(xlim=(0, info.width), ylim=(info.height, 0), aspect="auto" if stretched else "equal")
     return axes
@@ -248,7 +250,7 @@ def _saved(axes: Axes, mime: str = "image/jpeg", **look: Any) -> Picture:
     """The figure as a file, JPEG on a dark ground if nothing else is said; its width and height are in CSS pixels."""
     figure, buffer = axes.get_figure(root=True), io.BytesIO()
     assert figure is not None
-    figure.savefig(buffer, dpi=144, **(look or {"format": "jpg", "facecolor": _DARK, "pil_kwargs": {"quality": 87}}))
+    figure.savefig(buffer, dpi=_DOTS_PER_INCH, **(look or {"format": "jpg", "facecolor": _DARK, "pil_kwargs": {"quality": 87}}))
     data, (wide, high) = buffer.getvalue(), (round(96 * float(inches)) for inches in figure.get_size_inches())
     # Of an SVG without its XML declaration.
     return Picture(mime, data[max(data.find(b"<svg"), 0) :], wide, high)
