@@ -1,16 +1,7 @@
-"""The Gaussian-mixture PHD filter [V06, E13 §4].
+"""The Gaussian-mixture PHD filter [V06, E13 §4]: the intensity is a mixture, each Gaussian of which has a Kalman filter.
 
-With a linear Gaussian motion and sensor the intensity of `particle_phd` stays a mixture D(x) = Σ w_i N(x; m_i, P_i), and the
-recursion is a Kalman filter for every Gaussian:
-
-    predict   w_i ← p_S w_i,  m_i ← f(m_i),  P_i ← F P_i Fᵀ + Q
-    update    D(x) = (1 − p_D) D⁺(x) + Σ_z Σ_i p_D w_i q_i(z) / (κ(z) + C(z)) N(x; m_i + K(z − H m_i), (I − K H) P_i)
-              q_i(z) = N(z; H m_i, S_i),  S_i = H P_i Hᵀ + R,  K = P_i Hᵀ S_i⁻¹,  C(z) = Σ_i p_D w_i q_i(z)
-
-The model answers with arrays (`models.gaussian`), taken at the means where they depend on the state; the update and the
-reduction are compiled over them (`kernels.gm_update`, `kernels.gm_merge`). A measurement touches only the Gaussians in whose
-gate it is, so that the cost grows linearly with the number of targets. A mixture grows with every measurement;
-`GMPHD.reduce` prunes, merges and caps it.
+Equations: docs/methods.md, PHD. A measurement touches only the Gaussians in whose gate it is, so that the cost grows
+linearly with the number of targets. A mixture grows with every measurement; `GMPHD.reduce` prunes, merges and caps it.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
 """Targets that have never been detected: a Poisson process whose intensity has a recursion of its own [W15 §III].
 
-    λ⁺(x) = ∫ p_S(ξ) f(x|ξ) λ(ξ) dξ + γ(x)        λ(x) = (1 − p_D(x)) λ⁺(x)
-
-A first detection z is a target's with the density ∫ p_D g(z|x) λ⁺(x) dx, beside κ(z). Detected targets whose existence has
-become improbable are given back to it: their density, times that probability, is added to λ (recycling). A Bernoulli target
-of small probability and a Poisson process of that mass differ in the second order of it.
+Equations: docs/methods.md, Poisson multi-Bernoulli. Detected targets whose existence has become improbable are given back to
+it: their density, times that probability, is added to λ (recycling). A Bernoulli target of small probability and a Poisson
+process of that mass differ in the second order of it.
 
 λ is a mixture where γ is one. Where γ is stated as a density at the measurements (uniform, or around the detections) it is
 the intensity of undetected targets itself: a constant γ makes λ⁺ = γ / (1 − p_S (1 − p_D)), the same but for a factor.

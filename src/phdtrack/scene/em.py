@@ -1,13 +1,7 @@
 """Learning a scene's density from samples: recursive MAP-EM, then EM for the whole model with split and merge moves.
 
-Recursive MAP-EM [M09 §IV-B, (16)-(20); Z04]: for a sample x with responsibilities o_m = π_m N_m(x) / Σ_j π_j N_j(x), rate β,
-M components and τ = N/2, N the number of parameters of a component,
-
-    π_m ← π_m + β [(o_m − τβ)/(1 − Mτβ) − π_m]
-    μ_m ← μ_m + β (o_m/π_m)(x − μ_m)
-    Σ_m ← Σ_m + β (o_m/π_m)((x − μ_m)(x − μ_m)ᵀ + F − Σ_m)
-
-A component whose weight turns negative is removed. α_u follows the same rule with τ = 0. What the paper leaves open:
+Equations of the first [M09 §IV-B, (16)-(20); Z04]: docs/methods.md, A learned scene; β is the rate, and τ = N/2, N the
+number of parameters of a component. What the paper leaves open:
 
 * The rule needs β < 1/(Mτ), 6e-4 with the paper's grids, so that one pass over a few hundred samples hardly moves a weight.
   The samples are taken in several passes, each in another order, with β = min(1/n, ½/(Mτ)) for n samples. Then the estimate

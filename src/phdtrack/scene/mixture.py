@@ -1,9 +1,7 @@
 """The density of a scene's births or false alarms: a uniform part and truncated Gaussians [M09 (14), (15), (21)].
 
-    p(x) = α_u 1/V + α_g Σ_m π_m N(x; μ_m, Σ_m) / Z_m     inside the volume, 0 outside;     α_u + α_g = 1, Σ π_m = 1
-
-The volume is a box, low ≤ x ≤ high. It truncates the Gaussians: Z_m is the mass of the m-th Gaussian inside, so that p
-integrates to 1. Z_m is computed by separation of variables [A. Genz, *Numerical computation of multivariate normal
+Equations: docs/methods.md, A learned scene. The volume is a box, low ≤ x ≤ high, outside of which p is 0. Z_m, the mass of
+the m-th Gaussian inside, is computed by separation of variables [A. Genz, *Numerical computation of multivariate normal
 probabilities*, J. Comp. Graph. Stat. 1 (1992)] on a lattice of fixed points; for independent components it is exact.
 """
 
