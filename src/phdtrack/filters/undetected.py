@@ -27,9 +27,7 @@ def survived(unseen: GaussianMixture, model: Model, dt: float, transform: Transf
     Parameters
     ----------
     unseen : λ of the frame before.
-    model : of the world.
-    dt : interval in the model's time unit.
-    transform : ``linear`` or ``unscented``, see `models.gaussian`.
+    model, dt, transform : as in `models.gaussian.predicted`.
     """
     if len(unseen) == 0:
         return unseen
@@ -43,9 +41,7 @@ def with_births(unseen: GaussianMixture, model: Model, z: F8, dt: float) -> Birt
     Parameters
     ----------
     unseen : what has survived of λ.
-    model : of the world.
-    z : array (m, N), the frame's measurements.
-    dt : interval in the model's time unit.
+    model, z, dt : of the frame, its (m, N) measurements, and the interval in the model's time unit.
     """
     births = model.birth.gaussians(z, model.sensor, model.birth_seconds(dt))
     if len(unseen) == 0:

@@ -32,10 +32,8 @@ def moved(motion: Motion, mean: F8, dt: float, warp: F8 = STILL) -> tuple[F8, F8
 
     Parameters
     ----------
-    motion : the model's motion.
-    mean : (n, d).
-    dt : interval in the model's time unit.
-    warp : (3, 3) the camera's motion in it; `types.STILL` where there is none.
+    motion, mean : the model's motion; (n, d).
+    dt, warp : interval in the model's time unit; (3, 3) the camera's motion in it, `types.STILL` where there is none.
     """
     x = np.ascontiguousarray(mean.T)
     slope = motion.warp_jacobian(x, warp) if len(warp) else None

@@ -81,7 +81,7 @@ def learn(density: SceneDensity, samples: F8) -> SceneDensity:
 def grid(
     low: F8, high: F8, counts: tuple[int, int], centre: F8, spread: F8, uniform: float = 1 - MIN_UNIFORM
 ) -> SceneDensity:
-    """A density of counts[0] × counts[1] Gaussians over the positions, where learning begins [M09 §IV-B].
+    """A density of counts[0] × counts[1] Gaussians of equal weight over the positions, where learning begins [M09 §IV-B].
 
     M09 takes 12 × 10 for births and 16 × 14 for false alarms.
 
@@ -91,10 +91,6 @@ def grid(
     counts : Gaussians across and down; in position each is as wide as the grid's step.
     centre, spread : (d,) mean and standard deviation of the other components (mean size, zero velocity).
     uniform : α_u.
-
-    Returns
-    -------
-    The density, all Gaussians of equal weight.
     """
     extent, steps = high - low, np.array(counts)
     across, down = (low[k] + extent[k] * (np.arange(steps[k]) + 0.5) / steps[k] for k in range(2))

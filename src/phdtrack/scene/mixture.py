@@ -30,17 +30,13 @@ _POINTS = 512
 
 @dataclass(frozen=True, eq=False)
 class SceneDensity:
-    """p(x) on a volume.
+    """p(x) on a volume. Raises `InputError` where shapes do not fit, or bounds, shares or covariances are none.
 
     Attributes
     ----------
     low, high : (d,) bounds of the volume.
     uniform : α_u, share of the uniform part.
     weight : (M,) π_m, of sum 1.     mean : (d, M).     covariance : (M, d, d).
-
-    Raises
-    ------
-    InputError : shapes that do not fit, bounds without a volume, α_u outside (0, 1], weights or covariances that are none.
     """
 
     low: F8

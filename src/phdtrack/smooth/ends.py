@@ -18,7 +18,7 @@ _ROWS, _OVERLAP, _MISSED = 5, 0.3, 1
 
 
 def carried_on(tracks: Tracks, seen: MeasurementHistory, boxes: F8, size: tuple[float, float], most: float) -> Tracks:
-    """The tracks with the rows that detections add at their ends.
+    """The tracks, and the rows that detections add at their ends: with their boxes, and the confidence of the row there.
 
     Parameters
     ----------
@@ -27,10 +27,6 @@ def carried_on(tracks: Tracks, seen: MeasurementHistory, boxes: F8, size: tuple[
     boxes : (Z, 4) the boxes of the measurements, pixels.
     size : width and height of the picture, pixels.
     most : time units for which a track is carried on, at most.
-
-    Returns
-    -------
-    The tracks and the new rows, which have the detection's box and the confidence of the row at that end.
     """
     row, step, speed = _ends(tracks, seen)
     free = np.isfinite(boxes.sum(axis=1))
