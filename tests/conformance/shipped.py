@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from experiments.bearing import BearingSensor, TurningMotion
+from experiments.common import uniform_density
 from phdtrack.arrays import to_cxcywh
 from phdtrack.associate.graph import GraphMatching
 from phdtrack.associate.labels import Labelled
@@ -51,7 +52,7 @@ from phdtrack.models import (
 )
 from phdtrack.models.scene import FalseAlarmRatio, SceneBirth, SceneClutter
 from phdtrack.protocols import Model
-from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, uniform_density
+from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects
 from phdtrack.types import Detections, Estimates, GaussianMixture, Particles
 from plane_cases import FRAME, LevelCamera
 

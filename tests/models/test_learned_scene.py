@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from experiments.common import uniform_density, with_scene
 from phdtrack.models import BoxClutter, BoxMotion, BoxSensor, MeasurementBirth, UniformClutter
-from phdtrack.models.scene import SceneBirth, SceneClutter, with_scene
+from phdtrack.models.scene import SceneBirth, SceneClutter
 from phdtrack.models.volumes import image_volume, local_volume
 from phdtrack.protocols import Model
-from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, marginal, uniform_density
+from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, marginal
 from phdtrack.types import F8
 from reference import context_twin as twin
 from views import drawn_of

@@ -140,12 +140,6 @@ class SceneDensity:
         return out
 
 
-def uniform_density(low: F8, high: F8) -> SceneDensity:
-    """The uniform density alone."""
-    d = len(low)
-    return SceneDensity(low, high, 1.0, np.zeros(0), np.zeros((d, 0)), np.zeros((0, d, d)))
-
-
 def marginal(p: SceneDensity, rows: tuple[int, ...]) -> SceneDensity:
     """The density of the components ``rows``; the truncation at the other borders is left out."""
     keep = list(rows)
