@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from phdtrack.arrays import chi2_quantile, iou
+from phdtrack.arrays import chi2_quantile, iou, iou_of_pairs
 from phdtrack.errors import Positive, PositiveCount, Share, check
 from phdtrack.filters.blocks import in_blocks
 from phdtrack.filters.cardinality import Cardinalised
@@ -358,10 +358,8 @@ def join_unresolved(peaks: Gaussians, sensor: Sensor, overlap: float) -> tuple[G
     first, second = overlapping_pairs(lower, upper, make_grid(lower, upper))
     first, second = first[first < second], second[first < second]
     # By overlap, then by number; pairs of a peak that has been joined since are passed over.
-    queue = [
-        (-share, int(i), int(j), 0, 0) for i, j, share in zip(first, second, _iou(boxes[first], boxes[second]), strict=True)
-        if share > overlap
-    ]  # fmt: skip
+    shares = iou_of_pairs(boxes[first], boxes[second])
+    queue = [(-s, int(i), int(j), 0, 0) for i, j, s in zip(first, second, shares, strict=True) if s > overlap]
     if not queue:
         return peaks, group
     heapq.heapify(queue)
@@ -386,15 +384,6 @@ def join_unresolved(peaks: Gaussians, sensor: Sensor, overlap: float) -> tuple[G
     part = np.empty(len(heads), np.int64)
     part[group[order]] = order
     return union(peaks, group), part
-
-
-def _iou(a: F8, b: F8) -> F8:
-    """(P,) intersection over union of the boxes (P, 4), pair by pair."""
-    sides = np.minimum(a[:, 2:], b[:, 2:]) - np.maximum(a[:, :2], b[:, :2])
-    both = sides.clip(0).prod(axis=1)
-    total = (a[:, 2:] - a[:, :2]).prod(axis=1) + (b[:, 2:] - b[:, :2]).prod(axis=1) - both
-    out: F8 = np.divide(both, total, out=np.zeros_like(both), where=total > 0)
-    return out
 
 
 def heaviest(peaks: Estimates, cardinality: F8) -> Estimates:

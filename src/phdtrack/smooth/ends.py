@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from phdtrack.arrays import area
+from phdtrack.arrays import iou_of_pairs
 from phdtrack.types import F8, I8, Bool, MeasurementHistory, Tracks
 
 # Rows from which the velocity is taken, the least overlap (IoU) with a detection, frames in a row without one.
@@ -75,9 +75,7 @@ def _taken(expected: F8, at: I8, start: I8, boxes: F8, free: Bool) -> tuple[I8, 
     end = np.repeat(np.arange(len(at)), count)
     column = start[at][end] + np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
     end, column = end[free[column]], column[free[column]]
-    a, b = expected[end], boxes[column]
-    shared = np.clip(np.minimum(a[:, 2:], b[:, 2:]) - np.maximum(a[:, :2], b[:, :2]), 0, None).prod(axis=1)
-    overlap = shared / (area(a) + area(b) - shared)
+    overlap = iou_of_pairs(expected[end], boxes[column])
     best = np.argsort(-overlap, kind="stable")
     best, taken = best[overlap[best] >= _OVERLAP], np.zeros(len(at), np.bool_)
     chosen = []
