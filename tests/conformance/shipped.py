@@ -125,7 +125,7 @@ FILTERS = {
     "skipping": ParticlePHD(particles_per_target=200, skip_empty_frames=True),
     "started": ParticlePHD(particles_per_target=200, initial=mixture(6)),
     "gm-phd": GMPHD(),
-    "gm-phd, started": GMPHD(initial=mixture(6), max_components=20, skip_empty_frames=True),
+    "gm-phd, started": GMPHD(initial=mixture(6), max_components=20),
     "gm-cphd": GMCPHD(),
     "gm-cphd, started": GMCPHD(initial=mixture(6), max_components=20),
     "particle-cphd": ParticleCPHD(particles_per_target=200),
