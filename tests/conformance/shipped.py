@@ -72,7 +72,6 @@ MOTIONS = {
 }
 SENSORS = {scaling: BoxSensor(scaling=scaling) for scaling in ("particle", "detection", "fixed", "given")}
 SENSORS["no floor"] = BoxSensor(min_noise=0.0)
-SENSORS["occlusion"] = BoxSensor(occlusion=True)
 SENSORS["plane"] = PlaneSensor(camera=LevelCamera(horizon=-100.0), frame_size=FRAME)
 SENSORS["plane, fixed"] = PlaneSensor(camera=LevelCamera(horizon=-100.0), scaling="fixed")
 SENSORS["plan"] = PlaneSensor(scaling="given")
