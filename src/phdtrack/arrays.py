@@ -116,7 +116,7 @@ def iou(a: F8, b: F8) -> F8:
 
 def iou_of_pairs(a: F8, b: F8) -> F8:
     """(P,) intersection over union of the boxes ``a`` and ``b`` (P, 4), pair by pair; 0 where both have no area."""
-    shared = np.clip(np.minimum(a[:, 2:], b[:, 2:]) - np.maximum(a[:, :2], b[:, :2]), 0, None).prod(axis=1)
+    shared: F8 = np.clip(np.minimum(a[:, 2:], b[:, 2:]) - np.maximum(a[:, :2], b[:, :2]), 0, None).prod(axis=1)
     union = area(a) + area(b) - shared
     return np.divide(shared, union, out=np.zeros_like(shared), where=union > 0)
 

@@ -210,5 +210,5 @@ def _left_out(start: SceneDensity, samples: F8) -> F8:
 
 def _check_number(count: int, what: str, cure: str, least: int = MIN_SAMPLES) -> None:
     """Raise `InputError` where there are too few samples."""
-    if count < max(least, MIN_SAMPLES):
-        raise InputError(f"expected at least {max(least, MIN_SAMPLES)} {what}, got {count}", where="learning", cure=cure)
+    if count < least:
+        raise InputError(f"expected at least {least} {what}, got {count}", where="learning", cure=cure)
