@@ -15,12 +15,7 @@ from plane_cases import FRAME, LevelCamera
 
 ROWS = [0, 1, 4, 5]
 GROUND = PlaneSensor(
-    detection_probability=0.8,
-    occlusion=True,
-    min_detection_probability=0.2,
-    camera=LevelCamera(),
-    frame_size=FRAME,
-    box_noise=(0.05, 0.01),
+    detection_probability=0.8, min_detection_probability=0.2, camera=LevelCamera(), frame_size=FRAME, box_noise=(0.05, 0.01)
 )
 CLEAR = [[10.0, 300, 40, 400]]
 
