@@ -19,9 +19,10 @@ import numpy as np
 from benchmarks.parts import Outcome, Row, Scale
 from benchmarks.timing import Spread, clock, took
 from benchmarks.workload import Crowd, Stream, draw
+from experiments.common import with_scene
 from phdtrack import config, pipeline
 from phdtrack.associate.rejection import FalseTrackRejection
-from phdtrack.models.scene import FalseAlarmRatio, with_scene
+from phdtrack.models.scene import FalseAlarmRatio
 from phdtrack.protocols import AnyStages
 from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, grid, marginal
 from phdtrack.scene.mixture import OBSERVED

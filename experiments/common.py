@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -26,8 +26,11 @@ from phdtrack.detect import make_detector
 from phdtrack.errors import InputError
 from phdtrack.formats import read_detections, read_seqinfo, read_truth
 from phdtrack.metrics import Scores, evaluate
-from phdtrack.protocols import AnyStages
-from phdtrack.types import Detections, DetectionTable, Frame, SequenceInfo, Tracks, Truth
+from phdtrack.models import BoxClutter, MeasurementBirth
+from phdtrack.models.scene import SceneBirth, SceneClutter, in_one_volume
+from phdtrack.protocols import AnyStages, Model
+from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects
+from phdtrack.types import F8, Detections, DetectionTable, Frame, SequenceInfo, Tracks, Truth
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS, QUICK_RESULTS = ROOT / "docs" / "results", ROOT / "runs" / "experiments-quick"
@@ -160,6 +163,35 @@ def measure(case: Case, filter_name: str, seed: int, sets: Sequence[str] = (), p
     delays = first_output_delays(case.truth, run.corrected, case.table).delay
     delay = float(np.nanmean(delays)) if np.isfinite(delays).any() else float("nan")
     return ScoredCase(evaluate(case.truth, run.corrected, frames=case.info.frames), delay, run.stages)
+
+
+def uniform_density(low: F8, high: F8) -> SceneDensity:
+    """A learned density that says of no place that more comes there."""
+    d = len(low)
+    return SceneDensity(low, high, 1.0, np.zeros(0), np.zeros((d, 0)), np.zeros((0, d, d)))
+
+
+def with_scene(
+    model: Model,
+    births: LearnedDensity | None,
+    clutter: LearnedDensity | None,
+    followed: TrackedObjects | None,
+    particles: int,
+) -> Model:
+    """The model with what a scene has taught, added to its own births and false alarms if they are the same at every scale.
+
+    None: what was not learned stays as it is; ``particles`` is Jmax.
+    """
+    birth, false = model.birth, model.clutter
+    if births is not None:
+        own = birth.births_per_detection if isinstance(birth, MeasurementBirth) else 0.0
+        rate, among = births.rate * model.rate, None if followed is None else followed.objects.density
+        birth = SceneBirth(rate, births.density, particles=particles, births_per_detection=own, among=among)
+    if clutter is not None:
+        own = false.clutter_per_detection if isinstance(false, BoxClutter) else 0.0
+        false = SceneClutter(clutter.rate, clutter.density, own)
+    birth, false = in_one_volume(birth, false)
+    return replace(model, birth=birth, clutter=false)
 
 
 def in_parallel(work: Callable[[A], B], jobs: Sequence[A], label: str, options: Options) -> list[B]:

@@ -14,7 +14,18 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from experiments.common import Case, Options, followed, in_parallel, pyplot, table, with_interval, write
+from experiments.common import (
+    Case,
+    Options,
+    followed,
+    in_parallel,
+    pyplot,
+    table,
+    uniform_density,
+    with_interval,
+    with_scene,
+    write,
+)
 from experiments.m09_lessons import as_lesson, false_alarms, marked_births
 from experiments.m09_runs import ABLATIONS, GM, UM, SceneRun, SceneScores, score, seconds_per_frame
 from experiments.m09_scenes import FRAMES, HELD_OUT, REAL, RENDERED, SHORT, Halves, detector_seconds, halves, stretch
@@ -25,9 +36,8 @@ from phdtrack.label.samples import Marks, shuffled
 from phdtrack.label.store import NO_OBJECT
 from phdtrack.models import MeasurementBirth
 from phdtrack.models.clutter import BoxClutter
-from phdtrack.models.scene import with_scene
 from phdtrack.protocols import AnyStages
-from phdtrack.scene import LearnedDensity, uniform_density
+from phdtrack.scene import LearnedDensity
 from phdtrack.scene.training import births_in, with_prior
 from phdtrack.types import F8, Bool, SequenceInfo, Tracks
 

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from experiments.common import Case, followed
+from experiments.common import Case, followed, with_scene
 from experiments.delays import first_output_delays
 from experiments.m09_scenes import Halves
 from phdtrack import config
@@ -22,7 +22,7 @@ from phdtrack.associate.rejection import FalseTrackRejection, without_false_trac
 from phdtrack.errors import InputError
 from phdtrack.label import Label, LabelStore
 from phdtrack.label.samples import REACH, Marks, shuffled
-from phdtrack.models.scene import FalseAlarmRatio, with_scene
+from phdtrack.models.scene import FalseAlarmRatio
 from phdtrack.protocols import AnyStages
 from phdtrack.scene import LearnedDensity, TrackedObjects
 from phdtrack.scene.training import (

@@ -62,7 +62,6 @@ VARIANTS = (
     Variant("PMB", "pmb", plane=True, occlusion=True),
     Variant("PMB", "pmb", plane=True, occlusion=False),
     Variant("PMB", "pmb", plane=False, occlusion=False),
-    Variant("GM-PHD", "gm-phd", plane=False, occlusion=True),
     Variant("GM-PHD", "gm-phd", plane=False, occlusion=False),
     Variant("particle PHD", "particle-phd", plane=False, occlusion=False, random=True),
 )
@@ -201,10 +200,11 @@ def with_detections(tracks: Tracks, found: DetectionTable) -> Tracks:
 
 def sets_of(variant: Variant) -> tuple[str, ...]:
     """What a variant changes of the shipped settings."""
-    shown = (f"sensor.occlusion={str(variant.occlusion).lower()}", f"extract.merge_iou={JOINED if variant.joined else 1.0}")
+    joined = f"extract.merge_iou={JOINED if variant.joined else 1.0}"
     if not variant.plane:
-        return shown
-    return ("motion.kind=plane", f"camera.file={camera_file()}", f"camera.first_pixel={FIRST_PIXEL}", *shown)
+        return (joined,)
+    occlusion = f"sensor.occlusion={str(variant.occlusion).lower()}"
+    return ("motion.kind=plane", f"camera.file={camera_file()}", f"camera.first_pixel={FIRST_PIXEL}", occlusion, joined)
 
 
 def work(job: GroundRun) -> GroundErrors:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.common import uniform_density
 from phdtrack import config
 from phdtrack.associate.graph import GraphMatching
 from phdtrack.associate.labels import Labelled
@@ -14,7 +15,7 @@ from phdtrack.cli.settings import chosen, scene_settings
 from phdtrack.config.kinds import SECTIONS
 from phdtrack.errors import InputError
 from phdtrack.models.scene import SceneBirth, SceneClutter
-from phdtrack.scene import LearnedDensity, Scene, SceneDensity, TrackedObjects, read_scene, uniform_density, write_scene
+from phdtrack.scene import LearnedDensity, Scene, SceneDensity, TrackedObjects, read_scene, write_scene
 from phdtrack.types import SequenceInfo
 
 INFO = SequenceInfo(640, 480, 25.0, 100)

@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.common import with_scene
 from phdtrack import Tracker, config
 from phdtrack.arrays import to_xyxy
 from phdtrack.associate.rejection import FalseTrackRejection
-from phdtrack.models.scene import FalseAlarmRatio, with_scene
+from phdtrack.models.scene import FalseAlarmRatio
 from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects
 from phdtrack.types import Detections, SequenceInfo, Tracks
 from tracker_cases import PARTICLES, SIZE, equal, feed

@@ -138,7 +138,7 @@ def test_a_turning_target_is_followed_within_what_the_filter_says(rng):
     for _ in range(40):
         start = gaussian((-500 + 20 * len(runs), 900), 20.0)
         x = rng.multivariate_normal(start.mean[:, 0], start.covariance[0])[:, None]
-        recursion, errors, state = GMPHD(transform="unscented", keep_mass=False), [], start
+        recursion, errors, state = GMPHD(transform="unscented"), [], start
         for _ in range(40):
             mean, _, (noise,) = motion.transition(x, 1.0)
             push, rest, turn = (rng.standard_normal((axes, 1)) for axes in (2, 2, 1))

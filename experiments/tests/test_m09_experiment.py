@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from experiments import m09, m09_lessons, m09_runs, m09_scenes, scenes
-from experiments.common import Case
+from experiments.common import Case, uniform_density
 from experiments.m09_runs import GM, UM, SceneRun
 from phdtrack.arrays import iou
 from phdtrack.associate.rejection import FalseTrackRejection
@@ -16,7 +16,7 @@ from phdtrack.label.samples import REACH, Marks
 from phdtrack.models import BoxClutter, MeasurementBirth
 from phdtrack.models.scene import SceneBirth, SceneClutter
 from phdtrack.protocols import Birth, Clutter
-from phdtrack.scene import LearnedDensity, TrackedObjects, marginal, uniform_density
+from phdtrack.scene import LearnedDensity, TrackedObjects, marginal
 from phdtrack.simulate import DetectorModel, make_scene
 from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks, Truth
 

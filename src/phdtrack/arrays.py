@@ -114,6 +114,13 @@ def iou(a: F8, b: F8) -> F8:
     return np.divide(shared, union, out=np.zeros_like(shared), where=union > 0)
 
 
+def iou_of_pairs(a: F8, b: F8) -> F8:
+    """(P,) intersection over union of the boxes ``a`` and ``b`` (P, 4), pair by pair; 0 where both have no area."""
+    shared: F8 = np.clip(np.minimum(a[:, 2:], b[:, 2:]) - np.maximum(a[:, :2], b[:, :2]), 0, None).prod(axis=1)
+    union = area(a) + area(b) - shared
+    return np.divide(shared, union, out=np.zeros_like(shared), where=union > 0)
+
+
 def share_inside(xyxy: F8, width: float, height: float) -> F8:
     """The share of each box that lies in an image.
 

@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 from cli_runner import phdtrack, refused, walkers
 
+from experiments.common import uniform_density
 from phdtrack.compare import runs
 from phdtrack.metrics.errors import SUMS
-from phdtrack.scene import LearnedDensity, Scene, uniform_density, write_scene
+from phdtrack.scene import LearnedDensity, Scene, write_scene
 
 FILES = {"report.html", "compare.csv", "runs.csv", "compare.json"}
 QUICK = ("--filters", "gm-phd,none", "--seeds", 2, "--jobs", 1)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from experiments.bearing import BearingSensor, TurningMotion
+from experiments.common import uniform_density
 from phdtrack.arrays import to_cxcywh
 from phdtrack.associate.graph import GraphMatching
 from phdtrack.associate.labels import Labelled
@@ -51,7 +52,7 @@ from phdtrack.models import (
 )
 from phdtrack.models.scene import FalseAlarmRatio, SceneBirth, SceneClutter
 from phdtrack.protocols import Model
-from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects, uniform_density
+from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects
 from phdtrack.types import Detections, Estimates, GaussianMixture, Particles
 from plane_cases import FRAME, LevelCamera
 
@@ -71,7 +72,6 @@ MOTIONS = {
 }
 SENSORS = {scaling: BoxSensor(scaling=scaling) for scaling in ("particle", "detection", "fixed", "given")}
 SENSORS["no floor"] = BoxSensor(min_noise=0.0)
-SENSORS["occlusion"] = BoxSensor(occlusion=True)
 SENSORS["plane"] = PlaneSensor(camera=LevelCamera(horizon=-100.0), frame_size=FRAME)
 SENSORS["plane, fixed"] = PlaneSensor(camera=LevelCamera(horizon=-100.0), scaling="fixed")
 SENSORS["plan"] = PlaneSensor(scaling="given")
@@ -124,7 +124,7 @@ FILTERS = {
     "skipping": ParticlePHD(particles_per_target=200, skip_empty_frames=True),
     "started": ParticlePHD(particles_per_target=200, initial=mixture(6)),
     "gm-phd": GMPHD(),
-    "gm-phd, started": GMPHD(initial=mixture(6), max_components=20, skip_empty_frames=True),
+    "gm-phd, started": GMPHD(initial=mixture(6), max_components=20),
     "gm-cphd": GMCPHD(),
     "gm-cphd, started": GMCPHD(initial=mixture(6), max_components=20),
     "particle-cphd": ParticleCPHD(particles_per_target=200),

@@ -29,7 +29,7 @@ def case(kind: str, rng, model, targets: int = 7):
     particles = crowd(rng, targets, 80)
     z = np.hstack([seen_by(rng, particles, targets), [[900.0], [900], [30], [60]]])
     if kind == "gm":
-        return GMCPHD(), GMPHD(keep_mass=True), mixture_of(particles, rng), z
+        return GMCPHD(), GMPHD(), mixture_of(particles, rng), z
     return ParticleCPHD(particles_per_target=80), ParticlePHD(particles_per_target=80), particles, z
 
 

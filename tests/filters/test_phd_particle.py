@@ -14,8 +14,10 @@ from composed import gaussian_view
 from phdtrack.arrays import reused
 from phdtrack.filters import ParticleCPHD, ParticlePHD
 from phdtrack.filters.blocks import in_blocks
+from phdtrack.kernels.particle_models import SensorNumbers
 from phdtrack.models import (
     BoxMotion,
+    BoxSensor,
     PlaneBirth,
     PlaneMotion,
     PlaneSensor,
@@ -119,11 +121,21 @@ def test_what_the_gate_drops_is_bounded(seed: int):
     assert np.abs(updated.weight - weight).sum() <= 2 * share.sum() + 1e-4
 
 
+class Falling(BoxSensor):
+    """A sensor that is asked for p_D, which falls to the right."""
+
+    def p_detect(self, x: np.ndarray) -> np.ndarray:
+        return 0.1 + 0.8 * np.exp(-(np.clip(x[0], 0, None) / 100))
+
+    def particle_model(self, z: np.ndarray) -> SensorNumbers:
+        return super().particle_model(z)._replace(detection=np.zeros(0, np.float32))
+
+
 def test_detection_probability_may_depend_on_the_state(rng):
-    """p_D is a model: here targets of the left half are hidden by a nearer one."""
-    model = world(gate_probability=1.0, occlusion=True, detection_probability=0.8)
+    """p_D is a model: here it falls to the right."""
+    model = world(gate_probability=1.0)
     state = in_blocks(crowd(rng, 4, 40, width=200.0), SINGLE)
-    hidden = replace(model, sensor=model.sensor.watching(np.array([[100.0, 300, 0, 0, 150, 500]]).T))
+    hidden = replace(model, sensor=Falling(gate_probability=1.0))
     z = seen_by(rng, state.particles(), 5)
     updated, info = ParticlePHD().update(state, z, hidden, 1.0, rng)
     weight, evidence = dense(state.particles(), z, hidden)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phdtrack.filters.blocks import cut
-from phdtrack.filters.extract import heavy_enough
+from phdtrack.filters.extract import _heavy_enough
 from phdtrack.kernels.blocks import block_moments, claim, reaching, summarise, unreached
 from phdtrack.kernels.mixtures import Candidates, Gaussians, em_step, nothing_known, one_block
 from phdtrack.models import BoxSensor
@@ -102,7 +102,7 @@ def test_light_clusters_are_joined_and_the_heavy_enough_kept(seed: int, k: int):
     x, k = rng.uniform(0, 120, (3, 60)), max(k, 1)
     labels, weight = rng.integers(0, k, 60), rng.uniform(0, 1 / 15, 60)
     (mass, mean, cov), noise = twin.moments(x, twin.members(labels, weight, k), k), Noise().noise
-    found = heavy_enough(Gaussians(mass, mean, cov), Noise(), 0.6, 1.5)
+    found = _heavy_enough(Gaussians(mass, mean, cov), Noise(), 0.6, 1.5)
     root = twin.join_light(mass, mean, noise, 0.6, 1.5)
     want = twin.moments(x, twin.members(root[labels], weight, k), k)
     for mine, exact in zip(found, want, strict=True):

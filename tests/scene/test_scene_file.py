@@ -3,8 +3,9 @@ import json
 import numpy as np
 import pytest
 
+from experiments.common import uniform_density
 from phdtrack.errors import InputError
-from phdtrack.scene import LearnedDensity, Scene, SceneDensity, TrackedObjects, read_scene, uniform_density, write_scene
+from phdtrack.scene import LearnedDensity, Scene, SceneDensity, TrackedObjects, read_scene, write_scene
 
 
 def scene():

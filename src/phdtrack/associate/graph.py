@@ -27,7 +27,7 @@ from phdtrack.errors import Checked, Count, InputError, NonNegative, Positive, P
 from phdtrack.kernels.gaussian import gaussian_parts
 from phdtrack.kernels.linking import Fresh, Links, Terms, Window, link_states
 from phdtrack.models import warp as warp_of
-from phdtrack.models.gaussian import predicted
+from phdtrack.models.gaussian import moved
 from phdtrack.models.rts import bridge, update
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, STILL, Bool, Estimates, MeasurementHistory, Tracks
@@ -206,10 +206,7 @@ class GraphMatching(Checked):
             raise InputError("expected positions that are finite", where="the extracted states")
         mean, covariance = window.mean, window.covariance
         if len(mean):
-            if len(model.warp):
-                carried, covariance = model.warp_gaussians(np.ascontiguousarray(mean.T), covariance)
-                mean = np.ascontiguousarray(carried.T)
-            mean, covariance, _ = predicted(model, mean, covariance, dt, "linear")
+            mean, covariance, _ = moved(model, mean, covariance, dt, "linear")[2]
         _, _, noise = model.motion.transition(estimates.state, dt)
         typical = noise[:, rows[:, None], rows].copy()
         typical[:, range(len(rows)), range(len(rows))] += 2 * model.sensor.noise(estimates.state)[rows].T ** 2
@@ -263,18 +260,18 @@ class GraphMatching(Checked):
             bridging = (absent & (after >= 0)).nonzero()[0]
             parts += _bridged(known.take(bridging), after[bridging], history, place, model)
             going = (absent & (known.confidence > 0)).nonzero()[0]
-            moved = known.state[:, going]
-            moved = model.motion.warp_states(moved, moment.warp) if len(moment.warp) else moved
+            ahead = known.state[:, going]
+            ahead = model.motion.warp_states(ahead, moment.warp) if len(moment.warp) else ahead
             step = moment.time - history[place - 1].time
-            moved, _, _ = model.motion.transition(moved, step)
-            survive = model.motion.p_survive(moved, step / model.rate)
+            ahead, _, _ = model.motion.transition(ahead, step)
+            survive = model.motion.p_survive(ahead, step / model.rate)
             sure = known.confidence[going] * survive
-            state_of[:, going], confidence[going], there = moved, sure, sure > 0
+            state_of[:, going], confidence[going], there = ahead, sure, sure > 0
             missed[going[~there]] = AGES
-            probability = _return_probability(survive[there], model.sensor.p_detect(moved)[there], returned)
+            probability = _return_probability(survive[there], model.sensor.p_detect(ahead)[there], returned)
             most = self._max_frames(state, place, probability, model)
             shown = there & (known.missed[going] <= most) & (after[going] < 0)
-            boxes = model.sensor.boxes(moved[:, shown])
+            boxes = model.sensor.boxes(ahead[:, shown])
             parts.append(Tracks.of(moment.number, known.identity[going[shown]], boxes, sure[shown], -1))
         known = known._replace(state=state_of, confidence=confidence, missed=missed)
         # The first vertex whose identity a row still to be given may ask for.

@@ -103,7 +103,7 @@ def measurements(moments: Iterable[Moment]) -> MeasurementHistory:
 
 
 def rows_of(moments: list[Moment], at: I8, name: I8, bridge_gaps: bool, model: Model) -> list[Tracks]:
-    """The rows of tracks.
+    """The rows of tracks: one for each state, and those of gaps.
 
     Parameters
     ----------
@@ -112,10 +112,6 @@ def rows_of(moments: list[Moment], at: I8, name: I8, bridge_gaps: bool, model: M
     name : (S,) the identity of each.
     bridge_gaps : with predicted rows between states that are more than one frame apart.
     model : of the last frame.
-
-    Returns
-    -------
-    One row for each state, and the rows of gaps.
     """
     if not len(at):
         return []

@@ -1,16 +1,11 @@
-"""The number of targets in the cardinalised PHD recursion [V07].
+"""The number of targets in the cardinalised PHD recursion [V07]: beside the intensity D goes its distribution p(n).
 
-Beside the intensity D goes the distribution p(n) of the number of targets. With M = ∫D and s = D/M:
+Equations: docs/methods.md, CPHD, with M, p⁺ and D⁺ those with the newborn, and with φ = ∫ (1 − p_D) D⁺ / M
 
-    survive   p⁻(j) = Σ_n C(n, j) rʲ (1 − r)ⁿ⁻ʲ p(n),  r = ∫ p_S s
-    births    p⁺ = p⁻ ∗ Poisson(∫γT)
-    update    p(n) ∝ p⁺(n) Υ⁰[Z](n)
-              D(x) = [⟨Υ¹[Z], p⁺⟩ (1 − p_D(x)) + Σ_z ⟨Υ¹[Z∖z], p⁺⟩ p_D(x) g(z|x)] D⁺(x) / (M ⟨Υ⁰[Z], p⁺⟩)
-              Υᵘ[Z](n) = Σ_j n!/(n − j − u)! φⁿ⁻ʲ⁻ᵘ E_j(Z),  φ = ∫ (1 − p_D) s,  E_j(Z) = [tʲ] Π_z (κ(z) + t C(z)/M)
+    Υᵘ[Z](n) = Σ_j n!/(n − j − u)! φⁿ⁻ʲ⁻ᵘ E_j(Z),  E_j(Z) = [tʲ] Π_z (κ(z) + t C(z)/M)
 
-Here p⁺, D⁺, M and s are those with the newborn, and C(z) = ∫ p_D g D⁺. This is the recursion of V07 for clutter whose
-number is Poisson distributed, where everything but κ(z) drops out of the clutter's distribution; E_j(Z) is e_j of C/(Mκ),
-multiplied with Πκ, so that κ = 0 needs no rule of its own. The mean of p is the mass of D after every update.
+for clutter whose number is Poisson distributed: but for κ(z) everything drops out of it. E_j(Z) is e_j of C/(Mκ), multiplied
+with Πκ, so that κ = 0 needs no rule of its own. The mean of p is the mass of D after every update.
 
 Births that are driven by measurements are drawn around the detections only: D⁺ lacks the part of γT that is born where
 nothing was detected. In p⁺ and in M it counts, as seen by no detection and missed like the others: a number without births

@@ -64,8 +64,6 @@ class _CPHD(Filter[Cardinalised]):
 class GMCPHD(_CPHD):
     """Settings of the GM-CPHD filter; those of `GMPHD` and with its defaults.
 
-    What pruning and capping drop is always given to the rest, because the number of targets does not change by it.
-
     Parameters
     ----------
     weight_threshold : Gaussians that weigh less are dropped.

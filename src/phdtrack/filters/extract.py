@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from phdtrack.arrays import chi2_quantile, iou
+from phdtrack.arrays import chi2_quantile, iou, iou_of_pairs
 from phdtrack.errors import Positive, PositiveCount, Share, check
 from phdtrack.filters.blocks import in_blocks
 from phdtrack.filters.cardinality import Cardinalised
@@ -94,10 +94,10 @@ class KMeans(_Extraction):
         if state.mass < lightest:
             return Estimates.empty(model.motion.dim)
         sensor, blocks = model.sensor, known_blocks(state)
-        centres, _ = seeds(blocks, z, sensor, lightest)
+        centres, _ = _seeds(blocks, z, sensor, lightest)
         scales = np.ascontiguousarray(sensor.noise(centres).T)
         found = kmeans(blocks, np.ascontiguousarray(centres.T), scales, Rule(REACH, split, self.iterations))
-        heavy = heavy_enough(found, sensor, lightest, split)
+        heavy = _heavy_enough(found, sensor, lightest, split)
         return finish(join_unresolved(heavy, sensor, self.merge_iou)[0], z, model)
 
 
@@ -124,7 +124,7 @@ class Mixture(_Extraction):
         if state.mass < lightest:
             return Estimates.empty(model.motion.dim)
         sensor, blocks = model.sensor, known_blocks(state)
-        centres, free = seeds(blocks, z, sensor, lightest)
+        centres, free = _seeds(blocks, z, sensor, lightest)
         if free.any():
             # A block with one component in reach is all that component's, but for the remnants that nothing reaches.
             blocks = _without(blocks, free)
@@ -209,23 +209,13 @@ def _without(blocks: Blocks, which: Bool) -> Blocks:
     return fewer
 
 
-def seeds(blocks: Blocks, z: F8, sensor: Sensor, lightest: float) -> tuple[F8, Bool]:
-    """First centres (d, k): the detections, at rest [M07 §3], and the middle of what no detection is near.
+def _seeds(blocks: Blocks, z: F8, sensor: Sensor, lightest: float) -> tuple[F8, Bool]:
+    """First centres (d, k): the detections, at rest [M07 §3], then the middle of what none is near; and which are free (L,).
 
     A target that was missed has no detection to start from, and its particles would be drawn into a far cluster or lost.
-    While more than ``lightest`` mass is out of every centre's reach, some of these particles become centres: every half of
-    ``lightest`` along their cumulative weight one claims what is in its reach and not claimed yet.
-
-    Parameters
-    ----------
-    blocks : the particles.
-    z : (m, N) measurements.
-    sensor : that measured them.
-    lightest : mass of the lightest target.
-
-    Returns
-    -------
-    centres, free : of the detections, then the others; (L,) which particles are out of their reach.
+    While more than ``lightest`` mass, that of the lightest target, is out of every centre's reach, some of these particles
+    become centres: every half of it along their cumulative weight one claims what is in its reach and not claimed yet. Free
+    are particles that no centre reaches.
     """
     centres = sensor.states(z)[0]
     low, high = _windows(centres, sensor)
@@ -250,17 +240,12 @@ def _windows(centres: F8, sensor: Sensor) -> tuple[F8, F8]:
     return centres[:2] - reach, centres[:2] + reach
 
 
-def heavy_enough(found: Gaussians, sensor: Sensor, lightest: float, split: float) -> Gaussians:
+def _heavy_enough(found: Gaussians, sensor: Sensor, lightest: float, split: float) -> Gaussians:
     """The clusters of at least the mass ``lightest``, after light ones that are near each other have been joined.
 
     Clusters start on every detection, so one target beside a false alarm, or detected twice, may lie in two halves that are
-    each too light. The nearest are joined first, while one of the two is too light and both are not too heavy for one.
-
-    Parameters
-    ----------
-    found : k clusters.
-    sensor : whose noise is the unit of distances.
-    lightest, split : mass of the lightest target, and that above which a cluster is several.
+    each too light. The nearest, in units of the noise, are joined first, while one of the two is too light and both are not
+    above ``split``, too heavy for one.
     """
     light = np.flatnonzero((found.weight > 0) & (found.weight < lightest))
     at, scale = found.mean[:, light], sensor.noise(found.mean[:, light])
@@ -305,19 +290,14 @@ def _divided(mixture: Gaussians, sensor: Sensor, split: float) -> Gaussians:
 
 
 def finish(peaks: Gaussians, z: F8, model: Model) -> Estimates:
-    """States from clusters: a floor under their covariances, their boxes, and the detection that each rests on.
+    """States, in the order of the clusters: a floor under their covariances, their boxes, the detection that each rests on.
 
     A state rests on the nearest detection in whose 99 % region it lies; a detection serves one state, the closest first.
 
     Parameters
     ----------
     peaks : k masses, means and covariances.
-    z : (m, N) measurements.
-    model : whose sensor says what is near.
-
-    Returns
-    -------
-    states : k of them, in the same order.
+    z, model : (m, N) measurements; its sensor says what is near.
     """
     sensor, mean = model.sensor, peaks.mean
     at = np.ascontiguousarray(mean[:2])
@@ -361,17 +341,13 @@ def union(peaks: Gaussians, group: I8) -> Gaussians:
 
 
 def join_unresolved(peaks: Gaussians, sensor: Sensor, overlap: float) -> tuple[Gaussians, I8]:
-    """The peaks with those joined whose boxes overlap by too much, most first; and the heaviest part of each (m,).
+    """The m ≤ k peaks with those joined whose boxes overlap by too much, most first; and the heaviest part of each (m,).
 
     Parameters
     ----------
     peaks : k of them.
     sensor : knows their boxes; the box of a union is the mean of its parts' by mass.
     overlap : the largest IoU of two boxes that stay apart; 1: all do.
-
-    Returns
-    -------
-    peaks, part : m ≤ k peaks, and of which of the k each has most.
     """
     k = len(peaks.weight)
     group = np.arange(k)
@@ -382,10 +358,8 @@ def join_unresolved(peaks: Gaussians, sensor: Sensor, overlap: float) -> tuple[G
     first, second = overlapping_pairs(lower, upper, make_grid(lower, upper))
     first, second = first[first < second], second[first < second]
     # By overlap, then by number; pairs of a peak that has been joined since are passed over.
-    queue = [
-        (-share, int(i), int(j), 0, 0) for i, j, share in zip(first, second, _iou(boxes[first], boxes[second]), strict=True)
-        if share > overlap
-    ]  # fmt: skip
+    shares = iou_of_pairs(boxes[first], boxes[second])
+    queue = [(-s, int(i), int(j), 0, 0) for i, j, s in zip(first, second, shares, strict=True) if s > overlap]
     if not queue:
         return peaks, group
     heapq.heapify(queue)
@@ -410,15 +384,6 @@ def join_unresolved(peaks: Gaussians, sensor: Sensor, overlap: float) -> tuple[G
     part = np.empty(len(heads), np.int64)
     part[group[order]] = order
     return union(peaks, group), part
-
-
-def _iou(a: F8, b: F8) -> F8:
-    """(P,) intersection over union of the boxes (P, 4), pair by pair."""
-    sides = np.minimum(a[:, 2:], b[:, 2:]) - np.maximum(a[:, :2], b[:, :2])
-    both = sides.clip(0).prod(axis=1)
-    total = (a[:, 2:] - a[:, :2]).prod(axis=1) + (b[:, 2:] - b[:, :2]).prod(axis=1) - both
-    out: F8 = np.divide(both, total, out=np.zeros_like(both), where=total > 0)
-    return out
 
 
 def heaviest(peaks: Estimates, cardinality: F8) -> Estimates:

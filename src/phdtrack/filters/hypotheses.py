@@ -240,14 +240,9 @@ def _best(weight: F8, limits: Limits) -> I8:
     return np.asarray(order[weight[order] >= limits.hypothesis_threshold * weight[order[0]]])
 
 
-def _all_missed(leaf: I8, missed: F8) -> F8:
-    """(H,) log-weights of all tracks being missed."""
-    return np.asarray(np.where(leaf >= 0, missed[leaf], 0.0).sum(axis=1))
-
-
 def _missed(cluster: Cluster, scores: Scores, limits: Limits) -> Cluster:
     """A cluster with no measurement inside the gates of its tracks."""
-    log_weight = _all_missed(cluster.leaf, scores.missed)
+    log_weight = np.where(cluster.leaf >= 0, scores.missed[cluster.leaf], 0.0).sum(axis=1)
     weight = cluster.weight * np.exp(log_weight - log_weight.max())
     kept = _best(weight, limits)
     leaf = _numbers(cluster.leaf[kept], np.full(1, -1), len(scores.unassigned))

@@ -1,17 +1,8 @@
 """The MCMC particle filter: Metropolis–Hastings over the joint state of all targets [K05].
 
-The posterior of a frame is that of all targets at once, given what the frame before left and this scan:
-
-    p(X | Z) ∝ g(Z | X) · p(X | Z before)
-
-A Markov chain draws samples of it (`kernels.mcmc`). Unlike the PHD filters this one knows its targets one by one: a label is
-one for a target's life.
-
-Sampled are which targets exist, which measurement each gave, and where each is, (E, a, X). Every target gives at most one
-measurement, with probability p_D, every measurement comes of at most one target, and the rest is Poisson clutter of density
-κ. In units of the scan's being all clutter, with ψ = exp(−strength · overlap of the boxes) for every pair of targets [K05],
-
-    p(E, a, X | Z) ∝ Π_exists [1 − p_D(x)  or  p_D(x) g(z_a|x) / κ(z_a)] p_t(x) · Π_exists not (1 − e_t) · Π ψ(x_s, x_t)
+Equations: docs/methods.md, MCMC. A Markov chain (`kernels.mcmc`) draws which targets exist, which measurement each gave, and
+where each is, given what the frame before left and this scan. Unlike the PHD filters this one knows its targets one by one:
+a label is one for a target's life.
 
 * For a target of the frame before, p_t is what `predict` left: N weighted states, together e_t, the probability that it
   still exists. Targets come and go and move independently of each other until the scan couples them [K05].

@@ -1,16 +1,7 @@
-"""The Gaussian-mixture PHD filter [V06, E13 §4].
+"""The Gaussian-mixture PHD filter [V06, E13 §4]: the intensity is a mixture, each Gaussian of which has a Kalman filter.
 
-With a linear Gaussian motion and sensor the intensity of `particle_phd` stays a mixture D(x) = Σ w_i N(x; m_i, P_i), and the
-recursion is a Kalman filter for every Gaussian:
-
-    predict   w_i ← p_S w_i,  m_i ← f(m_i),  P_i ← F P_i Fᵀ + Q
-    update    D(x) = (1 − p_D) D⁺(x) + Σ_z Σ_i p_D w_i q_i(z) / (κ(z) + C(z)) N(x; m_i + K(z − H m_i), (I − K H) P_i)
-              q_i(z) = N(z; H m_i, S_i),  S_i = H P_i Hᵀ + R,  K = P_i Hᵀ S_i⁻¹,  C(z) = Σ_i p_D w_i q_i(z)
-
-The model answers with arrays (`models.gaussian`), taken at the means where they depend on the state; the update and the
-reduction are compiled over them (`kernels.gm_update`, `kernels.gm_merge`). A measurement touches only the Gaussians in whose
-gate it is, so that the cost grows linearly with the number of targets. A mixture grows with every measurement;
-`GMPHD.reduce` prunes, merges and caps it.
+Equations: docs/methods.md, PHD. A measurement touches only the Gaussians in whose gate it is, so that the cost grows
+linearly with the number of targets. A mixture grows with every measurement; `GMPHD.reduce` prunes, merges and caps it.
 """
 
 from __future__ import annotations
@@ -72,21 +63,16 @@ class GMPHD(Checked, Filter[GaussianMixture]):
     max_components : J_max, Gaussians kept, the heaviest; 0: 3000. In practice there are some for each target, and for each
         false alarm as long as one that was not seen again takes to fade, log(weight / weight_threshold) / −log(1 − p_D)
         frames. E13's is 100.
-    keep_mass : what pruning and capping drop is given to the rest, so that the expected number stays; False is as Vo and Ma
-        print it.
     gate_probability : part of the measurements of a Gaussian inside its gate; those beyond do not touch it; 1: no gate.
     transform : ``linear`` by Jacobians, or ``unscented`` by sigma points.
-    skip_empty_frames : leave the intensity as predicted when a frame brings no detection, as D14 does.
     initial : the intensity before the first frame.
     """
 
     weight_threshold: NonNegative = 1e-5
     merge_distance: NonNegative = 2.0
     max_components: Count = 0
-    keep_mass: bool = True
     gate_probability: Share = GATE
     transform: Transform = "linear"
-    skip_empty_frames: bool = False
     initial: GaussianMixture | None = None
 
     def start(self, model: Model, rng: np.random.Generator) -> GaussianMixture:
@@ -133,9 +119,12 @@ class GMPHD(Checked, Filter[GaussianMixture]):
         return UpdateTerms(t.predicted, t.born, t.missed, t.evidence, frame.measurements.clutter, weighed)
 
     def reduce(self, state: GaussianMixture, rng: np.random.Generator) -> GaussianMixture:
-        """Prune, merge, cap: the strongest first, with all that are near it, moment-matched [V06 Table II, E13 §4]."""
-        axes, mass = tuple(range(len(state.mean))), state.mass if self.keep_mass else -1.0
-        return GaussianMixture(*merged_rows(_rows_of(state), axes, self._merging, mass))
+        """Prune, merge, cap: the strongest first, with all that are near it, moment-matched [V06 Table II, E13 §4].
+
+        What is dropped is given to the rest, so that the expected number stays.
+        """
+        axes = tuple(range(len(state.mean)))
+        return GaussianMixture(*merged_rows(_rows_of(state), axes, self._merging, state.mass))
 
     def step(
         self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator
@@ -178,8 +167,6 @@ class GMPHD(Checked, Filter[GaussianMixture]):
         else:
             p_detect = sensor.p_detect(np.ascontiguousarray(around.mean.T))
             newborn = Expected(observed, _NONE, _NOTHING, _NOTHING, _NOTHING, p_detect)
-        if z.shape[1] == 0 and self.skip_empty_frames:
-            said = said._replace(p_detect=np.zeros(len(rows.weight)))
         r = len(seen.period)
         gate, region = math.sqrt(chi2_quantile(r, self.gate_probability)), chi2_quantile(r, REGION)
         reach = Reach(gate, region, predicted)
@@ -188,7 +175,7 @@ class GMPHD(Checked, Filter[GaussianMixture]):
     @property
     def _merging(self) -> Merging:
         """What a reduction needs."""
-        return Merging(float(self.weight_threshold), float(self.merge_distance), self.max_components or MOST, self.keep_mass)
+        return Merging(float(self.weight_threshold), float(self.merge_distance), self.max_components or MOST, True)
 
 
 @lru_cache(maxsize=8)

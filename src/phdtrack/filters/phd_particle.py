@@ -1,13 +1,8 @@
-"""The particle (SMC) PHD filter [M07 §2, M09 §III].
+"""The particle (SMC) PHD filter: weighted particles carry the intensity [M07 §2, (4), (5); M09 §III, (10)].
 
-The intensity D(x), whose integral over a region is the expected number of targets there, is carried by weighted particles:
-
-    predict   D⁺(x) = ∫ [p_S(ξ) f(x|ξ) + β(x|ξ)] D(ξ) dξ + γ(x)                                          [M07 (4)]
-    update    D(x)  = [1 − p_D(x) + Σ_z p_D(x) g(z|x) / (κ(z) + C(z))] D⁺(x),   C(z) = ∫ p_D g D⁺ dx     [M07 (5), M09 (10)]
-
-Particles lie in blocks of neighbours. A detection touches only the blocks that its gate overlaps, so that the cost grows
-linearly with the number of targets; what the gate drops is bounded by the sensor's gate. The compiled sweeps over blocks
-(`kernels.particles`) call the functions of the model (`kernels.particle_models`).
+Equations: docs/methods.md, PHD. Particles lie in blocks of neighbours. A detection touches only the blocks that its gate
+overlaps, so that the cost grows linearly with the number of targets; what the gate drops is bounded by the sensor's gate.
+The compiled sweeps over blocks (`kernels.particles`) call the functions of the model (`kernels.particle_models`).
 """
 
 from __future__ import annotations

@@ -1,20 +1,8 @@
 """The Poisson multi-Bernoulli filter with hypotheses about each target: labels and existence inside the recursion [W15].
 
-Targets that have never been detected are a Poisson process with the intensity λ (`filters.undetected`). Every first
-detection starts a Bernoulli target: it exists with probability r, has a label, and a few hypotheses about its state, each
-with a Kalman filter and measurements of its own. With p_i the probability that hypothesis i is detected and
-q_i(z) = N(z; ẑ_i, S_i),
-
-    predict        r ← p_S r,  m_i ← f(m_i),  P_i ← F P_i Fᵀ + Q
-    missed         1 − r Σ w_i p_i;  given that, it exists with probability r Σ w_i (1 − p_i) / (1 − r Σ w_i p_i)
-    detected       r w_i p_i q_i(z), by hypothesis i
-    new or false   κ(z) + λ̂(z),  λ̂ = ∫ p_D g(z|x) λ⁺(x) dx:  a new target with r = λ̂/(κ + λ̂)
-
-The probability of each pair over all ways to give every target at most one measurement, and every measurement to at most
-one target, is found by loopy belief propagation (`kernels.association`). Then r is the probability of all hypotheses of the
-target that are left, which are weighed by theirs: the product of Bernoulli densities that is nearest to the posterior
-[W15], but the hypotheses of a target are kept with their pasts instead of being replaced by their mean. So targets that
-cannot be separated for some frames are not blurred, and the past is read from the hypothesis that wins.
+Equations: docs/methods.md, Poisson multi-Bernoulli. The result is the product of Bernoulli densities that is nearest to the
+posterior [W15], but the hypotheses of a target are kept with their pasts instead of being replaced by their mean. So targets
+that cannot be separated for some frames are not blurred, and the past is read from the hypothesis that wins.
 
 Two things that a constant p_D does not say about detectors are hidden states of a hypothesis.
 

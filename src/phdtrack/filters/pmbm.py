@@ -1,16 +1,16 @@
 """The Poisson multi-Bernoulli mixture filter [W15; G18]: the exact posterior of targets that are born as a Poisson process.
 
-Targets that have never been detected are a Poisson process with the intensity λ (`filters.undetected`). All others are a
-mixture of multi-Bernoulli densities, one for each global hypothesis about which measurements were of which target. The
-probability of a hypothesis, but for a constant, is the product over frames of
+Symbols: docs/methods.md, Poisson multi-Bernoulli. Targets that have been detected are a mixture of multi-Bernoulli
+densities, one for each global hypothesis about which measurements were of which target. The probability of a hypothesis, but
+for a constant, is the product over frames of
 
     r p_D N(z; ẑ, S)    of each target with a measurement,        1 − r p_D    of each without
-    κ(z) + λ̂(z)         of each measurement that no earlier target has,  λ̂(z) = ∫ p_D g(z|x) λ⁺(x) dx
+    κ(z) + λ̂(z)         of each measurement that no earlier target has
 
-with r the probability that the target exists, if the hypothesis is true: p_S r a frame later, 1 after a measurement,
-r (1 − p_D)/(1 − r p_D) after a miss, λ̂/(κ + λ̂) where it is first measured. So whether such a measurement was a false alarm,
-and when a target left that has not been measured since, is summed over: 50 false alarms are 50 targets of little weight and
-not 2⁵⁰ hypotheses.
+with r the probability that the target exists, if the hypothesis is true: p_S r a frame later, 1 after a measurement, r (1 −
+p_D)/(1 − r p_D) after a miss, λ̂/(κ + λ̂) where it is first measured. So whether such a measurement was a false alarm, and
+when a target left that has not been measured since, is summed over: 50 false alarms are 50 targets of little weight and not
+2⁵⁰ hypotheses.
 
 Targets that compete for no measurement stand in different clusters, whose hypotheses are independent. Where a measurement is
 near targets of several, they become one; where the targets of one no longer share a measurement of the window, it falls
@@ -26,8 +26,6 @@ and the probability that the target was there, which for a target that may have 
     e_j = e_{j+1} + (1 − e_{j+1}) r_j (1 − p_S) / (1 − p_S r_j),    e_k = r_k
 
 as what is measured after it has left does not depend on when.
-
-The model answers with the arrays of `models.gaussian`, as for all Gaussian filters.
 """
 
 from __future__ import annotations

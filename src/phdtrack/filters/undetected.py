@@ -1,10 +1,8 @@
 """Targets that have never been detected: a Poisson process whose intensity has a recursion of its own [W15 §III].
 
-    λ⁺(x) = ∫ p_S(ξ) f(x|ξ) λ(ξ) dξ + γ(x)        λ(x) = (1 − p_D(x)) λ⁺(x)
-
-A first detection z is a target's with the density ∫ p_D g(z|x) λ⁺(x) dx, beside κ(z). Detected targets whose existence has
-become improbable are given back to it: their density, times that probability, is added to λ (recycling). A Bernoulli target
-of small probability and a Poisson process of that mass differ in the second order of it.
+Equations: docs/methods.md, Poisson multi-Bernoulli. Detected targets whose existence has become improbable are given back to
+it: their density, times that probability, is added to λ (recycling). A Bernoulli target of small probability and a Poisson
+process of that mass differ in the second order of it.
 
 λ is a mixture where γ is one. Where γ is stated as a density at the measurements (uniform, or around the detections) it is
 the intensity of undetected targets itself: a constant γ makes λ⁺ = γ / (1 − p_S (1 − p_D)), the same but for a factor.
@@ -29,9 +27,7 @@ def survived(unseen: GaussianMixture, model: Model, dt: float, transform: Transf
     Parameters
     ----------
     unseen : λ of the frame before.
-    model : of the world.
-    dt : interval in the model's time unit.
-    transform : ``linear`` or ``unscented``, see `models.gaussian`.
+    model, dt, transform : as in `models.gaussian.predicted`.
     """
     if len(unseen) == 0:
         return unseen
@@ -45,9 +41,7 @@ def with_births(unseen: GaussianMixture, model: Model, z: F8, dt: float) -> Birt
     Parameters
     ----------
     unseen : what has survived of λ.
-    model : of the world.
-    z : array (m, N), the frame's measurements.
-    dt : interval in the model's time unit.
+    model, z, dt : of the frame, its (m, N) measurements, and the interval in the model's time unit.
     """
     births = model.birth.gaussians(z, model.sensor, model.birth_seconds(dt))
     if len(unseen) == 0:

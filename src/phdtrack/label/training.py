@@ -22,7 +22,8 @@ from phdtrack.associate.rejection import without_false_tracks
 from phdtrack.errors import InputError
 from phdtrack.label.samples import Marks, shuffled
 from phdtrack.label.suggestions import TICKED, Evidence, suggest
-from phdtrack.models.scene import FalseAlarmRatio, with_scene
+from phdtrack.models.clutter import BoxClutter
+from phdtrack.models.scene import FalseAlarmRatio, SceneClutter, in_one_volume
 from phdtrack.protocols import AnyStages
 from phdtrack.report.pages import counted
 from phdtrack.scene import LearnedDensity, Scene, TrackedObjects
@@ -199,10 +200,11 @@ class SceneTraining:
 
     def _tracked(self, alarms: LearnedDensity | None = None) -> Evidence:
         """What a tracker makes of the stretch that knows these false alarms."""
-        stages = self.stages
+        stages, model = self.stages, self.stages.model
         if alarms is not None:
-            # Jmax is of learned births, and there are none yet.
-            stages = replace(stages, model=with_scene(stages.model, None, alarms, None, particles=1))
+            own = model.clutter.clutter_per_detection if isinstance(model.clutter, BoxClutter) else 0.0
+            birth, clutter = in_one_volume(model.birth, SceneClutter(alarms.rate, alarms.density, own))
+            stages = replace(stages, model=replace(model, birth=birth, clutter=clutter))
         return Evidence.of(self.table, self.info.fps, self.stretch, stages, self.seed, self.advance)
 
     def _with_prior(self, learned: LearnedDensity) -> LearnedDensity:

@@ -54,9 +54,9 @@ def particles_about(
 ) -> Particles:
     """J_j = ⌈Jmax·max(0, 1 − M_j)⌉ particles around z_j with importance weights γ(x) / Σ_i J_i p_i(x) [M07 §2].
 
-    What a measurement shows is drawn from the observation noise inside its 99 % region (the mass of γ outside all these
-    regions is dropped), the velocity about its mean with uniform direction and Gaussian amplitude. γ uses the same law of
-    velocities, which therefore cancels in the weight.
+    They are in blocks, one for each measurement that has any. What that shows is drawn from the observation noise inside its
+    99 % region (the mass of γ outside all these regions is dropped), the velocity about its mean with uniform direction and
+    Gaussian amplitude. γ uses the same law of velocities, which therefore cancels in the weight.
 
     Parameters
     ----------
@@ -66,10 +66,6 @@ def particles_about(
     particles : Jmax.
     gamma : (N,) density of births, the same in the whole region of a measurement; 0 at boxes without extent.
     rng : random numbers.
-
-    Returns
-    -------
-    Particles in blocks, one for each measurement that has any.
     """
     mean, cov = seen
     observed = list(rows)

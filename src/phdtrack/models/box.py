@@ -22,17 +22,13 @@ covariance [M07 §2, M09 §III]; its deviations follow a size (w, h), whose choi
 (M09's fair comparison, FV); ``given``: the covariance that each detection brings. The normaliser 1/∏σ differs per particle
 and is kept.
 
-p_D is a constant, as in the papers, or, with ``occlusion``, falls with what nearer targets cover of one:
-
-    p_D(x) = p_D · max(1 − covered(x), least)
-
-Of two boxes the one whose lower edge is lower is nearer: true of whatever stands on one ground, seen from above it.
+p_D is a constant, as in the papers.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import ClassVar, Literal
 
@@ -54,7 +50,6 @@ from phdtrack.kernels.box import (
 )
 from phdtrack.kernels.particle_models import BoxWalk, GivenSize, OwnSize, SensorNumbers
 from phdtrack.models import warp
-from phdtrack.models.occlusion import Hiders
 from phdtrack.types import F8, Detections
 
 _SCALINGS = {"particle": PARTICLE, "detection": DETECTION, "fixed": FIXED, "given": GIVEN}
@@ -63,8 +58,6 @@ Scaling = Literal["particle", "detection", "fixed", "given"]
 OBSERVED = (0, 1, 4, 5)
 # Smallest variance of the linear-Gaussian view, pixels².
 TINY = 1e-12
-# Squared Mahalanobis radius of the 99 % region in four dimensions.
-OWN = 13.28
 
 
 @lru_cache(maxsize=8)
@@ -90,9 +83,6 @@ class BoxSensor(Checked):
         is read as the amplitude's, which is 100 along each axis.
     gate_probability : part of the detections of a target that its gate holds; detections touch no particles beyond. 1: no
         gate.
-    occlusion : let p_D fall where nearer targets cover the target.
-    min_detection_probability : share of p_D that is left of a target that is covered altogether.
-    hiders : the targets expected in the frame that is looked at, as `watching` finds them.
     """
 
     detection_probability: Probability = 0.95
@@ -103,9 +93,7 @@ class BoxSensor(Checked):
     birth_speed: NonNegative = 0.06
     birth_speed_pixels: NonNegative = 200.0**0.5
     gate_probability: Share = GATE
-    occlusion: bool = False
-    min_detection_probability: Probability = 0.1
-    hiders: Hiders | None = None
+    occlusion: ClassVar[bool] = False
     observed: ClassVar[tuple[int, ...]] = OBSERVED
     linear: ClassVar[bool] = True
     angles: ClassVar[tuple[bool, ...]] = (False, False, False, False)
@@ -176,17 +164,14 @@ class BoxSensor(Checked):
         return out
 
     def p_detect(self, x: F8) -> F8:
-        """p_D, less where nearer targets cover x, see `models.occlusion`."""
+        """p_D, everywhere."""
         p = np.empty(x.shape[1])
         p.fill(self.detection_probability)
-        if self.hiders is None:
-            return p
-        boxes = self.boxes(x)
-        return p * self.hiders.seen_part(x[list(OBSERVED)], boxes, -boxes[:, 3])
+        return p
 
     def particle_model(self, z: F8) -> SensorNumbers:
         """The numbers of g and p_D for the particle filters, and a column for each measurement [M07 §2, M09 §III]."""
-        detection = np.full(1 if self.hiders is None else 0, self.detection_probability, np.float32)
+        detection = np.array([self.detection_probability], np.float32)
         if self.scaling == "particle":
             # A floor of zero would let the deviation of a vanishing box vanish.
             model = OwnSize(np.float32(self.box_noise), np.float32(max(self.min_noise, 1e-3)))
@@ -195,12 +180,8 @@ class BoxSensor(Checked):
         return SensorNumbers(GivenSize(np.float32((2 * math.pi) ** -2)), table, detection)
 
     def watching(self, targets: F8) -> BoxSensor:
-        """The sensor where targets are expected at these states; itself without them, or without ``occlusion``."""
-        if not self.occlusion or targets.shape[1] == 0:
-            return self
-        rows, boxes = list(OBSERVED), self.boxes(targets)
-        own = Hiders(boxes, -boxes[:, 3], targets[rows], self.noise(targets)[rows], OWN, self.min_detection_probability)
-        return replace(self, hiders=own)
+        """Itself: in the image none hides another."""
+        return self
 
     def gate(self, z: F8) -> tuple[F8, F8]:
         """Rectangles in the image that hold all states of which z is within the gate.

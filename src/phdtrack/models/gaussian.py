@@ -92,10 +92,6 @@ def moved(
     Parameters
     ----------
     model, mean, covariance, dt, transform, factor : as in `predicted`.
-
-    Returns
-    -------
-    mean, covariance, predicted : before and after the interval.
     """
     if len(model.warp):
         columns, covariance = model.warp_gaussians(np.ascontiguousarray(mean.T), covariance)
@@ -106,15 +102,12 @@ def moved(
 def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> Expected:
     """What Gaussians say about measurements [V06 (36), §IV-B].
 
+    Raises `InputError` where the transform is ``linear`` and the sensor is not.
+
     Parameters
     ----------
     sensor : the model's sensor.
-    mean, covariance : arrays (J, d) and (J, d, d).
-    transform : ``linear`` or ``unscented``, see above.
-
-    Raises
-    ------
-    InputError : ``transform`` is ``linear`` and the sensor is not.
+    mean, covariance, transform : as in `predicted`.
     """
     columns = np.ascontiguousarray(mean.T)
     noise, p_detect = sensor.target_noise(columns), sensor.p_detect(columns)
@@ -179,11 +172,9 @@ def new_targets(model: Model, births: Births, m: Measurements, gate: float, tran
 
     Parameters
     ----------
-    model : of the world.
+    model, transform : as in `predicted`.
     births : intensity of targets that have not been detected before.
-    m : the measurements.
-    gate : in deviations of the innovation.
-    transform : ``linear`` or ``unscented``.
+    m, gate : the measurements, and in deviations of the innovation.
     """
     around = births.around
     p_detect = model.sensor.p_detect(np.ascontiguousarray(around.mean.T))

@@ -1,8 +1,7 @@
 """What targets hide of each other: behind a nearer one a target is detected less often, which E13's filter does not know.
 
-A detector finds a person by the part that it sees. Of two targets the nearer one hides the other: the one whose box's lower
-edge is lower in the image, or that is nearer to the camera. With c the largest part of a target's box that the box
-of one single other covers [E13 §6],
+A detector finds a person by the part that it sees. Of two targets the one that is nearer to the camera hides the other. With
+c the largest part of a target's box that the box of one single other covers [E13 §6],
 
     p_D(x) = p_D · max(1 − c^1.5, least)
 

@@ -1,14 +1,7 @@
 """The fixed-interval smoother of Rauch, Tung and Striebel, step by step, over n Gaussians at once [R65].
 
-Forward, with F and Q the motion's, H a choice of rows and R the measurement's covariance:
-
-    m⁻ = f(m),  P⁻ = F P Fᵀ + Q        K = P⁻Hᵀ (H P⁻ Hᵀ + R)⁻¹,  m = m⁻ + K (z − H m⁻),  P = A P⁻ Aᵀ + K R Kᵀ,  A = I − K H
-
-and backward, with G = P Fᵀ (P⁻₊)⁻¹ of the next frame:
-
-    m* = m + G (m*₊ − m⁻₊)             P* = B P Bᵀ + G (Q₊ + P*₊) Gᵀ,  B = I − G F
-
-These forms are sums of squares: no rounding makes a variance negative, as P⁻ − K H P⁻ does where a camera zooms in.
+Equations: docs/methods.md, Smoothing. Forward, too, a covariance is a sum of squares, P = A P⁻ Aᵀ + K R Kᵀ with A = I − K H:
+no rounding makes a variance negative, as P⁻ − K H P⁻ does where a camera zooms in.
 
 Means are (n, d), covariances (n, d, d).
 """
@@ -39,10 +32,8 @@ def moved(motion: Motion, mean: F8, dt: float, warp: F8 = STILL) -> tuple[F8, F8
 
     Parameters
     ----------
-    motion : the model's motion.
-    mean : (n, d).
-    dt : interval in the model's time unit.
-    warp : (3, 3) the camera's motion in it; `types.STILL` where there is none.
+    motion, mean : the model's motion; (n, d).
+    dt, warp : interval in the model's time unit; (3, 3) the camera's motion in it, `types.STILL` where there is none.
     """
     x = np.ascontiguousarray(mean.T)
     slope = motion.warp_jacobian(x, warp) if len(warp) else None

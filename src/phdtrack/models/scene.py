@@ -150,34 +150,6 @@ class SceneClutter(Checked):
         return learned + self.clutter_per_detection / local_volume(z) if self.clutter_per_detection else learned
 
 
-def with_scene(
-    model: Model,
-    births: LearnedDensity | None,
-    clutter: LearnedDensity | None,
-    followed: TrackedObjects | None,
-    particles: int,
-) -> Model:
-    """The model with what a scene has taught, added to its own births and false alarms if they are the same at every scale.
-
-    Parameters
-    ----------
-    model : the model.
-    births, clutter : what was learned; None: as they are.
-    followed : where objects are; None where it is not known.
-    particles : Jmax.
-    """
-    birth, false = model.birth, model.clutter
-    if births is not None:
-        own = birth.births_per_detection if isinstance(birth, MeasurementBirth) else 0.0
-        rate, among = births.rate * model.rate, None if followed is None else followed.objects.density
-        birth = SceneBirth(rate, births.density, particles=particles, births_per_detection=own, among=among)
-    if clutter is not None:
-        own = false.clutter_per_detection if isinstance(false, BoxClutter) else 0.0
-        false = SceneClutter(clutter.rate, clutter.density, own)
-    birth, false = in_one_volume(birth, false)
-    return replace(model, birth=birth, clutter=false)
-
-
 def in_one_volume(birth: Birth, clutter: Clutter) -> tuple[Birth, Clutter]:
     """Both, where one was learned and the other is uniform over the image: that one gets the volume of the learned one.
 

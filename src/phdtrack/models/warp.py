@@ -26,9 +26,7 @@ _SCALES = (1e-4, 1e4)
 def as_warp(matrix: ArrayLike, where: str) -> F8:
     """The homography (3, 3) with lower right element 1, from a (3, 3) or an affine (2, 3) matrix.
 
-    Raises
-    ------
-    InputError : no such matrix, not finite, one that mirrors the image or scales it beyond belief; ``where`` says whose.
+    Raises `InputError` where it is none, not finite, mirrors the image or scales it beyond belief; ``where`` says whose.
     """
     try:
         given = np.array(matrix, dtype=np.float64)

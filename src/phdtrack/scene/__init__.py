@@ -2,7 +2,7 @@
 
 from phdtrack.scene.em import grid, learn
 from phdtrack.scene.files import LearnedDensity, Scene, TrackedObjects, read_scene, write_scene
-from phdtrack.scene.mixture import SceneDensity, marginal, shown_volume, uniform_density
+from phdtrack.scene.mixture import SceneDensity, marginal, shown_volume
 
 __all__ = [
     "LearnedDensity",
@@ -14,6 +14,5 @@ __all__ = [
     "marginal",
     "read_scene",
     "shown_volume",
-    "uniform_density",
     "write_scene",
 ]

@@ -1,13 +1,7 @@
 """Learning a scene's density from samples: recursive MAP-EM, then EM for the whole model with split and merge moves.
 
-Recursive MAP-EM [M09 §IV-B, (16)-(20); Z04]: for a sample x with responsibilities o_m = π_m N_m(x) / Σ_j π_j N_j(x), rate β,
-M components and τ = N/2, N the number of parameters of a component,
-
-    π_m ← π_m + β [(o_m − τβ)/(1 − Mτβ) − π_m]
-    μ_m ← μ_m + β (o_m/π_m)(x − μ_m)
-    Σ_m ← Σ_m + β (o_m/π_m)((x − μ_m)(x − μ_m)ᵀ + F − Σ_m)
-
-A component whose weight turns negative is removed. α_u follows the same rule with τ = 0. What the paper leaves open:
+Equations of the first [M09 §IV-B, (16)-(20); Z04]: docs/methods.md, A learned scene; β is the rate, and τ = N/2, N the
+number of parameters of a component. What the paper leaves open:
 
 * The rule needs β < 1/(Mτ), 6e-4 with the paper's grids, so that one pass over a few hundred samples hardly moves a weight.
   The samples are taken in several passes, each in another order, with β = min(1/n, ½/(Mτ)) for n samples. Then the estimate
@@ -87,7 +81,7 @@ def learn(density: SceneDensity, samples: F8) -> SceneDensity:
 def grid(
     low: F8, high: F8, counts: tuple[int, int], centre: F8, spread: F8, uniform: float = 1 - MIN_UNIFORM
 ) -> SceneDensity:
-    """A density of counts[0] × counts[1] Gaussians over the positions, where learning begins [M09 §IV-B].
+    """A density of counts[0] × counts[1] Gaussians of equal weight over the positions, where learning begins [M09 §IV-B].
 
     M09 takes 12 × 10 for births and 16 × 14 for false alarms.
 
@@ -97,10 +91,6 @@ def grid(
     counts : Gaussians across and down; in position each is as wide as the grid's step.
     centre, spread : (d,) mean and standard deviation of the other components (mean size, zero velocity).
     uniform : α_u.
-
-    Returns
-    -------
-    The density, all Gaussians of equal weight.
     """
     extent, steps = high - low, np.array(counts)
     across, down = (low[k] + extent[k] * (np.arange(steps[k]) + 0.5) / steps[k] for k in range(2))

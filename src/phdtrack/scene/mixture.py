@@ -1,9 +1,7 @@
 """The density of a scene's births or false alarms: a uniform part and truncated Gaussians [M09 (14), (15), (21)].
 
-    p(x) = α_u 1/V + α_g Σ_m π_m N(x; μ_m, Σ_m) / Z_m     inside the volume, 0 outside;     α_u + α_g = 1, Σ π_m = 1
-
-The volume is a box, low ≤ x ≤ high. It truncates the Gaussians: Z_m is the mass of the m-th Gaussian inside, so that p
-integrates to 1. Z_m is computed by separation of variables [A. Genz, *Numerical computation of multivariate normal
+Equations: docs/methods.md, A learned scene. The volume is a box, low ≤ x ≤ high, outside of which p is 0. Z_m, the mass of
+the m-th Gaussian inside, is computed by separation of variables [A. Genz, *Numerical computation of multivariate normal
 probabilities*, J. Comp. Graph. Stat. 1 (1992)] on a lattice of fixed points; for independent components it is exact.
 """
 
@@ -32,17 +30,13 @@ _POINTS = 512
 
 @dataclass(frozen=True, eq=False)
 class SceneDensity:
-    """p(x) on a volume.
+    """p(x) on a volume. Raises `InputError` where shapes do not fit, or bounds, shares or covariances are none.
 
     Attributes
     ----------
     low, high : (d,) bounds of the volume.
     uniform : α_u, share of the uniform part.
     weight : (M,) π_m, of sum 1.     mean : (d, M).     covariance : (M, d, d).
-
-    Raises
-    ------
-    InputError : shapes that do not fit, bounds without a volume, α_u outside (0, 1], weights or covariances that are none.
     """
 
     low: F8
@@ -144,12 +138,6 @@ class SceneDensity:
         at = np.ascontiguousarray(x)
         out: F8 = mixture_density(at, self.low, self.high, flat, outside, self._whitened, self._limit2)
         return out
-
-
-def uniform_density(low: F8, high: F8) -> SceneDensity:
-    """The uniform density alone."""
-    d = len(low)
-    return SceneDensity(low, high, 1.0, np.zeros(0), np.zeros((d, 0)), np.zeros((0, d, d)))
 
 
 def marginal(p: SceneDensity, rows: tuple[int, ...]) -> SceneDensity:

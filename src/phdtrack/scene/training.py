@@ -52,15 +52,13 @@ class Training:
 def learn_births(states: F8, time_units: float, frame_size: tuple[float, float]) -> Training:
     """Births p(x|b) with s̄, their number per time unit. The volume holds every velocity seen, doubled.
 
+    Raises `InputError` for fewer births than a component needs (τ: 14), no time, or no known velocity.
+
     Parameters
     ----------
     states : (6, n) first states of targets that entered; velocities may be NaN, unknown.
     time_units : length of the stretch.
     frame_size : width and height of the image, pixels.
-
-    Raises
-    ------
-    InputError : fewer births than a component needs (τ: 14), no time, or no known velocity.
     """
     cure = "Learn from a longer stretch, or mark more of them"
     _check_number(states.shape[1], "births while the scene was watched", cure, MIN_BIRTHS)
@@ -76,16 +74,14 @@ def learn_births(states: F8, time_units: float, frame_size: tuple[float, float])
 def learn_boxes(boxes: F8, frames: int, frame_size: tuple[float, float], what: str) -> Training:
     """Where boxes come, with their number per frame: false alarms p(z|c), r̄, or detections of objects p(z|o).
 
+    Raises `InputError` for fewer than ten boxes, or no frames.
+
     Parameters
     ----------
     boxes : array (4, n), centre and size of the boxes.
     frames : number of frames on which detections were looked at.
     frame_size : width and height, pixels.
     what : what the boxes are, for an error message.
-
-    Raises
-    ------
-    InputError : fewer than ten boxes, or no frames.
     """
     _check_number(boxes.shape[1], what, "Look at more frames, or mark more of them")
     if frames < 1:
@@ -214,5 +210,5 @@ def _left_out(start: SceneDensity, samples: F8) -> F8:
 
 def _check_number(count: int, what: str, cure: str, least: int = MIN_SAMPLES) -> None:
     """Raise `InputError` where there are too few samples."""
-    if count < max(least, MIN_SAMPLES):
-        raise InputError(f"expected at least {max(least, MIN_SAMPLES)} {what}, got {count}", where="learning", cure=cure)
+    if count < least:
+        raise InputError(f"expected at least {least} {what}, got {count}", where="learning", cure=cure)

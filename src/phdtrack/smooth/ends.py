@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from phdtrack.arrays import area
+from phdtrack.arrays import iou_of_pairs
 from phdtrack.types import F8, I8, Bool, MeasurementHistory, Tracks
 
 # Rows from which the velocity is taken, the least overlap (IoU) with a detection, frames in a row without one.
@@ -18,7 +18,7 @@ _ROWS, _OVERLAP, _MISSED = 5, 0.3, 1
 
 
 def carried_on(tracks: Tracks, seen: MeasurementHistory, boxes: F8, size: tuple[float, float], most: float) -> Tracks:
-    """The tracks with the rows that detections add at their ends.
+    """The tracks, and the rows that detections add at their ends: with their boxes, and the confidence of the row there.
 
     Parameters
     ----------
@@ -27,10 +27,6 @@ def carried_on(tracks: Tracks, seen: MeasurementHistory, boxes: F8, size: tuple[
     boxes : (Z, 4) the boxes of the measurements, pixels.
     size : width and height of the picture, pixels.
     most : time units for which a track is carried on, at most.
-
-    Returns
-    -------
-    The tracks and the new rows, which have the detection's box and the confidence of the row at that end.
     """
     row, step, speed = _ends(tracks, seen)
     free = np.isfinite(boxes.sum(axis=1))
@@ -79,9 +75,7 @@ def _taken(expected: F8, at: I8, start: I8, boxes: F8, free: Bool) -> tuple[I8, 
     end = np.repeat(np.arange(len(at)), count)
     column = start[at][end] + np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
     end, column = end[free[column]], column[free[column]]
-    a, b = expected[end], boxes[column]
-    shared = np.clip(np.minimum(a[:, 2:], b[:, 2:]) - np.maximum(a[:, :2], b[:, :2]), 0, None).prod(axis=1)
-    overlap = shared / (area(a) + area(b) - shared)
+    overlap = iou_of_pairs(expected[end], boxes[column])
     best = np.argsort(-overlap, kind="stable")
     best, taken = best[overlap[best] >= _OVERLAP], np.zeros(len(at), np.bool_)
     chosen = []

@@ -66,10 +66,6 @@ class Smoothing:
     max_continuation : seconds for which a track is carried on before its first row and after its last by detections that no
         track uses, at most; 0: never.
     frame_size : width and height of the picture, pixels: what it cuts of a box is not expected to be detected.
-
-    Raises
-    ------
-    InputError : a value is out of bounds.
     """
 
     stitching: bool = True

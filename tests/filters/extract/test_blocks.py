@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phdtrack.filters.blocks import cut
-from phdtrack.filters.extract import REACH, KMeans, known_blocks, seeds
+from phdtrack.filters.extract import REACH, KMeans, _seeds, known_blocks
 from phdtrack.kernels.blocks import block_moments, reaching
 from phdtrack.kernels.kmeans import PATIENCE, Rule, kmeans
 from phdtrack.kernels.mixtures import Gaussians, em_step, nothing_known
@@ -62,7 +62,7 @@ def test_clusters_are_the_twins(seed: int, targets: int, alarms: int, width: flo
     extractor, sensor = KMeans(merge_iou=1.0), MODEL.sensor
     if state.mass < extractor.min_weight:
         return
-    centres, _ = seeds(known_blocks(state), z, sensor, extractor.min_weight)
+    centres, _ = _seeds(known_blocks(state), z, sensor, extractor.min_weight)
     order, _ = cut(state.state)
     mass, mean, cov = twin.kmeans(
         state.state[:, order], state.weight[order], centres, sensor.noise, extractor.min_weight, extractor.split_weight
