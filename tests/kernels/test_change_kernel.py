@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from phdtrack.kernels.blobs import cleaned, edges, measured, valley
-from phdtrack.kernels.change import Past, Statistic, changed, compare, follow, middle
+from phdtrack.kernels.blobs import Cleaning, cleaned, edges, measured, valley
+from phdtrack.kernels.change import MARGIN, Past, Statistic, changed, compare, follow, middle
 from phdtrack.kernels.planes import colours, lighting, noise, smooth
 from reference import change_twin as twin
 
@@ -17,6 +17,8 @@ SIZES = [(24, 40, 5), (9, 37, 3), (3, 2, 5), (1, 1, 1)]
 
 # Deviations by the camera's noise, which explain a part of the weights.
 CAMERA = np.array([3.0, 1.5, 0.0])
+# An element of one pixel.
+ONE = np.zeros(1, np.int64)
 
 
 def rule(window: int) -> Statistic:
@@ -174,13 +176,18 @@ def test_where_two_that_touch_are_parted(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize(("height", "width"), [(24, 40), (9, 37)])
-def test_a_frame_is_smoothed_and_looked_at_in_one_call(rng: np.random.Generator, height: int, width: int) -> None:
+@pytest.mark.parametrize("beyond", [(0, 0), (3, 1)])
+def test_a_frame_is_looked_at_in_one_call(
+    rng: np.random.Generator, height: int, width: int, beyond: tuple[int, int]
+) -> None:
     reference, image, scene = case(rng, height, width)
     flat, then, past = twin.parted(image), twin.parted(reference), nothing(len(twin.parted(image)), height, width)
-    foreground, own = np.zeros((height, width), np.uint8), flat.copy()
+    foreground, own = np.where(rng.random((height, width)) < 0.1, 255, 0).astype(np.uint8), flat.copy()
     before, camera = twin.logarithmic(image)[::4, ::4].transpose(2, 0, 1) // 2 + 40, CAMERA.copy()
-    sparse = before.copy()
-    found = changed(own, sparse, camera, (then, scene, foreground), rule(3), past, (4, 2))
+    sparse, followed, usual, near = before.copy(), then.copy(), scene.copy(), foreground.copy()
+    cleaning, rates = Cleaning(0, np.array([0, 1, 0]), ONE), np.array([0.1, 0.01, 0.2, 9.5], np.float32)
+    how = rule(3), past, (4, 2), cleaning, beyond, rates
+    mask, lit = changed(own, sparse, camera, (followed, usual, near), *how)
     smooth(flat, (height, width))
     np.testing.assert_array_equal(own, flat)
     counts = noise(flat, before, (height, width), 4)
@@ -188,8 +195,18 @@ def test_a_frame_is_smoothed_and_looked_at_in_one_call(rng: np.random.Generator,
     quartiles = [np.percentile(np.repeat(np.arange(256), each), 75) for each in counts]
     np.testing.assert_allclose(camera, 0.9 * CAMERA + 0.1 * np.array(quartiles) / (1.1503 * np.sqrt(2)))
     light = lighting(then, flat, foreground, 2)
-    for one, other in zip(found, (*compare(flat, then, light, scene, rule(3), camera, past), light), strict=True):
-        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(lit, light)
+    raw, energy = compare(flat, then, light, scene, rule(3), camera, past)
+    across, down = beyond
+    inside = np.zeros((height, width), np.bool_)
+    inside[down : height - down, across : width - across] = True
+    expected, seen = cleaned(np.where(inside, raw, 0).astype(np.uint8), cleaning, MARGIN)
+    assert 0 < (expected > 0).mean() < 0.9
+    np.testing.assert_array_equal(mask, expected)
+    np.testing.assert_array_equal(near, np.where(inside, seen, 255))
+    follow(flat, energy, then, scene, near, rates)
+    np.testing.assert_array_equal(followed, then)
+    np.testing.assert_array_equal(usual, scene)
 
 
 @pytest.mark.parametrize(("height", "width"), [(24, 40), (9, 37), (2, 1), (5, 3)])
@@ -214,7 +231,9 @@ def test_masks_are_cleaned_as_by_opencv(rng: np.random.Generator, height: int, w
     rows = [element.sum(axis=1, dtype=np.int64) // 2 for element in (opening, closing)]
     expected = cv2.erode(whole, np.ones((2 * peel + 1, 2 * peel + 1), np.uint8))
     expected = cv2.morphologyEx(cv2.morphologyEx(expected, cv2.MORPH_OPEN, opening), cv2.MORPH_CLOSE, closing)
-    np.testing.assert_array_equal(cleaned(mask, peel, *rows), expected)
+    found, near = cleaned(mask, Cleaning(peel, *rows), 2)
+    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(near, cv2.dilate(expected, np.ones((5, 5), np.uint8)))
     np.testing.assert_array_equal(mask, before)
 
 

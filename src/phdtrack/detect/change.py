@@ -41,12 +41,12 @@ import numpy as np
 from annotated_types import Gt, Lt
 from numpy.typing import NDArray
 
-from phdtrack.detect.components import BlobSettings, Component, Heights, check_same_size
+from phdtrack.detect.components import BlobSettings, Component, Contour, Heights, check_same_size
 from phdtrack.detect.reference import Anchor, background, median, of_objects, stabilised
 from phdtrack.devices import planes_of, size_of
 from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, check
 from phdtrack.kernels.blobs import edges
-from phdtrack.kernels.change import CHANNELS, OFTEN, REACH, Past, Statistic, changed, compare, follow, often_near
+from phdtrack.kernels.change import CHANNELS, MARGIN, OFTEN, REACH, Past, Statistic, changed, compare, often_near
 from phdtrack.kernels.planes import BLACK, COLOURS, GREYS, LOG, LOG_SCALE, colours, luma, smooth
 from phdtrack.types import F8, STILL, Bool, Detections, Frame, Image
 
@@ -72,7 +72,7 @@ _RESTLESS, _DARK = 0.2, 40.0
 _SHAKES, _MOVES, _KNOWN, _LOST = 0.5, 0.05, 0.5, 2.0
 _TRAINED = "Boxes of a trained detector help: --detections FILE or --detector onnx:FILE"
 # How far an outline reaches on both sides of the border of a component.
-_OUTLINE, _MARGIN = 3, np.ones((5, 5), np.uint8)
+_OUTLINE, _NEAR = 3, np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8)
 # Where pixels `REACH` away lie, and where their colours may, which have half the resolution.
 _NEIGHBOURS = np.zeros((2 * REACH + 1, 2 * REACH + 1), np.uint8)
 _NEIGHBOURS[::REACH, ::REACH] = 1
@@ -246,12 +246,11 @@ class ChangeDetector:
                 self._steady, picture = frame.time, stabilised(picture, self._shape, self._pose)
             elif frame.time - self._steady < _LOST:
                 return Detections.empty(observed=False)
-        raw, energy, lit = changed(picture, self._previous, self._camera, known, self._rule, self._past, steps)
-        self._mark_beyond(raw, 0)
-        mask = self.blobs.clean(raw)
+        how = self.blobs.cleaning(self._shape[0]), self._beyond(), self._rates(passed := self._passed(frame))
+        mask, lit = changed(picture, self._previous, self._camera, known, self._rule, self._past, steps, *how)
         found = self.blobs.components(mask)
         gone = self._gone(found, mask, picture, lit)
-        self._adapt(frame, picture, energy, mask, [one for one, ghost in zip(found, gone, strict=True) if ghost])
+        self._take_in([contour for (_, contour), ghost in zip(found, gone, strict=True) if ghost], picture, passed)
         self._sample(frame, picture)
         real = [one for one, ghost in zip(found, gone, strict=True) if not ghost]
         boxes = self.blobs.boxes(real, mask.shape, self._usual)
@@ -260,15 +259,14 @@ class ChangeDetector:
             boxes = np.clip(corners.reshape(-1, 4), 0, np.tile(self._shape[::-1], 2))
         return Detections.of(boxes)
 
-    def _mark_beyond(self, mask: Image, value: int) -> None:
-        """Write a value where a picture that was moved back shows nothing of the scene: it is not known there."""
-        if len(self._pose):
-            height, width = self._shape
-            corners = np.array([[0, width, 0, width], [0, 0, height, height]])
-            moved = self._pose[:2, :2] @ corners + self._pose[:2, 2:] - corners
-            across, down = np.ceil(np.abs(moved).max(axis=1)).astype(int)
-            mask[:, :across], mask[:, max(0, width - across) :] = value, value
-            mask[:down], mask[max(0, height - down) :] = value, value
+    def _beyond(self) -> tuple[int, int]:
+        """So many columns on both sides, and rows above and below, show nothing of the scene in a picture moved back."""
+        if not len(self._pose):
+            return 0, 0
+        height, width = self._shape
+        corners = np.array([[0, width, 0, width], [0, 0, height, height]])
+        across, down = np.ceil(np.abs(self._pose[:2, :2] @ corners + self._pose[:2, 2:] - corners).max(axis=1)).astype(int)
+        return int(across), int(down)
 
     def _begin(self, frame: Frame) -> None:
         """Take the first frame as the reference."""
@@ -288,6 +286,16 @@ class ChangeDetector:
         planes, step = _logarithmic(picture, shape), slice(None, None, _SPARSE // 2)
         self._previous = np.stack([luma(planes, shape)[::_SPARSE, ::_SPARSE], *colours(planes, shape)[:, step, step]])
         self._time = frame.time
+
+    def _passed(self, frame: Frame) -> float:
+        """Seconds since the frame before."""
+        passed, self._time = max(0.0, frame.time - self._time), frame.time
+        return passed
+
+    def _rates(self, passed: float) -> F4:
+        """How fast reference and scene noise follow, as `kernels.change.follow` takes it."""
+        rates = [0.0 if self._learning else min(1.0, passed / each) for each in (self.adapt, self.adapt_objects)]
+        return np.array([*rates, min(0.2, passed / self.adapt), CHANNELS * _LOUDEST], np.float32)
 
     def _sample(self, frame: Frame, picture: Image) -> None:
         """Take the frame for the first reference if one is due; of every other one the median, and the scene's noise."""
@@ -335,25 +343,18 @@ class ChangeDetector:
         found = edges(now, then, mask, _OUTLINE, wide)
         return [bool(one < _GHOST_EDGE * light[0, 0] * other) for one, other in found]
 
-    def _adapt(self, frame: Frame, picture: Image, energy: F4, mask: Image, ghosts: list[Component]) -> None:
-        """Let reference and scene noise follow, by the time that has passed."""
-        passed = max(0.0, frame.time - self._time)
-        self._time = frame.time
-        self._foreground = cv2.dilate(mask, _MARGIN)
-        self._mark_beyond(self._foreground, 255)
-        rates = [0.0 if self._learning else min(1.0, passed / each) for each in (self.adapt, self.adapt_objects)]
-        rates += [min(0.2, passed / self.adapt), CHANNELS * _LOUDEST]
-        follow(picture, energy, self._reference, self._scene, self._foreground, np.array(rates, np.float32))
+    def _take_in(self, ghosts: list[Contour], picture: Image, passed: float) -> None:
+        """Let the reference take in what is gone from it, ``ghosts`` in this picture, and has been for a while."""
         if self._learning or not (ghosts or self._ghostly):
             return
-        left = np.zeros_like(mask)
-        cv2.drawContours(left, [contour for _, contour in ghosts], -1, 255, cv2.FILLED)
+        left: Image = np.zeros(self._shape, np.uint8)
+        cv2.drawContours(left, ghosts, -1, 255, cv2.FILLED)
         # The time since its first frame: however few frames a second there are, one alone is not enough.
         lasted = np.where(self._haunted > 0, self._haunted + np.float32(passed), np.float32(1e-6))
         self._haunted, self._ghostly = np.where(left > 0, lasted, np.float32(0)), bool(ghosts)
         lasting = (self._haunted >= _GHOST_SECONDS).astype(np.uint8)
         if lasting.any():
-            where = cv2.dilate(lasting, _MARGIN) > 0
+            where = cv2.dilate(lasting, _NEAR) > 0
             for plane, seen in ((luma, where), (colours, where[::2, ::2])):
                 now, then = plane(picture, self._shape), plane(self._reference, self._shape)
                 then[..., seen] = now[..., seen]

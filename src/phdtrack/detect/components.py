@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated
 
 import cv2
@@ -20,13 +21,14 @@ from numpy.typing import NDArray
 
 from phdtrack.devices import size_of
 from phdtrack.errors import Checked, InputError
-from phdtrack.kernels.blobs import cleaned, measured, valley
+from phdtrack.kernels.blobs import Cleaning, cleaned, measured, valley
 from phdtrack.types import F8, I8, Bool, Detections, Frame, Image
 
 # Corners in whole pixels: left, top, right, bottom; right and bottom are one beyond the last.
 Box = tuple[int, int, int, int]
 # The box of a component, and its outer contour (n, 1, 2).
-Component = tuple[Box, NDArray[np.int32]]
+Contour = NDArray[np.int32]
+Component = tuple[Box, Contour]
 FrameShare = Annotated[float, Ge(0), Lt(1)]
 # Half the width in pixels of what masks are cleaned with, at most.
 _WIDE = 63
@@ -117,13 +119,13 @@ class BlobSettings(Checked):
     split: FrameShare = 0.7
     join: FrameShare = 0.15
 
+    def cleaning(self, height: int) -> Cleaning:
+        """How masks of so many rows are cleaned."""
+        return _cleaning(self.peel, self.closing, height)
+
     def clean(self, mask: Image) -> Image:
         """(H, W) uint8, 255 where ``mask`` (H, W) still is foreground after peeling and closing."""
-        height = mask.shape[0]
-        radius = min(_WIDE, round(self.peel * height))  # 0 in small pictures, where a pixel is a good part of an arm
-        speck, across, along = 2 * max(1, radius) + 1, *(max(1, round(self.closing * height / k)) | 1 for k in (3, 1))
-        elements = _ellipse(speck, speck), _ellipse(across, along)
-        return np.asarray(cleaned(np.ascontiguousarray(mask), radius, *elements), np.uint8)
+        return np.asarray(cleaned(np.ascontiguousarray(mask), self.cleaning(len(mask)), 0)[0], np.uint8)
 
     def components(self, mask: Image) -> list[Component]:
         """What is large enough in a cleaned ``mask``, objects that touch parted."""
@@ -154,6 +156,14 @@ class BlobSettings(Checked):
     def detections(self, mask: Image) -> Detections:
         """The detections in a raw foreground ``mask`` (H, W) uint8."""
         return Detections.of(self.boxes(self.components(self.clean(mask)), mask.shape))
+
+
+@lru_cache(maxsize=20)
+def _cleaning(peel: float, closing: float, height: int) -> Cleaning:
+    """With peel and height of gaps in fractions of the height; the same for all masks of a video."""
+    radius = min(_WIDE, round(peel * height))  # 0 in small pictures, where a pixel is a good part of an arm
+    speck, across, along = 2 * max(1, radius) + 1, *(max(1, round(closing * height / k)) | 1 for k in (3, 1))
+    return Cleaning(radius, _ellipse(speck, speck), _ellipse(across, along))
 
 
 def _ellipse(width: int, height: int) -> I8:

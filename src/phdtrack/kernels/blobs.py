@@ -7,7 +7,7 @@ and they are small: several calls of OpenCV for each take longer than the work t
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,23 +27,28 @@ _BITS, _FLAGS, _FULL, _ALL, _EACH = 64, D(0x0101010101010101), D(0x7F7F7F7F7F7F7
 _0, _1, _2_BITS, _4, _7, _14, _28, _BYTE = D(0), D(1), D(2), D(4), D(7), D(14), D(28), D(255)
 
 
+class Cleaning(NamedTuple):
+    """How a mask is cleaned: ``peel``, half the side of the square of the erosion, and half the width of each row of the
+    elements of opening and closing, which are symmetric and have an odd number of rows. All are below 64."""
+
+    peel: int
+    opening: I8
+    closing: I8
+
+
 @njit(**ENTRY)
-def cleaned(mask: U1, peel: int, opening: I8, closing: I8) -> U1:
-    """(H, W) 255 where a mask (H, W) is left by erosion, opening and closing; half an element is below 64 pixels wide.
+def cleaned(mask: U1, cleaning: Cleaning, margin: int) -> tuple[U1, U1]:
+    """(H, W) 255 where a mask (H, W) is left by erosion, opening and closing, and at most ``margin`` pixels from there.
 
     Outside of the picture all is as it would suit, as in OpenCV.
-
-    Parameters
-    ----------
-    mask : not 0 in the foreground.
-    peel : half the side of the square of the erosion.
-    opening, closing : of the elements of these, which are symmetric, half the width of each row, odd numbers of rows.
     """
     width, bits = mask.shape[1], _packed(mask)
-    bits = _eroded(bits, width, np.full(2 * peel + 1, peel))
-    bits = _dilated(_eroded(bits, width, opening), width, opening)
-    out: U1 = _unpacked(_eroded(_dilated(bits, width, closing), width, closing), width)
-    return out
+    bits = _eroded(bits, width, np.full(2 * cleaning.peel + 1, cleaning.peel))
+    bits = _dilated(_eroded(bits, width, cleaning.opening), width, cleaning.opening)
+    bits = _eroded(_dilated(bits, width, cleaning.closing), width, cleaning.closing)
+    out: U1 = _unpacked(bits, width)
+    near: U1 = _unpacked(_dilated(bits, width, np.full(2 * margin + 1, margin)), width)
+    return out, near
 
 
 @njit(**ENTRY)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phdtrack.kernels.blobs import mirrored
+from phdtrack.kernels.blobs import Cleaning, cleaned, mirrored
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER, INT, ONE, VECTOR, D, F, log32
 from phdtrack.kernels.planes import BLACK, GREYS, LIFT, LOG, LOG_SCALE, lighting, noise, quartile, smooth
@@ -32,6 +32,8 @@ OFTEN, SHARE = 4, 0.35
 # sway. Then it takes the share `NEAR` of all samples, and as many as differ there: no more resemble a passer-by than pass.
 BUSY, NEAR, REACH = 0.1, 0.33, 3
 CHANNELS = 3
+# What is so many pixels from the foreground counts as such.
+MARGIN = 2
 # Columns whose medians are made together: their samples stay in the cache. Pixels that are passed over at once.
 _BLOCK, _PIXELS = 512, 64
 _NONE, _BLACK, _WHITE, _MIDDLE, _THIRD = F(0), F(BLACK), F(235), F(128), F(1 / CHANNELS)
@@ -82,9 +84,18 @@ def often_near(count: int) -> int:
 
 @njit(**ENTRY)
 def changed(
-    image: U1, before: U1, camera: F8, known: tuple[F4, F4, U1], rule: Statistic, past: Past, steps: tuple[int, int]
-) -> tuple[U1, F4, F4]:
-    """The next frame: mask and energy of `compare`, and the light (3, 4) of `lighting`.
+    image: U1,
+    before: U1,
+    camera: F8,
+    known: tuple[F4, F4, U1],
+    rule: Statistic,
+    past: Past,
+    steps: tuple[int, int],
+    cleaning: Cleaning,
+    beyond: tuple[int, int],
+    rates: F4,
+) -> tuple[U1, F4]:
+    """The next frame: its mask, cleaned, and the light (3, 4) of `lighting`. What is known of the scene follows.
 
     All of it in one call: a thread that runs Python beside this one is in its way at each begin and end of one.
 
@@ -93,9 +104,12 @@ def changed(
     image : (n,), whose colours are smoothed.
     before : (3, h, w) sparse pixels of the frame before, which become those of this one.
     camera : (3,) deviations of brightness and colours by the camera's noise, which follow.
-    known : reference (n,), usual energy (H, W), and the frame before's foreground (H, W).
+    known : reference (n,), usual energy (H, W), and the frame before's foreground (H, W), which becomes this one's.
     rule, past : as for `compare`.
     steps : every so many pixels both ways are looked at for the camera's noise, even, and for the light.
+    cleaning : as for `cleaned`.
+    beyond : so many columns on the left and on the right, and rows above and below, show nothing of the scene.
+    rates : as for `follow`.
     """
     reference, scene, foreground = known
     smooth(image, scene.shape)
@@ -103,8 +117,13 @@ def changed(
     for c in range(3):
         camera[c] += (1 - _MEMORY) * (quartile(counts[c]) / _QUARTILE_OF_DIFFERENCES - camera[c])
     light = lighting(reference, image, foreground, steps[1])
-    mask, energy = compare(image, reference, light, scene, rule, camera, past)
-    return mask, energy, light
+    raw, energy = compare(image, reference, light, scene, rule, camera, past)
+    _border(raw, beyond, 0)
+    mask, near = cleaned(raw, cleaning, MARGIN)
+    foreground[:] = near
+    _border(foreground, beyond, 255)
+    follow(image, energy, reference, scene, foreground, rates)
+    return mask, light
 
 
 @njit(**ENTRY)
@@ -163,6 +182,17 @@ def follow(image: U1, energy: F4, reference: F4, scene: F4, foreground: U1, rate
         _halved(foreground, y, colours)
     for k in range(2):
         _approach(image, colours.reshape(-1), rates, reference, height * width + k * low * across)
+
+
+@njit(**INNER)
+def _border(mask: U1, beyond: tuple[int, int], value: int) -> None:
+    """Write a value into so many columns on both sides, and rows above and below."""
+    (height, width), (across, down) = mask.shape, beyond
+    for y in range(height):
+        for x in range(width) if y < down or y >= height - down else range(0):
+            mask[y, x] = value
+        for x in range(min(across, width)):
+            mask[y, x], mask[y, width - 1 - x] = value, value
 
 
 @njit(**INNER)

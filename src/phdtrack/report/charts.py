@@ -250,7 +250,9 @@ def _saved(axes: Axes, mime: str = "image/jpeg", **look: Any) -> Picture:
     """The figure as a file, JPEG on a dark ground if nothing else is said; its width and height are in CSS pixels."""
     figure, buffer = axes.get_figure(root=True), io.BytesIO()
     assert figure is not None
-    figure.savefig(buffer, dpi=_DOTS_PER_INCH, **(look or {"format": "jpg", "facecolor": _DARK, "pil_kwargs": {"quality": 87}}))
+    figure.savefig(
+        buffer, dpi=_DOTS_PER_INCH, **(look or {"format": "jpg", "facecolor": _DARK, "pil_kwargs": {"quality": 87}})
+    )
     data, (wide, high) = buffer.getvalue(), (round(96 * float(inches)) for inches in figure.get_size_inches())
     # Of an SVG without its XML declaration.
     return Picture(mime, data[max(data.find(b"<svg"), 0) :], wide, high)
