@@ -110,17 +110,14 @@ def median(samples: Sequence[Image]) -> Image:
 
 
 def background(samples: Sequence[Image], shape: tuple[int, int]) -> tuple[Image, Bool]:
-    """The empty scene, and where something hid it most of the time.
+    """(n,) the empty scene, and (H, W) where something hid it most of the time.
+
+    It is the median, but where gradients contradict that the sample that they agree with most.
 
     Parameters
     ----------
     samples : an odd number of pictures (n,), planes as in `kernels.change`, far apart in time.
     shape : (H, W) of them.
-
-    Returns
-    -------
-    The picture (n,): the median, and where gradients contradict it the sample that they agree with most. And (H, W) where it
-    is not the median.
     """
     typical, (height, width) = median(samples), shape
     scale = min(1.0, (_COARSE / (height * width)) ** 0.5)
@@ -172,17 +169,13 @@ def _planes(bgr: F4) -> F4:
 
 
 def of_objects(hidden: Bool, least: F8, margin: int) -> Bool:
-    """What objects hid, for leaves hide some pixels each.
+    """(H, W) what objects hid, for leaves hide some pixels each: parts into which a square fits, widened.
 
     Parameters
     ----------
     hidden : (H, W) where something hid the scene most of the time.
     least : (H,) side in pixels of a square that fits into an object in this row.
     margin : pixels by which what hides is widened in all, odd.
-
-    Returns
-    -------
-    (H, W) the parts into which such a square fits, widened.
     """
     spots = hidden.astype(np.uint8)
     # From the edge of the picture on it is taken to go on.

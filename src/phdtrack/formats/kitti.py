@@ -41,9 +41,7 @@ def rows_of_all(text: Text) -> Text:
 def rows_of_type(text: Text, kind: str) -> Text:
     """The rows of a type, of its neighbours and regions, as a table with a header; the only type needs no name.
 
-    Raises
-    ------
-    InputError : none of several types was named, or whether an object is truncated or occluded is not said in numbers.
+    Raises `InputError` where none of several types was named, or truncated or occluded is no number.
     """
     if not kind:
         types = sorted({"".join(text.cells(row)[2:3]) for row in range(len(text))} - {"", "DontCare"})

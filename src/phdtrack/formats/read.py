@@ -32,21 +32,14 @@ def read_detections(path: AnyPath, *, first_frame: int | None = None, left_out: 
 
     Boxes in pixels, xyxy. Confidence is 1 and class 0 where the file has none; confidence has no bounds. Classes that are
     words get numbers, see `DetectionTable.names`; KITTI's label files have all types but regions. Real detectors give boxes
-    of width or height 0 now and then: they are left out and counted in `DetectionTable.empty`.
+    of width or height 0 now and then: they are left out and counted in `DetectionTable.empty`. Raises `InputError` where the
+    file is missing or malformed, or no row is right; the message names the line.
 
     Parameters
     ----------
     path : the file.
     first_frame : the number that the file gives the first frame; None: what is usual in its format.
     left_out : counts rows that are wrong, and these are left out; None: the first of them is an error.
-
-    Returns
-    -------
-    The detections.
-
-    Raises
-    ------
-    InputError : the file is missing or malformed, or no row is right; the message names the line.
     """
     return detections_of(table_of(Path(path), Kind.DETECTIONS, first_frame, left_out=left_out), left_out)
 
@@ -87,21 +80,14 @@ def _note(origin: Origin, rules: list[Rule], bad: Bool, left_out: WrongRows) -> 
 def read_tracks(path: AnyPath, *, first_frame: int | None = None, kitti: str = "") -> Tracks:
     """The tracks in a MOTChallenge (6 to 12 columns), KITTI, CSV, Parquet, JSON, CVML or CVAT file, by frame, then identity.
 
-    Where the file does not say, ``confidence`` is 1, ``detection`` −1 (none known) and ``confirmed`` true.
+    Where the file does not say, ``confidence`` is 1, ``detection`` −1 (none known) and ``confirmed`` true. Raises
+    `InputError` where the file is missing or malformed; the message names the line.
 
     Parameters
     ----------
     path : the file.
     first_frame : the number that the file gives the first frame; None: what is usual in its format.
     kitti : the type that is read of a KITTI file, as Car.
-
-    Returns
-    -------
-    The tracks.
-
-    Raises
-    ------
-    InputError : the file is missing or malformed; the message names the line.
     """
     return _tracks_of(table_of(Path(path), Kind.TRACKS, first_frame, kitti))
 
@@ -124,7 +110,7 @@ def _tracks_of(table: Table) -> Tracks:
 
 
 def table_of(path: Path, kind: Kind, first_frame: int | None, kitti: str = "", left_out: WrongRows | None = None) -> Table:
-    """The rows of a file, not checked yet.
+    """The rows of a file, not checked yet. Raises `InputError` where the file is missing, or cannot be understood.
 
     Parameters
     ----------
@@ -133,14 +119,6 @@ def table_of(path: Path, kind: Kind, first_frame: int | None, kitti: str = "", l
     first_frame : the number that it gives the first frame; None: what is usual in its format.
     kitti : the type of objects of which a KITTI file is read.
     left_out : takes rows that cannot be read, in text and JSON; None: they are errors.
-
-    Returns
-    -------
-    The rows.
-
-    Raises
-    ------
-    InputError : the file is missing, or cannot be understood.
     """
     content = load(path)
     start = content[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()[:4]  # without a byte order mark

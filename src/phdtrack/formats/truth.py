@@ -40,21 +40,14 @@ def read_truth(path: AnyPath, *, first_frame: int | None = None, kitti: str = ""
 
     Rows of confidence 0 that are no distractors are left out. In truth with classes (MOT16 and later) pedestrians are
     scored, rows of the benchmark's distractors are marked, all others left out. The distractors are the classes 2, 7, 8, 12,
-    and 6 too where the path has a folder called MOT20-something.
+    and 6 too where the path has a folder called MOT20-something. Raises `InputError` where the file is missing or malformed;
+    the message names the line.
 
     Parameters
     ----------
     path : the file.
     first_frame : the number that the file gives the first frame; None: what is usual in its format.
     kitti : the type that is scored of a KITTI label file, as Car.
-
-    Returns
-    -------
-    The objects, distractors and ignored regions.
-
-    Raises
-    ------
-    InputError : the file is missing or malformed; the message names the line.
     """
     return _truth_of(table_of(Path(path), Kind.TRUTH, first_frame, kitti), Path(path))
 
@@ -62,9 +55,7 @@ def read_truth(path: AnyPath, *, first_frame: int | None = None, kitti: str = ""
 def read_truth_by_class(path: AnyPath) -> dict[str, Truth]:
     """The annotated objects of each class, by its name or number, in a file that says their classes.
 
-    Raises
-    ------
-    InputError : as `read_truth`; the file says no classes.
+    Raises `InputError` as `read_truth`, and where the file says no classes.
     """
     path = Path(path)
     table = table_of(path, Kind.TRACKS, None)
@@ -102,9 +93,7 @@ def _truth_of(table: Table, path: Path) -> Truth:
 def ignoring(truth: Truth, path: AnyPath) -> Truth:
     """``truth`` with the distractors and regions of a list of what to ignore.
 
-    Raises
-    ------
-    InputError : the list is missing or malformed; the message names the line.
+    Raises `InputError` where the list is missing or malformed; the message names the line.
     """
     path = Path(path)
     text = _list(scan(path, load(path)))

@@ -214,6 +214,8 @@ class Annotator:
     ) -> Image:
         """The frame with everything drawn on it, a new picture; into planes it is drawn in place.
 
+        Raises `InputError` where the picture is not (H, W, 3) uint8, or the probabilities do not fit the detections.
+
         Parameters
         ----------
         image : (H, W, 3) BGR uint8, or `Picture.planes` as (3H/2, W).
@@ -222,14 +224,6 @@ class Annotator:
         detections : the boxes of this frame.
         mass : the filter's expected count; left out of the header where not finite.
         clutter_probability : (N,) for the detections, or (0,) where unknown.
-
-        Returns
-        -------
-        (H, W, 3) BGR uint8, or the planes.
-
-        Raises
-        ------
-        InputError : the picture is not (H, W, 3) uint8, or the probabilities do not fit the detections.
         """
         where, known, count = f"frame {number}", len(clutter_probability), len(detections)
         planes = image.shape == (len(self._sheet.image) * 3 // 2, self._sheet.image.shape[1])

@@ -102,7 +102,7 @@ class VideoSource:
 
 
 def open_source(spec: str | Path, *, fps: float = 0.0, first: int = 1, last: int = 0) -> VideoSource:
-    """The frames that ``spec`` names.
+    """The frames that ``spec`` names. Raises `InputError` where there are none that can be decoded, or the rate is wrong.
 
     Parameters
     ----------
@@ -110,10 +110,6 @@ def open_source(spec: str | Path, *, fps: float = 0.0, first: int = 1, last: int
     fps : frames per second. Above 0 it replaces the time stamps of a video and is the rate of a folder of images; 0 takes
         the stream's own times, and 25 for images.
     first, last : only these frames, from 1; 0: up to the end. In a video file they are jumped to, if it has time stamps.
-
-    Raises
-    ------
-    InputError : nothing there, nothing that can be decoded, or a rate that is not a positive number.
     """
     if not math.isfinite(fps) or fps < 0:
         raise InputError(f"the rate must be a number of frames per second above 0, not {fps}", where="fps")
@@ -354,16 +350,12 @@ def _converter() -> _Converter:
 
 
 def bgr(picture: Any, width: int, height: int) -> Image:
-    """A picture as FFmpeg decodes it in other pixels.
+    """(H, W, 3) BGR uint8: a picture as FFmpeg decodes it in other pixels.
 
     Parameters
     ----------
     picture : an `av.VideoFrame`.
     width, height : of the image in pixels.
-
-    Returns
-    -------
-    (H, W, 3) BGR uint8.
     """
     return np.asarray(_converter().reformat(picture, width, height, "bgr24", interpolation="AREA").to_ndarray(), np.uint8)
 
