@@ -1,7 +1,7 @@
 """What the report of a run shows, and the recorder that collects it while the run goes on.
 
-A `Recorder` keeps numbers per frame and a handful of small pictures, so that memory does not grow with the video beyond
-some hundred bytes a frame.
+A `Recorder` keeps numbers per frame and a small picture, so that memory does not grow with the video beyond some hundred
+bytes a frame.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from phdtrack.types import F8, I8, Frame, Image, SequenceInfo, Step, Tracks, Tru
 
 STAGES = ("detect", "filter", "extract", "associate")
 NO_IMAGE: Image = np.zeros((0, 0, 3), np.uint8)
-# Pictures that are kept, at most, and their width.
-_PICTURES, _PICTURE_WIDTH = 12, 800
+# Of the picture that is kept, in pixels.
+_PICTURE_WIDTH = 800
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ class RunRecord:
         without a distribution, (0, 2) where no frame has one.
     seconds : (F, S) time that each of the `STAGES` took.
     truth_count : (F,) annotated objects, or (0,) where there is no truth.
-    background : (h, w, 3) BGR frame from the middle, scaled down; (0, 0, 3) without video.
+    background : (h, w, 3) BGR frame from the second half, scaled down; (0, 0, 3) without video.
     log_evidence : (F,) `UpdateInfo.log_evidence`; NaN in frames without it.
     names : what classes are called; None without classes.
     counted, online_count : counts of the whole run, and (F,) online tracks in each frame; used where there was no end to
@@ -187,8 +187,8 @@ class RunRecord:
 class Recorder:
     """Collects a `RunRecord` while a run goes on: `add` every frame in order, `record` at the end or when it breaks off.
 
-    Pictures are kept of frames whose index is a multiple of a stride, which doubles when they become too many. ``truth`` is
-    None where nothing is annotated. Of more than ``most`` frames the last ones are kept, and corrected rows are to be
+    The picture that is kept is of the 1st, 2nd, 4th, 8th, … frame, the last of these. ``truth`` is None where nothing is
+    annotated. Of more than ``most`` frames the last ones are kept, and corrected rows are to be
     counted by `count`, when they are final. ``blur`` (`arrays.pixelated`) hides boxes of detections, estimates and tracks.
     """
 
@@ -198,8 +198,8 @@ class Recorder:
         self._first, self._detections, self._false = math.nan, 0, 0.0
         # Of rows that are final; identities of the last two times.
         self._classes, self._final, self._predicted, self._known = Counter[int](), 0, 0, (set[int](), set[int]())
-        self._kept: list[tuple[int, int, Image]] = []
-        self._stride = 1
+        # And the number of its frame.
+        self._picture, self._pictured = NO_IMAGE, 0
 
     def add(self, frame: Frame | None, step: Step, detect_seconds: float) -> None:
         """Take in one frame.
@@ -216,14 +216,9 @@ class Recorder:
         self._rows.append((*row, *_likely_range(info.cardinality), tracks, detect_seconds, *step.seconds))
         self._seen, self._first = self._seen + 1, step.time if not self._seen else self._first
         self._detections, self._false = self._detections + len(step.detections), self._false + float(np.nan_to_num(false))
-        index = self._seen
-        if frame is None or index % self._stride:
-            return
-        boxes = np.vstack([step.detections.xyxy, step.estimates.xyxy])
-        self._kept.append((index, step.number, self._hidden(_small(frame), boxes)))
-        if len(self._kept) > _PICTURES:
-            self._stride *= 2
-            self._kept = [each for each in self._kept if each[0] % self._stride == 0]
+        if frame is not None and self._seen.bit_count() == 1:
+            boxes = np.vstack([step.detections.xyxy, step.estimates.xyxy])
+            self._picture, self._pictured = self._hidden(_small(frame), boxes), step.number
 
     def count(self, rows: Tracks) -> None:
         """Count corrected rows of a source without an end."""
@@ -240,7 +235,6 @@ class Recorder:
         numbers, ranges = table[:, 0].astype(np.int64), table[:, 6:8]
         seconds = float(table[-1, 1]) - self._first if len(table) else 0.0
         counts = self._detections, self._false, dict(self._classes), self._final, self._predicted
-        middle = self._kept[len(self._kept) // 2] if self._kept else None
         return RunRecord(
             info=self._info,
             about=about,
@@ -255,7 +249,7 @@ class Recorder:
             count_range=ranges if np.isfinite(ranges).any() else ranges[:0],
             seconds=table[:, 9:],
             truth_count=np.zeros(0, np.int64) if truth is None else _count(truth.frame[~truth.distractor], numbers),
-            background=NO_IMAGE if middle is None else self._hidden(middle[2], tracks.xyxy[tracks.frame == middle[1]]),
+            background=self._hidden(self._picture, tracks.xyxy[tracks.frame == self._pictured]),
             log_evidence=table[:, 5],
         )
 
