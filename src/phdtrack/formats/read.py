@@ -18,7 +18,7 @@ import numpy as np
 from phdtrack.errors import InputError
 from phdtrack.files import AnyPath, load
 from phdtrack.formats.checks import Origin, Rule, WrongRows, enforce, far, flag, repeated, whole
-from phdtrack.formats.kitti import is_kitti, rows_of_all, rows_of_type
+from phdtrack.formats.kitti import is_kitti, rows_of_kitti
 from phdtrack.formats.markup import rows_of_json, table_of_coco, table_of_xml
 from phdtrack.formats.table import Column, Kind, Source, Table, table_of_parquet, table_of_text
 from phdtrack.formats.text import scan
@@ -136,10 +136,9 @@ def table_of(path: Path, kind: Kind, first_frame: int | None, kitti: str = "", l
     text = scan(path, content) if lines is None else lines
     if is_kitti(text):
         source = source._replace(first=0 if first_frame is None else first_frame)
-        if kitti or kind is Kind.TRUTH:
-            return replace(table_of_text(source, rows_of_type(text, kitti)), kitti=True)
         text = text if left_out is None else text.readable({}, left_out)
-        return replace(table_of_text(source, rows_of_all(text)), kitti=True)
+        rows = rows_of_kitti(text, kitti if kitti or kind is Kind.TRUTH else None)
+        return replace(table_of_text(source, rows), kitti=True)
     if kitti and kind is Kind.TRUTH:
         problem = f"expected a KITTI label file of 17 columns with types as {kitti}, came another table"
         raise InputError(problem, where=path, cure="Leave out --kitti, or in Python kitti.")
