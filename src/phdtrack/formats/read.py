@@ -53,28 +53,22 @@ def detections_of(table: Table, left_out: WrongRows | None = None) -> DetectionT
         i, j = np.triu_indices(4)
         covariance[:, i, j] = covariance[:, j, i] = table.triangle
         rules.append(_definite(covariance))
-    if left_out is None:
+    try:
         enforce(table.origin, *rules)
-    else:
+    except InputError as error:
+        if left_out is None:
+            raise
         bad = np.any([rule.bad for rule in rules], axis=0)
-        _note(table.origin, rules, bad, left_out)
+        left_out.take(error, *table.origin.number[bad].tolist())
         table, label = table.take(~bad), label[~bad]
         covariance = None if covariance is None else covariance[~bad]
-        if not len(label) and left_out.first is not None:
-            raise left_out.first
+    if left_out is not None and left_out.first is not None and not len(label):
+        raise left_out.first
     frame, box = frames_of(table), table.xyxy()
     order = np.argsort(frame, kind="stable")
     order = order[np.all(box[order, 2:] > box[order, :2], axis=1)]
     found = Detections(box, table.get(Column.CONFIDENCE), label.astype(np.int64), covariance)
     return DetectionTable(frame[order], found.take(order), len(frame) - len(order), table.names)
-
-
-def _note(origin: Origin, rules: list[Rule], bad: Bool, left_out: WrongRows) -> None:
-    """Count the rows that break rules."""
-    try:
-        enforce(origin, *rules)
-    except InputError as error:
-        left_out.take(error, *origin.number[bad].tolist())
 
 
 def read_tracks(path: AnyPath, *, first_frame: int | None = None, kitti: str = "") -> Tracks:

@@ -29,7 +29,7 @@ from phdtrack.formats.kitti import LEAST_HEIGHT
 from phdtrack.formats.read import NO_ROWS, box_rules, identified, table_of
 from phdtrack.formats.table import Column, Kind, Source, Table, table_of_text
 from phdtrack.formats.text import Text, scan
-from phdtrack.types import F8, I8, Truth
+from phdtrack.types import F8, Truth
 
 _DISTRACTORS, _MOT20_DISTRACTORS = (2, 7, 8, 12), (2, 6, 7, 8, 12)
 _PEDESTRIAN, _LAST_CLASS = 1, 13
@@ -103,22 +103,15 @@ def ignoring(truth: Truth, path: AnyPath) -> Truth:
     region = table.get(Column.IDENTITY) < 0
     distractors, frame = table.take(~region), table.get(Column.FRAME).astype(np.int64)
     enforce(distractors.origin, Rule(frame[~region] == 0, "a row with an identity needs a frame", frame[~region]))
-    count = len(distractors.origin.number)
-    frames, order = _merged(truth.frame, frame[~region])
+    frames, count = np.concatenate([truth.frame, frame[~region]]), len(distractors.origin.number)
+    order = np.argsort(frames, kind="stable")
     identity = np.concatenate([truth.identity, distractors.get(Column.IDENTITY).astype(np.int64)])
     marked = np.concatenate([truth.distractor, np.ones(count, np.bool_)])
     xyxy = np.concatenate([truth.xyxy, distractors.xyxy()])
     regions = np.concatenate([truth.regions, _regions(table.take(region), first=1)])
     return replace(
-        truth, frame=frames, identity=identity[order], xyxy=xyxy[order], distractor=marked[order], regions=regions
+        truth, frame=frames[order], identity=identity[order], xyxy=xyxy[order], distractor=marked[order], regions=regions
     )
-
-
-def _merged(one: I8, other: I8) -> tuple[I8, I8]:
-    """The frames of both, ascending, and their order."""
-    frames = np.concatenate([one, other])
-    order = np.argsort(frames, kind="stable")
-    return frames[order], order
 
 
 def _regions(table: Table, first: int | None = None) -> F8:
