@@ -244,9 +244,8 @@ def _text(path: Path, rows: list[dict[str, str]], numbers: list[int]) -> Text:
 
 def _cell(value: object) -> str:
     """A value of JSON as a cell of a table."""
-    return (
-        "" if value is None else re.sub(r'[^\S ]|[,"]', "_", str(int(value) if isinstance(value, bool) else value).strip())
-    )
+    text = "" if value is None else str(int(value) if isinstance(value, bool) else value)
+    return re.sub(r'[^\S ]|[,"]', "_", text.strip())
 
 
 def table_of_xml(source: Source) -> Table:

@@ -97,10 +97,9 @@ def _tracks_of(table: Table) -> Tracks:
     used, confirmed, label = (table.get(column) for column in (Column.DETECTION, Column.CONFIRMED, Column.CLASS))
     rules = whole(used, "detection", low=-1), flag(confirmed, "confirmed"), whole(label, "class")
     frame, identity = identified(table, *rules)
-    whole_numbers = used.astype(np.int64), label.astype(np.int64)
-    confidence = table.get(Column.CONFIDENCE)
-    everything = Tracks(frame, identity, table.xyxy(), confidence, whole_numbers[0], confirmed != 0, whole_numbers[1])
-    return everything.take(np.lexsort((identity, frame)))
+    box, score = table.xyxy(), table.get(Column.CONFIDENCE)
+    found = Tracks(frame, identity, box, score, used.astype(np.int64), confirmed != 0, label.astype(np.int64))
+    return found.take(np.lexsort((identity, frame)))
 
 
 def table_of(path: Path, kind: Kind, first_frame: int | None, kitti: str = "", left_out: WrongRows | None = None) -> Table:

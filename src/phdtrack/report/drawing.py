@@ -244,7 +244,7 @@ class Annotator:
         canvas.glaze_boxes(detections.xyxy[false_alarm], _FALSE_ALARM, canvas.thin, 0.75, crossed=True)
         # From the top of the frame downwards, because what stands lower is usually nearer.
         rows = rows.take(np.argsort(rows.xyxy[:, 3], kind="stable"))
-        self._trails(canvas, number, rows.take(rows.confirmed))
+        self._trails(number, rows.take(rows.confirmed))
         for k in np.flatnonzero(~rows.confirmed):
             canvas.glaze_boxes(rows.xyxy[k : k + 1], identity_colour(int(rows.identity[k])), canvas.line, 0.4)
         rows = rows.take(rows.confirmed)
@@ -257,7 +257,7 @@ class Annotator:
         canvas.plate(f"frame {number}   {len(rows)} track{'s' * (len(rows) != 1)}{expected}", (0, 0), _BLACK, opacity=0.65)
         return canvas.onto(image)
 
-    def _trails(self, canvas: Canvas, number: int, rows: Tracks) -> None:
+    def _trails(self, number: int, rows: Tracks) -> None:
         """A line through the earlier and present feet of each identity, which fades towards the oldest."""
         past = Tracks.concatenate([self._past, rows])
         self._past = past = past.take(past.frame > number - self._length)
@@ -275,11 +275,11 @@ class Annotator:
             pieces = min(_FADING, len(points) - 1)
             bounds = [round(k * (len(points) - 1) / pieces) for k in range(pieces + 1)] if pieces > 0 else []
             lines = [points[first : last + 1] for first, last in pairwise(bounds)]
-            canvas.coloured_lines(lines, identity_colour(identity), canvas.line)
+            self._sheet.coloured_lines(lines, identity_colour(identity), self._sheet.line)
             for k, line in enumerate(lines, start=1):
                 by_strength.setdefault((30 + 200 * k / pieces) / 255, []).append(line)
         for strength, lines in by_strength.items():
-            canvas.glaze_lines(lines, canvas.line, strength)
+            self._sheet.glaze_lines(lines, self._sheet.line, strength)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

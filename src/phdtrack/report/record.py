@@ -131,16 +131,6 @@ class RunRecord:
         return len(self.numbers)
 
     @property
-    def mean_mass(self) -> float:
-        """The expected number of objects, mean over the frames in which the filter gives one; NaN without such frames."""
-        return known_mean(self.mass)
-
-    @property
-    def mean_log_evidence(self) -> float:
-        """Mean over the frames that have it; NaN without such frames."""
-        return known_mean(self.log_evidence)
-
-    @property
     def lifetimes(self) -> I8:
         """(n,) number of boxes of each identity, ascending."""
         return np.sort(np.unique(self.tracks.identity, return_counts=True)[1])

@@ -203,7 +203,7 @@ def _stamps(container: Any, stream: Any, count: int) -> list[int]:
     return [found[number] for number in order[:count]] if ordered else []
 
 
-def _video(path: str, fps: float, first: int = 1) -> VideoSource:
+def _video(path: str, fps: float, first: int) -> VideoSource:
     """The frames of a video file or of an address that FFmpeg can open, in order of presentation, from frame ``first`` on.
 
     ``fps`` above 0 replaces the stream's time stamps. Raises `InputError` where no frame can be decoded.
