@@ -62,10 +62,10 @@ def test_people_have_their_colours_and_groups_an_outline() -> None:
 
 
 def test_labels_do_not_overlap() -> None:
-    canvas, taken = _Canvas(np.zeros((400, 600, 3), np.uint8)), list[tuple[int, int, int, int]]()
+    canvas = _Canvas(np.zeros((400, 600, 3), np.uint8))
     for k in range(6):
-        canvas.label(f"{10 + k}", (300 + 3 * k, 300 + 2 * k), (255, 255, 255), taken)
-    for (a, b, c, d), (e, f, g, h) in itertools.combinations(taken, 2):
+        canvas.label(f"{10 + k}", (300 + 3 * k, 300 + 2 * k), (255, 255, 255))
+    for (a, b, c, d), (e, f, g, h) in itertools.combinations(canvas.taken, 2):
         assert c <= e or g <= a or d <= f or h <= b
 
 

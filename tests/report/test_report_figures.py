@@ -53,7 +53,7 @@ def test_thousands_of_bars_and_points_become_pixels() -> None:
     many = Tracks(np.ones(n, int), each, np.ones((n, 4)), np.ones(n), np.zeros(n, int), np.ones(n, bool))
     times, counts, masses = each / 25, each % 7, each % 7 + 0.5
     rows = {"numbers": each, "times": times, "n_detections": counts, "mass": masses, "truth_count": counts}
-    record = replace(run_record(3), tracks=many, seconds=np.full((n, 4), 0.01), **rows)
+    record = replace(run_record(3), tracks=many, track_count=counts, seconds=np.full((n, 4), 0.01), **rows)
     for picture in (lifetime_chart(record), count_chart(record)):
         assert "<image" in drawn(picture)
         assert len(picture.data) < 300_000

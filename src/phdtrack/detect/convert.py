@@ -33,9 +33,7 @@ _SOME, _MOST, _ALMOST_ALL = 20, 0.5, 0.95
 def as_detections(obj: object, *, where: str = "") -> Detections:
     """``obj``, in one of the forms above, as `Detections`, checked; ``where`` begins the message of an error ("frame 12").
 
-    Raises
-    ------
-    InputError : another shape, values that are not finite numbers; it names the row.
+    Raises `InputError` where it has another shape, or values that are not finite numbers: then it names the row.
     """
     if isinstance(obj, Detections):
         return _checked(obj, where)
@@ -148,19 +146,13 @@ def doubtful(found: Detections, size: tuple[float, float]) -> str:
 def within_frame(table: DetectionTable, info: SequenceInfo, path: Path) -> tuple[DetectionTable, tuple[str, ...]]:
     """The detections of which any part is in the frame, and a sentence for each reason why some were left out.
 
+    Raises `InputError` where all are outside, or look like shares of the frame's size, or like corners in place of sizes.
+
     Parameters
     ----------
     table : detections of a sequence.
     info : its size.
     path : their file, for messages.
-
-    Returns
-    -------
-    The detections, and the sentences.
-
-    Raises
-    ------
-    InputError : all of them are outside, or they look like shares of the frame's size, or like corners in place of sizes.
     """
     left, top, right, bottom = table.detections.xyxy.T
     if table.detections.xyxy.max(initial=0) <= _SMALL < min(info.width, info.height) and len(table):

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from phdtrack.kernels.change import middle
 from phdtrack.kernels.planes import BLACK, FROM_BGR, TO_BGR, colours, luma
-from phdtrack.types import F8, I8, STILL, Bool, Image
+from phdtrack.types import F8, STILL, Bool, Image
 
 F4 = NDArray[np.float32]
 # Grey levels within which two samples show the same, and the share of samples that must for the median to be certain.
@@ -110,17 +110,14 @@ def median(samples: Sequence[Image]) -> Image:
 
 
 def background(samples: Sequence[Image], shape: tuple[int, int]) -> tuple[Image, Bool]:
-    """The empty scene, and where something hid it most of the time.
+    """(n,) the empty scene, and (H, W) where something hid it most of the time.
+
+    It is the median, but where gradients contradict that the sample that they agree with most.
 
     Parameters
     ----------
     samples : an odd number of pictures (n,), planes as in `kernels.change`, far apart in time.
     shape : (H, W) of them.
-
-    Returns
-    -------
-    The picture (n,): the median, and where gradients contradict it the sample that they agree with most. And (H, W) where it
-    is not the median.
     """
     typical, (height, width) = median(samples), shape
     scale = min(1.0, (_COARSE / (height * width)) ** 0.5)
@@ -172,17 +169,13 @@ def _planes(bgr: F4) -> F4:
 
 
 def of_objects(hidden: Bool, least: F8, margin: int) -> Bool:
-    """What objects hid, for leaves hide some pixels each.
+    """(H, W) what objects hid, for leaves hide some pixels each: parts into which a square fits, widened.
 
     Parameters
     ----------
     hidden : (H, W) where something hid the scene most of the time.
     least : (H,) side in pixels of a square that fits into an object in this row.
     margin : pixels by which what hides is widened in all, odd.
-
-    Returns
-    -------
-    (H, W) the parts into which such a square fits, widened.
     """
     spots = hidden.astype(np.uint8)
     # From the edge of the picture on it is taken to go on.
@@ -200,7 +193,7 @@ def _middle(values: NDArray[Any]) -> NDArray[Any]:
 def _integrated(samples: Image) -> F4:
     """(h, w, 3) the picture of the median gradients of samples (n, h, w, 3), within the median where that is certain."""
     # They take long to import, and a live source needs neither.
-    from scipy.sparse import coo_matrix
+    from scipy.sparse import diags, eye, kron, vstack
     from scipy.sparse.linalg import cg
 
     typical, values = _middle(samples).astype(np.float32), samples.astype(np.int16)
@@ -209,29 +202,14 @@ def _integrated(samples: Image) -> F4:
     # Without a certain pixel anywhere the picture would be known but for a constant.
     if not unknown.any() or unknown.mean() > 0.95:
         return typical
-    index = np.full(unknown.shape, -1)
-    index[unknown] = np.arange(unknown.sum())
-    equations = [_across(index, typical, _middle(np.diff(values, axis=2)).astype(np.float32), axis=1)]
-    equations.append(_across(index, typical, _middle(np.diff(values, axis=1)).astype(np.float32), axis=0))
-    first, second, right = (np.concatenate(parts) for parts in zip(*equations, strict=True))
-    number = np.arange(len(first))
-    rows = np.concatenate([number[second >= 0], number[first >= 0]])
-    columns = np.concatenate([second[second >= 0], first[first >= 0]])
-    signs = np.where(np.arange(len(rows)) < (second >= 0).sum(), 1.0, -1.0)
-    steps = coo_matrix((signs, (rows, columns)), (len(number), int(unknown.sum()))).tocsr()
-    normal, out = (steps.T @ steps).tocsr(), typical.copy()
-    for channel in range(out.shape[2]):
-        start = typical[unknown, channel]
-        out[unknown, channel] = cg(normal, steps.T @ right[:, channel], start, rtol=1e-3, maxiter=300)[0]
+    hidden, known = unknown.ravel(), typical.reshape(-1, 3)
+    down, along = (diags([-1.0, 1.0], [0, 1], (side - 1, side)) for side in unknown.shape)
+    # An equation for each pair of neighbours: the second one less the first is the median gradient.
+    steps = vstack([kron(eye(unknown.shape[0]), along), kron(down, eye(unknown.shape[1]))]).tocsc()
+    gradient = np.concatenate([_middle(np.diff(values, axis=axis)).reshape(-1, 3) for axis in (2, 1)])
+    free, right = steps[:, hidden], gradient - steps[:, ~hidden] @ known[~hidden]
+    normal, out = (free.T @ free).tocsr(), typical.copy()
+    for channel in range(3):
+        start = known[hidden, channel]
+        out[unknown, channel] = cg(normal, free.T @ right[:, channel], start, rtol=1e-3, maxiter=300)[0]
     return out
-
-
-def _across(index: I8, known: F4, gradient: F4, axis: int) -> tuple[I8, I8, F4]:
-    """Equations P(second) − P(first) = right for neighbours along an axis, known values on the right; −1: a known pixel."""
-    ends = (slice(None, -1), slice(1, None))
-    before, after = (index[end] if axis == 0 else index[:, end] for end in ends)
-    use = (before >= 0) | (after >= 0)
-    first, second = before[use], after[use]
-    low, high = (known[end][use] if axis == 0 else known[:, end][use] for end in ends)
-    right = gradient[use] + np.where(first[:, None] >= 0, 0.0, low) - np.where(second[:, None] >= 0, 0.0, high)
-    return first, second, right

@@ -87,10 +87,6 @@ def whole(values: F8, name: str, *, low: float = -_LARGEST, high: float = _LARGE
     name : what messages call them.
     low, high : smallest and largest value allowed.
     cure : what the message advises.
-
-    Returns
-    -------
-    The fault.
     """
     with np.errstate(invalid="ignore"):
         good = (np.floor(values) == values) & (values >= low) & (values <= high)

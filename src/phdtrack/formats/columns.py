@@ -39,10 +39,8 @@ class Warps:
 def read_warps(path: AnyPath) -> Warps:
     """The motion of a camera in a file.
 
-    Raises
-    ------
-    InputError : the file cannot be read; a line has other than 7 or 10 numbers; a frame number is none or comes twice; a
-        matrix is no motion of a camera.
+    Raises `InputError` where the file cannot be read, a line has other than 7 or 10 numbers, a frame number is none or comes
+    twice, or a matrix is no motion of a camera.
     """
     origin, values = read_columns(path, _WARP, (7, 10))
     number = values[:, 0]

@@ -32,8 +32,8 @@ import numpy as np
 
 from phdtrack.errors import InputError
 from phdtrack.files import Element, load, read_json, read_xml
-from phdtrack.formats.checks import Origin
-from phdtrack.formats.table import CENTRE_SIZE, LTWH, Column, Kind, Source, Table, table_of_text
+from phdtrack.formats.checks import Origin, WrongRows
+from phdtrack.formats.table import LTWH, Column, Kind, Source, Table, table_of_text
 from phdtrack.formats.text import Text, normalise
 
 # The keys of each column in an entry.
@@ -72,42 +72,51 @@ class _Entry(NamedTuple):
         return [_number(value, "bbox", self.where) for value in box]
 
 
-def table_of_coco(source: Source) -> Table:
-    """The boxes in COCO JSON; `InputError` where it is not of COCO's form, or truth and tracks have no identities."""
-    path, document = source.path, read_json(source.path, source.content)
-    unit, images, given = _parts(path, document)
-    frame_of, entries, kept = _frame_of(path, images) if images else None, list[_Entry](), list[int]()
-    for i, one in enumerate(given):
-        try:
-            entry = _entry(path, one, unit, i + 1, "image_id and bbox")
-            _check(entry, frame_of)
-        except InputError as error:
-            if source.left_out is None:
-                raise
-            source.left_out.take(error, i + 1.0)
-            continue
-        entries.append(entry)
-        kept.append(i + 1)
-    boxes = np.array([entry.box() for entry in entries], np.float64).reshape(-1, 4)
-    values = dict(zip(LTWH, boxes.T, strict=True))
-    numbers = [entry.number("image_id") for entry in entries]
-    values[Column.FRAME] = np.array([frame_of[key] for key in numbers] if frame_of else numbers, np.float64)
-    for column, keys in _KEYS.items():
-        if column is not Column.IDENTITY or source.kind is not Kind.DETECTIONS:
-            found = [entry.number(*keys, default=column.default) for entry in entries]
-            values[column] = np.array(found, np.float64)
-    origin = Origin(path, unit, np.array(kept, np.int64))
-    return Table(origin, source.first, values, np.zeros((len(entries), 0)), _names(path, document))
+class _Coco(NamedTuple):
+    """What a file of COCO says of itself, of its images, of the annotations that are right (called ``unit``; the place
+    from 1, the number of the frame), and the names of classes."""
+
+    about: dict[str, Any]
+    pictures: list[dict[str, Any]]
+    unit: str
+    rows: list[tuple[int, float, _Entry]]
+    names: dict[int, str]
 
 
-def _parts(path: Path, document: Any) -> tuple[str, list[_Entry], list[Any]]:
-    """What an annotation is called, the images, and the annotations as they are given."""
+def _coco(path: Path, content: bytes, left_out: WrongRows | None = None) -> _Coco:
+    """What a file says; `InputError` where it is not of COCO's form, or an annotation is wrong and none is left out."""
+    document, unit, rows = read_json(path, content), "annotation", list[tuple[int, float, _Entry]]()
     if isinstance(document, list):
-        return "entry", [], document
+        document, unit = {"annotations": document}, "entry"
     if not isinstance(document, dict):
         raise InputError(f"expected a list of results or a COCO data set, came {_brief(document)}", where=path)
-    images = _entries(path, _list(path, document, "images"), "image", "id and file_name") if "images" in document else []
-    return "annotation", images, _list(path, document, "annotations")
+    images = _entries(path, document, "images", "image", "id and file_name") if "images" in document else []
+    given, frame_of = _list(path, document, "annotations"), _frame_of(path, images)
+    for place, one in enumerate(given, start=1):
+        try:
+            entry = _entry(path, one, unit, place, "image_id and bbox")
+            rows.append((place, _frame(entry, frame_of), entry))
+        except InputError as error:
+            if left_out is None:
+                raise
+            left_out.take(error, float(place))
+    about = document.get("info")
+    pictures = [one.values | {"frame": frame_of[one.number("id")]} for one in images]
+    return _Coco(about if isinstance(about, dict) else {}, pictures, unit, rows, _names(path, document))
+
+
+def table_of_coco(source: Source) -> Table:
+    """The boxes in COCO JSON; `InputError` where it is not of COCO's form, or truth and tracks have no identities."""
+    found = _coco(source.path, source.content, source.left_out)
+    boxes = np.array([entry.box() for _, _, entry in found.rows], np.float64).reshape(-1, 4)
+    values = dict(zip(LTWH, boxes.T, strict=True))
+    values[Column.FRAME] = np.array([frame for _, frame, _ in found.rows], np.float64)
+    for column, keys in _KEYS.items():
+        if column is not Column.IDENTITY or source.kind is not Kind.DETECTIONS:
+            numbers = [entry.number(*keys, default=column.default) for _, _, entry in found.rows]
+            values[column] = np.array(numbers, np.float64)
+    origin = Origin(source.path, found.unit, np.array([place for place, _, _ in found.rows], np.int64))
+    return Table(origin, source.first, values, np.zeros((len(found.rows), 0)), found.names)
 
 
 class Annotated(NamedTuple):
@@ -145,21 +154,13 @@ def read_annotated(path: Path) -> Annotated:
 
 def _coco_values(path: Path, content: bytes) -> Annotated:
     """What a file of COCO says; frames are as it counts them."""
-    document = read_json(path, content)
-    unit, images, given = _parts(path, document)
-    frame_of = _frame_of(path, images) if images else None
-    names = {float(key): name for key, name in _names(path, document).items()}
-    entries = _entries(path, given, unit, "image_id and bbox")
-    boxes = list[dict[str, Any]]()
-    for entry in entries:
-        _check(entry, frame_of)
-        (left, top, width, height), number = entry.box(), entry.number("image_id")
-        corners = (left, top, left + width, top + height)
+    found = _coco(path, content)
+    names, boxes = {float(key): name for key, name in found.names.items()}, list[dict[str, Any]]()
+    for _, frame, entry in found.rows:
+        left, top, width, height = entry.box()
         label = names.get(entry.number("category_id", default=-1.0), "")
-        boxes.append(entry.values | {"frame": frame_of[number] if frame_of else number, "xyxy": corners, "label": label})
-    about = document.get("info") if isinstance(document, dict) else None
-    pictures = [one.values | {"frame": (frame_of or {})[one.number("id")]} for one in images]
-    return Annotated(about if isinstance(about, dict) else {}, pictures, boxes)
+        boxes.append(entry.values | {"frame": frame, "xyxy": (left, top, left + width, top + height), "label": label})
+    return Annotated(found.about, found.pictures, boxes)
 
 
 def _cvat_values(path: Path, content: bytes) -> Annotated:
@@ -174,28 +175,32 @@ def _cvat_values(path: Path, content: bytes) -> Annotated:
             more[id(one.around[-1])][one.attributes.get("name", "")] = "".join(one.text)
     about, pictures, boxes = dict[str, Any](), list[dict[str, Any]](), list[dict[str, Any]]()
     for one in elements:
-        around = {element.name: element for element in one.around}
-        picture, outer = around.get("image"), around.get("track", one)
         if one.name == "phdtrack":
             about |= one.attributes
         elif one.name == "image":
             pictures.append({**one.attributes, "frame": one.number("id")})
-        elif one.name == "tag" and picture is not None:
+        elif one.name == "tag" and any(element.name == "image" for element in one.around):
             pictures[-1] |= more[id(one)]
         elif one.name == "box" and one.attributes.get("outside") != "1":
-            frame = picture.number("id") if picture else one.number("frame")
-            corners = tuple(map(one.number, ("xtl", "ytl", "xbr", "ybr")))
-            label = outer.attributes.get("label", "")
-            boxes.append({**more[id(outer)], **more[id(one)], "frame": frame, "xyxy": corners, "label": label})
+            track, frame, corners = _cvat_box(one)
+            label = track.attributes.get("label", "")
+            boxes.append({**more[id(track)], **more[id(one)], "frame": frame, "xyxy": corners, "label": label})
     return Annotated(about, pictures, boxes)
 
 
-def _names(path: Path, document: Any) -> dict[int, str]:
+def _cvat_box(box: Element) -> tuple[Element, float, tuple[float, ...]]:
+    """The track of a box of CVAT, or itself where it has none, its frame from 0, and its corners."""
+    around = {element.name: element for element in box.around}
+    frame = around["image"].number("id") if "image" in around else box.number("frame")
+    return around.get("track", box), frame, tuple(map(box.number, ("xtl", "ytl", "xbr", "ybr")))
+
+
+def _names(path: Path, document: dict[str, Any]) -> dict[int, str]:
     """What a data set calls its categories."""
-    if not isinstance(document, dict) or not document.get("categories"):
+    if not document.get("categories"):
         return {}
     names = dict[int, str]()
-    for one in _entries(path, _list(path, document, "categories"), "category", "id and name"):
+    for one in _entries(path, document, "categories", "category", "id and name"):
         if not (number := one.number("id")).is_integer():
             raise InputError(f"expected a whole number for id, came {number:g}", where=one.where)
         names[int(number)] = str(one.values.get("name", one.values["id"]))
@@ -239,53 +244,39 @@ def _text(path: Path, rows: list[dict[str, str]], numbers: list[int]) -> Text:
 
 def _cell(value: object) -> str:
     """A value of JSON as a cell of a table."""
-    return (
-        "" if value is None else re.sub(r'[^\S ]|[,"]', "_", str(int(value) if isinstance(value, bool) else value).strip())
-    )
-
-
-def rows_of_cvat(path: Path, elements: list[Element]) -> Text:
-    """The boxes of a CVAT document as a table with a header; those that are outside are no boxes. `InputError` as usual."""
-    rows, lines = [], []
-    for box in elements:
-        around = {element.name: element for element in box.around}
-        if box.name != "box" or box.attributes.get("outside") == "1":
-            continue
-        if not around.keys() & {"track", "image"}:
-            raise InputError("expected <box> inside of <track> or <image>, came one outside", where=box.where)
-        track, image = around.get("track"), around.get("image")
-        corners = zip(("left", "top", "right", "bottom"), map(box.number, ("xtl", "ytl", "xbr", "ybr")), strict=True)
-        row = {"frame": f"{(image or box).number('id' if image else 'frame'):.15g}"}
-        row |= {"id": f"{track.number('id'):.15g}"} if track else {}
-        label = (track or box).attributes.get("label", "")
-        rows.append(row | {name: repr(value) for name, value in corners} | {"class": _cell(label)})
-        lines.append(box.line)
-    return _text(path, rows, lines) if rows else Text(Origin(path, "line", np.zeros(0, np.int64)), [])
+    text = "" if value is None else str(int(value) if isinstance(value, bool) else value)
+    return re.sub(r'[^\S ]|[,"]', "_", text.strip())
 
 
 def table_of_xml(source: Source) -> Table:
-    """The boxes of the objects in a CVML or CVAT document; `InputError` where it is none."""
-    elements = read_xml(source.path, source.content)
-    if elements[0].name == "annotations":
-        return table_of_text(source, rows_of_cvat(source.path, elements))
-    if elements[0].name != "dataset":
+    """The boxes of the objects in a CVML or CVAT document; `InputError` where it is none.
+
+    Those of CVAT that are outside are no boxes.
+    """
+    elements, rows, lines = read_xml(source.path, source.content), list[dict[str, str]](), list[int]()
+    cvat = elements[0].name == "annotations"
+    if not cvat and elements[0].name != "dataset":
         came = f"<{elements[0].name}>"
         problem = f"expected CVML or CVAT, whose outermost element is <dataset> or <annotations>, came {came}"
         raise InputError(problem, where=elements[0].where)
-    rows, lines = [], []
     for box in elements:
         around = {element.name: element for element in box.around}
-        if box.name != "box" or "group" in around:
+        if box.name != "box" or (box.attributes.get("outside") == "1" if cvat else "group" in around):
             continue
-        if "frame" not in around or "object" not in around:
-            raise InputError("expected <box> inside of <frame> and <object>, came one outside", where=box.where)
-        place = [box.number(key) for key in ("xc", "yc", "w", "h")]
-        rows.append([around["frame"].number("number"), around["object"].number("id"), *place])
+        if not (around.keys() & {"track", "image"} if cvat else around.keys() >= {"frame", "object"}):
+            place = "<track> or <image>" if cvat else "<frame> and <object>"
+            raise InputError(f"expected <box> inside of {place}, came one outside", where=box.where)
+        if cvat:
+            track, frame, corners = _cvat_box(box)
+            row = dict(zip(("frame", "left", "top", "right", "bottom"), (frame, *corners), strict=True))
+            row |= {"id": track.number("id")} if track is not box else {}
+            more = {"class": _cell(track.attributes.get("label", ""))}
+        else:
+            row = {name: box.number(key) for name, key in (("cx", "xc"), ("cy", "yc"), ("width", "w"), ("height", "h"))}
+            row, more = row | {"frame": around["frame"].number("number"), "id": around["object"].number("id")}, {}
+        rows.append({name: repr(value) for name, value in row.items()} | more)
         lines.append(box.line)
-    values = np.array(rows, np.float64).reshape(-1, 6)
-    origin = Origin(source.path, "line", np.array(lines, np.int64))
-    columns = dict(zip((Column.FRAME, Column.IDENTITY, *CENTRE_SIZE), values.T, strict=True))
-    return Table(origin, source.first, columns, np.zeros((len(values), 0)))
+    return table_of_text(source, _text(source.path, rows, lines))
 
 
 def _list(path: Path, document: dict[str, Any], key: str) -> list[Any]:
@@ -295,8 +286,8 @@ def _list(path: Path, document: dict[str, Any], key: str) -> list[Any]:
     raise InputError(f"expected a COCO data set with a list of {key}, came {came}", where=path)
 
 
-def _entries(path: Path, objects: list[Any], unit: str, keys: str) -> list[_Entry]:
-    return [_entry(path, values, unit, i, keys) for i, values in enumerate(objects, start=1)]
+def _entries(path: Path, document: dict[str, Any], key: str, unit: str, keys: str) -> list[_Entry]:
+    return [_entry(path, values, unit, i, keys) for i, values in enumerate(_list(path, document, key), start=1)]
 
 
 def _entry(path: Path, values: Any, unit: str, number: int, keys: str) -> _Entry:
@@ -307,14 +298,15 @@ def _entry(path: Path, values: Any, unit: str, number: int, keys: str) -> _Entry
     return _Entry({**more, **values} if isinstance(more, dict) else values, where)
 
 
-def _check(entry: _Entry, frame_of: dict[float, float] | None) -> None:
-    """Raise `InputError` where an entry has no box, a value that is no number, or an image that there is not."""
+def _frame(entry: _Entry, frame_of: dict[float, float]) -> float:
+    """The number of an entry's frame. `InputError` where it has no box, a value that is no number, or another image."""
     entry.box()
     for column, keys in _KEYS.items():
         entry.number(*keys, default=column.default if column is not Column.IDENTITY else 0.0)
     key = entry.number("image_id")
-    if frame_of is not None and key not in frame_of:
+    if frame_of and key not in frame_of:
         raise InputError(f"expected the id of one of the images, came image_id {key:.15g}", where=entry.where)
+    return frame_of.get(key, key)
 
 
 def _frame_of(path: Path, images: list[_Entry]) -> dict[float, float]:

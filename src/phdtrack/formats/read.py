@@ -18,7 +18,7 @@ import numpy as np
 from phdtrack.errors import InputError
 from phdtrack.files import AnyPath, load
 from phdtrack.formats.checks import Origin, Rule, WrongRows, enforce, far, flag, repeated, whole
-from phdtrack.formats.kitti import is_kitti, rows_of_all, rows_of_type
+from phdtrack.formats.kitti import is_kitti, rows_of_kitti
 from phdtrack.formats.markup import rows_of_json, table_of_coco, table_of_xml
 from phdtrack.formats.table import Column, Kind, Source, Table, table_of_parquet, table_of_text
 from phdtrack.formats.text import scan
@@ -32,21 +32,14 @@ def read_detections(path: AnyPath, *, first_frame: int | None = None, left_out: 
 
     Boxes in pixels, xyxy. Confidence is 1 and class 0 where the file has none; confidence has no bounds. Classes that are
     words get numbers, see `DetectionTable.names`; KITTI's label files have all types but regions. Real detectors give boxes
-    of width or height 0 now and then: they are left out and counted in `DetectionTable.empty`.
+    of width or height 0 now and then: they are left out and counted in `DetectionTable.empty`. Raises `InputError` where the
+    file is missing or malformed, or no row is right; the message names the line.
 
     Parameters
     ----------
     path : the file.
     first_frame : the number that the file gives the first frame; None: what is usual in its format.
     left_out : counts rows that are wrong, and these are left out; None: the first of them is an error.
-
-    Returns
-    -------
-    The detections.
-
-    Raises
-    ------
-    InputError : the file is missing or malformed, or no row is right; the message names the line.
     """
     return detections_of(table_of(Path(path), Kind.DETECTIONS, first_frame, left_out=left_out), left_out)
 
@@ -60,15 +53,17 @@ def detections_of(table: Table, left_out: WrongRows | None = None) -> DetectionT
         i, j = np.triu_indices(4)
         covariance[:, i, j] = covariance[:, j, i] = table.triangle
         rules.append(_definite(covariance))
-    if left_out is None:
+    try:
         enforce(table.origin, *rules)
-    else:
+    except InputError as error:
+        if left_out is None:
+            raise
         bad = np.any([rule.bad for rule in rules], axis=0)
-        _note(table.origin, rules, bad, left_out)
+        left_out.take(error, *table.origin.number[bad].tolist())
         table, label = table.take(~bad), label[~bad]
         covariance = None if covariance is None else covariance[~bad]
-        if not len(label) and left_out.first is not None:
-            raise left_out.first
+    if left_out is not None and left_out.first is not None and not len(label):
+        raise left_out.first
     frame, box = frames_of(table), table.xyxy()
     order = np.argsort(frame, kind="stable")
     order = order[np.all(box[order, 2:] > box[order, :2], axis=1)]
@@ -76,32 +71,17 @@ def detections_of(table: Table, left_out: WrongRows | None = None) -> DetectionT
     return DetectionTable(frame[order], found.take(order), len(frame) - len(order), table.names)
 
 
-def _note(origin: Origin, rules: list[Rule], bad: Bool, left_out: WrongRows) -> None:
-    """Count the rows that break rules."""
-    try:
-        enforce(origin, *rules)
-    except InputError as error:
-        left_out.take(error, *origin.number[bad].tolist())
-
-
 def read_tracks(path: AnyPath, *, first_frame: int | None = None, kitti: str = "") -> Tracks:
     """The tracks in a MOTChallenge (6 to 12 columns), KITTI, CSV, Parquet, JSON, CVML or CVAT file, by frame, then identity.
 
-    Where the file does not say, ``confidence`` is 1, ``detection`` −1 (none known) and ``confirmed`` true.
+    Where the file does not say, ``confidence`` is 1, ``detection`` −1 (none known) and ``confirmed`` true. Raises
+    `InputError` where the file is missing or malformed; the message names the line.
 
     Parameters
     ----------
     path : the file.
     first_frame : the number that the file gives the first frame; None: what is usual in its format.
     kitti : the type that is read of a KITTI file, as Car.
-
-    Returns
-    -------
-    The tracks.
-
-    Raises
-    ------
-    InputError : the file is missing or malformed; the message names the line.
     """
     return _tracks_of(table_of(Path(path), Kind.TRACKS, first_frame, kitti))
 
@@ -117,14 +97,13 @@ def _tracks_of(table: Table) -> Tracks:
     used, confirmed, label = (table.get(column) for column in (Column.DETECTION, Column.CONFIRMED, Column.CLASS))
     rules = whole(used, "detection", low=-1), flag(confirmed, "confirmed"), whole(label, "class")
     frame, identity = identified(table, *rules)
-    whole_numbers = used.astype(np.int64), label.astype(np.int64)
-    confidence = table.get(Column.CONFIDENCE)
-    everything = Tracks(frame, identity, table.xyxy(), confidence, whole_numbers[0], confirmed != 0, whole_numbers[1])
-    return everything.take(np.lexsort((identity, frame)))
+    box, score = table.xyxy(), table.get(Column.CONFIDENCE)
+    found = Tracks(frame, identity, box, score, used.astype(np.int64), confirmed != 0, label.astype(np.int64))
+    return found.take(np.lexsort((identity, frame)))
 
 
 def table_of(path: Path, kind: Kind, first_frame: int | None, kitti: str = "", left_out: WrongRows | None = None) -> Table:
-    """The rows of a file, not checked yet.
+    """The rows of a file, not checked yet. Raises `InputError` where the file is missing, or cannot be understood.
 
     Parameters
     ----------
@@ -133,14 +112,6 @@ def table_of(path: Path, kind: Kind, first_frame: int | None, kitti: str = "", l
     first_frame : the number that it gives the first frame; None: what is usual in its format.
     kitti : the type of objects of which a KITTI file is read.
     left_out : takes rows that cannot be read, in text and JSON; None: they are errors.
-
-    Returns
-    -------
-    The rows.
-
-    Raises
-    ------
-    InputError : the file is missing, or cannot be understood.
     """
     content = load(path)
     start = content[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()[:4]  # without a byte order mark
@@ -158,10 +129,9 @@ def table_of(path: Path, kind: Kind, first_frame: int | None, kitti: str = "", l
     text = scan(path, content) if lines is None else lines
     if is_kitti(text):
         source = source._replace(first=0 if first_frame is None else first_frame)
-        if kitti or kind is Kind.TRUTH:
-            return replace(table_of_text(source, rows_of_type(text, kitti)), kitti=True)
         text = text if left_out is None else text.readable({}, left_out)
-        return replace(table_of_text(source, rows_of_all(text)), kitti=True)
+        rows = rows_of_kitti(text, kitti if kitti or kind is Kind.TRUTH else None)
+        return replace(table_of_text(source, rows), kitti=True)
     if kitti and kind is Kind.TRUTH:
         problem = f"expected a KITTI label file of 17 columns with types as {kitti}, came another table"
         raise InputError(problem, where=path, cure="Leave out --kitti, or in Python kitti.")

@@ -17,10 +17,7 @@ def find_seqinfo(path: AnyPath) -> SequenceInfo | None:
     """What is known about the sequence of a file of detections or truth, or of a folder.
 
     The file ``seqinfo.ini`` is looked for beside it and one folder up (``seq/det/det.txt``); None where there is none.
-
-    Raises
-    ------
-    InputError : there is one, and it is malformed.
+    Raises `InputError` where there is one, and it is malformed.
     """
     path = Path(path).absolute()
     folder = path if path.is_dir() else path.parent
@@ -31,9 +28,7 @@ def find_seqinfo(path: AnyPath) -> SequenceInfo | None:
 def read_seqinfo(path: AnyPath) -> SequenceInfo:
     """Size in pixels, frame rate in Hz, number of frames (0 where not given) and name, from the file or its folder.
 
-    Raises
-    ------
-    InputError : there is no such file, it is malformed, or size or frame rate are missing or not above 0.
+    Raises `InputError` where there is no such file, it is malformed, or size or frame rate are missing or not above 0.
     """
     path = Path(path)
     path = path / _NAME if path.is_dir() else path

@@ -25,18 +25,12 @@ _MOST = 100_000
 def stream_detections(file: BinaryIO, name: str) -> Iterator[DetectionTable]:
     """Detections as they come, of one or more whole frames: a frame is whole when a row of a later one has come.
 
+    Raises `InputError` where a line cannot be understood, or is of a frame that was before; the message names the line.
+
     Parameters
     ----------
     file : MOTChallenge or CSV rows in the order of their frames, which count from 1.
     name : of it, in messages.
-
-    Yields
-    ------
-    table : as `read_detections` gives it. No frame is in two of them.
-
-    Raises
-    ------
-    InputError : a line cannot be understood, or is of a frame that was before; the message names the line.
     """
     path, cut, read, header = Path(name), b"", 0, list[bytes]()
     # The lines that are not given yet, and their numbers; the frame that was given last.

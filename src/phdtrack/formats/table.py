@@ -74,8 +74,8 @@ class Kind(Enum):
 
 LTWH = (Column.LEFT, Column.TOP, Column.WIDTH, Column.HEIGHT)
 _CORNERS = (Column.LEFT, Column.TOP, Column.RIGHT, Column.BOTTOM)
-CENTRE_SIZE = (Column.CENTRE_X, Column.CENTRE_Y, Column.WIDTH, Column.HEIGHT)
-_BOXES = (LTWH, _CORNERS, CENTRE_SIZE, (Column.X, Column.Y, Column.WIDTH, Column.HEIGHT))
+_CENTRE_SIZE = (Column.CENTRE_X, Column.CENTRE_Y, Column.WIDTH, Column.HEIGHT)
+_BOXES = (LTWH, _CORNERS, _CENTRE_SIZE, (Column.X, Column.Y, Column.WIDTH, Column.HEIGHT))
 _COVARIANCE = tuple(f"cov_{a}_{b}" for i, a in enumerate("xywh") for b in "xywh"[i:])
 
 
@@ -129,7 +129,7 @@ class Table:
         form = next((form for form in _BOXES if all(column in self.values for column in form)), LTWH)
         box = np.stack([self.get(column) for column in form], axis=1)
         with np.errstate(invalid="ignore", over="ignore"):
-            if form is CENTRE_SIZE:
+            if form is _CENTRE_SIZE:
                 return np.hstack([box[:, :2] - box[:, 2:] / 2, box[:, :2] + box[:, 2:] / 2])
             return box if form is _CORNERS else np.hstack([box[:, :2], box[:, :2] + box[:, 2:]])
 

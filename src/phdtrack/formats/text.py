@@ -94,9 +94,7 @@ def normalise(name: str) -> str:
 def numbers(text: Text, columns: Mapping[int, str]) -> F8:
     """(M, k) the values of the k ``columns``, by place from 0, with the names that messages call them by.
 
-    Raises
-    ------
-    InputError : a value is not a number, or a line has more or fewer values than the first.
+    Raises `InputError` where a value is not a number, or a line has more or fewer values than the first.
     """
     if not len(text):
         return np.zeros((0, len(columns)))
@@ -111,21 +109,16 @@ def numbers(text: Text, columns: Mapping[int, str]) -> F8:
 
 
 def read_columns(path: AnyPath, names: Sequence[str], widths: Sequence[int]) -> tuple[Origin, F8]:
-    """A table of which the columns are known, by the names in its header or else by position.
+    """Where each row of a table stands, and the values (M, k) of its columns in the order of ``names``.
+
+    They are found by the names in its header or else by position. Raises `InputError` where the file is missing, has other
+    columns, or a value is not a number.
 
     Parameters
     ----------
     path : the file.
     names : of the columns, in lower case.
     widths : how many of them, from the first, a file may have.
-
-    Returns
-    -------
-    Where each row stands, and the values (M, k) of the columns that the file has, in this order.
-
-    Raises
-    ------
-    InputError : the file is missing, has other columns, or a value is not a number.
     """
     text = scan(Path(path), load(path))
     found = [name for name in names if name in text.header] if text.header else list(names[: text.width or min(widths)])

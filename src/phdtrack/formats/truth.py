@@ -29,7 +29,7 @@ from phdtrack.formats.kitti import LEAST_HEIGHT
 from phdtrack.formats.read import NO_ROWS, box_rules, identified, table_of
 from phdtrack.formats.table import Column, Kind, Source, Table, table_of_text
 from phdtrack.formats.text import Text, scan
-from phdtrack.types import F8, I8, Truth
+from phdtrack.types import F8, Truth
 
 _DISTRACTORS, _MOT20_DISTRACTORS = (2, 7, 8, 12), (2, 6, 7, 8, 12)
 _PEDESTRIAN, _LAST_CLASS = 1, 13
@@ -40,21 +40,14 @@ def read_truth(path: AnyPath, *, first_frame: int | None = None, kitti: str = ""
 
     Rows of confidence 0 that are no distractors are left out. In truth with classes (MOT16 and later) pedestrians are
     scored, rows of the benchmark's distractors are marked, all others left out. The distractors are the classes 2, 7, 8, 12,
-    and 6 too where the path has a folder called MOT20-something.
+    and 6 too where the path has a folder called MOT20-something. Raises `InputError` where the file is missing or malformed;
+    the message names the line.
 
     Parameters
     ----------
     path : the file.
     first_frame : the number that the file gives the first frame; None: what is usual in its format.
     kitti : the type that is scored of a KITTI label file, as Car.
-
-    Returns
-    -------
-    The objects, distractors and ignored regions.
-
-    Raises
-    ------
-    InputError : the file is missing or malformed; the message names the line.
     """
     return _truth_of(table_of(Path(path), Kind.TRUTH, first_frame, kitti), Path(path))
 
@@ -62,9 +55,7 @@ def read_truth(path: AnyPath, *, first_frame: int | None = None, kitti: str = ""
 def read_truth_by_class(path: AnyPath) -> dict[str, Truth]:
     """The annotated objects of each class, by its name or number, in a file that says their classes.
 
-    Raises
-    ------
-    InputError : as `read_truth`; the file says no classes.
+    Raises `InputError` as `read_truth`, and where the file says no classes.
     """
     path = Path(path)
     table = table_of(path, Kind.TRACKS, None)
@@ -102,9 +93,7 @@ def _truth_of(table: Table, path: Path) -> Truth:
 def ignoring(truth: Truth, path: AnyPath) -> Truth:
     """``truth`` with the distractors and regions of a list of what to ignore.
 
-    Raises
-    ------
-    InputError : the list is missing or malformed; the message names the line.
+    Raises `InputError` where the list is missing or malformed; the message names the line.
     """
     path = Path(path)
     text = _list(scan(path, load(path)))
@@ -114,22 +103,15 @@ def ignoring(truth: Truth, path: AnyPath) -> Truth:
     region = table.get(Column.IDENTITY) < 0
     distractors, frame = table.take(~region), table.get(Column.FRAME).astype(np.int64)
     enforce(distractors.origin, Rule(frame[~region] == 0, "a row with an identity needs a frame", frame[~region]))
-    count = len(distractors.origin.number)
-    frames, order = _merged(truth.frame, frame[~region])
+    frames, count = np.concatenate([truth.frame, frame[~region]]), len(distractors.origin.number)
+    order = np.argsort(frames, kind="stable")
     identity = np.concatenate([truth.identity, distractors.get(Column.IDENTITY).astype(np.int64)])
     marked = np.concatenate([truth.distractor, np.ones(count, np.bool_)])
     xyxy = np.concatenate([truth.xyxy, distractors.xyxy()])
     regions = np.concatenate([truth.regions, _regions(table.take(region), first=1)])
     return replace(
-        truth, frame=frames, identity=identity[order], xyxy=xyxy[order], distractor=marked[order], regions=regions
+        truth, frame=frames[order], identity=identity[order], xyxy=xyxy[order], distractor=marked[order], regions=regions
     )
-
-
-def _merged(one: I8, other: I8) -> tuple[I8, I8]:
-    """The frames of both, ascending, and their order."""
-    frames = np.concatenate([one, other])
-    order = np.argsort(frames, kind="stable")
-    return frames[order], order
 
 
 def _regions(table: Table, first: int | None = None) -> F8:

@@ -172,14 +172,12 @@ class StatesWriter(Lines):
 def write_tracks(path: AnyPath, tracks: Tracks, names: Mapping[int, str] | None = None) -> None:
     """Write the tracks of a sequence, with classes where there are names or any is not 0; an existing file is replaced.
 
+    Raises `InputError` where it cannot be written.
+
     Parameters
     ----------
     path, tracks : the file, and what is written.
     names : of the classes.
-
-    Raises
-    ------
-    InputError : it cannot be written.
     """
     with TracksWriter(path, names or ({} if tracks.class_id.any() else None)) as writer:
         writer.append(tracks)
@@ -219,7 +217,8 @@ def export_tracks(
     """Write tracks in a format of other tools; an existing file is replaced.
 
     Frames count from 0 in KITTI and CVAT, from 1 elsewhere. MOTChallenge has no classes, CVAT no confidence; which detection
-    a row used, and whether it is confirmed, are in CSV, Parquet, JSON lines and COCO.
+    a row used, and whether it is confirmed, are in CSV, Parquet, JSON lines and COCO. Raises `InputError` where it cannot be
+    written, there is no such format, or pyarrow or rerun-sdk is missing for its format.
 
     Parameters
     ----------
@@ -227,10 +226,6 @@ def export_tracks(
     kind : one of `EXPORTS`.
     names : of the classes.
     info : of the sequence, for COCO, CVAT and Rerun.
-
-    Raises
-    ------
-    InputError : it cannot be written, there is no such format, or pyarrow or rerun-sdk is missing for its format.
     """
     path, info = Path(path), info or SequenceInfo(0, 0, 0.0)
     classes = np.unique(tracks.class_id).tolist()

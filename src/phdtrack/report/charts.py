@@ -118,7 +118,8 @@ def lifetime_chart(record: RunRecord) -> Picture:
     start, end = (np.interp(frame[k], record.numbers, record.times) for k in (first, last))
     colours = [(_colour(int(names[row[k]])), 0.35 if predicted[k] else 1.0) for k in first]
     thick = 0.8 * 72 * (height - 0.6) / max(len(names), 1)
-    axes.hlines(row[first], start, end + _interval(record), colors=colours, linewidth=thick).set(capstyle="butt")
+    end += 1 / record.info.fps if record.info.fps > 1e-3 else 1.0
+    axes.hlines(row[first], start, end, colors=colours, linewidth=thick).set(capstyle="butt")
     if len(names) <= _LABELLED_ROWS:
         axes.set_yticks(range(len(names)), names.astype(str))
     else:
@@ -179,16 +180,11 @@ def map_picture(learned: LearnedDensity, scene: Scene, image: Image, *, births: 
     return _saved(axes)
 
 
-def jpeg(image: Image, max_width: int = 1400) -> Picture:
-    """A picture (H, W, 3) BGR as JPEG, shrunk to ``max_width`` pixels where it is wider."""
-    image = shrunk(image, max_width)
+def jpeg(image: Image) -> Picture:
+    """A picture (H, W, 3) BGR as JPEG, shrunk to 1400 pixels where it is wider."""
+    image = shrunk(image, 1400)
     _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 87])
     return Picture("image/jpeg", data.tobytes(), image.shape[1], image.shape[0])
-
-
-def _interval(record: RunRecord) -> float:
-    """The time between frames in seconds, by the stated rate."""
-    return 1 / record.info.fps if record.info.fps > 1e-3 else 1.0
 
 
 def _colour(identity: int) -> str:

@@ -65,6 +65,8 @@ class _Canvas:
         self._font = max(0.34, 0.39 * unit)
         self.image = image.copy()
         self._opacity: Image = np.zeros(image.shape[:2], np.uint8)
+        # Left, top, right and bottom of the labels, none of which lies on another.
+        self.taken: list[tuple[int, int, int, int]] = []
 
     def glaze_boxes(self, boxes: F8, colour: Rgb, width: int, opacity: float, *, crossed: bool = False) -> None:
         """The outlines of boxes (n, 4), with their diagonals where they are ``crossed``."""
@@ -139,19 +141,19 @@ class _Canvas:
         for colour, width in ((_WHITE, self.line + 2), (_INK, self.line)):
             cv2.polylines(self.image, rings, True, colour[::-1], width, cv2.LINE_AA, _FRACTION_BITS)
 
-    def label(self, text: str, corner: Sequence[int], fill: Rgb, taken: list[tuple[int, int, int, int]]) -> None:
-        """A plate like `plate`, moved up where it would lie on one of those ``taken`` (left, top, right, bottom)."""
+    def label(self, text: str, corner: Sequence[int], fill: Rgb) -> None:
+        """A plate like `plate`, moved up where it would lie on an earlier one."""
         (wide, high), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, self._font, self._bold)
         pad = max(2, high // 4)
         wide, high = wide + 2 * pad, high + 2 * pad + below // 2
         left, bottom = min(max(corner[0], 0), max(self.image.shape[1] - wide, 0)), max(corner[1], high)
-        beside = [each for each in taken if each[0] < left + wide and left < each[2]]
-        for _ in taken:
+        beside = [each for each in self.taken if each[0] < left + wide and left < each[2]]
+        for _ in beside:
             under = [top for _, top, _, low in beside if top < bottom and bottom - high < low]
             if not under or min(under) < high:
                 break
             bottom = min(under) - 1
-        taken.append((left, bottom - high, left + wide, bottom))
+        self.taken.append((left, bottom - high, left + wide, bottom))
         self.plate(text, (left, bottom), fill)
 
     def _corners(self, boxes: F8) -> list[tuple[int, list[int]]]:
@@ -214,6 +216,8 @@ class Annotator:
     ) -> Image:
         """The frame with everything drawn on it, a new picture; into planes it is drawn in place.
 
+        Raises `InputError` where the picture is not (H, W, 3) uint8, or the probabilities do not fit the detections.
+
         Parameters
         ----------
         image : (H, W, 3) BGR uint8, or `Picture.planes` as (3H/2, W).
@@ -222,14 +226,6 @@ class Annotator:
         detections : the boxes of this frame.
         mass : the filter's expected count; left out of the header where not finite.
         clutter_probability : (N,) for the detections, or (0,) where unknown.
-
-        Returns
-        -------
-        (H, W, 3) BGR uint8, or the planes.
-
-        Raises
-        ------
-        InputError : the picture is not (H, W, 3) uint8, or the probabilities do not fit the detections.
         """
         where, known, count = f"frame {number}", len(clutter_probability), len(detections)
         planes = image.shape == (len(self._sheet.image) * 3 // 2, self._sheet.image.shape[1])
@@ -248,7 +244,7 @@ class Annotator:
         canvas.glaze_boxes(detections.xyxy[false_alarm], _FALSE_ALARM, canvas.thin, 0.75, crossed=True)
         # From the top of the frame downwards, because what stands lower is usually nearer.
         rows = rows.take(np.argsort(rows.xyxy[:, 3], kind="stable"))
-        self._trails(canvas, number, rows.take(rows.confirmed))
+        self._trails(number, rows.take(rows.confirmed))
         for k in np.flatnonzero(~rows.confirmed):
             canvas.glaze_boxes(rows.xyxy[k : k + 1], identity_colour(int(rows.identity[k])), canvas.line, 0.4)
         rows = rows.take(rows.confirmed)
@@ -261,7 +257,7 @@ class Annotator:
         canvas.plate(f"frame {number}   {len(rows)} track{'s' * (len(rows) != 1)}{expected}", (0, 0), _BLACK, opacity=0.65)
         return canvas.onto(image)
 
-    def _trails(self, canvas: _Canvas, number: int, rows: Tracks) -> None:
+    def _trails(self, number: int, rows: Tracks) -> None:
         """A line through the earlier and present feet of each identity, which fades towards the oldest."""
         past = Tracks.concatenate([self._past, rows])
         self._past = past = past.take(past.frame > number - self._length)
@@ -279,11 +275,11 @@ class Annotator:
             pieces = min(_FADING, len(points) - 1)
             bounds = [round(k * (len(points) - 1) / pieces) for k in range(pieces + 1)] if pieces > 0 else []
             lines = [points[first : last + 1] for first, last in pairwise(bounds)]
-            canvas.coloured_lines(lines, identity_colour(identity), canvas.line)
+            self._sheet.coloured_lines(lines, identity_colour(identity), self._sheet.line)
             for k, line in enumerate(lines, start=1):
                 by_strength.setdefault((30 + 200 * k / pieces) / 255, []).append(line)
         for strength, lines in by_strength.items():
-            canvas.glaze_lines(lines, canvas.line, strength)
+            self._sheet.glaze_lines(lines, self._sheet.line, strength)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -346,7 +342,6 @@ class Plan:
         for _, spot in self._shown(scene.detections):
             size = 2 * max(3, 2 * canvas.line + 1)
             cv2.drawMarker(canvas.image, spot, _INK[::-1], cv2.MARKER_TILTED_CROSS, size, canvas.thin, cv2.LINE_AA)
-        taken = list[tuple[int, int, int, int]]()
         people = [(k, spot, identity_colour(int(scene.identity[k]))) for k, spot in self._shown(scene.people)]
         for _, spot, colour in people:
             for reach, filling in ((2 * canvas.line + 3, _WHITE), (2 * canvas.line + 2, colour)):
@@ -370,12 +365,12 @@ class Plan:
                 )
         for k, (x, y), colour in people:
             if scene.identity[k]:
-                canvas.label(str(scene.identity[k]), (x + 8, y - 8), colour, taken)
+                canvas.label(str(scene.identity[k]), (x + 8, y - 8), colour)
         for g, (x, y) in self._shown(centre):
             if label := _label(frame, g):
-                canvas.label(label, (x + 8, y - 24), _PAPER, taken)
+                canvas.label(label, (x + 8, y - 24), _PAPER)
         for words, corner in meetings:
-            canvas.label(words, corner, _WARNING, taken)
+            canvas.label(words, corner, _WARNING)
         detected = int(np.isfinite(scene.detections).all(axis=0).sum())
         header = f"frame {frame.number}   {frame.time:.1f} s   {frame.people:.1f} people in {frame.named} groups"
         canvas.plate(header + (f"   {detected} detections" if detected else ""), (0, 0), _INK)
@@ -434,9 +429,9 @@ def draw_contours(image: Image, contours: Sequence[Sequence[F8]]) -> Image:
 def draw_plates(image: Image, plates: Sequence[tuple[str, Sequence[int]]]) -> Image:
     """A copy of a picture (H, W, 3) BGR with sentences on dark plates, none on another: of each its text and lower left
     corner in pixels."""
-    canvas, taken = _Canvas(image), list[tuple[int, int, int, int]]()
+    canvas = _Canvas(image)
     for text, corner in plates:
-        canvas.label(text, corner, _INK, taken)
+        canvas.label(text, corner, _INK)
     return canvas.image
 
 

@@ -24,7 +24,7 @@ from markupsafe import Markup
 
 from phdtrack.files import json_value, write_text
 from phdtrack.report import charts
-from phdtrack.report.record import STAGES, RunRecord
+from phdtrack.report.record import STAGES, RunRecord, known_mean
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -52,7 +52,7 @@ def environment() -> Environment:
         lstrip_blocks=True,
     )
     made.globals["charts"] = charts
-    made.filters |= {function.__name__: function for function in (grouped, counted, duration, percent, score)}
+    made.filters |= {function.__name__: function for function in (grouped, counted, duration, percent, score, known_mean)}
     return made
 
 
@@ -83,9 +83,8 @@ def doubts(record: RunRecord, *, background: bool) -> tuple[str, ...]:
     Many short tracks are doubtful with any detector, many boxes without a track where they come from a ``background`` one:
     other detectors' low scores are the filter's work.
     """
-    length = np.unique(record.tracks.identity, return_counts=True)[1]
+    length, whole = record.lifetimes, record.whole
     short = float((length < _SHORT * record.info.fps).mean()) if len(length) else 0.0
-    whole = record.whole
     unused = 1 - (whole.rows - whole.predicted) / whole.detections if background and whole.detections else 0.0
     limits = {"most_short": _MOST_SHORT, "most_unused": _MOST_UNUSED, "enough": _ENOUGH}
     return lines("doubts.txt", short=short, count=len(length), unused=unused, **limits)
@@ -124,13 +123,13 @@ def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, o
         "predicted_rows": record.whole.predicted,
         "detections": record.whole.detections,
         "expected_false_alarms": record.whole.false_alarms,
-        "expected_count_mean": record.mean_mass,
+        "expected_count_mean": known_mean(record.mass),
         "scores": dict(about.scores),
         "warnings": about.warnings,
         "notes": about.notes,
         "configuration": config,
         "frames_left_out": about.left_out,
-        "log_evidence_mean": record.mean_log_evidence,
+        "log_evidence_mean": known_mean(record.log_evidence),
         "log_evidence": record.log_evidence,
     }
     return {key: json_value(value) for key, value in document.items()}

@@ -1,7 +1,7 @@
 """What the report of a run shows, and the recorder that collects it while the run goes on.
 
-A `Recorder` keeps numbers per frame and a handful of small pictures, so that memory does not grow with the video beyond
-some hundred bytes a frame.
+A `Recorder` keeps numbers per frame and a small picture, so that memory does not grow with the video beyond some hundred
+bytes a frame.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -20,8 +20,8 @@ from phdtrack.types import F8, I8, Frame, Image, SequenceInfo, Step, Tracks, Tru
 
 STAGES = ("detect", "filter", "extract", "associate")
 NO_IMAGE: Image = np.zeros((0, 0, 3), np.uint8)
-# Pictures that are kept, at most, and their width.
-_PICTURES, _PICTURE_WIDTH = 12, 800
+# Of the picture that is kept, in pixels.
+_PICTURE_WIDTH = 800
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,14 +70,21 @@ class Whole(NamedTuple):
     seconds: float
     detections: int
     false_alarms: float
-    classes: Mapping[int, int]
+    classes: Counter[int]
     rows: int
     predicted: int
 
     @property
     def objects(self) -> int:
         """Of all classes."""
-        return sum(self.classes.values())
+        return self.classes.total()
+
+    def with_rows(self, rows: Tracks, *known: set[int]) -> Whole:
+        """With corrected rows; identities that are ``known`` were counted before."""
+        names, first = np.unique(rows.identity, return_index=True)
+        fresh = first[~np.isin(names, [*set().union(*known)])]
+        classes, predicted = self.classes + Counter(rows.class_id[fresh].tolist()), int(rows.predicted.sum())
+        return self._replace(classes=classes, rows=self.rows + len(rows), predicted=self.predicted + predicted)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,11 +103,11 @@ class RunRecord:
         without a distribution, (0, 2) where no frame has one.
     seconds : (F, S) time that each of the `STAGES` took.
     truth_count : (F,) annotated objects, or (0,) where there is no truth.
-    background : (h, w, 3) BGR frame from the middle, scaled down; (0, 0, 3) without video.
+    background : (h, w, 3) BGR frame from the second half, scaled down; (0, 0, 3) without video.
     log_evidence : (F,) `UpdateInfo.log_evidence`; NaN in frames without it.
+    whole : counts of the whole run.
+    track_count : (F,) tracks in each frame; online ones where there was no end to the source.
     names : what classes are called; None without classes.
-    counted, online_count : counts of the whole run, and (F,) online tracks in each frame; used where there was no end to
-        the source, and all else is of its last part.
     """
 
     info: SequenceInfo
@@ -116,38 +123,12 @@ class RunRecord:
     truth_count: I8
     background: Image
     log_evidence: F8
+    whole: Whole
+    track_count: I8
     names: Mapping[int, str] | None = None
-    counted: Whole | None = None
-    online_count: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def __len__(self) -> int:
         return len(self.numbers)
-
-    @property
-    def whole(self) -> Whole:
-        """Counts of the whole run."""
-        if self.counted is not None:
-            return self.counted
-        first = np.unique(self.tracks.identity, return_index=True)[1]
-        seconds = float(self.times[-1] - self.times[0]) if len(self) else 0.0
-        boxes, false, predicted = int(self.n_detections.sum()), float(np.nansum(self.clutter_mass)), self.tracks.predicted
-        classes = Counter(self.tracks.class_id[first].tolist())
-        return Whole(len(self), seconds, boxes, false, classes, len(self.tracks), int(predicted.sum()))
-
-    @property
-    def track_count(self) -> I8:
-        """(F,) tracks in each frame."""
-        return _count(self.tracks.frame, self.numbers) if self.counted is None else self.online_count
-
-    @property
-    def mean_mass(self) -> float:
-        """The expected number of objects, mean over the frames in which the filter gives one; NaN without such frames."""
-        return known_mean(self.mass)
-
-    @property
-    def mean_log_evidence(self) -> float:
-        """Mean over the frames that have it; NaN without such frames."""
-        return known_mean(self.log_evidence)
 
     @property
     def lifetimes(self) -> I8:
@@ -187,19 +168,19 @@ class RunRecord:
 class Recorder:
     """Collects a `RunRecord` while a run goes on: `add` every frame in order, `record` at the end or when it breaks off.
 
-    Pictures are kept of frames whose index is a multiple of a stride, which doubles when they become too many. ``truth`` is
-    None where nothing is annotated. Of more than ``most`` frames the last ones are kept, and corrected rows are to be
-    counted by `count`, when they are final. ``blur`` (`arrays.pixelated`) hides boxes of detections, estimates and tracks.
+    The picture that is kept is of the 1st, 2nd, 4th, 8th, … frame, the last of these. ``truth`` is None where nothing is
+    annotated. Of more than ``most`` frames the last ones are kept, and corrected rows are to be counted by `count`, when
+    they are final. ``blur`` (`arrays.pixelated`) hides boxes of detections, estimates and tracks.
     """
 
     def __init__(self, info: SequenceInfo, truth: Truth | None = None, most: int | None = None, blur: str = "") -> None:
-        self._info, self._truth, self._seen, self._blur = info, truth, 0, blur
+        self._info, self._truth, self._blur = info, truth, blur
         self._rows, self._endless = deque[tuple[float, ...]](maxlen=most), most is not None
-        self._first, self._detections, self._false = math.nan, 0, 0.0
-        # Of rows that are final; identities of the last two times.
-        self._classes, self._final, self._predicted, self._known = Counter[int](), 0, 0, (set[int](), set[int]())
-        self._kept: list[tuple[int, int, Image]] = []
-        self._stride = 1
+        self._whole, self._first = Whole(0, 0.0, 0, 0.0, Counter(), 0, 0), math.nan
+        # Identities of the last two times that rows were counted.
+        self._known = set[int](), set[int]()
+        # The picture that is kept, and the number of its frame.
+        self._picture, self._pictured = NO_IMAGE, 0
 
     def add(self, frame: Frame | None, step: Step, detect_seconds: float) -> None:
         """Take in one frame.
@@ -210,43 +191,35 @@ class Recorder:
         step : what the tracker made of the frame.
         detect_seconds : time that detection took, seconds.
         """
-        info = step.info
-        false, tracks = info.clutter_probability.sum(), int(step.tracks.confirmed.sum())
+        info, whole = step.info, self._whole
+        false, tracks = float(info.clutter_probability.sum()), int(step.tracks.confirmed.sum())
         row = (step.number, step.time, len(step.detections), info.mass, false, info.log_evidence)
         self._rows.append((*row, *_likely_range(info.cardinality), tracks, detect_seconds, *step.seconds))
-        self._seen, self._first = self._seen + 1, step.time if not self._seen else self._first
-        self._detections, self._false = self._detections + len(step.detections), self._false + float(np.nan_to_num(false))
-        index = self._seen
-        if frame is None or index % self._stride:
-            return
-        boxes = np.vstack([step.detections.xyxy, step.estimates.xyxy])
-        self._kept.append((index, step.number, self._hidden(_small(frame), boxes)))
-        if len(self._kept) > _PICTURES:
-            self._stride *= 2
-            self._kept = [each for each in self._kept if each[0] % self._stride == 0]
+        self._first = self._first if whole.frames else step.time
+        self._whole = whole._replace(
+            frames=whole.frames + 1,
+            seconds=step.time - self._first,
+            detections=whole.detections + len(step.detections),
+            false_alarms=whole.false_alarms + float(np.nan_to_num(false)),
+        )
+        if frame is not None and self._whole.frames.bit_count() == 1:
+            boxes = np.vstack([step.detections.xyxy, step.estimates.xyxy])
+            self._picture, self._pictured = self._hidden(_small(frame), boxes), step.number
 
     def count(self, rows: Tracks) -> None:
         """Count corrected rows of a source without an end."""
-        names, first = np.unique(rows.identity, return_index=True)
-        fresh = ~np.isin(names, [*self._known[0], *self._known[1]])
-        self._classes.update(rows.class_id[first[fresh]].tolist())
-        self._final, self._predicted = self._final + len(rows), self._predicted + int(rows.predicted.sum())
+        self._whole = self._whole.with_rows(rows, *self._known)
         # No track is away for longer.
-        self._known = self._known[1], set(names.tolist())
+        self._known = self._known[1], set(rows.identity.tolist())
 
     def record(self, tracks: Tracks, about: About) -> RunRecord:
         """Everything so far, with the corrected tracks of all frames that are kept; collecting may go on."""
         truth, table = self._truth, np.array(self._rows, dtype=np.float64).reshape(-1, 9 + len(STAGES))
         numbers, ranges = table[:, 0].astype(np.int64), table[:, 6:8]
-        seconds = float(table[-1, 1]) - self._first if len(table) else 0.0
-        counts = self._detections, self._false, dict(self._classes), self._final, self._predicted
-        middle = self._kept[len(self._kept) // 2] if self._kept else None
         return RunRecord(
             info=self._info,
             about=about,
             tracks=tracks,
-            counted=Whole(self._seen, seconds, *counts) if self._endless else None,
-            online_count=table[:, 8].astype(np.int64),
             numbers=numbers,
             times=table[:, 1],
             n_detections=table[:, 2].astype(np.int64),
@@ -255,8 +228,10 @@ class Recorder:
             count_range=ranges if np.isfinite(ranges).any() else ranges[:0],
             seconds=table[:, 9:],
             truth_count=np.zeros(0, np.int64) if truth is None else _count(truth.frame[~truth.distractor], numbers),
-            background=NO_IMAGE if middle is None else self._hidden(middle[2], tracks.xyxy[tracks.frame == middle[1]]),
+            background=self._hidden(self._picture, tracks.xyxy[tracks.frame == self._pictured]),
             log_evidence=table[:, 5],
+            whole=self._whole if self._endless else self._whole.with_rows(tracks),
+            track_count=table[:, 8].astype(np.int64) if self._endless else _count(tracks.frame, numbers),
         )
 
     def _hidden(self, image: Image, boxes: F8) -> Image:

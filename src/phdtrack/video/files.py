@@ -20,6 +20,7 @@ import math
 import re
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import dropwhile, islice, pairwise
@@ -102,7 +103,7 @@ class VideoSource:
 
 
 def open_source(spec: str | Path, *, fps: float = 0.0, first: int = 1, last: int = 0) -> VideoSource:
-    """The frames that ``spec`` names.
+    """The frames that ``spec`` names. Raises `InputError` where there are none that can be decoded, or the rate is wrong.
 
     Parameters
     ----------
@@ -110,10 +111,6 @@ def open_source(spec: str | Path, *, fps: float = 0.0, first: int = 1, last: int
     fps : frames per second. Above 0 it replaces the time stamps of a video and is the rate of a folder of images; 0 takes
         the stream's own times, and 25 for images.
     first, last : only these frames, from 1; 0: up to the end. In a video file they are jumped to, if it has time stamps.
-
-    Raises
-    ------
-    InputError : nothing there, nothing that can be decoded, or a rate that is not a positive number.
     """
     if not math.isfinite(fps) or fps < 0:
         raise InputError(f"the rate must be a number of frames per second above 0, not {fps}", where="fps")
@@ -206,23 +203,20 @@ def _stamps(container: Any, stream: Any, count: int) -> list[int]:
     return [found[number] for number in order[:count]] if ordered else []
 
 
-def _video(path: str, fps: float, first: int = 1) -> VideoSource:
+def _video(path: str, fps: float, first: int) -> VideoSource:
     """The frames of a video file or of an address that FFmpeg can open, in order of presentation, from frame ``first`` on.
 
     ``fps`` above 0 replaces the stream's time stamps. Raises `InputError` where no frame can be decoded.
     """
     losses: list[tuple[int, str]] = []
-    container, stream = _open(path)
-    with container:
+    with _open(path) as (container, stream):
         stated, length = stream.average_rate or stream.guessed_rate or stream.base_rate, container.duration or 0
         picture = next(_pictures(container, stream, losses), None)
     stamps = list[int]()
     if first > 1 and picture is not None:
-        container, stream = _open(path)
-        with container:
+        with _open(path) as (container, stream):
             stamps = _stamps(container, stream, first)
-        container, stream = _open(path)
-        with container:
+        with _open(path) as (container, stream):
             found = next(_from(container, stream, stamps, losses), None) if stamps else None
             # A file that cannot jump there is decoded from its beginning.
             stamps = stamps if found is not None and found.pts == stamps[-1] else []
@@ -239,8 +233,7 @@ def _video(path: str, fps: float, first: int = 1) -> VideoSource:
         losses: list[tuple[int, str]] = []
         jump = stamps if source.first > 1 else []
         number = before = max(0, len(jump) - 1)
-        container, stream = _open(path)
-        with container:
+        with _open(path) as (container, stream):
             for number, picture in enumerate(_from(container, stream, jump, losses, source), start=before + 1):
                 stamp = (number - 1) / fps if fps else picture.time
                 yield number, stamp, Decoded(picture), f"{path}, frame {number}"
@@ -251,8 +244,7 @@ def _video(path: str, fps: float, first: int = 1) -> VideoSource:
             source.problem = f"{path}: ends after frame {number}, its header announces {stream.frames}; it may be cut short"
 
     def sample(count: int) -> Iterator[Frame]:
-        container, stream = _open(path)
-        with container:
+        with _open(path) as (container, stream):
             last = -1.0
             for k in range(count if container.duration else 0):
                 # To the picture before that needs no other one to be decoded.
@@ -284,11 +276,10 @@ def _reason(error: Exception) -> str:
     return str(getattr(error, "strerror", "") or error)
 
 
-def _open(path: str) -> tuple[Any, Any]:
+@contextmanager
+def _open(path: str) -> Iterator[tuple[Any, Any]]:
     """The container and its first video stream."""
-    av = needed("av")
-
-    remote = "://" in path
+    av, remote = needed("av"), "://" in path
     try:
         container: Any = av.open(path, timeout=(CONNECT, READ) if remote else None, metadata_errors="replace")
     except (av.FFmpegError, OSError, ValueError) as error:
@@ -298,14 +289,15 @@ def _open(path: str) -> tuple[Any, Any]:
             cure = "Check the address, and that what it names is switched on and can be reached from here."
         late = f"no answer in {CONNECT:g} s" if isinstance(error, av.ExitError) else _reason(error)
         raise InputError(f"this cannot be read as a video ({late})", where=path, cure=cure) from None
-    stream = next(iter(container.streams.video), None)
-    if stream is None or stream.codec_context is None:
-        container.close()
-        problem = "there is no video in this file" if stream is None else "FFmpeg has no decoder for the video in this file"
-        raise InputError(problem, where=path, cure="Give another one, or convert it (ffmpeg -i IN -c:v libx264 OUT.mp4).")
-    # Each further thread takes the memory of some pictures, and two decode faster than anything here looks at them.
-    stream.thread_type, stream.codec_context.thread_count = "AUTO", 2
-    return container, stream
+    with container:
+        stream = next(iter(container.streams.video), None)
+        if stream is None or stream.codec_context is None:
+            which = "there is no video" if stream is None else "FFmpeg has no decoder for the video"
+            cure = "Give another one, or convert it (ffmpeg -i IN -c:v libx264 OUT.mp4)."
+            raise InputError(f"{which} in this file", where=path, cure=cure)
+        # Each further thread takes the memory of some pictures, and two decode faster than anything here looks at them.
+        stream.thread_type, stream.codec_context.thread_count = "AUTO", 2
+        yield container, stream
 
 
 def _pictures(
@@ -315,9 +307,7 @@ def _pictures(
 
     ``source`` is told how much of the file was read.
     """
-    av = needed("av")
-
-    number, size = 0, container.size
+    av, number, size = needed("av"), 0, container.size
     try:
         for packet in container.demux(stream):
             if source is not None and size > 0 and packet.pos is not None:
@@ -342,10 +332,7 @@ class _Converter(threading.local):
     """What FFmpeg prepares to convert pictures, of each thread: to prepare it anew takes longer than to convert one."""
 
     def __init__(self) -> None:
-        needed("av")
-        from av.video.reformatter import VideoReformatter
-
-        self.reformat = VideoReformatter().reformat
+        self.reformat = needed("av.video.reformatter").VideoReformatter().reformat
 
 
 @cache
@@ -354,16 +341,12 @@ def _converter() -> _Converter:
 
 
 def bgr(picture: Any, width: int, height: int) -> Image:
-    """A picture as FFmpeg decodes it in other pixels.
+    """(H, W, 3) BGR uint8: a picture as FFmpeg decodes it in other pixels.
 
     Parameters
     ----------
     picture : an `av.VideoFrame`.
     width, height : of the image in pixels.
-
-    Returns
-    -------
-    (H, W, 3) BGR uint8.
     """
     return np.asarray(_converter().reformat(picture, width, height, "bgr24", interpolation="AREA").to_ndarray(), np.uint8)
 
@@ -423,6 +406,5 @@ def endless(path: str) -> bool:
 
     Raises `InputError` where it cannot be opened.
     """
-    container, stream = _open(path)
-    with container:
+    with _open(path) as (container, stream):
         return not stream.frames and container.duration is None
