@@ -244,16 +244,12 @@ class EventLog:
         self._add_lines()
 
     def write(self, events: Iterable[Told], watched: tuple[int, bytes] | None = None) -> list[Told]:
-        """Those of the events that are new, once they are on disk.
+        """Those of the events that are new, once they are on disk. Raises `sqlite3.Error` where nothing was written.
 
         Parameters
         ----------
         events : each with at least ``id``, ``time`` and ``kind``.
         watched : number of the frame, and what is known of visitors after it; None to leave that as it is.
-
-        Raises
-        ------
-        sqlite3.Error : nothing was written.
         """
         fresh = []
         with self._lock:

@@ -216,21 +216,14 @@ def listen(
     key: Path | None = None,
     preferred: Sequence[int] = (),
 ) -> Address:
-    """Take a port.
+    """Take a port. The address has a token unless it is loopback under its own names. Raises `InputError` where the port
+    cannot be had, or a name or file cannot be used.
 
     Parameters
     ----------
     host, port : to listen on; with port 0 the first of ``preferred`` that is free, or else any.
     allow : more names or addresses by which a browser may ask for the page.
     certificate, key : files for TLS (PEM); None for none.
-
-    Returns
-    -------
-    The address. It has a token unless it is loopback under its own names.
-
-    Raises
-    ------
-    InputError : the port cannot be had, or a name or file cannot be used.
     """
     for name in allow:
         if not _NAME.fullmatch(name):

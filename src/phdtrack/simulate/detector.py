@@ -71,7 +71,8 @@ class Detected:
 def detect(
     truth: Truth, info: SequenceInfo, rng: np.random.Generator, model: DetectorModel, *, obstacles: F8 | None = None
 ) -> Detected:
-    """Simulated detections of the truth in the frames 1 … ``info.frames``.
+    """Simulated detections of the truth in the frames 1 … ``info.frames``, and where each came from. Raises `InputError`
+    where that number is not known, or the truth has rows outside of it.
 
     Parameters
     ----------
@@ -80,14 +81,6 @@ def detect(
     rng : streams are spawned from it: a fresh generator of the same seed gives the same detections.
     model : settings of the detector.
     obstacles : (K, 4) xyxy of things that hide what is behind them, pixels; for ``model.occlusion``.
-
-    Returns
-    -------
-    The detections, and where each came from.
-
-    Raises
-    ------
-    InputError : the number of frames is not known, or the truth has rows outside of it.
     """
     if info.frames < 1 or (len(truth) and not 1 <= truth.frame.min() <= truth.frame.max() <= info.frames):
         problem = f"expected a truth within the frames 1 … {info.frames}"
@@ -127,7 +120,8 @@ def detect(
 def add_clutter(
     table: DetectionTable, info: SequenceInfo, rate: float, rng: np.random.Generator, truth_sizes: F8
 ) -> DetectionTable:
-    """``table`` with Poisson clutter mixed in, in all frames 1 … ``info.frames``.
+    """``table`` with Poisson clutter mixed in, in all frames 1 … ``info.frames``. Raises `InputError` where that number is
+    not known, or ``rate`` is not a number of boxes.
 
     Score, class and covariance of each false alarm are those of a detection drawn from the table, so that they do not give
     it away; 1 and 0 where the table is empty. Within a frame the order is random.
@@ -139,14 +133,6 @@ def add_clutter(
     rate : expected false alarms per frame.
     rng : draws them.
     truth_sizes : (S, 2) widths and heights to draw from, pixels; log-uniform where it has no rows.
-
-    Returns
-    -------
-    All detections, ascending in frame.
-
-    Raises
-    ------
-    InputError : the number of frames is not known, or ``rate`` is not a number of boxes.
     """
     if not 1 <= info.frames <= _MOST_FRAMES:
         problem = f"expected a known number of frames to add clutter to, at most {_MOST_FRAMES:,}, came {info.frames}"
@@ -193,7 +179,7 @@ def _poisson_boxes(info: SequenceInfo, rate: float, sizes: F8, rng: np.random.Ge
 
 
 def place_boxes(info: SequenceInfo, n: int, sizes: F8, rng: np.random.Generator) -> F8:
-    """Boxes of persistent places, each whole inside the frame.
+    """(n, 4) xyxy boxes of persistent places, pixels, each whole inside the frame.
 
     Parameters
     ----------
@@ -201,10 +187,6 @@ def place_boxes(info: SequenceInfo, n: int, sizes: F8, rng: np.random.Generator)
     n : number of places.
     sizes : (S, 2) widths and heights to draw from, pixels; log-uniform where it has no rows.
     rng : draws them.
-
-    Returns
-    -------
-    (n, 4) xyxy, pixels.
     """
     edge = np.array([info.width, info.height], dtype=np.float64)
     size = np.minimum(_draw_sizes(info, n, sizes, rng), edge)
