@@ -21,7 +21,7 @@ from starlette.routing import Route
 from phdtrack.arrays import iou
 from phdtrack.errors import InputError
 from phdtrack.label.exchange import Exchange
-from phdtrack.label.samples import boxes_of, clip, last_frame
+from phdtrack.label.samples import boxes_of, clip
 from phdtrack.label.store import DRAWN, Label, LabelStore, Progress
 from phdtrack.label.suggestions import ALIKE, TICKED, Background
 from phdtrack.live.serving import static
@@ -69,7 +69,7 @@ class Session:
     Attributes
     ----------
     store : keeps the marks.
-    table, info : the detections, and the sequence.
+    table, info : the detections, and the sequence, with the number of its frames.
     stills : the frames as JPEG by number, those of the clips too, of any size; the others are shown grey.
     background : looks for what may be false; None where nothing does.
     command : learns from the marks, in a terminal.
@@ -95,8 +95,8 @@ class Session:
 
     def overview(self) -> dict[str, object]:
         """Size, name, the file of labels (its name, and where it is ``kept``), how far each frame is, and the progress."""
-        info, last = self.info, last_frame(self.info, self.table)
-        clips = [(number, done, clip(number, last)) for number, done in self.store.frames()]
+        info = self.info
+        clips = [(number, done, clip(number, info.frames)) for number, done in self.store.frames()]
         return {
             "name": info.name,
             "file": self.store.name,
@@ -215,10 +215,8 @@ class Session:
                     if label.box < DRAWN:
                         _checked(found[label.frame], label.frame, label.box)
                 store.mark(number, sent.marks, sent.who, sent.key)
-            case "undo":
-                store.undo(number, sent.key, sent.who)
-            case "redo":
-                store.redo(number, sent.key, sent.who)
+            case "undo" | "redo":
+                store.undo(number, sent.key, sent.who, again=what == "redo")
             case "done":
                 store.finish(number, sent.done, sent.key, sent.who)
             case _:
@@ -232,8 +230,7 @@ class Session:
 
     def _boxes(self, number: int) -> Detections:
         """The detections of a frame to label, or of the clip about one."""
-        last = last_frame(self.info, self.table)
-        if not any(number in clip(known, last) for known, _ in self.store.frames()):
+        if not any(number in clip(known, self.info.frames) for known, _ in self.store.frames()):
             raise InputError(f"frame {number} is not one of those to label")
         return self.table.at(number)
 

@@ -193,26 +193,17 @@ class LabelStore:
                 self.mark(number, [Label(number, box, "false") for box in false.tolist()])
             self.finish(number)
 
-    def undo(self, frame: int, key: str = "", who: str = "") -> None:
+    def undo(self, frame: int, key: str = "", who: str = "", *, again: bool = False) -> None:
         """Take back the last action on a frame, if there is one.
 
         Parameters
         ----------
         frame : its number.
         who, key : as in `mark`; actions of nobody by name are everybody's.
+        again : the other way: make the action that was undone last count again.
         """
-        last = f"SELECT max(id) FROM action WHERE {_OWN} AND undone = 0"
-        self._change(key, (f"UPDATE action SET undone = 1 WHERE id = ({last})", [(frame, who)]))
-
-    def redo(self, frame: int, key: str = "", who: str = "") -> None:
-        """Make the action on a frame that was undone last count again, if there is one.
-
-        Parameters
-        ----------
-        frame, who, key : as in `undo`.
-        """
-        first = f"SELECT min(id) FROM action WHERE {_OWN} AND undone = 1"
-        self._change(key, (f"UPDATE action SET undone = 0 WHERE id = ({first})", [(frame, who)]))
+        chosen = f"SELECT {'min' if again else 'max'}(id) FROM action WHERE {_OWN} AND undone = {int(again)}"
+        self._change(key, (f"UPDATE action SET undone = {int(not again)} WHERE id = ({chosen})", [(frame, who)]))
 
     def finish(self, frame: int, done: bool = True, key: str = "", who: str = "") -> None:
         """Say that a frame has been looked at, which `undo` takes back. One without false boxes is looked at too.
