@@ -80,9 +80,9 @@ class Exchange:
                 problem = f"expected pictures of {self.info.width} x {self.info.height}, came {size[0]} x {size[1]}"
                 raise InputError(problem, where=f"frame {one['frame']} of the file", cure="Is it of another video?")
         digest = given.about.get("detections")
-        drawn = [number for number, _ in self.store.frames()]
+        drawn, last = [number for number, _ in self.store.frames()], self.info.frames
         # Marks of a clip belong to the frame that it is about.
-        home = {frame: number for number in drawn for frame in clip(number, self.info.frames)} | {number: number for number in drawn}
+        home = {frame: number for number in drawn for frame in clip(number, last)} | {number: number for number in drawn}
         by_frame, all_made, elsewhere = dict[int, list[dict[str, Any]]](), list[Label](), 0
         for box in given.boxes:
             known = box["frame"] in (home if box.get("mark") == "birth" else drawn)
