@@ -53,9 +53,9 @@ HOUR, SEGMENT = 3600.0, 600.0
 _ROW = "%s,%d,%d,%d,%.7g,%.7g,%.7g,%.7g,%.4g,%d,%d\n"
 
 
-def stamp(wall: float, form: str = "milliseconds") -> str:
+def stamp(wall: float) -> str:
     """ISO time in UTC of seconds since 1970, as 2026-11-24T05:10:00.250Z."""
-    return datetime.fromtimestamp(wall, UTC).isoformat(timespec=form).removesuffix("+00:00") + "Z"
+    return datetime.fromtimestamp(wall, UTC).isoformat(timespec="milliseconds").removesuffix("+00:00") + "Z"
 
 
 class Segments:
