@@ -150,18 +150,18 @@ def test_detections_that_are_left_out_move_nobody(street: Path, tmp_path: Path) 
     assert found[0] == found[1]
 
 
-def test_members_of_an_intensity_are_the_online_identities_with_any_delay(street: Path, tmp_path: Path) -> None:
-    for delay in (0, 4):
-        out, held = tmp_path / str(delay), ("--set", f"associate.output_delay={delay}", "--set", "groups.kind=intensity")
-        assert phdtrack("groups", *detected(street), "--out", out, "--no-video", *held).status == 0
-        online = read_tracks(out / rundir.ONLINE)
-        sure = online.take(online.confirmed)
-        known = set(zip(sure.frame.tolist(), sure.identity.tolist(), strict=True))
+def test_members_of_an_intensity_are_the_identities_of_the_corrected_tracks(street: Path, tmp_path: Path) -> None:
+    """Those of an output delay, too, and of a filter of particles."""
+    for name, more in (("gm-phd", ("--set", "associate.output_delay=4")), ("particle-phd", ())):
+        out, kind = tmp_path / name, ("--filter", name, "--set", "groups.kind=intensity", *more)
+        assert phdtrack("groups", *detected(street), "--out", out, "--no-video", *kind).status == 0
+        tracks = read_tracks(out / rundir.TRACKS)
+        known = set(zip(tracks.frame.tolist(), tracks.identity.tolist(), strict=True))
         members = {(int(row["frame"]), int(row["member"])) for row in table(out / rundir.MEMBERS)}
         assert members <= known
         assert len(members) > 0.9 * len(known)
         told = {int(row["frame"]) for row in table(out / rundir.GROUPS)}
-        assert told >= set(range(4, FRAMES + 1))
+        assert told >= set(range(2, FRAMES + 1))
 
 
 def test_a_learned_scene_is_used(street: Path, tmp_path: Path) -> None:

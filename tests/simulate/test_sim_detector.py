@@ -108,16 +108,6 @@ def test_occlusion_lowers_the_detection_probability() -> None:
     assert abs((got[:, 1] == 1).sum() / 400 - expected) < 4 * np.sqrt(expected * (1 - expected) / 400)
 
 
-def test_informative_scores_rank_targets_higher(truth: Truth) -> None:
-    """Beta(6, 2) has mean 3/4 and variance 1/48, Beta(2, 4) has 1/3 and 2/63."""
-    found = run(truth, CLUTTERED, informative_scores=True)
-    score = found.table.detections.confidence
-    assert ((score > 0) & (score < 1)).all()
-    for chosen, mean, variance in ((found.source > 0, 3 / 4, 1 / 48), (found.source <= 0, 1 / 3, 2 / 63)):
-        assert abs(score[chosen].mean() - mean) < 4 * np.sqrt(variance / chosen.sum())
-    assert (run(truth, CLUTTERED).table.detections.confidence == 1).all()
-
-
 def test_what_makes_no_sense_is_refused(truth: Truth) -> None:
     rng, none, sizes = np.random.default_rng(0), DetectionTable(np.zeros(0, np.int64), Detections.empty()), np.zeros((0, 2))
     with pytest.raises(InputError, match="DetectorModel"):

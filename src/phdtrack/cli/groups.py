@@ -6,8 +6,8 @@ image. Rings that run clockwise on the ground are holes.
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -35,7 +35,7 @@ from phdtrack.formats.write import Lines
 from phdtrack.ground import footprint
 from phdtrack.groups.clusters import Grouping, polygon_area
 from phdtrack.groups.life_cycle import LifeCycleState
-from phdtrack.groups.pairs import Pairs, Walkers
+from phdtrack.groups.pairs import Pairs
 from phdtrack.groups.pipeline import GroupFrame, GroupStages, carriers, mixture_of, on_ground
 from phdtrack.models import PlaneSensor
 from phdtrack.pipeline import TrackingState
@@ -82,11 +82,11 @@ def groups(
     rundir.check(out, overwrite or resume)
     options = replace(options, sets=[*scene_settings(scene), *(options.sets or ())])
     settings = _ground_settings(options, camera)
-    job, delay = prepare(source, options, settings, video=video), settings.build("associate").output_delay
+    job = prepare(source, options, settings, video=video)
     stages, info, reach = job.stages, job.inputs.info, settings.build("camera").max_distance
     model = stages.model if settings.kind("motion") == "plane" else ground_model(settings, info)
     grouping = build_groups(settings, stages)
-    observer = GroupObserver(grouping, info, _read_edges(edges), World(stages, model, delay, reach))
+    observer = GroupObserver(grouping, info, _read_edges(edges), World(stages, model, reach))
     # A group may have members of several classes.
     kinds = replace(job.kinds, apart=False)
     job = replace(
@@ -147,42 +147,30 @@ def _read_edges(path: Path | None) -> tuple[F8, ...]:
     return tuple(np.array(edge).T for edge in edges if len(edge) > 1)
 
 
-class People(NamedTuple):
-    """Those with an identity in a frame, their places (2, n) in metres, and the Gaussian that each of them is."""
-
-    identity: I8
-    place: F8
-    carrier: I8
-
-
 class World(NamedTuple):
-    """Where detections are followed, and the model of people on the ground; online rows come ``delay`` frames late, and the
-    ground is shown up to ``max_distance`` metres from the camera."""
+    """Where detections are followed, and the model of people on the ground, which is shown up to ``max_distance`` metres
+    from the camera."""
 
     stages: AnyStages
     ground: Model
-    delay: int
     max_distance: float
 
 
 class _Seen(NamedTuple):
     """A frame: its ``number``, its ``time`` in seconds, what the ground's sensor measures of all its detections (5, N), as
-    rows of tracks count them, and the places (2, n) in metres of those that were tracked."""
+    rows of tracks count them, the places (2, n) in metres of those that were tracked, and the Gaussians that count, where
+    groups are of an intensity."""
 
     number: int
     time: float
     z: F8
     places: F8
+    mixture: GaussianMixture | None
 
 
 class GroupObserver(RunObserver):
-    """Finds groups on the ground plane, writes them, keeps each frame's plan (some hundred bytes a person), and draws and
-    reports them at the end.
-
-    Groups by pairs are found among the corrected tracks, when the run has ended. Groups of an intensity are found as frames
-    come: members are the identities of the confirmed online rows, and until these come a frame's number, time, mixture and
-    the places of its detections wait.
-    """
+    """Finds groups on the ground plane among the corrected tracks when the run has ended, writes them, keeps each frame's
+    plan (some hundred bytes a person), and draws and reports them."""
 
     def __init__(self, groups: GroupStages, info: SequenceInfo, edges: tuple[F8, ...], world: World) -> None:
         self._groups, self._info, self._edges, self._world = groups, info, edges, world
@@ -190,73 +178,60 @@ class GroupObserver(RunObserver):
         self._camera, self._field = sensor.camera if isinstance(sensor, PlaneSensor) else None, _NOWHERE
         if self._camera is not None:
             self._field = footprint(self._camera, (info.width, info.height), world.max_distance)
-        self._state, self._waiting = LifeCycleState(), deque[tuple[int, float, GaussianMixture, F8]]()
         self._seen, self._scenes = list[_Seen](), list[PlanScene]()
 
-    def begin(self, directory: RunDirectory, files: ExitStack) -> None:
-        """Open the four tables until ``files`` are closed."""
-        self._tables = {name: files.enter_context(Lines(directory.file(name))) for name in _HEADS}
-        for name, head in _HEADS.items():
-            self._tables[name].write(head)
-
-    def open(self, directory: RunDirectory, files: ExitStack) -> None:
-        """Open the tables where groups are found as frames come."""
-        if isinstance(self._groups.grouping, Grouping):
-            self.begin(directory, files)
-
     def take(self, found: Detections, step: Step, state: TrackingState) -> None:
-        """Take in a frame; of an intensity the one whose rows it brings is grouped."""
-        sensor, grouping = self._world.ground.sensor, self._groups.grouping
+        """Keep what is needed of a frame."""
+        sensor, grouping, mixture = self._world.ground.sensor, self._groups.grouping, None
         z = sensor.measure(step.detections)
-        if isinstance(grouping, Pairs):
-            self._seen.append(_Seen(step.number, step.time, sensor.measure(found), z[:2]))
-            return
-        usable = np.ascontiguousarray(z[:, np.isfinite(z).all(axis=0)])
-        mixture = mixture_of(state.intensity, step, usable, self._world.stages, grouping.min_weight)
-        self._waiting.append((step.number, step.time, mixture, z[:2]))
-        if len(self._waiting) > self._world.delay:
-            self._group_first(step.tracks, grouping)
+        if isinstance(grouping, Grouping):
+            usable = np.ascontiguousarray(z[:, np.isfinite(z).all(axis=0)])
+            known = mixture_of(state.intensity, step, usable, self._world.stages, grouping.min_weight)
+            heavy = known.weight >= grouping.min_weight
+            mixture = GaussianMixture(known.weight[heavy], known.mean[:, heavy], known.covariance[heavy])
+        self._seen.append(_Seen(step.number, step.time, sensor.measure(found), z[:2], mixture))
 
-    def flush(self, rows: Tracks) -> None:
-        """Group the frames that are left."""
-        while self._waiting and isinstance(self._groups.grouping, Grouping):
-            self._group_first(rows, self._groups.grouping)
+    def finish(self, directory: RunDirectory, tracks: Tracks) -> None:
+        """Find and write the groups of all frames among the corrected tracks."""
+        # What stopped the run may have come between tracking a frame and taking it in here.
+        known, grouping = tracks.take(np.isin(tracks.frame, [seen.number for seen in self._seen])), self._groups.grouping
+        found = self._by_pairs(known, grouping) if isinstance(grouping, Pairs) else self._of_intensity(known, grouping)
+        with ExitStack() as files, progress("grouping", len(self._seen)) as advance:
+            tables = {name: files.enter_context(Lines(directory.file(name))) for name in _HEADS}
+            for name, head in _HEADS.items():
+                tables[name].write(head)
+            for done, (seen, (frame, place, identity)) in enumerate(zip(self._seen, found, strict=True), start=1):
+                self._write(frame, tables)
+                self._scenes.append(PlanScene(frame, seen.places, place, identity))
+                advance(done)
 
-    def _group_first(self, tracks: Tracks, grouping: Grouping) -> None:
-        """Group the first frame that waits."""
-        number, time, mixture, detections = self._waiting.popleft()
-        rows = tracks.take((tracks.frame == number) & tracks.confirmed)
-        place = self._places(rows)
-        self.group(
-            number, time, mixture, People(rows.identity, place, carriers(mixture, place, grouping.min_weight)), detections
-        )
+    def _by_pairs(self, tracks: Tracks, pairs: Pairs) -> Iterator[tuple[GroupFrame, F8, I8]]:
+        """The groups of each frame, and places (2, n) and identities of its people, by evidence about every two."""
+        model, number = self._world.ground, np.array([seen.number for seen in self._seen], np.int64)
+        start = np.concatenate([[0], np.cumsum([seen.z.shape[1] for seen in self._seen])]).astype(np.int64)
+        time = np.array([seen.time for seen in self._seen]) * model.rate
+        z = np.hstack([np.zeros((5, 0)), *(seen.z for seen in self._seen)])
+        frames, weights = on_ground(tracks, MeasurementHistory(number, time, start, z, np.zeros((0, 3, 3))), model)
+        state, labels = LifeCycleState(), pairs.over_time(frames)
+        for each, walkers, label, weight in zip(number.tolist(), frames, labels, weights, strict=True):
+            state, frame = self._groups.people(state, walkers, label, weight, each)
+            yield frame, walkers.mean[:2], walkers.identity
 
-    def group(self, number: int, time: float, mixture: GaussianMixture, people: People, detections: F8) -> None:
-        """Find and write the groups of a frame's intensity; ``detections`` (2, N) are places in metres."""
-        self._state, frame = self._groups.advance(self._state, mixture, people.identity, people.carrier, number, time)
-        self._write(frame, detections, people.place[:, np.searchsorted(people.identity, frame.member)])
+    def _of_intensity(self, tracks: Tracks, grouping: Grouping) -> Iterator[tuple[GroupFrame, F8, I8]]:
+        """The same, frame by frame from the Gaussians that carry the tracks."""
+        state, places = LifeCycleState(), self._places(tracks)
+        for seen in self._seen:
+            assert seen.mixture is not None
+            rows = slice(*np.searchsorted(tracks.frame, [seen.number, seen.number + 1]))
+            identity, place = tracks.identity[rows], places[:, rows]
+            carrier = carriers(seen.mixture, place, grouping.min_weight)
+            state, frame = self._groups.advance(state, seen.mixture, identity, carrier, seen.number, seen.time)
+            yield frame, place, identity
 
-    def group_all(
-        self,
-        numbers: Sequence[int],
-        frames: Sequence[Walkers],
-        weights: Sequence[F8],
-        detections: Sequence[F8],
-        advance: Callable[[int], object],
-    ) -> None:
-        """Find and write the groups of all frames; ``weights`` (n,) say how likely each person is there."""
-        assert isinstance(self._groups.grouping, Pairs)
-        labels = self._groups.grouping.over_time(frames)
-        for done, (number, walkers, label) in enumerate(zip(numbers, frames, labels, strict=True)):
-            weight, found = weights[done], detections[done]
-            self._state, frame = self._groups.people(self._state, walkers, label, weight, number)
-            self._write(frame, found, walkers.mean[:2, np.searchsorted(walkers.identity, frame.member)])
-            advance(done + 1)
-
-    def _write(self, frame: GroupFrame, detections: F8, members: F8) -> None:
-        """A frame into the tables, and what is drawn of it: detections, and places (2, n) of its members."""
+    def _write(self, frame: GroupFrame, tables: Mapping[str, Lines]) -> None:
+        """A frame into the tables."""
         n, at, found, camera = frame.number, f"{frame.time:.6f}", frame.groups, self._camera
-        write = {name: table.write for name, table in self._tables.items()}
+        write = {name: table.write for name, table in tables.items()}
         for g, rings in enumerate(frame.contours):
             values = ",".join(f"{value:.7g}" for value in (found.count[g], found.deviation[g], *found.mean[:, g]))
             image = _EMPTY if camera is None else _polygons(rings, [_in_image(camera, ring) for ring in rings])
@@ -270,28 +245,6 @@ class GroupObserver(RunObserver):
             close = ",".join(f"{value:.4g}" for value in numbers)
             place = f"{w.place[0]:.7g},{w.place[1]:.7g}"
             write[rundir.WARNINGS](f"{n},{at},{w.first},{w.second},{close},{place},{w.probability:.4g}")
-        self._scenes.append(PlanScene(frame, detections, members, frame.member))
-
-    def finish(self, directory: RunDirectory, tracks: Tracks) -> None:
-        """Find the groups of the corrected tracks; those of an intensity are known, and drawn with the corrected tracks."""
-        if isinstance(self._groups.grouping, Pairs):
-            model, number = self._world.ground, np.array([seen.number for seen in self._seen], np.int64)
-            start = np.concatenate([[0], np.cumsum([seen.z.shape[1] for seen in self._seen])]).astype(np.int64)
-            time = np.array([seen.time for seen in self._seen]) * model.rate
-            z = np.hstack([np.zeros((5, 0)), *(seen.z for seen in self._seen)])
-            # What stopped the run may have come between tracking a frame and taking it in here.
-            known = tracks.take(np.isin(tracks.frame, number))
-            people = on_ground(known, MeasurementHistory(number, time, start, z, np.zeros((0, 3, 3))), model)
-            with ExitStack() as files, progress("grouping", len(number)) as advance:
-                self.begin(directory, files)
-                self.group_all(number.tolist(), *people, [seen.places for seen in self._seen], advance)
-            return
-        place, numbers = self._places(tracks), [scene.frame.number for scene in self._scenes]
-        first, last = (np.searchsorted(tracks.frame, numbers, side=side) for side in ("left", "right"))
-        self._scenes = [
-            replace(scene, people=place[:, i:j], identity=tracks.identity[i:j])
-            for scene, i, j in zip(self._scenes, first, last, strict=True)
-        ]
 
     def drawing(self, directory: RunDirectory, files: ExitStack, *, pictures: bool) -> Draw:
         """plan.mp4, with the annotated pictures on its left where there are any."""

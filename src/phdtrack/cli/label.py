@@ -40,7 +40,7 @@ from phdtrack.formats.markup import Annotated as AnnotatedFile
 from phdtrack.formats.markup import read_annotated
 from phdtrack.label import LabelStore
 from phdtrack.label.exchange import Exchange, frames_of
-from phdtrack.label.samples import LONGEST, Marks, clip, last_frame, shuffled
+from phdtrack.label.samples import LONGEST, Marks, clip, shuffled
 from phdtrack.label.suggestions import Background, Evidence, Suggestion, suggest
 from phdtrack.label.training import SceneTraining
 from phdtrack.report.pages import render
@@ -174,7 +174,8 @@ def to_label(source: SourceOptions, parameters: dict[str, Any], labels: Path, ou
     )
     if len(table) == 0:
         raise InputError("there are no detections to label", where=inputs.name)
-    if (last := last_frame(inputs.info, table)) > LONGEST:
+    # Of detections alone, and of some videos, it is not known how many frames there are.
+    if (last := inputs.info.frames or table.last) > LONGEST:
         problem = f"expected a sequence of at most {LONGEST:,} frames to draw from, came one that ends with frame {last}"
         raise InputError(problem, where=inputs.name, cure="Is a frame number wrong? Otherwise cut the sequence.")
     digest = hashlib.sha256(table.frame.tobytes() + table.detections.xyxy.round(3).tobytes()).hexdigest()[:32]

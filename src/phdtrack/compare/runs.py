@@ -146,6 +146,7 @@ class _Piece:
 
 def run(plan: Plan, folder: Path, jobs: int = 1, *, anew: bool = False, advance: Advance = lambda done: None) -> Comparison:
     """Run what is not kept in ``folder`` yet. Whatever ends this call, what is done by then is kept, and reused by the next.
+    Raises `InputError` where the folder cannot be written into, or an input has gone since it was planned.
 
     Parameters
     ----------
@@ -154,10 +155,6 @@ def run(plan: Plan, folder: Path, jobs: int = 1, *, anew: bool = False, advance:
     jobs : processes; the results do not depend on it. Above 1 a program calls this under ``if __name__ == "__main__"``.
     anew : whether to run everything again.
     advance : is called with the number of `steps` that are done.
-
-    Raises
-    ------
-    InputError : the folder cannot be written into, or an input has gone since it was planned.
     """
     write_text(probe := folder / ".probe", "")
     probe.unlink()

@@ -32,7 +32,8 @@ _OF_BACKGROUND = {"min_extent": 0.75, "max_continuation": 1.0}
 
 
 def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, moving: bool = False) -> AnyStages:
-    """The stages that the settings name, for a sequence.
+    """The stages that the settings name, for a sequence. Raises `InputError` where they do not go together, a file cannot be
+    read, or they name a motion of the camera and the caller would not follow it.
 
     Parameters
     ----------
@@ -40,11 +41,6 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
     info : width and height of the frames in pixels, frames per second.
     filter_name : a filter in place of ``filter.kind``; empty for that one.
     moving : whether the caller compensates the camera's motion.
-
-    Raises
-    ------
-    InputError : settings do not go together, a file cannot be read, or the settings name a motion of the camera and the
-        caller would not follow it.
     """
     if not moving and settings.kind("camera_motion") != "none":
         cure = "Use phdtrack track --camera-motion, or Tracker.update(warp=…)"

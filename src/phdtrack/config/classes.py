@@ -26,7 +26,8 @@ def build_kinds(
     *,
     moving: bool = False,
 ) -> Kinds:
-    """How the classes of a sequence are tracked.
+    """How the classes of a sequence are tracked. Raises `InputError` as `build`, for a class that there is none of, and for
+    a setting that a class cannot have of its own.
 
     Parameters
     ----------
@@ -35,10 +36,6 @@ def build_kinds(
     names : what its detections call the classes, if they do; before what ``classes.names`` says.
     present : the classes that there are; None where this is not known beforehand.
     moving : as for `build`.
-
-    Raises
-    ------
-    InputError : as `build`; a class that there is none of, or a setting that a class cannot have of its own.
     """
     given: ClassSettings = settings.build("classes")
     usual, known = build(settings, info, moving=moving), dict(enumerate(given.names)) | dict(names or {})
@@ -81,12 +78,7 @@ def _words(given: ClassSettings) -> set[str]:
 
 
 def _code(label: Label, names: Mapping[int, str], present: Collection[int] | None, where: str) -> int:
-    """The number of a class.
-
-    Raises
-    ------
-    InputError : it is not among those ``present``, or no class has this name.
-    """
+    """The number of a class. Raises `InputError` where it is not among those ``present``, or no class has this name."""
     word = str(label).strip()
     found = {name.lower(): code for code, name in names.items()}.get(word.lower())
     if found is None and word.lstrip("-").isdecimal():

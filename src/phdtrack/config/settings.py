@@ -109,7 +109,8 @@ class _Entry(NamedTuple):
 
 
 def load(path: Path | None = None, sets: Sequence[str] = (), preset: str = "", filter_name: str = "") -> Settings:
-    """The settings of a preset with those of a TOML file and of options in their place; the last named wins.
+    """The settings of a preset with those of a TOML file and of options in their place; the last named wins. Raises
+    `InputError` where the file cannot be read, a name is unknown, or a value is of the wrong type or out of bounds.
 
     Parameters
     ----------
@@ -117,10 +118,6 @@ def load(path: Path | None = None, sets: Sequence[str] = (), preset: str = "", f
     sets : options as ``section.name=value`` or ``scene=FILE``.
     preset : name of the preset; empty for the file's, or ``default``.
     filter_name : the filter, as ``--filter`` names it; empty for the preset's or the file's.
-
-    Raises
-    ------
-    InputError : the file cannot be read, a name is unknown, or a value is of the wrong type or out of bounds.
     """
     document, where = ({}, "configuration") if path is None else (read_toml(path), str(path))
     given, scene = document.pop("preset", "default"), document.pop("scene", "")
@@ -143,17 +140,13 @@ def load(path: Path | None = None, sets: Sequence[str] = (), preset: str = "", f
 
 
 def overlay(settings: Settings, sections: Mapping[str, Mapping[str, Any]], where: str = "settings") -> Settings:
-    """``settings`` with the values of ``sections`` in place of theirs.
+    """``settings`` with the values of ``sections`` in place of theirs. Raises `InputError` as `load`.
 
     Parameters
     ----------
     settings : what is changed.
     sections : values by section and name.
     where : who asks, for error messages.
-
-    Raises
-    ------
-    InputError : as `load`.
     """
     merged = _replaced(settings, _entries(sections, where))
     _check(merged, where)

@@ -376,24 +376,22 @@ class CountedFrom:
 
 
 def ground_covariance(camera: Camera, pixel: F8, cov: F8) -> F8:
-    """Covariances of the ground points that pixels show, P_W = J P Jᵀ along the tangent of the ground [E13 §3.3].
+    """(N, 2, 2) covariances of the ground points that pixels show, square metres, P_W = J P Jᵀ along the tangent of the
+    ground; NaN where there is none [E13 §3.3].
 
     Parameters
     ----------
     camera : between pixels and ground.
     pixel : (2, N) pixels.
     cov : (N, 2, 2) covariances of the pixels, square pixels.
-
-    Returns
-    -------
-    (N, 2, 2) square metres; NaN where there is no ground.
     """
     slope = camera.jacobian(pixel)
     return slope @ cov @ slope.transpose(0, 2, 1)
 
 
 def footprint(camera: Camera, frame_size: tuple[float, float], limit: float = 100.0) -> F8:
-    """Corners of the ground that the frame shows, from its upper left corner on around the frame.
+    """(2, K) corners of the ground that the frame shows, metres, from its upper left corner on around the frame; K = 0 where
+    it shows none. Raises `InputError` for a size or a limit that is not above 0.
 
     Where the edge of the frame shows no ground, or ground deeper than ``limit``, the way to it from a visible pixel is cut
     where the ground ends. On terrain, which may hide ground in between, that is the outline as far as it can be seen from
@@ -404,14 +402,6 @@ def footprint(camera: Camera, frame_size: tuple[float, float], limit: float = 10
     camera : between pixels and ground.
     frame_size : width and height, pixels.
     limit : greatest depth (`Camera.depth`), metres.
-
-    Returns
-    -------
-    (2, K) metres; K = 0 where the frame shows no ground.
-
-    Raises
-    ------
-    InputError : the size or the limit is not above 0.
     """
     width, height = frame_size
     if not (width > 0 and height > 0 and limit > 0):

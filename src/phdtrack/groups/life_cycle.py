@@ -77,7 +77,8 @@ class GroupLifeCycle(Checked):
     def extend(
         self, state: LifeCycleState, member: I8, label: I8, weight: F8, frame: int, time: float
     ) -> tuple[LifeCycleState, I8, tuple[Event, ...]]:
-        """Take in one frame's clusters.
+        """The state with one frame's clusters, the group (n,) of each member, and the events that became certain with this
+        frame.
 
         Parameters
         ----------
@@ -86,10 +87,6 @@ class GroupLifeCycle(Checked):
         label : (n,) the cluster of each.
         weight : (n,) how much each counts when identities are handed on.
         frame, time : number of the frame, and its time in seconds.
-
-        Returns
-        -------
-        The new state, the group (n,) of each member, and the events that became certain with this frame.
         """
         proposed, following = _proposals(state, member, label, weight)
         now, members, moves = (frame, time), dict(state.members), list[tuple[int, int, When]]()

@@ -84,7 +84,7 @@ class GroupStages:
     def people(
         self, state: LifeCycleState, walkers: Walkers, label: I8, weight: F8, number: int
     ) -> tuple[LifeCycleState, GroupFrame]:
-        """Take in the people of a frame, who all have identities.
+        """The state with the people of a frame, who all have identities, and the groups.
 
         Parameters
         ----------
@@ -93,10 +93,6 @@ class GroupStages:
         label : (n,) the group of each, as `Pairs` finds it.
         weight : (n,) probability that each is there.
         number : of the frame, from 1.
-
-        Returns
-        -------
-        The new state, and the groups.
         """
         mixture = GaussianMixture(weight, walkers.mean, walkers.covariance)
         return self._frame(state, mixture, label, walkers.identity, np.arange(len(label)), (number, walkers.time))
@@ -167,17 +163,14 @@ def _groups(label: I8, weight: F8, carrier: I8, membership: I8) -> tuple[I8, I8]
 
 
 def on_ground(tracks: Tracks, seen: MeasurementHistory, model: Model) -> tuple[list[Walkers], list[F8]]:
-    """The people of tracks where they stand, smoothed on the ground from their first detection to their last.
+    """The people of each frame of ``seen``, in the order of their identities, and the confidence of each: where those of
+    tracks stand, smoothed on the ground from their first detection to their last.
 
     Parameters
     ----------
     tracks : of any filter in any world; ``detection`` says which detection a row rests on.
     seen : the same detections as the ground's sensor measures them, NaN where a foot stands on no ground.
     model : of people on the ground.
-
-    Returns
-    -------
-    The people of each frame of ``seen``, in the order of their identities, and the confidence of each.
     """
     place = np.searchsorted(seen.number, tracks.frame)
     column = seen.start[place] + tracks.detection

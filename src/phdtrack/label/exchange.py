@@ -27,7 +27,7 @@ from scipy.optimize import linear_sum_assignment
 from phdtrack.arrays import iou
 from phdtrack.errors import InputError
 from phdtrack.formats.markup import Annotated
-from phdtrack.label.samples import clip, last_frame
+from phdtrack.label.samples import clip
 from phdtrack.label.store import DRAWN, MARKS, Label, LabelStore, Mark
 from phdtrack.label.suggestions import ALIKE
 from phdtrack.types import DetectionTable, SequenceInfo
@@ -58,7 +58,7 @@ def frames_of(given: Annotated) -> list[int]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exchange:
-    """The labels, the detections that they are on, and the sequence."""
+    """The labels, the detections that they are on, and the sequence, with the number of its frames."""
 
     store: LabelStore
     table: DetectionTable
@@ -80,7 +80,7 @@ class Exchange:
                 problem = f"expected pictures of {self.info.width} x {self.info.height}, came {size[0]} x {size[1]}"
                 raise InputError(problem, where=f"frame {one['frame']} of the file", cure="Is it of another video?")
         digest = given.about.get("detections")
-        drawn, last = [number for number, _ in self.store.frames()], last_frame(self.info, self.table)
+        drawn, last = [number for number, _ in self.store.frames()], self.info.frames
         # Marks of a clip belong to the frame that it is about.
         home = {frame: number for number in drawn for frame in clip(number, last)} | {number: number for number in drawn}
         by_frame, all_made, elsewhere = dict[int, list[dict[str, Any]]](), list[Label](), 0

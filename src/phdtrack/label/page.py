@@ -7,24 +7,21 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import cv2
 import numpy as np
 from pydantic import BaseModel, Field, ValidationError
 from starlette.applications import Starlette
-from starlette.concurrency import run_in_threadpool
-from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from phdtrack.arrays import iou
 from phdtrack.errors import InputError
 from phdtrack.label.exchange import Exchange
-from phdtrack.label.samples import boxes_of, clip, last_frame
+from phdtrack.label.samples import boxes_of, clip
 from phdtrack.label.store import DRAWN, Label, LabelStore, Progress
 from phdtrack.label.suggestions import ALIKE, TICKED, Background
-from phdtrack.live.serving import static
+from phdtrack.live.serving import JSON, endpoint, static
 from phdtrack.scene.mixture import place_map
 from phdtrack.scene.training import FALSE_BOXES, MIN_BIRTHS, box_density, learn_boxes
 from phdtrack.types import F8, Detections, DetectionTable, Image, SequenceInfo
@@ -36,7 +33,6 @@ _OF_TYPE = {
     "application/json; charset=utf-8": {"Content-Disposition": 'attachment; filename="labels.coco.json"'},
     "text/xml": {"Content-Disposition": 'attachment; filename="labels.cvat.xml"'},
 }
-JSON = "application/json"
 STATIC = Path(__file__).parent / "static"
 # A map is drawn from so many marks on, in red or green (BGR), of this width.
 _MIN_MARKS, _MAP_WIDTH = 10, 320
@@ -69,7 +65,7 @@ class Session:
     Attributes
     ----------
     store : keeps the marks.
-    table, info : the detections, and the sequence.
+    table, info : the detections, and the sequence, with the number of its frames.
     stills : the frames as JPEG by number, those of the clips too, of any size; the others are shown grey.
     background : looks for what may be false; None where nothing does.
     command : learns from the marks, in a terminal.
@@ -95,8 +91,8 @@ class Session:
 
     def overview(self) -> dict[str, object]:
         """Size, name, the file of labels (its name, and where it is ``kept``), how far each frame is, and the progress."""
-        info, last = self.info, last_frame(self.info, self.table)
-        clips = [(number, done, clip(number, last)) for number, done in self.store.frames()]
+        info = self.info
+        clips = [(number, done, clip(number, info.frames)) for number, done in self.store.frames()]
         return {
             "name": info.name,
             "file": self.store.name,
@@ -201,29 +197,32 @@ class Session:
         data = base64.b64encode(_encoded(picture, ".png")).decode()
         return {"learned": learned, "picture": f"data:image/png;base64,{data}"}
 
-    def _change(self, number: int, what: str, sent: Sent) -> dict[str, object]:
+    def _change(self, number: int, what: str, sent: bytes) -> dict[str, object]:
         """The frame and the progress after its marks were changed; ``what`` is marks, undo, redo or done.
 
-        Raises `InputError` where what was sent cannot be used; nothing has changed then.
+        Raises `InputError` where what was ``sent``, `Sent` as JSON, cannot be used; nothing has changed then.
         """
+        try:
+            told = Sent.model_validate_json(sent)
+        except ValidationError as error:
+            first = error.errors()[0]
+            raise InputError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from None
         store = self.store
         self._boxes(number)
         match what:
             case "marks":
-                found = {number: self._boxes(number) for number in {label.frame for label in sent.marks}}
-                for label in sent.marks:
+                found = {number: self._boxes(number) for number in {label.frame for label in told.marks}}
+                for label in told.marks:
                     if label.box < DRAWN:
                         _checked(found[label.frame], label.frame, label.box)
-                store.mark(number, sent.marks, sent.who, sent.key)
-            case "undo":
-                store.undo(number, sent.key, sent.who)
-            case "redo":
-                store.redo(number, sent.key, sent.who)
+                store.mark(number, told.marks, told.who, told.key)
+            case "undo" | "redo":
+                store.undo(number, told.key, told.who, again=what == "redo")
             case "done":
-                store.finish(number, sent.done, sent.key, sent.who)
+                store.finish(number, told.done, told.key, told.who)
             case _:
                 raise InputError(f"nothing is called {what}")
-        return self.frame(number, sent.who) | {"progress": self._progress()}
+        return self.frame(number, told.who) | {"progress": self._progress()}
 
     def _progress(self) -> dict[str, object]:
         """How far the work is, and what to do ``next`` when all frames are done."""
@@ -232,8 +231,7 @@ class Session:
 
     def _boxes(self, number: int) -> Detections:
         """The detections of a frame to label, or of the clip about one."""
-        last = last_frame(self.info, self.table)
-        if not any(number in clip(known, last) for known, _ in self.store.frames()):
+        if not any(number in clip(known, self.info.frames) for known, _ in self.store.frames()):
             raise InputError(f"frame {number} is not one of those to label")
         return self.table.at(number)
 
@@ -269,30 +267,10 @@ def label_app(session: Session) -> Starlette:
         "/still/{number:int}.jpg": (session.still, "image/jpeg"),
         "/crop/{number:int}/{box:int}.jpg": (session.crop, "image/jpeg"),
     }
-    routes = [Route(path, _endpoint(work, media)) for path, (work, media) in answers.items()]
-    routes.append(Route("/api/frame/{number:int}", _endpoint(session.frame, JSON, "who")))
-    change = Route("/api/frame/{number:int}/{what:str}", _endpoint(session._change, JSON), methods=["POST"])
+    routes = [Route(path, endpoint(work, media, _OF_TYPE.get(media))) for path, (work, media) in answers.items()]
+    routes.append(Route("/api/frame/{number:int}", endpoint(session.frame, query=["who"])))
+    change = Route("/api/frame/{number:int}/{what:str}", endpoint(session._change), methods=["POST"])
     return Starlette(routes=[*routes, change, *static(STATIC)])
-
-
-def _endpoint(work: Callable[..., Any], media: str, *query: str) -> Callable[[Request], Any]:
-    """``work`` in a thread, with the path's parameters, those of the ``query``, and the JSON sent; what it cannot use is a
-    400 with a sentence."""
-
-    async def endpoint(request: Request) -> Response:
-        given = dict(request.path_params) | {name: request.query_params.get(name, "") for name in query}
-        try:
-            if request.method == "POST":
-                given["sent"] = Sent.model_validate_json(await request.body())
-            answer = await run_in_threadpool(work, **given)
-        except ValidationError as error:
-            first = error.errors()[0]
-            return JSONResponse({"error": f"{'.'.join(map(str, first['loc']))}: {first['msg']}"}, 400)
-        except InputError as error:
-            return JSONResponse({"error": str(error)}, 400)
-        return JSONResponse(answer) if media == JSON else Response(answer, 200, _OF_TYPE.get(media), media)
-
-    return endpoint
 
 
 def _encoded(image: Image, suffix: str = ".jpg") -> bytes:

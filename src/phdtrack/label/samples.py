@@ -39,11 +39,6 @@ def clip(number: int, last: int) -> range:
     return range(max(1, number - REACH), min(last, number + REACH) + 1)
 
 
-def last_frame(info: SequenceInfo, table: DetectionTable) -> int:
-    """The last frame; that of the last detection where the video does not say how many there are."""
-    return info.frames or table.last
-
-
 def boxes_of(labels: list[Label], table: DetectionTable) -> F8:
     """(4, n) centres and sizes of the labelled boxes, pixels: where they were drawn or moved to, else the detections'."""
     places = [table.at(one.frame).xyxy[one.box] if one.place is None else one.place for one in labels]
@@ -56,7 +51,7 @@ class Marks:
 
     Attributes
     ----------
-    store, table, info : the labels, the detections that they are on, the sequence.
+    store, table, info : the labels, the detections that they are on, the sequence, with the number of its frames.
     stretch : the frames that count, which end with the sequence or before; all where it is None.
     """
 
@@ -124,7 +119,7 @@ class Marks:
 
     @property
     def _frames(self) -> range:
-        return range(1, last_frame(self.info, self.table) + 1) if self.stretch is None else self.stretch
+        return range(1, self.info.frames + 1) if self.stretch is None else self.stretch
 
     @property
     def _false(self) -> list[Label]:

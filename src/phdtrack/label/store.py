@@ -118,17 +118,14 @@ class LabelStore:
 
     @classmethod
     def open(cls, path: Path, source: str, digest: str, frames: Sequence[int]) -> LabelStore:
-        """The labels of some detections; the file is made where there is none, gone on with where there is.
+        """The labels of some detections; the file is made where there is none, gone on with where there is. Raises
+        `InputError` where it is that of other detections, or no file of labels.
 
         Parameters
         ----------
         path : of the file.
         source, digest : name of the video or file, and a digest of its detections.
         frames : numbers to label, in the order to show them; those that a file holds already stay, in front.
-
-        Raises
-        ------
-        InputError : the file is that of other detections, or no file of labels.
         """
         store, about = cls(path), {"format": FORMAT, "source": source, "detections": digest, "name": secrets.token_hex(8)}
         try:
@@ -165,17 +162,14 @@ class LabelStore:
         return range(first, first + 8)
 
     def mark(self, frame: int, marks: Iterable[Label], who: str = "", key: str = "") -> None:
-        """Keep marks as one action; of two on one box the last counts.
+        """Keep marks as one action; of two on one box the last counts. Raises `InputError` for no mark, an unknown one, and
+        a place that is none or that the mark cannot have.
 
         Parameters
         ----------
         frame : that was looked at meanwhile; the marks may be on others.
         marks : one or more.
         who, key : a name, and what tells that the same is sent again.
-
-        Raises
-        ------
-        InputError : no mark, or an unknown one; a place that is none, or that the mark cannot have.
         """
         given = list(marks)
         if not given:
@@ -199,26 +193,17 @@ class LabelStore:
                 self.mark(number, [Label(number, box, "false") for box in false.tolist()])
             self.finish(number)
 
-    def undo(self, frame: int, key: str = "", who: str = "") -> None:
+    def undo(self, frame: int, key: str = "", who: str = "", *, again: bool = False) -> None:
         """Take back the last action on a frame, if there is one.
 
         Parameters
         ----------
         frame : its number.
         who, key : as in `mark`; actions of nobody by name are everybody's.
+        again : the other way: make the action that was undone last count again.
         """
-        last = f"SELECT max(id) FROM action WHERE {_OWN} AND undone = 0"
-        self._change(key, (f"UPDATE action SET undone = 1 WHERE id = ({last})", [(frame, who)]))
-
-    def redo(self, frame: int, key: str = "", who: str = "") -> None:
-        """Make the action on a frame that was undone last count again, if there is one.
-
-        Parameters
-        ----------
-        frame, who, key : as in `undo`.
-        """
-        first = f"SELECT min(id) FROM action WHERE {_OWN} AND undone = 1"
-        self._change(key, (f"UPDATE action SET undone = 0 WHERE id = ({first})", [(frame, who)]))
+        chosen = f"SELECT {'min' if again else 'max'}(id) FROM action WHERE {_OWN} AND undone = {int(again)}"
+        self._change(key, (f"UPDATE action SET undone = {int(not again)} WHERE id = ({chosen})", [(frame, who)]))
 
     def finish(self, frame: int, done: bool = True, key: str = "", who: str = "") -> None:
         """Say that a frame has been looked at, which `undo` takes back. One without false boxes is looked at too.

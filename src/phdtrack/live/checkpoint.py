@@ -93,7 +93,7 @@ def key_of(fixed: Mapping[str, object], width: int, height: int) -> str:
 def save(
     folder: Path, key: str, tracker: Callable[[], dict[str, Any]], camera: SavedCamera, highest: int, *, ended: bool
 ) -> None:
-    """Write the checkpoint, whole or not at all.
+    """Write the checkpoint, whole or not at all. Raises `InputError` where it cannot be written.
 
     Parameters
     ----------
@@ -103,10 +103,6 @@ def save(
     camera : all else.
     highest : the highest identity that was given.
     ended : no further one will be given by this run.
-
-    Raises
-    ------
-    InputError : it cannot be written.
     """
     value = {"key": key, "highest": highest + (0 if ended else LOST), "ended": ended}
     content = zlib.compress(to_bytes(value | {"tracker": tracker(), "camera": pack(camera)}), 1)
@@ -117,12 +113,8 @@ def save(
 def load(folder: Path, key: str) -> tuple[int, bool, Any, SavedCamera | InputError] | None:
     """The lowest identity less 1 that may be given, whether the run had ended, the tracker's state, and all else.
 
-    None where there is no checkpoint. The last is an `InputError` where it is of other settings.
-
-    Raises
-    ------
-    InputError : it is damaged.
-    OSError : it cannot be read now.
+    None where there is no checkpoint. The last is an `InputError` where it is of other settings. Raises `InputError` where
+    it is damaged, `OSError` where it cannot be read now.
     """
     path = folder / NAME
     try:

@@ -71,10 +71,6 @@ class Event:
         source : name of the camera.
         wall : ISO time of the frame: ``id`` is made of it, since frames and identities begin anew after a restart.
         names : of the classes.
-
-        Returns
-        -------
-        event : what applies, by name.
         """
         found: dict[str, object] = {
             "id": f"{source}-{wall}-{self.kind}-{self.identity}-{self.index}",
@@ -187,17 +183,14 @@ class Watch(Checked):
         return WatchState(visitors, counts)
 
     def advance(self, state: WatchState, rows: Tracks, number: int, time: float) -> tuple[WatchState, tuple[Event, ...]]:
-        """Take in the rows of a frame, also an empty one.
+        """The state with the rows of a frame, also an empty one, and the events in the order of identities: first of those
+        who are there, then of those who have left.
 
         Parameters
         ----------
         state : after the frame before.
         rows : online rows of one frame.
         number, time : of the frame, from 1, and in seconds; both grow.
-
-        Returns
-        -------
-        The new state, and the events in the order of identities: first of those who are there, then of those who have left.
         """
         visitors, frame = dict(state.visitors), _Frame(number, time, list(state.counts))
         order = [k for k in rows.identity.argsort(kind="stable").tolist() if rows.confirmed[k]]
@@ -297,10 +290,6 @@ def place_events(watch: Watch, tracks: Tracks, last: int, fps: float) -> list[Ev
     tracks : sorted by frame.
     last : number of the last frame of the sequence.
     fps : frames per second.
-
-    Returns
-    -------
-    events : of the kinds ``cross``, ``enter``, ``exit`` and ``dwell``.
     """
     state, since, found = watch.start(), dict[tuple[int, str], float](), list[Event]()
     for number in _walked(np.unique(tracks.frame).tolist(), last, math.ceil(watch.leave_after * fps) + 1):
@@ -354,17 +343,13 @@ class Tally(NamedTuple):
 
 
 def tallies(watch: Watch, events: Sequence[Event], seconds: float) -> list[Tally]:
-    """What was counted at each place: of all classes, then of each where classes have names.
+    """What was counted at each place, in their order: of all classes, then of each where classes have names.
 
     Parameters
     ----------
     watch : the places.
     events : from `place_events`.
     seconds : length of the sequence.
-
-    Returns
-    -------
-    tallies : in the order of places.
     """
     found = list[Tally]()
     for place in watch.places:

@@ -53,9 +53,9 @@ HOUR, SEGMENT = 3600.0, 600.0
 _ROW = "%s,%d,%d,%d,%.7g,%.7g,%.7g,%.7g,%.4g,%d,%d\n"
 
 
-def stamp(wall: float, form: str = "milliseconds") -> str:
+def stamp(wall: float) -> str:
     """ISO time in UTC of seconds since 1970, as 2026-11-24T05:10:00.250Z."""
-    return datetime.fromtimestamp(wall, UTC).isoformat(timespec=form).removesuffix("+00:00") + "Z"
+    return datetime.fromtimestamp(wall, UTC).isoformat(timespec="milliseconds").removesuffix("+00:00") + "Z"
 
 
 class Segments:
@@ -244,16 +244,12 @@ class EventLog:
         self._add_lines()
 
     def write(self, events: Iterable[Told], watched: tuple[int, bytes] | None = None) -> list[Told]:
-        """Those of the events that are new, once they are on disk.
+        """Those of the events that are new, once they are on disk. Raises `sqlite3.Error` where nothing was written.
 
         Parameters
         ----------
         events : each with at least ``id``, ``time`` and ``kind``.
         watched : number of the frame, and what is known of visitors after it; None to leave that as it is.
-
-        Raises
-        ------
-        sqlite3.Error : nothing was written.
         """
         fresh = []
         with self._lock:

@@ -7,7 +7,7 @@ camera.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -17,13 +17,12 @@ import numpy as np
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
+from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.routing import Route
 
 from phdtrack.errors import InputError, shown
-from phdtrack.files import json_value
 from phdtrack.live.engine import Camera
-from phdtrack.live.serving import static
+from phdtrack.live.serving import Endpoint, endpoint, static
 from phdtrack.live.zones import places_of, write_places
 
 STATIC = Path(__file__).parent / "static"
@@ -118,7 +117,7 @@ class Page:
             ground = (ground * (1 - share) + colour * share).astype(np.uint8)
         return cv2.imencode(".jpg", ground, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
 
-    def save(self, name: str, body: bytes) -> dict[str, object]:
+    def save(self, name: str, sent: bytes) -> dict[str, object]:
         """Write lines and zones into the camera's file; it reads them when the next picture comes.
 
         Raises `InputError` where they cannot be used, or the camera has no file of them; nothing has changed then.
@@ -126,10 +125,10 @@ class Page:
         where, file = "what was sent", self.cameras[name].settings.places
         if file is None:
             raise InputError("this camera has no file of lines and zones", cure="Start it with --places FILE.")
-        if len(body) > MAX_BODY:
-            raise InputError(f"expected at most {MAX_BODY} bytes, got {len(body)}", where=where)
+        if len(sent) > MAX_BODY:
+            raise InputError(f"expected at most {MAX_BODY} bytes, got {len(sent)}", where=where)
         try:
-            tables = json.loads(body)
+            tables = json.loads(sent)
         except (ValueError, RecursionError):
             raise InputError("expected JSON", where=where) from None
         if not isinstance(tables, dict):
@@ -185,17 +184,6 @@ def live_app(cameras: Sequence[Camera]) -> Starlette:
         headers = {"X-Frame": str(number)}
         return Response(data, 200, headers, "image/jpeg") if data else Response(status_code=204, headers=headers)
 
-    async def drawn(request: Request) -> Response:
-        data = await run_in_threadpool(page.map, request.path_params["name"], request.path_params["what"])
-        return Response(data, media_type="image/jpeg")
-
-    async def save(request: Request) -> Response:
-        try:
-            body = await request.body()
-            return JSONResponse(await run_in_threadpool(page.save, request.path_params["name"], body))
-        except InputError as error:
-            return JSONResponse({"error": str(error)}, 400)
-
     async def index(request: Request) -> Response:
         return HTMLResponse((STATIC / "live.html").read_bytes())
 
@@ -206,15 +194,14 @@ def live_app(cameras: Sequence[Camera]) -> Starlette:
         dead = [one.name for one in cameras if not one.working]
         return PlainTextResponse(f"{', '.join(dead)} not working\n" if dead else "ok\n", 503 if dead else 200)
 
-    def known(endpoint: Callable[[Request], Any]) -> Callable[[Request], Any]:
-        """The endpoint for cameras that there are, and maps that there are."""
+    def known(answer: Endpoint) -> Endpoint:
+        """The answer for cameras that there are, and maps that there are."""
 
         async def checked(request: Request) -> Response:
             given = request.path_params
             if given["name"] not in page.cameras or given.get("what", "people") not in ("people", "clutter"):
                 return PlainTextResponse("there is no such camera\n", 404)
-            answer: Response = await endpoint(request)
-            return answer
+            return await answer(request)
 
         return checked
 
@@ -223,24 +210,15 @@ def live_app(cameras: Sequence[Camera]) -> Starlette:
             Route("/", index),
             Route("/metrics", metrics),
             Route("/healthz", health),
-            Route("/api/cameras", _told(page.overview)),
-            Route("/api/camera/{name:str}", known(_told(page.camera))),
-            Route("/api/camera/{name:str}/minutes", known(_told(page.minutes))),
-            Route("/api/camera/{name:str}/places", known(save), methods=["POST"]),
+            Route("/api/cameras", endpoint(page.overview)),
+            Route("/api/camera/{name:str}", known(endpoint(page.camera))),
+            Route("/api/camera/{name:str}/minutes", known(endpoint(page.minutes))),
+            Route("/api/camera/{name:str}/places", known(endpoint(page.save)), methods=["POST"]),
             Route("/picture/{name:str}.jpg", known(picture)),
-            Route("/map/{name:str}/{what:str}.jpg", known(drawn)),
+            Route("/map/{name:str}/{what:str}.jpg", known(endpoint(page.map, "image/jpeg"))),
             *static(STATIC),
         ]
     )
-
-
-def _told(work: Callable[..., object]) -> Callable[[Request], Any]:
-    """The answer of ``work`` as JSON."""
-
-    async def endpoint(request: Request) -> Response:
-        return JSONResponse(json_value(await run_in_threadpool(work, **request.path_params)))
-
-    return endpoint
 
 
 def _state(one: Camera) -> str:

@@ -25,21 +25,23 @@ import socket
 import ssl
 import time
 from collections import Counter
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import h11
 import uvicorn
+from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import MutableHeaders
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import PlainTextResponse, Response
+from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from phdtrack.errors import InputError
+from phdtrack.files import json_value
 
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -64,7 +66,9 @@ GUESSES, ALL_GUESSES, GUESSING = 10, 100, 60.0
 _NAME = re.compile(r"([A-Za-z0-9](?:[A-Za-z0-9.-]*[A-Za-z0-9])?|\[[0-9A-Fa-f:.]+\])(?::\d{1,5})?")
 _BUSY = b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 5\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 _METHODS = ("GET", "HEAD", "POST")
+JSON = "application/json"
 Clock = Callable[[], float]
+Endpoint = Callable[[Request], Awaitable[Response]]
 
 
 class Guard:
@@ -184,7 +188,7 @@ def _network(address: str) -> str:
 def static(folder: Path) -> list[Route]:
     """Routes to the files in a folder as they are now, below /static."""
 
-    def answering(file: Path) -> Callable[[Request], Awaitable[Response]]:
+    def answering(file: Path) -> Endpoint:
         data, media = file.read_bytes(), mimetypes.guess_type(file.name)[0]
 
         async def answer(request: Request) -> Response:
@@ -193,6 +197,31 @@ def static(folder: Path) -> list[Route]:
         return answer
 
     return [Route(f"/static/{file.name}", answering(file)) for file in sorted(folder.iterdir())]
+
+
+def endpoint(
+    work: Callable[..., Any], media: str = JSON, headers: Mapping[str, str] | None = None, query: Sequence[str] = ()
+) -> Endpoint:
+    """What answers with the result of ``work``, which runs in a thread; what it cannot use is a 400 with a sentence.
+
+    Parameters
+    ----------
+    work : is given the parameters of the path, those of the ``query``, and as ``sent`` the body of a POST.
+    media : type of the answer; of `JSON` it is what JSON says of the result.
+    headers : of the answer.
+    query : names of parameters, empty where the address has none.
+    """
+
+    async def answer(request: Request) -> Response:
+        given = dict(request.path_params) | {name: request.query_params.get(name, "") for name in query}
+        try:
+            sent = {"sent": await request.body()} if request.method == "POST" else {}
+            result = await run_in_threadpool(work, **given, **sent)
+        except InputError as error:
+            return JSONResponse({"error": str(error)}, 400)
+        return JSONResponse(json_value(result)) if media == JSON else Response(result, 200, headers, media)
+
+    return answer
 
 
 class Address(NamedTuple):
@@ -216,21 +245,14 @@ def listen(
     key: Path | None = None,
     preferred: Sequence[int] = (),
 ) -> Address:
-    """Take a port.
+    """Take a port. The address has a token unless it is loopback under its own names. Raises `InputError` where the port
+    cannot be had, or a name or file cannot be used.
 
     Parameters
     ----------
     host, port : to listen on; with port 0 the first of ``preferred`` that is free, or else any.
     allow : more names or addresses by which a browser may ask for the page.
     certificate, key : files for TLS (PEM); None for none.
-
-    Returns
-    -------
-    The address. It has a token unless it is loopback under its own names.
-
-    Raises
-    ------
-    InputError : the port cannot be had, or a name or file cannot be used.
     """
     for name in allow:
         if not _NAME.fullmatch(name):

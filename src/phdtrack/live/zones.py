@@ -38,7 +38,7 @@ _SAME = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A line or a zone.
+    """A line or a zone. Raises `InputError` for too few points, for no numbers, and for a zone whose border crosses itself.
 
     Attributes
     ----------
@@ -47,10 +47,6 @@ class Place:
     closed : it is a zone.
     anchor : the part of a box that counts.
     classes : names of the classes that count; empty for all.
-
-    Raises
-    ------
-    InputError : too few points, points that are no numbers, or a zone whose border crosses itself.
     """
 
     name: str

@@ -140,7 +140,8 @@ _NO_ROWS = _Rows(_NONE, _NONE, _NONE > 0, _NONE > 0, np.zeros(0), _NONE > 0)
 def explain(
     truth: Truth, tracks: Tracks, detections: DetectionTable | None = None, *, frames: int = 0, iou: float = 0.5
 ) -> Errors:
-    """The misses and false boxes of ``tracks`` against ``truth`` by cause, as the module says.
+    """The misses and false boxes of ``tracks`` against ``truth`` by cause, as the module says. Raises `InputError` for what
+    `evaluate` would refuse.
 
     Parameters
     ----------
@@ -148,10 +149,6 @@ def explain(
     detections : what the tracker was given; None: not known.
     frames : number of frames of the sequence, later rows are left out; 0: up to the last row of either side.
     iou : the overlap from which a pair of boxes may match, in (0, 1].
-
-    Raises
-    ------
-    InputError : for settings and rows that `evaluate` would refuse.
     """
     check_threshold(iou)
     scene, given = build(truth, tracks, frames), detections is not None

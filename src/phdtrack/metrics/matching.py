@@ -100,17 +100,14 @@ class Scene:
 
 
 def build(truth: Truth, tracks: Tracks, frames: int = 0, first: int = 1) -> Scene:
-    """``truth`` and ``tracks`` side by side, frame by frame, without distractors.
+    """``truth`` and ``tracks`` side by side, frame by frame, without distractors. Raises `InputError` for wrong shapes,
+    frame numbers below 1, boxes without finite extent, and an identity twice in a frame.
 
     Parameters
     ----------
     truth, tracks : annotated boxes, output boxes.
     frames : number of frames of the sequence, later rows are left out; 0: up to the last row of either side.
     first : the first of these that counts, earlier rows are left out.
-
-    Raises
-    ------
-    InputError : for wrong shapes, frame numbers below 1, boxes without finite extent, or an identity twice in a frame.
     """
     if frames < 0:
         raise InputError(f"expected a number of frames ≥ 0, got {frames}", where="frames")

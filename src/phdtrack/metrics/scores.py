@@ -75,7 +75,8 @@ class Scores:
 
 
 def evaluate(truth: Truth, tracks: Tracks, *, frames: int = 0, iou: float = 0.5, first: int = 1) -> Scores:
-    """Score ``tracks`` against ``truth``.
+    """Score ``tracks`` against ``truth``. Raises `InputError` for other types, settings out of range, wrong shapes, frame
+    numbers below 1, boxes without finite extent, and an identity twice in a frame of either side.
 
     Parameters
     ----------
@@ -84,11 +85,6 @@ def evaluate(truth: Truth, tracks: Tracks, *, frames: int = 0, iou: float = 0.5,
     frames : number of frames of the sequence, rows after it are left out; 0: up to the last frame of either side.
     iou : the overlap from which a pair of boxes may match, in (0, 1]; HOTA has its own.
     first : the first frame that counts, where a part of a sequence is scored: rows before it are left out.
-
-    Raises
-    ------
-    InputError : for other types, settings out of range, wrong shapes, frame numbers below 1, boxes without finite extent,
-        or an identity twice in a frame of either side.
     """
     check_threshold(iou)
     for one, kind, what in ((truth, Truth, "annotated objects"), (tracks, Tracks, "tracks")):
@@ -99,12 +95,8 @@ def evaluate(truth: Truth, tracks: Tracks, *, frames: int = 0, iou: float = 0.5,
 
 
 def pool(parts: Sequence[Scores]) -> Scores:
-    """The scores over several sequences, each one's result of `evaluate` (or of `pool`) with the same threshold.
-
-    Raises
-    ------
-    InputError : for no results, or results with different thresholds.
-    """
+    """The scores over several sequences, each one's result of `evaluate` (or of `pool`) with the same threshold. Raises
+    `InputError` for no results, or results with different thresholds."""
     if not parts:
         raise InputError("expected the scores of at least one sequence, got none")
     iou = parts[0].iou

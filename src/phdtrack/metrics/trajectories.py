@@ -45,21 +45,14 @@ class TGospaParts:
 
 
 def tgospa_boxes(truth: Truth, tracks: Tracks, *, frames: int = 0, gamma: float = 1.0) -> TGospaParts:
-    """T-GOSPA of ``tracks`` against ``truth`` with base distance 1 − IoU, c = 1, p = 1; distractors as in `evaluate`.
+    """T-GOSPA of ``tracks`` against ``truth`` with base distance 1 − IoU, c = 1, p = 1, and its parts, summed over the
+    frames; distractors as in `evaluate`. Raises `InputError` for rows that `evaluate` would refuse, or gamma < 0.
 
     Parameters
     ----------
     truth, tracks : annotated boxes, output boxes.
     frames : later rows are left out; 0: all.
     gamma : price of a switch of identity.
-
-    Returns
-    -------
-    The distance and its parts, summed over the frames.
-
-    Raises
-    ------
-    InputError : for rows that `evaluate` would refuse, or gamma < 0.
     """
     if not gamma >= 0:
         raise InputError(f"expected a switching penalty ≥ 0, got {gamma}", where="gamma")
@@ -74,17 +67,14 @@ def tgospa_boxes(truth: Truth, tracks: Tracks, *, frames: int = 0, gamma: float 
 
 
 def tgospa(distance: NDArray[np.floating], there: Bool, given: Bool, gamma: float) -> TGospaParts:
-    """T-GOSPA of any trajectories, in units of the distance c at which two are no pair.
+    """T-GOSPA of any trajectories and its parts, summed over the frames, in units of the distance c at which two are no
+    pair.
 
     Parameters
     ----------
     distance : (K, n, m) distances over c, in each of K frames; pairs at 1 or more are none.
     there, given : (K, n), (K, m) where the true and the output trajectories are present.
     gamma : price of a switch of identity.
-
-    Returns
-    -------
-    The distance and its parts, summed over the frames.
     """
     close = there[:, :, None] & given[:, None, :] & (distance < 1)
     rows, columns = np.nonzero(close.any(axis=0))
@@ -152,17 +142,14 @@ class TargetErrors:
 
 
 def rmse_per_target(truth_frame: I8, truth_identity: I8, truth_point: F8, frame: I8, point: F8, gate: float) -> TargetErrors:
-    """Errors of estimated points against true ones [D14 Tables I–III].
+    """Errors of estimated points against true ones [D14 Tables I–III]. Raises `InputError` for shapes that do not fit,
+    points that are not finite, and a gate ≤ 0.
 
     Parameters
     ----------
     truth_frame, truth_identity, truth_point : (M,), (M,), (d, M) frame, identity and place of each true point.
     frame, point : (N,), (d, N) of the estimates.
     gate : distance from which a pair counts as a miss and a false estimate, in the unit of the points.
-
-    Raises
-    ------
-    InputError : for shapes that do not fit, points that are not finite, or a gate ≤ 0.
     """
     if not gate > 0:
         raise InputError(f"expected a gate > 0, got {gate}", where="gate")

@@ -26,7 +26,7 @@ _GRID = 9
 
 @dataclass(frozen=True, slots=True)
 class DetectorModel(Checked):
-    """Settings of a simulated detector. The defaults are those of the clutter cases: p_D 0.9, jitter 5 %.
+    """Settings of a simulated detector, with scores of 1. The defaults are those of the clutter cases: p_D 0.9, jitter 5 %.
 
     Attributes
     ----------
@@ -37,7 +37,6 @@ class DetectorModel(Checked):
     clutter_rate : λ, expected Poisson false alarms per frame.
     clutter_of_all_sizes : whether their sizes are log-uniform, and not drawn from the truth's boxes.
     places, place_fire, place_jitter : number of persistent places, their probability to fire in a frame, their jitter.
-    informative_scores : whether scores are Beta(6, 2) for objects and Beta(2, 4) for false alarms, and not 1.
     """
 
     p_detect: Probability = 0.9
@@ -49,7 +48,6 @@ class DetectorModel(Checked):
     places: Count = 0
     place_fire: Probability = 0.5
     place_jitter: NonNegative = 0.1
-    informative_scores: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +69,8 @@ class Detected:
 def detect(
     truth: Truth, info: SequenceInfo, rng: np.random.Generator, model: DetectorModel, *, obstacles: F8 | None = None
 ) -> Detected:
-    """Simulated detections of the truth in the frames 1 … ``info.frames``.
+    """Simulated detections of the truth in the frames 1 … ``info.frames``, and where each came from. Raises `InputError`
+    where that number is not known, or the truth has rows outside of it.
 
     Parameters
     ----------
@@ -80,30 +79,17 @@ def detect(
     rng : streams are spawned from it: a fresh generator of the same seed gives the same detections.
     model : settings of the detector.
     obstacles : (K, 4) xyxy of things that hide what is behind them, pixels; for ``model.occlusion``.
-
-    Returns
-    -------
-    The detections, and where each came from.
-
-    Raises
-    ------
-    InputError : the number of frames is not known, or the truth has rows outside of it.
     """
     if info.frames < 1 or (len(truth) and not 1 <= truth.frame.min() <= truth.frame.max() <= info.frames):
         problem = f"expected a truth within the frames 1 … {info.frames}"
         raise InputError(problem, where=info.name, cure="Give the number of frames of the sequence in SequenceInfo.frames")
     targets_rng, clutter_rng, places_rng, order_rng = rng.spawn(4)
-
-    def scores(n: int, beta: tuple[float, float], own: np.random.Generator) -> F8:
-        return own.beta(*beta, size=n) if model.informative_scores else np.ones(n)
-
     sizes = to_cxcywh(truth.xyxy[~truth.distractor])[2:].T[: 0 if model.clutter_of_all_sizes else None]
     places = place_boxes(info, model.places, sizes, places_rng)
 
     # Objects: a number drawn for each decides whether it is detected.
     lot = targets_rng.random(len(truth))
     boxes = _jittered(truth.xyxy, model.jitter, model.jitter_size, targets_rng)
-    score = scores(len(truth), (6, 2), targets_rng)
     p_detect = np.full(len(truth), model.p_detect)
     if model.occlusion:
         p_detect *= (1 - covered(truth, np.zeros((0, 4)) if obstacles is None else obstacles)) ** model.occlusion
@@ -111,23 +97,21 @@ def detect(
 
     # Poisson clutter, and persistent places.
     at, false = _poisson_boxes(info, model.clutter_rate, sizes, clutter_rng)
-    false_score = scores(len(at), (2, 4), clutter_rng)
     fired, place = np.nonzero(places_rng.random((info.frames, model.places)) < model.place_fire)
     place_box = _jittered(places[place], model.place_jitter, model.place_jitter, places_rng)
-    place_score = scores(len(fired), (2, 4), places_rng)
 
     frame = np.concatenate([truth.frame[kept], at, fired + 1])
     source = np.concatenate([truth.identity[kept], np.zeros(len(at), np.int64), -(place + 1)])
     found = np.concatenate([boxes[kept], false, place_box])
     order = _shuffled(frame, order_rng)
-    detections = Detections.of(found, np.concatenate([score[kept], false_score, place_score]))
-    return Detected(DetectionTable(frame[order], detections.take(order)), source[order], places)
+    return Detected(DetectionTable(frame[order], Detections.of(found[order])), source[order], places)
 
 
 def add_clutter(
     table: DetectionTable, info: SequenceInfo, rate: float, rng: np.random.Generator, truth_sizes: F8
 ) -> DetectionTable:
-    """``table`` with Poisson clutter mixed in, in all frames 1 … ``info.frames``.
+    """``table`` with Poisson clutter mixed in, in all frames 1 … ``info.frames``. Raises `InputError` where that number is
+    not known, or ``rate`` is not a number of boxes.
 
     Score, class and covariance of each false alarm are those of a detection drawn from the table, so that they do not give
     it away; 1 and 0 where the table is empty. Within a frame the order is random.
@@ -139,14 +123,6 @@ def add_clutter(
     rate : expected false alarms per frame.
     rng : draws them.
     truth_sizes : (S, 2) widths and heights to draw from, pixels; log-uniform where it has no rows.
-
-    Returns
-    -------
-    All detections, ascending in frame.
-
-    Raises
-    ------
-    InputError : the number of frames is not known, or ``rate`` is not a number of boxes.
     """
     if not 1 <= info.frames <= _MOST_FRAMES:
         problem = f"expected a known number of frames to add clutter to, at most {_MOST_FRAMES:,}, came {info.frames}"
@@ -193,7 +169,7 @@ def _poisson_boxes(info: SequenceInfo, rate: float, sizes: F8, rng: np.random.Ge
 
 
 def place_boxes(info: SequenceInfo, n: int, sizes: F8, rng: np.random.Generator) -> F8:
-    """Boxes of persistent places, each whole inside the frame.
+    """(n, 4) xyxy boxes of persistent places, pixels, each whole inside the frame.
 
     Parameters
     ----------
@@ -201,10 +177,6 @@ def place_boxes(info: SequenceInfo, n: int, sizes: F8, rng: np.random.Generator)
     n : number of places.
     sizes : (S, 2) widths and heights to draw from, pixels; log-uniform where it has no rows.
     rng : draws them.
-
-    Returns
-    -------
-    (n, 4) xyxy, pixels.
     """
     edge = np.array([info.width, info.height], dtype=np.float64)
     size = np.minimum(_draw_sizes(info, n, sizes, rng), edge)

@@ -236,16 +236,12 @@ class Scenario(Checked):
 
 
 def truth_rows(frame: I8, identity: I8, xyxy: F8) -> Truth:
-    """A `Truth` of rows of which all count.
+    """A `Truth` of rows of which all count, sorted by frame, then identity.
 
     Parameters
     ----------
     frame, identity : (M,).
     xyxy : (M, 4) pixels.
-
-    Returns
-    -------
-    The rows, sorted by frame, then identity.
     """
     order = np.lexsort((identity, frame))
     return Truth(frame[order], identity[order], xyxy[order], np.zeros(len(frame), np.bool_))
@@ -370,7 +366,8 @@ _LOOKS = {"yard": Look(wave=0.12), "garden": Look(wave=0.30, lamps=10), "arcade"
 
 
 def make_scene(world: str | Scenario, seed: int, detector: DetectorModel | None = None, **settings: Any) -> Scene:
-    """The scene of that name or with these settings; its truth does not depend on ``detector``.
+    """The scene of that name or with these settings; its truth does not depend on ``detector``. Raises `InputError` where no
+    scene has this name, it has no such setting, or the value is impossible.
 
     Parameters
     ----------
@@ -378,10 +375,6 @@ def make_scene(world: str | Scenario, seed: int, detector: DetectorModel | None 
     seed : what is drawn by chance is drawn from it.
     detector : None for `default_detector`, with misses where people hide each other.
     **settings : other settings than the scene's own, as ``frames=100``.
-
-    Raises
-    ------
-    InputError : no scene has this name, it has no such setting, or the value is impossible.
     """
     if isinstance(world, str):
         if world not in NAMED:
