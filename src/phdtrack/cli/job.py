@@ -357,8 +357,6 @@ class _Written:
     def flush(self) -> None:
         """The online rows that were held back."""
         self._append(self._online, held := self._done.tracker.flush())
-        for observer in self._job.observers:
-            observer.flush(held)
         if self._once:
             self._once.flush(held)
 

@@ -43,9 +43,6 @@ class RunObserver:
     def take(self, found: Detections, step: Step, state: TrackingState) -> None:
         """Take in a frame: all its detections, as rows count them, its step, and the tracker's state after it."""
 
-    def flush(self, rows: Tracks) -> None:
-        """Take in the online rows that the output delay held back; no step follows."""
-
     def finish(self, directory: RunDirectory, tracks: Tracks) -> None:
         """Take in the corrected tracks of the whole run, before anything is drawn or reported."""
 
