@@ -281,19 +281,11 @@ class Lanes:
         return any(one.state != fresh.state or getattr(one.seed_seq, "n_children_spawned", 0) > 0 for one in used)
 
     def advance(self, detections: Detections, number: int, time: float, warp: F8 = STILL) -> Step:
-        """Everything that a frame brought.
+        """Everything that a frame brought, of all classes; identities are one's own among all of them.
 
         Parameters
         ----------
-        detections, number, time, warp : as `pipeline.advance` has them.
-
-        Returns
-        -------
-        step : of all classes; identities are one's own among all of them.
-
-        Raises
-        ------
-        InputError : as `pipeline.advance`.
+        detections, number, time, warp : as `pipeline.advance` has them, which says what is raised.
         """
         label, gone_through = self.kinds.of(detections), dict[int, _Lane]()
         for kind in np.unique(label).tolist():
@@ -423,8 +415,7 @@ def remember(kept: dict[int, Any], number: int, value: Any) -> None:
 
     Parameters
     ----------
-    kept : is added to.
-    number, value : of the frame.
+    kept, number, value : what is added to, and of the frame.
     """
     kept[number] = value
     if len(kept) > _MOST_KEPT:

@@ -75,7 +75,8 @@ def advance(
     rng: np.random.Generator,
     warp: F8 = STILL,
 ) -> tuple[TrackingState, Step]:
-    """The state after a frame, and everything that the frame brought.
+    """The state after a frame, and everything that the frame brought. Raises `InputError` where number or time does not grow
+    or is no number, or the warp is no homography.
 
     Parameters
     ----------
@@ -84,10 +85,6 @@ def advance(
     detections : of this frame; with ``observed`` False it is predicted and nothing more.
     number, time, rng : from 1; seconds; the filter's randomness.
     warp : (3, 3) homography from pixels of the frame before to this one's; `types.STILL` where the camera stands still.
-
-    Raises
-    ------
-    InputError : number or time does not grow or is no number, or the warp is no homography.
     """
     _check_order(state, number, time)
     learning, explainer, learned, expected = stages.learning, stages.explainer, state.learned, state.expected
@@ -166,9 +163,8 @@ def run(
 
     Parameters
     ----------
-    stages : the tracker's parts.
+    stages, rng : the tracker's parts, and the filter's randomness.
     frames : number, seconds and detections of each.
-    rng : the filter's randomness.
     """
     state = start(stages, rng)
     for number, time, detections in frames:
@@ -191,17 +187,12 @@ def finish(stages: AnyStages, state: TrackingState) -> Tracks:
 
 
 def merged(steps: Sequence[Step], index: Sequence[I8], detections: Detections) -> Step:
-    """One step of several pipelines that share a frame.
+    """One step of several pipelines that share a frame; its rows are those of the first.
 
     Parameters
     ----------
-    steps : of each.
-    index : (n,) which of the frame's detections each was given.
+    steps, index : of each, and (n,) which of the frame's detections it was given.
     detections : of the frame, (N).
-
-    Returns
-    -------
-    step : of all; its rows are those of the first.
     """
     infos, first = [step.info for step in steps], steps[0]
     evidence, clutter = np.zeros((2, len(detections)))

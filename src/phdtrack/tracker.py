@@ -124,7 +124,8 @@ class Tracker:
         timestamp: float | None = None,
         warp: ArrayLike | None = None,
     ) -> Tracks:
-        """Take in one frame's detections; give the online rows that became final, which will not change.
+        """Take in one frame's detections; give the online rows that became final, which will not change: of this frame, or
+        with an output delay of an earlier one.
 
         Parameters
         ----------
@@ -136,10 +137,6 @@ class Tracker:
         timestamp : its time in seconds; default from the number and ``fps``.
         warp : how the camera moved since the last update: the (3, 3) homography, or (2, 3) affine map, that takes pixels of
             that frame to this one's, as `CameraMotion` measures it; default: it stands still.
-
-        Returns
-        -------
-        rows : of this frame, or with an output delay of an earlier one.
 
         Raises
         ------
@@ -265,12 +262,8 @@ class Tracker:
         return lambda: about | {"state": pack(whole), "lanes": pack(lanes), "left_out": pack(left_out)}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on from a `state_dict` of a tracker with the same settings.
-
-        Raises
-        ------
-        InputError : it is no such state, or one of another version or of states of other components.
-        """
+        """Go on from a `state_dict` of a tracker with the same settings. Raises `InputError` where it is no such state, or
+        one of another version or of states of other components."""
         from phdtrack.state import World, restored
 
         form = saved.get("format", FORMAT) if isinstance(saved, dict) else FORMAT
