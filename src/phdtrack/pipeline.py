@@ -110,7 +110,9 @@ def advance(
     z, info, estimates = given.in_terms_of_detections(info, estimates, numbers[:-1])
     extracted = clock.perf_counter()
     association, tracks = stages.associator.extend(state.association, estimates, z, number, dt, model)
-    shown, tracks = _shown(stages, state, tracks, detections, number, time)
+    shown = None
+    if stages.online:
+        shown, tracks = stages.online.advance(state.shown, tracks, detections, number, time)
     seconds = (filtered - began, extracted - filtered, clock.perf_counter() - extracted)
     step = Step(number, time, detections, info, estimates, tracks, seconds, given.unusable, seen.warp)
     learned = learning and learning.advance(learned, step)
@@ -145,15 +147,6 @@ def _seen(
         interval = (when[1] - state.time) * stages.model.rate
         camera, moved = stages.camera.between(camera, detections, stages.model, interval, moved)
     return camera, replace(stages.model, warp=moved) if len(moved) else stages.model
-
-
-def _shown(
-    stages: AnyStages, state: TrackingState, tracks: Tracks, detections: Detections, number: int, time: float
-) -> tuple[Any, Tracks]:
-    """What the boxes of online rows have taught, and the rows with the boxes that are shown."""
-    if stages.online is None:
-        return None, tracks
-    return stages.online.advance(state.shown, tracks, detections, number, time)
 
 
 def run(
@@ -300,8 +293,6 @@ def _check_order(state: TrackingState, number: int, time: float) -> None:
     if not math.isfinite(time):
         raise InputError(f"expected the time of a frame in seconds, got {time:g}", where=f"frame {number}")
     if state.number and (number <= state.number or not time > state.time):
-        raise InputError(
-            f"frame numbers and times must grow, but frame {number} at {time:g} s follows frame {state.number} at "
-            f"{state.time:g} s",
-            cure="Sort the frames, or reset the tracker before a new sequence",
-        )
+        last = f"frame {state.number} at {state.time:g} s"
+        problem = f"frame numbers and times must grow, but frame {number} at {time:g} s follows {last}"
+        raise InputError(problem, cure="Sort the frames, or reset the tracker before a new sequence")

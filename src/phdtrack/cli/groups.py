@@ -7,7 +7,7 @@ image. Rings that run clockwise on the ground are holes.
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -35,14 +35,14 @@ from phdtrack.formats.write import Lines
 from phdtrack.ground import footprint
 from phdtrack.groups.clusters import Grouping, polygon_area
 from phdtrack.groups.life_cycle import LifeCycleState
-from phdtrack.groups.pairs import Pairs, Walkers
+from phdtrack.groups.pairs import Pairs
 from phdtrack.groups.pipeline import GroupFrame, GroupStages, carriers, mixture_of, on_ground
 from phdtrack.models import PlaneSensor
 from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.report.drawing import Plan, PlanScene, draw_contours
 from phdtrack.report.pages import lines, render
-from phdtrack.types import F8, I8, Detections, GaussianMixture, Image, MeasurementHistory, SequenceInfo, Step, Tracks
+from phdtrack.types import F8, Detections, GaussianMixture, Image, MeasurementHistory, SequenceInfo, Step, Tracks
 from phdtrack.video import VideoWriter
 
 INTENSITY_FILTER = "gm-phd"
@@ -140,14 +140,6 @@ def _read_edges(path: Path | None) -> tuple[F8, ...]:
     return tuple(np.array(edge).T for edge in edges if len(edge) > 1)
 
 
-class People(NamedTuple):
-    """Those with an identity in a frame, their places (2, n) in metres, and the Gaussian that each of them is."""
-
-    identity: I8
-    place: F8
-    carrier: I8
-
-
 class World(NamedTuple):
     """Where detections are followed, and the model of people on the ground; online rows come ``delay`` frames late, and the
     ground is shown up to ``max_distance`` metres from the camera."""
@@ -220,31 +212,9 @@ class GroupObserver(RunObserver):
         number, time, mixture, detections = self._waiting.popleft()
         rows = tracks.take((tracks.frame == number) & tracks.confirmed)
         place = self._places(rows)
-        self.group(
-            number, time, mixture, People(rows.identity, place, carriers(mixture, place, grouping.min_weight)), detections
-        )
-
-    def group(self, number: int, time: float, mixture: GaussianMixture, people: People, detections: F8) -> None:
-        """Find and write the groups of a frame's intensity; ``detections`` (2, N) are places in metres."""
-        self._state, frame = self._groups.advance(self._state, mixture, people.identity, people.carrier, number, time)
-        self._write(frame, detections, people.place[:, np.searchsorted(people.identity, frame.member)])
-
-    def group_all(
-        self,
-        numbers: Sequence[int],
-        frames: Sequence[Walkers],
-        weights: Sequence[F8],
-        detections: Sequence[F8],
-        advance: Callable[[int], object],
-    ) -> None:
-        """Find and write the groups of all frames; ``weights`` (n,) say how likely each person is there."""
-        assert isinstance(self._groups.grouping, Pairs)
-        labels = self._groups.grouping.over_time(frames)
-        for done, (number, walkers, label) in enumerate(zip(numbers, frames, labels, strict=True)):
-            weight, found = weights[done], detections[done]
-            self._state, frame = self._groups.people(self._state, walkers, label, weight, number)
-            self._write(frame, found, walkers.mean[:2, np.searchsorted(walkers.identity, frame.member)])
-            advance(done + 1)
+        carrier = carriers(mixture, place, grouping.min_weight)
+        self._state, frame = self._groups.advance(self._state, mixture, rows.identity, carrier, number, time)
+        self._write(frame, detections, place[:, np.searchsorted(rows.identity, frame.member)])
 
     def _write(self, frame: GroupFrame, detections: F8, members: F8) -> None:
         """A frame into the tables, and what is drawn of it: detections, and places (2, n) of its members."""
@@ -267,17 +237,21 @@ class GroupObserver(RunObserver):
 
     def finish(self, directory: RunDirectory, tracks: Tracks) -> None:
         """Find the groups of the corrected tracks; those of an intensity are known, and drawn with the corrected tracks."""
-        if isinstance(self._groups.grouping, Pairs):
+        if isinstance(grouping := self._groups.grouping, Pairs):
             model, number = self._world.ground, np.array([seen.number for seen in self._seen], np.int64)
             start = np.concatenate([[0], np.cumsum([seen.z.shape[1] for seen in self._seen])]).astype(np.int64)
             time = np.array([seen.time for seen in self._seen]) * model.rate
             z = np.hstack([np.zeros((5, 0)), *(seen.z for seen in self._seen)])
             # What stopped the run may have come between tracking a frame and taking it in here.
             known = tracks.take(np.isin(tracks.frame, number))
-            people = on_ground(known, MeasurementHistory(number, time, start, z, np.zeros((0, 3, 3))), model)
+            people, weights = on_ground(known, MeasurementHistory(number, time, start, z, np.zeros((0, 3, 3))), model)
             with ExitStack() as files, progress("grouping", len(number)) as advance:
                 self.begin(directory, files)
-                self.group_all(number.tolist(), *people, [seen.places for seen in self._seen], advance)
+                each = zip(self._seen, people, grouping.over_time(people), weights, strict=True)
+                for done, (seen, walkers, label, weight) in enumerate(each, start=1):
+                    self._state, frame = self._groups.people(self._state, walkers, label, weight, seen.number)
+                    self._write(frame, seen.places, walkers.mean[:2, np.searchsorted(walkers.identity, frame.member)])
+                    advance(done)
             return
         place, numbers = self._places(tracks), [scene.frame.number for scene in self._scenes]
         first, last = (np.searchsorted(tracks.frame, numbers, side=side) for side in ("left", "right"))
