@@ -68,6 +68,9 @@ class Docstrings(griffe.Extension):
         """Rewrite its docstring."""
         if obj.docstring is None:
             return
+        if obj.is_class and "__init__" not in obj.all_members:
+            # A protocol says what the arguments of its methods are.
+            obj.docstring.parser_options = {"warnings": False}
         lines, out, section = obj.docstring.value.replace("``", "`").split("\n"), list[str](), ""
         for k, line in enumerate(lines):
             if k + 1 < len(lines) and set(lines[k + 1].strip()) == {"-"}:

@@ -67,17 +67,13 @@ def reused(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
 
 
 def sum_by(index: I8, value: F8, count: int) -> F8:
-    """Sums over equal indices.
+    """(count,) sums over equal indices.
 
     Parameters
     ----------
-    index, value : (n,) each.
-    count : of sums.
-
-    Returns
-    -------
-    (count,) float64.
+    index, value, count : (n,) each, and how many sums there are.
     """
+    # Of no values NumPy's are integers.
     return np.asarray(np.bincount(index, value, count), dtype=np.float64)
 
 
@@ -122,34 +118,23 @@ def iou_of_pairs(a: F8, b: F8) -> F8:
 
 
 def share_inside(xyxy: F8, width: float, height: float) -> F8:
-    """The share of each box that lies in an image.
+    """(n,) the share of each box that lies in an image; 0 of a box without area.
 
     Parameters
     ----------
-    xyxy : (n, 4) boxes, pixels.
-    width, height : of the image, pixels.
-
-    Returns
-    -------
-    (n,) shares; 0 of a box without area.
+    xyxy, width, height : (n, 4) boxes, and the size of the image, pixels.
     """
     shared = intersection(xyxy, np.array([[0.0, 0.0, width, height]]))[:, 0]
     return np.divide(shared, area(xyxy), out=np.zeros_like(shared), where=shared > 0)
 
 
 def draw(mixture: GaussianMixture, count: int, scale: float, rng: np.random.Generator) -> Particles:
-    """Particles of a mixture.
+    """Particles of a mixture, of total mass ``scale`` times each component's weight.
 
     Parameters
     ----------
-    mixture : whose components are drawn from.
-    count : particles of each component.
-    scale : of the weights.
-    rng : of the draws.
-
-    Returns
-    -------
-    particles : of total mass ``scale`` times each component's weight.
+    mixture, count : whose components are drawn from, and the particles of each.
+    scale, rng : of the weights; of the draws.
     """
     d, k = mixture.mean.shape
     root = np.linalg.cholesky(mixture.covariance)
@@ -169,17 +154,13 @@ def pixelated(image: Image, xyxy: F8, blur: str) -> Image:
     """A copy of a picture in which boxes, or the upper third of them, are a few cells of one colour each.
 
     A cell is the mean of what it covers; docs/security.md says what can still be seen. No network looks for faces: the
-    upper third of a standing person's box holds the head.
+    upper third of a standing person's box holds the head. Raises `InputError` where ``blur`` is none of these.
 
     Parameters
     ----------
     image : (H, W, 3) uint8.
     xyxy : (N, 4) boxes in its pixels; those that are not finite are left out.
     blur : ``boxes``, ``faces``, or nothing: the picture itself.
-
-    Raises
-    ------
-    InputError : ``blur`` is something else.
     """
     if not blur:
         return image

@@ -53,14 +53,9 @@ class Seed(NamedTuple):
 
     def generator(self) -> np.random.Generator:
         """A generator that goes on from here."""
-        kind, inside = "PCG64", {"state": self.state, "inc": self.increment}
-        rng = np.random.default_rng(0)
-        rng.bit_generator.state = {
-            "bit_generator": kind,
-            "state": inside,
-            "has_uint32": self.has_word,
-            "uinteger": self.word,
-        }
+        rng, inside = np.random.default_rng(0), {"state": self.state, "inc": self.increment}
+        held = {"bit_generator": "PCG64", "state": inside, "has_uint32": self.has_word, "uinteger": self.word}
+        rng.bit_generator.state = held
         return rng
 
 
@@ -241,9 +236,9 @@ class Lanes:
         # Follows the frames before the first detection.
         self._blank = _Lane.begin(kinds.usual, seed)
         self._past: deque[tuple[int, float, F8, bool]] = deque(maxlen=_REPLAYED)
-        # Identities of a class in terms of those of all; up to `_alone` the first class had them for itself.
+        # Identities of a class in terms of those of all. Up to `_alone` the first class had them for itself.
         self._names: dict[tuple[int, int], int] = {}
-        self._alone = self._highest = 0
+        self._alone = self.highest = 0  # the highest that was given online
 
     @property
     def state(self) -> TrackingState:
@@ -260,14 +255,9 @@ class Lanes:
         """The number of the first frame that any of them remembers."""
         return min(lane.oldest for lane in self._lanes.values() or (self._blank,))
 
-    @property
-    def highest(self) -> int:
-        """The highest identity that was given online."""
-        return self._highest
-
     def skip(self, count: int) -> None:
         """Leave out as many identities, as another run may have given them."""
-        self._highest += count
+        self.highest += count
         if len(self._lanes) <= 1:
             lane = next(iter(self._lanes.values()), self._blank)
             lane.state = replace(lane.state, association=_skipped(lane.state.association, count))
@@ -281,19 +271,11 @@ class Lanes:
         return any(one.state != fresh.state or getattr(one.seed_seq, "n_children_spawned", 0) > 0 for one in used)
 
     def advance(self, detections: Detections, number: int, time: float, warp: F8 = STILL) -> Step:
-        """Everything that a frame brought.
+        """Everything that a frame brought, of all classes; identities are one's own among all of them.
 
         Parameters
         ----------
-        detections, number, time, warp : as `pipeline.advance` has them.
-
-        Returns
-        -------
-        step : of all classes; identities are one's own among all of them.
-
-        Raises
-        ------
-        InputError : as `pipeline.advance`.
+        detections, number, time, warp : as `pipeline.advance` has them, which says what is raised.
         """
         label, gone_through = self.kinds.of(detections), dict[int, _Lane]()
         for kind in np.unique(label).tolist():
@@ -316,7 +298,7 @@ class Lanes:
                 forget(lane.rows, lane.oldest)
                 forget(lane.labels, lane.oldest)
         self._past.append((number, time, warp, detections.observed))
-        return _with_tracks(step, tracks)
+        return replace(step, tracks=tracks)
 
     def flush(self) -> Tracks:
         """The online rows that the output delay holds back."""
@@ -332,7 +314,7 @@ class Lanes:
             rows = pipeline.finish(lane.stages, lane.state)
             label = lane.classed(rows, kind, lane.votes(rows, {}) if lane.together else {})
             rows = given_rows(rows, lane.rows)
-            parts.append(_replaced(rows, rows.identity + used, label))
+            parts.append(replace(rows, identity=rows.identity + used, class_id=label))
             used += int(rows.identity.max(initial=0))
         if len(parts) == 1:
             return parts[0]
@@ -340,11 +322,11 @@ class Lanes:
         _, first, place = np.unique(rows.identity, return_index=True, return_inverse=True)
         rank = np.empty(len(first), np.int64)
         rank[np.argsort(first, kind="stable")] = np.arange(1, len(first) + 1)
-        return Tracks.concatenate([_replaced(rows, rank[place], rows.class_id)])
+        return Tracks.concatenate([replace(rows, identity=rank[place])])
 
     def saved(self) -> tuple[SavedLanes, tuple[SavedLane, ...]]:
         """Everything that decides what comes next: values that no later frame changes."""
-        whole = SavedLanes(tuple(self._lanes), tuple(self._past), dict(self._names), self._alone, self._highest)
+        whole = SavedLanes(tuple(self._lanes), tuple(self._past), dict(self._names), self._alone, self.highest)
         return whole, tuple(_saved(lane) for lane in self._lanes.values() or (self._blank,))
 
     def restore(self, whole: Any, lanes: Any) -> None:
@@ -352,7 +334,7 @@ class Lanes:
         from phdtrack.state import World, restored
 
         found = restored(whole, SavedLanes, None, World.of(self.kinds.usual), "state")
-        kinds, past, self._names, self._alone, self._highest = found
+        kinds, past, self._names, self._alone, self.highest = found
         if not isinstance(lanes, list) or len(lanes) != max(len(kinds), 1):
             raise InputError(f"expected states of {max(len(kinds), 1)} classes", where="lanes")
         made = [_restored(self.kinds.stages(k) if kinds else self.kinds.usual, one, f"lanes[{k}]")
@@ -385,7 +367,7 @@ class Lanes:
             for number, time, warp, observed in self._past:
                 before.advance(Detections.empty(observed=observed), number, time, warp)
         lane = _Lane(stages, copy.deepcopy(before.rng), before.state, together)
-        self._alone = self._highest if len(self._lanes) == 1 else self._alone
+        self._alone = self.highest if len(self._lanes) == 1 else self._alone
         self._lanes[kind] = lane
 
     def _given(self, kind: int, lane: _Lane, rows: Tracks) -> Tracks:
@@ -394,17 +376,17 @@ class Lanes:
             newest(lane.votes(rows, lane.sums))
         label, identity = lane.classed(rows, kind, lane.sums), rows.identity
         if len(self._lanes) <= 1:
-            self._highest = max(self._highest, int(identity.max(initial=0)))
-            return _replaced(rows, identity, label)
+            self.highest = max(self.highest, int(identity.max(initial=0)))
+            return replace(rows, class_id=label)
         mine = next(iter(self._lanes)) == kind
         for one in sorted({one for one in identity.tolist() if not (mine and one <= self._alone)}):
             known = self._names.pop((kind, one), 0)
-            self._highest += not known
+            self.highest += not known
             # Those that are used come last.
-            self._names[kind, one] = known or self._highest
+            self._names[kind, one] = known or self.highest
         newest(self._names)
         named = np.array([self._names.get((kind, one), one) for one in identity.tolist()], np.int64)
-        return _replaced(given_rows(rows, lane.rows), named, label)
+        return replace(given_rows(rows, lane.rows), identity=named, class_id=label)
 
 
 def given_rows(rows: Tracks, kept: Mapping[int, I8]) -> Tracks:
@@ -415,7 +397,7 @@ def given_rows(rows: Tracks, kept: Mapping[int, I8]) -> Tracks:
     for number in kept.keys() & set(rows.frame.tolist()):
         at = (rows.frame == number) & (detection >= 0)
         detection[at] = kept[number][detection[at]]
-    return Tracks(rows.frame, rows.identity, rows.xyxy, rows.confidence, detection, rows.confirmed, rows.class_id)
+    return replace(rows, detection=detection)
 
 
 def remember(kept: dict[int, Any], number: int, value: Any) -> None:
@@ -423,8 +405,7 @@ def remember(kept: dict[int, Any], number: int, value: Any) -> None:
 
     Parameters
     ----------
-    kept : is added to.
-    number, value : of the frame.
+    kept, number, value : what is added to, and of the frame.
     """
     kept[number] = value
     if len(kept) > _MOST_KEPT:
@@ -468,14 +449,3 @@ def _restored(stages: AnyStages, packed: Any, where: str) -> _Lane:
     like = _saved(_Lane.begin(stages, 0))
     found: SavedLane = restored(packed, SavedLane, like, World.of(stages), where)
     return _Lane(stages, found.seed.generator(), *found[1:])
-
-
-def _replaced(rows: Tracks, identity: I8, label: I8) -> Tracks:
-    """The rows with other identities and classes."""
-    return Tracks(rows.frame, identity, rows.xyxy, rows.confidence, rows.detection, rows.confirmed, label)
-
-
-def _with_tracks(step: Step, tracks: Tracks) -> Step:
-    """The step with other rows."""
-    s = step
-    return Step(s.number, s.time, s.detections, s.info, s.estimates, tracks, s.seconds, s.unusable, s.warp)

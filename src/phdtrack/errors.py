@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import operator
 import re
 import signal
 from collections.abc import Iterable
@@ -172,6 +173,5 @@ def _check_number(value: Any, limits: tuple[Any, ...], where: str) -> None:
     for limit in limits:
         words, attribute = _TESTS[type(limit)]
         bound = getattr(limit, attribute)
-        kept = {"ge": value >= bound, "gt": value > bound, "le": value <= bound, "lt": value < bound}[attribute]
-        if not kept:
+        if not getattr(operator, attribute)(value, bound):
             raise InputError(f"expected a value {words} {bound:g}, got {value:g}", where=where)

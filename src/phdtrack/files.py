@@ -80,11 +80,8 @@ def whole(path: Path) -> Iterator[Path]:
     """A file that has its name when it is complete, and not before.
 
     Gives the path to write to, which lies beside it. When the block is left the file is flushed to disk and gets its name;
-    after an error there is no new file, and one that was there before is as it was.
-
-    Raises
-    ------
-    InputError : it cannot be written, or is a device, a pipe or a folder, which are not replaced.
+    after an error there is no new file, and one that was there before is as it was. Raises `InputError` where it cannot be
+    written, or is a device, a pipe or a folder, which are not replaced.
     """
     part = part_of(path)
     try:
@@ -111,12 +108,8 @@ def write_text(path: Path, text: str) -> None:
 
 
 def load(path: AnyPath) -> bytes:
-    """The bytes of the file.
-
-    Raises
-    ------
-    InputError : there is no such file, it is a folder, it is not complete, it is too large, or it may not be read.
-    """
+    """The bytes of the file. Raises `InputError` where there is none, it is a folder, not complete, too large, or may not be
+    read."""
     path = Path(path)
     refuse_part(path)
     if "\0" in str(path):

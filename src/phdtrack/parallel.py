@@ -67,16 +67,13 @@ def outcomes(work: Sequence[Callable[[], T]], jobs: int, *, apart: bool = False)
 
 def on_ray(work: Sequence[Callable[[], T]], jobs: int, address: str) -> Iterator[tuple[int, T | Failed]]:
     """As `outcomes`, by the machines of a Ray cluster. A piece whose machine or process died is tried again, three times.
+    Raises `InputError` where Ray is not installed, or there is no cluster.
 
     Parameters
     ----------
     work : what is to be done; each piece is given a CPU.
     jobs : pieces that are under way at once, at most; 0: as many as the cluster has CPUs for.
     address : of the cluster, as Ray has it: ``auto``, ``HOST:PORT``, ``ray://HOST:PORT``; ``local`` begins one here.
-
-    Raises
-    ------
-    InputError : Ray is not installed, or there is no cluster.
     """
     ray = needed("ray")
     try:

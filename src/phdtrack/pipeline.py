@@ -75,7 +75,8 @@ def advance(
     rng: np.random.Generator,
     warp: F8 = STILL,
 ) -> tuple[TrackingState, Step]:
-    """The state after a frame, and everything that the frame brought.
+    """The state after a frame, and everything that the frame brought. Raises `InputError` where number or time does not grow
+    or is no number, or the warp is no homography.
 
     Parameters
     ----------
@@ -84,10 +85,6 @@ def advance(
     detections : of this frame; with ``observed`` False it is predicted and nothing more.
     number, time, rng : from 1; seconds; the filter's randomness.
     warp : (3, 3) homography from pixels of the frame before to this one's; `types.STILL` where the camera stands still.
-
-    Raises
-    ------
-    InputError : number or time does not grow or is no number, or the warp is no homography.
     """
     _check_order(state, number, time)
     learning, explainer, learned, expected = stages.learning, stages.explainer, state.learned, state.expected
@@ -113,7 +110,9 @@ def advance(
     z, info, estimates = given.in_terms_of_detections(info, estimates, numbers[:-1])
     extracted = clock.perf_counter()
     association, tracks = stages.associator.extend(state.association, estimates, z, number, dt, model)
-    shown, tracks = _shown(stages, state, tracks, detections, number, time)
+    shown = None
+    if stages.online:
+        shown, tracks = stages.online.advance(state.shown, tracks, detections, number, time)
     seconds = (filtered - began, extracted - filtered, clock.perf_counter() - extracted)
     step = Step(number, time, detections, info, estimates, tracks, seconds, given.unusable, seen.warp)
     learned = learning and learning.advance(learned, step)
@@ -150,15 +149,6 @@ def _seen(
     return camera, replace(stages.model, warp=moved) if len(moved) else stages.model
 
 
-def _shown(
-    stages: AnyStages, state: TrackingState, tracks: Tracks, detections: Detections, number: int, time: float
-) -> tuple[Any, Tracks]:
-    """What the boxes of online rows have taught, and the rows with the boxes that are shown."""
-    if stages.online is None:
-        return None, tracks
-    return stages.online.advance(state.shown, tracks, detections, number, time)
-
-
 def run(
     stages: AnyStages, frames: Iterable[tuple[int, float, Detections]], rng: np.random.Generator
 ) -> Iterator[tuple[TrackingState, Step]]:
@@ -166,9 +156,8 @@ def run(
 
     Parameters
     ----------
-    stages : the tracker's parts.
+    stages, rng : the tracker's parts, and the filter's randomness.
     frames : number, seconds and detections of each.
-    rng : the filter's randomness.
     """
     state = start(stages, rng)
     for number, time, detections in frames:
@@ -191,17 +180,12 @@ def finish(stages: AnyStages, state: TrackingState) -> Tracks:
 
 
 def merged(steps: Sequence[Step], index: Sequence[I8], detections: Detections) -> Step:
-    """One step of several pipelines that share a frame.
+    """One step of several pipelines that share a frame; its rows are those of the first.
 
     Parameters
     ----------
-    steps : of each.
-    index : (n,) which of the frame's detections each was given.
+    steps, index : of each, and (n,) which of the frame's detections it was given.
     detections : of the frame, (N).
-
-    Returns
-    -------
-    step : of all; its rows are those of the first.
     """
     infos, first = [step.info for step in steps], steps[0]
     evidence, clutter = np.zeros((2, len(detections)))
@@ -309,8 +293,6 @@ def _check_order(state: TrackingState, number: int, time: float) -> None:
     if not math.isfinite(time):
         raise InputError(f"expected the time of a frame in seconds, got {time:g}", where=f"frame {number}")
     if state.number and (number <= state.number or not time > state.time):
-        raise InputError(
-            f"frame numbers and times must grow, but frame {number} at {time:g} s follows frame {state.number} at "
-            f"{state.time:g} s",
-            cure="Sort the frames, or reset the tracker before a new sequence",
-        )
+        last = f"frame {state.number} at {state.time:g} s"
+        problem = f"frame numbers and times must grow, but frame {number} at {time:g} s follows {last}"
+        raise InputError(problem, cure="Sort the frames, or reset the tracker before a new sequence")

@@ -7,7 +7,7 @@ for all targets at once.
 Shapes: states x are (d, L), measurements z are (m, N); both are columns, so that each component is contiguous. Functions
 of (z, x) work elementwise and broadcast over everything behind the first axis: ``z[:, pair_z], x[:, pair_x]`` gives one
 value per pair, ``z[:, :, None], x[:, None, :]`` the dense table. ``dt`` is in the model's time unit. What goes in and out of
-a method is described here; what implements it says only what is its own.
+a method is described here, in its docstring or in that of the class; what implements it says only what is its own.
 """
 
 from __future__ import annotations
@@ -130,28 +130,19 @@ class Sensor(Protocol):
 
 
 class Birth(Protocol):
-    """γ(x): where and how often new targets appear, and how newborn particles are drawn."""
+    """γ(x): where and how often new targets appear, and how newborn particles are drawn.
+
+    Parameters
+    ----------
+    z, covered : (m, N) measurements, and (N,) the mass predicted at each.
+    sensor, seconds, rng : that gave them; the interval T; of the draws.
+    """
 
     def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
-        """Newborn particles of total mass ∫γT.
-
-        Parameters
-        ----------
-        z, covered : (m, N) measurements, and (N,) the mass predicted at each.
-        sensor, seconds, rng : that gave them; the interval T; of the draws.
-        """
+        """Newborn particles of total mass ∫γT."""
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
-        """γT around each measurement, and as Gaussians.
-
-        Parameters
-        ----------
-        z, sensor, seconds : as in `sample`.
-
-        Raises
-        ------
-        InputError : γ has no such form.
-        """
+        """γT around each measurement, and as Gaussians. Raises `InputError` where γ has no such form."""
 
     def expected(self, z: F8, seconds: float) -> float:
         """∫γT over everything: the expected number of births, those that no measurement of ``z`` (m, N) shows included."""
@@ -209,44 +200,32 @@ LONGEST_LIFE = 600.0  # Seconds that a target stays at most in the mean, where b
 
 
 class Filter(Protocol[S]):
-    """The recursion of a filter: predict, update, reduce (resample, or prune and merge)."""
+    """The recursion of a filter: predict, update, reduce (resample, or prune and merge).
+
+    Parameters
+    ----------
+    state : after the frame before; of `update` the predicted one.
+    z : (m, N) measurements.
+    model : of the present frame; where the camera has moved (`Model.warp`), states are carried into its pixels first.
+    dt : interval since the frame before, in the model's time unit.
+    rng : the filter's randomness.
+    """
 
     def start(self, model: Model, rng: np.random.Generator) -> S:
         """The state before the first frame."""
 
     def predict(self, state: S, model: Model, dt: float, rng: np.random.Generator) -> S:
-        """The predicted state, ``dt`` later, without births: these are made in the update, from its measurements.
-
-        Parameters
-        ----------
-        state : after the frame before.
-        model : of the present frame; where the camera has moved (`Model.warp`), states are carried into its pixels first.
-        dt : interval since the frame before, in the model's time unit.
-        rng : the filter's randomness.
-        """
+        """The predicted state, ``dt`` later, without births: these are made in the update, from its measurements."""
 
     def update(self, state: S, z: F8, model: Model, dt: float, rng: np.random.Generator) -> tuple[S, UpdateInfo]:
-        """The state after the births of an interval and the measurements.
-
-        Parameters
-        ----------
-        state : the predicted one.
-        z : (m, N) measurements.
-        model, dt, rng : as in `predict`; targets may have been born in the interval.
-        """
+        """The state after the births of the interval and the measurements."""
 
     def reduce(self, state: S, rng: np.random.Generator) -> S:
         """The same density with fewer particles or components: unless the filter has another form, as it is."""
         return state
 
     def step(self, state: S, z: F8, model: Model, dt: float, rng: np.random.Generator) -> tuple[S, UpdateInfo]:
-        """Predict, update and reduce, for a frame that was observed: their composition, or a faster form of it.
-
-        Parameters
-        ----------
-        state : after the frame before.
-        z, model, dt, rng : as in `update`.
-        """
+        """Predict, update and reduce, for a frame that was observed: their composition, or a faster form of it."""
         updated, info = self.update(self.predict(state, model, dt, rng), z, model, dt, rng)
         return self.reduce(updated, rng), info
 
@@ -258,15 +237,11 @@ class Extractor(Protocol[S_contra]):
     """From a filter's state to the states of targets."""
 
     def extract(self, state: S_contra, z: F8, model: Model) -> Estimates:
-        """The estimated states.
+        """The estimated states; the detection that each rests on is a column of ``z``.
 
         Parameters
         ----------
         state, z, model : the filter's state, the (m, N) measurements and the model of the frame.
-
-        Returns
-        -------
-        states : the detection that each rests on is a column of ``z``.
         """
 
 
@@ -304,51 +279,32 @@ class Smoother(Protocol):
     """From corrected tracks to smoothed ones, when everything is known."""
 
     def smooth(self, tracks: Tracks, measurements: MeasurementHistory, model: Model) -> Tracks:
-        """The tracks joined and smoothed.
+        """The tracks joined and smoothed, with identities from 1 in order of appearance.
 
         Parameters
         ----------
-        tracks, measurements : corrected tracks, and what their rows rest on.
-        model : of the last frame.
-
-        Returns
-        -------
-        tracks : identities from 1 in order of appearance.
+        tracks, measurements, model : corrected tracks, what their rows rest on, and the model of the last frame.
         """
 
 
 class Explainer(Protocol[C]):
-    """The merged-measurement model: which detections are of several targets, or pieces of one."""
+    """The merged-measurement model: which detections are of several targets, or pieces of one.
+
+    Parameters
+    ----------
+    state, explanation : after the frame before; for `advance` what `explain` gave.
+    detections, model, dt : of the frame, and the interval since the one before in the model's time unit.
+    estimates : the states, whose numbers of detections are the explanation's.
+    """
 
     def start(self) -> C:
         """The state before the first frame."""
 
     def explain(self, state: C, detections: Detections, model: Model, dt: float) -> tuple[C, Explanation]:
-        """The detections that the filter is to be given of a frame.
-
-        Parameters
-        ----------
-        state : after the frame before, and ``dt`` since then in the model's time unit.
-        detections, model, dt : of the frame.
-
-        Returns
-        -------
-        state, explanation : for `advance`, and the detections.
-        """
+        """The state for `advance`, and the detections that the filter is to be given of a frame."""
 
     def advance(self, state: C, explanation: Explanation, estimates: Estimates, model: Model, dt: float) -> C:
-        """The state with what the filter made of a frame.
-
-        Parameters
-        ----------
-        state, explanation : as `explain` gave them.
-        estimates : the states, whose numbers of detections are the explanation's.
-        model, dt : as in `explain`.
-
-        Returns
-        -------
-        state : after the frame.
-        """
+        """The state after a frame, with what the filter made of it."""
 
 
 class CameraEstimator(Protocol[C]):
@@ -358,17 +314,13 @@ class CameraEstimator(Protocol[C]):
         """The state before the first frame."""
 
     def between(self, state: C, detections: Detections, model: Model, dt: float, given: F8) -> tuple[C, F8]:
-        """The camera's motion since the last frame.
+        """The state for `with_targets`, and the homography since the last frame; `types.STILL` where it stands still.
 
         Parameters
         ----------
         state : after the frame before.
         detections, model, dt : of the frame, and the interval in the model's time unit.
         given : (3, 3) the motion that was given from outside; `types.STILL` where none was.
-
-        Returns
-        -------
-        state, warp : for `with_targets`, and the homography; `types.STILL` where the camera stands still.
         """
 
     def with_targets(self, state: C, estimates: Estimates) -> C:
@@ -405,17 +357,13 @@ class OnlineBoxes(Protocol):
         """The state before the first frame."""
 
     def advance(self, state: Any, tracks: Tracks, detections: Detections, number: int, time: float) -> tuple[Any, Tracks]:
-        """The rows with the boxes that are shown.
+        """The state after the frame, and the rows with the boxes that are shown.
 
         Parameters
         ----------
         state : after the frame before.
         tracks, detections : online rows, of this frame or with an output delay of earlier ones; detections of this frame.
         number, time : of this frame; seconds.
-
-        Returns
-        -------
-        state, tracks : after the frame, and the rows.
         """
 
     def shown(self, state: Any, tracks: Tracks) -> tuple[Any, Tracks]:

@@ -16,6 +16,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -92,9 +93,8 @@ class Tracker:
         self._forgets = False
         if stages is None:
             if frame_size is None:
-                raise InputError(
-                    "the size of the images is not known", where="Tracker", cure="Give frame_size=(width, height)"
-                )
+                cure = "Give frame_size=(width, height)"
+                raise InputError("the size of the images is not known", where="Tracker", cure=cure)
             path = Path(settings) if settings is not None else None
             if filter:
                 sections["filter"] = {"kind": filter} if isinstance(filter, str) else filter
@@ -124,7 +124,8 @@ class Tracker:
         timestamp: float | None = None,
         warp: ArrayLike | None = None,
     ) -> Tracks:
-        """Take in one frame's detections; give the online rows that became final, which will not change.
+        """Take in one frame's detections; give the online rows that became final, which will not change: of this frame, or
+        with an output delay of an earlier one.
 
         Parameters
         ----------
@@ -136,10 +137,6 @@ class Tracker:
         timestamp : its time in seconds; default from the number and ``fps``.
         warp : how the camera moved since the last update: the (3, 3) homography, or (2, 3) affine map, that takes pixels of
             that frame to this one's, as `CameraMotion` measures it; default: it stands still.
-
-        Returns
-        -------
-        rows : of this frame, or with an output delay of an earlier one.
 
         Raises
         ------
@@ -265,30 +262,22 @@ class Tracker:
         return lambda: about | {"state": pack(whole), "lanes": pack(lanes), "left_out": pack(left_out)}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on from a `state_dict` of a tracker with the same settings.
-
-        Raises
-        ------
-        InputError : it is no such state, or one of another version or of states of other components.
-        """
+        """Go on from a `state_dict` of a tracker with the same settings. Raises `InputError` where it is no such state, or
+        one of another version or of states of other components."""
         from phdtrack.state import World, restored
 
         form = saved.get("format", FORMAT) if isinstance(saved, dict) else FORMAT
         if isinstance(form, int) and form != FORMAT:
-            raise InputError(
-                f"this state is of format {form}, and this version of phdtrack reads format {FORMAT}",
-                where="load_state_dict",
-                cure="Load it with the version that saved it, or begin anew",
-            )
+            problem = f"this state is of format {form}, and this version of phdtrack reads format {FORMAT}"
+            cure = "Load it with the version that saved it, or begin anew"
+            raise InputError(problem, where="load_state_dict", cure=cure)
         if not (isinstance(saved, dict) and isinstance(form, int)) or saved.keys() != _SAVED:
             raise InputError("this is no state of a tracker", where="load_state_dict")
         dim, lanes = self.stages.model.motion.dim, Lanes(self.kinds, self.seed)
         if not isinstance(saved["dim"], int) or saved["dim"] != dim:
-            raise InputError(
-                f"expected states of {dim} components, got {saved['dim']!r}",
-                where="load_state_dict",
-                cure="Load it into a tracker with the settings of the one that it is from",
-            )
+            cure = "Load it into a tracker with the settings of the one that it is from"
+            problem = f"expected states of {dim} components, got {saved['dim']!r}"
+            raise InputError(problem, where="load_state_dict", cure=cure)
         try:
             lanes.restore(saved["state"], saved["lanes"])
             left: SavedBoxes = restored(saved["left_out"], SavedBoxes, None, World(self.stages, {}), "left_out")
@@ -356,7 +345,7 @@ class FinalTracks:
         self._times = {number: time for number, time in self._times.items() if number > frame}
         self._last = max(self._last, frame)
         named = np.array([names[one] for one in fresh.identity.tolist()], np.int64)
-        return Tracks(fresh.frame, named, fresh.xyxy, fresh.confidence, fresh.detection, fresh.confirmed, fresh.class_id)
+        return replace(fresh, identity=named)
 
 
 def _places(rows: Tracks) -> Iterator[tuple[int, int, int]]:

@@ -85,16 +85,11 @@ class Detections:
 
     @classmethod
     def of(cls, xyxy: ArrayLike, confidence: ArrayLike | None = None, class_id: ArrayLike | None = None) -> Detections:
-        """Detections of boxes; values are not checked.
+        """Detections of boxes: copies, in the types of this record; values are not checked.
 
         Parameters
         ----------
-        xyxy : (N, 4) boxes.
-        confidence, class_id : (N,) of each; None: 1 and 0.
-
-        Returns
-        -------
-        detections : copies, in the types of this record.
+        xyxy, confidence, class_id : (N, 4) boxes, and (N,) of each; None: 1 and 0.
         """
         boxes = np.array(xyxy, dtype=np.float64).reshape(-1, 4)
         n = len(boxes)
@@ -425,16 +420,12 @@ class Tracks:
     def of(
         cls, frame: Ints, identity: Ints, xyxy: F8, confidence: F8 | float, detection: Ints, confirmed: Bool | bool = True
     ) -> Tracks:
-        """Rows of which a number stands for all.
+        """Rows in the order of ``xyxy``; of the other columns a number stands for all.
 
         Parameters
         ----------
         frame, identity, xyxy, detection, confirmed : as above.
         confidence : more than 1 counts as 1.
-
-        Returns
-        -------
-        rows : in the order of ``xyxy``.
         """
         n = len(xyxy)
         number, name, found = (np.full(n, column, np.int64) for column in (frame, identity, detection))

@@ -14,7 +14,7 @@ from cli_runner import phdtrack, refused
 import networks
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.live import Maker
-from phdtrack.cli.options import SourceOptions, TrackingOptions
+from phdtrack.cli.options import RunOptions, SourceOptions, TrackingOptions
 from phdtrack.cli.track import prepare
 from phdtrack.config import load
 from phdtrack.detect.change import ChangeDetector
@@ -132,7 +132,7 @@ def test_another_video_detector_or_setting_is_detected_anew(work: Path) -> None:
 
     def looked(*sets: str, **more: object) -> object:
         source = SourceOptions(**{"source": "clip.mp4", "detector": "onnx:net.onnx", "mask": Path("roi.png"), **more})  # type: ignore[arg-type]
-        return prepare(source, TrackingOptions(), load(None, sets), video=False).looked
+        return prepare(source, TrackingOptions(), load(None, sets), RunOptions(), video=False).looked
 
     first = looked()
     assert first
@@ -149,7 +149,7 @@ def test_another_video_detector_or_setting_is_detected_anew(work: Path) -> None:
         change()
         assert looked() != before
     (work / "det.csv").write_text("frame,left,top,width,height\n1,1,1,20,20\n")
-    assert prepare(SourceOptions("clip.mp4", Path("det.csv")), TrackingOptions(), load(None, ()), video=False).looked == {}
+    assert looked(detections=Path("det.csv"), detector="", mask=None) == {}
     words = ("track", "clip.mp4", "--detections", "det.csv", "--detect-again")
     assert "Leave out --detect-again" in refused(*words)
 

@@ -167,15 +167,17 @@ def test_public_functions_say_what_goes_in() -> None:
     """Kernels and the command line are no part of the public library: their records and options say what goes in.
 
     What comes back the first line of a docstring says; a section Returns is for what that line does not hold.
-    The arguments of a method of a protocol are described there, once for all that implement it.
+    Arguments of the methods of a protocol are described there, in theirs or in its docstring, for all that implement it.
     """
+    protocols = [node for node in tree(SOURCES / "protocols.py").body if isinstance(node, ast.ClassDef)]
+    shared = {part for one in protocols if "Parameters\n-----" in (ast.get_docstring(one) or "") for part in one.body}
     methods = (part for part in functions() if part.path.name == "protocols.py")
     described = {(part.node.name, *(one.arg for one in parameters(part.node))) for part in methods}
     found = []
     for part in functions():
         if part.public and len(parameters(part.node)) >= 3 and not {"kernels", "cli"} & set(part.path.parts):
             implements = (part.node.name, *(one.arg for one in parameters(part.node))) in described
-            if implements and part.path.name != "protocols.py":
+            if part.node in shared or (implements and part.path.name != "protocols.py"):
                 continue
             if "Parameters\n-----" not in (ast.get_docstring(part.node) or ""):
                 found.append(part.place)

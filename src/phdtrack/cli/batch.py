@@ -271,12 +271,7 @@ def _follow(output: Output, total: int, came: dict[str, dict[str, Any]], work: I
 
 
 def planned(
-    sources: Sequence[str],
-    options: tuple[str, ...],
-    out: Path,
-    cutting: Cutting,
-    *,
-    anew: bool = False,
+    sources: Sequence[str], options: tuple[str, ...], out: Path, cutting: Cutting, *, anew: bool = False
 ) -> list[Video]:
     """The videos that are meant, with their names; those that are longer than a segment in parts. Raises `InputError` where
     there are no videos, or options are wrong."""

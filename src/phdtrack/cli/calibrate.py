@@ -83,13 +83,6 @@ def _report(out: Output, fitted: Calibration, points: F8, file: Path, size: tupl
         out.say(f"the image shows {seen:.0f} m² of ground within {LIMIT:g} m")
     out.say(str(file))
     keys = ("u", "v", "X", "Y", "pixels", "metres", "metres_per_pixel")
-    out.document(
-        {
-            "camera": str(file),
-            "homography": fitted.camera.matrix.tolist(),
-            "points": [dict(zip(keys, row, strict=True)) for row in table],
-            "rms_pixels": rms_px,
-            "rms_metres": rms_m,
-            "ground_area": seen,
-        }
-    )
+    points_said = [dict(zip(keys, row, strict=True)) for row in table]
+    found = {"camera": str(file), "homography": fitted.camera.matrix.tolist(), "points": points_said}
+    out.document(found | {"rms_pixels": rms_px, "rms_metres": rms_m, "ground_area": seen})

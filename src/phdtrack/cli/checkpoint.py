@@ -54,7 +54,8 @@ class Known:
 
 
 class Checkpoint:
-    """The checkpoint of a run.
+    """The checkpoint of a run. Raises `InputError` where what is there cannot be read, or belongs to a run of other inputs
+    or settings.
 
     Parameters
     ----------
@@ -63,10 +64,6 @@ class Checkpoint:
     every : seconds between two times that it is brought to disk.
     resume : go on from what is there; without anything there it is a run from the beginning.
     anew : do not take what an earlier run has detected.
-
-    Raises
-    ------
-    InputError : what is there cannot be read, or belongs to a run of other inputs or settings.
     """
 
     def __init__(

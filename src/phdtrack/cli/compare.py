@@ -20,6 +20,7 @@ from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.job import about
 from phdtrack.cli.options import option
 from phdtrack.cli.output import PACE, Output, progress
+from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.cli.settings import detections_needed, only_classes, scene_settings
 from phdtrack.compare import Comparison, Plan
 from phdtrack.compare.results import Results
@@ -129,13 +130,7 @@ def listed(text: str) -> tuple[str, ...]:
 
 
 def finish(
-    out: Output,
-    comparison: Comparison,
-    wanted: Sequence[str],
-    directory: rundir.RunDirectory,
-    begun: About,
-    *,
-    in_turn: bool,
+    out: Output, comparison: Comparison, wanted: Sequence[str], directory: RunDirectory, begun: About, *, in_turn: bool
 ) -> None:
     """Write everything but the runs, which are there already, and say who is ahead of the first method by how much."""
     found = Results.of(comparison, wanted)

@@ -23,7 +23,7 @@ from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.checkpoint import EVERY
 from phdtrack.cli.inputs import NO_PICTURE, TABLES, comes_again, frame_size, refuse
 from phdtrack.cli.observers import Report, RunObserver
-from phdtrack.cli.options import SourceOptions, TrackingOptions, option
+from phdtrack.cli.options import RunOptions, SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, counted, number, progress
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.cli.settings import chosen, scene_settings
@@ -63,7 +63,6 @@ class CountOptions:
     dwell: given.Dwell = 60.0
     leave_after: given.LeaveAfter = 3.0
     video: Annotated[bool, typer.Option("--video", help="Write the video with running counts, too.")] = False
-    blur: given.Blur = ""
 
 
 def count(
@@ -71,10 +70,7 @@ def count(
     options: TrackingOptions,
     asked: CountOptions,
     output: Output,
-    out: given.Out = None,
-    overwrite: given.Overwrite = False,
-    scene: given.SceneFile = None,
-    resume: given.Resume = False,
+    to: RunOptions,
 ) -> None:
     """Count who crosses lines and who is in zones, in and out, how many at once and for how long.
 
@@ -90,17 +86,15 @@ def count(
     if asked.tracks is None and source.source and (rundir.is_run(path) or path.suffix.lower() in TABLES):
         asked, source = replace(asked, tracks=path), replace(source, source="")
     if asked.tracks is not None:
-        _count_known(source, options, asked, watch, output, out, overwrite)
+        _count_known(source, options, asked, watch, output, to)
         return
     if source.source and not comes_again(source.source):
         raise InputError("a camera has no end", where=shown(source.source), cure="Say phdtrack live, which counts, too.")
-    rundir.check(out, overwrite or resume)
-    settings = chosen(options, scene_settings(scene), detector=source.looked_by)
-    job = prepare(source, options, settings, video=False)
+    settings = chosen(options, scene_settings(to.scene), detector=source.looked_by)
+    job = prepare(source, options, settings, to, video=False)
     video = replace(job.inputs.source) if job.inputs.pictures else None
-    observer = CountObserver(replace(watch, names=job.names or {}), job.inputs.info, video, asked.blur)
-    job = replace(job, observers=(*job.observers, observer), every=EVERY, blur=asked.blur)
-    finish(output, job, out, overwrite, resume=resume)
+    observer = CountObserver(replace(watch, names=job.names or {}), job.inputs.info, video, to.blur)
+    finish(output, replace(job, observers=(*job.observers, observer), every=EVERY), to)
     if observer.directory is not None:
         observer.tell(output)
         if observer.film(output, asked.video):
@@ -108,13 +102,7 @@ def count(
 
 
 def _count_known(
-    source: SourceOptions,
-    options: TrackingOptions,
-    asked: CountOptions,
-    watch: Watch,
-    output: Output,
-    out: Path | None,
-    overwrite: bool,
+    source: SourceOptions, options: TrackingOptions, asked: CountOptions, watch: Watch, output: Output, to: RunOptions
 ) -> None:
     """Count among tracks that are known."""
     path = asked.tracks or Path()
@@ -135,15 +123,15 @@ def _count_known(
         cure = "Say --fps F, or name the video: phdtrack count VIDEO --tracks FILE."
         raise InputError("the rate of the frames is not known", where=path, cure=cure)
     info = replace(info, fps=fps, frames=max(info.frames, int(found.tracks.frame.max(initial=0))))
-    at = out or (path if path.is_dir() else Path("runs") / path.stem)
-    if not overwrite and (held := [name for name in _FILES if (at / name).exists()]):
+    at = to.out or (path if path.is_dir() else Path("runs") / path.stem)
+    if not to.overwrite and (held := [name for name in _FILES if (at / name).exists()]):
         cure = "Say --overwrite to replace them, or choose another --out."
         raise InputError(f"the directory holds {', '.join(held)}", where=f"--out {at}", cure=cure)
     # The rest of a run that is there stays as it is.
     directory = rundir.claim(at, True, _FILES, resume=True, inputs=(source.source, path))
     for file in directory.written():
         file.unlink()
-    observer = CountObserver(replace(watch, names=found.names), info, video, asked.blur)
+    observer = CountObserver(replace(watch, names=found.names), info, video, to.blur)
     observer.finish(directory, found.tracks)
     report, lead = observer.report(), f"{counted(len(np.unique(found.tracks.identity)), 'track')} in "
     lead += counted(info.frames, "frame")

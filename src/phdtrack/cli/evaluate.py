@@ -35,7 +35,6 @@ SHOWN = """
 MODA N_MODA MODP MOTA MOTA_log MOTP IDF1 HOTA OSPA GOSPA OSPA2 SFDA ATA id_switches misses false_positives fragments
 false_tracks delay_mean frames
 """
-ErrorCauses = Annotated[bool, typer.Option("--errors", help="Misses and false boxes by cause, and the worst tracks.")]
 WORST = 5
 NO_TRUTH = Truth(*(np.zeros(0, np.int64),) * 2, np.zeros((0, 4)), np.zeros(0, np.bool_))
 BY_TRAJECTORY = ("TGOSPA", "TGOSPA_localisation", "TGOSPA_missed", "TGOSPA_false", "TGOSPA_switching")
@@ -47,9 +46,8 @@ class EvaluateOptions:
 
     ignore: Annotated[Path | None, option("FILE", "Regions that do not count: CSV frame,x,y,w,h; no frame: all.")] = None
     kitti: Annotated[str, option("TYPE", "Type that is scored of KITTI label files, as Car.")] = ""
-
     per_class: Annotated[bool, typer.Option("--per-class", help="Scores of each class; no pair is of two classes.")] = False
-    errors: ErrorCauses = False
+    errors: Annotated[bool, typer.Option("--errors", help="Misses and false boxes by cause, and the worst tracks.")] = False
     detections: Annotated[Path | None, option("FILE", "For --errors: what the tracker was given.")] = None
     worst: Annotated[int, option("N", "For --errors: how many objects and tracks are named.", min=0)] = WORST
     max_file_size: given.MaxFileSize = ""

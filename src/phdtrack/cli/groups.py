@@ -22,7 +22,7 @@ from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.checkpoint import EVERY
 from phdtrack.cli.job import places
 from phdtrack.cli.observers import Draw, Report, RunObserver
-from phdtrack.cli.options import SourceOptions, TrackingOptions, option
+from phdtrack.cli.options import RunOptions, SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, progress
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.cli.settings import chosen, scene_settings
@@ -42,7 +42,7 @@ from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.report.drawing import Plan, PlanScene, draw_contours
 from phdtrack.report.pages import lines, render
-from phdtrack.types import F8, I8, Detections, GaussianMixture, Image, MeasurementHistory, SequenceInfo, Step, Tracks
+from phdtrack.types import F8, Detections, GaussianMixture, Image, MeasurementHistory, SequenceInfo, Step, Tracks
 from phdtrack.video import VideoWriter
 
 INTENSITY_FILTER = "gm-phd"
@@ -64,35 +64,28 @@ def groups(
     source: SourceOptions,
     options: TrackingOptions,
     output: Output,
+    to: RunOptions,
     camera: Annotated[Path | None, option("FILE", "From pixels to the ground: Tsai XML, OpenCV, homography, TOML.")] = None,
-    scene: given.SceneFile = None,
     edges: Annotated[Path | None, option("FILE", "Lines to draw on the plan, as road edges: x y in metres a line.")] = None,
-    out: given.Out = None,
-    overwrite: given.Overwrite = False,
     video: given.Video = True,
-    resume: given.Resume = False,
     checkpoint_every: given.CheckpointEvery = EVERY,
-    blur: given.Blur = "",
 ) -> None:
     """Find groups of people on the ground, in a video or in a file of detections.
 
     The run's directory holds what that of `phdtrack track` does, and groups.csv (counts, places, contours), members.csv,
     events.csv, warnings.csv and plan.mp4: the ground from above beside the annotated video.
     """
-    rundir.check(out, overwrite or resume)
-    options = replace(options, sets=[*scene_settings(scene), *(options.sets or ())])
+    options = replace(options, sets=[*scene_settings(to.scene), *(options.sets or ())])
     settings = _ground_settings(options, camera)
-    job = prepare(source, options, settings, video=video)
+    job = prepare(source, options, settings, to, video=video)
     stages, info, reach = job.stages, job.inputs.info, settings.build("camera").max_distance
     model = stages.model if settings.kind("motion") == "plane" else ground_model(settings, info)
     grouping = build_groups(settings, stages)
     observer = GroupObserver(grouping, info, _read_edges(edges), World(stages, model, reach))
     # A group may have members of several classes.
     kinds = replace(job.kinds, apart=False)
-    job = replace(
-        job, kinds=kinds, ground=model.sensor, observers=(*job.observers, observer), every=checkpoint_every, blur=blur
-    )
-    finish(output, job, out, overwrite, resume=resume)
+    job = replace(job, kinds=kinds, ground=model.sensor, observers=(*job.observers, observer), every=checkpoint_every)
+    finish(output, job, to)
 
 
 def _ground_settings(options: TrackingOptions, camera: Path | None) -> Settings:

@@ -310,13 +310,6 @@ def learn(
     words = {"title": "Learned scene", "command": use}
     write_text(page, render("scene.html", scene=scene, births=born, alarms=alarms, image=picture, **words))
     output.say(f"{target}, with its maps in {page}; use it: {use}")
-    output.document(
-        {
-            "scene": str(target),
-            "report": str(page),
-            "gain": {"births": born.gain, "clutter": alarms.gain},
-            "births": births,
-            "clutter": clutter,
-            "followed": scene.followed and scene.followed.share,
-        }
-    )
+    gain, followed = {"births": born.gain, "clutter": alarms.gain}, scene.followed and scene.followed.share
+    document = {"scene": str(target), "report": str(page), "gain": gain, "births": births, "clutter": clutter}
+    output.document(document | {"followed": followed})

@@ -155,6 +155,17 @@ class TrackingOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class RunOptions:
+    """Where a run is written, what it goes on from and what its pictures hide; the scene that it is in."""
+
+    out: Out = None
+    overwrite: Overwrite = False
+    resume: Resume = False
+    blur: Blur = ""
+    scene: SceneFile = None
+
+
+@dataclass(frozen=True, slots=True)
 class PageOptions:
     """Where a page is served, and to whom (docs/security.md)."""
 

@@ -116,12 +116,8 @@ def join(parts: Sequence[tuple[Segment, Path]], directory: rundir.RunDirectory) 
                 begun |= {name} if lines else set()
             before, since, rows = after, part.begin, rows + len(mine)
     last = max(part.first - 1 + run["frames"] if run["frames"] else 0 for (part, _), run in zip(parts, runs, strict=True))
-    document = {name: runs[0][name] for name in _KEPT} | {
-        "complete": True,
-        "frames": last,
-        "tracks": used,
-        "track_rows": rows,
-    }
+    document = {name: runs[0][name] for name in _KEPT}
+    document |= {"complete": True, "frames": last, "tracks": used, "track_rows": rows}
     document["input"] = {name: value for name, value in runs[0]["input"].items() if name != "frames"}
     document["seconds"] = sum(run["seconds"] for run in runs)
     document["warnings"] = list(dict.fromkeys(warning for run in runs for warning in run["warnings"]))

@@ -15,7 +15,7 @@ from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.evaluate import score_table
 from phdtrack.cli.inputs import ahead
 from phdtrack.cli.job import run
-from phdtrack.cli.options import SourceOptions, TrackingOptions, option
+from phdtrack.cli.options import RunOptions, SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, counted, progress
 from phdtrack.cli.settings import chosen
 from phdtrack.cli.track import prepare
@@ -99,7 +99,7 @@ def demo(
     for (title, place), filter_name in zip(places.items(), ("pmb", "none"), strict=True):
         options = TrackingOptions(filter_name, seed=seed, truth=truth)
         source = SourceOptions(str(movie))
-        job = prepare(source, options, chosen(options, detector=source.looked_by), video=True)
+        job = prepare(source, options, chosen(options, detector=source.looked_by), RunOptions(), video=True)
         outcome = outcomes[title] = run(job, place)
         output.warn(outcome.warnings)
         if outcome.stop is not None:

@@ -15,7 +15,7 @@ from phdtrack.cli.checkpoint import EVERY, source_of
 from phdtrack.cli.inputs import frame_range, open_inputs, write_detected
 from phdtrack.cli.job import Job, about, run
 from phdtrack.cli.observers import CameraObserver, mover_of
-from phdtrack.cli.options import DEFAULT_DETECTOR, SourceOptions, TrackingOptions, option
+from phdtrack.cli.options import DEFAULT_DETECTOR, RunOptions, SourceOptions, TrackingOptions, option
 from phdtrack.cli.output import Output, counted
 from phdtrack.cli.settings import chosen, scene_settings
 from phdtrack.config import Settings, load
@@ -32,15 +32,11 @@ def track(
     source: SourceOptions,
     options: TrackingOptions,
     output: Output,
-    out: given.Out = None,
-    overwrite: given.Overwrite = False,
+    to: RunOptions,
     video: given.Video = True,
     video_size: given.VideoSize = 1920,
-    scene: given.SceneFile = None,
     camera_motion: Annotated[str, option("flow|FILE|none", "A camera that moves: measured, or from a file.")] = "",
-    resume: given.Resume = False,
     checkpoint_every: given.CheckpointEvery = EVERY,
-    blur: given.Blur = "",
     frames: given.Frames = "",
 ) -> None:
     """Track the objects in a video, or in a file of detections.
@@ -49,12 +45,9 @@ def track(
     run.json. A video that is cut short is tracked as far as it goes, with a warning. Ctrl-C finishes what was done so far;
     --resume goes on from there, or from where a run was killed.
     """
-    rundir.check(out, overwrite or resume)
-    first = scene_settings(scene, camera_motion)
-    settings = chosen(options, first, detector=source.looked_by)
-    job = prepare(source, options, settings, video=video, frames=frames)
-    job = replace(job, every=checkpoint_every, blur=blur, video_size=video_size)
-    finish(output, job, out, overwrite, resume=resume)
+    settings = chosen(options, scene_settings(to.scene, camera_motion), detector=source.looked_by)
+    job = prepare(source, options, settings, to, video=video, frames=frames)
+    finish(output, replace(job, every=checkpoint_every, video_size=video_size), to)
 
 
 def detect(
@@ -96,9 +89,12 @@ def detect(
     output.document(document | {"frames_per_second": rate, "file": str(file), "warnings": warnings})
 
 
-def prepare(source: SourceOptions, options: TrackingOptions, settings: Settings, *, video: bool, frames: str = "") -> Job:
+def prepare(
+    source: SourceOptions, options: TrackingOptions, settings: Settings, to: RunOptions, *, video: bool, frames: str = ""
+) -> Job:
     """Everything that a run needs; ``settings`` are those `chosen`, or made of them; ``frames``: as `frame_range`. Raises
-    `InputError` where an input cannot be read, or options do not go together."""
+    `InputError` where an input cannot be read, files would be replaced unasked, or options do not go together."""
+    rundir.check(to.out, to.overwrite or to.resume)
     truth = None if options.truth is None else read_truth(options.truth)
     if source.detections is None:
         settings = config.for_detector(settings, source.looked_by)
@@ -142,16 +138,17 @@ def prepare(source: SourceOptions, options: TrackingOptions, settings: Settings,
         observers=() if moving == "none" else (CameraObserver(moving),),
         mover=mover_of(settings, inputs, stages.model),
         delay=settings.build("associate").output_delay,
+        blur=to.blur,
     )
 
 
-def finish(output: Output, job: Job, out: Path | None, overwrite: bool, *, resume: bool = False) -> None:
+def finish(output: Output, job: Job, to: RunOptions) -> None:
     """Run the job and say what came of it. Raises what ended it before its time: that decides the exit status."""
-    if resume and not job.inputs.again:
+    if to.resume and not job.inputs.again:
         cure = "`phdtrack live` goes on by itself after an interruption."
         raise InputError("the pictures of a camera do not come again", where="--resume", cure=cure)
-    directory = rundir.claim(out, overwrite, name=job.inputs.info.name, resume=resume, inputs=job.inputs.files)
-    if resume and rundir.completed(directory):
+    directory = rundir.claim(to.out, to.overwrite, name=job.inputs.info.name, resume=to.resume, inputs=job.inputs.files)
+    if to.resume and rundir.completed(directory):
         before, now = rundir.document_of(directory), {"seed": job.about.seed, "configuration": job.configuration}
         if other := _differing(before, json_value(now)):
             problem = f"the run is complete, and differs in {', '.join(other)}"
@@ -159,9 +156,9 @@ def finish(output: Output, job: Job, out: Path | None, overwrite: bool, *, resum
             raise InputError(problem, where=f"--resume, {directory.path}", cure=cure)
         output.say(f"The run in {directory.path} is complete: there is nothing to go on with.")
         return
-    if resume and not any(directory.file(name).exists() for name in (rundir.KNOWN, rundir.DETECTED)):
+    if to.resume and not any(directory.file(name).exists() for name in (rundir.KNOWN, rundir.DETECTED)):
         output.note("There is no checkpoint to go on from: the run begins with the first frame.")
-    outcome = run(job, directory, resume=resume)
+    outcome = run(job, directory, resume=to.resume)
     output.warn(outcome.warnings)
     output.say(*outcome.summary, "", *directory.listing())
     if outcome.scores is not None:

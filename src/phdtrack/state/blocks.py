@@ -39,12 +39,8 @@ def _dtype(said: Any) -> np.dtype[Any]:
 
 
 def to_bytes(value: Any) -> bytes:
-    """A block that holds dictionaries with texts as keys, lists, tuples, numbers, texts and arrays of numbers.
-
-    Raises
-    ------
-    InputError : it holds something else.
-    """
+    """A block that holds dictionaries with texts as keys, lists, tuples, numbers, texts and arrays of numbers. Raises
+    `InputError` for anything else."""
     arrays = list[bytes]()
 
     def plain(one: Any) -> Any:
@@ -67,12 +63,7 @@ def to_bytes(value: Any) -> bytes:
 
 
 def from_bytes(block: bytes, where: str | Path = "") -> Any:
-    """The value of one block.
-
-    Raises
-    ------
-    InputError : it is cut off or changed, or no block of `to_bytes`.
-    """
+    """The value of one block. Raises `InputError` where it is cut off or changed, or no block of `to_bytes`."""
     problem = InputError("expected a saved state, which is cut off or changed", where=where)
     if len(block) < _HEAD.size + 4:
         raise problem

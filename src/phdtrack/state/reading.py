@@ -69,12 +69,8 @@ def names_of(kind: Any) -> tuple[str, ...]:
 
 
 def pack(value: Any) -> Any:
-    """Dictionaries, lists, numbers and copies of arrays, of which `restored` makes the same value.
-
-    Raises
-    ------
-    InputError : the value holds something else than numbers, arrays, tuples, dictionaries and this package's records.
-    """
+    """Dictionaries, lists, numbers and copies of arrays, of which `restored` makes the same value. Raises `InputError` for a
+    value of something else than numbers, arrays, tuples, dictionaries and this package's records."""
     kind: Any = type(value)
     if is_record(kind):
         inside = {name: pack(getattr(value, name)) for name in names_of(kind)}
@@ -91,22 +87,14 @@ def pack(value: Any) -> Any:
 
 
 def restored(packed: Any, hint: Any, like: Any, world: World, where: str) -> Any:
-    """The value that was packed, checked: every type, shape and range, and how they fit each other.
+    """The value that was packed, checked: every type, shape and range, and how they fit each other. Only records of this
+    package are made. `InputError` names the place in the state that is wrong.
 
     Parameters
     ----------
-    packed : what `tracker.pack` made.
-    hint : the type that is expected, as annotations state it.
+    packed, hint : what `pack` made, and the type that is expected, as annotations state it.
     like : the same value before the first frame; what is open in the annotation has its type.
     world, where : what it must fit, and its place, for errors.
-
-    Returns
-    -------
-    The value. Only records of this package are made.
-
-    Raises
-    ------
-    InputError : names the place in the state that is wrong.
     """
     try:
         return _reader(hint)(packed, like, world, where)
