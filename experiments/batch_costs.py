@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import pyarrow.parquet
 
-from phdtrack.cli.batch import DOCUMENT, planned
+from phdtrack.cli.batch import DOCUMENT, Cutting, planned
 
 SHORT, MIDDLE, MANY, DONE = 50, 200, 9, 1000
 
@@ -96,7 +96,7 @@ def done(source: Path, out: Path, folder: Path) -> float:
     """CPU milliseconds that a video takes of which everything is there already."""
     many, place = copies(source, folder, DONE), folder / "out"
     mark = json.loads(next(out.glob(f"runs/*/{DOCUMENT}")).read_bytes())
-    for video in planned([str(one) for one in many], (), place):
+    for video in planned([str(one) for one in many], (), place, Cutting()):
         video.folder.mkdir(parents=True)
         (video.folder / DOCUMENT).write_text(json.dumps(mark | {"digest": video.digest}))
         video.rows.parent.mkdir(exist_ok=True)

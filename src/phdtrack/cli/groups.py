@@ -42,7 +42,7 @@ from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.report.drawing import Plan, PlanScene, draw_contours
 from phdtrack.report.pages import lines, render
-from phdtrack.types import F8, Detections, GaussianMixture, Image, MeasurementHistory, SequenceInfo, Step, Tracks
+from phdtrack.types import F8, I8, Detections, GaussianMixture, Image, MeasurementHistory, SequenceInfo, Step, Tracks
 from phdtrack.video import VideoWriter
 
 INTENSITY_FILTER = "gm-phd"
