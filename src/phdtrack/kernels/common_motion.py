@@ -96,22 +96,15 @@ def voted(expected: F8, z: F8, half: float) -> tuple[float, float, float, float]
 def fitted(
     expected: F8, variance: F8, z: F8, detected: F8, density: float, frame: F8, scale: F8, start: F8
 ) -> tuple[F8, F8, F8, F8, float, F8]:
-    """The most probable motion near a start.
+    """The most probable motion near a ``start``: a shift, and how far off it may be.
 
-    Parameters
-    ----------
-    expected, variance, z : as `differences` gives them.
-    detected, density : (n,) p_D of each target, and λ.
-    frame : (3,) middle of the image and half of its width.
-    scale : (4,) squared scales of the t-distributions that are the prior of θ; below 0: variances of Gaussians.
-    start : (3,) shift to begin with, and how far off it may be.
+    ``expected``, ``variance``, ``z`` as `differences` gives them; ``detected`` (n,): p_D of each target; ``density``: λ;
+    ``frame``: middle of the image and half of its width; ``scale`` (4,): squared scales of the t-distributions that are the
+    prior of θ, below 0 variances of Gaussians.
 
-    Returns
-    -------
-    motion, seen, seen_variance : (4,) θ; what the detections say of each component without its prior, with variances.
-    spread : (4,) variances of the Gaussian prior that is equivalent in the end.
-    evidence : log of the probability of the detections.
-    squares : (2, 4) sums of squared errors in their variances, whatever the motion is, and of pairs.
+    Back come, (4,) each, θ, what the detections say of each component without its prior, with variances, and the variances
+    of the Gaussian prior that is equivalent in the end; the log of the probability of the detections; and (2, 4) the sums of
+    squared errors in their variances, whatever the motion is, and of pairs.
     """
     wide = start[2] * start[2]
     pairs = _pairs(expected, variance, z, frame, start)

@@ -42,10 +42,7 @@ LOG_2PI = math.log(2 * math.pi)
 class Predicted(NamedTuple):
     """Gaussians after an interval [V06 (24)–(29)].
 
-    Attributes
-    ----------
-    mean : (J, d).     covariance : (J, d, d).
-    p_survive : (J,) probability that the target is still there.
+    ``mean`` (J, d), ``covariance`` (J, d, d), ``p_survive`` (J,): probability that the target is still there.
     """
 
     mean: F8
@@ -56,17 +53,13 @@ class Predicted(NamedTuple):
 class Expected(NamedTuple):
     """What Gaussians say about measurements.
 
+    ``rows`` (r,), int64: what is compared with the components of a measurement. ``z`` (J, n): ``rows`` of it are the
+    expected measurement. ``covariance`` (J, n, n) of it without noise, H P Hᵀ in these rows and columns; ``cross``
+    (J, d, n): of state and measurement, P Hᵀ in these columns. ``noise`` (J, r, r): part of R that belongs to the target,
+    (0, r, r) where none does. ``p_detect`` (J,): at the mean.
+
     A linear sensor shows ``rows`` of the state: ``z`` is the mean then, and ``covariance`` and ``cross`` are the covariance
     of the Gaussians themselves. Of any other they are made of sigma points, and ``rows`` are 0, 1, …, r − 1.
-
-    Attributes
-    ----------
-    rows : (r,) int64, what is compared with the components of a measurement.
-    z : (J, n) of which ``rows`` are the expected measurement.
-    covariance : (J, n, n) of it without noise, H P Hᵀ in these rows and columns.
-    cross : (J, d, n) covariance of state and measurement, P Hᵀ in these columns.
-    noise : (J, r, r) part of R that belongs to the target, or (0, r, r) where none does.
-    p_detect : (J,) detection probability at the mean.
     """
 
     rows: I8
@@ -80,13 +73,10 @@ class Expected(NamedTuple):
 class Measurements(NamedTuple):
     """The measurements of a frame.
 
-    Attributes
-    ----------
-    z : (N, r) what is compared with `Expected.z`.
-    noise : (N, r, r) part of R that belongs to the measurement, added to that of the target, or (0, r, r).
-    clutter : (N,) κ(z), expected false alarms per unit of measurement volume.
-    period : r numbers, 2π for angles, whose differences are taken the short way round, else 0. A tuple: its length is known
-        when a kernel is compiled, and loops over it are unrolled.
+    ``z`` (N, r) is compared with `Expected.z`. ``noise`` (N, r, r): part of R that belongs to the measurement, added to that
+    of the target, or (0, r, r). ``clutter`` (N,): κ(z), expected false alarms per unit of measurement volume. ``period``: r
+    numbers, 2π for angles, whose differences are taken the short way round, else 0. A tuple: its length is known when a
+    kernel is compiled, and loops over it are unrolled.
     """
 
     z: F8
@@ -98,10 +88,8 @@ class Measurements(NamedTuple):
 class NewTargets(NamedTuple):
     """Targets whose first detection is measurement j.
 
-    Attributes
-    ----------
-    density : (N,) their density at the measurement, per unit of measurement volume.
-    mean : (N, d).     covariance : (N, d, d) of their state.
+    ``density`` (N,): theirs at the measurement, per unit of its volume. ``mean`` (N, d), ``covariance`` (N, d, d): of their
+    state.
     """
 
     density: F8
@@ -112,12 +100,9 @@ class NewTargets(NamedTuple):
 class Births(NamedTuple):
     """γT, the intensity of targets that appeared in the interval.
 
-    Attributes
-    ----------
-    around : γT at each measurement, and what the measurement says of a target there that nothing else is known of.
-        Filters leave out those whose measurement existing targets explain.
-    weight : (B,) expected number of births of each Gaussian that was given, wherever measurements are.
-    mean : (B, d).     covariance : (B, d, d) of these.
+    ``around``: γT at each measurement, and what the measurement says of a target there that nothing else is known of.
+    Filters leave out those whose measurement existing targets explain. ``weight`` (B,), ``mean`` (B, d), ``covariance``
+    (B, d, d): expected number of births of each Gaussian that was given, wherever measurements are, and its moments.
     """
 
     around: NewTargets
@@ -330,15 +315,9 @@ def gated(
 ) -> Records:
     """(P,) of `PAIR`, the pairs (Gaussian, measurement) with d ≤ ``gate``, in time linear in Gaussians and pairs.
 
-    They are ordered by Gaussian. Their weight is not written.
-
-    Parameters
-    ----------
-    rows, seen, spread, noise : what the Gaussians say of measurements, as `Expected` has it.
-    z, extra, period : the measurements, as `Measurements` has them.
-    gate : in deviations of the innovation.
-    active : (J,) Gaussians at which this is 0 are left out.
-    tails : (J, 3) c of the first two components and of two others, and n, see `with_tails`; `GAUSSIAN` for none.
+    They are ordered by Gaussian. Their weight is not written. The first arguments are as `Expected` and `Measurements` have
+    them. Gaussians at which ``active`` (J,) is 0 are left out. ``tails`` (J, 3): c of the first two components and of two
+    others, and n, see `with_tails`; `GAUSSIAN` for none.
     """
     spots, begin, along, across, low, scale, near = places_of(z, period)
     s, y, wide, high = np.empty((rows.size, rows.size)), np.empty(rows.size), 0.0, 0.0
@@ -391,12 +370,7 @@ def write_posteriors(
 ) -> None:
     """Means and covariances of pairs after the update [V06 (37), (38)], into the first rows of the outputs.
 
-    Parameters
-    ----------
-    mean, covariance : (J, d), (J, d, d) before it.
-    e, m : what these Gaussians say of measurements, and the measurements.
-    pairs : (P,) of `PAIR`; faster where those of one Gaussian follow each other. Those of measurement −1 are left out.
-    out_mean, out_covariance : (≥ P, d), (≥ P, d, d) output.
+    ``pairs`` (P,) of `PAIR`: faster where those of one Gaussian follow each other. Those of measurement −1 are left out.
     """
     rows, seen, spread = e.rows, e.z, e.covariance
     cross, noise, z = e.cross, e.noise, m.z
@@ -458,13 +432,7 @@ def predicted_covariance(cov: F8, f: F8, q: F8) -> F8:
 def first_states(births: Births, p_detect: F8, e: Expected, m: Measurements, gate: float) -> NewTargets:
     """γ̂(z) = ∫ p_D g(z|x) γ(x) dx, and mean and covariance of p_D g(z|x) γ(x) given z.
 
-    Parameters
-    ----------
-    births : γ.
-    p_detect : (N,) detection probability of those around each measurement.
-    e : what the births that are given say of measurements.
-    m : the measurements.
-    gate : in deviations.
+    ``p_detect`` (N,): of targets around each measurement. ``e``: what the births that are given say of measurements.
     """
     around, n, d = births.around, len(m.z), births.mean.shape[1]
     pairs = gated(e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, gate, births.weight, GAUSSIAN)

@@ -245,18 +245,9 @@ def _united(
 def merged_rows(rows: Rows, axes: Axes, s: Merging, mass: float) -> tuple[F8, F8, F8]:
     """Prune, merge and cap: weight (k,), mean (d, k), covariance (k, d, d).
 
-    Each group has mass, mean and covariance of its members; they are ordered by the weights of their strongest.
-
-    Parameters
-    ----------
-    rows : the Gaussians.
-    axes : (0, 1, …, d − 1).
-    s : settings.
-    mass : the weights are scaled to this sum; where it is negative they stay.
-
-    Raises
-    ------
-    ValueError : a mean or a variance is NaN or infinite, or a variance negative.
+    Each group has mass, mean and covariance of its members; they are ordered by the weights of their strongest. The weights
+    are scaled to the sum ``mass``; where it is negative they stay. ValueError where a mean or a variance is NaN or infinite,
+    or a variance negative.
     """
     weight, x, cov = rows
     alive, count = np.empty(weight.size, np.int64), 0 * weight.size

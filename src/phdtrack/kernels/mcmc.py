@@ -40,15 +40,11 @@ class Chain(NamedTuple):
 class Options(NamedTuple):
     """What C candidates may be: options, and the states (entries) of each.
 
-    Attributes
-    ----------
-    first : (C + 1,) candidate c's options are first[c] … first[c + 1] − 1, the first of them that the target does not exist.
-    seen_by, total : (O,) measurement of each option, −1 for none, and its weight.
-    start : (O + 1,) its entries are start[o] … start[o + 1] − 1.
-    running, member : (T,) sums of weights within each option, and the state of each entry.
-    box : (L, 4) left, top, right, bottom of each state; (0, 4) without interaction.
-    near, near_start : (K,), (C + 1,) the candidates with a box that may overlap one of candidate c, ascending, are
-        near[near_start[c]] … near[near_start[c + 1] − 1]; none without interaction.
+    Candidate c's options are ``first``[c] … first[c + 1] − 1, the first of them that the target does not exist. ``seen_by``,
+    ``total`` (O,): measurement of each option, −1 for none, and its weight; its entries are ``start``[o] … start[o + 1] − 1.
+    ``running``, ``member`` (T,): sums of weights within each option, and the state of each entry. ``box`` (L, 4): left, top,
+    right, bottom of each state. The candidates with a box that may overlap one of candidate c, ascending, are
+    ``near``[near_start[c]] … near[``near_start``[c + 1] − 1]. Without interaction both are empty.
     """
 
     first: I8
@@ -85,13 +81,10 @@ def pair_likelihoods(x: F8, sensor: Any, table: Any, member: I8, which: I8) -> t
 
 @njit(**ENTRY)
 def make_options(candidate: I8, which: I8, member: I8, weight: F8, absent: F8, box: F8) -> Options:
-    """The options of entries, which ascend in their candidate and measurement.
+    """The options of T entries, which ascend in their candidate and measurement.
 
-    Parameters
-    ----------
-    candidate, which, member, weight : (T,) candidate, measurement (−1: none), state and weight of each entry.
-    absent : (C,) weight of each candidate's not existing.
-    box : (L, 4) of the states.
+    ``which`` (T,): the measurement, −1: none; ``member`` (T,): the state. ``absent`` (C,): weight of each candidate's not
+    existing. ``box`` (L, 4): of the states.
     """
     count, entries = absent.size, candidate.size
     first, most = np.empty(count + 1, np.int64), count + entries
@@ -269,21 +262,13 @@ def jump_chain(
 
     A step picks a candidate and draws one of its free options by weight, and of that a state; with probability
     ``chain.share`` it picks one of ``pairs`` and draws for both together. Without interaction that is a draw from the
-    conditional law and always accepted; with it, the probability is min(1, ψ of the new state / ψ of the old one).
+    conditional law and always accepted; with it, the probability is min(1, ψ of the new state / ψ of the old one). A sweep
+    has as many steps as there are candidates.
 
-    Parameters
-    ----------
-    old : candidates before this one existed in the frame before; the others are newborn.
-    measurements : how many there are.
-    can : what candidates may be.
-    pairs : (K, 2) candidates that compete for a measurement.
-    chain : how it runs, in sweeps of as many steps as there are candidates.
-
-    Returns
-    -------
-    options, states : (C, N) each candidate's in each kept sample; where a target does not exist, a draw of its state.
-    chance : (C, N) the probability that it exists, given that state and all the others in the sample.
-    counts : (7, 2) proposed and accepted, by kind.
+    Candidates before number ``old`` existed in the frame before; the others are newborn. ``pairs`` (K, 2) compete for one of
+    so many ``measurements``. Back come (C, N) each candidate's options and states in each kept sample, where a target does
+    not exist a draw of its state; the probability (C, N) that it exists, given that state and all the others in the sample;
+    and how many (7, 2) were proposed and accepted, by kind.
     """
     many, kept = can.first.size - 1, chain.samples
     now = Sample(can.first[:-1].copy(), np.full(many, -1), np.full(measurements, -1))
