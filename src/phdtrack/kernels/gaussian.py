@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.grid import cell_of
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -252,15 +253,6 @@ class Places(NamedTuple):
 
 
 @njit(**INNER)
-def cell(value: float, low: float, scale: float, count: int) -> int:
-    """Which of ``count`` cells from ``low`` on, ``scale`` of them a unit, holds a value; beyond them the nearest."""
-    position = (value - low) * scale
-    if not position > 0.0:  # also NaN
-        return 0
-    return count - 1 if position >= count else int(position)
-
-
-@njit(**INNER)
 def places_of(z: F8, period: Axes) -> Places:
     """The measurements in cells, about one in each. Raises ValueError where a measurement is NaN or infinite."""
     n, along, low, widest, near = len(z), 0 * len(z), 0.0, 0.0, False
@@ -279,13 +271,13 @@ def places_of(z: F8, period: Axes) -> Places:
     for c in range(count + 1):
         begin[c] = 0
     for j in range(n):
-        begin[cell(z[j, along], low, scale, count)] += 1
+        begin[cell_of(z[j, along], low, scale, count)] += 1
     # From the last one back: a cell's end becomes its beginning.
     for c in range(count):
         begin[c + 1] += begin[c]
     for back in range(n):
         j = n - 1 - back
-        c = cell(z[j, along], low, scale, count)
+        c = cell_of(z[j, along], low, scale, count)
         begin[c] -= 1
         spot = spots[begin[c]]
         spot.along, spot.across, spot.measurement = z[j, along], z[j, across], j
@@ -337,7 +329,7 @@ def gated(
         reach, width = gate * np.sqrt(reach) if near else np.inf, gate * np.sqrt(width) if near else np.inf
         x, middle = seen[i, row], seen[i, other]
         log_det, known = 0.0, False
-        for k in range(begin[cell(x - reach, low, scale, cells)], begin[cell(x + reach, low, scale, cells) + 1]):
+        for k in range(begin[cell_of(x - reach, low, scale, cells)], begin[cell_of(x + reach, low, scale, cells) + 1]):
             spot = spots[k]
             if abs(spot.along - x) > reach or abs(spot.across - middle) > width:
                 continue

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.gaussian import cell, factored
+from phdtrack.kernels.gaussian import factored
+from phdtrack.kernels.grid import cell_of
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -159,8 +160,8 @@ def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes) 
         px, py = x[i, 0], x[i, 1]
         reach_x, reach_y = distance * np.sqrt(cov[i, 0, 0]), distance * np.sqrt(cov[i, 1, 1])
         best, known = n, False
-        left, right = cell(px - reach_x, x0, sx, nx), cell(px + reach_x, x0, sx, nx)
-        for line in range(cell(py - reach_y, y0, sy, ny), cell(py + reach_y, y0, sy, ny) + 1):
+        left, right = cell_of(px - reach_x, x0, sx, nx), cell_of(px + reach_x, x0, sx, nx)
+        for line in range(cell_of(py - reach_y, y0, sy, ny), cell_of(py + reach_y, y0, sy, ny) + 1):
             for column in range(left, right + 1):
                 g = first[line * nx + column]
                 while g >= 0:
@@ -181,7 +182,7 @@ def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes) 
         if best == n:
             best = count
             head[count] = i
-            home = cell(py, y0, sy, ny) * nx + cell(px, x0, sx, nx)
+            home = cell_of(py, y0, sy, ny) * nx + cell_of(px, x0, sx, nx)
             after[count], first[home] = first[home], count
             count += 1
         group[k] = best
