@@ -397,29 +397,6 @@ def write_posteriors(
 all_gated, all_posteriors = (njit(**ENTRY)(getattr(kernel, "py_func", kernel)) for kernel in (gated, write_posteriors))
 
 
-@njit(cache=True)
-def predicted_covariance(cov: F8, f: F8, q: F8) -> F8:
-    """(n, d, d) F P Fᵀ + Q of each; all three are (n, d, d)."""
-    n, d, _ = cov.shape
-    out = np.empty((n, d, d))
-    half = np.empty((d, d))
-    for i in range(n):
-        for r in range(d):
-            for s in range(d):
-                total = 0.0
-                for t in range(d):
-                    total += f[i, r, t] * cov[i, t, s]
-                half[r, s] = total
-        for r in range(d):
-            for s in range(r + 1):
-                total = q[i, r, s]
-                for t in range(d):
-                    total += half[r, t] * f[i, s, t]
-                out[i, r, s] = total
-                out[i, s, r] = total
-    return out
-
-
 @njit(**ENTRY)
 def first_states(births: Births, p_detect: F8, e: Expected, m: Measurements, gate: float) -> NewTargets:
     """γ̂(z) = ∫ p_D g(z|x) γ(x) dx, and mean and covariance of p_D g(z|x) γ(x) given z.
