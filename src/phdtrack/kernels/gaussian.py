@@ -127,11 +127,11 @@ GAUSSIAN = np.zeros((0, 3))
 SPOT = records("along across", "measurement")
 
 
-@njit(cache=True)
+@njit(**INNER)
 def factor(cov: F8, root: F8) -> float:
     """Log-determinant of ``cov`` (m, m), whose Cholesky factor is written into the lower part of ``root`` (m, m).
 
-    NaN where the matrix is not positive definite.
+    NaN where the matrix is not positive definite, −∞ or NaN where it is singular.
     """
     product = 1.0
     for r in range(cov.shape[0]):
@@ -145,7 +145,7 @@ def factor(cov: F8, root: F8) -> float:
     return log_det
 
 
-@njit(cache=True)
+@njit(**INNER)
 def norm2(step: F8, root: F8, y: F8) -> float:
     """Squared Mahalanobis norm of ``step`` (m,) under the matrix that ``root`` factors; ``y`` (m,) becomes L⁻¹ step."""
     total = 0.0
@@ -158,7 +158,7 @@ def norm2(step: F8, root: F8, y: F8) -> float:
     return total
 
 
-@njit(cache=True)
+@njit(**ENTRY)
 def gaussian_parts(step: F8, cov: F8) -> tuple[F8, F8]:
     """(P,) squared Mahalanobis norms and log-determinants: ``step`` (m, P), ``cov`` (P, m, m) positive definite.
 
