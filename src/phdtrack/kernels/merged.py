@@ -28,6 +28,8 @@ MAX_EXISTENCE, MIN_EXISTENCE = 0.99, 0.1
 # Squared Mahalanobis distance in the plane within which an estimate can be an expected target: 99 % of two dimensions.
 NEAR = 9.21
 TINY = 1e-300
+# Log-likelihoods that differ by less are equal: sums of the same numbers in another order.
+ROUNDING = 1e-9
 # Of noise: where centre and size are.
 PLACES = (0, 1, 2, 3)
 
@@ -239,7 +241,7 @@ def _explain(frame: Frame, kept: Bool, blobs: I8, targets: I8, of: I8) -> None:
             if math.isnan(table[k, sets[k]]):
                 table[k, sets[k]] = _log_likelihood(frame, blobs[k], targets, sets[k])
             total += table[k, sets[k]]
-        if value + total > top:
+        if value + total > top + ROUNDING:
             top = value + total
             for i in range(m):
                 k = options[i, digit[i]]
@@ -283,7 +285,7 @@ def _log_likelihood(frame: Frame, blob: int, targets: I8, chosen: int) -> float:
     if not distance2 <= GATE2:  # also NaN, where the spread has no factors
         return -math.inf
     merged = (k - 1) * math.log(max(rule.merge_probability, TINY))
-    return float(-0.5 * (distance2 + log_det) - 2.0 * LOG_2PI + merged + seen)
+    return float(-0.5 * (distance2 + log_det + 4.0 * LOG_2PI) + merged + seen)
 
 
 @njit(**INNER)
