@@ -123,7 +123,7 @@ def records(floats: str, integers: str) -> np.dtype[np.void]:
 PAIR = records("distance2 first log_density weight", "gaussian measurement")
 # For those whose noises are as the model says.
 GAUSSIAN = np.zeros((0, 3))
-# A measurement in `Places`: its components along and across, and which one it is.
+# A measurement in `places_of`: its components along and across, and which one it is.
 SPOT = records("along across", "measurement")
 
 
@@ -232,29 +232,14 @@ def whitened(seen: F8, rows: I8, z: F8, i: int, j: int, period: Axes, s: F8, y: 
     return total
 
 
-class Places(NamedTuple):
-    """Measurements in cells along one of their first two components, the one on which they are spread most.
-
-    Attributes
-    ----------
-    spots : (N,) of `SPOT`, by cells.     begin : (cells + 1,) where each cell begins.
-    along, across : that component, and the other one.
-    low, scale : a value lies in cell (value − low)·scale.
-    near : whether what is far along an axis is far altogether: not of angles, which are all in one cell.
-    """
-
-    spots: Records
-    begin: I8
-    along: int
-    across: int
-    low: float
-    scale: float
-    near: bool
-
-
 @njit(**INNER)
-def places_of(z: F8, period: Axes) -> Places:
-    """The measurements in cells, about one in each. Raises ValueError where a measurement is NaN or infinite."""
+def places_of(z: F8, period: Axes) -> tuple[Records, I8, int, int, float, float, bool]:
+    """The measurements by cells along one of their first two components, the one on which they are spread most.
+
+    (N,) of `SPOT`, about one in each cell; where each begins (cells + 1,); that component, and the other one; low and scale,
+    a value lies in cell (value − low)·scale; whether what is far along an axis is far altogether: not of angles, which are
+    all in one cell. Raises ValueError where a measurement is NaN or infinite.
+    """
     n, along, low, widest, near = len(z), 0 * len(z), 0.0, 0.0, False
     for a in range(len(period)):
         least, most, total = np.inf, -np.inf, 0.0
@@ -281,7 +266,7 @@ def places_of(z: F8, period: Axes) -> Places:
         begin[c] -= 1
         spot = spots[begin[c]]
         spot.along, spot.across, spot.measurement = z[j, along], z[j, across], j
-    return Places(spots, begin, along, across, low, scale, near)
+    return spots, begin, along, across, low, scale, near
 
 
 @njit(**INNER)
