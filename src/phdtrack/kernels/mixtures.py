@@ -1,8 +1,7 @@
 """Gaussian mixtures: densities, expectation-maximisation [M09 §III-B], and its recursive form [M09 (16)-(20)].
 
-`log_densities` and `mixture_density` evaluate Gaussians that were `whitened` once. `em_step` gives the mass, mean and
-covariance of each component's samples, from which the caller makes the next mixture. `recursive_em` takes one sample at a
-time.
+`log_densities` evaluates Gaussians that were `whitened` once. `em_step` gives the mass, mean and covariance of each
+component's samples, from which the caller makes the next mixture. `recursive_em` takes one sample at a time.
 """
 
 from __future__ import annotations
@@ -109,34 +108,6 @@ def log_densities(x: F8, gaussians: Whitened) -> F8:
         for j in range(log_peak.size):
             steps_from(x, begin, size, mean, j, step)
             log_density_of(step, size, inverse[j], log_peak[j], part, out[j, begin:])
-    return out
-
-
-@njit(**ENTRY)
-def mixture_density(x: F8, low: F8, high: F8, flat: float, outside: float, gaussians: Whitened, limit2: F8) -> F8:
-    """(n,) ``flat`` plus the Gaussians at points ``x`` (d, n) from ``low`` to ``high`` (d,), and ``outside`` elsewhere.
-
-    Beyond the squared distances ``limit2`` (k,) a Gaussian is left out; often a single component shows that it is.
-    """
-    (d, n), (mean, inverse, log_peak) = x.shape, gaussians
-    out, step = np.empty(n), np.empty(d)
-    for j in range(n):
-        inside = True
-        for r in range(d):
-            inside = inside and low[r] <= x[r, j] <= high[r]
-        out[j] = flat if inside else outside
-        for m in range(log_peak.size if inside else 0):
-            distance2 = 0.0
-            for r in range(d):
-                step[r] = x[r, j] - mean[r, m]
-                value = 0.0
-                for s in range(r + 1):
-                    value += inverse[m, r, s] * step[s]
-                distance2 += value * value
-                if distance2 > limit2[m]:
-                    break
-            if distance2 <= limit2[m]:
-                out[j] += math.exp(log_peak[m] - 0.5 * distance2)
     return out
 
 
