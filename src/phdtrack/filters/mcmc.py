@@ -169,7 +169,7 @@ class MCMC(Filter[JointSamples]):
 def _pairs(x: F8, z: F8, sensor: Sensor) -> tuple[I8, I8, F8, F8]:
     """State, measurement, d² and g(z|x) (P,) of the pairs of states (d, L) and measurements within the gates."""
     x, numbers = np.ascontiguousarray(x, np.float64), sensor.particle_model(z)
-    member, which = points_in_rectangles(x[0], x[1], *sensor.gate(z))
+    member, which = points_in_rectangles(x[:2], *sensor.gate(z))
     return member, which, *pair_likelihoods(x, numbers.model, numbers.table, member, which)
 
 

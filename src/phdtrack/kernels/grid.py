@@ -148,25 +148,9 @@ def overlapping_pairs(low: F8, high: F8, grid: Grid) -> tuple[I8, I8]:
 
 
 @njit(**ENTRY)
-def points_in_rectangles(px: F8, py: F8, lower: F8, upper: F8) -> tuple[I8, I8]:
-    """Pairs (point, rectangle) (P,) with the point inside the closed rectangle, ordered by rectangle.
-
-    Parameters
-    ----------
-    px, py : (L,) positions of the points.
-    lower, upper : (2, N) corners of the rectangles.
-
-    Returns
-    -------
-    point, rectangle : (P,) indices.
-
-    Raises
-    ------
-    ValueError : a position or a rectangle is NaN or infinite.
-    """
-    at = np.empty((2, px.size))
-    at[0], at[1] = px, py
-    # Indices made of NaN would be written through.
+def points_in_rectangles(at: F8, lower: F8, upper: F8) -> tuple[I8, I8]:
+    """Pairs (P,) of points (2, L) and closed rectangles (2, N) that hold them, by rectangle; ValueError if not finite."""
+    # Cells made of infinities would lie outside the grid.
     if not np.isfinite(at.sum() + lower.sum() + upper.sum()):
         raise ValueError("positions and rectangles must be finite")
     rectangle, point = overlapping_pairs(lower, upper, make_grid(at, at, 0.0, 0.0))
