@@ -19,8 +19,6 @@ from phdtrack.kernels.particle_models import BLOCK, distance, prepare, seen
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
-# Rows of the counts: what a step proposed.
-ADD, DELETE, LEAVE, COME_BACK, UPDATE, REASSIGN, EXCHANGE = range(7)
 
 
 class Chain(NamedTuple):
@@ -170,18 +168,6 @@ def _choose(a: int, b: int, begin: int, can: Options, now: Sample, rng: np.rando
 
 
 @njit(**INNER)
-def _kind(was: int, becomes: int, absence: int, newborn: bool, can: Options) -> int:
-    """Which row of the counts a change of option belongs to; −1 where a target stays absent."""
-    if was == absence:
-        if becomes == absence:
-            return -1
-        return ADD if newborn else COME_BACK
-    if becomes == absence:
-        return DELETE if newborn else LEAVE
-    return UPDATE if can.seen_by[was] == can.seen_by[becomes] else REASSIGN
-
-
-@njit(**INNER)
 def _crowd(a: int, b: int, i: int, k: int, can: Options, now: Sample) -> float:
     """Overlaps of ``a`` in state ``i`` and ``b`` in state ``k`` (−1: none) with all other targets and each other."""
     total = overlap_of(can.box, i, can.box, k) if i >= 0 and k >= 0 else 0.0
@@ -211,24 +197,20 @@ def _take(c: int, o: int, i: int, can: Options, now: Sample) -> None:
 
 
 @njit(**INNER)
-def _redraw(a: int, b: int, old: int, can: Options, now: Sample, chain: Chain, rng: np.random.Generator, counts: I8) -> None:
+def _redraw(a: int, b: int, can: Options, now: Sample, chain: Chain, rng: np.random.Generator) -> None:
     """A step that moves candidate ``a``, or ``a`` and ``b`` at once (b < 0: ``a`` only), given all others."""
     o, p = _choose(a, b, can.first[a], can, now, rng)
     i = -1 if o == can.first[a] else _state(o, can, rng)
-    k, kind, was = -1, EXCHANGE, -1
+    k, was = -1, -1
     if b >= 0:
         k, was = -1 if p == can.first[b] else _state(p, can, rng), now.state[b]
-    else:
-        kind = _kind(now.option[a], o, can.first[a], a >= old, can)
-        if kind < 0:
-            return
-    counts[kind, 0] += 1
+    elif i < 0 and now.state[a] < 0:
+        return
     if chain.strength > 0.0:
         more = _crowd(a, b, i, k, can, now) - _crowd(a, b, now.state[a], was, can, now)
         # Hastings: accepted with probability exp(−strength · more).
         if more > 0.0 and rng.random() >= np.exp(-chain.strength * more):
             return
-    counts[kind, 1] += 1
     for c in (a, b):
         if c >= 0 and can.seen_by[now.option[c]] >= 0:
             now.taken[can.seen_by[now.option[c]]] = -1
@@ -255,9 +237,7 @@ def _chance(c: int, can: Options, now: Sample, chain: Chain, rng: np.random.Gene
 
 
 @njit(**ENTRY)
-def jump_chain(
-    old: int, measurements: int, can: Options, pairs: I8, chain: Chain, rng: np.random.Generator
-) -> tuple[I8, I8, F8, I8]:
+def jump_chain(measurements: int, can: Options, pairs: I8, chain: Chain, rng: np.random.Generator) -> tuple[I8, I8, F8]:
     """Samples of the options and states of all candidates.
 
     A step picks a candidate and draws one of its free options by weight, and of that a state; with probability
@@ -265,25 +245,24 @@ def jump_chain(
     conditional law and always accepted; with it, the probability is min(1, ψ of the new state / ψ of the old one). A sweep
     has as many steps as there are candidates.
 
-    Candidates before number ``old`` existed in the frame before; the others are newborn. ``pairs`` (K, 2) compete for one of
-    so many ``measurements``. Back come (C, N) each candidate's options and states in each kept sample, where a target does
-    not exist a draw of its state; the probability (C, N) that it exists, given that state and all the others in the sample;
-    and how many (7, 2) were proposed and accepted, by kind.
+    ``pairs`` (K, 2) compete for one of so many ``measurements``. Back come (C, N) each candidate's options and states in
+    each kept sample, where a target does not exist a draw of its state, and the probability (C, N) that it exists, given
+    that state and all the others in the sample.
     """
     many, kept = can.first.size - 1, chain.samples
     now = Sample(can.first[:-1].copy(), np.full(many, -1), np.full(measurements, -1))
     options, states = np.empty((many, kept), np.int64), np.empty((many, kept), np.int64)
-    chance, counts = np.empty((many, kept)), np.zeros((7, 2), np.int64)
+    chance = np.empty((many, kept))
     for sweep in range(chain.burn + chain.thin * kept):
         for _ in range(many):
             if pairs.shape[0] > 0 and rng.random() < chain.share:
                 k = int(rng.random() * pairs.shape[0])
-                _redraw(pairs[k, 0], pairs[k, 1], old, can, now, chain, rng, counts)
+                _redraw(pairs[k, 0], pairs[k, 1], can, now, chain, rng)
             else:
-                _redraw(int(rng.random() * many), -1, old, can, now, chain, rng, counts)
+                _redraw(int(rng.random() * many), -1, can, now, chain, rng)
         if sweep >= chain.burn and (sweep - chain.burn + 1) % chain.thin == 0:
             n = (sweep - chain.burn) // chain.thin
             for c in range(many):
                 options[c, n] = now.option[c]
                 states[c, n], chance[c, n] = _chance(c, can, now, chain, rng)
-    return options, states, chance, counts
+    return options, states, chance
