@@ -11,7 +11,7 @@ from inner_kernels import from_python
 from phdtrack.arrays import iou, share_inside
 from phdtrack.kernels.box import apart
 from phdtrack.kernels.grid import cell_of, make_grid, overlapping_pairs, points_in_rectangles
-from phdtrack.models.occlusion import Hiders
+from phdtrack.models.plane import Hiders
 
 [cell_of] = from_python(cell_of)
 
