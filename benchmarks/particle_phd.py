@@ -79,14 +79,15 @@ def pairs_per_target(crowd: Crowd) -> dict[str, float]:
     old = plain(loop.state)
     moved = ParticlePHD().predict(old, built.model, 1.0, rng).particles()
     lower, upper = built.model.sensor.gate(z)
-    point, which = points_in_rectangles(moved.state[0], moved.state[1], lower, upper)
+    point, which = points_in_rectangles(moved.state[:2].astype(np.float64), lower, upper)
     numbers = built.model.sensor.particle_model(z)
     near = pair_likelihoods(moved.state, numbers.model, numbers.table, point, which)[0] <= 13.28
     covered = np.bincount(which[near], moved.weight[point[near]], z.shape[1])
     out = {}
     for form, mass in (("worst", np.zeros_like(covered)), ("specified", covered)):
         born = built.model.birth.sample(z, np.asarray(mass, np.float64), built.model.sensor, 1.0, rng)
-        out[form] = (len(point) + len(points_in_rectangles(born.state[0], born.state[1], lower, upper)[0])) / crowd.targets
+        newborn, _ = points_in_rectangles(born.state[:2].astype(np.float64), lower, upper)
+        out[form] = (len(point) + len(newborn)) / crowd.targets
     return out
 
 

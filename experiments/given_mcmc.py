@@ -26,11 +26,10 @@ import numpy as np
 from experiments.given_chain import Ancestors, Chain, given_chain
 from phdtrack.arrays import draw
 from phdtrack.errors import Count, InputError, PositiveCount, Probability, check
-from phdtrack.filters.mcmc import JointSamples, effective_samples
+from phdtrack.filters.mcmc import JointSamples
 from phdtrack.protocols import Filter, Model
-from phdtrack.types import F8, I8, ChainInfo, GaussianMixture, UpdateInfo
+from phdtrack.types import F8, I8, GaussianMixture, UpdateInfo
 
-MOVES = ("redraw", "ancestor")
 # Share of uniform proposals of ancestors among those that know the scan.
 UNIFORM = 0.05
 
@@ -80,21 +79,20 @@ class GivenMCMC(Filter[JointSamples]):
         known = np.isin(label[order], state.label)
         old, new = order[known], order[~known]
         n, dim, count = len(order), model.motion.dim, self.samples
-        none = np.zeros(1, np.int64)
-        every_target, chain = np.empty((dim, n, count)), ChainInfo(MOVES[:1], none, none, float("nan"))
+        every_target = np.empty((dim, n, count))
         if len(old):
             origin = state.state.reshape(dim, *state.chance.shape)[:, np.searchsorted(state.label, label[old])]
-            every_target[:, known], chain = self._sampled(origin, dt, np.ascontiguousarray(z[:, old]), model, rng)
+            every_target[:, known] = self._sampled(origin, dt, np.ascontiguousarray(z[:, old]), model, rng)
         mean, cov = model.sensor.states(z[:, new])
         born = draw(GaussianMixture(np.ones(len(new)), mean, cov), count, 1.0, rng)
         every_target[:, ~known] = born.state.reshape(dim, len(new), count)
         fresh = max(state.fresh, int(label.max(initial=-1)) + 1)
         samples = JointSamples(every_target.reshape(dim, -1), np.ones((n, count)), label[order], fresh)
         number = np.eye(1, n + 1, n)[0]
-        return samples, UpdateInfo(float(n), float(len(new)), float(n), np.ones(n), np.zeros(n), 0, number, chain)
+        return samples, UpdateInfo(float(n), float(len(new)), float(n), np.ones(n), np.zeros(n), 0, number)
 
-    def _sampled(self, origin: F8, dt: float, z: F8, model: Model, rng: np.random.Generator) -> tuple[F8, ChainInfo]:
-        """The kept samples (d, n, N) of targets with states ``origin`` (d, n, M) in the frame before; how it went."""
+    def _sampled(self, origin: F8, dt: float, z: F8, model: Model, rng: np.random.Generator) -> F8:
+        """The kept samples (d, n, N) of targets with states ``origin`` (d, n, M) in the frame before."""
         joint = self.ancestors == "joint" and not self.greedy
         fit = np.zeros(origin.shape[1:]) if self.greedy else _fits(origin, dt, z, model)
         fit = fit.sum(axis=0, keepdims=True) if joint else fit
@@ -105,10 +103,8 @@ class GivenMCMC(Filter[JointSamples]):
         motion, sensor = model.motion.particle_model(dt, dt / model.rate), model.sensor.particle_model(z)
         kept, moves = np.empty((len(origin), z.shape[1] * self.samples)), float(self.ancestor_move_probability)
         chain = Chain(self.burn_in, self.thin, self.samples, moves, joint, self.greedy)
-        counts = given_chain(motion, sensor.model, sensor.table, ancestors, chain, rng, kept)[: 1 + joint]
-        effective = effective_samples(kept[:2].reshape(-1, self.samples))
-        info = ChainInfo(MOVES[: len(counts)], counts[:, 0], counts[:, 1], effective)
-        return kept.reshape(len(origin), -1, self.samples), info
+        given_chain(motion, sensor.model, sensor.table, ancestors, chain, rng, kept)
+        return kept.reshape(len(origin), -1, self.samples)
 
 
 def _labels(z: F8) -> I8:

@@ -101,10 +101,10 @@ def exact_moments(origin: np.ndarray, z: np.ndarray, model: Model) -> list[tuple
 
 
 def sampled(filter_: GivenMCMC, origin: np.ndarray, z: np.ndarray, model: Model, rng: np.random.Generator):
-    """(8, N) samples of both targets after one scan, and how the chain moved."""
+    """(8, N) samples of both targets after one scan."""
     state = JointSamples(origin, np.ones((2, 5)), np.array([0, 1]), 2)
-    after, info = filter_.step(state, z, model, 1.0, rng)
-    return after.state.reshape(4, 2, -1).transpose(1, 0, 2).reshape(8, -1), info.chain
+    after, _ = filter_.step(state, z, model, 1.0, rng)
+    return after.state.reshape(4, 2, -1).transpose(1, 0, 2).reshape(8, -1)
 
 
 @pytest.mark.parametrize("world", gaussian_worlds())
@@ -117,12 +117,10 @@ def test_the_chain_samples_the_exact_mixture(world: str, ancestors: str, rng):
     assert np.abs(joint[1][:4, 4:]).max() > 0.02, "with a joint ancestor the targets are correlated"
     np.testing.assert_allclose(each[1][:4, 4:], 0, atol=1e-12)
     mean, cov = joint if ancestors == "joint" else each
-    x, chain = sampled(GivenMCMC(samples=400_000, ancestors=ancestors), origin, z, model, rng)
+    x = sampled(GivenMCMC(samples=400_000, ancestors=ancestors), origin, z, model, rng)
     scale = np.sqrt(np.diag(cov)) + 1e-9
     np.testing.assert_array_less(np.abs(x.mean(1) - mean) / scale, 0.04)
     np.testing.assert_array_less(np.abs(np.cov(x) - cov) / np.outer(scale, scale), 0.06)
-    assert (chain.accepted > 0.02 * chain.proposed).all()
-    assert 1000 < chain.effective <= 400_000
 
 
 def test_greedy_acceptance_does_not_sample(rng):
@@ -130,7 +128,7 @@ def test_greedy_acceptance_does_not_sample(rng):
     model = gaussian_worlds()["point"]
     origin, z = gaussian_scan(rng)
     _, cov = exact_moments(origin, z, model)[1]
-    x, _ = sampled(GivenMCMC(samples=200_000, greedy=True), origin, z, model, rng)
+    x = sampled(GivenMCMC(samples=200_000, greedy=True), origin, z, model, rng)
     assert np.abs(np.diag(np.cov(x)) / np.diag(cov) - 1).max() > 0.2
 
 

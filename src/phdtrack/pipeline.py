@@ -201,7 +201,6 @@ def merged(steps: Sequence[Step], index: Sequence[I8], detections: Detections) -
         clutter if whole else np.zeros(0),
         sum(info.vanished for info in infos),
         reduce(np.convolve, [info.cardinality for info in infos]) if known else np.zeros(0),
-        next((info.chain for info in infos if info.chain is not None), None),
         sum(info.detected for info in infos),
     )
     parts = [step.estimates for step in steps]

@@ -246,24 +246,6 @@ class GaussianMixture:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ChainInfo:
-    """How well a Markov chain moved in one frame.
-
-    Attributes
-    ----------
-    moves : names of the kinds of moves.
-    proposed, accepted : (k,) int64, how often each was proposed and accepted.
-    effective : how many independent samples would tell the targets' mean positions as well as the chain does: by the
-        variance of means over batches of it, the least over targets and coordinates. NaN without targets.
-    """
-
-    moves: tuple[str, ...]
-    proposed: I8
-    accepted: I8
-    effective: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class UpdateInfo:
     """What an update learned beside the new state.
 
@@ -273,7 +255,6 @@ class UpdateInfo:
     evidence, clutter : (N,) C(z_j) = ∫ p_D g(z_j|x) D⁺(x) dx and κ(z_j), per unit of measurement volume.
     vanished : number of detections with κ + C = 0, whose term is 0 by definition.
     cardinality : probabilities of 0, 1, 2, … targets after the update; (0,) from filters that carry none.
-    chain : how well the chain of an MCMC filter moved; None from other filters.
     detected : ∫ p_D D⁺, the number of detections of targets that was expected; NaN from filters that do not say.
     """
 
@@ -284,7 +265,6 @@ class UpdateInfo:
     clutter: F8
     vanished: int = 0
     cardinality: F8 = field(default_factory=lambda: np.zeros(0))
-    chain: ChainInfo | None = None
     detected: float = math.nan
 
     @property

@@ -39,10 +39,7 @@ def test_the_chain_samples_the_posterior(strength: float, exchange: float, rng):
     """Numbers 0 to 3, births, deaths, clutter and associations at once; total variation below 0.02."""
     law, can = law_of(strength), make_options(CANDIDATE, WHICH, MEMBER, WEIGHT, ABSENT, PLACE)
     chain = Chain(50, 1, 100_000, exchange, strength)
-    options, states, chance, counts = jump_chain(2, 2, can, np.array([(0, 1), (0, 2), (1, 2)]), chain, rng)
-    assert (counts[:6, 1] > 0).all()
-    assert (counts[6, 1] > 0) == (exchange > 0)
-    assert (counts[:, 1].sum() < counts[:, 0].sum()) == (strength > 0)
+    options, states, chance = jump_chain(2, can, np.array([(0, 1), (0, 2), (1, 2)]), chain, rng)
     there = options > can.first[:-1, None]
     now = np.stack([can.seen_by[options], np.where(there, states, -1)], axis=2).transpose(1, 0, 2)
     assert len(law) > 60
@@ -117,7 +114,6 @@ def test_an_empty_scene(rng):
     assert len(state.label) == 0
     assert info.mass == 0
     np.testing.assert_array_equal(info.cardinality, [1.0])
-    assert np.isnan(info.chain.effective)
 
 
 def test_faint_targets_are_dropped(rng):

@@ -50,7 +50,7 @@ def test_a_motion_is_found_within_its_error(rng):
     scale, errors = np.full(4, 9.0), []
     for _ in range(200):
         motion = rng.normal(0, np.sqrt(scale))
-        (_, seen, variance, _, _, _), _, _ = fit(crowd(rng, motion=motion), -scale)
+        (_, seen, variance, _, _), _, _ = fit(crowd(rng, motion=motion), -scale)
         errors.append((seen - motion) ** 2 / variance)
     # 800 squares of variance 2. Precisions that make a t-distribution are taken as known, by which its information, with 4
     # degrees of freedom in 4 dimensions, is 10/8 of what it is.

@@ -9,7 +9,7 @@ import pytest
 
 from phdtrack import config, pipeline
 from phdtrack.models import BoxSensor, PlaneSensor
-from phdtrack.models.occlusion import Hiders
+from phdtrack.models.plane import Hiders
 from phdtrack.types import Detections, SequenceInfo
 from plane_cases import FRAME, LevelCamera
 

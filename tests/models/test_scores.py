@@ -99,8 +99,8 @@ def test_scores_of_which_some_are_negative_are_log_odds(scores: list[float]):
 def test_scores_become_log_odds_as_defined(scores: list[float], low: float, more: float):
     score = np.array(scores)
     known = np.append(score[~np.isnan(score)], [low, low + more])
-    found = scaled(score, low, low + more, (25.0, 2.0), 5.0, 0.01)
-    assert (found.low, found.high) == (known.min(), known.max())
+    *ends, found, each = scaled(score, low, low + more, (25.0, 2.0), 5.0, 0.01)
+    assert tuple(ends) == (known.min(), known.max())
     if known.min() >= 0 and known.max() <= 1:
         kind, share = PROBABILITY, np.clip(score, 0.01, 0.99)
         x = np.log(share / (1 - share))
@@ -108,8 +108,8 @@ def test_scores_become_log_odds_as_defined(scores: list[float], low: float, more
         kind, x = LOGIT, np.clip(score - 2, -5, 5)
     else:
         kind, x = RANK, np.full(len(score), np.nan)
-    assert found.kind == kind
-    np.testing.assert_allclose(found.x, x if known.min() < known.max() else np.full(len(score), np.nan), rtol=1e-12)
+    assert found == kind
+    np.testing.assert_allclose(each, x if known.min() < known.max() else np.full(len(score), np.nan), rtol=1e-12)
 
 
 def plain_chains(before, boxes, x, waiting, length, overlap):

@@ -71,7 +71,7 @@ def _in_order(rule, model, targets, detections):
                 if key not in known_of:
                     known_of[key] = likelihood(b, of[b])
                 rest += known_of[key]
-            if value + rest > top:
+            if value + rest > top + 1e-9:
                 top, best = value + rest, of
         for b in some:
             out[b] = tuple(best[b])

@@ -31,9 +31,8 @@ from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.kernels.mcmc import Chain, jump_chain, make_options, pair_likelihoods
 from phdtrack.kernels.mixtures import Gaussians
 from phdtrack.protocols import Filter, Model, Sensor
-from phdtrack.types import F8, I8, ChainInfo, Estimates, GaussianMixture, Particles, UpdateInfo
+from phdtrack.types import F8, I8, Estimates, GaussianMixture, Particles, UpdateInfo
 
-MOVES = ("add", "delete", "leave", "come back", "update", "reassign", "exchange")
 # The least density of clutter: where there is none, everything else that explains a measurement wins.
 LEAST_CLUTTER = 1e-100
 # The least weight of a target's absence: the chain passes through it.
@@ -133,7 +132,7 @@ class MCMC(Filter[JointSamples]):
     def update(
         self, state: JointSamples, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[JointSamples, UpdateInfo]:
-        """N samples of the posterior by the chain [K05]. What was learned says how the chain moved, too."""
+        """N samples of the posterior by the chain [K05]."""
         old = len(state.label)
         kappa = model.clutter.intensity(z)
         against = np.maximum(kappa, LEAST_CLUTTER)
@@ -152,24 +151,21 @@ class MCMC(Filter[JointSamples]):
         pairs = _rivals(can.first, can.seen_by)
         strength, share = float(self.interaction_strength), float(self.swap_probability)
         chain = Chain(self.burn_in, self.thin, self.samples, share, strength)
-        options, states, chance, counts = jump_chain(old, z.shape[1], can, pairs, chain, rng)
+        options, states, chance = jump_chain(z.shape[1], can, pairs, chain, rng)
         kept = np.flatnonzero(chance.mean(axis=1) >= self.min_weight)
         x = np.ascontiguousarray(x[:, states[kept].ravel()])
         samples = JointSamples(x, chance[kept], label[kept], state.fresh + z.shape[1])
-        # How well the chain moved shows in targets that probably exist.
-        likely = x[:2].reshape(2, *chance[kept].shape)[:, samples.existence >= 0.5]
-        info = ChainInfo(MOVES, counts[:, 0], counts[:, 1], effective_samples(likely.reshape(-1, self.samples)))
         vanished = int(np.count_nonzero(evidence + kappa == 0))
         number = (options > can.first[:-1, None]).sum(axis=0)
         histogram = np.bincount(number) / len(number)
         mass = state.mass + born.mass
-        return samples, UpdateInfo(mass, born.mass, samples.mass, evidence, kappa, vanished, histogram, info)
+        return samples, UpdateInfo(mass, born.mass, samples.mass, evidence, kappa, vanished, histogram)
 
 
 def _pairs(x: F8, z: F8, sensor: Sensor) -> tuple[I8, I8, F8, F8]:
     """State, measurement, d² and g(z|x) (P,) of the pairs of states (d, L) and measurements within the gates."""
     x, numbers = np.ascontiguousarray(x, np.float64), sensor.particle_model(z)
-    member, which = points_in_rectangles(x[0], x[1], *sensor.gate(z))
+    member, which = points_in_rectangles(x[:2], *sensor.gate(z))
     return member, which, *pair_likelihoods(x, numbers.model, numbers.table, member, which)
 
 
@@ -209,23 +205,6 @@ def _rivals(first: I8, seen_by: I8) -> I8:
         one, two = np.triu_indices(len(some), 1)
         parts.append(np.stack([some[one], some[two]], axis=1))
     return np.unique(np.concatenate(parts), axis=0)
-
-
-def effective_samples(series: F8) -> float:
-    """How many independent draws would give the means of ``series`` (k, N) as well: the least of its rows, by √N batches.
-
-    The variance of a batch's mean, times its length, is that of the chain's asymptotic error. NaN for no rows or fewer than
-    four samples, N where a row is constant.
-    """
-    count = series.shape[1]
-    length = int(np.sqrt(count))
-    if len(series) == 0 or length < 2:
-        return float("nan")
-    used = series[:, : count // length * length]
-    means = used.reshape(len(series), -1, length).mean(axis=2)
-    spread, batches = used.var(axis=1), length * means.var(axis=1, ddof=1)
-    share = np.divide(spread, batches, out=np.ones(len(series)), where=batches > 0)
-    return float(count * min(1.0, share.min()))
 
 
 @dataclass(frozen=True, slots=True)

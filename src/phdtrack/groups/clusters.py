@@ -74,7 +74,7 @@ class Grouping(Checked):
     def connected(self, mean: F8) -> tuple[I8, I8]:
         """Pairs (i, j), i < j, of columns of (4, n) states that are near and slow apart. Linear in n through a grid."""
         position = np.ascontiguousarray(mean[:2])
-        a, b = points_in_rectangles(position[0], position[1], position - self.max_distance, position + self.max_distance)
+        a, b = points_in_rectangles(position, position - self.max_distance, position + self.max_distance)
         a, b = a[a < b], b[a < b]
         apart2 = ((mean[:, a] - mean[:, b]) ** 2).reshape(2, 2, -1).sum(1)
         joined = (apart2[0] < self.max_distance**2) & (apart2[1] < self.max_speed_difference**2)

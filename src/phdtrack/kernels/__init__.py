@@ -6,10 +6,9 @@ All are compiled on first use and cached on disk (see `cache`).
 
 import numpy as np
 
-from phdtrack.kernels.cache import Cache, prepare
+from phdtrack.kernels.cache import prepare
 
-CACHE: Cache = prepare()
-"""Where this process keeps compiled kernels."""
+prepare()
 
 # The C library gives the memory of large arrays back to the system when they are freed, and has to fetch and clear it again
 # in the next frame: a third of a filter's time at a thousand targets. It keeps as much as twice the largest block that was

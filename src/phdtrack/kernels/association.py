@@ -281,20 +281,12 @@ def _divide(nodes: Nodes, node: int, edges: Edges, n: int, limits: tuple[float, 
 def best_assignments(gain: F8, unassigned: F8, held: I8, base: F8, most: int, log_ratio: float) -> tuple[I8, I8, F8]:
     """The best assignments of the measurements of a cluster, over all its hypotheses, best first.
 
-    Parameters
-    ----------
-    gain : (m, A) log-weight of each measurement from each of the cluster's tracks, in all their forms, against its being
-        unassigned and the track's being missed; −∞ outside the gate.
-    unassigned : (m,) log-weight of each measurement as a false alarm or a new target.
-    held : (P, T) which of the A each hypothesis holds, −1: none.
-    base : (P,) log-weight of each hypothesis if all its tracks are missed.
-    most : at most this many are given.
-    log_ratio : none is given whose log-weight is below the best's plus this (below 0).
-
-    Returns
-    -------
-    parent (K,), choice (K, m) : the hypothesis of each, and which of the A each measurement goes to, −1: none.
-    weight (K,) : their log-weights.
+    ``gain`` (m, A): log-weight of each measurement from each of the cluster's tracks, in all their forms, against its being
+    unassigned and the track's being missed; −∞ outside the gate. ``unassigned`` (m,): log-weight of each measurement as a
+    false alarm or a new target. ``held`` (P, T): which of the A each hypothesis holds, −1: none. ``base`` (P,): log-weight
+    of each hypothesis if all its tracks are missed. At ``most`` so many are given, and none whose log-weight is below the
+    best's plus ``log_ratio`` (below 0): the hypothesis (K,) of each, which of the A each measurement goes to (K, m), −1:
+    none, and their log-weights (K,).
     """
     m, width = gain.shape[0], held.shape[1]
     nodes = Nodes(
@@ -374,11 +366,8 @@ def components(count: int, first: I8, second: I8) -> I8:
 def competing(leaf: I8, trace: I8, most: int) -> I8:
     """(T,) the component of each track of a cluster; tracks that have ever taken the same measurement are in one.
 
-    Parameters
-    ----------
-    leaf : (H, T) the form in which each hypothesis holds each track, −1: not at all.
-    trace : (L, W) the measurement that each form rests on in each frame of the window, −1: none.
-    most : measurements are numbered below this.
+    ``leaf`` (H, T): the form in which each hypothesis holds each track, −1: not at all. ``trace`` (L, W): the measurement,
+    below ``most``, that each form rests on in each frame of the window, −1: none.
     """
     hypotheses, tracks = leaf.shape
     window = trace.shape[1]
@@ -418,16 +407,9 @@ def _start(edges: Records, live: I8, parent: I8, targets: int) -> None:
 
 @njit(**INNER)
 def beliefs(edges: Records, targets: int, measurements: int) -> tuple[F8, F8]:
-    """Marginal association probabilities.
+    """The probabilities that each target has no measurement, and (N,) that each measurement is no earlier target's.
 
-    Parameters
-    ----------
-    edges : (E,) of `EDGE`: odds ψ ≥ 0, target and measurement; no pair twice. The rest is written.
-    targets, measurements : how many there are.
-
-    Returns
-    -------
-    missed (T,) : probability that the target has no measurement; p_new (N,) : that the measurement is no earlier target's.
+    ``edges`` (E,) of `EDGE`: odds ψ ≥ 0, target and measurement are given, no pair twice; the rest is written.
     """
     seen, claimed, moved = np.empty(targets), np.empty(measurements), np.empty(targets)
     live, count, turn = np.empty(edges.size, np.int64), edges.size, 0 * targets

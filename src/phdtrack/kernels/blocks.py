@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phdtrack.kernels.cache import njit
-from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, LANES, VECTOR, extent, whole
+from phdtrack.kernels.fast32 import ENTRY, FAST, LANES, VECTOR, extent, whole
 from phdtrack.kernels.grid import Grid, make_grid, overlapping, overlapping_pairs
 from phdtrack.kernels.mixtures import Candidates, Gaussians
 
@@ -169,14 +169,6 @@ def block_moments(blocks: Blocks) -> Gaussians:
     return Gaussians(blocks.mass, (blocks.middle + step).T.copy(), second - step[:, :, None] * step[:, None, :])
 
 
-@njit(**INNER)
-def holds(low: F8, high: F8, j: int, box_low: F8, box_high: F8, b: int) -> bool:
-    """Whether window j (2, k) holds the whole box b (B, d)."""
-    across: bool = low[0, j] <= box_low[b, 0] and box_high[b, 0] <= high[0, j]
-    along: bool = low[1, j] <= box_low[b, 1] and box_high[b, 1] <= high[1, j]
-    return across and along
-
-
 @njit(**ENTRY)
 def reaching(blocks: Blocks, low: F8, high: F8) -> Candidates:
     """The windows ``low``, ``high`` (2, k) that overlap each block, ascending."""
@@ -202,7 +194,8 @@ def unreached(blocks: Blocks, low: F8, high: F8) -> Bool:
         covered, begin, end = False, blocks.start[b], blocks.start[b + 1]
         windows = near.component[near.first[b] : near.first[b + 1]]
         for j in windows:
-            covered |= holds(low, high, j, blocks.low, blocks.high, b)
+            across = low[0, j] <= blocks.low[b, 0] and blocks.high[b, 0] <= high[0, j]
+            covered |= across and low[1, j] <= blocks.low[b, 1] and blocks.high[b, 1] <= high[1, j]
         for i in range(begin, end):
             free[i] = not covered
         for j in windows[: 0 if covered else windows.size]:

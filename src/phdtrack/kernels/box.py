@@ -308,9 +308,9 @@ def box_deviations(x: F8, noise: Noise, speed: float) -> F8:
 
 # States carried by a homography: the formulas stand in `models.warp`.
 @njit(**ENTRY)
-def warped_states(x: F8, warp: F8) -> F8:
-    """(d, n) the states (d, n) after the homography (3, 3); rows behind (px, py, vx, vy) are lengths."""
-    out, areas = np.empty(x.shape), _determinant(warp)
+def warped_states(x: F8, warp: F8, areas: float) -> F8:
+    """(d, n) states after the homography (3, 3), whose determinant is ``areas``; rows behind the velocities are lengths."""
+    out = np.empty(x.shape)
     for i in range(x.shape[1]):
         px, py, depth, a, b, c, d = _local(warp, x[0, i], x[1, i])
         out[0, i], out[1, i] = px, py
@@ -322,10 +322,10 @@ def warped_states(x: F8, warp: F8) -> F8:
 
 
 @njit(**ENTRY)
-def warped_slopes(x: F8, warp: F8) -> F8:
+def warped_slopes(x: F8, warp: F8, areas: float) -> F8:
     """(n, d, d) the Jacobians of `warped_states`."""
     rows, n = x.shape
-    out, areas, g, h = np.zeros((n, rows, rows)), _determinant(warp), warp[2, 0], warp[2, 1]
+    out, g, h = np.zeros((n, rows, rows)), warp[2, 0], warp[2, 1]
     for i in range(n):
         _, _, depth, a, b, c, d = _local(warp, x[0, i], x[1, i])
         vx, vy = x[2, i], x[3, i]
@@ -353,14 +353,3 @@ def _local(warp: F8, x: float, y: float) -> tuple[float, float, float, float, fl
     a, b = (warp[0, 0] - px * warp[2, 0]) / depth, (warp[0, 1] - px * warp[2, 1]) / depth
     c, d = (warp[1, 0] - py * warp[2, 0]) / depth, (warp[1, 1] - py * warp[2, 1]) / depth
     return px, py, depth, a, b, c, d
-
-
-@njit(**INNER)
-def _determinant(m: F8) -> float:
-    """The determinant of a matrix (3, 3)."""
-    out: float = (
-        m[0, 0] * (m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1])
-        - m[0, 1] * (m[1, 0] * m[2, 2] - m[1, 2] * m[2, 0])
-        + m[0, 2] * (m[1, 0] * m[2, 1] - m[1, 1] * m[2, 0])
-    )
-    return out

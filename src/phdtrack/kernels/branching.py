@@ -53,20 +53,14 @@ def children(
 ) -> tuple[I8, F8, F8]:  # fmt: skip
     """The best hypotheses that follow from a cluster's, the most probable first.
 
-    Parameters
-    ----------
-    leaf, weight : (H, T), (H,) the cluster.
-    pair : leaf, measurement and gain (P,) of the pairs in the gates of its leaves.
-    columns : (m,) the measurements of these.
-    missed, unassigned : (L,), (N,) log-weights of leaves that are missed, and of measurements that no earlier track has.
-    begins : (N,) whether a measurement may begin a track.
-    limits : how many are given at most, and the log of the least weight as a share of the best's.
+    ``leaf`` (H, T), ``weight`` (H,): the cluster. ``pair`` (P,): leaf, measurement and gain of the pairs in the gates of its
+    leaves; ``columns`` (m,): the measurements of these. ``missed`` (L,), ``unassigned`` (N,): log-weights of leaves that are
+    missed, and of measurements that no earlier track has; ``begins`` (N,): whether a measurement may begin a track.
+    ``limits``: how many are given at most, and the log of the least weight as a share of the best's.
 
-    Returns
-    -------
-    branch (K, T'), weight (K,) : the hypotheses; (leaf + 1)(N + 1) + measurement + 1 stands for a leaf and its measurement,
-        where −1 is for none, and −1 for no track.
-    unassigned (m,) : the probability that each measurement is no earlier track's.
+    Back come the hypotheses (K, T'), in which (leaf + 1)(N + 1) + measurement + 1 stands for a leaf and its measurement,
+    where −1 is for none, and −1 for no track; their weights (K,); and the probability (m,) that each measurement is no
+    earlier track's.
     """
     place, number = np.full(missed.size, -1), unassigned.size + 1
     gain, held, track = _gains(leaf, pair, columns, unassigned, place)

@@ -21,7 +21,6 @@ import tempfile
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -35,14 +34,6 @@ _ALWAYS_COMPILING = (
     "can be written into; set NUMBA_CACHE_DIR to a folder that can) ..."
 )
 SOURCES = Path(__file__).parent
-
-
-@dataclass(frozen=True, slots=True)
-class Cache:
-    """``folder``: where compiled kernels are; ``lasting``: whether the next process finds them there."""
-
-    folder: Path
-    lasting: bool
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -134,11 +125,11 @@ class _Announcement(event.Listener):  # type: ignore[misc]
         """Nothing."""
 
 
-def prepare() -> Cache:
+def prepare() -> None:
     """Find the folder as Numba will, make one where there is none, empty it where it is of other sources; let it be said
     when kernels are compiled."""
     if numba.config.DISABLE_JIT:
-        return Cache(SOURCES / "__pycache__", lasting=True)
+        return
     lasting = True
     try:
         folder = _numbas_folder()
@@ -153,12 +144,11 @@ def prepare() -> Cache:
     stamp, now = folder / "phdtrack-kernels.sha256", total.hexdigest()
     with suppress(OSError):
         if stamp.read_text() == now:
-            return Cache(folder, lasting)
+            return
     for index in folder.glob("*.nb[ic]"):
         # Another process may be doing the same.
         index.unlink(missing_ok=True)
     stamp.write_text(now)
-    return Cache(folder, lasting)
 
 
 def _numbas_folder() -> Path:

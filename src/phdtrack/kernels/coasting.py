@@ -23,13 +23,10 @@ OVERLAP = 0.5
 class Followed(NamedTuple):
     """Tracks that the filter reports, or reported not long ago, and verdicts on those that were missing.
 
-    Attributes
-    ----------
-    label : (n,) ascending.
-    last, age : (n,) seconds: when each was last detected, and how long it had been missing when it was last reported.
-    xyxy, speed : (n, 4) the box of each and its change in a second; those no longer reported keep on moving.
-    verdicts : (2, STEPS) of those reported missing for as long, how many were found where they were predicted, and how many
-        were not; older ones count less.
+    ``label`` (n,): ascending. ``last``, ``age`` (n,), seconds: when each was last detected, and how long it had been missing
+    when it was last reported. ``xyxy``, ``speed`` (n, 4): the box of each and its change in a second; those no longer
+    reported keep on moving. ``verdicts`` (2, STEPS): of those reported missing for as long, how many were found where they
+    were predicted, and how many were not; older ones count less.
     """
 
     label: I8

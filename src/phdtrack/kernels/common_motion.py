@@ -12,7 +12,6 @@ by expectation-maximisation: hidden are which detection is whose, and the precis
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -95,23 +94,16 @@ def voted(expected: F8, z: F8, half: float) -> tuple[float, float, float, float]
 @njit(**ENTRY)
 def fitted(
     expected: F8, variance: F8, z: F8, detected: F8, density: float, frame: F8, scale: F8, start: F8
-) -> tuple[F8, F8, F8, F8, float, F8]:
-    """The most probable motion near a start.
+) -> tuple[F8, F8, F8, float, F8]:
+    """The most probable motion near a ``start``: a shift, and how far off it may be.
 
-    Parameters
-    ----------
-    expected, variance, z : as `differences` gives them.
-    detected, density : (n,) p_D of each target, and λ.
-    frame : (3,) middle of the image and half of its width.
-    scale : (4,) squared scales of the t-distributions that are the prior of θ; below 0: variances of Gaussians.
-    start : (3,) shift to begin with, and how far off it may be.
+    ``expected``, ``variance``, ``z`` as `differences` gives them; ``detected`` (n,): p_D of each target; ``density``: λ;
+    ``frame``: middle of the image and half of its width; ``scale`` (4,): squared scales of the t-distributions that are the
+    prior of θ, below 0 variances of Gaussians.
 
-    Returns
-    -------
-    motion, seen, seen_variance : (4,) θ; what the detections say of each component without its prior, with variances.
-    spread : (4,) variances of the Gaussian prior that is equivalent in the end.
-    evidence : log of the probability of the detections.
-    squares : (2, 4) sums of squared errors in their variances, whatever the motion is, and of pairs.
+    Back come, (4,) each, θ and what the detections say of each component without its prior, with variances; the log of the
+    probability of the detections; and (2, 4) the sums of squared errors in their variances, whatever the motion is, and of
+    pairs.
     """
     wide = start[2] * start[2]
     pairs = _pairs(expected, variance, z, frame, start)
@@ -142,27 +134,18 @@ def fitted(
         heavy = 0.5 * (PRIOR_FREEDOM + 1.0) * math.log(1.0 + off / PRIOR_FREEDOM)
         evidence -= 0.5 * math.log(abs(scale[k])) + (heavy if scale[k] > 0.0 else 0.5 * off)
     squares = _errors(pairs, weight, total, detected, frame[2], information, pull)
-    return motion, seen, known, spread, evidence, squares
-
-
-class Rule(NamedTuple):
-    """Of one frame: p_D of targets (n,), density λ, the frame (3,), the interval; settings of `CommonMotion`."""
-
-    detected: F8
-    density: float
-    frame: F8
-    dt: float
-    jump_penalty: float
-    least_share: float
-    kept: float
+    return motion, seen, known, evidence, squares
 
 
 @njit(**ENTRY)
-def found(boxes: tuple[F8, F8, F8], rule: Rule, jumps: bool, excess: F8, weight: F8) -> tuple[F8, float, F8, F8, F8]:
+def found(
+    boxes: tuple[F8, F8, F8], rule: tuple[F8, float, F8, float, float, float, float], jumps: bool, excess: F8, weight: F8
+) -> tuple[F8, float, F8, F8, F8]:
     """The motion (4,), its evidence, the sums of q with what the frame says of it, and the squares of `fitted`.
 
-    ``boxes``: as `differences` gives them; ``excess``, ``weight`` (4,): the sums before. With ``jumps`` a sudden shift that
-    many agree on is tried, too, where most targets are not where they should be.
+    ``boxes``: as `differences` gives them; ``rule``: p_D of targets (n,), λ, the frame (3,), the interval, and settings of
+    `CommonMotion`; ``excess``, ``weight`` (4,): the sums before. With ``jumps`` a sudden shift that many agree on is tried,
+    too, where most targets are not where they should be.
     """
     expected, variance, z = boxes
     detected, density, frame, dt, jump_penalty, least_share, kept = rule
@@ -171,14 +154,14 @@ def found(boxes: tuple[F8, F8, F8], rule: Rule, jumps: bool, excess: F8, weight:
         known = max(weight[k], 1e-300)
         scale[k] = max((excess[k] / known - math.sqrt(2.0 / known)) * dt * dt, least)
         wide[k] = -max(scale[k], (frame[2] * (JUMP if k < 2 else JUMP_ZOOM)) ** 2)
-    motion, seen, errors, _, evidence, squares = fitted(expected, variance, z, detected, density, frame, scale, np.zeros(3))
+    motion, seen, errors, evidence, squares = fitted(expected, variance, z, detected, density, frame, scale, np.zeros(3))
     for k in range(4):
         motion[k] = motion[k] if scale[k] > least else 0.0
     if jumps and len(expected) >= AGREE and squares[1, 0] < MATCHED * min(len(expected), len(z)):
         x, y, cell, votes = voted(expected, z, frame[2])
         if votes >= AGREE:
             at = np.array([x, y, cell])
-            other, shown, known_to, _, sure, all_squares = fitted(expected, variance, z, detected, density, frame, wide, at)
+            other, shown, known_to, sure, all_squares = fitted(expected, variance, z, detected, density, frame, wide, at)
             if sure - jump_penalty > evidence:
                 motion, seen, errors, evidence, squares = other, shown, known_to, sure - jump_penalty, all_squares
     share = (least_share * np.median(np.exp(0.5 * (expected[:, 2] + expected[:, 3])))) ** 2

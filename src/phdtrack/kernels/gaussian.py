@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.grid import cell_of
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -42,10 +43,7 @@ LOG_2PI = math.log(2 * math.pi)
 class Predicted(NamedTuple):
     """Gaussians after an interval [V06 (24)–(29)].
 
-    Attributes
-    ----------
-    mean : (J, d).     covariance : (J, d, d).
-    p_survive : (J,) probability that the target is still there.
+    ``mean`` (J, d), ``covariance`` (J, d, d), ``p_survive`` (J,): probability that the target is still there.
     """
 
     mean: F8
@@ -56,17 +54,13 @@ class Predicted(NamedTuple):
 class Expected(NamedTuple):
     """What Gaussians say about measurements.
 
+    ``rows`` (r,), int64: what is compared with the components of a measurement. ``z`` (J, n): ``rows`` of it are the
+    expected measurement. ``covariance`` (J, n, n) of it without noise, H P Hᵀ in these rows and columns; ``cross``
+    (J, d, n): of state and measurement, P Hᵀ in these columns. ``noise`` (J, r, r): part of R that belongs to the target,
+    (0, r, r) where none does. ``p_detect`` (J,): at the mean.
+
     A linear sensor shows ``rows`` of the state: ``z`` is the mean then, and ``covariance`` and ``cross`` are the covariance
     of the Gaussians themselves. Of any other they are made of sigma points, and ``rows`` are 0, 1, …, r − 1.
-
-    Attributes
-    ----------
-    rows : (r,) int64, what is compared with the components of a measurement.
-    z : (J, n) of which ``rows`` are the expected measurement.
-    covariance : (J, n, n) of it without noise, H P Hᵀ in these rows and columns.
-    cross : (J, d, n) covariance of state and measurement, P Hᵀ in these columns.
-    noise : (J, r, r) part of R that belongs to the target, or (0, r, r) where none does.
-    p_detect : (J,) detection probability at the mean.
     """
 
     rows: I8
@@ -80,13 +74,10 @@ class Expected(NamedTuple):
 class Measurements(NamedTuple):
     """The measurements of a frame.
 
-    Attributes
-    ----------
-    z : (N, r) what is compared with `Expected.z`.
-    noise : (N, r, r) part of R that belongs to the measurement, added to that of the target, or (0, r, r).
-    clutter : (N,) κ(z), expected false alarms per unit of measurement volume.
-    period : r numbers, 2π for angles, whose differences are taken the short way round, else 0. A tuple: its length is known
-        when a kernel is compiled, and loops over it are unrolled.
+    ``z`` (N, r) is compared with `Expected.z`. ``noise`` (N, r, r): part of R that belongs to the measurement, added to that
+    of the target, or (0, r, r). ``clutter`` (N,): κ(z), expected false alarms per unit of measurement volume. ``period``: r
+    numbers, 2π for angles, whose differences are taken the short way round, else 0. A tuple: its length is known when a
+    kernel is compiled, and loops over it are unrolled.
     """
 
     z: F8
@@ -98,10 +89,8 @@ class Measurements(NamedTuple):
 class NewTargets(NamedTuple):
     """Targets whose first detection is measurement j.
 
-    Attributes
-    ----------
-    density : (N,) their density at the measurement, per unit of measurement volume.
-    mean : (N, d).     covariance : (N, d, d) of their state.
+    ``density`` (N,): theirs at the measurement, per unit of its volume. ``mean`` (N, d), ``covariance`` (N, d, d): of their
+    state.
     """
 
     density: F8
@@ -112,12 +101,9 @@ class NewTargets(NamedTuple):
 class Births(NamedTuple):
     """γT, the intensity of targets that appeared in the interval.
 
-    Attributes
-    ----------
-    around : γT at each measurement, and what the measurement says of a target there that nothing else is known of.
-        Filters leave out those whose measurement existing targets explain.
-    weight : (B,) expected number of births of each Gaussian that was given, wherever measurements are.
-    mean : (B, d).     covariance : (B, d, d) of these.
+    ``around``: γT at each measurement, and what the measurement says of a target there that nothing else is known of.
+    Filters leave out those whose measurement existing targets explain. ``weight`` (B,), ``mean`` (B, d), ``covariance``
+    (B, d, d): expected number of births of each Gaussian that was given, wherever measurements are, and its moments.
     """
 
     around: NewTargets
@@ -137,15 +123,15 @@ def records(floats: str, integers: str) -> np.dtype[np.void]:
 PAIR = records("distance2 first log_density weight", "gaussian measurement")
 # For those whose noises are as the model says.
 GAUSSIAN = np.zeros((0, 3))
-# A measurement in `Places`: its components along and across, and which one it is.
+# A measurement in `places_of`: its components along and across, and which one it is.
 SPOT = records("along across", "measurement")
 
 
-@njit(cache=True)
+@njit(**INNER)
 def factor(cov: F8, root: F8) -> float:
     """Log-determinant of ``cov`` (m, m), whose Cholesky factor is written into the lower part of ``root`` (m, m).
 
-    NaN where the matrix is not positive definite.
+    NaN where the matrix is not positive definite, −∞ or NaN where it is singular.
     """
     product = 1.0
     for r in range(cov.shape[0]):
@@ -159,7 +145,7 @@ def factor(cov: F8, root: F8) -> float:
     return log_det
 
 
-@njit(cache=True)
+@njit(**INNER)
 def norm2(step: F8, root: F8, y: F8) -> float:
     """Squared Mahalanobis norm of ``step`` (m,) under the matrix that ``root`` factors; ``y`` (m,) becomes L⁻¹ step."""
     total = 0.0
@@ -172,7 +158,7 @@ def norm2(step: F8, root: F8, y: F8) -> float:
     return total
 
 
-@njit(cache=True)
+@njit(**ENTRY)
 def gaussian_parts(step: F8, cov: F8) -> tuple[F8, F8]:
     """(P,) squared Mahalanobis norms and log-determinants: ``step`` (m, P), ``cov`` (P, m, m) positive definite.
 
@@ -246,38 +232,14 @@ def whitened(seen: F8, rows: I8, z: F8, i: int, j: int, period: Axes, s: F8, y: 
     return total
 
 
-class Places(NamedTuple):
-    """Measurements in cells along one of their first two components, the one on which they are spread most.
+@njit(**INNER)
+def places_of(z: F8, period: Axes) -> tuple[Records, I8, int, int, float, float, bool]:
+    """The measurements by cells along one of their first two components, the one on which they are spread most.
 
-    Attributes
-    ----------
-    spots : (N,) of `SPOT`, by cells.     begin : (cells + 1,) where each cell begins.
-    along, across : that component, and the other one.
-    low, scale : a value lies in cell (value − low)·scale.
-    near : whether what is far along an axis is far altogether: not of angles, which are all in one cell.
+    (N,) of `SPOT`, about one in each cell; where each begins (cells + 1,); that component, and the other one; low and scale,
+    a value lies in cell (value − low)·scale; whether what is far along an axis is far altogether: not of angles, which are
+    all in one cell. Raises ValueError where a measurement is NaN or infinite.
     """
-
-    spots: Records
-    begin: I8
-    along: int
-    across: int
-    low: float
-    scale: float
-    near: bool
-
-
-@njit(**INNER)
-def cell(value: float, low: float, scale: float, count: int) -> int:
-    """Which of ``count`` cells from ``low`` on, ``scale`` of them a unit, holds a value; beyond them the nearest."""
-    position = (value - low) * scale
-    if not position > 0.0:  # also NaN
-        return 0
-    return count - 1 if position >= count else int(position)
-
-
-@njit(**INNER)
-def places_of(z: F8, period: Axes) -> Places:
-    """The measurements in cells, about one in each. Raises ValueError where a measurement is NaN or infinite."""
     n, along, low, widest, near = len(z), 0 * len(z), 0.0, 0.0, False
     for a in range(len(period)):
         least, most, total = np.inf, -np.inf, 0.0
@@ -294,17 +256,17 @@ def places_of(z: F8, period: Axes) -> Places:
     for c in range(count + 1):
         begin[c] = 0
     for j in range(n):
-        begin[cell(z[j, along], low, scale, count)] += 1
+        begin[cell_of(z[j, along], low, scale, count)] += 1
     # From the last one back: a cell's end becomes its beginning.
     for c in range(count):
         begin[c + 1] += begin[c]
     for back in range(n):
         j = n - 1 - back
-        c = cell(z[j, along], low, scale, count)
+        c = cell_of(z[j, along], low, scale, count)
         begin[c] -= 1
         spot = spots[begin[c]]
         spot.along, spot.across, spot.measurement = z[j, along], z[j, across], j
-    return Places(spots, begin, along, across, low, scale, near)
+    return spots, begin, along, across, low, scale, near
 
 
 @njit(**INNER)
@@ -330,15 +292,9 @@ def gated(
 ) -> Records:
     """(P,) of `PAIR`, the pairs (Gaussian, measurement) with d ≤ ``gate``, in time linear in Gaussians and pairs.
 
-    They are ordered by Gaussian. Their weight is not written.
-
-    Parameters
-    ----------
-    rows, seen, spread, noise : what the Gaussians say of measurements, as `Expected` has it.
-    z, extra, period : the measurements, as `Measurements` has them.
-    gate : in deviations of the innovation.
-    active : (J,) Gaussians at which this is 0 are left out.
-    tails : (J, 3) c of the first two components and of two others, and n, see `with_tails`; `GAUSSIAN` for none.
+    They are ordered by Gaussian. Their weight is not written. The first arguments are as `Expected` and `Measurements` have
+    them. Gaussians at which ``active`` (J,) is 0 are left out. ``tails`` (J, 3): c of the first two components and of two
+    others, and n, see `with_tails`; `GAUSSIAN` for none.
     """
     spots, begin, along, across, low, scale, near = places_of(z, period)
     s, y, wide, high = np.empty((rows.size, rows.size)), np.empty(rows.size), 0.0, 0.0
@@ -358,7 +314,7 @@ def gated(
         reach, width = gate * np.sqrt(reach) if near else np.inf, gate * np.sqrt(width) if near else np.inf
         x, middle = seen[i, row], seen[i, other]
         log_det, known = 0.0, False
-        for k in range(begin[cell(x - reach, low, scale, cells)], begin[cell(x + reach, low, scale, cells) + 1]):
+        for k in range(begin[cell_of(x - reach, low, scale, cells)], begin[cell_of(x + reach, low, scale, cells) + 1]):
             spot = spots[k]
             if abs(spot.along - x) > reach or abs(spot.across - middle) > width:
                 continue
@@ -391,12 +347,7 @@ def write_posteriors(
 ) -> None:
     """Means and covariances of pairs after the update [V06 (37), (38)], into the first rows of the outputs.
 
-    Parameters
-    ----------
-    mean, covariance : (J, d), (J, d, d) before it.
-    e, m : what these Gaussians say of measurements, and the measurements.
-    pairs : (P,) of `PAIR`; faster where those of one Gaussian follow each other. Those of measurement −1 are left out.
-    out_mean, out_covariance : (≥ P, d), (≥ P, d, d) output.
+    ``pairs`` (P,) of `PAIR`: faster where those of one Gaussian follow each other. Those of measurement −1 are left out.
     """
     rows, seen, spread = e.rows, e.z, e.covariance
     cross, noise, z = e.cross, e.noise, m.z
@@ -431,40 +382,11 @@ def write_posteriors(
 all_gated, all_posteriors = (njit(**ENTRY)(getattr(kernel, "py_func", kernel)) for kernel in (gated, write_posteriors))
 
 
-@njit(cache=True)
-def predicted_covariance(cov: F8, f: F8, q: F8) -> F8:
-    """(n, d, d) F P Fᵀ + Q of each; all three are (n, d, d)."""
-    n, d, _ = cov.shape
-    out = np.empty((n, d, d))
-    half = np.empty((d, d))
-    for i in range(n):
-        for r in range(d):
-            for s in range(d):
-                total = 0.0
-                for t in range(d):
-                    total += f[i, r, t] * cov[i, t, s]
-                half[r, s] = total
-        for r in range(d):
-            for s in range(r + 1):
-                total = q[i, r, s]
-                for t in range(d):
-                    total += half[r, t] * f[i, s, t]
-                out[i, r, s] = total
-                out[i, s, r] = total
-    return out
-
-
 @njit(**ENTRY)
 def first_states(births: Births, p_detect: F8, e: Expected, m: Measurements, gate: float) -> NewTargets:
     """γ̂(z) = ∫ p_D g(z|x) γ(x) dx, and mean and covariance of p_D g(z|x) γ(x) given z.
 
-    Parameters
-    ----------
-    births : γ.
-    p_detect : (N,) detection probability of those around each measurement.
-    e : what the births that are given say of measurements.
-    m : the measurements.
-    gate : in deviations.
+    ``p_detect`` (N,): of targets around each measurement. ``e``: what the births that are given say of measurements.
     """
     around, n, d = births.around, len(m.z), births.mean.shape[1]
     pairs = gated(e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, gate, births.weight, GAUSSIAN)

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.gaussian import cell, factored
+from phdtrack.kernels.gaussian import factored
+from phdtrack.kernels.grid import cell_of
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
@@ -159,8 +160,8 @@ def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes) 
         px, py = x[i, 0], x[i, 1]
         reach_x, reach_y = distance * np.sqrt(cov[i, 0, 0]), distance * np.sqrt(cov[i, 1, 1])
         best, known = n, False
-        left, right = cell(px - reach_x, x0, sx, nx), cell(px + reach_x, x0, sx, nx)
-        for line in range(cell(py - reach_y, y0, sy, ny), cell(py + reach_y, y0, sy, ny) + 1):
+        left, right = cell_of(px - reach_x, x0, sx, nx), cell_of(px + reach_x, x0, sx, nx)
+        for line in range(cell_of(py - reach_y, y0, sy, ny), cell_of(py + reach_y, y0, sy, ny) + 1):
             for column in range(left, right + 1):
                 g = first[line * nx + column]
                 while g >= 0:
@@ -181,7 +182,7 @@ def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes) 
         if best == n:
             best = count
             head[count] = i
-            home = cell(py, y0, sy, ny) * nx + cell(px, x0, sx, nx)
+            home = cell_of(py, y0, sy, ny) * nx + cell_of(px, x0, sx, nx)
             after[count], first[home] = first[home], count
             count += 1
         group[k] = best
@@ -245,18 +246,9 @@ def _united(
 def merged_rows(rows: Rows, axes: Axes, s: Merging, mass: float) -> tuple[F8, F8, F8]:
     """Prune, merge and cap: weight (k,), mean (d, k), covariance (k, d, d).
 
-    Each group has mass, mean and covariance of its members; they are ordered by the weights of their strongest.
-
-    Parameters
-    ----------
-    rows : the Gaussians.
-    axes : (0, 1, …, d − 1).
-    s : settings.
-    mass : the weights are scaled to this sum; where it is negative they stay.
-
-    Raises
-    ------
-    ValueError : a mean or a variance is NaN or infinite, or a variance negative.
+    Each group has mass, mean and covariance of its members; they are ordered by the weights of their strongest. The weights
+    are scaled to the sum ``mass``; where it is negative they stay. ValueError where a mean or a variance is NaN or infinite,
+    or a variance negative.
     """
     weight, x, cov = rows
     alive, count = np.empty(weight.size, np.int64), 0 * weight.size

@@ -43,14 +43,10 @@ SMALLEST = float(np.finfo(np.float64).tiny)
 
 
 class Newborn(NamedTuple):
-    """Births around the measurements, a Gaussian each.
+    """Births ``around`` the measurements, a Gaussian each.
 
-    Attributes
-    ----------
-    around : γT at the measurements, and what these say of targets there.
-    rows : (n,) int64, rows of the state that a measurement shows.
-    volume : V_n r₀ⁿ.     stretch : 1 + a.
-    expected : what these Gaussians say of measurements; where the sensor is linear ``p_detect`` and ``rows`` alone.
+    ``rows`` (n,) of the state that a measurement shows, int64. ``volume``: V_n r₀ⁿ. ``stretch``: 1 + a. ``expected``: what
+    these Gaussians say of measurements; where the sensor is linear ``p_detect`` and ``rows`` alone.
     """
 
     around: NewTargets
@@ -63,11 +59,9 @@ class Newborn(NamedTuple):
 class Reach(NamedTuple):
     """How far Gaussians reach.
 
-    Attributes
-    ----------
-    gate : measurements further from a Gaussian, in deviations of the innovation, do not touch it.
-    region : squared distance within which predicted mass explains a measurement.
-    predicted : how many Gaussians are predicted; those behind them are births that were given.
+    ``gate``: measurements further from a Gaussian, in deviations of the innovation, do not touch it. ``region``: squared
+    distance within which predicted mass explains a measurement. ``predicted``: how many Gaussians are predicted; those
+    behind them are births that were given.
     """
 
     gate: float
@@ -78,16 +72,10 @@ class Reach(NamedTuple):
 class Terms(NamedTuple):
     """The terms of an update, not weighed yet.
 
-    Attributes
-    ----------
-    weight : (N,) of the births around measurements, 0 where there is none.
-    covariance : (N, d, d) of these.
-    expected : what they say of measurements.
-    pairs, born_pairs : of `PAIR` weighed with p_D w q: those of the Gaussians, and of the births around measurements.
-    evidence : (N,) C(z).
-    explained : (N,) 1/(κ + C), 0 where κ + C is.
-    vanished : how many of them are.
-    predicted, born, missed : masses of D⁺, of the births within it and of (1 − p_D) D⁺.
+    ``weight`` (N,), ``covariance`` (N, d, d), ``expected``: of the births around measurements, 0 where there is none, and
+    what they say of measurements. ``pairs``, ``born_pairs``, of `PAIR` weighed with p_D w q: those of the Gaussians, and of
+    these births. ``evidence`` (N,): C(z). ``explained`` (N,): 1/(κ + C), 0 where κ + C is, of which there are ``vanished``.
+    ``predicted``, ``born``, ``missed``: masses of D⁺, of the births within it and of (1 − p_D) D⁺.
     """
 
     weight: F8
@@ -146,16 +134,7 @@ def _weigh(weight: F8, p_detect: F8, pairs: Records, evidence: F8) -> None:
 
 @njit(**ENTRY)
 def terms_of(before: Rows, e: Expected, m: Measurements, new: Newborn, reach: Reach) -> Terms:
-    """The terms of the update.
-
-    Parameters
-    ----------
-    before : the predicted Gaussians, and behind them births that were given.
-    e : what they say of measurements.
-    m : the measurements.
-    new : births around the measurements.
-    reach : how far Gaussians reach.
-    """
+    """The terms of the update; ``before`` are the predicted Gaussians, and behind them births that were given."""
     n, density = len(m.z), new.around.density
     z, extra, period, said = m.z, m.noise, m.period, new.expected
     pairs = gated(e.rows, e.z, e.covariance, e.noise, z, extra, period, reach.gate, before.weight, GAUSSIAN)
@@ -229,13 +208,10 @@ def _heavy(pairs: Records, detected: F8, threshold: float) -> tuple[Records, flo
 def mixture_of(
     before: Rows, e: Expected, m: Measurements, new: Newborn, terms: Terms, weighing: tuple[float, F8], threshold: float
 ) -> tuple[Rows, float]:  # fmt: skip
-    """The updated Gaussians, and their mass with what the threshold leaves out.
+    """The updated Gaussians, and their mass with what the threshold leaves out. The first arguments are as of `terms_of`.
 
-    Parameters
-    ----------
-    before, e, m, new, terms : as of `terms_of`.
-    weighing : the factor of (1 − p_D) D⁺, and those (N,) of the terms of each measurement.
-    threshold : lighter Gaussians are left out.
+    ``weighing``: the factor of (1 − p_D) D⁺, and those (N,) of the terms of each measurement. Gaussians lighter than the
+    ``threshold`` are left out.
     """
     missed, detected = weighing
     d, n, born = before.mean.shape[1], terms.weight.size, Rows(terms.weight, new.around.mean, terms.covariance)

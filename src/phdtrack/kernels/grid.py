@@ -72,16 +72,10 @@ def _axis(lower: F8, upper: F8, axis: int, size: float) -> tuple[float, float, f
 
 @njit(**ENTRY)
 def make_grid(lower: F8, upper: F8, width: float = 0.0, height: float = 0.0) -> Grid:
-    """A grid over N closed rectangles.
+    """A grid over N closed rectangles, with finite corners (2, N); the same array twice for points.
 
-    Parameters
-    ----------
-    lower, upper : (2, N), finite corners; the same array for points.
-    width, height : least size of a cell.
-
-    Returns
-    -------
-    The grid, with at most 4 N + 16 cells, as large as the rectangles are on average where these are few enough.
+    It has at most 4 N + 16 cells, as large as the rectangles are on average where these are few enough, and no smaller than
+    ``width`` and ``height``.
     """
     n = lower.shape[1]
     x0, wide, width = _axis(lower, upper, 0, width)
@@ -135,16 +129,9 @@ def overlapping(left: float, top: float, right: float, bottom: float, grid: Grid
 
 @njit(**ENTRY)
 def overlapping_pairs(low: F8, high: F8, grid: Grid) -> tuple[I8, I8]:
-    """Pairs (i, j) (P,) of rectangles i, with corners ``low`` and ``high`` (2, M), and j of the grid that overlap, by i.
+    """Pairs (i, j) (P,) of rectangles i, with corners ``low`` and ``high`` (2, M), and j of the grid that overlap.
 
-    Parameters
-    ----------
-    low, high : (2, M) corners of closed rectangles.
-    grid : of N rectangles or points.
-
-    Returns
-    -------
-    first, second : (P,) the pairs, ordered by i, then by cell.
+    They are ordered by i, then by cell.
     """
     m, count = low.shape[1], 0
     found = np.empty(grid.lower.shape[1], np.int64)
@@ -161,25 +148,9 @@ def overlapping_pairs(low: F8, high: F8, grid: Grid) -> tuple[I8, I8]:
 
 
 @njit(**ENTRY)
-def points_in_rectangles(px: F8, py: F8, lower: F8, upper: F8) -> tuple[I8, I8]:
-    """Pairs (point, rectangle) (P,) with the point inside the closed rectangle, ordered by rectangle.
-
-    Parameters
-    ----------
-    px, py : (L,) positions of the points.
-    lower, upper : (2, N) corners of the rectangles.
-
-    Returns
-    -------
-    point, rectangle : (P,) indices.
-
-    Raises
-    ------
-    ValueError : a position or a rectangle is NaN or infinite.
-    """
-    at = np.empty((2, px.size))
-    at[0], at[1] = px, py
-    # Indices made of NaN would be written through.
+def points_in_rectangles(at: F8, lower: F8, upper: F8) -> tuple[I8, I8]:
+    """Pairs (P,) of points (2, L) and closed rectangles (2, N) that hold them, by rectangle; ValueError if not finite."""
+    # Cells made of infinities would lie outside the grid.
     if not np.isfinite(at.sum() + lower.sum() + upper.sum()):
         raise ValueError("positions and rectangles must be finite")
     rectangle, point = overlapping_pairs(lower, upper, make_grid(at, at, 0.0, 0.0))
@@ -190,10 +161,7 @@ def points_in_rectangles(px: F8, py: F8, lower: F8, upper: F8) -> tuple[I8, I8]:
 def uncrowded(at: F8, half: F8, most: int) -> B1:
     """(N,) which points are kept, in their order: those that with fewer than ``most`` kept ones lie in each other's boxes.
 
-    Parameters
-    ----------
-    at, half : (2, N) the points, and half the sides of a closed box about each, finite.
-    most : from 1.
+    ``at``, ``half`` (2, N): the points, and half the sides of a closed box about each, finite. ``most``: from 1.
     """
     grid, kept = make_grid(at - half, at + half, 0.0, 0.0), np.ones(at.shape[1], np.bool_)
     for i in range(at.shape[1]):

@@ -419,13 +419,9 @@ def _moments(blocks: Blocks, box: F8, near: Candidates, centres: Centres, scratc
 
 @njit(**(ENTRY | {"fastmath": FAST}))
 def kmeans(blocks: Blocks, centres: F8, scales: F8, rule: Rule) -> Gaussians:
-    """Masses, means and covariances of the clusters that start at k centres.
+    """Masses, means and covariances of the clusters that start at k ``centres`` (k, d).
 
-    Parameters
-    ----------
-    blocks : the particles.
-    centres, scales : (k, d) where clusters start, and the deviations for distances from them.
-    rule : windows, division and number of iterations.
+    ``scales`` (k, d) are the deviations for distances from them.
     """
     widest, k, d = whole(max(np.max(np.diff(blocks.start)), 1)), centres.shape[0], centres.shape[1]
     row, which = np.zeros((2 * even(d) + 4, widest), blocks.state.dtype), np.empty(widest, np.int32)

@@ -28,14 +28,12 @@ MOST_LINKS = 512
 class Window(NamedTuple):
     """Open vertices, the edges between them and their matching.
 
-    Attributes
-    ----------
-    column, row : numbers of the first vertex whose out-side and of the first whose in-side is held.
-    next, column_price : (C,) the vertex matched to each out-side (or UNUSED, CLOSED), and its dual variable.
-    since, previous, gain, row_price : (R,) of each in-side the model time since its frame, the vertex matched (−1: none),
-        that link's gain, and the dual variable.
-    start, target, edge_gain : (R + 1,), (E,), (E,) row r has edges to the vertices target[start[r]:start[r + 1]].
-    mean, covariance : (R, d), (R, d, d) of the rows' vertices, predicted for the present frame.
+    ``column``, ``row``: numbers of the first vertex whose out-side and of the first whose in-side is held. ``next``,
+    ``column_price`` (C,): the vertex matched to each out-side (or UNUSED, CLOSED), and its dual variable. ``since``,
+    ``previous``, ``gain``, ``row_price`` (R,): of each in-side the model time since its frame, the vertex matched (−1:
+    none), that link's gain, and the dual variable. ``start`` (R + 1,), ``target``, ``edge_gain`` (E,): row r has edges to
+    the vertices target[start[r]:start[r + 1]]. ``mean`` (R, d), ``covariance`` (R, d, d): of the rows' vertices, predicted
+    for the present frame.
     """
 
     column: int
@@ -64,12 +62,9 @@ class Links(NamedTuple):
 class Terms(NamedTuple):
     """The conditions for links.
 
-    Attributes
-    ----------
-    window : model time over which states are linked.
-    loose_end : deviations from a typical prediction at which a link gains as much as two loose ends.
-    gap_cost : nats per model time unit without a state.
-    max_distance : deviations that linked states may be apart.
+    States are linked over a model time of ``window`` and ``max_distance`` deviations apart at most. ``loose_end``:
+    deviations from a typical prediction at which a link gains as much as two loose ends. ``gap_cost``: nats per model time
+    unit without a state.
     """
 
     window: float
@@ -79,13 +74,10 @@ class Terms(NamedTuple):
 
 
 class Fresh(NamedTuple):
-    """The n states of the present frame.
+    """The n states of the present frame: ``mean`` (n, d), ``covariance`` (n, d, d).
 
-    Attributes
-    ----------
-    mean, covariance : (n, d), (n, d, d).
-    typical : (n, r, r) covariance of a typical one-step innovation at each.
-    observed : (r,) rows of the state that a measurement shows; the first two are its position.
+    ``typical`` (n, r, r): covariance of a typical one-step innovation at each. ``observed`` (r,): rows of the state that a
+    measurement shows; the first two are its position.
     """
 
     mean: F8
@@ -192,17 +184,9 @@ def _add_edges(
 def link_states(window: Window, predicted: F8, covariance: F8, fresh: Fresh, terms: Terms, dt: float) -> tuple[Window, int]:
     """One frame of the open matching: time passes, old vertices are closed, n new ones are linked [M07 §3].
 
-    Parameters
-    ----------
-    window : of the frame before.
-    predicted, covariance : (R, d), (R, d, d) its states, predicted for the present frame.
-    fresh : the n states of this frame.
-    terms : the conditions for links.
-    dt : model time since the frame before.
-
-    Returns
-    -------
-    The window with the new vertices, and how many rows of the old one were closed: their links can no longer change.
+    ``predicted`` (R, d), ``covariance`` (R, d, d): the states of the window before, predicted for the present frame; ``dt``:
+    model time since then. The second number is how many rows of the old window were closed: their links can no longer
+    change.
     """
     n, d, closed = fresh.mean.shape[0], fresh.mean.shape[1], 0
     while closed < window.since.size and window.since[closed] + dt > terms.window:

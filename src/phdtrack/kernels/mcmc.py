@@ -19,8 +19,6 @@ from phdtrack.kernels.particle_models import BLOCK, distance, prepare, seen
 
 F8 = NDArray[np.float64]
 I8 = NDArray[np.int64]
-# Rows of the counts: what a step proposed.
-ADD, DELETE, LEAVE, COME_BACK, UPDATE, REASSIGN, EXCHANGE = range(7)
 
 
 class Chain(NamedTuple):
@@ -40,15 +38,11 @@ class Chain(NamedTuple):
 class Options(NamedTuple):
     """What C candidates may be: options, and the states (entries) of each.
 
-    Attributes
-    ----------
-    first : (C + 1,) candidate c's options are first[c] … first[c + 1] − 1, the first of them that the target does not exist.
-    seen_by, total : (O,) measurement of each option, −1 for none, and its weight.
-    start : (O + 1,) its entries are start[o] … start[o + 1] − 1.
-    running, member : (T,) sums of weights within each option, and the state of each entry.
-    box : (L, 4) left, top, right, bottom of each state; (0, 4) without interaction.
-    near, near_start : (K,), (C + 1,) the candidates with a box that may overlap one of candidate c, ascending, are
-        near[near_start[c]] … near[near_start[c + 1] − 1]; none without interaction.
+    Candidate c's options are ``first``[c] … first[c + 1] − 1, the first of them that the target does not exist. ``seen_by``,
+    ``total`` (O,): measurement of each option, −1 for none, and its weight; its entries are ``start``[o] … start[o + 1] − 1.
+    ``running``, ``member`` (T,): sums of weights within each option, and the state of each entry. ``box`` (L, 4): left, top,
+    right, bottom of each state. The candidates with a box that may overlap one of candidate c, ascending, are
+    ``near``[near_start[c]] … near[``near_start``[c + 1] − 1]. Without interaction both are empty.
     """
 
     first: I8
@@ -85,13 +79,10 @@ def pair_likelihoods(x: F8, sensor: Any, table: Any, member: I8, which: I8) -> t
 
 @njit(**ENTRY)
 def make_options(candidate: I8, which: I8, member: I8, weight: F8, absent: F8, box: F8) -> Options:
-    """The options of entries, which ascend in their candidate and measurement.
+    """The options of T entries, which ascend in their candidate and measurement.
 
-    Parameters
-    ----------
-    candidate, which, member, weight : (T,) candidate, measurement (−1: none), state and weight of each entry.
-    absent : (C,) weight of each candidate's not existing.
-    box : (L, 4) of the states.
+    ``which`` (T,): the measurement, −1: none; ``member`` (T,): the state. ``absent`` (C,): weight of each candidate's not
+    existing. ``box`` (L, 4): of the states.
     """
     count, entries = absent.size, candidate.size
     first, most = np.empty(count + 1, np.int64), count + entries
@@ -177,18 +168,6 @@ def _choose(a: int, b: int, begin: int, can: Options, now: Sample, rng: np.rando
 
 
 @njit(**INNER)
-def _kind(was: int, becomes: int, absence: int, newborn: bool, can: Options) -> int:
-    """Which row of the counts a change of option belongs to; −1 where a target stays absent."""
-    if was == absence:
-        if becomes == absence:
-            return -1
-        return ADD if newborn else COME_BACK
-    if becomes == absence:
-        return DELETE if newborn else LEAVE
-    return UPDATE if can.seen_by[was] == can.seen_by[becomes] else REASSIGN
-
-
-@njit(**INNER)
 def _crowd(a: int, b: int, i: int, k: int, can: Options, now: Sample) -> float:
     """Overlaps of ``a`` in state ``i`` and ``b`` in state ``k`` (−1: none) with all other targets and each other."""
     total = overlap_of(can.box, i, can.box, k) if i >= 0 and k >= 0 else 0.0
@@ -218,24 +197,20 @@ def _take(c: int, o: int, i: int, can: Options, now: Sample) -> None:
 
 
 @njit(**INNER)
-def _redraw(a: int, b: int, old: int, can: Options, now: Sample, chain: Chain, rng: np.random.Generator, counts: I8) -> None:
+def _redraw(a: int, b: int, can: Options, now: Sample, chain: Chain, rng: np.random.Generator) -> None:
     """A step that moves candidate ``a``, or ``a`` and ``b`` at once (b < 0: ``a`` only), given all others."""
     o, p = _choose(a, b, can.first[a], can, now, rng)
     i = -1 if o == can.first[a] else _state(o, can, rng)
-    k, kind, was = -1, EXCHANGE, -1
+    k, was = -1, -1
     if b >= 0:
         k, was = -1 if p == can.first[b] else _state(p, can, rng), now.state[b]
-    else:
-        kind = _kind(now.option[a], o, can.first[a], a >= old, can)
-        if kind < 0:
-            return
-    counts[kind, 0] += 1
+    elif i < 0 and now.state[a] < 0:
+        return
     if chain.strength > 0.0:
         more = _crowd(a, b, i, k, can, now) - _crowd(a, b, now.state[a], was, can, now)
         # Hastings: accepted with probability exp(−strength · more).
         if more > 0.0 and rng.random() >= np.exp(-chain.strength * more):
             return
-    counts[kind, 1] += 1
     for c in (a, b):
         if c >= 0 and can.seen_by[now.option[c]] >= 0:
             now.taken[can.seen_by[now.option[c]]] = -1
@@ -262,43 +237,32 @@ def _chance(c: int, can: Options, now: Sample, chain: Chain, rng: np.random.Gene
 
 
 @njit(**ENTRY)
-def jump_chain(
-    old: int, measurements: int, can: Options, pairs: I8, chain: Chain, rng: np.random.Generator
-) -> tuple[I8, I8, F8, I8]:
+def jump_chain(measurements: int, can: Options, pairs: I8, chain: Chain, rng: np.random.Generator) -> tuple[I8, I8, F8]:
     """Samples of the options and states of all candidates.
 
     A step picks a candidate and draws one of its free options by weight, and of that a state; with probability
     ``chain.share`` it picks one of ``pairs`` and draws for both together. Without interaction that is a draw from the
-    conditional law and always accepted; with it, the probability is min(1, ψ of the new state / ψ of the old one).
+    conditional law and always accepted; with it, the probability is min(1, ψ of the new state / ψ of the old one). A sweep
+    has as many steps as there are candidates.
 
-    Parameters
-    ----------
-    old : candidates before this one existed in the frame before; the others are newborn.
-    measurements : how many there are.
-    can : what candidates may be.
-    pairs : (K, 2) candidates that compete for a measurement.
-    chain : how it runs, in sweeps of as many steps as there are candidates.
-
-    Returns
-    -------
-    options, states : (C, N) each candidate's in each kept sample; where a target does not exist, a draw of its state.
-    chance : (C, N) the probability that it exists, given that state and all the others in the sample.
-    counts : (7, 2) proposed and accepted, by kind.
+    ``pairs`` (K, 2) compete for one of so many ``measurements``. Back come (C, N) each candidate's options and states in
+    each kept sample, where a target does not exist a draw of its state, and the probability (C, N) that it exists, given
+    that state and all the others in the sample.
     """
     many, kept = can.first.size - 1, chain.samples
     now = Sample(can.first[:-1].copy(), np.full(many, -1), np.full(measurements, -1))
     options, states = np.empty((many, kept), np.int64), np.empty((many, kept), np.int64)
-    chance, counts = np.empty((many, kept)), np.zeros((7, 2), np.int64)
+    chance = np.empty((many, kept))
     for sweep in range(chain.burn + chain.thin * kept):
         for _ in range(many):
             if pairs.shape[0] > 0 and rng.random() < chain.share:
                 k = int(rng.random() * pairs.shape[0])
-                _redraw(pairs[k, 0], pairs[k, 1], old, can, now, chain, rng, counts)
+                _redraw(pairs[k, 0], pairs[k, 1], can, now, chain, rng)
             else:
-                _redraw(int(rng.random() * many), -1, old, can, now, chain, rng, counts)
+                _redraw(int(rng.random() * many), -1, can, now, chain, rng)
         if sweep >= chain.burn and (sweep - chain.burn + 1) % chain.thin == 0:
             n = (sweep - chain.burn) // chain.thin
             for c in range(many):
                 options[c, n] = now.option[c]
                 states[c, n], chance[c, n] = _chance(c, can, now, chain, rng)
-    return options, states, chance, counts
+    return options, states, chance

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
+from phdtrack.kernels.gaussian import LOG_2PI, factor, norm2
 from phdtrack.kernels.gm_merge import descending
 
 F8 = NDArray[np.float64]
@@ -27,6 +28,8 @@ MAX_EXISTENCE, MIN_EXISTENCE = 0.99, 0.1
 # Squared Mahalanobis distance in the plane within which an estimate can be an expected target: 99 % of two dimensions.
 NEAR = 9.21
 TINY = 1e-300
+# Log-likelihoods that differ by less are equal: sums of the same numbers in another order.
+ROUNDING = 1e-9
 # Of noise: where centre and size are.
 PLACES = (0, 1, 2, 3)
 
@@ -238,7 +241,7 @@ def _explain(frame: Frame, kept: Bool, blobs: I8, targets: I8, of: I8) -> None:
             if math.isnan(table[k, sets[k]]):
                 table[k, sets[k]] = _log_likelihood(frame, blobs[k], targets, sets[k])
             total += table[k, sets[k]]
-        if value + total > top:
+        if value + total > top + ROUNDING:
             top = value + total
             for i in range(m):
                 k = options[i, digit[i]]
@@ -277,31 +280,12 @@ def _log_likelihood(frame: Frame, blob: int, targets: I8, chosen: int) -> float:
                     spread[i, j] += frame.own[t, i, j]
                 if len(frame.measured):
                     spread[i, j] += frame.measured[blob, i, j]
+    root, y = np.empty((4, 4)), np.empty(4)
+    log_det, distance2 = factor(spread, root), norm2(step, root, y)
+    if not distance2 <= GATE2:  # also NaN, where the spread has no factors
+        return -math.inf
     merged = (k - 1) * math.log(max(rule.merge_probability, TINY))
-    fit: float = _log_density(step, spread)
-    return fit + merged + seen
-
-
-@njit(**INNER)
-def _log_density(step: F8, spread: F8) -> float:
-    """Of a ``step`` (m,) from the mean under a normal density of covariance ``spread`` (m, m), −∞ beyond the gate.
-
-    Both are written over, with L⁻¹ step and the factors of L D Lᵀ, D in the diagonal.
-    """
-    distance2, log_det = 0.0, 0.0
-    for i in range(len(step)):
-        for j in range(i):
-            for k in range(j):
-                spread[i, j] -= spread[i, k] * spread[j, k] * spread[k, k]
-            spread[i, j] /= spread[j, j]
-        for j in range(i):
-            spread[i, i] -= spread[i, j] * spread[i, j] * spread[j, j]
-            step[i] -= spread[i, j] * step[j]
-        if not spread[i, i] > 0.0:
-            return -math.inf
-        distance2 += step[i] * (step[i] / spread[i, i])
-        log_det += math.log(2.0 * math.pi * spread[i, i])
-    return -math.inf if distance2 > GATE2 else -0.5 * (distance2 + log_det)
+    return float(-0.5 * (distance2 + log_det + 4.0 * LOG_2PI) + merged + seen)
 
 
 @njit(**INNER)

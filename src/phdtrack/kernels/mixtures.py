@@ -1,8 +1,7 @@
 """Gaussian mixtures: densities, expectation-maximisation [M09 §III-B], and its recursive form [M09 (16)-(20)].
 
-`log_densities` and `mixture_density` evaluate Gaussians that were `whitened` once. `em_step` gives the mass, mean and
-covariance of each component's samples, from which the caller makes the next mixture. `recursive_em` takes one sample at a
-time.
+`log_densities` evaluates Gaussians that were `whitened` once. `em_step` gives the mass, mean and covariance of each
+component's samples, from which the caller makes the next mixture. `recursive_em` takes one sample at a time.
 """
 
 from __future__ import annotations
@@ -109,34 +108,6 @@ def log_densities(x: F8, gaussians: Whitened) -> F8:
         for j in range(log_peak.size):
             steps_from(x, begin, size, mean, j, step)
             log_density_of(step, size, inverse[j], log_peak[j], part, out[j, begin:])
-    return out
-
-
-@njit(**ENTRY)
-def mixture_density(x: F8, low: F8, high: F8, flat: float, outside: float, gaussians: Whitened, limit2: F8) -> F8:
-    """(n,) ``flat`` plus the Gaussians at points ``x`` (d, n) from ``low`` to ``high`` (d,), and ``outside`` elsewhere.
-
-    Beyond the squared distances ``limit2`` (k,) a Gaussian is left out; often a single component shows that it is.
-    """
-    (d, n), (mean, inverse, log_peak) = x.shape, gaussians
-    out, step = np.empty(n), np.empty(d)
-    for j in range(n):
-        inside = True
-        for r in range(d):
-            inside = inside and low[r] <= x[r, j] <= high[r]
-        out[j] = flat if inside else outside
-        for m in range(log_peak.size if inside else 0):
-            distance2 = 0.0
-            for r in range(d):
-                step[r] = x[r, j] - mean[r, m]
-                value = 0.0
-                for s in range(r + 1):
-                    value += inverse[m, r, s] * step[s]
-                distance2 += value * value
-                if distance2 > limit2[m]:
-                    break
-            if distance2 <= limit2[m]:
-                out[j] += math.exp(log_peak[m] - 0.5 * distance2)
     return out
 
 
@@ -285,20 +256,15 @@ def _from_sums(mixture: Gaussians, mass: F8, first: F8, second: F8) -> tuple[F8,
 def em_step(
     x: Real, weight: F8, log_background: F8, mixture: Gaussians, candidates: Candidates, known: Gaussians
 ) -> Moments:
-    """Expectation and the sums of maximisation for weighted samples [M09 §III-B].
+    """Expectation and the sums of maximisation for weighted samples ``x`` (d, n) [M09 §III-B].
 
     The new weights, a floor under covariances and a prior are left to the caller. Samples of blocks without candidates count
     for no component. Those of a block with one candidate and no background are all that component's: their densities are not
-    computed and not in ``log_likelihood``.
+    computed and not in ``log_likelihood``, and no sample is looked at where the mass, mean and covariance of the blocks are
+    ``known``.
 
-    Parameters
-    ----------
-    x : (d, n) samples, in float32 or float64.
-    weight : (n,) of the samples, or (1,) for all of them.
-    log_background : (n,) logarithm of a further density, of the background, at each sample; (0,) for none.
-    mixture : the Gaussians, whose weights count the background in: density = background + Σ weight · N(x).
-    candidates : the components that each block of samples may belong to (`one_block` for all).
-    known : mass, mean and covariance of each block, so that no sample of one with one candidate is looked at; or of none.
+    ``weight`` (n,) of the samples, or (1,) for all of them. ``log_background`` (n,): logarithm of a further density at each
+    sample, (0,) for none; the weights of the ``mixture`` count it in: density = background + Σ weight · N(x).
     """
     d, (start, first_of, component) = x.shape[0], candidates
     _, inverse, log_peak = whitened(mixture)
@@ -351,15 +317,8 @@ def recursive_em(mixture: Gaussians, uniform: float, samples: F8, order: I8, rul
     """The mixture and the share of a uniform density after one sample at a time [M09 (16)-(20)].
 
     A component whose weight turns negative is removed. After the steady samples, each one counts for the Gaussians by the
-    probability that it did not come from the uniform density.
-
-    Parameters
-    ----------
-    mixture : weights of sum 1, that of the uniform density not among them.
-    uniform : share of the uniform density at first.
-    samples : (n, d), without gaps.
-    order : (K,) indices of the samples in the order in which they are taken; they may repeat.
-    rule : rate, prior and limits.
+    probability that it did not come from the uniform density, whose share is ``uniform`` at first and not among the weights,
+    which sum to 1. ``order`` (K,): indices of the ``samples`` (n, d) in the order in which they are taken; they may repeat.
     """
     left, mean, cov = mixture.weight.copy(), mixture.mean.T.copy(), mixture.covariance.copy()
     d, late = mean.shape[1], 0.0

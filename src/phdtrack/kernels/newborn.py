@@ -42,12 +42,10 @@ class Proposal(NamedTuple):
 
 @njit(**ENTRY)
 def proposals(mean: F8, cov: F8, rows: I8, counts: I8, limit: float, kept: float) -> Proposal:
-    """The proposals from states (d, N) and covariances (N, d, d).
+    """The proposals from states (d, N) and covariances (N, d, d), for ``counts`` (N,) newborn of each measurement.
 
-    Parameters
-    ----------
-    rows, counts : (r,) rows of the state that measurements show, and (N,) newborn of each measurement.
-    limit, kept : the squared radius at which a Gaussian is cut, and the part of it inside.
+    ``rows`` (r,) of the state are what measurements show. ``limit``, ``kept``: the squared radius at which a Gaussian is
+    cut, and the part of it inside.
     """
     count, r = counts.size, rows.size
     root, inverse, velocity = np.zeros((count, r, r)), np.zeros((count, r, r)), np.empty((count, 2, 2))
@@ -82,12 +80,8 @@ def standard_points(normal: Real, uniform: F8, radii: F8) -> Real:
 
     The quantiles of the radii are a golden-section sequence, so that every stretch of the points has about every radius: the
     importance weights of a flat γ follow the radius alone, and a thousand independent ones would leave the mass of the
-    newborn uncertain by 9 %. Velocities have uniform direction and standard Gaussian amplitude [M07 §2].
-
-    Parameters
-    ----------
-    normal, uniform : (r + 1, P), (P + 1,) standard normal numbers and uniform ones.
-    radii : (K,) the radii at equal steps of the quantile.
+    newborn uncertain by 9 %. Velocities have uniform direction and standard Gaussian amplitude [M07 §2]. They are made of
+    standard ``normal`` numbers (r + 1, P), ``uniform`` ones (P + 1,), and the ``radii`` (K,) at equal steps of the quantile.
     """
     r, count = normal.shape[0] - 1, normal.shape[1]
     out, cells, real = np.empty((r + 3, count), normal.dtype), radii.size - 1, normal.dtype.type

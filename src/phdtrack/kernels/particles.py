@@ -281,11 +281,8 @@ def longer(which: I8, sums: F8, used: int, size: int) -> tuple[I8, F8]:
 def likelihoods(lo: int, hi: int, part: Part, sensor: Number, table: Real, gates: Grid, region: float) -> Sums:
     """What the measurements say of the blocks lo … hi − 1.
 
-    Parameters
-    ----------
-    sensor, table : record of the sensor, and the measurements' columns.
-    gates : a block and the measurements whose gates its extent overlaps are a pair.
-    region : the squared radius within which mass counts as explaining a measurement.
+    A block and the measurements whose ``gates`` its extent overlaps are a pair. ``region``: the squared radius within which
+    mass counts as explaining a measurement.
     """
     (state, share, detect, start), blocks, used = part, hi - lo, 0
     extents, mass, missed = np.zeros((blocks, 6), state.dtype), np.zeros(blocks), np.zeros(blocks)

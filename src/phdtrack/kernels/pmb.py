@@ -71,11 +71,8 @@ HYPOTHESIS = records("weight occluded genuine position_scale size_scale freedom"
 class Layer(NamedTuple):
     """The targets of one frame.
 
-    Attributes
-    ----------
-    targets : (T,) of `TARGET`, by label.
-    hypotheses : (C,) of `HYPOTHESIS`, by target; the heaviest first after an update.
-    mean : (C, d).     covariance : (C, d, d).
+    ``targets`` (T,) of `TARGET`, by label; ``hypotheses`` (C,) of `HYPOTHESIS`, by target, the heaviest first after an
+    update, with ``mean`` (C, d) and ``covariance`` (C, d, d).
     """
 
     targets: Records
@@ -87,11 +84,8 @@ class Layer(NamedTuple):
 class Scores(NamedTuple):
     """What the scores of a frame's measurements say.
 
-    Attributes
-    ----------
-    odds : (N,) p(s|target)/p(s|false alarm).
-    log_odds : (N,) log p(s|target)/p(s|lasting false alarm).
-    prior : log odds that a new target is genuine, and no lasting false alarm; `CERTAIN` where there are none.
+    ``odds`` (N,): p(s|target)/p(s|false alarm). ``log_odds`` (N,): log p(s|target)/p(s|lasting false alarm). ``prior``: log
+    odds that a new target is genuine, and no lasting false alarm; `CERTAIN` where there are none.
     """
 
     odds: F8
@@ -118,17 +112,13 @@ def predicted_layer(
     layer: Layer, p: Predicted, noise: F8, occlude: float, reappear: float, freedom: tuple[float, float],
     genuine: tuple[float, float],
 ) -> Layer:  # fmt: skip
-    """The targets after an interval; static clutter stays where it is.
+    """The targets after an interval, ``p`` their hypotheses after the motion; static clutter stays where it is.
 
-    Parameters
-    ----------
-    layer : the targets before.
-    p : their hypotheses after the motion.
-    noise : (d, C) deviations by which the sensor resolves them, `Sensor.noise`.
-    occlude, reappear : probabilities that a visible target is occluded after the interval, and an occluded one visible.
-    freedom : the degrees of freedom with which a target's noises begin, 0 where they are the model's; and the part of
-        what is known of them that is kept. In place of the rest they are the model's again.
-    genuine : the log odds with which a target is genuine before its scores are known; and the part kept of what they said.
+    ``noise`` (d, C): deviations by which the sensor resolves them, `Sensor.noise`. ``occlude``, ``reappear``: probabilities
+    that a visible target is occluded after the interval, and an occluded one visible. ``freedom``: the degrees of freedom
+    with which a target's noises begin, 0 where they are the model's, and the part of what is known of them that is kept; in
+    place of the rest they are the model's again. ``genuine``: the log odds with which a target is genuine before its scores
+    are known, and the part kept of what they said.
     """
     (start, kept), (prior, remembered) = freedom, genuine
     before, old, old_mean, old_cov = layer
@@ -174,21 +164,10 @@ def updated_layer(
 ) -> tuple[Layer, tuple[float, float, float, F8, F8, int], I8, F8]:
     """The targets after the measurements, with new ones, what was learned, and the targets that have ended [W15].
 
-    Parameters
-    ----------
-    layer : the predicted targets.
-    e : what their hypotheses say of measurements.
-    m : the measurements, and κ by their scores: κ(z)/odds.
-    scores : what they say.
-    new : what targets are whose first detections these measurements are.
-    s : settings; hypotheses of a target that become the same are one.
-    fresh : the label that the next new target is given.
-
-    Returns
-    -------
-    layer, learned, gone, weak : ``learned`` in the order of `types.UpdateInfo`. Of each target that was once confirmed and
-        has been deleted ``gone`` has the best hypothesis of the frame before. ``weak`` (T,) are the probabilities with which
-        deleted targets exist, 0 of others.
+    ``m`` has κ by their scores, κ(z)/odds; ``new``: what targets are whose first detections these are, which are labelled
+    from ``fresh`` on. What was learned is in the order of `types.UpdateInfo`. Then come the best hypothesis of the frame
+    before of each target that was once confirmed and has been deleted, and (T,) the probabilities with which deleted targets
+    exist, 0 of others.
     """
     layer, e, m, new, scores = Layer(*layer), Expected(*e), Measurements(*m), NewTargets(*new), Scores(*scores)
     s = Settings(*s)

@@ -50,15 +50,11 @@ def earlier(
 ) -> tuple[Records, Records, bool]:  # fmt: skip
     """The traces a frame earlier, as seen now and as seen a frame ago, and whether both report the same up to there.
 
-    Parameters
-    ----------
-    now, before : of `TRACE`, of the frame after it.
-    after : hypotheses of the frame after it.
-    targets, hypotheses : of the frame.
-    past : (E, 2) frame and hypothesis of targets that have ended, and the number of the frame.
-    present : the frame after it is the present one: ``before`` is given of the frame itself.
-    min_weight : presence from which a target is reported. Both report the same where all targets that are reported, or
-        may be in an earlier frame, have the same hypotheses and are reported in both or in none: their pasts are the same.
+    ``now``, ``before``, of `TRACE`, and ``after``, hypotheses, are of the frame after it; where that is the ``present`` one,
+    ``before`` is given of the frame itself. ``past`` (E, 2): frame and hypothesis of targets that have ended, and the number
+    of the frame. ``min_weight``: presence from which a target is reported. Both report the same where all targets that are
+    reported, or may be in an earlier frame, have the same hypotheses and are reported in both or in none: their pasts are
+    the same.
     """
     ended, frame = past
     now = followed_back(now, after, targets, hypotheses, ended, frame)

@@ -28,20 +28,14 @@ class Line(NamedTuple):
 PROBABILITY, LOGIT, RANK = range(3)
 
 
-class Scaled(NamedTuple):
-    """The ``low`` and ``high`` end of all scores, their ``kind``, and x (n,) of the newest, NaN where they say nothing."""
-
-    low: float
-    high: float
-    kind: int
-    x: F8
-
-
 @njit(**ENTRY)
-def scaled(score: F8, low: float, high: float, logits: tuple[float, float], bound: float, least: float) -> Scaled:
-    """What the scores (n,) of a frame are, where those before were between ``low`` and ``high``.
+def scaled(
+    score: F8, low: float, high: float, logits: tuple[float, float], bound: float, least: float
+) -> tuple[float, float, int, F8]:
+    """Both ends and the kind of all scores, and x (n,) of those of a frame, NaN where they say nothing.
 
-    ``logits``: the largest log odds, and those that say nothing; ``bound`` of log odds; ``least`` probability.
+    Those before were between ``low`` and ``high``. ``logits``: the largest log odds, and those that say nothing; ``bound``
+    of log odds; ``least`` probability.
     """
     for s in score:
         if s < low:
@@ -60,7 +54,7 @@ def scaled(score: F8, low: float, high: float, logits: tuple[float, float], boun
             else:
                 share = min(max(s, least), 1.0 - least)
                 x[j] = math.log(share / (1.0 - share))
-    return Scaled(low, high, kind, x)
+    return low, high, kind, x
 
 
 @njit(**ENTRY)

@@ -32,16 +32,9 @@ from typing import Literal
 import numpy as np
 
 from phdtrack.errors import InputError
+from phdtrack.kernels import rts
 from phdtrack.kernels.box import predicted_boxes
-from phdtrack.kernels.gaussian import (
-    Births,
-    Expected,
-    Measurements,
-    NewTargets,
-    Predicted,
-    first_states,
-    predicted_covariance,
-)
+from phdtrack.kernels.gaussian import Births, Expected, Measurements, NewTargets, Predicted, first_states
 from phdtrack.models.box import BoxMotion
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, I8
@@ -74,7 +67,7 @@ def predicted(model: Model, mean: F8, covariance: F8, dt: float, transform: Tran
         q = q.copy()
         q[:, :4, :4] *= factor[:, None, None]
     if transform == "linear":
-        return Predicted(np.ascontiguousarray(centre.T), predicted_covariance(covariance, f, q), p_survive)
+        return Predicted(np.ascontiguousarray(centre.T), rts.predicted(covariance, f, q), p_survive)
     points = sigma_points(columns, covariance)
     d, many, count = points.shape
     through = motion.transition(points.reshape(d, many * count), dt)[0].reshape(d, many, count)

@@ -79,7 +79,7 @@ class ScoresSeen:
     @property
     def kind(self) -> int:
         """Whether scores are probabilities, log odds, or ranked."""
-        return int(scaled(_NO_SCORES, *self.extent, (LARGEST_LOGIT, EVEN_LOGIT), BOUND, LEAST).kind)
+        return int(scaled(_NO_SCORES, *self.extent, (LARGEST_LOGIT, EVEN_LOGIT), BOUND, LEAST)[2])
 
 
 @dataclass(frozen=True, slots=True)

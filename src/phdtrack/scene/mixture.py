@@ -14,13 +14,11 @@ from functools import cached_property
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.kernels.mixtures import Gaussians, Whitened, log_densities, mixture_density, whitened
+from phdtrack.kernels.mixtures import Gaussians, Whitened, log_densities, whitened
 from phdtrack.types import F8, Bool
 
 # A Gaussian with less mass inside counts as outside.
 MIN_TRUNCATED_MASS = 1e-6
-# What a Gaussian adds less of than e^-30, 1e-13, of the uniform part is left out.
-_NEGLIGIBLE = 30.0
 # Components of a box state that a measurement shows: all but the two velocities.
 OBSERVED = (0, 1, 4, 5)
 # Richtmyer's lattice: multiples of the square roots of primes, folded.
@@ -95,11 +93,6 @@ class SceneDensity:
         out: Whitened = whitened(self.gaussians)
         return out
 
-    @cached_property
-    def _limit2(self) -> F8:
-        """(M,) squared distances beyond which Gaussians are left out."""
-        return 2 * (self._whitened.log_peak - math.log(self.flat) + _NEGLIGIBLE)
-
     def log_parts(self, x: F8) -> F8:
         """(1 + M, L) logarithms of the uniform part and of each Gaussian at ``x`` (d, L), as if there were no border."""
         found: F8 = log_densities(np.ascontiguousarray(x), self._whitened)
@@ -135,9 +128,8 @@ class SceneDensity:
 
     def _summed(self, x: F8, flat: float, outside: float) -> F8:
         """(L,) ``flat`` and the Gaussians in the volume, and ``outside`` elsewhere."""
-        at = np.ascontiguousarray(x)
-        out: F8 = mixture_density(at, self.low, self.high, flat, outside, self._whitened, self._limit2)
-        return out
+        gaussians = np.exp(log_densities(np.ascontiguousarray(x), self._whitened)).sum(axis=0)
+        return np.where(self.contains(x), flat + gaussians, outside)
 
 
 def marginal(p: SceneDensity, rows: tuple[int, ...]) -> SceneDensity:
