@@ -258,7 +258,6 @@ def test_stopped_while_drawing(job: Job, directory: rundir.RunDirectory, monkeyp
     assert any("while the video was drawn" in warning for warning in outcome.warnings)
 
 
-@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 @pytest.mark.parametrize("again", [True, False])
 @pytest.mark.parametrize("size", [48, 96, 300])
 def test_the_video_may_be_smaller_than_the_pictures(
@@ -279,6 +278,7 @@ def test_the_video_may_be_smaller_than_the_pictures(
         assert grey[inside].mean() > 150 > 90 > grey[outside].mean()
 
 
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 def test_frames_that_compile_are_left_out_of_the_speed(job: Job, directory: rundir.RunDirectory) -> None:
     run(job, directory)
     double = numba.njit(lambda x: 2 * x)

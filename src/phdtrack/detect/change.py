@@ -46,7 +46,7 @@ from phdtrack.detect.reference import Anchor, background, median, of_objects, st
 from phdtrack.devices import planes_of, size_of
 from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, check
 from phdtrack.kernels.blobs import edges
-from phdtrack.kernels.change import CHANNELS, MARGIN, OFTEN, REACH, Past, Statistic, changed, compare, often_near
+from phdtrack.kernels.change import CHANNELS, MARGIN, OFTEN, REACH, Past, Statistic, changed, compare, follow, often_near
 from phdtrack.kernels.planes import BLACK, COLOURS, GREYS, LOG, LOG_SCALE, colours, luma, smooth
 from phdtrack.types import F8, STILL, Bool, Detections, Frame, Image
 
@@ -246,11 +246,11 @@ class ChangeDetector:
                 self._steady, picture = frame.time, stabilised(picture, self._shape, self._pose)
             elif frame.time - self._steady < _LOST:
                 return Detections.empty(observed=False)
-        how = self.blobs.cleaning(self._shape[0]), self._beyond(), self._rates(passed := self._passed(frame))
-        mask, lit = changed(picture, self._previous, self._camera, known, self._rule, self._past, steps, *how)
+        how = self.blobs.cleaning(self._shape[0]), self._beyond()
+        mask, energy, lit = changed(picture, self._previous, self._camera, known, self._rule, self._past, steps, *how)
         found = self.blobs.components(mask)
         gone = self._gone(found, mask, picture, lit)
-        self._take_in([contour for (_, contour), ghost in zip(found, gone, strict=True) if ghost], picture, passed)
+        self._adapt(frame, picture, energy, [contour for (_, contour), ghost in zip(found, gone, strict=True) if ghost])
         self._sample(frame, picture)
         real = [one for one, ghost in zip(found, gone, strict=True) if not ghost]
         boxes = self.blobs.boxes(real, mask.shape, self._usual)
@@ -286,16 +286,6 @@ class ChangeDetector:
         planes, step = _logarithmic(picture, shape), slice(None, None, _SPARSE // 2)
         self._previous = np.stack([luma(planes, shape)[::_SPARSE, ::_SPARSE], *colours(planes, shape)[:, step, step]])
         self._time = frame.time
-
-    def _passed(self, frame: Frame) -> float:
-        """Seconds since the frame before."""
-        passed, self._time = max(0.0, frame.time - self._time), frame.time
-        return passed
-
-    def _rates(self, passed: float) -> F4:
-        """How fast reference and scene noise follow, as `kernels.change.follow` takes it."""
-        rates = [0.0 if self._learning else min(1.0, passed / each) for each in (self.adapt, self.adapt_objects)]
-        return np.array([*rates, min(0.2, passed / self.adapt), CHANNELS * _LOUDEST], np.float32)
 
     def _sample(self, frame: Frame, picture: Image) -> None:
         """Take the frame for the first reference if one is due; of every other one the median, and the scene's noise."""
@@ -343,8 +333,13 @@ class ChangeDetector:
         found = edges(now, then, mask, _OUTLINE, wide)
         return [bool(one < _GHOST_EDGE * light[0, 0] * other) for one, other in found]
 
-    def _take_in(self, ghosts: list[Contour], picture: Image, passed: float) -> None:
-        """Let the reference take in what is gone from it, ``ghosts`` in this picture, and has been for a while."""
+    def _adapt(self, frame: Frame, picture: Image, energy: F4, ghosts: list[Contour]) -> None:
+        """Let reference and scene noise follow, by the time that has passed; ghosts that last are taken in."""
+        passed = max(0.0, frame.time - self._time)
+        self._time = frame.time
+        rates = [0.0 if self._learning else min(1.0, passed / each) for each in (self.adapt, self.adapt_objects)]
+        rates += [min(0.2, passed / self.adapt), CHANNELS * _LOUDEST]
+        follow(picture, energy, self._reference, self._scene, self._foreground, np.array(rates, np.float32))
         if self._learning or not (ghosts or self._ghostly):
             return
         left: Image = np.zeros(self._shape, np.uint8)

@@ -93,9 +93,8 @@ def changed(
     steps: tuple[int, int],
     cleaning: Cleaning,
     beyond: tuple[int, int],
-    rates: F4,
-) -> tuple[U1, F4]:
-    """The next frame: its mask, cleaned, and the light (3, 4) of `lighting`. What is known of the scene follows.
+) -> tuple[U1, F4, F4]:
+    """The next frame: its mask, cleaned, its energy as of `compare`, and the light (3, 4) of `lighting`.
 
     All of it in one call: a thread that runs Python beside this one is in its way at each begin and end of one.
 
@@ -109,7 +108,6 @@ def changed(
     steps : every so many pixels both ways are looked at for the camera's noise, even, and for the light.
     cleaning : as for `cleaned`.
     beyond : so many columns on the left and on the right, and rows above and below, show nothing of the scene.
-    rates : as for `follow`.
     """
     reference, scene, foreground = known
     smooth(image, scene.shape)
@@ -122,8 +120,7 @@ def changed(
     mask, near = cleaned(raw, cleaning, MARGIN)
     foreground[:] = near
     _border(foreground, beyond, 255)
-    follow(image, energy, reference, scene, foreground, rates)
-    return mask, light
+    return mask, energy, light
 
 
 @njit(**ENTRY)
