@@ -292,7 +292,8 @@ class Explainer(Protocol[C]):
 
     Parameters
     ----------
-    state, explanation : after the frame before; for `advance` what `explain` gave.
+    state : after the frame before; for `advance` the one that `explain` gave.
+    explanation : of this frame.
     detections, model, dt : of the frame, and the interval since the one before in the model's time unit.
     estimates : the states, whose numbers of detections are the explanation's.
     """

@@ -7,6 +7,7 @@ import signal
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from phdtrack.classes import Kinds
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.inputs import DEPTH, Inputs, expected
 from phdtrack.cli.job import Job, Outcome, run
+from phdtrack.cli.observers import RunObserver
 from phdtrack.cli.settings import detections_needed
 from phdtrack.config import build, load
 from phdtrack.errors import InputError
@@ -28,7 +30,7 @@ from phdtrack.formats import DetectionsWriter, read_detections, read_tracks
 from phdtrack.models import BoxClutter, BoxMotion, BoxSensor, MeasurementBirth
 from phdtrack.protocols import Model, Stages
 from phdtrack.report import About, Annotator
-from phdtrack.tracker import Tracker
+from phdtrack.tracker import FinalTracks, Tracker
 from phdtrack.types import Detections, Frame, SequenceInfo, Tracks, Truth
 from phdtrack.video import open_source
 
@@ -256,6 +258,28 @@ def test_stopped_while_drawing(job: Job, directory: rundir.RunDirectory, monkeyp
     assert len(read_tracks(directory.file(rundir.TRACKS))) == FRAMES
     assert len(list(open_source(directory.file(rundir.VIDEO)))) == 4
     assert any("while the video was drawn" in warning for warning in outcome.warnings)
+
+
+def test_an_observer_gets_the_corrected_tracks_of_a_camera_from_the_beginning(
+    job: Job, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The tracker has forgotten the first of them by then."""
+    given = list[Tracks]()
+
+    class Keeper(RunObserver):
+        whole = True
+
+        def finish(self, directory: rundir.RunDirectory, tracks: Tracks) -> None:
+            given.append(tracks)
+
+    monkeypatch.setattr("phdtrack.cli.job.FinalTracks", partial(FinalTracks, lag=0.1, every=0.1))
+    short = replace(job.kinds.usual, associator=GraphMatching(history=0.4))
+    camera = replace(job.inputs, source=Clip(once=True), again=False)
+    run(replace(job, kinds=Kinds(short), inputs=camera, observers=(Keeper(),), video=False), directory)
+    (whole,) = given
+    tracks = read_tracks(directory.file(rundir.TRACKS))
+    assert whole.frame.tolist() == tracks.frame.tolist() == list(range(1, FRAMES + 1))
+    np.testing.assert_array_equal(whole.identity, tracks.identity)
 
 
 @pytest.mark.parametrize("again", [True, False])

@@ -157,6 +157,8 @@ class CountObserver(RunObserver):
     blur : what is made unrecognisable in pictures.
     """
 
+    whole = True
+
     def __init__(self, watch: Watch, info: SequenceInfo, video: VideoSource | None, blur: str) -> None:
         self._watch, self._info, self._video, self._blur = watch, info, video, blur
         self._last, self._tracks, self._events = info.frames, Tracks.empty(), list[Event]()

@@ -162,8 +162,12 @@ class _Seen(NamedTuple):
 
 
 class GroupObserver(RunObserver):
-    """Finds groups on the ground plane among the corrected tracks when the run has ended, writes them, keeps each frame's
-    plan (some hundred bytes a person), and draws and reports them."""
+    """Finds groups on the ground plane among the corrected tracks when the run has ended, writes, draws and reports them.
+
+    Until then it keeps of each frame the measurements, of an intensity its Gaussians, and the plan: some hundred bytes a
+    person."""
+
+    whole = True
 
     def __init__(self, groups: GroupStages, info: SequenceInfo, edges: tuple[F8, ...], world: World) -> None:
         self._groups, self._info, self._edges, self._world = groups, info, edges, world

@@ -59,6 +59,8 @@ _HIDDEN = "In all pictures {} of detections and tracks are hidden; what was neit
 _STOPPED = "stopped after frame {}; its files are being completed"
 # Frames of which is kept what was seen, and what the report shows, where there is no end to them.
 _SAMPLE, _CHARTED = 1000, 100_000
+# The shorter side of an annotated video at the least.
+_LEAST = 16
 # Seconds for which videos are drawn after a signal; what the end of a run imports, which takes a second.
 _SHORTLY, _LATE = 0.5, ("scipy.optimize", "scipy.sparse.csgraph", "matplotlib.figure")
 
@@ -68,7 +70,7 @@ class Job:
     """What is to be run; ``configuration`` and ``read``, what was read and how, decide the result; ``ground`` measures where
     boxes of tracks in an image stand; ``looked``: what decides the detections, empty where they are not kept; ``anew``:
     those of an earlier run are not taken; ``every``: seconds between checkpoints, 0 for none; ``delay``:
-    frames by which online rows lag; ``blur``: what is made unrecognisable in pictures; ``video_size``: of the longer
+    frames by which online rows lag; ``blur``: what is made unrecognisable in pictures; ``video_size``: the longer
     side of the annotated video in pixels, at most; 0: as the source."""
 
     inputs: Inputs
@@ -136,8 +138,8 @@ class _Progress:
     ``drawn`` the last frame of videos that end early because of a signal, or 0.
 
     ``seconds`` is what the loop took, but for ``left_out`` frames in which kernels were compiled or loaded. ``unwritten``
-    ended the writing of files; the others are written all the same. ``resumed`` is the frame that it went on from;
-    ``reused``: the detections are those of an earlier run.
+    ended the writing of files; the others are written all the same. ``final``: corrected rows of a source without an end
+    that an observer wants. ``resumed`` is the frame that it went on from; ``reused``: the detections are of an earlier run.
     """
 
     tracker: Tracker
@@ -151,6 +153,7 @@ class _Progress:
     stop: Stop | None = None
     cut: Stop | None = None
     unwritten: list[Stop] = field(default_factory=list)
+    final: list[Tracks] = field(default_factory=list)
     resumed: int = 0
     reused: bool = False
 
@@ -204,7 +207,7 @@ def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -
             file.append(tracks, places(job.sensor, tracks.xyxy))
     for observer in job.observers:
         with done.saving():
-            observer.finish(directory, tracks)
+            observer.finish(directory, tracks if job.inputs.again else Tracks.concatenate(done.final))
     if job.truth is not None:
         from phdtrack.metrics import evaluate
 
@@ -349,9 +352,8 @@ class _Written:
             observer.take(found, step, self._done.tracker.state)
         if self._once:
             self._once.take(frame, seen, rows)
-        if self._final and self._corrected and len(final := self._final.due()):
-            self._append(self._corrected, final)
-            self._done.recorder.count(final)
+        if self._final and len(final := self._final.due()):
+            self._are_final(final)
             return_memory()  # what smoothing has freed, or the heap grows for days
 
     def flush(self) -> None:
@@ -362,23 +364,30 @@ class _Written:
 
     def rest(self) -> None:
         """All corrected rows that are not written yet."""
-        if self._final and self._corrected:
-            self._append(self._corrected, rest := self._final.rest())
-            self._done.recorder.count(rest)
+        if self._final:
+            self._are_final(self._final.rest())
+
+    def _are_final(self, rows: Tracks) -> None:
+        """Write corrected rows, count them, and keep them where an observer wants those of the whole run."""
+        if self._corrected:
+            self._append(self._corrected, rows)
+        self._done.recorder.count(rows)
+        if any(observer.whole for observer in self._job.observers):
+            self._done.final.append(rows)
 
     def _append(self, writer: TracksWriter, rows: Tracks) -> None:
         writer.append(rows, places(self._job.sensor, rows.xyxy))
 
 
 class _Drawing:
-    """Draws frames for the annotated video, whose longer side has at most so many pixels, even numbers; 0: as the source."""
+    """Draws frames for the annotated video, shrunk as `Job.video_size` says."""
 
     def __init__(self, job: Job, *, planes: bool = False) -> None:
-        info, longest = job.inputs.info, job.video_size
-        share = longest / max(info.width, info.height)
-        self.size = info.width, info.height
-        if 0 < share < 1:
-            self.size = max(2, 2 * round(share * info.width / 2)), max(2, 2 * round(share * info.height / 2))
+        info, sides = job.inputs.info, (job.inputs.info.width, job.inputs.info.height)
+        # Encoders take no sides of a few pixels, and even ones only.
+        share, self.size = max(job.video_size / max(sides), _LEAST / min(sides)), sides
+        if job.video_size and share < 1:
+            self.size = 2 * int(share * info.width / 2 + 1e-9), 2 * int(share * info.height / 2 + 1e-9)
         self._factor = np.tile(np.divide(self.size, (info.width, info.height)), 2)
         self._annotate = Annotator(replace(info, width=self.size[0], height=self.size[1]), names=job.names, blur=job.blur)
         # What is drawn on the decoder's planes goes to the encoder as it is; what blurs, and odd sizes, need BGR.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -35,7 +35,12 @@ class Report(NamedTuple):
 
 
 class RunObserver:
-    """An observer without files and videos; others override what they need."""
+    """An observer without files and videos; others override what they need.
+
+    ``whole``: it wants all corrected tracks, which are then kept where the source has no end, too.
+    """
+
+    whole: ClassVar[bool] = False
 
     def open(self, directory: RunDirectory, files: ExitStack) -> None:
         """Open its files until ``files`` are closed."""

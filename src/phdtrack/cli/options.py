@@ -156,7 +156,7 @@ class TrackingOptions:
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """Where a run is written, what it goes on from and what its pictures hide; the scene that it is in."""
+    """Where a run is written, whether it goes on from an earlier one, what its pictures hide, and its scene."""
 
     out: Out = None
     overwrite: Overwrite = False

@@ -218,8 +218,8 @@ def mixture_of(intensity: Any, step: Step, z: F8, stages: AnyStages, lightest: f
 def carriers(mixture: GaussianMixture, place: F8, lightest: float) -> I8:
     """(M,) the Gaussian of each track: the nearest by its own covariance, −1 where none is near enough.
 
-    A track's row rests on the mean of a Gaussian, whose distance is 0; a row that was only predicted finds the one that
-    the filter still has for it.
+    A corrected row lies near the Gaussian that it rests on; a row that was only predicted finds the one that the filter
+    still has for it.
 
     Parameters
     ----------

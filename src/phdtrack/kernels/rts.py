@@ -1,4 +1,4 @@
-"""The steps of the Rauch–Tung–Striebel smoother over n Gaussians at once [R65]. See `models.rts`, which has the formulas.
+"""The steps of the Rauch–Tung–Striebel smoother over n Gaussians at once [R65]; their formulas: docs/methods.md, Smoothing.
 
 Means are (n, d), covariances (n, d, d), measurements (n, r); all C-contiguous.
 """

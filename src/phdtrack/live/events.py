@@ -279,7 +279,7 @@ class _Frame:
 
 
 def place_events(watch: Watch, tracks: Tracks, last: int, fps: float) -> list[Event]:
-    """What happens at lines and zones in a sequence whose tracks are all known, in the order of frames.
+    """What happens at lines and zones (cross, enter, exit, dwell) in a sequence whose tracks are all known, in its order.
 
     Who vanishes in a zone has left it when last seen: `Watch.advance` says so later, when it is certain. Who is in a zone
     in the last frame does not leave it.

@@ -128,8 +128,8 @@ class SceneDensity:
 
     def _summed(self, x: F8, flat: float, outside: float) -> F8:
         """(L,) ``flat`` and the Gaussians in the volume, and ``outside`` elsewhere."""
-        gaussians = np.exp(log_densities(np.ascontiguousarray(x), self._whitened)).sum(axis=0)
-        return np.where(self.contains(x), flat + gaussians, outside)
+        each = log_densities(np.ascontiguousarray(x), self._whitened)
+        return np.where(self.contains(x), flat + np.exp(each, out=each).sum(axis=0), outside)
 
 
 def marginal(p: SceneDensity, rows: tuple[int, ...]) -> SceneDensity:
