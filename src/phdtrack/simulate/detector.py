@@ -26,7 +26,7 @@ _GRID = 9
 
 @dataclass(frozen=True, slots=True)
 class DetectorModel(Checked):
-    """Settings of a simulated detector, whose scores are all 1. Defaults are those of the clutter cases: p_D 0.9, jitter 5 %.
+    """Settings of a simulated detector, whose scores are all 1. Defaults are of the clutter cases: p_D 0.9, jitter 5 %.
 
     Attributes
     ----------
