@@ -88,6 +88,7 @@ def test_a_camera_that_shakes_is_steadied_by_itself(tmp_path):
     rows = (tmp_path / "run" / "tracks.csv").read_bytes()
     again = phdtrack(*run, "--overwrite").object
     assert again["detections_reused"]
+    assert again["notes"] == first["notes"]
     assert (tmp_path / "run" / "tracks.csv").read_bytes() == rows
 
 

@@ -33,7 +33,7 @@ from phdtrack.cli.output import Advance, progress, versions
 from phdtrack.cli.run_directory import RunDirectory
 from phdtrack.cli.settings import confirmation
 from phdtrack.detect import BACKGROUND
-from phdtrack.detect.registry import prepared, steadied, unsuited
+from phdtrack.detect.registry import prepared, unsuited
 from phdtrack.devices import bgr_of, planes_of, size_of
 from phdtrack.errors import InputError, interrupted, needed, shown
 from phdtrack.files import return_memory, write_text
@@ -56,6 +56,7 @@ _WHICH = (
 _LATEST = "The source had no end: figures are of the whole run, charts of its last frames, paths of the last tracks."
 _REUSED = "The detections are those of an earlier run with the same detector; --detect-again detects anew."
 _HIDDEN = "In all pictures {} of detections and tracks are hidden; what was neither detected nor tracked can be seen."
+_SHAKES = "The camera shakes: each picture was laid onto the scene before it was compared with it."
 _STOPPED = "stopped after frame {}; its files are being completed"
 # Frames of which is kept what was seen, and what the report shows, where there is no end to them.
 _SAMPLE, _CHARTED = 1000, 100_000
@@ -134,13 +135,11 @@ class _Seen(NamedTuple):
 
 @dataclass(slots=True)
 class _Progress:
-    """How far it got. ``stop`` ended the loop, ``cut`` the drawing; ``lost`` is what the source said when it ended;
-    ``drawn`` the last frame of videos that end early because of a signal, or 0.
-
-    ``seconds`` is what the loop took, but for ``left_out`` frames in which kernels were compiled or loaded. ``unwritten``
-    ended the writing of files; the others are written all the same. ``final``: corrected rows of a source without an end
-    that an observer wants. ``resumed`` is the frame that it went on from; ``reused``: the detections are of an earlier run.
-    """
+    """How far it got. ``stop`` ended the loop, ``cut`` the drawing; ``lost`` is what the source said when it ended; ``drawn``
+    the last frame of videos that end early because of a signal, or 0. ``seconds`` is what the loop took, but for ``left_out``
+    frames in which kernels were compiled or loaded. ``unwritten`` ended the writing of files; the others are written all the
+    same. ``final``: corrected rows of a source without an end that an observer wants. ``resumed`` is the frame that it went on
+    from; ``reused``: the detections are those of an earlier run; ``shakes``: the camera does."""
 
     tracker: Tracker
     recorder: Recorder
@@ -156,6 +155,7 @@ class _Progress:
     final: list[Tracks] = field(default_factory=list)
     resumed: int = 0
     reused: bool = False
+    shakes: bool = False
 
     @contextmanager
     def saving(self) -> Iterator[None]:
@@ -231,7 +231,7 @@ def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -
         left_out=done.left_out,
         scores=() if scores is None else tuple((k, math.nan if v is None else v) for k, v in scores.as_dict().items()),
         warnings=(*_problems(job, done), *wrong, *confirmed[1:]),
-        notes=tuple(filter(None, (*confirmed[:1], _WHICH, hidden, latest, steadied(job.inputs.detector)))),
+        notes=tuple(filter(None, (*confirmed[:1], _WHICH, hidden, latest, _SHAKES if done.shakes else ""))),
     )
     reports = [observer.report() for observer in job.observers]
     record = replace(record, about=replace(said, sections="\n".join(report.section for report in reports)))
@@ -282,8 +282,10 @@ def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool)
         try:
             if checkpoint is None:
                 learn_scene(inputs)
-            with ahead(prepared(inputs.detector, inputs.source)) as frames, ahead(found_in(frames)) as looked:
-                for frame, found, warp, seconds, _ in looked:
+            # Where detections are used again, nobody looks at the pictures.
+            pictures = inputs.source if done.reused else prepared(inputs.detector, inputs.source)
+            with ahead(pictures) as frames, ahead(found_in(frames)) as looked:
+                for frame, found, warp, seconds, pose in looked:
                     # No frame stands in one file only; and Numba does not survive Ctrl-C while it makes objects.
                     with uninterrupted():
                         rows = tracker.update(found, frame.number, frame.time, warp if len(warp) else None)
@@ -293,7 +295,7 @@ def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool)
                         written.take(frame, found, step, seen, rows)
                         done.recorder.add(frame if inputs.pictures else None, step, seconds)
                         done.seen.append(seen)
-                        done.frames += 1
+                        done.frames, done.shakes = done.frames + 1, done.shakes or len(pose) > 0
                     advance(done.frames, **expected(inputs.source, done.frames, "tracking"))
                     before, clock = clock, time.perf_counter()
                     if locks.buffer:

@@ -340,13 +340,6 @@ def pose_of(detector: Detector, frame: Frame) -> F8:
     return np.asarray(scale @ pose @ np.linalg.inv(scale))
 
 
-def steadied(detector: Detector) -> str:
-    """A sentence where a detector has found that the camera shakes; empty elsewhere."""
-    inner, _ = _inner(detector)
-    shakes = isinstance(inner, ChangeDetector) and inner.shaky
-    return "The camera shakes: each picture was laid onto the scene before it was compared with it." if shakes else ""
-
-
 def knowledge(detector: Detector) -> dict[str, Any] | None:
     """What a detector has learned of the scene, as `state.to_bytes` takes it, for `restore`.
 
