@@ -135,11 +135,11 @@ class _Seen(NamedTuple):
 
 @dataclass(slots=True)
 class _Progress:
-    """How far it got. ``stop`` ended the loop, ``cut`` the drawing; ``lost`` is what the source said when it ended; ``drawn``
-    the last frame of videos that end early because of a signal, or 0. ``seconds`` is what the loop took, but for ``left_out``
-    frames in which kernels were compiled or loaded. ``unwritten`` ended the writing of files; the others are written all the
-    same. ``final``: corrected rows of a source without an end that an observer wants. ``resumed`` is the frame that it went on
-    from; ``reused``: the detections are those of an earlier run; ``shakes``: the camera does."""
+    """How far it got. ``stop`` ended the loop, ``cut`` the drawing; ``lost`` is what the source said at its end; ``drawn``
+    the last frame of videos that end early because of a signal, or 0. ``seconds`` is what the loop took, but for
+    ``left_out`` frames in which kernels were compiled or loaded. ``unwritten`` ended the writing of files; the others are
+    written all the same. ``final``: corrected rows of a source without an end that an observer wants. ``resumed`` is the
+    frame that it went on from; ``reused``: the detections are those of an earlier run; ``shakes``: the camera does."""
 
     tracker: Tracker
     recorder: Recorder
