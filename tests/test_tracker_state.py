@@ -93,7 +93,7 @@ def test_a_saved_state_holds_plain_values_only(kind: str, scene):
 
 
 def test_the_state_of_an_earlier_version_is_told():
-    with pytest.raises(InputError, match=r"^load_state_dict: this state is of format 1, .* reads format 20"):
+    with pytest.raises(InputError, match=r"^load_state_dict: this state is of format 1, .* reads format 21"):
         tracker_of().load_state_dict(tracker_of().state_dict() | {"format": 1})
 
 
@@ -245,6 +245,8 @@ def element(value, place=0, column: str = ""):
     ({}, (*LANE, "seed", "fields", "word"), lambda a: 1 << 40, "word: expected numbers from 0"),
     ({}, ("left_out", "fields", "left_out", "fields", "empty"), lambda a: "", "expected int, got str"),
     ({}, ("dim",), lambda a: np.zeros(3), "expected states of 6"),
+    ({}, ("frame_size",), lambda a: np.zeros(3), "expected a state of frames of 640x480"),
+    ({}, ("frame_size",), lambda a: "1920x1080", "expected a state of frames of 640x480, got one of '1920x1080'"),
     ({}, ("format",), lambda a: np.zeros(3), "no state of a tracker"),
     (few("gm-phd"), (*MIXTURE, "weight"), element(-0.5), "weight: expected numbers from 0"),
     (few("gm-phd"), (*LINKS, "window", "fields", "previous"), element(10**6), "GraphState do not fit"),

@@ -33,8 +33,8 @@ from phdtrack.types import I8, STILL, Detections, SequenceInfo, Step, Tracks
 
 _LOG = logging.getLogger(__name__)
 # Of a saved state: what is in it, and its format, which changes when a record of the state does.
-_SAVED = {"format", "dim", "state", "lanes", "left_out"}
-FORMAT = 20
+_SAVED = {"format", "dim", "frame_size", "state", "lanes", "left_out"}
+FORMAT = 21
 # Seconds that are remembered where nothing is said of it.
 HISTORY = 600.0
 
@@ -89,8 +89,8 @@ class Tracker:
             raise InputError(f"expected frames per second above 0, got {fps!r}", where="Tracker(fps=…)")
         if _whole(seed, "Tracker(seed=…)") < 0:
             raise InputError(f"expected a seed from 0, got {seed}", where="Tracker(seed=…)")
-        # Whether it is to be said that something was forgotten.
-        self._forgets = False
+        # Whether it is to be said that something was forgotten; the size of the frames where the settings are for one.
+        self._forgets, self._frame_size = False, ""
         if stages is None:
             if frame_size is None:
                 cure = "Give frame_size=(width, height)"
@@ -102,7 +102,9 @@ class Tracker:
             self._forgets = "history" not in loaded.given.get("associate", {})
             if self._forgets:
                 loaded = config.overlay(loaded, {"associate": {"history": HISTORY}}, "Tracker")
-            stages = config.build_kinds(loaded, SequenceInfo(*_size(frame_size), float(fps)))
+            width, height = _size(frame_size)
+            self._frame_size = f"{width}x{height}"
+            stages = config.build_kinds(loaded, SequenceInfo(width, height, float(fps)))
         elif sections or settings is not None or preset or filter:
             raise InputError("stages are complete; settings beside them would be ignored", where="Tracker")
         self.kinds = stages if isinstance(stages, Kinds) else Kinds(stages)
@@ -258,12 +260,12 @@ class Tracker:
         from phdtrack.state import pack
 
         (whole, lanes), left_out = self._lanes.saved(), SavedBoxes(self._left_out, dict(self._kept))
-        about = {"format": FORMAT, "dim": self.stages.model.motion.dim}
+        about = {"format": FORMAT, "dim": self.stages.model.motion.dim, "frame_size": self._frame_size}
         return lambda: about | {"state": pack(whole), "lanes": pack(lanes), "left_out": pack(left_out)}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Go on from a `state_dict` of a tracker with the same settings. Raises `InputError` where it is no such state, or
-        one of another version or of states of other components."""
+        one of another version, of states of other components or of frames of another size."""
         from phdtrack.state import World, restored
 
         form = saved.get("format", FORMAT) if isinstance(saved, dict) else FORMAT
@@ -274,9 +276,13 @@ class Tracker:
         if not (isinstance(saved, dict) and isinstance(form, int)) or saved.keys() != _SAVED:
             raise InputError("this is no state of a tracker", where="load_state_dict")
         dim, lanes = self.stages.model.motion.dim, Lanes(self.kinds, self.seed)
+        size, problem = saved["frame_size"], ""
         if not isinstance(saved["dim"], int) or saved["dim"] != dim:
-            cure = "Load it into a tracker with the settings of the one that it is from"
             problem = f"expected states of {dim} components, got {saved['dim']!r}"
+        elif not isinstance(size, str) or (size and self._frame_size and size != self._frame_size):
+            problem = f"expected a state of frames of {self._frame_size}, got one of {size!r}"
+        if problem:
+            cure = "Load it into a tracker with the settings of the one that it is from"
             raise InputError(problem, where="load_state_dict", cure=cure)
         try:
             lanes.restore(saved["state"], saved["lanes"])
