@@ -302,6 +302,11 @@ def test_the_video_may_be_smaller_than_the_pictures(
         assert grey[inside].mean() > 150 > 90 > grey[outside].mean()
 
 
+def test_no_video_is_too_small_for_an_encoder(job: Job, directory: rundir.RunDirectory) -> None:
+    assert run(replace(job, video_size=1), directory).stop is None
+    assert {frame.image.shape for frame in open_source(directory.file(rundir.VIDEO))} == {(16, 24, 3)}
+
+
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 def test_frames_that_compile_are_left_out_of_the_speed(job: Job, directory: rundir.RunDirectory) -> None:
     run(job, directory)
