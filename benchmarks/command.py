@@ -213,10 +213,9 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
             video, out = Path(folder) / "video.mp4", Path(folder) / "plain.mp4"
             say(f"making {name}")
             make(video, size.width, size.height, size.frames * (3 if scale.name == "full" else 1))
-            kinds = {"with video": size.with_video, "--video-size 0": None, "--no-video": size.without}
-            if size.width <= SHRUNK:
-                del kinds["--video-size 0"]
-            for kind, least in kinds.items():
+            kinds = [("with video", size.with_video), ("--no-video", size.without)]
+            kinds += [("--video-size 0", None)] if size.width > SHRUNK else []
+            for kind, least in kinds:
                 say(f"{name}, {kind}")
                 options = kind.split() if kind.startswith("--") else []
                 mine, other = ours(video, Path(folder), *options), plain(video, "-" if kind == "--no-video" else str(out))

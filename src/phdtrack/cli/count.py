@@ -157,7 +157,7 @@ class CountObserver(RunObserver):
     blur : what is made unrecognisable in pictures.
     """
 
-    whole = True
+    all_tracks = True
 
     def __init__(self, watch: Watch, info: SequenceInfo, video: VideoSource | None, blur: str) -> None:
         self._watch, self._info, self._video, self._blur = watch, info, video, blur

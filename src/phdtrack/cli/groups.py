@@ -167,7 +167,7 @@ class GroupObserver(RunObserver):
     Until then it keeps of each frame the measurements, of an intensity its Gaussians, and the plan: some hundred bytes a
     person."""
 
-    whole = True
+    all_tracks = True
 
     def __init__(self, groups: GroupStages, info: SequenceInfo, edges: tuple[F8, ...], world: World) -> None:
         self._groups, self._info, self._edges, self._world = groups, info, edges, world

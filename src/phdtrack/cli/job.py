@@ -355,7 +355,7 @@ class _Written:
         if self._once:
             self._once.take(frame, seen, rows)
         if self._final and len(final := self._final.due()):
-            self._are_final(final)
+            self._take_final(final)
             return_memory()  # what smoothing has freed, or the heap grows for days
 
     def flush(self) -> None:
@@ -367,14 +367,14 @@ class _Written:
     def rest(self) -> None:
         """All corrected rows that are not written yet."""
         if self._final:
-            self._are_final(self._final.rest())
+            self._take_final(self._final.rest())
 
-    def _are_final(self, rows: Tracks) -> None:
+    def _take_final(self, rows: Tracks) -> None:
         """Write corrected rows, count them, and keep them where an observer wants those of the whole run."""
         if self._corrected:
             self._append(self._corrected, rows)
         self._done.recorder.count(rows)
-        if any(observer.whole for observer in self._job.observers):
+        if any(observer.all_tracks for observer in self._job.observers):
             self._done.final.append(rows)
 
     def _append(self, writer: TracksWriter, rows: Tracks) -> None:

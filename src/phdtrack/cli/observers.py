@@ -37,10 +37,10 @@ class Report(NamedTuple):
 class RunObserver:
     """An observer without files and videos; others override what they need.
 
-    ``whole``: it wants all corrected tracks, which are then kept where the source has no end, too.
+    ``all_tracks``: `finish` needs the corrected tracks of the whole run; where the source has no end, they are kept for it.
     """
 
-    whole: ClassVar[bool] = False
+    all_tracks: ClassVar[bool] = False
 
     def open(self, directory: RunDirectory, files: ExitStack) -> None:
         """Open its files until ``files`` are closed."""

@@ -38,10 +38,12 @@ def rows_of_kitti(text: Text, kind: str | None) -> Text:
             raise InputError(problem, where=where, cure=cure)
         kind = "".join(types)
     every, wanted, lines, kept = kind is None, (kind or "").lower(), list[str](), list[int]()
+    # A row without a type is cut short, which is said below.
+    chosen = ("", wanted, _REGION, *_NEIGHBOURS.get(wanted, ()))
     for row in range(len(text)):
         cells = text.cells(row)
         name = "".join(cells[2:3]).lower()
-        if name == _REGION if every else name not in ("", wanted, _REGION, *_NEIGHBOURS.get(wanted, ())):
+        if (every and name == _REGION) or (not every and name not in chosen):
             continue
         if len(cells) != text.width or not (every or (is_number(cells[3]) and is_number(cells[4]))):
             came = f"the fourth and fifth numbers (truncated, occluded), came {cells[:5]}"
