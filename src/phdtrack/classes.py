@@ -405,7 +405,8 @@ def remember(kept: dict[int, Any], number: int, value: Any) -> None:
 
     Parameters
     ----------
-    kept, number, value : what is added to, and of the frame.
+    kept : values by number of the frame, which is changed.
+    number, value : of this frame.
     """
     kept[number] = value
     if len(kept) > _MOST_KEPT:
