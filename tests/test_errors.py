@@ -76,4 +76,5 @@ def test_what_is_wrong_with_millions_of_characters_is_said_in_a_few_and_without_
     assert "word" not in said
     assert "abc" not in said
     assert said.endswith("rtsp://…@host/?quality=1&Token=…&n=2")
-    assert "word" not in str(InputError("no answer of RTSP://me:word@host"))
+    for address in ("RTSP://me:word@host", "rtsp://me:pass/word@host", "rtsp://me/word@host/1"):
+        assert str(InputError(f"no answer of {address}")).startswith(f"no answer of {address[:4]}://…@host")

@@ -49,8 +49,8 @@ EXTRAS = {
 }
 """What installs the packages that `Tracker` does without, by the names of their modules."""
 
-# Each place is looked at once, whatever stands there: a damaged file may be one long name.
-_USER = re.compile(r"(?i)([a-z0-9+.-]{1,30}://)[^/\s]+@")
+# Each place is looked at once, whatever stands there: a damaged file may be one long name. A password may hold an @ or a /.
+_USER = re.compile(r"(?i)([a-z0-9+.-]{1,30}://)[^\s?#]{1,100}@")
 _PARAMETER = re.compile(r"([?&][^=&?]*=)[^&#\s]*")
 _SECRET = re.compile(r"(?i)pass|pwd|token|secret|key|auth")
 # A sentence of more characters loses its middle: what is wrong may be a value of many thousand.

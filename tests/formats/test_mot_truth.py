@@ -72,6 +72,18 @@ def test_classes_as_trackeval_takes_them(tmp_path: Path, benchmark: str, rng: np
     assert ours.distractor.sum() == 3 * 2 * (5 if benchmark == "MOT20" else 4)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "1,1,0,0,5,5,1,1,0.9\n1,2,0,0,5,5,0,8,0.2\n1,3,0,0,5,5,0,3,1\n",
+        "frame,id,left,top,width,height,ignored\n1,1,0,0,5,5,0\n1,2,0,0,5,5,1\n",
+        "frame,id,left,top,width,height,region\n1,1,0,0,5,5,0\n1,-1,0,0,5,5,1\n",
+    ],
+)
+def test_truth_taken_as_tracks_has_only_what_counts(tmp_path: Path, text: str) -> None:
+    assert read_tracks(put(tmp_path, text)).identity.tolist() == [1]
+
+
 def test_tracks_of_other_programs(tmp_path: Path) -> None:
     tracks = read_tracks(put(tmp_path, "2,1,0,0,5,5,-1,-1,-1,-1\n1,2,0,0,5,5,0.25,-1,-1,-1\n1,1,0,0,5,5,3,-1,-1,-1\n"))
     assert (tracks.frame.tolist(), tracks.identity.tolist()) == ([1, 1, 2], [1, 2, 1])

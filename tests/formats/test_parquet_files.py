@@ -30,7 +30,7 @@ def test_columns_by_name(tmp_path: Path) -> None:
     assert table.detections.confidence.tolist() == [-3, 0.5]
     truth = read_truth(path)
     assert (truth.identity.tolist(), truth.distractor.tolist()) == ([4, 4], [False, True])
-    assert read_tracks(path).identity.tolist() == [4, 4]
+    assert read_tracks(path).frame.tolist() == [1]
 
 
 def test_empty_ones(tmp_path: Path) -> None:

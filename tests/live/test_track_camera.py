@@ -189,3 +189,12 @@ def test_final_tracks_are_those_of_a_tracker_that_forgets_nothing() -> None:
     np.testing.assert_allclose(boxes[order], usual.xyxy[theirs], atol=2.0)
     pairs = set(zip(given[order, 1].tolist(), usual.identity[theirs].tolist(), strict=True))
     assert len(pairs) == len({a for a, _ in pairs}) == len({b for _, b in pairs}) > 10
+
+
+@pytest.mark.parametrize("command", [["track"], ["count", "--line", "a=0,0,9,9"]])
+def test_a_password_with_a_slash_is_not_shown(command: list[str], tmp_path: Path):
+    words = [*command, "rtsp://bob:12/secret99@127.0.0.1:9/x", "--out", str(tmp_path / "out")]
+    found = CliRunner().invoke(application(command[0]), words)
+    assert found.exit_code == 2
+    assert "secret99" not in found.output
+    assert ("%2F" in found.output) == (command[0] == "track"), found.output

@@ -43,7 +43,7 @@ from phdtrack.files import return_memory
 from phdtrack.formats import DetectionsWriter, find_seqinfo, read_detections
 from phdtrack.formats.checks import WrongRows
 from phdtrack.formats.stream import stream_detections
-from phdtrack.live.sources import LiveSource, named
+from phdtrack.live.sources import LiveSource, check_address, named
 from phdtrack.types import F8, STILL, Detections, DetectionTable, Frame, Image, SequenceInfo
 from phdtrack.video import VideoSource, open_source
 from phdtrack.video.files import endless
@@ -253,6 +253,7 @@ def _camera(address: str) -> VideoSource:
 
     A file on a server has an end and comes in order, with time-outs. Raises `InputError` where nothing comes.
     """
+    check_address(address)
     if "://" in address and not address.startswith("rtsp"):
         # In a thread: an address that does not answer must not keep Ctrl-C waiting.
         with ahead(map(_with_an_end, [address])) as found:

@@ -17,7 +17,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
-from urllib.parse import urlsplit
 
 import typer
 
@@ -38,7 +37,7 @@ from phdtrack.live.checkpoint import EVERY
 from phdtrack.live.delivery import Courier, Mqtt, Send, Webhook, receivers
 from phdtrack.live.engine import Camera, CameraSettings, Making
 from phdtrack.live.events import Watch
-from phdtrack.live.sources import LiveSource, named
+from phdtrack.live.sources import LiveSource, check_address, named
 from phdtrack.models import PlaneSensor
 from phdtrack.types import SequenceInfo
 
@@ -176,18 +175,9 @@ def named_sources(given: Sequence[str]) -> dict[str, str]:
     found = dict[str, str]()
     for word in given:
         match = re.fullmatch(r"([A-Za-z0-9][A-Za-z0-9._-]*)=(.+)", word)
-        try:
-            name, address = match.groups() if match else (named(word), word)
-            urlsplit(address)
-        except ValueError:
-            # Its own words may hold a part of a password.
-            raise InputError("expected an address, and this is none", where="SOURCE") from None
-        # A password with / in it: what stands before is no host with a port.
-        before = re.match(r"[A-Za-z0-9+.-]+://([^/@?]*):([^/@?]*)/[^?]*@", address)
-        if before and not (before[2].isdecimal() and re.search(r"[.\]]", before[1])):
-            problem = "expected user:password@host in the address, got an @ behind the first /"
-            cure = "Write / in a password as %2F, and @ behind the host as %40."
-            raise InputError(problem, where="SOURCE", cure=cure)
+        name, address = match.groups() if match else ("", word)
+        check_address(address)
+        name = name or named(address)
         if "://" not in address and not address.isdecimal() and not Path(address).is_file():
             cure = "Name rtsp://…, http://…, a camera's number or a video."
             raise InputError("there is no such file", where=address, cure=cure)

@@ -69,7 +69,7 @@ class Kind(Enum):
         Column.CLASS,
     )
     IGNORED = Column.FRAME, Column.IDENTITY
-    TRACKS = Column.FRAME, Column.IDENTITY, Column.CONFIDENCE, Column.DETECTION, Column.CONFIRMED, Column.CLASS
+    TRACKS = *TRUTH, Column.DETECTION, Column.CONFIRMED
 
 
 LTWH = (Column.LEFT, Column.TOP, Column.WIDTH, Column.HEIGHT)
@@ -197,7 +197,7 @@ def _by_position(kind: Kind, width: int) -> list[str]:
     if kind is Kind.DETECTIONS and width > 10:
         names[10] = "class"
         names[11:21] = _COVARIANCE if width >= 21 else names[11:21]
-    elif kind is Kind.TRUTH and width in (8, 9):
+    elif kind is not Kind.DETECTIONS and width in (8, 9):
         names[7] = "MOT class"
     elif kind is Kind.TRACKS and width >= 12:
         names[10:13] = ("detection", "confirmed", "class")[: width - 10]

@@ -23,7 +23,7 @@ from urllib.parse import urlsplit, urlunsplit
 
 import numpy as np
 
-from phdtrack.errors import needed, shown
+from phdtrack.errors import InputError, needed, shown
 from phdtrack.types import Image
 from phdtrack.video.files import bgr
 
@@ -284,6 +284,21 @@ class LiveSource:
                 yield np.asarray(image, np.uint8)
         finally:
             capture.release()
+
+
+def check_address(address: str) -> None:
+    """Raise `InputError` where it is none, or where its password holds a / that is not written as %2F."""
+    try:
+        urlsplit(address)
+    except ValueError:
+        # Its own words may hold a part of a password.
+        raise InputError("expected an address, and this is none", where="SOURCE") from None
+    # What stands before the first / is no host with a port.
+    before = re.match(r"[A-Za-z0-9+.-]+://([^/@?]*):([^/@?]*)/[^?]*@", address)
+    if before and not (before[2].isdecimal() and re.search(r"[.\]]", before[1])):
+        problem = "expected user:password@host in the address, got an @ behind the first /"
+        cure = "Write / in a password as %2F, and @ behind the host as %40."
+        raise InputError(problem, where="SOURCE", cure=cure)
 
 
 def named(address: str) -> str:
