@@ -210,6 +210,8 @@ def test_ctrl_c_leaves_the_groups_up_to_there(street: Path, tmp_path: Path, monk
         whole(self, found, step, state)
 
     monkeypatch.setattr(GroupObserver, "take", stopped)
+    # A busy machine draws little in half a second.
+    monkeypatch.setattr("phdtrack.cli.job._SHORTLY", 600.0)
     said = phdtrack("groups", *detected(street), "--out", tmp_path / "run", "--json")
     assert said.status == 130
     assert said.object["complete"] is False
