@@ -29,7 +29,7 @@ from phdtrack.detect.convert import LeftOut, as_detections, doubtful
 from phdtrack.errors import DEFERRED, INTERRUPTING, InputError, later
 from phdtrack.models.warp import as_warp
 from phdtrack.protocols import AnyStages
-from phdtrack.types import I8, STILL, Detections, SequenceInfo, Step, Tracks
+from phdtrack.types import I8, LAST_FRAME, STILL, Detections, SequenceInfo, Step, Tracks
 
 _LOG = logging.getLogger(__name__)
 # Of a saved state: what is in it, and its format, which changes when a record of the state does.
@@ -65,8 +65,8 @@ class Tracker:
     settings : a TOML file with settings.
     stages : one's own model, filter, extractor and associator, instead of all of the above but fps and seed; `Kinds` where
         classes have stages of their own.
-    **sections : settings by section, as ``sensor={"detection": 0.9}``; ``classes={"together": [[2, 7]]}`` for a detector's
-        classes, which are tracked apart.
+    **sections : settings by section, as ``sensor={"detection_probability": 0.9}``; ``classes={"together": [[2, 7]]}`` for a
+        detector's classes, which are tracked apart.
 
     Raises
     ------
@@ -148,8 +148,8 @@ class Tracker:
         """
         last = self._lanes.state
         number = last.number + 1 if frame is None else _whole(frame, "update(frame=…)")
-        if number < 1:
-            raise InputError(f"expected a frame number from 1, got {number}", where="update(frame=…)")
+        if not 1 <= number <= LAST_FRAME:
+            raise InputError(f"expected a frame number from 1 to {LAST_FRAME:,}, got {number}", where="update(frame=…)")
         time = last.time + (number - (last.number or 1)) / self.fps
         if timestamp is not None:
             time = _number(timestamp, f"frame {number}, update(timestamp=…)")
@@ -206,11 +206,12 @@ class Tracker:
     def _say_what_is_forgotten(self, time: float) -> None:
         """Once, where nobody has asked for it."""
         self._begun = time if math.isnan(self._begun) else self._begun
-        if self._forgets and time - self._begun > HISTORY:
+        # A slow stream's history is longer: it goes by the filter's time.
+        if self._forgets and time - self._begun > HISTORY and self._lanes.oldest > 1:
             self._forgets = False
             _LOG.warning(
-                "what is older than %g minutes is forgotten from now on, so that memory stays bounded: tracks() goes no "
-                "further back. FinalTracks gives corrected rows as they become final; associate={'history': 0} keeps all",
+                "what is older than some %g minutes is forgotten from now on, so that memory stays bounded: tracks() goes "
+                "no further back. FinalTracks gives corrected rows as they become final; associate={'history': 0} keeps all",
                 HISTORY / 60,
             )
 
@@ -220,7 +221,7 @@ class Tracker:
         return self._left_out
 
     def flush(self) -> Tracks:
-        """The online rows that the output delay holds back; none without a delay."""
+        """At the end, the online rows that the output delay holds back: a later `update` gives them again."""
         return given_rows(self._lanes.flush(), self._kept)
 
     def tracks(self) -> Tracks:
@@ -301,7 +302,8 @@ class FinalTracks:
     """The corrected rows of a loop without end, each given once, when it is final.
 
     A row is final ``lag`` seconds after its frame. A track that lasts longer than the tracker remembers keeps its identity
-    (``associate={"history": S}``: the lag, ``every``, and what comes before the rows, 30 s or more).
+    (``associate={"history": S}``: the lag, ``every``, and what comes before the rows, 30 s or more). Take `rest` before the
+    tracker is reset. What was given is no part of a tracker's state: after `Tracker.load_state_dict` rows come again.
 
     Parameters
     ----------
@@ -311,7 +313,10 @@ class FinalTracks:
 
     def __init__(self, tracker: Tracker, lag: float = 30.0, every: float = 30.0) -> None:
         self._tracker, self._lag, self._every = tracker, lag, every
-        self._due = self._last = self._used = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        self._last = self._used = 0
         self._next = math.nan
         # When each frame was, of those that are not final; identities of rows that were given, by frame and detection.
         self._times, self._given = dict[int, float](), dict[tuple[int, int], int]()
@@ -321,6 +326,9 @@ class FinalTracks:
         step = self._tracker.step
         if step is None:
             return Tracks.empty()
+        if step.number < max((self._last, *self._times)):
+            # The tracker was reset.
+            self._begin()
         self._times[step.number] = step.time
         self._next = step.time + self._lag + self._every if math.isnan(self._next) else self._next
         if step.time < self._next:
@@ -330,7 +338,8 @@ class FinalTracks:
 
     def rest(self) -> Tracks:
         """All other rows, at the end."""
-        return self._up_to(max(self._times, default=0))
+        step = self._tracker.step
+        return self._up_to(0 if step is None else step.number)
 
     def _up_to(self, frame: int) -> Tracks:
         """The rows after those that were given, up to a frame, with lasting identities."""

@@ -152,6 +152,10 @@ class Truth:
         return len(self.frame)
 
 
+LAST_FRAME = 10_000_000_000
+"""The highest frame number: three years at a hundred a second. Products of it with a picture's size are exact."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Particles:
     """A weighted particle set.

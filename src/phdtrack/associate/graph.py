@@ -122,8 +122,8 @@ class GraphMatching(Checked):
         continued while tracks that were missing as long came back in more than half of the cases.
     bridge_gaps : fill the gaps of tracks with predicted rows.
     back_dating : earlier detections through which a corrected track is led back, at most.
-    history : seconds after which the past is forgotten, for cameras that run for days; 0: never. Corrected tracks then go no
-        further back than this and a little more.
+    history : seconds of the filter's time (`time.longest_interval`) after which the past is forgotten; 0: never. Corrected
+        tracks then go no further back than this and a little more.
     """
 
     window: Positive = 2.0

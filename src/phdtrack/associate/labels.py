@@ -133,8 +133,8 @@ class Labelled(Checked):
         they were predicted than not; ``max_coast`` is what is expected before any are known.
     bridge_gaps : fill the gaps of tracks with predicted rows, smoothed in corrected tracks. Otherwise every row rests on a
         detection.
-    history : seconds after which the past is forgotten, for cameras that run for days; 0: never. Corrected tracks then go no
-        further back than this and a little more, and a label that is seen again later is a new identity.
+    history : seconds of the filter's time (`time.longest_interval`) after which the past is forgotten; 0: never. Corrected
+        tracks then go no further back than this and a little more, and a label that is seen again later is a new identity.
     """
 
     min_track_length: PositiveCount = 5

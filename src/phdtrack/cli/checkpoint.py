@@ -98,11 +98,21 @@ class Checkpoint:
             self._due = time.monotonic() + self._every
             if not known:
                 self._add(inputs, {"looked": self._looked}, log)
-            for one in detected(inputs.detector, iterator, mover):
-                self._add(inputs, _plain(one), log)
-                yield one
-        if self._saving is not None:
-            self._saving.join()
+            one = None
+            try:
+                for one in detected(inputs.detector, iterator, mover):
+                    self._add(inputs, _plain(one), log)
+                    yield one
+            except GeneratorExit:
+                # The run was stopped, and is to go on from here.
+                if one is not None and not self.problem:
+                    self._due = 0.0
+                    with suppress(OSError):
+                        self._save(inputs, one.frame.number, log)
+                raise
+            finally:
+                if self._saving is not None:
+                    self._saving.join()
         if self._looked and not self.problem and not inputs.source.problem:
             # All frames were looked at, and a run that is resumed takes them from there.
             with suppress(OSError):

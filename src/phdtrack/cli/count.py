@@ -93,7 +93,7 @@ def count(
     settings = chosen(options, scene_settings(to.scene), detector=source.looked_by)
     job = prepare(source, options, settings, to, video=False)
     video = replace(job.inputs.source) if job.inputs.pictures else None
-    observer = CountObserver(replace(watch, names=job.names or {}), job.inputs.info, video, to.blur)
+    observer = CountObserver(replace(watch, names=job.names or {}), job.inputs.info, video, to.blur, job.inputs.source.first)
     finish(output, replace(job, observers=(*job.observers, observer), every=EVERY), to)
     if observer.directory is not None:
         observer.tell(output)
@@ -131,10 +131,10 @@ def _count_known(
     directory = rundir.claim(at, True, _FILES, resume=True, inputs=(source.source, path))
     for file in directory.written():
         file.unlink()
-    observer = CountObserver(replace(watch, names=found.names), info, video, to.blur)
+    observer = CountObserver(replace(watch, names=found.names), info, video, to.blur, found.first)
     observer.finish(directory, found.tracks)
     report, lead = observer.report(), f"{counted(len(np.unique(found.tracks.identity)), 'track')} in "
-    lead += counted(info.frames, "frame")
+    lead += counted(info.frames - found.first + 1, "frame")
     page = render("counts_page.html", title="Counts", source=str(path), lead=f"{lead}.", section=report.section)
     write_text(directory.file(rundir.COUNTS_PAGE), page)
     output.say(f"{lead}: {path}", "")
@@ -142,7 +142,13 @@ def _count_known(
     observer.film(output, asked.video)
     output.say("", *directory.listing())
     files = {file.name: str(file) for file in directory.written()}
-    about = {"tracks": str(path), "source": shown(address), "frames": info.frames, "fps": fps, "directory": str(at)}
+    about = {
+        "tracks": str(path),
+        "source": shown(address),
+        "frames": info.frames - found.first + 1,
+        "fps": fps,
+        "directory": str(at),
+    }
     output.document({**about, "files": files, **report.document})
 
 
@@ -155,12 +161,13 @@ class CountObserver(RunObserver):
     info : the sequence.
     video : what is drawn on; None for no pictures.
     blur : what is made unrecognisable in pictures.
+    first : the first frame.
     """
 
     all_tracks = True
 
-    def __init__(self, watch: Watch, info: SequenceInfo, video: VideoSource | None, blur: str) -> None:
-        self._watch, self._info, self._video, self._blur = watch, info, video, blur
+    def __init__(self, watch: Watch, info: SequenceInfo, video: VideoSource | None, blur: str, first: int = 1) -> None:
+        self._watch, self._info, self._video, self._blur, self._first = watch, info, video, blur, first
         self._last, self._tracks, self._events = info.frames, Tracks.empty(), list[Event]()
         self._tallies, self._picture = list[Tally](), NO_PICTURE
         self.directory: RunDirectory | None = None
@@ -173,7 +180,7 @@ class CountObserver(RunObserver):
         """Count, and write the events and the picture."""
         self._tracks, self.directory, fps = tracks, directory, self._info.fps
         self._events = place_events(self._watch, tracks, self._last, fps)
-        self._tallies = tallies(self._watch, self._events, max(self._last - 1, 0) / fps)
+        self._tallies = tallies(self._watch, self._events, (self._first - 1) / fps, max(self._last - 1, 0) / fps)
         with Lines(directory.file(rundir.COUNTS)) as file:
             file.write(_HEADER)
             file.write("%s", np.array([_ROW % self._cells(event) for event in self._events], np.str_))

@@ -11,6 +11,7 @@ import numpy as np
 import typer
 
 from phdtrack.cli import options as given
+from phdtrack.cli import run_directory as rundir
 from phdtrack.cli.inputs import refuse
 from phdtrack.cli.options import option
 from phdtrack.cli.output import Output, number
@@ -79,6 +80,9 @@ def evaluate(
     known = None if frames else find_seqinfo(truth)
     if known is not None:
         frames = max(known.frames, int(max([*annotated.frame, *found.frame], default=0)))
+    if part := rundir.part_of_run(tracks):
+        said = f"the run tracked the frames {part} alone, and objects of all others are missed"
+        output.warn([f"{said}: phdtrack track --truth scores those frames"])
     scores = score(annotated, found, frames=frames, iou=iou)
     output.say(f"{tracks} against {truth}: {scores.frames} frames, {scores.truth_objects} objects, match from IoU {iou:g}")
     output.say()

@@ -9,6 +9,7 @@ import json
 import os
 import tempfile
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -57,12 +58,14 @@ RUN_FILES = {
 
 class GivenTracks(NamedTuple):
     """The tracks of a run or of a file, what it calls their classes, what is known of the sequence (0 and "" where nothing
-    is), and the source that it was made of; empty where that is not said."""
+    is; its ``frames`` are the number of the last), the source that it was made of, empty where that is not said, and the
+    first frame that was tracked."""
 
     tracks: Tracks
     names: Mapping[int, str]
     info: SequenceInfo
     source: str
+    first: int = 1
 
 
 def is_run(path: Path) -> bool:
@@ -70,20 +73,29 @@ def is_run(path: Path) -> bool:
     return any((path / name).exists() for name in (TRACKS, RUN, COUNTS))
 
 
+def part_of_run(path: Path) -> str:
+    """The frames, as 30-50, of the run in a directory, or of a file there; empty for all, and where that is not said."""
+    with suppress(OSError, InputError, KeyError, TypeError, AttributeError):
+        run = (path if path.is_dir() else path.parent) / RUN
+        return str(read_json(run, load(run))["input"].get("frames", ""))
+    return ""
+
+
 def given_tracks(path: Path) -> GivenTracks:
     """The corrected tracks in the directory of a run, or those in a file. `InputError` where they cannot be read."""
     run = (path if path.is_dir() else path.parent) / RUN
     tracks, names = read_tracks_named(path / TRACKS if is_run(path) else path)
-    info, source = find_seqinfo(path) or SequenceInfo(0, 0, 0.0), ""
+    info, source, first = find_seqinfo(path) or SequenceInfo(0, 0, 0.0), "", 1
     if run.is_file():
         document = read_json(run, load(run))
         try:
-            known = document["source"]
-            info = SequenceInfo(known["width"], known["height"], known["fps"], document["frames"], known["name"])
-            source = document["input"].get("source", "")
-        except (AttributeError, KeyError, TypeError) as error:
+            known, source = document["source"], document["input"].get("source", "")
+            first = int(part_of_run(path).partition("-")[0] or 1)
+            last = first - 1 + document["frames"]
+            info = SequenceInfo(known["width"], known["height"], known["fps"], last, known["name"])
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise InputError(f"expected what a run writes, and there is no {error}", where=run) from None
-    return GivenTracks(tracks, names, info, source)
+    return GivenTracks(tracks, names, info, source, first)
 
 
 class _Lock:

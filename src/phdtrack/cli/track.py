@@ -94,6 +94,10 @@ def prepare(
 ) -> Job:
     """Everything that a run needs; ``settings`` are those `chosen`, or made of them; ``frames``: as `frame_range`. Raises
     `InputError` where an input cannot be read, files would be replaced unasked, or options do not go together."""
+    if to.resume and to.overwrite:
+        raise InputError(
+            "--resume goes on with a run, and --overwrite begins anew", where="--resume", cure="Say one of them."
+        )
     rundir.check(to.out, to.overwrite or to.resume)
     truth = None if options.truth is None else read_truth(options.truth)
     if source.detections is None:
@@ -115,7 +119,7 @@ def prepare(
         truth = replace(truth, frame=frame, identity=identity, distractor=distractor, xyxy=truth.xyxy[counts])
     stages, moving = kinds.usual, settings.kind("camera_motion")
     some = {"frames": frames} if frames else {}
-    read: dict[str, object] = {"detections": str(source.detections), **inputs.left_out, **some}
+    read: dict[str, object] = {"detections": _absolute(source.detections), **inputs.left_out, **some}
     looked: dict[str, object] = {}
     if source.detections is None:
         mask, fps = str(source.mask or ""), inputs.info.fps
@@ -129,7 +133,7 @@ def prepare(
         inputs=inputs,
         kinds=kinds,
         configuration=settings.as_dict(),
-        read={"source": shown(source.source), **read},
+        read={"source": shown(_absolute(source.source)), **read},
         about=about(inputs.name, options.seed),
         truth=truth,
         video=video,
@@ -142,6 +146,11 @@ def prepare(
     )
 
 
+def _absolute(name: str | Path | None) -> str:
+    """The absolute path of what is there; an address, a pattern or - as it is."""
+    return str(Path(name).absolute()) if name and "://" not in str(name) and Path(name).exists() else str(name)
+
+
 def finish(output: Output, job: Job, to: RunOptions) -> None:
     """Run the job and say what came of it. Raises what ended it before its time: that decides the exit status."""
     if to.resume and not job.inputs.again:
@@ -150,9 +159,11 @@ def finish(output: Output, job: Job, to: RunOptions) -> None:
     directory = rundir.claim(to.out, to.overwrite, name=job.inputs.info.name, resume=to.resume, inputs=job.inputs.files)
     if to.resume and rundir.completed(directory):
         before, now = rundir.document_of(directory), {"seed": job.about.seed, "configuration": job.configuration}
+        # The frames are said only where some are left out.
+        before["input"], now["input"] = {"frames": "", **before.get("input", {})}, {"frames": "", **job.read}
         if other := _differing(before, json_value(now)):
             problem = f"the run is complete, and differs in {', '.join(other)}"
-            cure = "Choose another --out, or say --overwrite."
+            cure = "Choose another --out, or say --overwrite in its place."
             raise InputError(problem, where=f"--resume, {directory.path}", cure=cure)
         output.say(f"The run in {directory.path} is complete: there is nothing to go on with.")
         return

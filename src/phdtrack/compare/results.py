@@ -77,7 +77,8 @@ class Results:
         """A score, or its difference, of each of the rows, which are those of one input."""
         values, sign = [row.ahead if ahead else row.scores for row in rows], "+" if ahead else ""
         texts = [f"{each.get(name, UNKNOWN):{sign}.{_DIGITS.get(name, 3)}f}" for each in values]
-        best = () if ahead or name in _NEUTRAL.split() or len(rows) < 2 else leading(rows, name, lower=_lower(name))
+        lower = score_meanings().get(name, "").endswith("; lower is better")
+        best = () if ahead or name in _NEUTRAL.split() or len(rows) < 2 else leading(rows, name, lower=lower)
         # What looks the same is no worse; where all are best none is.
         same = {text for text, row in zip(texts, rows, strict=True) if row in best[:1]}
         stars = [row in best or text in same for text, row in zip(texts, rows, strict=True)]
@@ -157,11 +158,6 @@ class Results:
 def _label(name: str) -> str:
     """A score's name as a table's head has it."""
     return {"id_switches": "switches", "ms": "ms per frame"}.get(name, name.replace("_", " "))
-
-
-def _lower(name: str) -> bool:
-    """Whether less of a score is better."""
-    return score_meanings().get(name, "").endswith("; lower is better")
 
 
 def _number(value: float) -> str:

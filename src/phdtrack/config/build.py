@@ -49,14 +49,14 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
         settings = overlay(settings, {"filter": {"kind": filter_name}}, "--filter")
     size = (float(info.width), float(info.height))
     model, associator = _model(settings, size, info.fps), _associator(settings, size)
-    smoother = settings.build("smooth", frame_size=size)
+    smoother, slowest = settings.build("smooth", frame_size=size), settings.build("time").longest_interval
     if settings.kind("filter") == "none":
         from phdtrack.filters.none import Raw
 
-        return Stages(model, settings.build("filter"), Raw(), associator, smoother=smoother)
+        return Stages(model, settings.build("filter"), Raw(), associator, smoother=smoother, longest_interval=slowest)
     filter_ = settings.build("filter", frame_size=size)
     rates, explainer = settings.build("rates"), settings.build("merged_measurements")
-    slowest, camera = settings.build("time").longest_interval, _camera(settings, size)
+    camera = _camera(settings, size)
     # A detection of several targets says of none where it is.
     online = DetectionShare() if smoother.detection_share and explainer is None else None
     extractor = settings.build("extract")

@@ -146,7 +146,8 @@ def doubtful(found: Detections, size: tuple[float, float]) -> str:
 def within_frame(table: DetectionTable, info: SequenceInfo, path: Path) -> tuple[DetectionTable, tuple[str, ...]]:
     """The detections of which any part is in the frame, and a sentence for each reason why some were left out.
 
-    Raises `InputError` where all are outside, or look like shares of the frame's size, or like corners in place of sizes.
+    Raises `InputError` where all are outside, or look like shares of the frame's size, like corners in place of sizes, or
+    like scores in place of heights.
 
     Parameters
     ----------
@@ -163,6 +164,13 @@ def within_frame(table: DetectionTable, info: SequenceInfo, path: Path) -> tuple
         problem = f"{beyond.sum()} of {len(table)} boxes reach beyond the frame of {info.width}x{info.height} pixels"
         cure = "Name the columns in a header line: frame, left, top, right, bottom, score."
         raise InputError(f"{problem}, as where corners are taken for sizes", where=path, cure=cure)
+    high = bottom - top
+    if len(table) >= _SOME and high.max() <= 1 and np.ptp(high) > 0 and (table.detections.confidence == 1).all():
+        problem = (
+            f"no box is higher than {high.max():.3g} pixels and none has a score, as where a score is taken for the height"
+        )
+        cure = "Name the columns in a header line: frame, left, top, width, height, score."
+        raise InputError(problem, where=path, cure=cure)
     kept = share_inside(table.detections.xyxy, info.width, info.height) > 0
     empty = (f"{path}: {table.empty} of the boxes have width or height 0 and are left out",) if table.empty else ()
     if kept.all():

@@ -13,11 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.types import F8, I8, Bool
+from phdtrack.types import F8, I8, LAST_FRAME, Bool
 
 _LARGEST = 2.0**53  # beyond it a float no longer tells neighbouring integers apart
-# The highest frame number: three years at a hundred frames a second. Products of it with a picture's size are exact.
-LAST_FRAME = 10_000_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)

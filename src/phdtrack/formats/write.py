@@ -190,7 +190,12 @@ def write_detections(path: AnyPath, table: DetectionTable) -> None:
 
 
 def write_truth(path: AnyPath, truth: Truth) -> None:
-    """Write truth as MOT16 has it: scored rows as pedestrians with flag 1, distractors with flag 0."""
+    """Write truth as MOT16 has it: scored rows as pedestrians with flag 1, distractors with flag 0.
+
+    Raises `InputError` where there are regions or a least height, for which the format has no place.
+    """
+    if len(truth.regions) or truth.least_height:
+        raise InputError("MOTChallenge truth has no regions to ignore and no least height", where=Path(path))
     label = np.where(truth.distractor, _DISTRACTOR, _PEDESTRIAN)
     with Lines(path) as file:
         file.write(_TRUTH, truth.frame, truth.identity, _ltwh(truth.xyxy), ~truth.distractor, label)

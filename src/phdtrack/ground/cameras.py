@@ -79,16 +79,16 @@ class HomographyCamera:
 
     def ground(self, pixel: F8) -> F8:
         """(2, N) points of the ground, metres, that the pixels (2, N) show; NaN on the horizon and above."""
-        return _through(self._forward, np.asarray(pixel, dtype=np.float64))
+        return _through(self._forward, _columns(pixel, 2))
 
     def pixels(self, world: F8) -> F8:
         """(2, N) pixels of points (2, N) or (3, N) of the ground, metres; NaN behind the camera and off the ground."""
-        world = np.asarray(world, dtype=np.float64)
+        world = _columns(world, 3)
         return _through(self._back, world if len(world) == 2 else np.where(world[2] == 0, world[:2], np.nan))
 
     def depth(self, world: F8) -> F8:
         """(N,) distance along the ground from the line below the camera, metres; 1 where the camera looks straight down."""
-        a, b, c = self._back[2]
+        (a, b, c), world = self._back[2], _columns(world, 3)
         slope = np.hypot(a, b)
         if slope * _FAR < abs(c):
             return np.ones(np.shape(world)[1])
@@ -100,6 +100,15 @@ class HomographyCamera:
         point, h = self.ground(pixel), self._forward
         w = h[2, 0] * pixel[0] + h[2, 1] * pixel[1] + h[2, 2]
         return np.asarray((h[:2, :2] - point.T[:, :, None] * h[2, :2]) / w[:, None, None])
+
+
+def _columns(points: F8, most: int) -> F8:
+    """The points as (2, N) numbers, or at ``most`` (3, N); `InputError` for another shape."""
+    points = np.asarray(points, dtype=np.float64)
+    if points.ndim != 2 or not 2 <= len(points) <= most:
+        expected = "(2, N)" if most == 2 else "(2, N) or (3, N)"
+        raise InputError(f"expected points as columns, {expected}, got {points.shape}", where="camera")
+    return points
 
 
 def _through(h: F8, point: F8) -> F8:
@@ -341,12 +350,12 @@ class PosedCamera:
 
     def _meet(self, pixel: F8) -> tuple[F8, F8]:
         """Directions (3, N) of the pixels' rays in the world, and the depths (N,) at which they meet the ground."""
-        ray = self.lens.rays(np.asarray(pixel, dtype=np.float64))
+        ray = self.lens.rays(_columns(pixel, 2))
         direction = self.rotation[:2].T @ ray + self.rotation[2][:, None]
         return direction, self.surface.meet(self.position, direction)
 
     def _in_camera(self, world: F8) -> F8:
-        world = np.asarray(world, dtype=np.float64)
+        world = _columns(world, 3)
         height = self.surface.height(world) if len(world) == 2 else world[2]
         return np.asarray(self.rotation @ np.vstack([world[:2], height]) + self.translation[:, None])
 

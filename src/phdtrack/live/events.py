@@ -220,7 +220,7 @@ class Watch(Checked):
         net, since, dwelled = list(now.net), list(now.since), list(now.dwelled)
         for k, place in enumerate(self.places):
             inside = not math.isnan(since[k])
-            if not inside and not self._counts(place, now.class_id):
+            if not inside and place.classes and self.names.get(now.class_id, str(now.class_id)) not in place.classes:
                 continue
             depth = place.distance(now.anchor(place))
             if not place.closed:
@@ -240,10 +240,6 @@ class Watch(Checked):
                 dwelled[k] = True
                 frame.add("dwell", now, place, seconds=now.last - since[k], occupancy=frame.counts[k].occupancy)
         return replace(now, net=tuple(net), since=tuple(since), dwelled=tuple(dwelled))
-
-    def _counts(self, place: Place, label: int) -> bool:
-        """Whether the place asks for the class."""
-        return not place.classes or self.names.get(label, str(label)) in place.classes
 
 
 @dataclass(slots=True)
@@ -342,25 +338,25 @@ class Tally(NamedTuple):
     longest: float = math.nan
 
 
-def tallies(watch: Watch, events: Sequence[Event], seconds: float) -> list[Tally]:
+def tallies(watch: Watch, events: Sequence[Event], begin: float, end: float) -> list[Tally]:
     """What was counted at each place, in their order: of all classes, then of each where classes have names.
 
     Parameters
     ----------
     watch : the places.
     events : from `place_events`.
-    seconds : length of the sequence.
+    begin, end : when the sequence does, seconds.
     """
     found = list[Tally]()
     for place in watch.places:
         mine = [event for event in events if event.place == place.name]
         labels = sorted({event.class_id for event in mine}) if watch.names else []
         groups = {"all": mine} | {watch.names.get(k, str(k)): [e for e in mine if e.class_id == k] for k in labels}
-        found += [_tally(place, label, group, seconds) for label, group in groups.items()]
+        found += [_tally(place, label, group, begin, end) for label, group in groups.items()]
     return found
 
 
-def _tally(place: Place, label: str, events: Sequence[Event], seconds: float) -> Tally:
+def _tally(place: Place, label: str, events: Sequence[Event], begin: float, end: float) -> Tally:
     """What was counted of a class."""
     since, stays, most = dict[int, float](), list[float](), 0
     entered = sum(event.kind == "enter" or event.direction == "in" for event in events)
@@ -373,8 +369,8 @@ def _tally(place: Place, label: str, events: Sequence[Event], seconds: float) ->
             most = max(most, len(since))
         elif event.kind == "exit":
             stays.append(event.time - since.pop(event.identity, event.time))
-    stays += [seconds - start for start in since.values()]
-    mean = sum(stays) / seconds if seconds > 0 else math.nan
+    stays += [end - start for start in since.values()]
+    mean = sum(stays) / (end - begin) if end > begin else math.nan
     average, longest = (sum(stays) / len(stays), max(stays)) if stays else (math.nan, math.nan)
     return Tally(place.name, label, entered, left, entered - left, most, mean, average, longest)
 

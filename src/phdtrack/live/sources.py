@@ -287,7 +287,7 @@ class LiveSource:
 
 
 def check_address(address: str) -> None:
-    """Raise `InputError` where it is none, or where its password holds a / that is not written as %2F."""
+    """Raise `InputError` where it is no address, or has a password with a / that is not written as %2F."""
     try:
         urlsplit(address)
     except ValueError:

@@ -109,11 +109,14 @@ def build(truth: Truth, tracks: Tracks, frames: int = 0, first: int = 1) -> Scen
     frames : number of frames of the sequence, later rows are left out; 0: up to the last row of either side.
     first : the first of these that counts, earlier rows are left out.
     """
-    if frames < 0:
-        raise InputError(f"expected a number of frames ≥ 0, got {frames}", where="frames")
-    _check(truth, ~truth.distractor, "truth")
-    _check(tracks, np.ones(len(tracks.frame), np.bool_), "tracks")
+    for name, value, least in (("frames", frames, 0), ("first", first, 1)):
+        if value < least or value % 1:
+            raise InputError(f"expected a whole number of at least {least}, got {value}", where=name)
+    _check(truth, truth.distractor, "truth")
+    _check(tracks, np.zeros(len(tracks.frame), np.bool_), "tracks")
     last = int(frames or max(truth.frame.max(initial=0), tracks.frame.max(initial=0)))
+    if first > last + 1:
+        raise InputError(f"expected one of the {last} frames, got {first}", where="first")
     rows_t, rows_o = _ordered(truth, first, last), _ordered(tracks, first, last)
     numbers = np.union1d(truth.frame[rows_t], tracks.frame[rows_o])
     each_t = np.split(rows_t, np.searchsorted(truth.frame[rows_t], numbers[1:]))
@@ -129,9 +132,13 @@ def build(truth: Truth, tracks: Tracks, frames: int = 0, first: int = 1) -> Scen
     return Scene(tuple(pairs), last - first + 1, names_t, names_o, len(rows_o) - sum(len(p.output) for p in raw))
 
 
-def _check(rows: Truth | Tracks, counted: Bool, name: str) -> None:
-    """Raise `InputError` for bad shapes, frame numbers or boxes, or where a counted identity is twice in a frame."""
+def _check(rows: Truth | Tracks, distractor: Bool, name: str) -> None:
+    """Raise `InputError` for bad columns, frame numbers or boxes, or where an identity that counts is twice in a frame."""
     frame, identity, xyxy = rows.frame, rows.identity, rows.xyxy
+    kinds = [getattr(getattr(one, "dtype", None), "kind", type(one).__name__) for one in (frame, identity, distractor)]
+    if not (kinds[0] in "iu" and kinds[1] in "iu" and kinds[2] == "b" and distractor.shape == frame.shape):
+        expected = "arrays of whole numbers for frame and identity, of True and False, as many, for distractor"
+        raise InputError(f"expected {expected}", where=name)
     if identity.shape != frame.shape or xyxy.shape != (len(frame), 4):
         shapes = f"{frame.shape}, {identity.shape}, {xyxy.shape}"
         raise InputError(f"expected frame (M,), identity (M,), xyxy (M, 4), got {shapes}", where=name)
@@ -146,7 +153,7 @@ def _check(rows: Truth | Tracks, counted: Bool, name: str) -> None:
             cure="Boxes are left, top, right, bottom, not left, top, width, height.",
         )
     order = np.lexsort((identity, frame))
-    order = order[counted[order]]
+    order = order[~distractor[order]]
     same = order[:-1][(np.diff(frame[order]) == 0) & (np.diff(identity[order]) == 0)]
     if len(same):
         raise InputError(

@@ -153,7 +153,8 @@ def rmse_per_target(truth_frame: I8, truth_identity: I8, truth_point: F8, frame:
     """
     if not gate > 0:
         raise InputError(f"expected a gate > 0, got {gate}", where="gate")
-    if not len(truth_frame) == len(truth_identity) == truth_point.shape[-1] or len(frame) != point.shape[-1]:
+    fits = len(truth_frame) == len(truth_identity) == truth_point.shape[-1] and len(frame) == point.shape[-1]
+    if not fits or len(truth_point) != len(point):
         raise InputError(
             f"expected a frame and an identity per true point and a frame per estimate, got {len(truth_frame)}, "
             f"{len(truth_identity)}, {truth_point.shape} and {len(frame)}, {point.shape}",

@@ -62,7 +62,9 @@ def learn(density: SceneDensity, samples: F8) -> SceneDensity:
     if n == 0:
         return density
     tau, rng = parameters(density.dim) / 2, np.random.default_rng(0)
-    passes = _passes(n, len(density), tau)
+    # The first pass takes the memory of the slowest rate, 2Mτ samples; the weights of two equal components, one of which is
+    # to go, part like exp(2τk/n).
+    passes = min(max(20, math.ceil(6 * len(density) * tau / n), math.ceil(1.5 * n / tau)), max(5, MAX_TAKEN // n))
     order = np.concatenate([rng.permutation(n) for _ in range(passes + min(passes, SETTLING_PASSES))])
     x, extent = _filled(x), density.high - density.low
     mean = x.mean(axis=1)[:, None]
@@ -254,14 +256,6 @@ def _filled(x: F8) -> F8:
         nearest = np.argmin(np.square(step).sum(axis=1))
         out[gaps[:, j], j] = complete[gaps[:, j], nearest]
     return out
-
-
-def _passes(n: int, components: int, tau: float) -> int:
-    """Passes over n samples after which one of two equal components has gone.
-
-    The first takes the memory of the slowest rate, 2Mτ samples; the weights of equal ones part like exp(2τk/n).
-    """
-    return min(max(20, math.ceil(6 * components * tau / n), math.ceil(1.5 * n / tau)), max(5, MAX_TAKEN // n))
 
 
 def _check_samples(density: SceneDensity, samples: F8) -> None:
