@@ -164,6 +164,8 @@ def test_whole_numbers_may_be_floats():
     """OpenCV tells sizes and frame numbers as floats."""
     tracker = Tracker((640.0, np.float32(480)), filter="none")
     assert tracker.update(boxes(0), frame=3.0).frame.tolist() == [3, 3]
+    with pytest.raises(InputError, match="expected a frame number from 1 to 10,000,000,000"):
+        tracker.update(boxes(1), frame=2**63)
     assert tracker.update(boxes(1), frame=np.int64(4), timestamp=np.float64(1)).frame.tolist() == [4, 4]
 
 

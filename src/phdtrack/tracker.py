@@ -316,6 +316,8 @@ class FinalTracks:
         self._begin()
 
     def _begin(self) -> None:
+        # Another one after a reset and where a state was loaded.
+        self._lanes = self._tracker._lanes
         self._last = self._used = 0
         self._next = math.nan
         # When each frame was, of those that are not final; identities of rows that were given, by frame and detection.
@@ -323,12 +325,11 @@ class FinalTracks:
 
     def due(self) -> Tracks:
         """The rows that are final now; none but every so many seconds. Call it after each update."""
+        if self._lanes is not self._tracker._lanes:
+            self._begin()
         step = self._tracker.step
         if step is None:
             return Tracks.empty()
-        if step.number < max((self._last, *self._times)):
-            # The tracker was reset.
-            self._begin()
         self._times[step.number] = step.time
         self._next = step.time + self._lag + self._every if math.isnan(self._next) else self._next
         if step.time < self._next:
@@ -338,6 +339,8 @@ class FinalTracks:
 
     def rest(self) -> Tracks:
         """All other rows, at the end."""
+        if self._lanes is not self._tracker._lanes:
+            self._begin()
         step = self._tracker.step
         return self._up_to(0 if step is None else step.number)
 

@@ -144,6 +144,26 @@ def test_a_run_is_exported_in_every_format(run: Path, tmp_path: Path, kind: str)
     assert phdtrack("export", run / "out" / "tracks.csv", "--to", kind, "--out", path, "--overwrite").status == 0
 
 
+def test_a_run_of_a_part_is_counted_exported_and_scored_as_one(run: Path, tmp_path: Path) -> None:
+    part, truth = tmp_path / "part", run / "gt" / "gt.txt"
+    given = ("track", run / "w.mp4", "--detections", run / "det" / "det.txt", "--frames", "21-40", "--out")
+    assert phdtrack(*given, part).status == 0
+    everywhere = "all=-9,-9,999,-9,999,999,-9,999"
+    said = phdtrack("count", part, "--zone", everywhere, "--out", tmp_path / "counts", "--json")
+    rows = read_tracks(part / "tracks.csv")
+    assert said.object["frames"] == 20
+    assert said.object["counts"][0]["mean"] == pytest.approx(len(rows) / 20, rel=0.06)
+    for kind in ("coco", "cvat"):
+        path = tmp_path / f"part{EXPORTS[kind]}"
+        assert phdtrack("export", part, "--to", kind, "--out", path).status == 0
+        assert read_tracks(path).frame.tolist() == rows.frame.tolist()
+    said = phdtrack("evaluate", "--truth", truth, "--tracks", part / "tracks.csv")
+    assert "the run tracked the frames 21-40 alone" in said.err
+    assert "there is no frame 50: the last one is 40" in refused(*given[:-3], "--frames", "50-", "--out", tmp_path / "none")
+    assert "differs in input.frames" in refused(*given[:-3], "--out", part, "--resume")
+    assert "Say one of them" in refused(*given, part, "--resume", "--overwrite")
+
+
 def test_an_export_lies_beside_the_tracks(run: Path) -> None:
     assert phdtrack("export", run / "out", "--to", "coco").status == 0
     assert (run / "out" / "tracks_coco.json").exists()

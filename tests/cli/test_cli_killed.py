@@ -132,14 +132,15 @@ def test_a_signal_finishes_what_was_done_and_the_rest_can_follow(
     name: str, status: int, clip: Path, whole: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "run"
-    done = ended(given(clip, out), ("phdtrack.formats", "StatesWriter", "append", 40), name)
+    done = ended(given(clip, out, "--checkpoint-every", "60"), ("phdtrack.formats", "StatesWriter", "append", 40), name)
     assert done.returncode == status, done.stderr
     assert "stopped after frame 40" in done.stderr
     document = json.loads((out / rundir.RUN).read_text())
     assert (document["complete"], document["frames"]) == (False, 40)
     assert not list(out.glob("*.part"))
     assert len(list(open_source(out / rundir.VIDEO))) == 40
-    assert phdtrack(*given(clip, out, "--resume")).status == 0
+    said = phdtrack(*given(clip, out, "--resume", "--json"))
+    assert said.object["resumed_from_frame"] >= 40
     same(out, whole)
 
 

@@ -208,3 +208,6 @@ def test_boxes_in_other_units_are_told(
     path = put(tmp_path, "".join(",".join(f"{value:.4f}" for value in row) + "\n" for row in rows))
     with pytest.raises(InputError, match=words):
         within_frame(read_detections(path), SequenceInfo(640, 480, 25.0), path)
+    scored = put(tmp_path, "".join(f"{k},{10 + k},20,30,40,{k / 90:.3f}\n" for k in range(1, 61)))
+    with pytest.raises(InputError, match="a score is taken for the height"):
+        within_frame(read_detections(scored), SequenceInfo(640, 480, 25.0), scored)

@@ -1,6 +1,7 @@
 """What is written can be read back, and is there as soon as it is written."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +82,9 @@ def test_tracks_and_truth_come_back(tmp_path_factory: pytest.TempPathFactory, or
     for name in ("frame", "identity", "distractor"):
         np.testing.assert_array_equal(getattr(same, name), getattr(truth, name))
     np.testing.assert_allclose(same.xyxy, truth.xyxy, rtol=0, atol=2e-3)
+    for more in ({"regions": np.zeros((1, 5))}, {"least_height": 25.0}):
+        with pytest.raises(InputError, match="no regions to ignore and no least height"):
+            write_truth(path, replace(truth, **more))
 
 
 @given(detection_tables())

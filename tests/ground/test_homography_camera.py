@@ -61,3 +61,11 @@ def test_the_side_of_the_horizon_can_be_said() -> None:
 def test_mistakes(matrix: np.ndarray, inside: tuple[float, float] | None, words: str) -> None:
     with pytest.raises(InputError, match=words):
         HomographyCamera(matrix, inside)
+
+
+@pytest.mark.parametrize("points", [np.zeros((4, 2)), np.zeros(2), np.zeros((1, 4))])
+def test_points_in_rows_are_refused(points: np.ndarray) -> None:
+    for camera in (HomographyCamera(PLANE), posed(OpenCVLens(MATRIX))):
+        for ask in (camera.ground, camera.pixels, camera.depth):
+            with pytest.raises(InputError, match="expected points as columns"):
+                ask(points)

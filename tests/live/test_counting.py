@@ -35,7 +35,7 @@ def test_in_and_out_by_class_visits_and_occupancy() -> None:
         *(("enter", 1, 5), ("enter", 2, 5), ("exit", 2, 10), ("exit", 1, 10))
     ]
     assert [e.occupancy for e in events if e.place == "room"] == [1, 2, 1, 0]
-    found = {(one.place, one.label): one for one in tallies(watch, events, 2.0)}
+    found = {(one.place, one.label): one for one in tallies(watch, events, 0.0, 2.0)}
     assert (found["door", "all"].entered, found["door", "all"].left) == (1, 1)
     assert (found["door", "person"].entered, found["door", "car"].left) == (1, 1)
     assert (found["door", "person"].left, found["door", "car"].entered) == (0, 0)
@@ -54,7 +54,7 @@ def test_flicker_counts_nobody_twice(seen: list[bool], seed: int) -> None:
     # No gap is as long as after which a track has left.
     feet |= {k: 60 + 1.5 * k for k in range(1, 60, 20)}
     rows = Tracks.concatenate([walk(1, {k + 1: feet[k] for k in sorted(feet)})])
-    line, zone = tallies(WATCH, place_events(WATCH, rows, 60, FPS), 6.0)
+    line, zone = tallies(WATCH, place_events(WATCH, rows, 60, FPS), 0.0, 6.0)
     assert (line.entered, line.left) == (1, 0)
     assert (zone.entered, zone.left, zone.most) == (1, 0, 1)
 
@@ -63,7 +63,7 @@ def test_who_vanishes_in_a_zone_has_left_when_last_seen_and_who_is_there_at_the_
     rows = Tracks.concatenate([walk(1, dict.fromkeys(range(1, 31), 150.0)), walk(2, dict.fromkeys(range(21, 101), 150.0))])
     events = place_events(WATCH, rows, 100, FPS)
     assert [(e.kind, e.identity, e.number) for e in events] == [("enter", 1, 1), ("enter", 2, 21), ("exit", 1, 30)]
-    zone = tallies(WATCH, events, 9.9)[1]
+    zone = tallies(WATCH, events, 0.0, 9.9)[1]
     assert (zone.entered, zone.left, zone.inside, zone.most) == (2, 1, 1, 2)
     assert zone.longest == pytest.approx(7.9)
     # Shortly before the end, too.
@@ -78,4 +78,4 @@ def test_who_comes_back_after_leaving_begins_another_visit_however_long_the_gap(
 
 def test_no_tracks() -> None:
     assert place_events(WATCH, Tracks.empty(), 0, FPS) == []
-    assert [one.entered for one in tallies(WATCH, [], 0.0)] == [0, 0]
+    assert [one.entered for one in tallies(WATCH, [], 0.0, 0.0)] == [0, 0]

@@ -191,6 +191,19 @@ def test_final_tracks_are_those_of_a_tracker_that_forgets_nothing() -> None:
     assert len(pairs) == len({a for a, _ in pairs}) == len({b for _, b in pairs}) > 10
 
 
+def test_the_rest_is_all_that_was_not_given_and_a_reset_begins_anew() -> None:
+    tracker = Tracker((1280, 800), fps=10)
+    final, given = FinalTracks(tracker, lag=1.0, every=1.0), list[int]()
+    for asked in (True, True, False):
+        for k in range(1, 61):
+            tracker.update(walk(k))
+            given += final.due().frame.tolist() if asked else []
+        given += final.rest().frame.tolist()
+        assert given == tracker.tracks().frame.tolist()
+        tracker.reset()
+        given.clear()
+
+
 @pytest.mark.parametrize("command", [["track"], ["count", "--line", "a=0,0,9,9"]])
 def test_a_password_with_a_slash_is_not_shown(command: list[str], tmp_path: Path):
     words = [*command, "rtsp://bob:12/secret99@127.0.0.1:9/x", "--out", str(tmp_path / "out")]

@@ -161,3 +161,25 @@ def test_pools_need_like_parts():
         pool([])
     with pytest.raises(InputError, match="same settings"):
         pool([evaluate(*GOOD), evaluate(*GOOD, iou=0.7)])
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        ("frame", [1, 2]),
+        ("frame", np.array([1.0, 2.5])),
+        ("distractor", np.zeros(3, np.bool_)),
+        ("distractor", np.zeros(2, int)),
+    ],
+)
+def test_columns_of_another_kind_are_refused(column: str, value: object):
+    truth = truth_of([1, 2], [1, 1], [[0, 0, 9, 9]] * 2)
+    with pytest.raises(InputError, match="truth: expected arrays of whole numbers"):
+        evaluate(replace(truth, **{column: value}), perfect(truth))
+
+
+@pytest.mark.parametrize(("part", "word"), [({"first": 0}, "first"), ({"first": 5}, "first"), ({"frames": 1.5}, "frames")])
+def test_frames_that_are_none_are_refused(part: dict[str, int], word: str):
+    truth = truth_of([1, 2], [1, 1], [[0, 0, 9, 9]] * 2)
+    with pytest.raises(InputError, match=f"{word}: expected"):
+        evaluate(truth, perfect(truth), **part)

@@ -164,3 +164,5 @@ def test_rmse_without_estimates_is_undefined():
         rmse_per_target(one, one, np.zeros((2, 1)), one, np.zeros((2, 1)), gate=0.0)
     with pytest.raises(InputError, match="columns"):
         rmse_per_target(one, one, np.zeros((2, 1)), one, np.zeros((2, 2)), gate=1.0)
+    with pytest.raises(InputError, match="expected a frame and an identity"):
+        rmse_per_target(one, one, np.zeros((2, 1)), one, np.zeros((3, 1)), gate=1.0)

@@ -23,19 +23,22 @@ def boxes(number: int, step: float) -> np.ndarray:
     return np.column_stack([corner, corner + SIZE, np.full(9, 0.9)])
 
 
-def tracked(fps: float, step: float) -> list[tuple[int, int, np.ndarray]]:
+def tracked(fps: float, step: float, kind: str = "") -> list[tuple[int, int, np.ndarray]]:
     """Frame, identity and box of the corrected rows."""
-    tracker = Tracker((640, 480), fps=fps, preset="default")
+    tracker = Tracker((640, 480), fps=fps, preset="default", filter=kind)
     for number in range(1, FRAMES + 1):
         tracker.update(boxes(number, step))
     found = tracker.tracks()
     return list(zip(found.frame.tolist(), found.identity.tolist(), found.xyxy, strict=True))
 
 
-@pytest.mark.parametrize("fps", [1.0, 1 / 300, 1 / 3600])
-def test_slow_targets_are_tracked_however_long_the_intervals_are(fps: float):
+OTHERS = ("none", "gm-phd", "gm-cphd", "mht", "pmbm")
+
+
+@pytest.mark.parametrize(("fps", "kind"), [(1.0, ""), (1 / 300, ""), (1 / 3600, ""), *((0.7, kind) for kind in OTHERS)])
+def test_slow_targets_are_tracked_however_long_the_intervals_are(fps: float, kind: str):
     """They go a tenth of their size from picture to picture: it is the same as at five pictures a second."""
-    found, expected = tracked(fps, 3.0), tracked(5.0, 3.0)
+    found, expected = tracked(fps, 3.0, kind), tracked(5.0, 3.0, kind)
     assert len({identity for _, identity, _ in found}) == 9
     assert [row[:2] for row in found] == [row[:2] for row in expected]
     np.testing.assert_allclose([row[2] for row in found], [row[2] for row in expected], atol=1e-4)
