@@ -233,7 +233,7 @@ def test_options_of_track_follow_and_are_a_part_of_what_decides(two: Path, monke
     given = ("--detections", "{}.txt", "--no-video", "--seed", "3", "--frame-size", "160x96")
     assert phdtrack(*words, *given).object["complete"]
     about = json.loads(Path("all/runs/b/run.json").read_text())
-    assert (about["input"]["detections"], about["seed"]) == ("b.txt", 3)
+    assert (about["input"]["detections"], about["seed"]) == (str(two / "b.txt"), 3)
     words_of_it = " ".join(given).replace("{}", "b")
     assert about["command"] == f"phdtrack track {two / 'b.mp4'} --out {two / 'all/runs/b'} {words_of_it}"
     assert phdtrack(*words, *given).object["reused"] == 2

@@ -95,12 +95,13 @@ def read_tracks_named(path: AnyPath) -> tuple[Tracks, Mapping[int, str]]:
 def _tracks_of(table: Table) -> Tracks:
     """The tracks in a table, by frame, then identity; `InputError` where a row cannot be one.
 
-    Of truth, what is not to be counted is left out: distractors, regions, and rows of confidence 0 in 8 or 9 columns.
+    Of truth, what is not to be counted is left out: distractors, regions, and rows of confidence 0 in 8 or 9 columns. Of
+    KITTI files only regions are: a tracker's rows of hidden objects count.
     """
-    ignore, unscored = table.get(Column.DISTRACTOR), table.get(Column.CONFIDENCE) == 0
+    ignore, confidence = table.get(Column.DISTRACTOR), table.get(Column.CONFIDENCE)
     enforce(table.origin, flag(ignore, "distractor"))
-    counts = (ignore == 0) & (table.get(Column.REGION) == 0) & ~((table.get(Column.MOT_CLASS) != -1) & unscored)
-    table = table.take(counts)
+    scored = (table.get(Column.MOT_CLASS) == -1) | (confidence != 0)
+    table = table.take(scored & ((ignore == 0) | table.kitti) & (table.get(Column.REGION) == 0))
     used, confirmed, label = (table.get(column) for column in (Column.DETECTION, Column.CONFIRMED, Column.CLASS))
     rules = whole(used, "detection", low=-1), flag(confirmed, "confirmed"), whole(label, "class")
     frame, identity = identified(table, *rules)
