@@ -239,8 +239,7 @@ class GraphMatching(Checked):
 
     def _good(self, states: I8 | int, gain: F8) -> Bool:
         """Whether the links of tracks gain enough; a perfect typical link gains loose_end_distance²/2."""
-        enough: Bool = gain >= self.min_link_gain * 0.5 * self.loose_end_distance**2 * (states - 1)
-        return enough
+        return gain >= self.min_link_gain * 0.5 * self.loose_end_distance**2 * (states - 1)
 
     def _give(self, state: GraphState, place: int, model: Model) -> tuple[GraphState, Tracks]:
         """The state with what is given for the frame at ``place`` of the history under the present links, and its rows."""

@@ -107,8 +107,7 @@ class FalseTrackRejection(Checked, Generic[A]):
     def _sure(self, least: F8, confirmed: Bool) -> Bool:
         """(n,) rows that the associator has ``confirmed`` and whose track is not false, or that are confirmed at once."""
         limit = math.log(self.immediate_confirmation) if self.immediate_confirmation > 0 else -math.inf
-        out: Bool = (confirmed & (least[0] < 0)) | (least[1] < limit)
-        return out
+        return np.asarray((confirmed & (least[0] < 0)) | (least[1] < limit))
 
 
 def without_false_tracks(tracks: Tracks, ratio: FalseAlarmRatio, min_track_length: int = 1) -> Tracks:

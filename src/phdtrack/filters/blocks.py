@@ -99,8 +99,7 @@ def divided(start: I8, most: int = BLOCK) -> I8:
     blocks = -(-np.diff(start) // most)
     before = np.concatenate([[0], np.cumsum(blocks)])
     rank = np.arange(before[-1]) - np.repeat(before[:-1], blocks)
-    out: I8 = np.append(np.repeat(start[:-1], blocks) + most * rank, start[-1])
-    return out
+    return np.append(np.repeat(start[:-1], blocks) + most * rank, start[-1])
 
 
 def in_blocks(state: Intensity, dtype: np.dtype[np.floating]) -> ParticleBlocks:

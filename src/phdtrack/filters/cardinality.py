@@ -165,14 +165,12 @@ def trimmed(cardinality: F8) -> F8:
     """Without the upper end that adds nothing to the mean; the sum is 1."""
     tail = np.cumsum((np.arange(len(cardinality)) * cardinality)[::-1])[::-1]
     kept = cardinality[: max(1, int(np.count_nonzero(tail > CUT * tail[0])))]
-    out: F8 = kept / kept.sum()
-    return out
+    return np.asarray(kept / kept.sum())
 
 
 def log_factorials(count: int) -> F8:
     """(count,) log 0! … log (count − 1)!"""
-    out: F8 = np.cumsum(np.log(np.maximum(np.arange(count), 1)))
-    return out
+    return np.cumsum(np.log(np.maximum(np.arange(count), 1)))
 
 
 def _shares(evidence: F8, clutter: F8) -> tuple[F8, F8]:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from phdtrack.arrays import GATE
-from phdtrack.errors import Count, NonNegative, PositiveCount, Share, check
+from phdtrack.errors import Checked, Count, NonNegative, PositiveCount, Share
 from phdtrack.filters.cardinality import Cardinalised, poisson, trimmed, weigh
 from phdtrack.filters.phd_gaussian import GMPHD
 from phdtrack.filters.phd_particle import ParticlePHD
@@ -24,13 +24,10 @@ from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, GaussianMixture, Particles, UpdateInfo
 
 
-class _CPHD(Filter[Cardinalised]):
+class _CPHD(Checked, Filter[Cardinalised]):
     """The recursion, whose settings are those of a PHD filter."""
 
     __slots__ = ()
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def start(self, model: Model, rng: np.random.Generator) -> Cardinalised:
         """The initial intensity and a Poisson distributed number; nothing where none was given."""

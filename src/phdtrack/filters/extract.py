@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from phdtrack.arrays import chi2_quantile, iou, iou_of_pairs
-from phdtrack.errors import Positive, PositiveCount, Share, check
+from phdtrack.errors import Checked, Positive, PositiveCount, Share
 from phdtrack.filters.blocks import in_blocks
 from phdtrack.filters.cardinality import Cardinalised
 from phdtrack.kernels.blocks import Blocks, block_moments, claim, reaching, summarise, unreached
@@ -52,13 +52,10 @@ NEVER_SPLIT = 1e9
 MERGE_DISTANCE = 2.0
 
 
-class _Extraction:
+class _Extraction(Checked):
     """What the extractions share: peaks are counted where the state is of a cardinalised filter and the settings say so."""
 
     __slots__ = ()
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def extract(self, state: Any, z: F8, model: Model) -> Estimates:
         """The peaks heavy enough to be targets, or as many as there are targets; see `protocols.Extractor`."""

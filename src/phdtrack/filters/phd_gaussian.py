@@ -138,11 +138,10 @@ class GMPHD(Checked, Filter[GaussianMixture]):
             tuple(frame.rows), tuple(frame.expected), tuple(frame.measurements),
             (tuple(new.around), *new[1:-1], tuple(new.expected)), tuple(frame.reach), tuple(self._merging), axes,
         )  # fmt: skip
-        after = GaussianMixture(weight, mean, covariance)
         info = UpdateInfo(predicted, born, mass, evidence, frame.measurements.clutter, vanished)
         # D = (1 − p_D) D⁺ + Σ C/(κ + C).
         detected = predicted - mass + float((1 - info.clutter_probability).sum())
-        return after, replace(info, detected=detected)
+        return GaussianMixture(weight, mean, covariance), replace(info, detected=detected)
 
     def _predicted(self, state: GaussianMixture, model: Model, dt: float) -> Rows:
         """The predicted Gaussians, of weight 0 where none survives."""

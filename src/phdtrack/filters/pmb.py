@@ -53,6 +53,7 @@ import numpy as np
 from phdtrack.arrays import GATE, chi2_quantile
 from phdtrack.errors import Checked, InputError, NonNegative, Positive, PositiveCount, Probability, Share
 from phdtrack.filters.undetected import recycled, still_undetected, survived, with_births
+from phdtrack.kernels import Records
 from phdtrack.kernels.box import apart
 from phdtrack.kernels.gaussian import Births
 from phdtrack.kernels.pmb import (
@@ -61,7 +62,6 @@ from phdtrack.kernels.pmb import (
     TARGET,
     TINY,
     Layer,
-    Records,
     Scores,
     Settings,
     predicted_layer,
@@ -162,13 +162,11 @@ class PMB(Checked, Filter[Bernoullis]):
     def __post_init__(self) -> None:
         Checked.__post_init__(self)
         if self.lasting_clutter_prior == 1:
-            raise InputError(
-                "expected a probability below 1, as some targets are genuine", where="filter.lasting_clutter_prior"
-            )
+            problem = "expected a probability below 1, as some targets are genuine"
+            raise InputError(problem, where="filter.lasting_clutter_prior")
         if not self.acceleration_factors:
-            raise InputError(
-                "expected at least one factor", where="filter.acceleration_factors", cure="Leave it out, or (1,)"
-            )
+            cure = "Leave it out, or (1,)"
+            raise InputError("expected at least one factor", where="filter.acceleration_factors", cure=cure)
 
     def start(self, model: Model, rng: np.random.Generator) -> Bernoullis:
         """The initial targets, with one hypothesis for each factor of the acceleration; none where none were given."""
@@ -179,11 +177,8 @@ class PMB(Checked, Filter[Bernoullis]):
         targets["r"] = targets["presence"] = targets["max_presence"] = np.minimum(given.weight, 1.0)
         targets["label"], targets["begin"], targets["end"] = number, number * motions, (number + 1) * motions
         targets["best"] = targets["begin"]
-        hypotheses["target"], hypotheses["motion"], hypotheses["weight"] = (
-            place,
-            np.arange(n * motions) % motions,
-            1 / motions,
-        )
+        hypotheses["target"], hypotheses["weight"] = place, 1 / motions
+        hypotheses["motion"] = np.arange(n * motions) % motions
         hypotheses["position_scale"], hypotheses["size_scale"], hypotheses["freedom"] = 1.0, 1.0, self.noise_freedom
         hypotheses["detection"] = hypotheses["parent"] = -1
         hypotheses["genuine"] = CERTAIN
@@ -193,9 +188,8 @@ class PMB(Checked, Filter[Bernoullis]):
     def predict(self, state: Bernoullis, model: Model, dt: float, rng: np.random.Generator) -> Bernoullis:
         """A further layer: every hypothesis through f, with p_S of its probability; static clutter stays where it is."""
         now = state.present
-        factor = (
-            SAME if self.acceleration_factors == (1.0,) else np.square(self.acceleration_factors)[now.hypotheses["motion"]]
-        )
+        factors = self.acceleration_factors
+        factor = SAME if factors == (1.0,) else np.square(factors)[now.hypotheses["motion"]]
         mean, covariance, after = moved(model, now.mean, now.covariance, dt, self.transform, factor)
         now, noise = Layer(now.targets, now.hypotheses, mean, covariance), model.sensor.noise(np.ascontiguousarray(mean.T))
         freedom = self.noise_freedom, math.exp(-1 / self.noise_memory)
@@ -330,5 +324,4 @@ def without_overlaps(boxes: F8, merge_iou: float) -> I8:
     """Which of the boxes (n, 4) are left without those that overlap an earlier one that is left by more; 1: all."""
     if merge_iou >= 1 or len(boxes) < 2:
         return np.arange(len(boxes))
-    left: I8 = apart(boxes, boxes[:, 0].argsort(), merge_iou)
-    return left
+    return np.asarray(apart(boxes, boxes[:, 0].argsort(), merge_iou))

@@ -196,10 +196,7 @@ class MHT(PMBM):
     def update(
         self, state: Hypotheses, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[Hypotheses, UpdateInfo]:
-        """The best assignments of the measurements, and the decision about the frame ``history`` frames back.
-
-        `UpdateInfo.clutter_probability` is that of a false alarm over all hypotheses.
-        """
+        """As `PMBM.update`, and then the decision about the frame ``history`` frames back."""
         grown, info = PMBM.update(self, state, z, model, dt, rng)
         return decided(grown) if len(grown.layers) > self.history else grown, info
 

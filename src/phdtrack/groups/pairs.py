@@ -201,8 +201,7 @@ class Pairs(Checked):
         own = step + (walkers.mean[2:, a] ** 2 + walkers.mean[2:, b] ** 2).sum(axis=0)
         power = (FREEDOM + 2) / 2
         keeps = power * (np.log1p(speed2 / (FREEDOM * own)) - np.log1p(speed2 / (FREEDOM * step))) + np.log(own / step)
-        out: F8 = np.log(np.maximum(companion / density, 1e-300)) + keeps
-        return out
+        return np.asarray(np.log(np.maximum(companion / density, 1e-300)) + keeps)
 
     def _chances(self, interval: F8) -> tuple[F8, F8]:
         """(P,) probabilities that companions have parted after so many seconds, and that strangers have joined."""
@@ -212,21 +211,18 @@ class Pairs(Checked):
     def _later(self, odds: F8, interval: F8) -> F8:
         """(P,) log-odds after an interval in which nothing was seen."""
         (parted, joined), ratio = self._chances(interval), np.exp(np.clip(odds, -500.0, 500.0))
-        out: F8 = np.log((ratio * (1 - parted) + joined) / (ratio * parted + 1 - joined))
-        return out
+        return np.log((ratio * (1 - parted) + joined) / (ratio * parted + 1 - joined))
 
     def _before(self, odds: F8, interval: F8) -> F8:
         """(P,) log of how much better two together explain what follows than two apart, from the same after an interval."""
         (parted, joined), ratio = self._chances(interval), np.exp(np.clip(odds, -500.0, 500.0))
-        out: F8 = np.log((ratio * (1 - parted) + parted) / (ratio * joined + 1 - joined))
-        return out
+        return np.log((ratio * (1 - parted) + parted) / (ratio * joined + 1 - joined))
 
     def _groups(self, count: int, rows: PairRows, odds: F8) -> I8:
         """(n,) the groups of a frame."""
         gain = np.full((count, count), -self.apart_cost)
         gain[rows.a, rows.b] = gain[rows.b, rows.a] = np.clip(odds, -self.apart_cost, self.max_log_odds)
-        out: I8 = clusters(gain)
-        return out
+        return np.asarray(clusters(gain))
 
 
 def _sorted(key: I8, value: F8) -> tuple[I8, F8]:

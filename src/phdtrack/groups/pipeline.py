@@ -100,7 +100,7 @@ class GroupStages:
     def advance(
         self, state: LifeCycleState, mixture: GaussianMixture, member: I8, carrier: I8, number: int, time: float
     ) -> tuple[LifeCycleState, GroupFrame]:
-        """Take in the intensity of a frame, as E13 does [E13 §5]. Raises `TypeError` where groups are found by pairs.
+        """The state with the intensity of a frame, and its groups [E13 §5]. Raises `TypeError` where pairs find the groups.
 
         People with an identity are in the group that they have accepted (`GroupLifeCycle`). A Gaussian without a track goes
         with the heaviest person of its cluster. A cluster without any track is a group without identity, so that no head is
@@ -113,10 +113,6 @@ class GroupStages:
         member, carrier : (n,) identities of people, and the Gaussian of each. People without one (−1), or with one that is
             too light to count, have no group in this frame.
         number, time : of the frame, from 1, and in seconds.
-
-        Returns
-        -------
-        The new state, and the groups.
         """
         if not isinstance(self.grouping, Grouping):
             raise TypeError("groups of an intensity need groups.kind=intensity")

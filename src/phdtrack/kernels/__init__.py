@@ -4,11 +4,25 @@ Each has a naive twin in ``tests/reference`` and a test that compares the two on
 All are compiled on first use and cached on disk (see `cache`).
 """
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from phdtrack.kernels.cache import prepare
 
 prepare()
+
+U1 = NDArray[np.uint8]
+U4 = NDArray[np.uint32]
+U8 = NDArray[np.uint64]
+I4 = NDArray[np.int32]
+I8 = NDArray[np.int64]
+F4 = NDArray[np.float32]
+F8 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+Real = NDArray[np.floating[Any]]
+Records = NDArray[np.void]
 
 # The C library gives the memory of large arrays back to the system when they are freed, and has to fetch and clear it again
 # in the next frame: a third of a filter's time at a thousand targets. It keeps as much as twice the largest block that was

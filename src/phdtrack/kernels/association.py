@@ -24,16 +24,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phdtrack.kernels import F8, I8, Bool, Records
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.gaussian import records
-
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
-B1 = NDArray[np.bool_]
-Records = NDArray[np.void]
 
 # A column without a row, and one that no row may take any more.
 UNUSED, CLOSED = -1, -2
@@ -88,7 +83,7 @@ class Nodes(NamedTuple):
     choice: I8
     u: F8
     v: F8
-    banned: B1
+    banned: Bool
 
 
 @njit(**INNER)
@@ -99,7 +94,7 @@ def new_paths(columns: int) -> Paths:
 
 
 @njit(**INNER)
-def augment(edges: Edges, row: int, first: int, banned: B1, x: Matching, paths: Paths) -> bool:
+def augment(edges: Edges, row: int, first: int, banned: Bool, x: Matching, paths: Paths) -> bool:
     """Assign ``row`` too, in place, by the shortest augmenting path; False where it cannot be done.
 
     Row ``first`` may not have the columns ``banned``, and not stay unassigned where the last of them is true.
@@ -172,7 +167,7 @@ def gain_of(edges: Edges, row: int, column: int) -> float:
 
 
 @njit(**INNER)
-def _assign(edges: Edges, n: int, first: int, banned: B1, x: Matching, paths: Paths) -> float:
+def _assign(edges: Edges, n: int, first: int, banned: Bool, x: Matching, paths: Paths) -> float:
     """Assign the rows from ``first`` on to n columns; the sum of all rows' gains, −∞ where it cannot be done.
 
     Rows before ``first`` have the columns that ``x`` says, in which the assignment is written; row ``first`` may not have
@@ -195,7 +190,7 @@ def _assign(edges: Edges, n: int, first: int, banned: B1, x: Matching, paths: Pa
 
 
 @njit(**INNER)
-def _bound(edges: Edges, row: int, fixed: int, banned: B1, choice: I8, u: F8, v: F8) -> float:
+def _bound(edges: Edges, row: int, fixed: int, banned: Bool, choice: I8, u: F8, v: F8) -> float:
     """What a node loses at least if ``row`` may no longer have what it has: the smallest slack of what else it could have.
 
     ``fixed`` is the row of the node to which ``banned`` applies; the columns of rows before ``row`` are taken.
@@ -226,7 +221,7 @@ def _place(status: I8, value: F8, fresh: float) -> int:
 
 
 @njit(**INNER)
-def _keep(nodes: Nodes, total: float, least: float, parent: int, fixed: int, banned: B1, x: Matching) -> None:
+def _keep(nodes: Nodes, total: float, least: float, parent: int, fixed: int, banned: Bool, x: Matching) -> None:
     """Keep the assignment as an open node, where its value ``total`` is ``least`` or more and there is room."""
     at = _place(nodes.status, nodes.value, total) if total > -np.inf and total >= least else -1
     if at >= 0:

@@ -12,15 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from phdtrack.kernels import F4, F8, I4, I8, U1, U8
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER, VECTOR, D, F
 
-U1 = NDArray[np.uint8]
-F4 = NDArray[np.float32]
-F8 = NDArray[np.float64]
-I4 = NDArray[np.int32]
-I8 = NDArray[np.int64]
-U8 = NDArray[np.uint64]
 _2 = F(2)
 # Pixels in a number; the lowest bit of each of its bytes, all others but the highest, all; bit k of byte k.
 _BITS, _FLAGS, _FULL, _ALL, _EACH = 64, D(0x0101010101010101), D(0x7F7F7F7F7F7F7F7F), D(2**64 - 1), D(0x8040201008040201)
@@ -75,12 +70,9 @@ def measured(points: I4, ends: I8) -> tuple[I8, F8]:
 def valley(filled: U1, depth: float, smooth: int, margin: int, least: float) -> int:
     """The column at which ``filled`` (h, w), not 0 in a component, is lowest between two higher parts; −1: none is so deep.
 
-    Parameters
-    ----------
-    filled : the component.
-    depth : the column has at most this share of the lower of the highest columns on its two sides.
-    smooth : columns over whose windows the mean is taken, odd.
-    margin, least : columns, and the share of the area, that there are on either side at the least.
+    ``depth``: the column has at most this share of the lower of the highest columns on its two sides. ``smooth``: columns
+    over whose windows the mean is taken, odd. ``margin``, ``least``: columns, and the share of the area, on either side at
+    the least.
     """
     height, width = filled.shape
     counts, profile = np.zeros(width), np.zeros(width)

@@ -7,20 +7,16 @@ A window is a closed rectangle of positions, about a cluster's centre.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phdtrack.kernels import F8, I8, Bool, Real
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, FAST, LANES, VECTOR, extent, whole
 from phdtrack.kernels.grid import Grid, make_grid, overlapping, overlapping_pairs
 from phdtrack.kernels.mixtures import Candidates, Gaussians
 
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
-Bool = NDArray[np.bool_]
-Real = NDArray[np.floating[Any]]
 # Columns are counted without a sign: one that might be negative is checked, and the check keeps loops from being vectorised.
 U = np.uint64
 TINY = 1e-300

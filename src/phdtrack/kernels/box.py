@@ -8,14 +8,12 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phdtrack.kernels import F8, I8
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.gaussian import Predicted
 
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
 Noise = tuple[int, float, float, float, float]
 # Rows of the state that a measurement shows.
 ROWS = (0, 1, 4, 5)

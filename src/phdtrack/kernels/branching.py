@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phdtrack.kernels import F8, I8, Bool
 from phdtrack.kernels.association import best_assignments
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
-
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
-B1 = NDArray[np.bool_]
 
 
 @njit(**INNER)
@@ -48,7 +44,7 @@ def _gains(leaf: I8, pair: tuple[I8, I8, F8], columns: I8, unassigned: F8, place
 
 @njit(**ENTRY)
 def children(
-    leaf: I8, weight: F8, pair: tuple[I8, I8, F8], columns: I8, missed: F8, unassigned: F8, begins: B1,
+    leaf: I8, weight: F8, pair: tuple[I8, I8, F8], columns: I8, missed: F8, unassigned: F8, begins: Bool,
     limits: tuple[int, float],
 ) -> tuple[I8, F8, F8]:  # fmt: skip
     """The best hypotheses that follow from a cluster's, the most probable first.

@@ -13,15 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from phdtrack.kernels import F4, F8, I8, U1
 from phdtrack.kernels.blobs import Cleaning, cleaned, mirrored
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER, INT, ONE, VECTOR, D, F, log32
 from phdtrack.kernels.planes import BLACK, GREYS, LIFT, LOG, LOG_SCALE, lighting, noise, quartile, smooth
 
-U1 = NDArray[np.uint8]
-F4 = NDArray[np.float32]
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
 Pixel = tuple[np.int32, np.int32, np.int32]
 Weights = tuple[np.float32, np.float32, np.float32, np.float32]
 Reaches = tuple[np.int32, np.int32, np.int32, np.int32]
@@ -127,13 +124,8 @@ def changed(
 def compare(image: U1, reference: F4, light: F4, scene: F4, rule: Statistic, camera: F8, past: Past) -> tuple[U1, F4]:
     """(H, W) 255 where ``image`` changed against the ``reference`` in another ``light``, and (H, W) its energy.
 
-    Parameters
-    ----------
-    image, reference : (n,).
-    light : (3, 4) as `lighting` has it.
-    scene : (H, W) energy that is usual there, three times s.
-    rule, past : as above.
-    camera : (3,) deviations by the camera's noise of brightness and of colours.
+    ``image``, ``reference`` (n,); ``light`` (3, 4) as `lighting` has it; ``scene`` (H, W): energy that is usual there, three
+    times s; ``rule``, ``past``: as above; ``camera`` (3,): deviations by the camera's noise of brightness and of colours.
     """
     height, width = scene.shape
     mask, energy = np.empty((height, width), np.uint8), np.empty((height, width), np.float32)

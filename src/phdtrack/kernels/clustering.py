@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phdtrack.kernels import F8, I8
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
-
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
 
 # Nodes up to which all partitions are compared; beyond it clusters are merged while that gains, then single nodes move.
 EXACT = 9

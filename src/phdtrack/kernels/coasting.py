@@ -6,13 +6,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from phdtrack.kernels.box import F8, I8, overlap_of
+from phdtrack.kernels import F8, I8, Bool
+from phdtrack.kernels.box import overlap_of
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY
-
-Bool = NDArray[np.bool_]
 
 # Ages are counted in steps that grow by a third of an octave each, from 1/240 s to three hours.
 STEPS, SHORTEST, PER_OCTAVE = 64, 1 / 240, 3.0

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from phdtrack.kernels.box import F8, I8
+from phdtrack.kernels import F8, I8
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 

@@ -11,12 +11,10 @@ would lose every digit where b_z/a_z is large, and multiplying anew for each z w
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phdtrack.kernels import F8
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
-
-F8 = NDArray[np.float64]
 
 
 @njit(**INNER)

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numba import types
 from numba.extending import overload
-from numpy.typing import NDArray
 
+from phdtrack.kernels import Real
 from phdtrack.kernels.cache import njit
 
 # What lets sums be reordered and so vectorise, but keeps NaN and infinity (unlike ``fastmath=True``).
@@ -29,7 +29,6 @@ ENTRY = LEAN | {"cache": True, "nogil": True}
 INNER = LEAN | {"no_cpython_wrapper": True}
 VECTOR = INNER | {"fastmath": FAST}
 
-Real = NDArray[np.floating[Any]]
 # Numbers in the widest vector register; narrower ones divide it. Loops over whole registers leave nothing over, which would
 # be done one by one.
 LANES = 16

@@ -26,15 +26,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import config
-from numpy.typing import NDArray
 
+from phdtrack.kernels import F8, I8, Records
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.grid import cell_of
 
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
-Records = NDArray[np.void]
 Period = tuple[float, ...]
 Axes = tuple[float, ...] | tuple[int, ...]
 LOG_2PI = math.log(2 * math.pi)

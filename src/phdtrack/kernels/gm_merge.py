@@ -11,15 +11,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phdtrack.kernels import F8, I8
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.gaussian import factored
 from phdtrack.kernels.grid import cell_of
 
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
 # ``axes`` is (0, 1, …, d − 1): the length of a tuple is known when a function is compiled, and loops of known length are
 # unrolled, which saves a third of the time.
 Axes = tuple[int, ...]

@@ -19,25 +19,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phdtrack.kernels import F8, I8, Records
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.gaussian import (
-    GAUSSIAN,
-    PAIR,
-    Expected,
-    Measurements,
-    NewTargets,
-    Records,
-    factor,
-    gated,
-    write_posteriors,
-)
+from phdtrack.kernels.gaussian import GAUSSIAN, PAIR, Expected, Measurements, NewTargets, factor, gated, write_posteriors
 from phdtrack.kernels.gm_merge import Axes, Merging, Rows, merged_rows
 
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
 # The reciprocal of a smaller number may overflow.
 SMALLEST = float(np.finfo(np.float64).tiny)
 

@@ -9,14 +9,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phdtrack.kernels import F8, I8, Bool
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
-
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
-B1 = NDArray[np.bool_]
 
 
 class Grid(NamedTuple):
@@ -158,7 +154,7 @@ def points_in_rectangles(at: F8, lower: F8, upper: F8) -> tuple[I8, I8]:
 
 
 @njit(**ENTRY)
-def uncrowded(at: F8, half: F8, most: int) -> B1:
+def uncrowded(at: F8, half: F8, most: int) -> Bool:
     """(N,) which points are kept, in their order: those that with fewer than ``most`` kept ones lie in each other's boxes.
 
     ``at``, ``half`` (2, N): the points, and half the sides of a closed box about each, finite. ``most``: from 1.

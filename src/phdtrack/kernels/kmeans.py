@@ -11,14 +11,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from phdtrack.kernels.blocks import F8, I8, Blocks, Real, U, add_products, load_row, load_steps, reaching, weigh
+from phdtrack.kernels import F8, I4, I8, Real
+from phdtrack.kernels.blocks import Blocks, U, add_products, load_row, load_steps, reaching, weigh
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR, whole
 from phdtrack.kernels.mixtures import Candidates, Gaussians
 
-I4 = NDArray[np.int32]
 # A centre that has moved by less than this many deviations has not moved.
 STILL = 0.02
 # A cluster with less than this share of all mass does not move: the difference of larger sums says nothing of its place.

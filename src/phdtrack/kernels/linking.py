@@ -11,16 +11,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phdtrack.kernels import F8, I8
 from phdtrack.kernels.association import CLOSED, UNUSED, Edges, Matching, augment, gain_of, new_paths
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.gaussian import factor, norm2
 from phdtrack.kernels.grid import make_grid, overlapping
 
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
 # Links that a vertex may have, the best. Where 25 states are about it in each of 50 frames there are more.
 MOST_LINKS = 512
 

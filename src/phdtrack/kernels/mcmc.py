@@ -9,16 +9,13 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phdtrack.kernels import F8, I8
 from phdtrack.kernels.box import overlap_of
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.grid import make_grid, overlapping
 from phdtrack.kernels.particle_models import BLOCK, distance, prepare, seen
-
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
 
 
 class Chain(NamedTuple):

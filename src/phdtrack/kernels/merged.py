@@ -9,16 +9,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phdtrack.kernels import F8, I8, Bool
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.gaussian import LOG_2PI, factor, norm2
 from phdtrack.kernels.gm_merge import descending
 
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
-Bool = NDArray[np.bool_]
 # See `explained`.
 Parts = tuple[F8, I8, I8, I8, F8, F8]
 # Squared deviations beyond which a blob does not fit; blobs and targets that are explained together, at most.

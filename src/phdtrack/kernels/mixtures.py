@@ -10,15 +10,11 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phdtrack.kernels import F8, I8, Real
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR, exp_of, log_of
 from phdtrack.kernels.gaussian import LOG_2PI, factor, norm2
-
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
-Real = NDArray[np.floating[Any]]
 
 # Points that are evaluated at a time.
 CHUNK = 128

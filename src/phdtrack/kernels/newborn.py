@@ -7,20 +7,17 @@ exactly; those of two measurements in one frame are not independent of each othe
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phdtrack.kernels import F8, I8, Real
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, FAST, VECTOR, F, cos_sin_turn, exp_of
 from phdtrack.kernels.grid import make_grid, overlapping
 
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
 GOLDEN = 0.6180339887498949
 U = np.uint64
-Real = NDArray[np.floating[Any]]
 
 
 class Proposal(NamedTuple):

@@ -18,12 +18,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import overload
-from numpy.typing import NDArray
 
+from phdtrack.kernels import F8, Real
 from phdtrack.kernels.fast32 import FAST, HALF, ONE, by_type
 
-F8 = NDArray[np.float64]
-Real = NDArray[np.floating[Any]]
 Number = Any
 F = np.float32
 # Particles of a block.

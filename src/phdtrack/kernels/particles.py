@@ -13,8 +13,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phdtrack.kernels import F8, I8, Real
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import (
     ENTRY,
@@ -46,7 +46,6 @@ from phdtrack.kernels.particle_models import (
     VX,
     VY,
     Number,
-    Real,
     X,
     Y,
     distance,
@@ -61,8 +60,6 @@ from phdtrack.kernels.particle_models import (
     word,
 )
 
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
 F = np.float32
 # Columns are counted without a sign (U): the check of one that might be negative keeps loops from being vectorised.
 # Rows of the scratch array behind the state and the normal numbers: weights, these times p_D, sums; states of generators.

@@ -12,15 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phdtrack.kernels import F4, F8, I4, I8, U1
 from phdtrack.kernels.blobs import mirrored
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER, INT, VECTOR, D, F
 
-U1 = NDArray[np.uint8]
-F4 = NDArray[np.float32]
-F8 = NDArray[np.float64]
-I4 = NDArray[np.int32]
-I8 = NDArray[np.int64]
 # Brightness is 16 (black) to 235 (white), colour differences 16 to 240 (BT.601): grey levels and levels of colour in each.
 BLACK, GREYS, COLOURS = 16, 255 / 219, 255 / 224
 # Brightness is compared as the logarithm of grey level + `LIFT`: noise in the dark counts less. `LOG` has it in whole

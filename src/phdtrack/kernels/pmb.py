@@ -20,25 +20,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phdtrack.kernels import F8, I8, Records
 from phdtrack.kernels.association import EDGE, beliefs
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.gaussian import (
-    PAIR,
-    Expected,
-    Measurements,
-    NewTargets,
-    Predicted,
-    gated,
-    records,
-    write_posteriors,
-)
-
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
-Records = NDArray[np.void]
+from phdtrack.kernels.gaussian import PAIR, Expected, Measurements, NewTargets, Predicted, gated, records, write_posteriors
 
 TINY = float(np.finfo(np.float64).tiny)
 # Log odds of what is certain, in double precision.

@@ -9,15 +9,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phdtrack.kernels import F8, I8, Records
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.gaussian import records
-
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
-Records = NDArray[np.void]
 
 # Of each target of a frame: the hypothesis that leads to the one that is best today, −1 for none; the greatest presence from
 # that frame on.

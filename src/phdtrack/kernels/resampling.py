@@ -9,17 +9,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phdtrack.kernels import F8, I4, I8, U4, Real
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, FAST, INNER, VECTOR, whole
 from phdtrack.kernels.fast32 import D as U
 from phdtrack.kernels.grid import cell_of
-from phdtrack.kernels.particle_models import BLOCK, Number, Real, X, Y
-from phdtrack.kernels.particles import F8, I8, ROWS, SUM, WEIGHT, Part, Sums, load_part, update_weights
+from phdtrack.kernels.particle_models import BLOCK, Number, X, Y
+from phdtrack.kernels.particles import ROWS, SUM, WEIGHT, Part, Sums, load_part, update_weights
 
-I4 = NDArray[np.int32]
-U4 = NDArray[np.uint32]
 QUARTER = BLOCK // 4
 # Offspring that are written of every particle, whether it has them or not.
 COPIES = 4

@@ -8,14 +8,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phdtrack.kernels import F8, I8, Bool
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
-Bool = NDArray[np.bool_]
 # A pivot that is smaller than this share of its own diagonal element is rounding: the matrix is singular there.
 _SINGULAR = 1e-14
 

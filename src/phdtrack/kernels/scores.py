@@ -6,14 +6,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phdtrack.kernels import F8, I8
 from phdtrack.kernels.box import following
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY
-
-F8 = NDArray[np.float64]
-I8 = NDArray[np.int64]
 
 
 class Line(NamedTuple):

@@ -45,12 +45,7 @@ MOST_EXPECTED = 3000.0
 
 
 def particles_about(
-    covered: F8,
-    seen: tuple[F8, F8],
-    rows: tuple[int, ...],
-    particles: int,
-    gamma: F8,
-    rng: np.random.Generator,
+    covered: F8, seen: tuple[F8, F8], rows: tuple[int, ...], particles: int, gamma: F8, rng: np.random.Generator
 ) -> Particles:
     """J_j = ⌈Jmax·max(0, 1 − M_j)⌉ particles around z_j with importance weights γ(x) / Σ_i J_i p_i(x) [M07 §2].
 
@@ -120,8 +115,7 @@ def _radii(dof: int) -> F8:
     """The radii at equal steps of the quantile of a standard Gaussian in ``dof`` dimensions inside its kept part."""
     from scipy.special import gammaincinv
 
-    radii: F8 = np.sqrt(2 * gammaincinv(dof / 2, KEPT * np.linspace(0, 1, 2049)))
-    return radii
+    return np.sqrt(2 * gammaincinv(dof / 2, KEPT * np.linspace(0, 1, 2049)))
 
 
 class _AroundDetections(abc.ABC):

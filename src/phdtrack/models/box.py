@@ -151,8 +151,7 @@ class BoxSensor(Checked):
         """(L, 4, 4) R where it follows the target or is constant, else (0, 4, 4)."""
         if self.scaling in ("detection", "given"):
             return np.zeros((0, 4, 4))
-        out: F8 = box_covariances(x[4:6], self._numbers)
-        return out
+        return np.asarray(box_covariances(x[4:6], self._numbers))
 
     def measurement_noise(self, z: F8) -> F8:
         """(N, 4, 4) R where it follows the detection, else (0, 4, 4)."""
@@ -160,8 +159,7 @@ class BoxSensor(Checked):
             return np.maximum(z[4:8], TINY).T[:, :, None] * np.eye(4)
         if self.scaling != "detection":
             return np.zeros((0, 4, 4))
-        out: F8 = box_covariances(z[2:4], self._numbers)
-        return out
+        return np.asarray(box_covariances(z[2:4], self._numbers))
 
     def p_detect(self, x: F8) -> F8:
         """p_D, everywhere."""
@@ -217,8 +215,7 @@ class BoxSensor(Checked):
 
     def noise(self, x: F8) -> F8:
         """Deviations of the state's components: the measurement's of a box of this size, and an unknown velocity's."""
-        out: F8 = box_deviations(np.ascontiguousarray(x), self._numbers, self._speed)
-        return out
+        return np.asarray(box_deviations(np.ascontiguousarray(x), self._numbers, self._speed))
 
     def boxes(self, x: F8) -> F8:
         """(n, 4) the boxes of the states."""
@@ -254,11 +251,6 @@ class BoxMotion(Checked):
     roughening: NonNegative = 0.0
     dim: ClassVar[int] = 6
 
-    @property
-    def _drawn(self) -> float:
-        """Deviation of the acceleration that draws have: the motion's own, roughened."""
-        return math.hypot(self.acceleration, self.roughening)
-
     def p_survive(self, x: F8, seconds: float) -> F8:
         """p_S^seconds inside the image, 0 where the whole box has left it."""
         half, size = 0.5 * x[4:6], np.array(self.frame_size)[:, None]
@@ -268,12 +260,13 @@ class BoxMotion(Checked):
     def particle_model(self, dt: float, seconds: float) -> BoxWalk:
         """The numbers of f over ``dt`` and p_S over ``seconds`` for the particle filters [M09 (11)]."""
         root, (width, height) = math.sqrt(dt), self.frame_size
-        rest = self._drawn * math.sqrt((dt**3 - dt) / 12) if dt > 1 else 0.0
+        drawn = math.hypot(self.acceleration, self.roughening)
+        rest = drawn * math.sqrt((dt**3 - dt) / 12) if dt > 1 else 0.0
         framed = width > 0 and height > 0
         return BoxWalk(*(
             np.float32(value)
             for value in (
-                dt, self._drawn * root, self.size_noise * root, rest, self.min_size, self.scaled_noise,
+                dt, drawn * root, self.size_noise * root, rest, self.min_size, self.scaled_noise,
                 self.survival_probability**seconds, width * framed, height * framed,
             )
         ))  # fmt: skip

@@ -72,9 +72,8 @@ def predicted(model: Model, mean: F8, covariance: F8, dt: float, transform: Tran
     d, many, count = points.shape
     through = motion.transition(points.reshape(d, many * count), dt)[0].reshape(d, many, count)
     step = through - through[:, :1]
-    return Predicted(
-        np.ascontiguousarray((through[:, 0] + WEIGHT * step.sum(axis=1)).T), _product(step, step) + q, p_survive
-    )
+    later = np.ascontiguousarray((through[:, 0] + WEIGHT * step.sum(axis=1)).T)
+    return Predicted(later, _product(step, step) + q, p_survive)
 
 
 def moved(
@@ -117,14 +116,8 @@ def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> 
     through = sensor.expected(points.reshape(d, many * count)).reshape(len(sensor.angles), many, count)
     step = sensor.innovation(through, through[:, :1])
     z = np.ascontiguousarray((through[:, 0] + WEIGHT * step.sum(axis=1)).T)
-    return Expected(
-        row_numbers(tuple(range(z.shape[1]))),
-        z,
-        _product(step, step),
-        _product(points - points[:, :1], step),
-        noise,
-        p_detect,
-    )
+    rows, cross = row_numbers(tuple(range(z.shape[1]))), _product(points - points[:, :1], step)
+    return Expected(rows, z, _product(step, step), cross, noise, p_detect)
 
 
 def measurements(model: Model, z: F8) -> Measurements:

@@ -116,8 +116,7 @@ class Hiders:
         width, height = np.maximum(np.minimum(high[:, i], upper[:, j]) - np.maximum(low[:, i], lower[:, j]), 0.0)
         covered = np.zeros(len(depth))
         np.maximum.at(covered, i, width / (high[0, i] - low[0, i]) * (height / (high[1, i] - low[1, i])))
-        out: F8 = np.maximum(1 - covered**SHAPE, self.least)
-        return out
+        return np.maximum(1 - covered**SHAPE, self.least)
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,14 +187,12 @@ class PlaneSensor(PositionSensor):
         point = box[:2] if self.camera is None else self.camera.ground(foot)
         z = np.stack([*point, noise[:, 0, 0], noise[:, 0, 1], noise[:, 1, 1]])
         usable = np.isfinite(z).all(axis=0) & (z[2] * z[4] > z[3] ** 2)
-        packed: F8 = np.where(usable, z, np.nan)
-        return packed
+        return np.where(usable, z, np.nan)
 
     def _pixel_covariance(self, size: F8) -> F8:
         """(N, 2, 2) of the foot points of boxes of ``size`` (2, N), pixels²."""
         variance = np.maximum(np.array(self.box_noise)[:, None] * size, self.min_noise) ** 2
-        out: F8 = variance.T[:, :, None] * np.eye(2)
-        return out
+        return variance.T[:, :, None] * np.eye(2)
 
     def p_detect(self, x: F8) -> F8:
         """p_D · visible · max(1 − c^1.5, least)."""
@@ -251,5 +248,4 @@ class PlaneSensor(PositionSensor):
         height = np.maximum(np.where(np.isfinite(height), height, tall * scale), 1.0)
         half = np.maximum(wide * scale, 1.0) / 2
         out = np.stack([foot[0] - half, foot[1] - height, foot[0] + half, foot[1]], axis=1)
-        shown: F8 = np.where(np.isfinite(out).all(axis=1)[:, None], out, OUTSIDE)
-        return shown
+        return np.where(np.isfinite(out).all(axis=1)[:, None], out, OUTSIDE)

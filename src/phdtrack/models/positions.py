@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from phdtrack.arrays import chi2_quantile
-from phdtrack.errors import InputError, check
+from phdtrack.errors import Checked, InputError, check
 from phdtrack.kernels.particle_models import SensorNumbers, position_numbers, walk
 from phdtrack.models.volumes import Region, check_region, inside
 from phdtrack.types import F8
@@ -88,7 +88,7 @@ class PositionMotion:
     warp_jacobian = warp_states
 
 
-class PositionSensor:
+class PositionSensor(Checked):
     """g of two measured components. A kind of sensor has these fields and gives R."""
 
     __slots__ = ()
@@ -99,9 +99,6 @@ class PositionSensor:
     constant_noise: ClassVar[bool] = True
     birth_speed: float
     gate_probability: float
-
-    def __post_init__(self) -> None:
-        check(self)
 
     @property
     def _gate(self) -> float:

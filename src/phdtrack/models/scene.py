@@ -194,9 +194,7 @@ class FalseAlarmRatio:
         # The Gaussians count inside the volume only; the uniform parts go on beyond it.
         gaussians = self.clutter.rate * alarms.gaussian_part(z)
         present = objects.rate * objects.density(z, outside=objects.density.flat)
-        entering = np.zeros(z.shape[1])
-        if self._entrances is not None:
-            entering = objects.rate * self._entrances.gaussian_part(z)
+        entering = 0.0 if self._entrances is None else objects.rate * self._entrances.gaussian_part(z)
         tracked = np.maximum(self.tracked.share * gaussians, TINY) / np.maximum(present, TINY)
         any_alarm = np.maximum(gaussians + self.clutter.rate * alarms.flat, TINY)
         return np.log([tracked, any_alarm / np.maximum(present + entering, TINY)])

@@ -56,14 +56,12 @@ def as_warp(matrix: ArrayLike, where: str) -> F8:
 
 def warp_states(x: F8, warp: F8) -> F8:
     """(d, n) states ``x`` in the pixels that ``warp`` leads to; rows behind (px, py, vx, vy) are lengths."""
-    out: F8 = warped_states(np.ascontiguousarray(x, np.float64), np.ascontiguousarray(warp), np.linalg.det(warp))
-    return out
+    return np.asarray(warped_states(np.ascontiguousarray(x, np.float64), np.ascontiguousarray(warp), np.linalg.det(warp)))
 
 
 def warp_jacobian(x: F8, warp: F8) -> F8:
     """(n, d, d) Jacobians of `warp_states`: J for places and velocities, and how J and the scale change with the place."""
-    out: F8 = warped_slopes(np.ascontiguousarray(x, np.float64), np.ascontiguousarray(warp), np.linalg.det(warp))
-    return out
+    return np.asarray(warped_slopes(np.ascontiguousarray(x, np.float64), np.ascontiguousarray(warp), np.linalg.det(warp)))
 
 
 def back(warp: F8) -> F8:

@@ -105,13 +105,11 @@ class SceneDensity:
 
     def contains(self, x: F8) -> Bool:
         """(L,) whether the columns of ``x`` (d, L) lie in the volume."""
-        inside: Bool = np.logical_and.reduce((x >= self.low[:, None]) & (x <= self.high[:, None]), axis=0)
-        return inside
+        return np.asarray(np.logical_and.reduce((x >= self.low[:, None]) & (x <= self.high[:, None]), axis=0))
 
     def log(self, x: F8) -> F8:
         """(L,) log p at the columns of ``x`` (d, L); −inf outside the volume."""
-        out: F8 = np.where(self.contains(x), np.logaddexp.reduce(self.log_parts(x), axis=0), -math.inf)
-        return out
+        return np.where(self.contains(x), np.logaddexp.reduce(self.log_parts(x), axis=0), -math.inf)
 
     def __call__(self, x: F8, outside: float = 0.0) -> F8:
         """(L,) p at the columns of ``x`` (d, L), and ``outside`` where they lie outside the volume.
@@ -162,8 +160,7 @@ def _mass_inside(mean: F8, covariance: F8, low: F8, high: F8) -> F8:
         if r < d - 1:
             # Where nothing is left the point does not matter; ndtri must not be given 0 or 1.
             y[r] = ndtri(np.clip(below + lattice[r] * (above - below), 1e-300, 1 - 1e-16))
-    inside: F8 = product.mean(axis=1)
-    return inside
+    return np.asarray(product.mean(axis=1))
 
 
 def place_map(p: SceneDensity, shape: tuple[int, int], step: float) -> F8:
@@ -184,8 +181,7 @@ def place_map(p: SceneDensity, shape: tuple[int, int], step: float) -> F8:
     down, across = np.meshgrid((np.arange(shape[0]) + 0.5) * step, (np.arange(shape[1]) + 0.5) * step, indexing="ij")
     at = np.stack([across.ravel(), down.ravel()]) + place.low[:, None]
     likely = np.exp(place.log_parts(at)[1:]).sum(axis=0)
-    out: F8 = (likely / max(likely.max(initial=0.0), 1e-300)).reshape(shape)
-    return out
+    return np.asarray((likely / max(likely.max(initial=0.0), 1e-300)).reshape(shape))
 
 
 def _problem(p: SceneDensity) -> str:

@@ -137,8 +137,8 @@ def _phase(colours: Sequence[Colour], aspect: float, angle: float) -> Image:
 
 def _smaller(canvas: Image, factor: int = _FINE) -> Image:
     """The canvas, reduced by the factor."""
-    small: Image = cv2.resize(canvas, (canvas.shape[1] // factor, canvas.shape[0] // factor), interpolation=cv2.INTER_AREA)
-    return small
+    size = canvas.shape[1] // factor, canvas.shape[0] // factor
+    return np.asarray(cv2.resize(canvas, size, interpolation=cv2.INTER_AREA))
 
 
 def _bones(joint: Spot, lengths: Spot, angles: Spot) -> list[Spot]:
@@ -205,8 +205,7 @@ def _blown_leaf(height: int, rng: np.random.Generator) -> Image:
     canvas = np.zeros((side, side, 4), np.uint8)
     axes = (max(2, round(length / 2)), max(2, round(thick / 2)))
     cv2.ellipse(canvas, (side // 2, side // 2), axes, tilt, 0, 360, (*(tone * 235 / 255), 235), -1, cv2.LINE_AA)
-    blurred: Image = cv2.GaussianBlur(canvas, (0, 0), max(0.6, 0.04 * length))
-    return blurred
+    return np.asarray(cv2.GaussianBlur(canvas, (0, 0), max(0.6, 0.04 * length)))
 
 
 def _lamp(info: SequenceInfo, rng: np.random.Generator) -> _Placed:
@@ -388,8 +387,7 @@ class Rendered:
             _put(canvas, leaf)
         top, left = self._corners[number - 1]
         noise = self._noise[top : top + info.height, left : left + info.width]
-        picture: Image = cv2.addWeighted(canvas, float(self._gain[number - 1]), noise, 1.0, -_MIDDLE)
-        return picture
+        return np.asarray(cv2.addWeighted(canvas, float(self._gain[number - 1]), noise, 1.0, -_MIDDLE))
 
     def _figure(self, row: int) -> _Placed:
         """One figure, at this phase of its step."""

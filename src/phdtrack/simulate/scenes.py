@@ -166,8 +166,7 @@ class Scenario(Checked):
     @property
     def obstacles_px(self) -> F8:
         """(K, 4) xyxy of the obstacles, pixels."""
-        pixels: F8 = np.array(self.obstacles, np.float64).reshape(-1, 4) * np.tile([self.width, self.height], 2)
-        return pixels
+        return np.asarray(np.array(self.obstacles, np.float64).reshape(-1, 4) * np.tile([self.width, self.height], 2))
 
     @property
     def doors_px(self) -> F8:

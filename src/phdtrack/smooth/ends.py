@@ -48,11 +48,8 @@ def carried_on(tracks: Tracks, seen: MeasurementHistory, boxes: F8, size: tuple[
         missed[going] += 1
         missed[end] = 0
         old, now = row[end], at[end]
-        added.append(
-            Tracks.of(
-                seen.number[now], tracks.identity[old], boxes[column], tracks.confidence[old], column - seen.start[now]
-            )
-        )
+        name, sure = tracks.identity[old], tracks.confidence[old]
+        added.append(Tracks.of(seen.number[now], name, boxes[column], sure, column - seen.start[now]))
     return Tracks.concatenate(added)
 
 

@@ -102,5 +102,4 @@ def _learned(sums: F8, first: Shown, second: Shown, now: Shown) -> F8:
         return sums
     ratio, kept = (second.time - first.time) / (now.time - second.time), max(1 - 2 * len(now.identity) / KEPT, 0.0)
     then, between = (first.identity, first.seen, first.filtered), (second.identity, second.seen)
-    out: F8 = agreement(then, between, (now.identity, now.seen), ratio, kept, sums)
-    return out
+    return np.asarray(agreement(then, between, (now.identity, now.seen), ratio, kept, sums))

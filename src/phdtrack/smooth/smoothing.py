@@ -133,9 +133,8 @@ def _rows(
     after = np.minimum.accumulate(np.where(given, here, len(here))[::-1])[::-1]
     # Gaps inside one track were filled, or left open, by the associator.
     between = tracks.identity[paths.row[before]] != tracks.identity[paths.row[after]]
-    uncertain = np.sqrt(
-        (np.stack([states.covariance[:, 0, 0], states.covariance[:, 1, 1]]) / model.sensor.noise(x)[:2] ** 2).max(axis=0)
-    )
+    variance = np.stack([states.covariance[:, 0, 0], states.covariance[:, 1, 1]])
+    uncertain = np.sqrt((variance / model.sensor.noise(x)[:2] ** 2).max(axis=0))
     count = np.concatenate(([0], np.cumsum(uncertain > wanted.max_gap_uncertainty)))
     gap = np.flatnonzero((count[after] == count[before + 1]) & between)
     ends = paths.row[np.stack([before, after])[:, gap]]
@@ -150,8 +149,7 @@ def _names(tracks: Tracks, paths: Paths) -> I8:
     old, place = np.unique(tracks.identity, return_inverse=True)
     first = old.copy()
     first[place[paths.row[given]]] = tracks.identity[paths.row[paths.first[paths.path[given]]]]
-    out: I8 = first[place]
-    return out
+    return first[place]
 
 
 def _numbered(tracks: Tracks) -> Tracks:
@@ -177,8 +175,7 @@ def _doubled(tracks: Tracks, paths: Paths, measurements: MeasurementHistory, nam
     _, first = np.unique(np.stack([name, tracks.frame]), axis=1, return_index=True)
     again = np.ones(len(tracks), np.bool_)
     again[first] = False
-    out: Bool = outside & (within | again)
-    return out
+    return outside & (within | again)
 
 
 class Smoothed(NamedTuple):
@@ -331,9 +328,8 @@ def _returns(paths: Paths, states: Smoothed, sequence: Sequence, settings: Smoot
     time, last, end, begin = sequence.measurements.time, paths.last, paths.frame[paths.last], paths.frame[paths.first]
     # The last frame in which a path begins that each may go on in.
     beginning = np.unique(begin)
-    until = beginning[
-        np.searchsorted(time[beginning], time[end] + settings.max_gap * sequence.rate + 1e-9, side="right") - 1
-    ]
+    latest = time[end] + settings.max_gap * sequence.rate + 1e-9
+    until = beginning[np.searchsorted(time[beginning], latest, side="right") - 1]
     lost, alive = np.zeros(0, np.int64), np.zeros(0)
     mean, cov = states.mean[:0], states.covariance[:0]
     ending = {*(end + 1).tolist()}
