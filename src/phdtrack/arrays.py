@@ -138,8 +138,7 @@ def draw(mixture: GaussianMixture, count: int, scale: float, rng: np.random.Gene
     """
     d, k = mixture.mean.shape
     root = np.linalg.cholesky(mixture.covariance)
-    noise = rng.standard_normal((k, d, count))
-    state = mixture.mean.T[:, :, None] + root @ noise
+    state = mixture.mean.T[:, :, None] + root @ rng.standard_normal((k, d, count))
     weight = np.repeat(mixture.weight * scale / max(1, count), count)
     return Particles(np.ascontiguousarray(state.transpose(1, 0, 2).reshape(d, k * count)), weight)
 

@@ -115,7 +115,6 @@ class Tracker:
         """Forget everything: the next frame is the first of a new sequence, and identities start at 1 again."""
         self._lanes = Lanes(self.kinds, self.seed)
         self._step: Step | None = None
-        # Boxes that were left out, and the rows that stayed of frames that had any.
         self._left_out, self._kept = LeftOut(), dict[int, I8]()
         self._begun, self._doubted = math.nan, False
 
@@ -362,8 +361,7 @@ class FinalTracks:
         self._given |= {(number, detection): names[identity] for number, identity, detection in _places(fresh)}
         self._times = {number: time for number, time in self._times.items() if number > frame}
         self._last = max(self._last, frame)
-        named = np.array([names[one] for one in fresh.identity.tolist()], np.int64)
-        return replace(fresh, identity=named)
+        return replace(fresh, identity=np.array([names[one] for one in fresh.identity.tolist()], np.int64))
 
 
 def _places(rows: Tracks) -> Iterator[tuple[int, int, int]]:

@@ -65,13 +65,7 @@ class CountOptions:
     video: Annotated[bool, typer.Option("--video", help="Write the video with running counts, too.")] = False
 
 
-def count(
-    source: SourceOptions,
-    options: TrackingOptions,
-    asked: CountOptions,
-    output: Output,
-    to: RunOptions,
-) -> None:
+def count(source: SourceOptions, options: TrackingOptions, asked: CountOptions, output: Output, to: RunOptions) -> None:
     """Count who crosses lines and who is in zones, in and out, how many at once and for how long.
 
     A video is tracked first, and the directory is that of `phdtrack track`; of a run, or of tracks in a file, the tracks are

@@ -216,11 +216,11 @@ class GroupObserver(RunObserver):
 
     def _of_intensity(self, tracks: Tracks, grouping: Grouping) -> Iterator[tuple[GroupFrame, F8, I8]]:
         """The same, frame by frame from the Gaussians that carry the tracks."""
-        state, places = LifeCycleState(), self._places(tracks)
+        state, metres = LifeCycleState(), places(self._world.ground.sensor, tracks.xyxy)
         for seen in self._seen:
             assert seen.mixture is not None
             rows = slice(*np.searchsorted(tracks.frame, [seen.number, seen.number + 1]))
-            identity, place = tracks.identity[rows], places[:, rows]
+            identity, place = tracks.identity[rows], metres[:, rows]
             carrier = carriers(seen.mixture, place, grouping.min_weight)
             state, frame = self._groups.advance(state, seen.mixture, identity, carrier, seen.number, seen.time)
             yield frame, place, identity
@@ -287,10 +287,6 @@ class GroupObserver(RunObserver):
         shown, plan = [scene for scene in self._scenes if len(scene.frame)], self._plan(_HEIGHT)
         chosen = dict.fromkeys(((np.arange(_STILLS) + 0.5) / _STILLS * len(shown)).astype(int).tolist() if shown else ())
         return [(shown[k].frame.number, plan.draw(shown[k])) for k in chosen]
-
-    def _places(self, tracks: Tracks) -> F8:
-        """(2, M) metres."""
-        return places(self._world.ground.sensor, tracks.xyxy)
 
     def _plan(self, height: int) -> Plan:
         """A plan of the ground on which people were."""

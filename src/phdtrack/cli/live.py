@@ -126,8 +126,7 @@ def live(
         output.say(f"{one.name}: {counted(one.frames, 'frame')}, {events}: {directory.file(one.name)}")
         output.warn([f"{one.name}: {sentence}" for sentence in one.left_out.sentences()])
     if cut:
-        names = ", ".join(cut)
-        output.warn([f"not all files of {names} are complete: those end in .part, and the next run completes them"])
+        output.warn([f"not all files of {', '.join(cut)} are complete: those end in .part, and the next run completes them"])
         raise typer.Exit(1)
 
 

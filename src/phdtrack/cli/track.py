@@ -95,9 +95,8 @@ def prepare(
     """Everything that a run needs; ``settings`` are those `chosen`, or made of them; ``frames``: as `frame_range`. Raises
     `InputError` where an input cannot be read, files would be replaced unasked, or options do not go together."""
     if to.resume and to.overwrite:
-        raise InputError(
-            "--resume goes on with a run, and --overwrite begins anew", where="--resume", cure="Say one of them."
-        )
+        problem = "--resume goes on with a run, and --overwrite begins anew"
+        raise InputError(problem, where="--resume", cure="Say one of them.")
     rundir.check(to.out, to.overwrite or to.resume)
     truth = None if options.truth is None else read_truth(options.truth)
     if source.detections is None:

@@ -71,7 +71,9 @@ class Results:
                 same = next((i for i in range(3) if where[i] != before[i]), 3)
                 out.append((*([""] * same), *where[same:], row.filter, *cells))
                 before = where
-        return Table(("sequence", "detections", "clutter", "filter", *map(_label, self.names)), out)
+        heads = {"id_switches": "switches", "ms": "ms per frame"}
+        scores = (heads.get(name, name.replace("_", " ")) for name in self.names)
+        return Table(("sequence", "detections", "clutter", "filter", *scores), out)
 
     def _column(self, rows: Sequence[Row], name: str, *, ahead: bool) -> list[str]:
         """A score, or its difference, of each of the rows, which are those of one input."""
@@ -153,11 +155,6 @@ class Results:
             settings=flattened(settings | more),
             seeds=len(plan.seeds),
         )
-
-
-def _label(name: str) -> str:
-    """A score's name as a table's head has it."""
-    return {"id_switches": "switches", "ms": "ms per frame"}.get(name, name.replace("_", " "))
 
 
 def _number(value: float) -> str:

@@ -137,8 +137,7 @@ class _Piece:
         part = self.place.with_name(f".{self.place.name}.part")
         shutil.rmtree(part, ignore_errors=True)
         part.mkdir(parents=True)
-        document = self.work(part) | {"decided_by": self.decided_by}
-        write_run(part / RUN, document)
+        write_run(part / RUN, self.work(part) | {"decided_by": self.decided_by})
         shutil.rmtree(self.place, ignore_errors=True)
         part.rename(self.place)
         return read_about(self.place)

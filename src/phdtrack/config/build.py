@@ -14,7 +14,7 @@ from phdtrack.config.kinds import CameraSettings, SceneClutterSettings
 from phdtrack.config.settings import Settings, load, overlay
 from phdtrack.errors import InputError
 from phdtrack.models.volumes import EVERYWHERE, Region, area, image_area
-from phdtrack.protocols import AnyStages, Associator, Birth, CameraEstimator, Clutter, Model, Stages
+from phdtrack.protocols import AnyStages, Associator, Birth, Clutter, Model, Stages
 from phdtrack.smooth.online import DetectionShare
 from phdtrack.types import SequenceInfo
 
@@ -56,7 +56,9 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
         return Stages(model, settings.build("filter"), Raw(), associator, smoother=smoother, longest_interval=slowest)
     filter_ = settings.build("filter", frame_size=size)
     rates, explainer = settings.build("rates"), settings.build("merged_measurements")
-    camera = _camera(settings, size)
+    # Births or clutter that lie at pixels hold for a camera that stands still.
+    placed = {settings.kind("birth"), settings.kind("clutter")} & {"places", "scene"}
+    camera = None if placed else settings.build("common_motion", frame_size=size)
     # A detection of several targets says of none where it is.
     online = DetectionShare() if smoother.detection_share and explainer is None else None
     extractor = settings.build("extract")
@@ -136,11 +138,9 @@ def _ground(ground: CameraSettings, size: Size) -> tuple[Camera | None, Region]:
         return camera, ground.region
     corners = footprint(camera, size, ground.max_distance)
     if corners.shape[1] == 0:
-        raise InputError(
-            f"the camera shows no ground nearer than {ground.max_distance:g} m in an image of {size[0]:g}x{size[1]:g}",
-            where=ground.file,
-            cure="Check that the camera is this video's, raise camera.max_distance, or give camera.region",
-        )
+        problem = f"the camera shows no ground nearer than {ground.max_distance:g} m in an image of {size[0]:g}x{size[1]:g}"
+        cure = "Check that the camera is this video's, raise camera.max_distance, or give camera.region"
+        raise InputError(problem, where=ground.file, cure=cure)
     (left, low), (right, high) = corners.min(axis=1).tolist(), corners.max(axis=1).tolist()
     return camera, (left, low, right, high)
 
@@ -194,14 +194,6 @@ def _associator(settings: Settings, size: Size) -> Associator[Any]:
     same = settings.kind("birth") == "scene" and settings.build("birth").file == given.file
     false = FalseAlarmRatio(scene.clutter, scene.followed, scene.births if same else None)
     return FalseTrackRejection(associator, false, given.immediate_confirmation, settings.build("associate").min_track_length)
-
-
-def _camera(settings: Settings, size: Size) -> CameraEstimator[Any] | None:
-    """What finds the camera's motion in the detections; None where births or clutter lie at pixels."""
-    if {settings.kind("birth"), settings.kind("clutter")} & {"places", "scene"}:
-        return None
-    camera: CameraEstimator[Any] | None = settings.build("common_motion", frame_size=size)
-    return camera
 
 
 def _scene(file: str, size: Size, rate: float = 0.0) -> Scene:

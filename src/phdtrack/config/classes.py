@@ -41,7 +41,9 @@ def build_kinds(
     usual, known = build(settings, info, moving=moving), dict(enumerate(given.names)) | dict(names or {})
     only = tuple(_code(label, known, present, "classes.only") for label in given.only)
     # A file need not have every class that settings speak of.
-    missing = {word for word in _words(given) if names and not word.isdecimal()} - {name.lower() for name in known.values()}
+    said = [label for group in given.together for label in group] + [text.partition(".")[0] for text in given.each]
+    words = {str(label).lower() for label in said if names}
+    missing = {word for word in words if not word.isdecimal()} - {name.lower() for name in known.values()}
     first = dict[int, int]()
     for group in given.together:
         members = [_code(label, known, None, "classes.together") for label in group if str(label).lower() not in missing]
@@ -69,12 +71,6 @@ def build_kinds(
     pictured = settings.kind("motion") != "plane" or settings.build("camera").file
     size = (float(info.width), float(info.height)) if pictured else (0.0, 0.0)
     return Kinds(usual, own, first, only, least, names=known, limits=settings.build("limits", frame_size=size))
-
-
-def _words(given: ClassSettings) -> set[str]:
-    """What the settings call the classes that are tracked together or have settings of their own."""
-    labels = [label for group in given.together for label in group] + [text.partition(".")[0] for text in given.each]
-    return {str(label).lower() for label in labels}
 
 
 def _code(label: Label, names: Mapping[int, str], present: Collection[int] | None, where: str) -> int:

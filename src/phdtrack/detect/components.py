@@ -48,11 +48,8 @@ def check_same_size(frame: Frame, shape: tuple[int, ...]) -> None:
     """Raise InputError where ``frame`` is not of the (H, W) ``shape`` that the detector has learned."""
     if size_of(frame) != shape[1::-1]:
         got, learned = (f"{size[0]}x{size[1]}" for size in (size_of(frame), shape[1::-1]))
-        raise InputError(
-            f"this frame is {got} pixels, the background was learned at {learned}",
-            where=f"frame {frame.number}",
-            cure="Call reset() before another video.",
-        )
+        problem = f"this frame is {got} pixels, the background was learned at {learned}"
+        raise InputError(problem, where=f"frame {frame.number}", cure="Call reset() before another video.")
 
 
 @dataclass(frozen=True, slots=True)

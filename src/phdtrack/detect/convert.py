@@ -192,10 +192,8 @@ def _numbers(values: object, where: str) -> F8:
         values = values if detach is None else detach().cpu().double()
         return np.array(values, dtype=np.float64)
     except (TypeError, ValueError, RuntimeError) as error:
-        raise InputError(
-            f"expected {_COLUMNS}; got {type(values).__name__} that does not convert to numbers ({error})",
-            where=where,
-        ) from None
+        problem = f"expected {_COLUMNS}; got {type(values).__name__} that does not convert to numbers ({error})"
+        raise InputError(problem, where=where) from None
 
 
 def _attribute(obj: object, names: tuple[str, str], n: int, where: str) -> F8 | None:

@@ -83,10 +83,8 @@ def from_opencv(name: str) -> Any:
     """``cv2.<name>``; InputError with the pip line where this OpenCV has none."""
     found = getattr(cv2, name, None)
     if found is None:
-        raise InputError(
-            f"OpenCV {cv2.__version__} has no {name}, which this detector needs; OpenCV 4 has it",
-            cure=f"Another package may have replaced it. Mend it by: {MEND}",
-        )
+        problem = f"OpenCV {cv2.__version__} has no {name}, which this detector needs; OpenCV 4 has it"
+        raise InputError(problem, cure=f"Another package may have replaced it. Mend it by: {MEND}")
     return found
 
 

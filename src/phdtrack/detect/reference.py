@@ -134,7 +134,7 @@ def background(samples: Sequence[Image], shape: tuple[int, int]) -> tuple[Image,
     whole = np.stack([y * width + x, first, first + (height + 1) // 2 * ((width + 1) // 2)], axis=2)
     places = whole[wrong]
     aim = cv2.resize(integrated, (width, height))[wrong]
-    nearest, least = _planes(aim), np.full(len(aim), 2 * _WRONG, np.float32)
+    nearest, least = np.asarray(aim @ FROM_BGR.T + _ZERO, np.float32), np.full(len(aim), 2 * _WRONG, np.float32)
     for one in samples:
         values = one[places]
         distance = np.abs(_bgr(values) - aim).max(axis=1)
@@ -161,11 +161,6 @@ def _shrunk(picture: Image, shape: tuple[int, int], size: tuple[int, int]) -> Im
 def _bgr(planes: NDArray[Any]) -> F4:
     """(..., 3) blue, green and red of brightness and colour differences."""
     return np.asarray((planes - _ZERO) @ TO_BGR.T, np.float32)
-
-
-def _planes(bgr: F4) -> F4:
-    """The other way."""
-    return np.asarray(bgr @ FROM_BGR.T + _ZERO, np.float32)
 
 
 def of_objects(hidden: Bool, least: F8, margin: int) -> Bool:

@@ -137,11 +137,9 @@ class Rescaled:
             return frame
         small = self.size(frame)
         if min(small) < _SMALLEST:
-            raise InputError(
-                f"frames of {width}x{height} pixels would be shrunk to {small[0]}x{small[1]}",
-                where="max_width",
-                cure=f"At least {_SMALLEST} pixels must be left on either side; 320 is a usual width.",
-            )
+            problem = f"frames of {width}x{height} pixels would be shrunk to {small[0]}x{small[1]}"
+            cure = f"At least {_SMALLEST} pixels must be left on either side; 320 is a usual width."
+            raise InputError(problem, where="max_width", cure=cure)
         planar = isinstance(self.detector, ChangeDetector) and not isinstance(frame.picture, np.ndarray)
         picture = Planar(small, planes_of(frame.picture, small)) if planar else bgr_of(frame.picture, small)
         return Frame(frame.number, frame.time, picture)

@@ -22,7 +22,7 @@ from phdtrack.formats.kitti import is_kitti, rows_of_kitti
 from phdtrack.formats.markup import rows_of_json, table_of_coco, table_of_xml
 from phdtrack.formats.table import Column, Kind, Source, Table, table_of_parquet, table_of_text
 from phdtrack.formats.text import scan
-from phdtrack.types import F8, I8, Bool, Detections, DetectionTable, Tracks
+from phdtrack.types import I8, Bool, Detections, DetectionTable, Tracks
 
 NO_ROWS = Table(Origin(Path(), "line", np.zeros(0, np.int64)), 1, {}, np.zeros((0, 0)))
 
@@ -52,7 +52,12 @@ def detections_of(table: Table, left_out: WrongRows | None = None) -> DetectionT
         covariance = np.empty((len(label), 4, 4))
         i, j = np.triu_indices(4)
         covariance[:, i, j] = covariance[:, j, i] = table.triangle
-        rules.append(_definite(covariance))
+        finite: Bool = np.isfinite(np.abs(covariance).max(axis=(1, 2)))
+        matrix = np.where(finite[:, None, None], covariance, 0.0)
+        lowest = np.linalg.eigvalsh(matrix).min(axis=1, initial=0.0)
+        wrong = ~finite | (lowest < -1e-6 * np.abs(matrix).max(axis=(1, 2), initial=0.0))
+        problem = "expected a covariance that is finite and positive semidefinite, came another matrix"
+        rules.append(Rule(wrong, problem, lowest))
     try:
         enforce(table.origin, *rules)
     except InputError as error:
@@ -184,12 +189,3 @@ def box_rules(table: Table, *, least: float | None = None) -> list[Rule]:
         Rule(flat & finite, empty, size, "Mend or remove the row."),
         Rule(~np.isfinite(confidence), "expected a finite confidence, came {}", confidence),
     ]
-
-
-def _definite(covariance: F8) -> Rule:
-    """The fault of a matrix that is no covariance."""
-    finite: Bool = np.isfinite(np.abs(covariance).max(axis=(1, 2)))
-    matrix = np.where(finite[:, None, None], covariance, 0.0)
-    lowest = np.linalg.eigvalsh(matrix).min(axis=1, initial=0.0)
-    bad = ~finite | (lowest < -1e-6 * np.abs(matrix).max(axis=(1, 2), initial=0.0))
-    return Rule(bad, "expected a covariance that is finite and positive semidefinite, came another matrix", lowest)

@@ -136,19 +136,16 @@ def _parse(text: Text, row: int, columns: Mapping[int, str]) -> list[float]:
     """The values of one line."""
     cells = text.cells(row)
     if len(cells) != text.width:
-        raise InputError(
-            f"expected {text.width} values as in the {'header' if text.header else 'first line'}, came {_filled(cells)}",
-            where=text.origin.at(row),
-            cure="A line cut short is what an interrupted program leaves: mend or remove it.",
-        )
+        first = "header" if text.header else "first line"
+        problem = f"expected {text.width} values as in the {first}, came {_filled(cells)}"
+        cure = "A line cut short is what an interrupted program leaves: mend or remove it."
+        raise InputError(problem, where=text.origin.at(row), cure=cure)
     for column, label in columns.items():
         if not is_number(cells[column]):
             came = f"'{cells[column][:40]}'" if cells[column] else "nothing"
-            raise InputError(
-                f"expected a number for the {label} (column {column + 1}), came {came}",
-                where=text.origin.at(row),
-                cure="Numbers are written as 12 or 12.5, with a point.",
-            )
+            problem = f"expected a number for the {label} (column {column + 1}), came {came}"
+            cure = "Numbers are written as 12 or 12.5, with a point."
+            raise InputError(problem, where=text.origin.at(row), cure=cure)
     return [float(cells[column]) for column in columns]
 
 

@@ -89,9 +89,8 @@ class SceneTraining:
         Raises `InputError` where targets are not boxes in the image.
         """
         if len(self.stages.model.sensor.observed) != 4:
-            raise InputError(
-                "a scene is learned for boxes in the image only", where="motion.kind", cure="Use motion.kind=box"
-            )
+            problem = "a scene is learned for boxes in the image only"
+            raise InputError(problem, where="motion.kind", cure="Use motion.kind=box")
         if clutter == "unattended":
             alarms, marked = self._lesson("false alarms", self._unattended_clutter, LIMITS), None
         else:

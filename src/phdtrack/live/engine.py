@@ -27,17 +27,7 @@ from phdtrack.live.zones import read_places
 from phdtrack.report import Annotator
 from phdtrack.report.drawing import feet
 from phdtrack.tracker import Tracker
-from phdtrack.types import (
-    Detections,
-    Estimates,
-    Frame,
-    GaussianMixture,
-    Image,
-    SequenceInfo,
-    Step,
-    Tracks,
-    UpdateInfo,
-)
+from phdtrack.types import Detections, Estimates, Frame, GaussianMixture, Image, SequenceInfo, Step, Tracks, UpdateInfo
 
 # Minutes of counts that are kept; cells of the maps across; a cell forgets half of what it knows in so many seconds.
 MINUTES = 24 * 60
@@ -307,9 +297,8 @@ class Camera:
         made = self._make(old.info)
         names = [name for name in sorted({*old.fixed, *made.fixed}) if old.fixed.get(name) != made.fixed.get(name)]
         if names:
-            raise InputError(
-                f"{', '.join(names)} cannot change while it runs", where=path, cure="End it and start it again."
-            )
+            problem = f"{', '.join(names)} cannot change while it runs"
+            raise InputError(problem, where=path, cure="End it and start it again.")
         going_on = Tracker(stages=made.kinds, fps=made.info.fps, seed=made.seed)
         going_on.warm_up()
         going_on.load_state_dict(tracker.state_dict())

@@ -167,7 +167,7 @@ class RowsLog:
         return 0
 
     def finish(self) -> None:
-        """Complete the present file."""
+        """Complete the present file, as Parquet where that is wanted. Raises `InputError` without pyarrow."""
         if self._file is None:
             return
         self._file.flush()
@@ -176,7 +176,10 @@ class RowsLog:
         self._file = None
         done = self._segments.finish()
         if done is not None and self._parquet:
-            _to_parquet(done)
+            csv, parquet = (needed(f"pyarrow.{name}") for name in ("csv", "parquet"))
+            with whole(done.with_suffix(".parquet")) as part:
+                parquet.write_table(csv.read_csv(done), part, compression="zstd")
+            done.unlink()
 
 
 class VideoLog:
@@ -292,10 +295,8 @@ class EventLog:
                 self._base.execute(f"INSERT OR IGNORE INTO receivers (name, has) VALUES (?, {_NEXT} - 1)", (receiver,))
                 self._base.execute(_IMPATIENT)
         except sqlite3.Error as error:
-            cure = "Does another program hold it?"
-            raise InputError(
-                f"cannot be written into ({error})", where=self._path.with_suffix(".sqlite"), cure=cure
-            ) from None
+            where, cure = self._path.with_suffix(".sqlite"), "Does another program hold it?"
+            raise InputError(f"cannot be written into ({error})", where=where, cure=cure) from None
 
     def waiting(self, receiver: str, most: int = 100) -> list[tuple[int, str, str]]:
         """Row number, identifier and JSON of the oldest events that a receiver does not have."""
@@ -394,11 +395,3 @@ def _whole_fragments(path: Path) -> bool:
             whole = at if kind == b"mdat" else whole
         file.truncate(whole)
     return whole > 0
-
-
-def _to_parquet(path: Path) -> None:
-    """Turn a complete file of rows into Parquet beside it. Raises `InputError` without pyarrow."""
-    csv, parquet = (needed(f"pyarrow.{name}") for name in ("csv", "parquet"))
-    with whole(path.with_suffix(".parquet")) as part:
-        parquet.write_table(csv.read_csv(path), part, compression="zstd")
-    path.unlink()

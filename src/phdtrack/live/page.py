@@ -10,7 +10,6 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -134,11 +133,11 @@ class Page:
         if not isinstance(tables, dict):
             raise InputError("expected an object with line and zone", where=where)
         lists = [one for one in tables.values() if isinstance(one, list)]
-        corners = sum(len(row["points"]) for one in lists for row in one if isinstance(row, dict) and _listed(row))
+        points = [row.get("points") for one in lists for row in one if isinstance(row, dict)]
+        corners = sum(len(each) for each in points if isinstance(each, list))
         if sum(map(len, lists)) > MAX_PLACES or corners > MAX_CORNERS:
-            raise InputError(
-                f"expected at most {MAX_PLACES} lines and zones, of {MAX_CORNERS} corners together", where=where
-            )
+            problem = f"expected at most {MAX_PLACES} lines and zones, of {MAX_CORNERS} corners together"
+            raise InputError(problem, where=where)
         try:
             places = places_of(tables, where)
         except OverflowError:
@@ -224,10 +223,6 @@ def live_app(cameras: Sequence[Camera]) -> Starlette:
 def _state(one: Camera) -> str:
     """The source's state, or that its thread has ended."""
     return one.source.status().state if one.alive else "ended"
-
-
-def _listed(row: dict[str, Any]) -> bool:
-    return isinstance(row.get("points"), list)
 
 
 def _escaped(text: str) -> str:

@@ -112,7 +112,11 @@ class LiveSource:
     def next(self, timeout: float) -> LiveFrame | None:
         """The newest picture that was not given yet; None where none comes within ``timeout`` seconds, or it was stopped."""
         with self._change:
-            self._watch()
+            allowed = (self.read if self._status.state == "live" else self.connect) + GRACE
+            if not self._stopped and time.monotonic() - self._progress > allowed:
+                # A thread that hangs is left behind.
+                self._set("down", "nothing came, and the connection did not end")
+                self._begin()
             self._change.wait_for(lambda: self._newest is not None or self._stopped, timeout)
             if self._newest is None or self._stopped:
                 return None
@@ -146,13 +150,6 @@ class LiveSource:
             target=self._run, args=(self._generation,), name=f"read {shown(self.address)}", daemon=True
         )
         thread.start()
-
-    def _watch(self) -> None:
-        """Leave a thread behind that hangs."""
-        allowed = (self.read if self._status.state == "live" else self.connect) + GRACE
-        if not self._stopped and time.monotonic() - self._progress > allowed:
-            self._set("down", "nothing came, and the connection did not end")
-            self._begin()
 
     def _current(self, generation: int, *, moves: bool = True) -> bool:
         """Whether a thread is the one that counts; where it ``moves`` it has just shown that it does not hang."""

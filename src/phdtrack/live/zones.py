@@ -131,20 +131,16 @@ def places_of(tables: dict[str, Any], where: str) -> tuple[Place, ...]:
     for name in tables:
         if name not in ("line", "zone"):
             raise InputError(f"there is no table {name!r}", where=where, cure=did_you_mean(name, ("line", "zone")))
-    found = [
-        _place(kind, k, table, where) for kind in ("line", "zone") for k, table in enumerate(_list(tables, kind, where), 1)
-    ]
+    found = list[Place]()
+    for kind in ("line", "zone"):
+        given = tables.get(kind, [])
+        if not isinstance(given, list):
+            raise InputError(f"expected [[{kind}]], got one [{kind}]", where=where, cure="Write two brackets.")
+        found += [_place(kind, k, table, where) for k, table in enumerate(given, 1)]
     for first, second in combinations(found, 2):
         if first.name == second.name:
             raise InputError(f"two places are called {first.name!r}", where=where, cure="Give each a name of its own.")
     return tuple(found)
-
-
-def _list(tables: dict[str, Any], kind: str, where: str) -> list[Any]:
-    given = tables.get(kind, [])
-    if not isinstance(given, list):
-        raise InputError(f"expected [[{kind}]], got one [{kind}]", where=where, cure="Write two brackets.")
-    return given
 
 
 def _place(kind: str, number: int, table: Any, where: str) -> Place:

@@ -147,20 +147,16 @@ def _check(rows: Truth | Tracks, distractor: Bool, name: str) -> None:
         raise InputError(f"expected frame numbers from 1, got {frame.min()}", where=name, cure=cure)
     bad = np.flatnonzero(~(np.isfinite(xyxy).all(axis=1) & (xyxy[:, 2:] >= xyxy[:, :2]).all(axis=1)))
     if len(bad):
-        raise InputError(
-            f"expected finite boxes with left ≤ right and top ≤ bottom, got {xyxy[bad[0]].tolist()}",
-            where=f"{name}, frame {frame[bad[0]]}, identity {identity[bad[0]]}",
-            cure="Boxes are left, top, right, bottom, not left, top, width, height.",
-        )
+        problem = f"expected finite boxes with left ≤ right and top ≤ bottom, got {xyxy[bad[0]].tolist()}"
+        where = f"{name}, frame {frame[bad[0]]}, identity {identity[bad[0]]}"
+        raise InputError(problem, where=where, cure="Boxes are left, top, right, bottom, not left, top, width, height.")
     order = np.lexsort((identity, frame))
     order = order[~distractor[order]]
     same = order[:-1][(np.diff(frame[order]) == 0) & (np.diff(identity[order]) == 0)]
     if len(same):
-        raise InputError(
-            f"expected one row per identity and frame, got identity {identity[same[0]]} twice",
-            where=f"{name}, frame {frame[same[0]]}",
-            cure="Drop the repeated row, or give it an identity of its own.",
-        )
+        problem = f"expected one row per identity and frame, got identity {identity[same[0]]} twice"
+        cure = "Drop the repeated row, or give it an identity of its own."
+        raise InputError(problem, where=f"{name}, frame {frame[same[0]]}", cure=cure)
 
 
 def _ordered(rows: Truth | Tracks, first: int, last: int) -> I8:

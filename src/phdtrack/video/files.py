@@ -87,11 +87,9 @@ class VideoSource:
             frame = Frame(number, math.nan, image)
             wide, high = size_of(frame)
             if wide and (wide, high) != (self.info.width, self.info.height):
-                raise InputError(
-                    f"this frame is {wide}x{high} pixels, the first one {self.info.width}x{self.info.height}",
-                    where=where,
-                    cure="All frames of a sequence need one size: split the input where the size changes.",
-                )
+                problem = f"this frame is {wide}x{high} pixels, the first one {self.info.width}x{self.info.height}"
+                cure = "All frames of a sequence need one size: split the input where the size changes."
+                raise InputError(problem, where=where, cure=cure)
             moment = math.nan if stamp is None else stamp - zero
             last = moment if moment > last else last + interval
             if stamp is not None:
@@ -114,8 +112,7 @@ def open_source(spec: str | Path, *, fps: float = 0.0, first: int = 1, last: int
     """
     if not math.isfinite(fps) or fps < 0:
         raise InputError(f"the rate must be a number of frames per second above 0, not {fps}", where="fps")
-    text = str(spec)
-    path = Path(text)
+    text, path = str(spec), Path(str(spec))
     refuse_part(path)
     if path.is_dir():
         source = _images([file for file in path.iterdir() if file.suffix.lower() in SUFFIXES], fps, path)
@@ -221,11 +218,9 @@ def _video(path: str, fps: float, first: int) -> VideoSource:
             # A file that cannot jump there is decoded from its beginning.
             stamps = stamps if found is not None and found.pts == stamps[-1] else []
     if picture is None:
-        raise InputError(
-            f"no frame could be decoded{f' ({losses[0][1]})' if losses else ''}",
-            where=path,
-            cure="The file is empty or damaged: copy it again, or convert it (ffmpeg -i IN -c:v libx264 OUT.mp4).",
-        )
+        problem = f"no frame could be decoded{f' ({losses[0][1]})' if losses else ''}"
+        cure = "The file is empty or damaged: copy it again, or convert it (ffmpeg -i IN -c:v libx264 OUT.mp4)."
+        raise InputError(problem, where=path, cure=cure)
     rate, note = _rate(float(fps or stated or 0), f"{path} does")
     info = SequenceInfo(*Decoded(picture).size, rate, name=Path(path).stem)
 

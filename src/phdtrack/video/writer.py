@@ -57,7 +57,6 @@ class VideoWriter:
             problem = f"a video needs a size and a rate above 0, not {width}x{height} at {fps} per second"
             raise InputError(problem, where=path)
         av = needed("av")
-
         self._path, self._width, self._height = Path(path), width, height
         self._grown = self._path if fragmented else part_of(self._path)
         rate = Fraction(fps).limit_denominator(_LARGEST_DENOMINATOR)
@@ -88,14 +87,11 @@ class VideoWriter:
         ``at``: its time in seconds, where the video is to have the times of its pictures and not a constant rate.
         """
         av = needed("av")
-
         planes = image.shape == (self._height * 3 // 2, self._width)
         if (not planes and image.shape != (self._height, self._width, 3)) or image.dtype != np.uint8:
-            raise InputError(
-                f"expected an image of shape {(self._height, self._width, 3)} and type uint8, "
-                f"got {image.shape} and {image.dtype}",
-                where=f"{self._path}, frame {self.frames + 1}",
-            )
+            expected = f"expected an image of shape {(self._height, self._width, 3)} and type uint8"
+            problem = f"{expected}, got {image.shape} and {image.dtype}"
+            raise InputError(problem, where=f"{self._path}, frame {self.frames + 1}")
         if not self._open:
             raise InputError("this video is closed already", where=self._path)
         odd = (0, 0) if planes else (self._height % 2, self._width % 2)
@@ -124,7 +120,6 @@ class VideoWriter:
     def _checked(self) -> Iterator[None]:
         """What goes wrong with the disk, in a sentence."""
         av = needed("av")
-
         try:
             yield
         except (av.FFmpegError, OSError) as error:
@@ -140,7 +135,6 @@ class VideoWriter:
 def _working_encoder(width: int, height: int, rate: Fraction) -> str:
     """The first of `ENCODERS` that opens: some are listed by FFmpeg and then lack their device."""
     av = needed("av")
-
     for name in ENCODERS:
         try:
             context: Any = av.CodecContext.create(name, "w")
