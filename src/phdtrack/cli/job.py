@@ -58,10 +58,8 @@ _REUSED = "The detections are those of an earlier run with the same detector; --
 _HIDDEN = "In all pictures {} of detections and tracks are hidden; what was neither detected nor tracked can be seen."
 _SHAKES = "The camera shakes: each picture was laid onto the scene before it was compared with it."
 _STOPPED = "stopped after frame {}; its files are being completed"
-# Frames of which is kept what was seen, and what the report shows, where there is no end to them.
-_SAMPLE, _CHARTED = 1000, 100_000
-# The shorter side of an annotated video at the least.
-_LEAST = 16
+# Frames that are kept, and that the report shows, of endless sources; the shorter side of an annotated video at the least.
+_SAMPLE, _CHARTED, _LEAST = 1000, 100_000, 16
 # Seconds for which videos are drawn after a signal; what the end of a run imports, which takes a second.
 _SHORTLY, _LATE = 0.5, ("scipy.optimize", "scipy.sparse.csgraph", "matplotlib.figure")
 
@@ -197,6 +195,9 @@ def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -
     done = _track(job, directory, advance, resume=resume)
     tracked = time.perf_counter()
     return_memory()
+    if not (done.seen or done.stop or resume) and job.inputs.source.first > 1:
+        # A segment of a batch, which always resumes, may lie behind the end of a file that is cut short.
+        done.stop = InputError(job.inputs.source.problem, where="--frames")
     if not done.seen and done.stop is not None:
         if not resume:
             directory.clear()
@@ -208,7 +209,7 @@ def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -
     for observer in job.observers:
         with done.saving():
             observer.finish(directory, tracks if job.inputs.again else Tracks.concatenate(done.final))
-    if job.truth is not None:
+    if job.truth is not None and done.seen:
         from phdtrack.metrics import evaluate
 
         scores = evaluate(job.truth, tracks, frames=done.last, first=job.inputs.source.first)
@@ -494,7 +495,6 @@ def _problems(job: Job, done: _Progress) -> Iterator[str]:
 
 
 def places(sensor: Sensor, xyxy: F8) -> F8:
-    """(2, M) metres: the ground under the middle of each box's (M, 4) lower edge, or its centre where the image is a plan;
-    NaN where there is none, or where the world of the sensor is the image."""
+    """(2, M) metres: the ground under each box's (M, 4) lower edge, or its centre in a plan; NaN where there is none."""
     plane = isinstance(sensor, PlaneSensor)
     return sensor.measure(Detections.of(xyxy))[:2] if plane else np.full((2, len(xyxy)), np.nan)

@@ -97,7 +97,7 @@ class VideoSource:
             if number >= self.first:
                 yield replace(frame, time=last)
         if number < self.first > 1:
-            raise InputError(f"there is no frame {self.first}: the last one is {number}", where="--frames")
+            self.problem = f"there is no frame {self.first}: the last one is {number}"
 
 
 def open_source(spec: str | Path, *, fps: float = 0.0, first: int = 1, last: int = 0) -> VideoSource:
