@@ -88,6 +88,9 @@ def test_frames_without_any_box_count_where_seqinfo_names_them(truth: Path) -> N
     info.write_text(info.read_text().replace("seqLength=40", "seqLength=50"))
     assert phdtrack("evaluate", "--truth", truth, "--tracks", truth, "--json").object["frames"] == 50
     assert phdtrack("evaluate", "--truth", truth, "--tracks", truth, "--frames", 45, "--json").object["frames"] == 45
+    empty = truth.with_name("empty.txt")
+    empty.write_text("")
+    assert "the truth holds no object" in phdtrack("evaluate", "--truth", empty, "--tracks", truth).err
 
 
 @pytest.mark.parametrize("iou", [0, -1, 1.5, "nan"])

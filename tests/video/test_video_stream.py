@@ -74,6 +74,8 @@ def test_damage_in_the_middle_loses_little(tmp_path: Path) -> None:
 def test_what_is_no_video_or_missing_is_named(clip: Path) -> None:
     with pytest.raises(InputError, match=r"no such file.*Did you mean .*clip\.mp4"):
         open_source(clip.with_name("clap.mp4"))
+    with pytest.raises(InputError, match="in place of the number"):
+        open_source(clip.with_name("%04d.png"))
     for fps in (-1.0, float("nan"), float("inf")):
         with pytest.raises(InputError, match="rate"):
             open_source(clip, fps=fps)

@@ -80,6 +80,8 @@ def evaluate(
     known = None if frames else find_seqinfo(truth)
     if known is not None:
         frames = max(known.frames, int(max([*annotated.frame, *found.frame], default=0)))
+    if not len(annotated):
+        output.warn([f"{truth}: the truth holds no object"])
     if part := rundir.part_of_run(tracks):
         said = f"the run tracked the frames {part} alone, and objects of all others are missed"
         output.warn([f"{said}: phdtrack track --truth scores those frames"])

@@ -23,6 +23,7 @@ import json
 import re
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 from xml.sax.saxutils import escape, quoteattr
@@ -233,6 +234,7 @@ def export_tracks(
     info : of the sequence, for COCO, CVAT and Rerun.
     """
     path, info = Path(path), info or SequenceInfo(0, 0, 0.0)
+    info = replace(info, frames=max(info.frames, int(tracks.frame.max(initial=0)))) if info.frames else info
     classes = np.unique(tracks.class_id).tolist()
     words = {k: re.sub(r'[^\S ]|[,;"]', "_", (names or {}).get(k, f"class_{k}" if k else "object")) for k in classes}
     boxes = [[float(f"{value:.7g}") for value in column] for column in _ltwh(tracks.xyxy).T.tolist()]

@@ -85,7 +85,7 @@ def doubts(record: RunRecord, *, background: bool) -> tuple[str, ...]:
     """
     length, whole = record.lifetimes, record.whole
     short = float((length < _SHORT * record.info.fps).mean()) if len(length) else 0.0
-    unused = 1 - (whole.rows - whole.predicted) / whole.detections if background and whole.detections else 0.0
+    unused = 1 - (whole.rows - whole.predicted) / whole.detections if background and whole.detections >= _ENOUGH else 0.0
     limits = {"most_short": _MOST_SHORT, "most_unused": _MOST_UNUSED, "enough": _ENOUGH}
     return lines("doubts.txt", short=short, count=len(length), unused=unused, **limits)
 

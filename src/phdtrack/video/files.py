@@ -129,6 +129,7 @@ def open_source(spec: str | Path, *, fps: float = 0.0, first: int = 1, last: int
     if path.parent.is_dir():
         close = difflib.get_close_matches(path.name, [file.name for file in path.parent.iterdir()], n=1)
         cure = f"Did you mean {path.parent / close[0]}?" if close else "Check the spelling."
+        cure = "Say * in place of the number: 'img/*.png'." if "%" in path.name else cure
     raise InputError("there is no such file or folder", where=text, cure=cure)
 
 
