@@ -316,7 +316,8 @@ def test_memory_is_bounded_unless_everything_is_asked_for(caplog, monkeypatch):
     """A frame a second, and one minute instead of ten."""
     assert tracker_of().stages.associator.history == 600
     monkeypatch.setattr("phdtrack.tracker.HISTORY", 60.0)
-    bounded, whole = (tracker_of(fps=1.0, filter={"kind": "none"}, **more) for more in ({}, {"associate": {"history": 0}}))
+    given = {"fps": 1.0, "filter": {"kind": "none"}, "time": {"longest_interval": 0.0}}
+    bounded, whole = (tracker_of(**given, **more) for more in ({}, {"associate": {"history": 0}}))
     sizes = []
     for k in range(400):
         # Somebody comes every 20 seconds.

@@ -49,8 +49,10 @@ EXTRAS = {
 }
 """What installs the packages that `Tracker` does without, by the names of their modules."""
 
-# Each place is looked at once, whatever stands there: a damaged file may be one long name. A password may hold an @ or a /.
-_USER = re.compile(r"(?i)([a-z0-9+.-]{1,30}://)[^\s?#]{1,100}@")
+# Each place is looked at once, whatever stands there: a damaged file may be one long name. A password may hold a /, but
+# what follows a host and its port is no password.
+_PASSWORD = r"(?![^\s/:@]*[.\]][^\s/:@]*:\d+/)[^\s/:@]*:[^\s@]{1,100}"
+_USER = re.compile(rf"(?i)([a-z0-9+.-]{{1,30}}://)(?:[^/\s]+|{_PASSWORD})@")
 _PARAMETER = re.compile(r"([?&][^=&?]*=)[^&#\s]*")
 _SECRET = re.compile(r"(?i)pass|pwd|token|secret|key|auth")
 # A sentence of more characters loses its middle: what is wrong may be a value of many thousand.

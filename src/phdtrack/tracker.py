@@ -116,7 +116,7 @@ class Tracker:
         self._lanes = Lanes(self.kinds, self.seed)
         self._step: Step | None = None
         self._left_out, self._kept = LeftOut(), dict[int, I8]()
-        self._begun, self._doubted = math.nan, False
+        self._begun, self._first, self._doubted = math.nan, 0, False
 
     def update(
         self,
@@ -204,9 +204,10 @@ class Tracker:
 
     def _say_what_is_forgotten(self, time: float) -> None:
         """Once, where nobody has asked for it."""
-        self._begun = time if math.isnan(self._begun) else self._begun
+        if math.isnan(self._begun):
+            self._begun, self._first = time, self._lanes.oldest
         # A slow stream's history is longer: it goes by the filter's time.
-        if self._forgets and time - self._begun > HISTORY and self._lanes.oldest > 1:
+        if self._forgets and time - self._begun > HISTORY and self._lanes.oldest > self._first:
             self._forgets = False
             _LOG.warning(
                 "what is older than some %g minutes is forgotten from now on, so that memory stays bounded: tracks() goes "
@@ -340,8 +341,7 @@ class FinalTracks:
         """All other rows, at the end."""
         if self._lanes is not self._tracker._lanes:
             self._begin()
-        step = self._tracker.step
-        return self._up_to(0 if step is None else step.number)
+        return self._up_to(self._tracker.state.number)
 
     def _up_to(self, frame: int) -> Tracks:
         """The rows after those that were given, up to a frame, with lasting identities."""

@@ -215,7 +215,7 @@ class CountObserver(RunObserver):
         info, done, names = self._info, 0, self._watch.names or None
         annotate, path = Annotator(info, names=names, blur=self._blur), self.directory.file(rundir.COUNTS_VIDEO)
         with VideoWriter(path, info.width, info.height, info.fps, fast=True) as video, progress("drawing", self._last) as go:
-            for frame in replace(self._video):
+            for frame in replace(self._video, first=self._first):
                 if frame.number > self._last:
                     break
                 rows = self._tracks.take(np.arange(*np.searchsorted(self._tracks.frame, [frame.number, frame.number + 1])))
@@ -238,7 +238,8 @@ class CountObserver(RunObserver):
         """A picture from the middle of the video, or dark ground, with all places and figures."""
         width, height, image, near = self._info.width, self._info.height, NO_PICTURE, self._tracks
         if self._video is not None:
-            middle = next(iter(self._video.sample(1)), None) or next(iter(replace(self._video)))
+            middle = None if self._first > 1 else next(iter(self._video.sample(1)), None)
+            middle = middle or next(iter(replace(self._video, first=self._first)))
             image, at = middle.image, round(middle.time * self._info.fps) + 1
             near = near.take(np.abs(near.frame - at) <= 2)
         elif width and height:

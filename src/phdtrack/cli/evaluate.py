@@ -72,6 +72,9 @@ def evaluate(
     if not asked.errors:
         useless = {"--detections": asked.detections, "--worst": asked.worst != WORST}
         refuse(useless, "it goes with --errors only", "say --errors")
+    if (part := rundir.part_of_run(tracks)) and part != "1-":
+        said = f"the run tracked the frames {part} alone, and objects of all others are missed"
+        output.warn([f"{said}: phdtrack track --truth scores those frames"])
     if asked.per_class:
         output.document(per_class(output, truth, tracks, asked, iou=iou, frames=frames))
         return
@@ -82,9 +85,6 @@ def evaluate(
         frames = max(known.frames, int(max([*annotated.frame, *found.frame], default=0)))
     if not len(annotated):
         output.warn([f"{truth}: the truth holds no object"])
-    if part := rundir.part_of_run(tracks):
-        said = f"the run tracked the frames {part} alone, and objects of all others are missed"
-        output.warn([f"{said}: phdtrack track --truth scores those frames"])
     scores = score(annotated, found, frames=frames, iou=iou)
     output.say(f"{tracks} against {truth}: {scores.frames} frames, {scores.truth_objects} objects, match from IoU {iou:g}")
     output.say()

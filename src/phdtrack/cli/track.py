@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -121,7 +122,7 @@ def prepare(
     read: dict[str, object] = {"detections": _absolute(source.detections), **inputs.left_out, **some}
     looked: dict[str, object] = {}
     if source.detections is None:
-        mask, fps = str(source.mask or ""), inputs.info.fps
+        mask, fps = _absolute(source.mask or ""), inputs.info.fps
         read = {"detector": inputs.described, "max_width": inputs.max_width, "mask": mask, "fps": fps} | some
         network = inputs.described.partition(":")[2]
         read |= {"network": source_of(network)} if network else {}
@@ -147,7 +148,7 @@ def prepare(
 
 def _absolute(name: str | Path | None) -> str:
     """The absolute path of what is there; an address, a pattern or - as it is."""
-    return str(Path(name).absolute()) if name and "://" not in str(name) and Path(name).exists() else str(name)
+    return os.path.realpath(name) if name and "://" not in str(name) and Path(name).exists() else str(name)
 
 
 def finish(output: Output, job: Job, to: RunOptions) -> None:
@@ -158,8 +159,11 @@ def finish(output: Output, job: Job, to: RunOptions) -> None:
     directory = rundir.claim(to.out, to.overwrite, name=job.inputs.info.name, resume=to.resume, inputs=job.inputs.files)
     if to.resume and rundir.completed(directory):
         before, now = rundir.document_of(directory), {"seed": job.about.seed, "configuration": job.configuration}
-        # The frames are said only where some are left out.
-        before["input"], now["input"] = {"frames": "", **before.get("input", {})}, {"frames": "", **job.read}
+        # What only one of them says differs, too; earlier versions wrote paths as they were given.
+        was = before.get("input", {})
+        paths = {name: _absolute(was[name]) for name in ("source", "detections", "mask") if was.get(name)}
+        every: dict[str, object] = dict.fromkeys((*was, *job.read))
+        before["input"], now["input"] = every | was | paths, every | job.read
         if other := _differing(before, json_value(now)):
             problem = f"the run is complete, and differs in {', '.join(other)}"
             cure = "Choose another --out, or say --overwrite in its place."

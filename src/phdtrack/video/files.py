@@ -97,7 +97,7 @@ class VideoSource:
             if number >= self.first:
                 yield replace(frame, time=last)
         if number < self.first > 1:
-            self.problem = f"there is no frame {self.first}: the last one is {number}"
+            self.problem = f"there is no frame {self.first}: the last one is {max(number, self.info.frames)}"
 
 
 def open_source(spec: str | Path, *, fps: float = 0.0, first: int = 1, last: int = 0) -> VideoSource:
