@@ -168,7 +168,7 @@ class Tracker:
         if not self._doubted and (doubt := doubtful(found, self.kinds.limits.frame_size)):
             self._doubted = True
             _LOG.warning("frame %d: %s", number, doubt)
-        self._say_what_is_forgotten(time)
+        self._say_what_is_forgotten(number, time)
         if len(kept) < len(found):
             self._left_out = self._left_out.with_more(left_out)
             remember(self._kept, number, kept)
@@ -202,10 +202,10 @@ class Tracker:
         # More than may be in one place.
         self.kinds.taken(found.take(np.zeros(self.kinds.limits.max_in_one_place + 1, np.int64)))
 
-    def _say_what_is_forgotten(self, time: float) -> None:
+    def _say_what_is_forgotten(self, number: int, time: float) -> None:
         """Once, where nobody has asked for it."""
         if math.isnan(self._begun):
-            self._begun, self._first = time, self._lanes.oldest
+            self._begun, self._first = time, number
         # A slow stream's history is longer: it goes by the filter's time.
         if self._forgets and time - self._begun > HISTORY and self._lanes.oldest > self._first:
             self._forgets = False
