@@ -313,10 +313,13 @@ class FinalTracks:
 
     def __init__(self, tracker: Tracker, lag: float = 30.0, every: float = 30.0) -> None:
         self._tracker, self._lag, self._every = tracker, lag, every
-        self._begin()
+        self._lanes: Lanes | None = None
+        self._follow()
 
-    def _begin(self) -> None:
-        # Another one after a reset and where a state was loaded.
+    def _follow(self) -> None:
+        """Begin anew where the tracker was reset or loaded a state: its lanes are others then."""
+        if self._lanes is self._tracker._lanes:
+            return
         self._lanes = self._tracker._lanes
         self._last = self._used = 0
         self._next = math.nan
@@ -325,8 +328,7 @@ class FinalTracks:
 
     def due(self) -> Tracks:
         """The rows that are final now; none but every so many seconds. Call it after each update."""
-        if self._lanes is not self._tracker._lanes:
-            self._begin()
+        self._follow()
         step = self._tracker.step
         if step is None:
             return Tracks.empty()
@@ -339,8 +341,7 @@ class FinalTracks:
 
     def rest(self) -> Tracks:
         """All other rows, at the end."""
-        if self._lanes is not self._tracker._lanes:
-            self._begin()
+        self._follow()
         return self._up_to(self._tracker.state.number)
 
     def _up_to(self, frame: int) -> Tracks:

@@ -32,6 +32,8 @@ Bool = NDArray[np.bool_]
 Ints = I8 | int
 Image = NDArray[np.uint8]
 STILL: F8 = np.zeros((0, 3))  # stands for a (3, 3) homography between the pixels of two frames: there is none
+# The highest frame number: three years at a hundred a second. Products of it with a picture's size are exact.
+LAST_FRAME = 10_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,10 +152,6 @@ class Truth:
 
     def __len__(self) -> int:
         return len(self.frame)
-
-
-LAST_FRAME = 10_000_000_000
-"""The highest frame number: three years at a hundred a second. Products of it with a picture's size are exact."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -32,7 +32,7 @@ def tracked(fps: float, step: float, kind: str = "") -> list[tuple[int, int, np.
     return list(zip(found.frame.tolist(), found.identity.tolist(), found.xyxy, strict=True))
 
 
-OTHERS = ("none", "gm-phd", "gm-cphd", "mht", "pmbm")
+OTHERS = ("none", "gm-phd", "gm-cphd", "particle-phd", "mht", "pmbm", "mcmc")
 
 
 @pytest.mark.parametrize(("fps", "kind"), [(1.0, ""), (1 / 300, ""), (1 / 3600, ""), *((0.7, kind) for kind in OTHERS)])

@@ -86,6 +86,10 @@ def test_tracks_that_look_wrong_are_doubted_with_what_helps() -> None:
     crowded = replace(fine, whole=fine.whole._replace(detections=2 * fine.whole.detections))
     (said,) = doubts(crowded, background=True)
     assert "67 % of the detector's boxes belong to none" in said
+    # Of four boxes nothing is known.
+    few = replace(fine, whole=fine.whole._replace(detections=4, rows=0, predicted=0))
+    assert doubts(few, background=True) == ()
+    assert doubts(replace(few, whole=few.whole._replace(detections=5)), background=True)
     # Low scores of another detector are what the filter is for.
     assert doubts(crowded, background=False) == ()
     assert doubts(replace(fine, tracks=Tracks.empty()), background=False) == ()

@@ -127,8 +127,8 @@ def _count_known(
         file.unlink()
     observer = CountObserver(replace(watch, names=found.names), info, video, to.blur, found.first)
     observer.finish(directory, found.tracks)
-    report, lead = observer.report(), f"{counted(len(np.unique(found.tracks.identity)), 'track')} in "
-    lead += counted(info.frames - found.first + 1, "frame")
+    report, frames = observer.report(), info.frames - found.first + 1
+    lead = f"{counted(len(np.unique(found.tracks.identity)), 'track')} in {counted(frames, 'frame')}"
     page = render("counts_page.html", title="Counts", source=str(path), lead=f"{lead}.", section=report.section)
     write_text(directory.file(rundir.COUNTS_PAGE), page)
     output.say(f"{lead}: {path}", "")
@@ -136,13 +136,7 @@ def _count_known(
     observer.film(output, asked.video)
     output.say("", *directory.listing())
     files = {file.name: str(file) for file in directory.written()}
-    about = {
-        "tracks": str(path),
-        "source": shown(address),
-        "frames": info.frames - found.first + 1,
-        "fps": fps,
-        "directory": str(at),
-    }
+    about = {"tracks": str(path), "source": shown(address), "frames": frames, "fps": fps, "directory": str(at)}
     output.document({**about, "files": files, **report.document})
 
 

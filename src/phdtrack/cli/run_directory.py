@@ -90,7 +90,7 @@ def given_tracks(path: Path) -> GivenTracks:
         document = read_json(run, load(run))
         try:
             known, source = document["source"], document["input"].get("source", "")
-            first = int(part_of_run(path).partition("-")[0] or 1)
+            first = int(document["input"].get("frames", "").partition("-")[0] or 1)
             last = first - 1 + document["frames"]
             info = SequenceInfo(known["width"], known["height"], known["fps"], last, known["name"])
         except (AttributeError, KeyError, TypeError, ValueError) as error:
