@@ -84,7 +84,7 @@ def work(job: tuple[Count, Path]) -> list[list[object]]:
     rows = list[list[object]]()
     for what, tracks in (("corrected", run.tracks), ("online", given_tracks(out / "tracks_online.csv").tracks)):
         found = place_events(watch, tracks, last, fps)
-        pairs = zip(tallies(watch, truth, last / fps), tallies(watch, found, last / fps), strict=True)
+        pairs = zip(tallies(watch, truth, 0.0, last / fps), tallies(watch, found, 0.0, last / fps), strict=True)
         for place, (real, ours) in zip(case.places, pairs, strict=True):
             seen = "public" if case.detections else "change"
             rows.append([case.name, seen, what, place.name, *_cells(place, real, ours, truth, found, last)])
