@@ -366,9 +366,9 @@ def comes_again(source: str) -> bool:
 def ahead(items: Iterable[T], depth: int = DEPTH) -> Iterator[Iterator[T]]:
     """The same items in the same order, made by a thread of their own while earlier ones are used.
 
-    An error of a stage is raised in the loop after the items before it. When the block is left, by an error or Ctrl-C too,
-    the stage is stopped, and waited for a while: nothing still runs or holds a file afterwards, but for a read that hangs.
-    At most ``depth`` items are being made or wait to be taken.
+    It begins when the first item is asked for. An error of a stage is raised in the loop after the items before it. When the
+    block is left, by an error or Ctrl-C too, the stage is stopped, and waited for a while: nothing still runs or holds a
+    file afterwards, but for a read that hangs. At most ``depth`` items are being made or wait to be taken.
     """
     iterator, ended = iter(items), threading.Event()
     # Items with the error after the last of them; a place for each item that may be under way.
@@ -388,6 +388,8 @@ def ahead(items: Iterable[T], depth: int = DEPTH) -> Iterator[Iterator[T]]:
             made.put((None, error))
 
     def taken() -> Iterator[T]:
+        # Not before: what a detector learns of a scene and the decoder of its frames would be in memory at the same time.
+        thread.start()
         while True:
             item, error = made.get()
             if item is not None:
@@ -399,10 +401,10 @@ def ahead(items: Iterable[T], depth: int = DEPTH) -> Iterator[Iterator[T]]:
             return
 
     thread = threading.Thread(target=stage, name="phdtrack stage", daemon=True)
-    thread.start()
     try:
         yield taken()
     finally:
         ended.set()
         places.release()
-        thread.join(_PATIENCE)
+        if thread.ident is not None:
+            thread.join(_PATIENCE)

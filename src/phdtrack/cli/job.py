@@ -274,6 +274,9 @@ def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool)
         checkpoint = Checkpoint(directory, job.key, job.looked, job.every, resume=resume, anew=job.anew)
         found_in, done.resumed = partial(checkpoint.detected, inputs, mover=job.mover), checkpoint.number
         done.reused = checkpoint.reused
+    if not inputs.again:
+        # What runs for months does not stop for a kernel that it meets late.
+        tracker.warm_up()
     with ExitStack() as files:
         written = _Written(job, directory, done, files)
         # To load or to compile a kernel for arguments of new types Numba takes a lock, which is recorded.
@@ -282,9 +285,6 @@ def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool)
             # Where detections are used again, nobody looks at the pictures.
             pictures = inputs.source if done.reused else prepared(inputs.detector, inputs.source)
             with ahead(pictures) as frames, ahead(found_in(frames)) as looked:
-                if inputs.pictures or not inputs.again:
-                    # While the scene is learned; and what runs for months does not stop for a kernel that it meets late.
-                    tracker.warm_up()
                 for frame, found, warp, seconds, pose in looked:
                     # No frame stands in one file only; and Numba does not survive Ctrl-C while it makes objects.
                     with uninterrupted():

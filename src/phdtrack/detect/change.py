@@ -34,7 +34,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from statistics import NormalDist
-from typing import Annotated
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -42,7 +42,7 @@ from annotated_types import Gt, Lt
 from numpy.typing import NDArray
 
 from phdtrack.detect.components import BlobSettings, Component, Contour, Heights, check_same_size
-from phdtrack.detect.reference import Anchor, background, median, of_objects, stabilised
+from phdtrack.detect.reference import Anchor, background, median, middle_of, of_objects, stabilised
 from phdtrack.devices import planes_of, size_of
 from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, check
 from phdtrack.kernels.blobs import edges
@@ -59,7 +59,7 @@ _SAME_LIGHT: F4 = np.eye(3, 4, dtype=np.float32)
 _SIDE, _USUAL = 0.3, 0.1
 # The median of a third of χ²₃.
 _MEDIAN_OF_CHI2 = 0.789
-_LOUDEST, _BANDS = 20.0, 2
+_LOUDEST, _BAND = 20.0, 64
 _GHOST_EDGE = 0.8
 # Seconds between two frames that reference and scene noise follow: each one would cost a twentieth of the detector's time.
 _FOLLOWS = 0.15
@@ -70,8 +70,9 @@ _APART, _RESEMBLING = 0.5, 0.45
 # The mean share of pixels that differ from the scene in a sample, and the mean grey level, at which boxes become doubtful.
 _RESTLESS, _DARK = 0.2, 40.0
 # Pixels by which pictures usually move where the camera shakes, the share of the width from which on it does not shake but
-# move, and the share of samples of which it has to be known; seconds for which nothing is said where it is not found.
-_SHAKES, _MOVES, _KNOWN, _LOST = 0.5, 0.05, 0.5, 2.0
+# move; the share of samples of which it has to be known, and of which it is known surely; seconds for which nothing is said
+# where it is not found.
+_SHAKES, _MOVES, _KNOWN, _SURELY, _LOST = 0.5, 0.05, 0.5, 0.8, 2.0
 _TRAINED = "Boxes of a trained detector help: --detections FILE or --detector onnx:FILE"
 # How far an outline reaches on both sides of the border of a component.
 _OUTLINE, _NEAR = 3, np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8)
@@ -209,14 +210,18 @@ class ChangeDetector:
     def _steadied(self, pictures: list[Image]) -> list[Image]:
         """Pictures of the scene (n,), laid onto each other where the camera shakes."""
         grey = [luma(one, self._shape) for one in pictures]
-        # Whatever hides one of them does not hide all three.
-        anchors = [Anchor(grey[k * len(grey) // 4]) for k in (2, 1, 3)]
-        found = [[anchor.pose(one) for one in grey] for anchor in anchors]
-        anchor, poses = max(zip(anchors, found, strict=True), key=lambda each: sum(map(len, each[1])))
-        steps = np.array([anchor.moved(pose) for pose in poses])
-        usual = np.median(steps, axis=0)
-        moves = np.median(np.abs(steps - usual).max(axis=1))
-        known = np.mean([len(pose) > 0 for pose in poses])
+        # Whatever hides one of three does not hide all.
+        known, usual, moves, poses = -1.0, np.zeros(2), 0.0, list[F8]()
+        for k in (2, 1, 3):
+            anchor = Anchor(grey[k * len(grey) // 4])
+            found = [anchor.pose(one) for one in grey]
+            share = float(np.mean([len(pose) > 0 for pose in found]))
+            if share > known:
+                steps = np.array([anchor.moved(pose) for pose in found])
+                known, usual, poses = share, np.median(steps, axis=0), found
+                moves = float(np.median(np.abs(steps - usual).max(axis=1)))
+            if known > _SURELY and moves <= _SHAKES:
+                break  # it stands
         self._shaky = bool(_SHAKES < moves < _MOVES * self._shape[1] and known > _KNOWN)
         # The scene lies where it does in most pictures, not where it does in the anchor's.
         back = np.array([[1, 0, -usual[0]], [0, 1, -usual[1]], [0, 0, 1]])
@@ -306,24 +311,25 @@ class ChangeDetector:
 
     def _learn_scene_noise(self, samples: Sequence[Image], hidden: Bool | None = None) -> None:
         """s(q) from the samples of the first reference; where it was ``hidden`` (H, W) in most of them, as it usually is."""
-        typical, rank = np.empty(self._shape, np.float32), len(samples) // 2
-        # In bands: all energies at once would be the largest piece of memory of a run.
-        for band in (slice(k * len(typical) // _BANDS, (k + 1) * len(typical) // _BANDS) for k in range(_BANDS)):
-            energies = np.empty((len(samples), *typical[band].shape), np.float32)
-            for k, sample in enumerate(samples):
-                energies[k] = self._compared(sample)[1][band]
-            energies.partition(rank, axis=0)
-            typical[band] = energies[rank] / _MEDIAN_OF_CHI2
+        typical = np.empty(self._shape, np.float32)
+        for first in range(0, len(typical), _BAND):
+            # In bands: all energies at once would be the largest piece of memory of a run.
+            rows = slice(first, first + _BAND)
+            energies = np.stack([self._compared(sample, rows)[1] for sample in samples])
+            # Numbers that are not negative are in the order of their bits.
+            typical[rows] = middle_of(energies.view(np.int32)).view(np.float32) / _MEDIAN_OF_CHI2
         if hidden is not None and hidden.any() and not hidden.all():
             typical[hidden] = np.minimum(typical[hidden], np.median(typical[~hidden]))
         spread = cv2.dilate(cv2.blur(typical, (5, 5)), np.ones((3, 3), np.uint8))
         self._scene = np.minimum(spread, np.float32(CHANNELS * _LOUDEST))
 
-    def _compared(self, picture: Image, *, recall: bool = False) -> tuple[Image, F4]:
-        """(H, W) the raw mask of a picture against the reference, with what is recalled of other samples, and its energy."""
-        # That takes most of the time, and changes no energy.
-        past = self._past if recall else self._past._replace(samples=np.zeros((picture.size, 0), np.uint8))
-        mask, energy = compare(picture, self._reference, _SAME_LIGHT, self._scene, self._rule, self._camera, past)
+    def _compared(self, picture: Image, rows: slice = slice(None), *, recall: bool = False) -> tuple[Image, F4]:
+        """(h, W) the raw mask of ``rows`` of a picture against the reference, the first an even one, and their energy; with
+        what is recalled of other samples, of all rows."""
+        now, then = (_rows(each, self._shape, rows) for each in (picture, self._reference))
+        # To recall takes most of the time, and changes no energy.
+        past = self._past if recall else self._past._replace(samples=np.zeros((now.size, 0), np.uint8))
+        mask, energy = compare(now, then, _SAME_LIGHT, self._scene[rows], self._rule, self._camera, past)
         return mask, energy
 
     def _gone(self, components: Sequence[Component], mask: Image, picture: Image, light: F4) -> list[bool]:
@@ -365,6 +371,14 @@ def _smooth(frame: Frame) -> Image:
     planes = planes_of(frame.picture)
     smooth(planes, (height, width))
     return planes
+
+
+def _rows(picture: NDArray[Any], shape: tuple[int, int], rows: slice) -> NDArray[Any]:
+    """The planes (n,) of ``rows`` of a picture, of which the first is an even one."""
+    first, last, _ = rows.indices(shape[0])
+    whole = last - first == shape[0]
+    parts = luma(picture, shape)[rows].ravel(), colours(picture, shape)[:, first // 2 : (last + 1) // 2].ravel()
+    return picture if whole else np.concatenate(parts)
 
 
 def _logarithmic(picture: Image, shape: tuple[int, int]) -> Image:

@@ -105,7 +105,7 @@ def median(samples: Sequence[Image]) -> Image:
     step = max(1, _BAND // len(samples))
     for start in range(0, len(out), step):
         band = slice(start, start + step)
-        out[band] = _middle(np.stack([one[band] for one in samples]))
+        out[band] = middle_of(np.stack([one[band] for one in samples]))
     return out
 
 
@@ -124,7 +124,7 @@ def background(samples: Sequence[Image], shape: tuple[int, int]) -> tuple[Image,
     size = (max(8, round(width * scale)), max(8, round(height * scale)))
     small = np.stack([_shrunk(one, shape, size) for one in samples])
     integrated = _integrated(small)
-    wrong = np.abs(integrated - _middle(small).astype(np.float32)).max(axis=2) > _WRONG
+    wrong = np.abs(integrated - middle_of(small).astype(np.float32)).max(axis=2) > _WRONG
     if not wrong.any():
         return typical, np.zeros(shape, np.bool_)
     wrong = cv2.resize(cv2.dilate(wrong.astype(np.uint8), _RING), (width, height)) > 0
@@ -180,7 +180,7 @@ def of_objects(hidden: Bool, least: F8, margin: int) -> Bool:
     return np.asarray(cv2.dilate(np.isin(part, large).astype(np.uint8), np.ones((margin, margin), np.uint8)) > 0)
 
 
-def _middle(values: NDArray[Any]) -> NDArray[Any]:
+def middle_of(values: NDArray[Any]) -> NDArray[Any]:
     """The median along the first axis, of an odd number of values."""
     return np.asarray(middle(np.ascontiguousarray(values).reshape(len(values), -1))).reshape(values.shape[1:])
 
@@ -191,7 +191,7 @@ def _integrated(samples: Image) -> F4:
     from scipy.sparse import diags, eye, kron, vstack
     from scipy.sparse.linalg import cg
 
-    typical, values = _middle(samples).astype(np.float32), samples.astype(np.int16)
+    typical, values = middle_of(samples).astype(np.float32), samples.astype(np.int16)
     agree = (np.abs(values - typical).max(axis=3) <= _SAME).mean(axis=0)
     unknown: Bool = cv2.dilate((agree < _CERTAIN).astype(np.uint8), _RING) > 0
     # Without a certain pixel anywhere the picture would be known but for a constant.
@@ -201,7 +201,7 @@ def _integrated(samples: Image) -> F4:
     down, along = (diags([-1.0, 1.0], [0, 1], (side - 1, side)) for side in unknown.shape)
     # An equation for each pair of neighbours: the second one less the first is the median gradient.
     steps = vstack([kron(eye(unknown.shape[0]), along), kron(down, eye(unknown.shape[1]))]).tocsc()
-    gradient = np.concatenate([_middle(np.diff(values, axis=axis)).reshape(-1, 3) for axis in (2, 1)])
+    gradient = np.concatenate([middle_of(np.diff(values, axis=axis)).reshape(-1, 3) for axis in (2, 1)])
     free, right = steps[:, hidden], gradient - steps[:, ~hidden] @ known[~hidden]
     normal, out = (free.T @ free).tocsr(), typical.copy()
     for channel in range(3):
