@@ -291,8 +291,8 @@ def _open(path: str) -> Iterator[tuple[Any, Any]]:
             which = "there is no video" if stream is None else "FFmpeg has no decoder for the video"
             cure = "Give another one, or convert it (ffmpeg -i IN -c:v libx264 OUT.mp4)."
             raise InputError(f"{which} in this file", where=path, cure=cure)
-        # Each further thread takes the memory of some pictures, and two decode faster than anything here looks at them.
-        stream.thread_type, stream.codec_context.thread_count = "AUTO", 2
+        # A second thread takes the memory of a dozen pictures, and one decodes faster than anything here looks at them.
+        stream.thread_type, stream.codec_context.thread_count = "AUTO", 1
         yield container, stream
 
 
