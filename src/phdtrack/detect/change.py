@@ -61,8 +61,6 @@ _SIDE, _USUAL = 0.3, 0.1
 _MEDIAN_OF_CHI2 = 0.789
 _LOUDEST, _BAND = 20.0, 64
 _GHOST_EDGE = 0.8
-# Seconds between two frames that reference and scene noise follow: each one would cost a twentieth of the detector's time.
-_FOLLOWS = 0.15
 # What flies past and hides an edge looks like a ghost for a frame or two: learned at once, it would be one ever after.
 _GHOST_SECONDS = 0.2
 # Seconds between samples that count as seen at different times, and the share of the threshold below which they are alike.
@@ -292,7 +290,7 @@ class ChangeDetector:
         self._camera: F8 = np.ones(CHANNELS)
         planes, step = _logarithmic(picture, shape), slice(None, None, _SPARSE // 2)
         self._previous = np.stack([luma(planes, shape)[::_SPARSE, ::_SPARSE], *colours(planes, shape)[:, step, step]])
-        self._time = self._followed = frame.time
+        self._time = frame.time
 
     def _sample(self, frame: Frame, picture: Image) -> None:
         """Take the frame for the first reference if one is due; of every other one the median, and the scene's noise."""
@@ -343,13 +341,11 @@ class ChangeDetector:
 
     def _adapt(self, frame: Frame, picture: Image, energy: F4, ghosts: list[Contour]) -> None:
         """Let reference and scene noise follow, by the time that has passed; ghosts that last are taken in."""
-        passed, waited = max(0.0, frame.time - self._time), frame.time - self._followed
+        passed = max(0.0, frame.time - self._time)
         self._time = frame.time
-        if waited >= _FOLLOWS:
-            rates = [0.0 if self._learning else min(1.0, waited / each) for each in (self.adapt, self.adapt_objects)]
-            rates += [min(0.2, waited / self.adapt), CHANNELS * _LOUDEST]
-            follow(picture, energy, self._reference, self._scene, self._foreground, np.array(rates, np.float32))
-            self._followed = frame.time
+        rates = [0.0 if self._learning else min(1.0, passed / each) for each in (self.adapt, self.adapt_objects)]
+        rates += [min(0.2, passed / self.adapt), CHANNELS * _LOUDEST]
+        follow(picture, energy, self._reference, self._scene, self._foreground, np.array(rates, np.float32))
         if self._learning or not (ghosts or self._ghostly):
             return
         left: Image = np.zeros(self._shape, np.uint8)
