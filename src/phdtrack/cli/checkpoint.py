@@ -100,7 +100,7 @@ class Checkpoint:
                 self._add(inputs, {"looked": self._looked}, log)
             one = None
             try:
-                for one in detected(inputs, iterator, mover, learned=True):
+                for one in detected(inputs.detector, iterator, mover):
                     self._add(inputs, _plain(one), log)
                     yield one
             except GeneratorExit:

@@ -101,14 +101,10 @@ class Detected(NamedTuple):
     pose: F8
 
 
-def detected(
-    inputs: Inputs, frames: Iterable[Frame], mover: Mover | None = None, *, learned: bool = False
-) -> Iterator[Detected]:
-    """Each of the frames with what the detector sees in it; it learns the scene first, unless it has ``learned`` it."""
-    if not learned:
-        learn_scene(inputs)
-    for frame, found, seconds in looked_at(inputs.detector, frames):
-        pose = pose_of(inputs.detector, frame)
+def detected(detector: Detector, frames: Iterable[Frame], mover: Mover | None = None) -> Iterator[Detected]:
+    """Each frame with what ``detector`` sees in it."""
+    for frame, found, seconds in looked_at(detector, frames):
+        pose = pose_of(detector, frame)
         yield Detected(frame, found, STILL if mover is None else mover(frame, found, pose), seconds, pose)
 
 
@@ -132,11 +128,12 @@ def expected(source: VideoSource, done: int, title: str) -> dict[str, Any]:
 
 def write_detected(inputs: Inputs, path: Path) -> Iterator[int]:
     """Run the detector over everything; after each frame, which is in the file by then, the number of its boxes."""
+    learn_scene(inputs)
     with (
         DetectionsWriter(path, inputs.names) as writer,
         progress("detecting", 0) as advance,
         ahead(prepared(inputs.detector, inputs.source)) as pictures,
-        ahead(detected(inputs, pictures)) as looked,
+        ahead(detected(inputs.detector, pictures)) as looked,
     ):
         for count, (frame, found, *_) in enumerate(looked, start=1):
             writer.append(frame.number, found)

@@ -27,7 +27,7 @@ from phdtrack.classes import Kinds
 from phdtrack.cli import run_directory as rundir
 from phdtrack.cli import signals
 from phdtrack.cli.checkpoint import Checkpoint, source_of
-from phdtrack.cli.inputs import NO_PICTURE, Inputs, Mover, ahead, detected, expected
+from phdtrack.cli.inputs import NO_PICTURE, Inputs, Mover, ahead, detected, expected, learn_scene
 from phdtrack.cli.observers import RunObserver
 from phdtrack.cli.output import Advance, progress, versions
 from phdtrack.cli.run_directory import RunDirectory
@@ -135,10 +135,9 @@ class _Seen(NamedTuple):
 class _Progress:
     """How far it got. ``stop`` ended the loop, ``cut`` the drawing; ``lost`` is what the source said at its end; ``drawn``
     the last frame of videos that end early because of a signal, or 0. ``seconds`` is what the loop took, but for
-    ``left_out`` frames, the first and those in which kernels were compiled or loaded. ``unwritten`` ended the writing of
-    files; the others are written all the same. ``final``: corrected rows of a source without an end that an observer wants.
-    ``resumed`` is the frame that it went on from; ``reused``: the detections are those of an earlier run; ``shakes``: the
-    camera does."""
+    ``left_out`` frames: the first, and those in which kernels were compiled or loaded. ``unwritten`` ended the writing of
+    files; the others are written all the same. ``final``: corrected rows of a source without an end for an observer.
+    ``resumed``: the frame that it went on from; ``reused``: with detections of one before; ``shakes``: the camera does."""
 
     tracker: Tracker
     recorder: Recorder
@@ -269,7 +268,7 @@ def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool)
     tracker = Tracker(stages=job.kinds, fps=inputs.info.fps, seed=job.about.seed)
     recorder = Recorder(inputs.info, job.truth, None if inputs.again else _CHARTED, job.blur)
     done = _Progress(tracker, recorder, [] if inputs.again else deque(maxlen=_SAMPLE))
-    found_in, checkpoint = partial(detected, inputs, mover=job.mover), None
+    found_in, checkpoint = partial(detected, inputs.detector, mover=job.mover), None
     if job.every > 0 and inputs.pictures and inputs.again:
         checkpoint = Checkpoint(directory, job.key, job.looked, job.every, resume=resume, anew=job.anew)
         found_in, done.resumed = partial(checkpoint.detected, inputs, mover=job.mover), checkpoint.number
@@ -282,6 +281,8 @@ def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool)
         # To load or to compile a kernel for arguments of new types Numba takes a lock, which is recorded.
         locks, clock = files.enter_context(event.install_recorder("numba:compiler_lock")), time.perf_counter()
         try:
+            if checkpoint is None:
+                learn_scene(inputs)
             # Where detections are used again, nobody looks at the pictures.
             pictures = inputs.source if done.reused else prepared(inputs.detector, inputs.source)
             with ahead(pictures) as frames, ahead(found_in(frames)) as looked:

@@ -68,9 +68,8 @@ _APART, _RESEMBLING = 0.5, 0.45
 # The mean share of pixels that differ from the scene in a sample, and the mean grey level, at which boxes become doubtful.
 _RESTLESS, _DARK = 0.2, 40.0
 # Pixels by which pictures usually move where the camera shakes, the share of the width from which on it does not shake but
-# move; the share of samples of which it has to be known, and of which it is known surely; seconds for which nothing is said
-# where it is not found.
-_SHAKES, _MOVES, _KNOWN, _SURELY, _LOST = 0.5, 0.05, 0.5, 0.8, 2.0
+# move, and the share of samples of which it has to be known; seconds for which nothing is said where it is not found.
+_SHAKES, _MOVES, _KNOWN, _LOST = 0.5, 0.05, 0.5, 2.0
 _TRAINED = "Boxes of a trained detector help: --detections FILE or --detector onnx:FILE"
 # How far an outline reaches on both sides of the border of a component.
 _OUTLINE, _NEAR = 3, np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8)
@@ -198,12 +197,11 @@ class ChangeDetector:
         margin, least = max(3, round(_SIDE * _USUAL * height) | 1), np.full(height, _SIDE * _USUAL * height)
         places = of_objects(hidden, least, margin)
         self._learn_usual(pictures, apart, places)
-        if self._usual is None:
-            return
-        # Once more, where what hid something is as large as objects are at its place.
-        again = of_objects(hidden, np.array([max(3.0, _SIDE * self._usual.at(row)) for row in range(height)]), margin)
-        if (again != places).any():
-            self._learn_usual(pictures, apart, again)
+        if self._usual is not None:
+            # Once more, where what hid something is as large as objects are at its place.
+            again = of_objects(hidden, np.array([max(3.0, _SIDE * self._usual.at(row)) for row in range(height)]), margin)
+            if (again != places).any():
+                self._learn_usual(pictures, apart, again)
 
     def _steadied(self, pictures: list[Image]) -> list[Image]:
         """Pictures of the scene (n,), laid onto each other where the camera shakes."""
@@ -218,7 +216,7 @@ class ChangeDetector:
                 steps = np.array([anchor.moved(pose) for pose in found])
                 known, usual, poses = share, np.median(steps, axis=0), found
                 moves = float(np.median(np.abs(steps - usual).max(axis=1)))
-            if known > _SURELY and moves <= _SHAKES:
+            if known > _KNOWN and moves <= _SHAKES:
                 break  # it stands
         self._shaky = bool(_SHAKES < moves < _MOVES * self._shape[1] and known > _KNOWN)
         # The scene lies where it does in most pictures, not where it does in the anchor's.
@@ -372,9 +370,8 @@ def _smooth(frame: Frame) -> Image:
 def _rows(picture: NDArray[Any], shape: tuple[int, int], rows: slice) -> NDArray[Any]:
     """The planes (n,) of ``rows`` of a picture, of which the first is an even one."""
     first, last, _ = rows.indices(shape[0])
-    whole = last - first == shape[0]
-    parts = luma(picture, shape)[rows].ravel(), colours(picture, shape)[:, first // 2 : (last + 1) // 2].ravel()
-    return picture if whole else np.concatenate(parts)
+    parts = luma(picture, shape)[rows], colours(picture, shape)[:, first // 2 : (last + 1) // 2]
+    return np.concatenate([part.ravel() for part in parts])
 
 
 def _logarithmic(picture: Image, shape: tuple[int, int]) -> Image:
