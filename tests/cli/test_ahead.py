@@ -31,6 +31,16 @@ def test_the_same_items_in_the_same_order(depth: int) -> None:
         assert list(twice) == []
 
 
+def test_nothing_is_made_before_it_is_asked_for() -> None:
+    made, before = list[int](), threading.active_count()
+    with ahead(map(made.append, range(9))):
+        time.sleep(0.05)
+        assert made == []
+    assert threading.active_count() == before
+    with ahead(iter([7])) as numbers:
+        assert next(numbers) == 7
+
+
 @pytest.mark.parametrize("error", [ValueError("broken"), KeyboardInterrupt(), SystemExit(3)])
 def test_an_error_comes_after_what_was_made_before_it(error: BaseException) -> None:
     got: list[int] = []

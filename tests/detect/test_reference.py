@@ -12,7 +12,7 @@ from phdtrack.detect.change import ChangeDetector
 from phdtrack.detect.reference import Anchor, background, median, of_objects, stabilised
 from phdtrack.detect.registry import Rescaled, knowledge, pose_of, restore, study, unsuited
 from phdtrack.devices import Planar, planes_of
-from phdtrack.kernels.planes import luma
+from phdtrack.kernels.planes import luma, smooth
 from phdtrack.types import STILL, Frame, Image
 from reference import change_twin as twin
 
@@ -109,6 +109,24 @@ def test_the_extremes_of_samples_are_those_of_a_plain_sort() -> None:
     past = detector._past
     for found, expected in zip((past.extremes, past.near), twin.extremes(past.samples, 120, 160), strict=True):
         np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize(("height", "width"), [(120, 160), (131, 77)])
+def test_the_noise_of_a_scene_is_the_median_of_its_energies(height: int, width: int) -> None:
+    """Learned in bands of rows, of which the last one may be lower and odd."""
+    rng, detector = np.random.default_rng(3), ChangeDetector()
+    ramp = np.linspace(60, 180, width)[None, :, None] + np.zeros((height, 1, 3))
+    samples = [np.clip(ramp + rng.normal(0, 6, ramp.shape), 0, 255).astype(np.uint8) for _ in range(9)]
+    study(detector, [Frame(k + 1, k / 2, image) for k, image in enumerate(samples)])
+    pictures = [planes_of(image) for image in samples]
+    for one in pictures:
+        smooth(one, (height, width))
+    energies = np.stack([detector._compared(one)[1] for one in pictures])
+    typical = (np.median(energies, axis=0) / np.float32(0.789)).astype(np.float32)
+    usual = np.minimum(cv2.dilate(cv2.blur(typical, (5, 5)), np.ones((3, 3), np.uint8)), 60)
+    detector._learn_scene_noise(pictures)
+    np.testing.assert_allclose(detector._scene, usual, rtol=1e-5)
+    assert usual.std() > 0.1
 
 
 def test_a_lamp_that_goes_on_and_off_is_not_detected() -> None:

@@ -137,7 +137,7 @@ class _Progress:
     the last frame of videos that end early because of a signal, or 0. ``seconds`` is what the loop took, but for
     ``left_out`` frames: the first, and those in which kernels were compiled or loaded. ``unwritten`` ended the writing of
     files; the others are written all the same. ``final``: corrected rows of a source without an end for an observer.
-    ``resumed``: the frame that it went on from; ``reused``: with detections of one before; ``shakes``: the camera does."""
+    ``resumed``: the frame that it went on from; ``reused``: an earlier run's detections; ``shakes``: the camera does."""
 
     tracker: Tracker
     recorder: Recorder
