@@ -59,7 +59,7 @@ _SAME_LIGHT: F4 = np.eye(3, 4, dtype=np.float32)
 _SIDE, _USUAL = 0.3, 0.1
 # The median of a third of χ²₃.
 _MEDIAN_OF_CHI2 = 0.789
-_LOUDEST, _BAND = 20.0, 64
+_LOUDEST, _BAND_ROWS = 20.0, 64
 _GHOST_EDGE = 0.8
 # What flies past and hides an edge looks like a ghost for a frame or two: learned at once, it would be one ever after.
 _GHOST_SECONDS = 0.2
@@ -308,9 +308,9 @@ class ChangeDetector:
     def _learn_scene_noise(self, samples: Sequence[Image], hidden: Bool | None = None) -> None:
         """s(q) from the samples of the first reference; where it was ``hidden`` (H, W) in most of them, as it usually is."""
         typical = np.empty(self._shape, np.float32)
-        for first in range(0, len(typical), _BAND):
+        for first in range(0, len(typical), _BAND_ROWS):
             # In bands: all energies at once would be the largest piece of memory of a run.
-            rows = slice(first, first + _BAND)
+            rows = slice(first, first + _BAND_ROWS)
             energies = np.stack([self._compared(sample, rows)[1] for sample in samples])
             # Numbers that are not negative are in the order of their bits.
             typical[rows] = middle_of(energies.view(np.int32)).view(np.float32) / _MEDIAN_OF_CHI2

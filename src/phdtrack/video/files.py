@@ -38,8 +38,8 @@ SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", "
 _MOST_MISSING, _DEFAULT_FPS = 10, 25.0
 # Seconds to wait for an address: until it is open, and for more of what it sends.
 CONNECT, READ = 10.0, 10.0
-# What FFmpeg calls pictures whose black is 0.
-_FULL_RANGE = 2
+# What FFmpeg calls pictures whose black is 0; the pixels of 1080p, as they are encoded.
+_FULL_RANGE, _LARGE = 2, 1920 * 1088
 # Pictures by which the order of packets may differ from that of presentation, at most.
 _REORDERED = 32
 Read = tuple[int, float | None, Image | Picture, str]
@@ -291,8 +291,9 @@ def _open(path: str) -> Iterator[tuple[Any, Any]]:
             which = "there is no video" if stream is None else "FFmpeg has no decoder for the video"
             cure = "Give another one, or convert it (ffmpeg -i IN -c:v libx264 OUT.mp4)."
             raise InputError(f"{which} in this file", where=path, cure=cure)
-        # A second thread takes the memory of a dozen pictures, and one decodes faster than anything here looks at them.
-        stream.thread_type, stream.codec_context.thread_count = "AUTO", 1
+        # A second thread takes the memory of a dozen pictures, and helps where they are larger than 1080p.
+        threads = 2 if stream.width * stream.height > _LARGE else 1
+        stream.thread_type, stream.codec_context.thread_count = "AUTO", threads
         yield container, stream
 
 
