@@ -60,8 +60,8 @@ _SHAKES = "The camera shakes: each picture was laid onto the scene before it was
 _STOPPED = "stopped after frame {}; its files are being completed"
 # Frames that are kept, and that the report shows, of endless sources; the shorter side of an annotated video at the least.
 _SAMPLE, _CHARTED, _LEAST = 1000, 100_000, 16
-# Seconds for which videos are drawn after a signal; what the end of a run imports, which takes a second.
-_SHORTLY, _LATE = 0.5, ("scipy.optimize", "scipy.sparse.csgraph", "matplotlib.figure")
+# Seconds for which videos are drawn after a signal.
+_SHORTLY = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,7 +185,7 @@ def run(job: Job, directory: RunDirectory, *, resume: bool = False) -> Outcome:
     return_memory()
     if job.video and (job.inputs.pictures or job.observers):
         needed("av")  # at the end, perhaps after hours
-    with signals.needed_soon(_LATE), progress("tracking", 0) as advance:
+    with progress("tracking", 0) as advance:
         return _run(job, directory, advance, resume=resume)
 
 
@@ -447,8 +447,8 @@ def _draw(job: Job, directory: RunDirectory, done: _Progress, tracks: Tracks, ad
                 # Observers draw on the same pictures, and in their coordinates.
                 drawing = _Drawing(replace(job, video_size=0) if draw else job, planes=not draw)
                 video = files.enter_context(VideoWriter(directory.file(rundir.VIDEO), *drawing.size, info.fps, fast=True))
-                frames = files.enter_context(ahead(job.inputs.source))
-                pictures = files.enter_context(ahead(_annotated(drawing, done.seen, frames, tracks)))
+                frames = files.enter_context(ahead(job.inputs.source, 2))
+                pictures = files.enter_context(ahead(_annotated(drawing, done.seen, frames, tracks), 1))
                 draw.insert(0, lambda number, picture: video.write(picture))
             if not draw:
                 return

@@ -11,6 +11,7 @@ import tempfile
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 from weakref import WeakValueDictionary
@@ -213,8 +214,8 @@ def claim(
             problem = f"{written[file]} is read for this run, and would be replaced by it"
             raise InputError(problem, where=f"--out {path}", cure="Choose another --out.")
     check(path, overwrite or resume, files)
-    if REPORT in files:
-        needed("matplotlib")  # at the end, perhaps after hours
+    if REPORT in files and find_spec("matplotlib") is None:
+        needed("matplotlib")  # at the end, perhaps after hours; to import it now takes memory while videos are made
     try:
         path.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path):

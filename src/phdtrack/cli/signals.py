@@ -14,10 +14,8 @@ import sys
 import threading
 import time
 from _thread import interrupt_main
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 
-from phdtrack.errors import DEFERRED, INTERRUPTING, later, needed
+from phdtrack.errors import DEFERRED, INTERRUPTING, later
 
 _ENDING = ("SIGINT", "SIGTERM", "SIGHUP")
 # Signals that came, and those that have raised KeyboardInterrupt.
@@ -50,20 +48,6 @@ def last_chance(what: str) -> None:
         for number in _numbers():
             if signal.getsignal(number) is _end:
                 signal.signal(number, signal.SIG_DFL)
-
-
-@contextmanager
-def needed_soon(modules: Iterable[str], seconds: float = 5.0) -> Iterator[None]:
-    """Import modules in a thread of their own once the block has lasted so many seconds: its end need not wait for them."""
-    timer = threading.Timer(seconds, lambda: [*map(needed, modules)])
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        # Python may crash where it ends while something is imported.
-        timer.cancel()
-        timer.join()
 
 
 def status() -> int:

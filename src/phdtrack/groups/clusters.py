@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.errors import Checked, NonNegative, Positive, PositiveCount
+from phdtrack.kernels.association import components
 from phdtrack.kernels.grid import points_in_rectangles
 from phdtrack.types import F8, I8, Bool, GaussianMixture
 
@@ -60,15 +61,10 @@ class Grouping(Checked):
 
     def groups(self, mixture: GaussianMixture) -> Groups:
         """The groups of a mixture over (px, py, vx, vy): connected components of the graph [E13 §5]."""
-        from scipy.sparse import coo_array
-        from scipy.sparse.csgraph import connected_components
-
         heavy = np.flatnonzero(mixture.weight >= self.min_weight)
         a, b = self.connected(mixture.mean[:, heavy])
-        n = len(heavy)
-        graph = coo_array((np.ones(len(a), np.int8), (a, b)), shape=(n, n))
         label = np.full(len(mixture), -1, np.int64)
-        label[heavy] = connected_components(graph, directed=False)[1] if n else 0
+        label[heavy] = components(len(heavy), a, b)
         return group_moments(mixture, label)
 
     def connected(self, mean: F8) -> tuple[I8, I8]:

@@ -189,6 +189,22 @@ def _assign(edges: Edges, n: int, first: int, banned: Bool, x: Matching, paths: 
     return total
 
 
+@njit(**ENTRY)
+def best_pairs(row: I8, column: I8, gain: F8, count: int) -> I8:
+    """(count,) the column of each of ``count`` rows, −1: none, so that the sum of the gains is the largest.
+
+    ``row``, ``column``, ``gain`` (E,): the pairs that there may be, in the order of their rows; columns are below ``count``.
+    """
+    start, none = np.zeros(count + 1, np.int64), np.zeros(count + 1, np.bool_)
+    for r in row:
+        start[r + 1] += 1
+    for r in range(count):
+        start[r + 1] += start[r]
+    x = Matching(np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count), np.empty(count))
+    _assign(Edges(start, column, gain), count, 0, none, x, new_paths(count))
+    return x.column
+
+
 @njit(**INNER)
 def _bound(edges: Edges, row: int, fixed: int, banned: Bool, choice: I8, u: F8, v: F8) -> float:
     """What a node loses at least if ``row`` may no longer have what it has: the smallest slack of what else it could have.

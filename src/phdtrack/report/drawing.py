@@ -117,9 +117,11 @@ class _Canvas:
         for k, box in shown:
             self.plate(labels[k], box[:2], colours[k])
 
-    def plate(self, text: str, corner: Sequence[int], fill: Rgb, opacity: float = 1.0) -> None:
-        """Text on a coloured plate with this lower left corner, moved and shrunk to stay in the picture."""
-        plate, alpha = _plate(text, fill, round(255 * opacity), self._font, self._bold, self.image.shape[1])
+    def plate(self, text: str, corner: Sequence[int], fill: Rgb, opacity: float = 1.0, *, once: bool = False) -> None:
+        """Text on a coloured plate with this lower left corner, moved and shrunk to stay in the picture. What is drawn
+        ``once`` is not kept for the next frames."""
+        make = _plate if once else _kept_plate
+        plate, alpha = make(text, fill, round(255 * opacity), self._font, self._bold, self.image.shape[1])
         (high, wide), (tall, room) = alpha.shape, self.image.shape[:2]
         left = min(max(corner[0], 0), max(room - wide, 0))
         bottom = min(max(corner[1], high), max(tall, high))
@@ -168,9 +170,8 @@ class _Canvas:
         return list(zip(seen.tolist(), cut.tolist(), strict=True))
 
 
-@lru_cache(maxsize=500)
 def _plate(text: str, fill: Rgb, opacity: int, font: float, bold: int, room: int) -> tuple[Image, Image]:
-    """(h, w, 3) BGR of text on a coloured plate, and its opacity (h, w); kept, for most are drawn again in the next frame.
+    """(h, w, 3) BGR of text on a coloured plate, and its opacity (h, w).
 
     Where it would be wider than the ``room`` its letters are smaller.
     """
@@ -189,6 +190,10 @@ def _plate(text: str, fill: Rgb, opacity: int, font: float, bold: int, room: int
     for sheet, colour in ((plate, _BLACK if light else _WHITE), (alpha, 255))[: 1 + (opacity < 255)]:
         cv2.putText(sheet, text, (pad, len(alpha) - under), cv2.FONT_HERSHEY_SIMPLEX, font, colour, bold, cv2.LINE_AA)
     return plate, alpha
+
+
+# Labels of tracks are drawn again in the next frame.
+_kept_plate = lru_cache(maxsize=500)(_plate)
 
 
 class Annotator:
@@ -254,7 +259,8 @@ class Annotator:
             labels = [f"{word} {label}" for word, label in zip(words, labels, strict=True)]
         canvas.targets(rows.xyxy, [identity_colour(k) for k in identities], rows.predicted, labels)
         expected = f"   expected count {mass:.1f}" if math.isfinite(mass) else ""
-        canvas.plate(f"frame {number}   {len(rows)} track{'s' * (len(rows) != 1)}{expected}", (0, 0), _BLACK, opacity=0.65)
+        header = f"frame {number}   {len(rows)} track{'s' * (len(rows) != 1)}{expected}"
+        canvas.plate(header, (0, 0), _BLACK, opacity=0.65, once=True)
         return canvas.onto(image)
 
     def _trails(self, number: int, rows: Tracks) -> None:

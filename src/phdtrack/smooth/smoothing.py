@@ -32,6 +32,7 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.errors import InputError, NonNegative, Positive, Share, check
+from phdtrack.kernels.association import best_pairs
 from phdtrack.kernels.rts import filtered, smooth
 from phdtrack.models.rts import Ahead, moved, predict
 from phdtrack.protocols import Model, Motion
@@ -408,27 +409,9 @@ def _births(paths: Paths, sequence: Sequence) -> float:
 
 def _matched(before: I8, after: I8, odds: F8, count: int) -> I8:
     """(K,) the successor of each of ``count`` paths, −1 for none, so that the sum of the log-odds is the largest."""
-    successor = np.full(count, -1, np.int64)
     good = np.flatnonzero(odds > 0)
-    if len(good) == 0:
-        return successor
-    # Importing it takes most of a second, which a run in which nothing can be joined need not wait for.
-    from scipy.optimize import linear_sum_assignment
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    a, b, odds = before[good], after[good], odds[good]
-    graph = coo_array((np.ones(len(a)), (a, b + count)), shape=(2 * count, 2 * count))
-    _, part = connected_components(graph, directed=False)
-    order = np.argsort(part[a], kind="stable")
-    for these in np.split(order, np.flatnonzero(np.diff(part[a][order])) + 1):
-        rows, row = np.unique(a[these], return_inverse=True)
-        columns, column = np.unique(b[these], return_inverse=True)
-        gain = np.zeros((len(rows), len(columns)))
-        gain[row, column] = odds[these]
-        i, j = linear_sum_assignment(gain, maximize=True)
-        real = gain[i, j] > 0
-        successor[rows[i[real]]] = columns[j[real]]
+    good = good[np.argsort(before[good], kind="stable")]
+    successor: I8 = best_pairs(before[good], after[good], odds[good], count)
     return successor
 
 

@@ -21,7 +21,7 @@ _LARGEST_DENOMINATOR = 1001
 # of macroblocks (mbtree) is off, as with it the same pictures are now and then encoded in another way.
 _THREADS = 4
 # No picture waits for later ones, and each is compared with one other: these are what takes memory, 12 MB each at 1080p.
-_FAST = "threads=2:bframes=0:rc-lookahead=0:ref=1:weightp=0:subme=0:me=dia"
+_FAST = "threads=1:bframes=0:rc-lookahead=0:ref=1:weightp=0:subme=0:me=dia"
 
 
 class VideoWriter:
@@ -63,9 +63,9 @@ class VideoWriter:
         padded = (width + width % 2, height + height % 2)
         name, options = _working_encoder(*padded, rate), dict[str, str]()
         if name == "libx264":
-            parameters = _FAST if fast else f"threads={_THREADS}"
+            parameters = _FAST if fast else f"threads={_THREADS}:sliced-threads=0"
             options = {"crf": str(quality), "preset": "ultrafast" if fast else "veryfast"}
-            options["x264-params"] = f"{parameters}:sliced-threads=0:mbtree=0"
+            options["x264-params"] = f"{parameters}:mbtree=0"
         try:
             muxing = {"movflags": "+faststart"}
             if fragmented:
