@@ -447,7 +447,7 @@ def _draw(job: Job, directory: RunDirectory, done: _Progress, tracks: Tracks, ad
                 # Observers draw on the same pictures, and in their coordinates.
                 drawing = _Drawing(replace(job, video_size=0) if draw else job, planes=not draw)
                 video = files.enter_context(VideoWriter(directory.file(rundir.VIDEO), *drawing.size, info.fps, fast=True))
-                frames = files.enter_context(ahead(job.inputs.source, 2))
+                frames = files.enter_context(ahead(job.inputs.source, 1))
                 pictures = files.enter_context(ahead(_annotated(drawing, done.seen, frames, tracks), 1))
                 draw.insert(0, lambda number, picture: video.write(picture))
             if not draw:

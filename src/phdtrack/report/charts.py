@@ -134,7 +134,7 @@ def trajectory_picture(record: RunRecord) -> Picture:
     missing; a ring where it appeared, its number where it was last seen."""
     from matplotlib.collections import LineCollection
 
-    axes, tracks = _over_scene(record.info, record.background, darkness=0.4), record.tracks
+    axes, tracks = _frame_axes(record.info), record.tracks
     rows = [np.flatnonzero(tracks.identity == identity) for identity in np.unique(tracks.identity)]
     paths = [tracks.take(own[np.argsort(tracks.frame[own])]) for own in rows]
     colours = [_colour(int(path.identity[0])) for path in paths]
@@ -151,7 +151,7 @@ def trajectory_picture(record: RunRecord) -> Picture:
             look: Any = {"color": "black", "fontsize": 7.5, "ha": "center", "va": "center", "clip_on": True}
             plate = {"boxstyle": "round,pad=0.2", "facecolor": colour, "linewidth": 0}
             axes.text(x_end, y_end, str(path.identity[0]), bbox=plate, **look)
-    return _saved(axes)
+    return _over_scene(axes, record.background, darkness=0.4)
 
 
 def map_picture(learned: LearnedDensity, scene: Scene, image: Image, *, births: bool) -> Picture:
@@ -165,7 +165,7 @@ def map_picture(learned: LearnedDensity, scene: Scene, image: Image, *, births: 
     births : whether to draw the mean way of the next second as arrows.
     """
     p, wide, high = learned.density, scene.width, scene.height
-    axes = _over_scene(SequenceInfo(wide, high, 25.0), image, darkness=0.5)
+    axes = _frame_axes(SequenceInfo(wide, high, 25.0))
     step = max(wide, high) / _CELLS
     shape = (math.ceil(high / step), math.ceil(wide / step))
     # Clear where nothing is expected, quickly opaque above it, because a weak mass matters.
@@ -177,7 +177,7 @@ def map_picture(learned: LearnedDensity, scene: Scene, image: Image, *, births: 
         style = {"arrowstyle": "-|>", "color": _CYAN, "linewidth": 1 + 4 * float(p.weight[m])}
         axes.annotate("", xy=tuple(start + way), xytext=tuple(start), arrowprops=style)
     axes.set(xlim=(0, wide), ylim=(high, 0))
-    return _saved(axes)
+    return _over_scene(axes, image, darkness=0.5)
 
 
 def jpeg(image: Image) -> Picture:
@@ -213,21 +213,40 @@ def _time_axes(times: F8, y_label: str, height: float) -> Axes:
     return axes
 
 
-def _over_scene(info: SequenceInfo, image: Image, *, darkness: float) -> Axes:
-    """Axes that are the frame in pixels, over the darkened grey photograph or a dark ground."""
+def _frame_axes(info: SequenceInfo) -> Axes:
+    """Axes that are the frame in pixels, on no ground."""
     height = float(np.clip((_WIDE - 1.2) * info.height / info.width + 0.7, 1.8, 9.0))
     axes = _axes(height, "x in pixels", "y in pixels", _PALE)
     axes.grid(False)
     axes.spines[:].set(visible=True, color=_PALE)
-    axes.set_facecolor(_DARK)
-    if image.size:
-        # No larger than it is shown, and scaled before it is coloured: matplotlib's colours are eight bytes each.
-        grey = cv2.cvtColor(shrunk(image, round(_DOTS_PER_INCH * _WIDE)), cv2.COLOR_BGR2GRAY) * np.float32(1 - darkness)
-        look: Any = {"cmap": "gray", "vmin": 0, "vmax": 255, "interpolation_stage": "data"}
-        axes.imshow(grey, extent=(0, info.width, info.height, 0), **look)
+    axes.set_facecolor("none")
     stretched = not 1 / _MAX_STRETCH < info.width / info.height < _MAX_STRETCH
     axes.set(xlim=(0, info.width), ylim=(info.height, 0), aspect="auto" if stretched else "equal")
     return axes
+
+
+def _over_scene(axes: Axes, image: Image, *, darkness: float) -> Picture:
+    """What was drawn in the axes of a frame as JPEG, over the darkened grey photograph, or a dark ground where it is empty.
+
+    matplotlib needs ten times the memory to put a photograph under its axes.
+    """
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    canvas = needed("matplotlib.backends.backend_agg").FigureCanvasAgg(figure)
+    figure.set(dpi=_DOTS_PER_INCH, facecolor="none")
+    canvas.draw()
+    drawn = np.asarray(canvas.buffer_rgba())
+    ground = np.full((*drawn.shape[:2], 3), [int(_DARK[k : k + 2], 16) for k in (5, 3, 1)], np.uint8)
+    if image.size:
+        left, low, right, high = np.rint(axes.get_window_extent().extents).astype(int).tolist()
+        grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        grey = cv2.resize(grey, (right - left, high - low), interpolation=cv2.INTER_AREA)
+        ground[len(ground) - high : len(ground) - low, left:right] = cv2.convertScaleAbs(grey, alpha=1 - darkness)[..., None]
+    for k in range(3):
+        above = cv2.multiply(drawn[..., 2 - k], drawn[..., 3], scale=1 / 255)
+        ground[..., k] = cv2.add(above, cv2.multiply(ground[..., k], 255 - drawn[..., 3], scale=1 / 255))
+    width, height = (round(96 * float(inches)) for inches in figure.get_size_inches())
+    return jpeg(ground)._replace(width=width, height=height)
 
 
 def _chart(axes: Axes, points: int = 0, bottom: float | None = None) -> Picture:
@@ -239,16 +258,9 @@ def _chart(axes: Axes, points: int = 0, bottom: float | None = None) -> Picture:
         look = {"ncols": len(handles), "frameon": False, "fontsize": 9.0, "labelcolor": _INK}
         axes.legend(loc="lower left", bbox_to_anchor=(0, 1), **look)
     nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
-    return _saved(axes, "image/svg+xml", format="svg", transparent=True, metadata=nothing)
-
-
-def _saved(axes: Axes, mime: str = "image/jpeg", **look: Any) -> Picture:
-    """The figure as a file, JPEG on a dark ground if nothing else is said; its width and height are in CSS pixels."""
     figure, buffer = axes.get_figure(root=True), io.BytesIO()
     assert figure is not None
-    figure.savefig(
-        buffer, dpi=_DOTS_PER_INCH, **(look or {"format": "jpg", "facecolor": _DARK, "pil_kwargs": {"quality": 87}})
-    )
+    figure.savefig(buffer, dpi=_DOTS_PER_INCH, format="svg", transparent=True, metadata=nothing)
     data, (wide, high) = buffer.getvalue(), (round(96 * float(inches)) for inches in figure.get_size_inches())
-    # Of an SVG without its XML declaration.
-    return Picture(mime, data[max(data.find(b"<svg"), 0) :], wide, high)
+    # Without its XML declaration.
+    return Picture("image/svg+xml", data[data.find(b"<svg") :], wide, high)
