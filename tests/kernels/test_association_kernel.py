@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import linear_sum_assignment
 
-from phdtrack.kernels.association import best_assignments, competing, components
+from phdtrack.kernels.association import best_assignments, best_pairs, competing, components
 from phdtrack.kernels.branching import children, equal_rows
 from reference import hypotheses_twin as twins
 
@@ -44,6 +45,20 @@ def test_the_best_in_order(seed: int, whole: bool, most: int, log_ratio: float):
     if not whole:
         assert found == [item[1:] for item in wanted]
     np.testing.assert_allclose(weight, [everything[one] for one in found])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_pairs_have_the_largest_sum_that_there_is(seed: int):
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(1, 30))
+    gain = np.where(rng.random((count, count)) < 0.2, rng.normal(1, 2, (count, count)), -np.inf)
+    row, column = np.nonzero(np.isfinite(gain))
+    found = best_pairs(row, column, gain[row, column], count)
+    chosen = np.flatnonzero(found >= 0)
+    assert len(set(found[chosen].tolist())) == len(chosen)
+    # A row may stay alone: as with a pair of gain 0.
+    worth = np.maximum(gain, 0)
+    assert gain[chosen, found[chosen]].sum() == pytest.approx(worth[linear_sum_assignment(worth, maximize=True)].sum())
 
 
 def test_many_measurements_and_tracks_in_one_place():

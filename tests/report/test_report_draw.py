@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from phdtrack.errors import InputError
 from phdtrack.report import Annotator
-from phdtrack.report.drawing import COLOURS, identity_colour
+from phdtrack.report.drawing import COLOURS, _kept_plate, identity_colour
 from phdtrack.types import Detections, SequenceInfo, Tracks
 
 BOX = (100.0, 80.0, 140.0, 200.0)
@@ -90,6 +90,14 @@ def test_any_box_on_any_frame_draws_without_error(high: int, wide: int, boxes: l
         assert out.shape == image.shape
         assert out.dtype == np.uint8
     assert not image.any()
+
+
+def test_only_what_is_drawn_again_is_kept() -> None:
+    """A header is of one frame: kept, those of a long video took tens of MB."""
+    annotator, before = Annotator(SequenceInfo(320, 240, 25.0)), _kept_plate.cache_info().currsize
+    for number in range(1, 21):
+        annotator(GREY, number, rows(BOX, frame=number), Detections.empty())
+    assert _kept_plate.cache_info().currsize <= before + 1
 
 
 def test_pictures_and_probabilities_that_do_not_fit_are_refused() -> None:

@@ -58,10 +58,9 @@ _REUSED = "The detections are those of an earlier run with the same detector; --
 _HIDDEN = "In all pictures {} of detections and tracks are hidden; what was neither detected nor tracked can be seen."
 _SHAKES = "The camera shakes: each picture was laid onto the scene before it was compared with it."
 _STOPPED = "stopped after frame {}; its files are being completed"
-# Frames that are kept, and that the report shows, of endless sources; the shorter side of an annotated video at the least.
-_SAMPLE, _CHARTED, _LEAST = 1000, 100_000, 16
-# Seconds for which videos are drawn after a signal.
-_SHORTLY = 0.5
+# Frames that are kept, and that the report shows, of endless sources; the shorter side of an annotated video at the least;
+# seconds for which videos are drawn after a signal.
+_SAMPLE, _CHARTED, _LEAST, _SHORTLY = 1000, 100_000, 16, 0.5
 
 
 @dataclass(frozen=True, slots=True)

@@ -230,8 +230,7 @@ def _over_scene(axes: Axes, image: Image, *, darkness: float) -> Picture:
 
     matplotlib needs ten times the memory to put a photograph under its axes.
     """
-    figure = axes.get_figure(root=True)
-    assert figure is not None
+    figure: Any = axes.get_figure(root=True)
     canvas = needed("matplotlib.backends.backend_agg").FigureCanvasAgg(figure)
     figure.set(dpi=_DOTS_PER_INCH, facecolor="none")
     canvas.draw()
@@ -258,9 +257,8 @@ def _chart(axes: Axes, points: int = 0, bottom: float | None = None) -> Picture:
         look = {"ncols": len(handles), "frameon": False, "fontsize": 9.0, "labelcolor": _INK}
         axes.legend(loc="lower left", bbox_to_anchor=(0, 1), **look)
     nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
-    figure, buffer = axes.get_figure(root=True), io.BytesIO()
-    assert figure is not None
-    figure.savefig(buffer, dpi=_DOTS_PER_INCH, format="svg", transparent=True, metadata=nothing)
+    figure: Any = axes.get_figure(root=True)
+    figure.savefig(buffer := io.BytesIO(), dpi=_DOTS_PER_INCH, format="svg", transparent=True, metadata=nothing)
     data, (wide, high) = buffer.getvalue(), (round(96 * float(inches)) for inches in figure.get_size_inches())
     # Without its XML declaration.
     return Picture("image/svg+xml", data[data.find(b"<svg") :], wide, high)

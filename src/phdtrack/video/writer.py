@@ -20,8 +20,10 @@ _LARGEST_DENOMINATOR = 1001
 # The same on every machine, each thread with a frame of its own: x264's pictures depend on the number of threads. Its tree
 # of macroblocks (mbtree) is off, as with it the same pictures are now and then encoded in another way.
 _THREADS = 4
-# No picture waits for later ones, and each is compared with one other: these are what takes memory, 12 MB each at 1080p.
-_FAST = "threads=1:bframes=0:rc-lookahead=0:ref=1:weightp=0:subme=0:me=dia"
+# No picture waits for later ones, and each is compared with one other: these are what takes memory, 12 MB each at 1080p. So
+# does a second thread, which helps where pictures are larger: to draw them and to read them takes the other threads' time.
+_FAST = ":bframes=0:rc-lookahead=0:ref=1:weightp=0:subme=0:me=dia"
+_LARGE = 1920 * 1088
 
 
 class VideoWriter:
@@ -63,7 +65,9 @@ class VideoWriter:
         padded = (width + width % 2, height + height % 2)
         name, options = _working_encoder(*padded, rate), dict[str, str]()
         if name == "libx264":
-            parameters = _FAST if fast else f"threads={_THREADS}:sliced-threads=0"
+            parameters = (
+                f"threads={1 + (width * height > _LARGE)}:{_FAST}" if fast else f"threads={_THREADS}:sliced-threads=0"
+            )
             options = {"crf": str(quality), "preset": "ultrafast" if fast else "veryfast"}
             options["x264-params"] = f"{parameters}:mbtree=0"
         try:
