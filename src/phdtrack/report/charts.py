@@ -239,7 +239,8 @@ def _over_scene(axes: Axes, image: Image, *, darkness: float) -> Picture:
     if image.size:
         left, low, right, high = np.rint(axes.get_window_extent().extents).astype(int).tolist()
         grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-        grey = cv2.resize(grey, (right - left, high - low), interpolation=cv2.INTER_AREA)
+        way = cv2.INTER_AREA if right - left < image.shape[1] else cv2.INTER_CUBIC
+        grey = cv2.resize(grey, (right - left, high - low), interpolation=way)
         ground[len(ground) - high : len(ground) - low, left:right] = cv2.convertScaleAbs(grey, alpha=1 - darkness)[..., None]
     for k in range(3):
         above = cv2.multiply(drawn[..., 2 - k], drawn[..., 3], scale=1 / 255)
@@ -260,5 +261,4 @@ def _chart(axes: Axes, points: int = 0, bottom: float | None = None) -> Picture:
     figure: Any = axes.get_figure(root=True)
     figure.savefig(buffer := io.BytesIO(), dpi=_DOTS_PER_INCH, format="svg", transparent=True, metadata=nothing)
     data, (wide, high) = buffer.getvalue(), (round(96 * float(inches)) for inches in figure.get_size_inches())
-    # Without its XML declaration.
-    return Picture("image/svg+xml", data[data.find(b"<svg") :], wide, high)
+    return Picture("image/svg+xml", data[data.find(b"<svg") :], wide, high)  # without its XML declaration
