@@ -63,6 +63,9 @@ def test_a_false_alarm_is_crossed_out() -> None:
     doubted = annotate(GREY, 1, Tracks.empty(), found, clutter_probability=np.array([0.9]))
     assert (believed[130:150, 110:130] == 90).all()
     assert (doubted[130:150, 110:130] != 90).any()
+    # A corrected track knows more than the filter knew then.
+    tracked = annotate(GREY, 1, rows(BOX), found, clutter_probability=np.array([0.9]))
+    assert (tracked[130:150, 110:130] == 90).all()
 
 
 def test_trails_follow_the_feet_and_fade() -> None:

@@ -1,9 +1,9 @@
 """Pictures that OpenCV draws: annotated frames, and the ground from above.
 
 An annotated frame shows detections as thin white outlines, red and crossed where the filter takes them for false alarms
-(posterior clutter probability above one half); fading trails at the feet of tracks; tracks in the colour of their identity
-with its number, dashed where no detection supports the box; tracks not yet confirmed faintly and without a number; and a
-header: frame number, number of tracks, the filter's expected count.
+(posterior clutter probability above one half) and no track lies over them; fading trails at the feet of tracks; tracks in
+the colour of their identity with its number, dashed where no detection supports the box; tracks not yet confirmed faintly
+and without a number; and a header: frame number, number of tracks, the filter's expected count.
 
 The twelve colours of identities are light enough for dark pictures and strong enough for white paper. Consecutive ones
 differ by at least 40 units of CIE L*a*b*, for normal sight and in the simulation of protanopia and deuteranopia by
@@ -24,7 +24,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from phdtrack.arrays import pixelated
+from phdtrack.arrays import iou, pixelated
 from phdtrack.errors import InputError
 from phdtrack.kernels.planes import blend
 from phdtrack.types import F8, I8, Bool, Detections, Image, SequenceInfo, Tracks
@@ -120,8 +120,8 @@ class _Canvas:
     def plate(self, text: str, corner: Sequence[int], fill: Rgb, opacity: float = 1.0, *, once: bool = False) -> None:
         """Text on a coloured plate with this lower left corner, moved and shrunk to stay in the picture. What is drawn
         ``once`` is not kept for the next frames."""
-        make = _plate if once else _kept_plate
-        plate, alpha = make(text, fill, round(255 * opacity), self._font, self._bold, self.image.shape[1])
+        look = (text, fill, round(255 * opacity), self._font, self._bold, self.image.shape[1])
+        plate, alpha = _plate(*look) if once else _kept_plate(*look)
         (high, wide), (tall, room) = alpha.shape, self.image.shape[:2]
         left = min(max(corner[0], 0), max(room - wide, 0))
         bottom = min(max(corner[1], high), max(tall, high))
@@ -192,8 +192,7 @@ def _plate(text: str, fill: Rgb, opacity: int, font: float, bold: int, room: int
     return plate, alpha
 
 
-# Labels of tracks are drawn again in the next frame.
-_kept_plate = lru_cache(maxsize=500)(_plate)
+_kept_plate = lru_cache(maxsize=500)(_plate)  # labels of tracks are drawn again in the next frame
 
 
 class Annotator:
@@ -244,7 +243,9 @@ class Annotator:
             if image.shape != self._sheet.image.shape:
                 self._sheet = _Canvas(np.zeros_like(image))
         canvas = self._sheet
-        false_alarm = clutter_probability > 0.5 if known else np.zeros(count, np.bool_)
+        with np.errstate(all="ignore"):  # a track shows that there is none, for it may know what came later
+            tracked = iou(detections.xyxy, rows.xyxy[rows.confirmed]).max(axis=1, initial=0.0) > 0.5
+        false_alarm = ~tracked & (clutter_probability > 0.5) if known else np.zeros(count, np.bool_)
         canvas.glaze_boxes(detections.xyxy[~false_alarm], _WHITE, canvas.thin, 0.75)
         canvas.glaze_boxes(detections.xyxy[false_alarm], _FALSE_ALARM, canvas.thin, 0.75, crossed=True)
         # From the top of the frame downwards, because what stands lower is usually nearer.
