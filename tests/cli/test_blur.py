@@ -88,10 +88,10 @@ def pictures(folder: Path) -> Iterator[tuple[str, Image]]:
 
 
 def roughest(image: Image, name: str = "") -> float:
-    """The share of the picture that is chequered finely. A report darkens and enlarges it."""
+    """The share of the picture that is chequered finely. Pages darken and enlarge it."""
     grey = image.mean(axis=2).astype(np.float32)
     deviation = np.sqrt(np.maximum(cv2.blur(grey * grey, (8, 8)) - cv2.blur(grey, (8, 8)) ** 2, 0))
-    strong = cv2.erode((deviation > (33 if name.startswith("report") else 60)).astype(np.uint8), np.ones((12, 12), np.uint8))
+    strong = cv2.erode((deviation > (33 if ".html" in name else 60)).astype(np.uint8), np.ones((12, 12), np.uint8))
     return float(strong.mean())
 
 

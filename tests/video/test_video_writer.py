@@ -54,6 +54,16 @@ def test_odd_sizes_and_fractional_rates(tmp_path: Path, fps: float) -> None:
     assert np.abs(frames[2].image[:47, :63].astype(int) - picture(2, 63, 47)).mean() < 5
 
 
+@pytest.mark.parametrize(("size", "threads"), [((64, 48), 1), ((2000, 1200), 2)])
+def test_fast_settings_reach_the_encoder(tmp_path: Path, size: tuple[int, int], threads: int) -> None:
+    """It says of misspelled ones nothing; what it was told stands in the file."""
+    with VideoWriter(tmp_path / "a.mp4", *size, 25, fast=True) as out:
+        out.write(np.zeros((size[1], size[0], 3), np.uint8))
+    told = (tmp_path / "a.mp4").read_bytes()
+    words = (f" threads={threads} ", "sliced_threads=0", "bframes=0", "ref=1 ", "subme=0", "weightp=0", "mbtree=0")
+    assert [word for word in words if word.encode() not in told] == []
+
+
 def test_planes_are_written_as_they_are(tmp_path: Path) -> None:
     """What was decoded goes to the encoder without a way through BGR, twice in the same way."""
     with VideoWriter(tmp_path / "first.mp4", 64, 48, 25, quality=5) as out:

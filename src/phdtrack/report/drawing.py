@@ -243,7 +243,7 @@ class Annotator:
             if image.shape != self._sheet.image.shape:
                 self._sheet = _Canvas(np.zeros_like(image))
         canvas = self._sheet
-        with np.errstate(all="ignore"):  # a track shows that there is none, for it may know what came later
+        with np.errstate(all="ignore"):  # where a track lies is no false alarm: it may rest on later frames
             tracked = iou(detections.xyxy, rows.xyxy[rows.confirmed]).max(axis=1, initial=0.0) > 0.5
         false_alarm = ~tracked & (clutter_probability > 0.5) if known else np.zeros(count, np.bool_)
         canvas.glaze_boxes(detections.xyxy[~false_alarm], _WHITE, canvas.thin, 0.75)
@@ -380,7 +380,7 @@ class Plan:
             canvas.label(words, corner, _WARNING)
         detected = int(np.isfinite(scene.detections).all(axis=0).sum())
         header = f"frame {frame.number}   {frame.time:.1f} s   {frame.people:.1f} people in {frame.named} groups"
-        canvas.plate(header + (f"   {detected} detections" if detected else ""), (0, 0), _INK)
+        canvas.plate(header + (f"   {detected} detections" if detected else ""), (0, 0), _INK, once=True)
         return canvas.image
 
     def _outline(self, canvas: _Canvas, people: F8) -> None:

@@ -20,8 +20,8 @@ _LARGEST_DENOMINATOR = 1001
 # The same on every machine, each thread with a frame of its own: x264's pictures depend on the number of threads. Its tree
 # of macroblocks (mbtree) is off, as with it the same pictures are now and then encoded in another way.
 _THREADS = 4
-# No picture waits for later ones, and each is compared with one other: these are what takes memory, 12 MB each at 1080p. So
-# does a second thread, which helps where pictures are larger: to draw them and to read them takes the other threads' time.
+# No picture waits for later ones, and each is compared with one other: these are what takes memory, 12 MB each at 1080p. A
+# second thread takes as much; up to that size one keeps up with what reads and draws the pictures.
 _FAST = ":bframes=0:rc-lookahead=0:ref=1:weightp=0:subme=0:me=dia"
 _LARGE = 1920 * 1088
 
@@ -65,11 +65,9 @@ class VideoWriter:
         padded = (width + width % 2, height + height % 2)
         name, options = _working_encoder(*padded, rate), dict[str, str]()
         if name == "libx264":
-            parameters = (
-                f"threads={1 + (width * height > _LARGE)}:{_FAST}" if fast else f"threads={_THREADS}:sliced-threads=0"
-            )
+            threads = 1 + (width * height > _LARGE) if fast else _THREADS
             options = {"crf": str(quality), "preset": "ultrafast" if fast else "veryfast"}
-            options["x264-params"] = f"{parameters}:mbtree=0"
+            options["x264-params"] = f"threads={threads}:sliced-threads=0:mbtree=0" + _FAST * fast
         try:
             muxing = {"movflags": "+faststart"}
             if fragmented:
