@@ -2,8 +2,9 @@
 
     python -m benchmarks [--full] [--only NAME …] [--out FILE]
 
-Prints one table and writes benchmarks/out/bench.json: machine, versions, seeds, medians, quartiles, and the ratios to the
-peers within the run. A part that fails or cannot be measured here leaves its reason, and the others go on.
+Prints one table and writes benchmarks/out/bench.json: machine, versions, seeds, medians, quartiles,
+and the ratios to the peers within the run. A part that fails or cannot be measured here leaves its
+reason, and the others go on.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from benchmarks import report
 from benchmarks.parts import FULL, QUICK, SCALES, Outcome, Part, Scale, Skipped
 from benchmarks.registry import PARTS
 
-# NumPy's libraries would otherwise take all cores in some places, and each side of a comparison in others.
+# NumPy's libraries would otherwise take all cores in some places, and each side of a comparison in
+# others.
 PINNED = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
@@ -43,7 +45,12 @@ def measure(parts: Sequence[Part], scale: Scale, out: Path, paper: report.Paper)
         began = time.perf_counter()
         outcome, status, reason = _tried(part, scale)
         spent = time.perf_counter() - began
-        document["parts"][part.name] = {"status": status, "reason": reason, "seconds": spent, "rows": _rows(outcome)}
+        document["parts"][part.name] = {
+            "status": status,
+            "reason": reason,
+            "seconds": spent,
+            "rows": _rows(outcome),
+        }
         document.update(outcome.entries)
         paper.part(part.title, outcome.rows, f"{status}: {reason}" if reason else "")
         report.write(document, out)
@@ -87,11 +94,21 @@ def _rows(outcome: Outcome) -> list[dict[str, Any]]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; 1 where a part failed."""
     names = [part.name for part in PARTS]
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Speed and memory, measured in one run.")
-    parser.add_argument("--full", action="store_true", help="all sizes, more frames and seeds (about half an hour)")
-    parser.add_argument("--smoke", action="store_true", help="seconds: shows that everything runs, not how fast")
-    parser.add_argument("--only", nargs="+", choices=names, metavar="NAME", help=f"of {', '.join(names)}")
-    parser.add_argument("--out", type=Path, default=report.OUT / "bench.json", help="where the numbers go")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks", description="Speed and memory, measured in one run."
+    )
+    parser.add_argument(
+        "--full", action="store_true", help="all sizes, more frames and seeds (about half an hour)"
+    )
+    parser.add_argument(
+        "--smoke", action="store_true", help="seconds: shows that everything runs, not how fast"
+    )
+    parser.add_argument(
+        "--only", nargs="+", choices=names, metavar="NAME", help=f"of {', '.join(names)}"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=report.OUT / "bench.json", help="where the numbers go"
+    )
     given = parser.parse_args(arguments)
     scale = SCALES["smoke"] if given.smoke else FULL if given.full else QUICK
     began = time.perf_counter()
@@ -103,8 +120,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     broken = [row["what"] for part in done for row in part["rows"] if row["kept"] is False]
     busy = document["machine"]["load_at_start"]
     if busy is not None and busy > 0.5:
-        print(f"The machine was busy (load {busy:.1f} at the start): times mean little, ratios more.")
-    print(f"{given.out}: {scale.name}, {time.perf_counter() - began:.0f} s; limits not kept: {len(broken)}")
+        print(
+            f"The machine was busy (load {busy:.1f} at the start): times mean little, ratios more."
+        )
+    print(
+        f"{given.out}: {scale.name}, {time.perf_counter() - began:.0f} s; limits not kept: {len(broken)}"
+    )
     for what in broken:
         print(f"  {what}")
     return int(any(part["status"] == "failed" for part in done))
@@ -113,5 +134,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 if __name__ == "__main__":
     if any(os.environ.get(name) != value for name, value in PINNED.items()):
         # The libraries read these when they are loaded, so the process begins again.
-        os.execve(sys.executable, [sys.executable, "-m", "benchmarks", *sys.argv[1:]], {**os.environ, **PINNED})
+        os.execve(
+            sys.executable,
+            [sys.executable, "-m", "benchmarks", *sys.argv[1:]],
+            {**os.environ, **PINNED},
+        )
     sys.exit(main())

@@ -1,8 +1,9 @@
-"""The likelihood kernel against C: the same block of particles and the same detections, calls by turns.
+"""The likelihood kernel against C: the same block of particles and the same detections, calls by
+turns.
 
-The C side is the best of what the compiler makes of `kernel.c` with -O3 -march=native and the freedoms of -ffast-math:
-polynomial exp or the library's, at the compiler's own vector width or at 512 bits. Both sides sum the likelihoods and
-count those in the region; C writes each, too.
+The C side is the best of what the compiler makes of `kernel.c` with -O3 -march=native and the
+freedoms of -ffast-math: polynomial exp or the library's, at the compiler's own vector width or at
+512 bits. Both sides sum the likelihoods and count those in the region; C writes each, too.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ from phdtrack.kernels.particles import ROWS, SEEN, WEIGHT, evaluate
 
 KEYS = ("c_kernel",)
 SOURCE = Path(__file__).resolve().parent / "kernel.c"
-# What -ffast-math lets the compiler do, spelt out: with the flag itself a shared library may bring start-up code that
-# switches denormal numbers off in the whole process that loads it.
+# What -ffast-math lets the compiler do, spelt out: with the flag itself a shared library may bring
+# start-up code that switches denormal numbers off in the whole process that loads it.
 FAST = (
     "-fno-math-errno",
     "-fassociative-math",
@@ -42,7 +43,8 @@ VARIANTS = (
     ("polynomial, 512 bits", ("-DPOLYNOMIAL=1", "-mprefer-vector-width=512")),
     ("library", ("-DPOLYNOMIAL=0",)),
 )
-DETECTIONS, CALLS = 64, 200
+DETECTIONS = 64
+CALLS = 200
 REGION = 13.28
 SENSOR = OwnSize(np.float32(0.15), np.float32(1.0))
 F4 = NDArray[np.float32]
@@ -50,7 +52,9 @@ F4 = NDArray[np.float32]
 
 @njit
 def numba_calls(sensor: OwnSize, s: F4, table: F4, region: np.float32, calls: int, out: F4) -> None:
-    """``calls`` times all detections of ``table`` against the block ``s``; sums and counts into ``out`` (count, 2)."""
+    """``calls`` times all detections of ``table`` against the block ``s``; sums and counts into
+    ``out`` (count, 2).
+    """
     for i in range(BLOCK):
         prepare(sensor, s, i)
     for _ in range(calls):
@@ -59,7 +63,9 @@ def numba_calls(sensor: OwnSize, s: F4, table: F4, region: np.float32, calls: in
 
 
 def block(rng: np.random.Generator) -> tuple[F4, F4]:
-    """A block of particles about one target in the scratch layout, and a table of detections near it."""
+    """A block of particles about one target in the scratch layout, and a table of detections near
+    it.
+    """
     s = np.zeros(ROWS * BLOCK, np.float32)
     for row, mean, sd in ((X, 300, 3), (Y, 200, 5), (W, 35, 4), (H, 70, 8)):
         s[row : row + BLOCK] = rng.normal(mean, sd, BLOCK)
@@ -69,11 +75,16 @@ def block(rng: np.random.Generator) -> tuple[F4, F4]:
 
 
 def compiled(folder: Path) -> dict[str, Any]:
-    """The variants that the compiler accepts, loaded; raises `Skipped` where there is no compiler."""
-    compiler = next((found for name in ("cc", "gcc", "clang") if (found := shutil.which(name))), None)
+    """The variants that the compiler accepts, loaded; raises `Skipped` where there is no
+    compiler.
+    """
+    compiler = next(
+        (found for name in ("cc", "gcc", "clang") if (found := shutil.which(name))), None
+    )
     if compiler is None:
         raise Skipped("no C compiler (cc, gcc, clang) on this machine")
-    out, words = {}, ""
+    out = {}
+    words = ""
     for number, (name, flags) in enumerate(VARIANTS):
         target = folder / f"kernel{number}.so"
         command = [compiler, *FLAGS, *flags, str(SOURCE), "-o", str(target), "-lm"]
@@ -91,9 +102,18 @@ def caller(function: Any, s: F4, d: F4, out: F4) -> Callable[[], None]:
     x, y, w, h, weight = (s[row : row + BLOCK] for row in (X, Y, W, H, WEIGHT))
     iw, ih = (1 / np.maximum(SENSOR.noise * size, SENSOR.min_noise) for size in (w, h))
     rows = np.concatenate([x, y, w, h, iw, ih, NORM * (iw * ih) ** 2, weight]).astype(np.float32)
-    z, g = np.ascontiguousarray(d[:4].T), np.zeros(BLOCK, np.float32)
+    z = np.ascontiguousarray(d[:4].T)
+    g = np.zeros(BLOCK, np.float32)
     pointer = ctypes.POINTER(ctypes.c_float)
-    function.argtypes = [pointer, ctypes.c_int, pointer, ctypes.c_int, ctypes.c_float, pointer, pointer]
+    function.argtypes = [
+        pointer,
+        ctypes.c_int,
+        pointer,
+        ctypes.c_int,
+        ctypes.c_float,
+        pointer,
+        pointer,
+    ]
     function.restype = None
     keep = (rows, z, g, out)
     at = [array.ctypes.data_as(pointer) for array in keep]
@@ -116,11 +136,15 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
         calls += [caller(function, s, d, results[name]) for name, function in functions.items()]
         spent = in_turns(calls, scale.repeats, warm_up=2)
     for name, found in results.items():
-        if not np.allclose(found[:, 0], mine[:, 0], rtol=1e-4) or not np.array_equal(found[:, 1], mine[:, 1]):
+        if not np.allclose(found[:, 0], mine[:, 0], rtol=1e-4) or not np.array_equal(
+            found[:, 1], mine[:, 1]
+        ):
             raise ArithmeticError(f"C ({name}) and Numba do not agree on the likelihoods")
     unit = 1e9 / (CALLS * DETECTIONS * BLOCK)
     ours = Spread.of(spent[0], unit)
-    theirs = {name: Spread.of(times, unit) for name, times in zip(functions, spent[1:], strict=True)}
+    theirs = {
+        name: Spread.of(times, unit) for name, times in zip(functions, spent[1:], strict=True)
+    }
     name, best = min(theirs.items(), key=lambda item: item[1].median)
     ratio = ours.median / best.median
     rows = (

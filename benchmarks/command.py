@@ -1,13 +1,16 @@
-"""The first command of everybody, `phdtrack track VIDEO`, beside a plain loop: OpenCV's MOG2, SORT and cv2.VideoWriter.
+"""The first command of everybody, `phdtrack track VIDEO`, beside a plain loop: OpenCV's MOG2, SORT
+and cv2.VideoWriter.
 
-    python -m benchmarks.command [WIDTHxHEIGHT …]      print one line for each size, with and without annotated video
-    python -m benchmarks.command --loop VIDEO OUT      the plain loop by itself; prints frames a second (OUT "-": no video)
-    python -m benchmarks.command --detect VIDEO        milliseconds a frame of `change` as the command has it, and of MOG2
+    python -m benchmarks.command [WIDTHxHEIGHT …]      print one line for each size, with and
+    without annotated video python -m benchmarks.command --loop VIDEO OUT      the plain loop by
+    itself; prints frames a second (OUT "-": no video) python -m benchmarks.command --detect VIDEO
+    milliseconds a frame of `change` as the command has it, and of MOG2
 
-The videos are made on the spot: people-like figures cross a still scene with the noise of a camera. Frames a second are
-those of run.json, from the first frame up to the report, and of the loop alone: neither side counts its start. Annotated
-video of 4K has 1920 pixels a row, as the command writes it, and in a line of its own all of them, as the loop's. The peak of
-memory is that of the whole process, read by the system, so this needs Linux or macOS.
+The videos are made on the spot: people-like figures cross a still scene with the noise of a camera.
+Frames a second are those of run.json, from the first frame up to the report, and of the loop alone:
+neither side counts its start. Annotated video of 4K has 1920 pixels a row, as the command writes
+it, and in a line of its own all of them, as the loop's. The peak of memory is that of the whole
+process, read by the system, so this needs Linux or macOS.
 """
 
 from __future__ import annotations
@@ -29,7 +32,9 @@ from phdtrack.video import VideoWriter
 
 
 class Size(NamedTuple):
-    """Pixels, frames in the quick scale, and the least frames a second with and without annotated video."""
+    """Pixels, frames in the quick scale, and the least frames a second with and without annotated
+    video.
+    """
 
     width: int
     height: int
@@ -44,8 +49,11 @@ SIZES = {
     "4K": Size(3840, 2160, 40, 25.0),
 }
 # MiB at the peak, and milliseconds a frame of `change`, at 1080p.
-MEMORY, DETECT = 350.0, 5.0
-PEOPLE, RATE, NOISES = 12, 25.0, 4
+MEMORY = 350.0
+DETECT = 5.0
+PEOPLE = 12
+RATE = 25.0
+NOISES = 4
 # Wider pictures are shrunk for the annotated video.
 SHRUNK = 1920
 
@@ -56,28 +64,62 @@ def make(path: Path, width: int, height: int, frames: int, seed: int = 1) -> Non
     coarse = rng.integers(60, 190, (height // 24, width // 24, 3), dtype=np.uint8)
     scene = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
     # Noise in grains of two pixels, which a camera's own compression leaves.
-    grains = [rng.normal(8, 3, (height // 2, width // 2)).clip(0, 16).astype(np.uint8) for _ in range(NOISES)]
+    grains = [
+        rng.normal(8, 3, (height // 2, width // 2)).clip(0, 16).astype(np.uint8)
+        for _ in range(NOISES)
+    ]
     noise = [cv2.merge([cv2.resize(each, (width, height))] * 3) for each in grains]
-    high, wide = 0.16 * height, 0.06 * height
-    left, top = rng.uniform(0, width, PEOPLE), rng.uniform(0.1, 0.8, PEOPLE) * height
+    high = 0.16 * height
+    wide = 0.06 * height
+    left = rng.uniform(0, width, PEOPLE)
+    top = rng.uniform(0.1, 0.8, PEOPLE) * height
     speed = rng.uniform(0.0015, 0.004, PEOPLE) * width * rng.choice([-1, 1], PEOPLE)
     colours = rng.integers(0, 255, (PEOPLE, 2, 3)).tolist()
     with VideoWriter(path, width, height, RATE) as out:
         for number in range(frames):
             picture = scene.copy()
-            for x, y, (coat, legs) in zip((left + number * speed) % (width + 2 * wide) - wide, top, colours, strict=True):
+            for x, y, (coat, legs) in zip(
+                (left + number * speed) % (width + 2 * wide) - wide, top, colours, strict=True
+            ):
                 for colour, above, below, inset in ((coat, 0.18, 0.6, 0.0), (legs, 0.6, 1.0, 0.1)):
                     corner = (round(x + inset * wide), round(y + above * high))
-                    cv2.rectangle(picture, corner, (round(x + (1 - inset) * wide), round(y + below * high)), colour, -1)
-                cv2.circle(picture, (round(x + wide / 2), round(y + 0.09 * high)), round(0.09 * high), (120, 150, 200), -1)
-            out.write(cv2.add(picture, np.roll(noise[number % NOISES], int(rng.integers(width)), axis=1)))
+                    cv2.rectangle(
+                        picture,
+                        corner,
+                        (round(x + (1 - inset) * wide), round(y + below * high)),
+                        colour,
+                        -1,
+                    )
+                cv2.circle(
+                    picture,
+                    (round(x + wide / 2), round(y + 0.09 * high)),
+                    round(0.09 * high),
+                    (120, 150, 200),
+                    -1,
+                )
+            out.write(
+                cv2.add(picture, np.roll(noise[number % NOISES], int(rng.integers(width)), axis=1))
+            )
 
 
 def ours(video: Path, folder: Path, *options: str) -> dict[str, float]:
     """Frames a second, peak in MiB, and seconds of processor and wall of the whole process."""
     # Those of the run before would be taken for nothing.
-    out, again = folder / "run", ("--detect-again", *options)
-    found = _process([sys.executable, "-m", "phdtrack", "track", str(video), "--out", str(out), "--overwrite", *again])
+    out = folder / "run"
+    again = ("--detect-again", *options)
+    found = _process(
+        [
+            sys.executable,
+            "-m",
+            "phdtrack",
+            "track",
+            str(video),
+            "--out",
+            str(out),
+            "--overwrite",
+            *again,
+        ]
+    )
     run = json.loads((out / "run.json").read_text())
     return found | {"fps": run["frames_per_second"], "frames": run["frames"]}
 
@@ -85,12 +127,14 @@ def ours(video: Path, folder: Path, *options: str) -> dict[str, float]:
 def plain(video: Path, out: str) -> dict[str, float]:
     """The same of the plain loop, in a process of its own."""
     with tempfile.NamedTemporaryFile() as said:
-        found = _process([sys.executable, "-m", "benchmarks.command", "--loop", str(video), out], said.fileno())
+        found = _process(
+            [sys.executable, "-m", "benchmarks.command", "--loop", str(video), out], said.fileno()
+        )
         return found | json.loads(Path(said.name).read_text())
 
 
-# Runs a command and tells the processor seconds and the peak of it alone: a process begins with the peak of the one that
-# started it, so that one has to be small.
+# Runs a command and tells the processor seconds and the peak of it alone: a process begins with the
+# peak of the one that started it, so that one has to be small.
 _MEASURED = """import json, resource, subprocess, sys
 status = subprocess.run(sys.argv[2:]).returncode
 used = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -103,17 +147,22 @@ def _process(command: list[str], said: int | None = None) -> dict[str, float]:
         began = time.perf_counter()
         measured = [sys.executable, "-c", _MEASURED, told.name, *command]
         subprocess.run(measured, stdout=subprocess.DEVNULL if said is None else said, check=True)
-        wall, (status, cpu, peak) = time.perf_counter() - began, json.load(told)
+        wall = time.perf_counter() - began
+        status, cpu, peak = json.load(told)
     if status:
         raise RuntimeError(f"{' '.join(command)} ended with status {status}")
     return {"wall": wall, "cpu": cpu, "peak": peak / (2**20 if sys.platform == "darwin" else 2**10)}
 
 
 class Sort:
-    """SORT as published: a Kalman filter of centre, area and shape for each track, assignment by overlap."""
+    """SORT as published: a Kalman filter of centre, area and shape for each track, assignment by
+    overlap.
+    """
 
     def __init__(self, least: float = 0.3, patience: int = 5) -> None:
-        self._least, self._patience, self._next = least, patience, 1
+        self._least = least
+        self._patience = patience
+        self._next = 1
         self.tracks: list[list[Any]] = []
         self._f = np.eye(7) + np.eye(7, k=4) * (np.arange(7) < 3)[:, None]
         self._q = np.diag([1, 1, 1, 1, 0.01, 0.01, 1e-4])
@@ -129,12 +178,17 @@ class Sort:
             track[1], track[2] = self._f @ track[1], self._f @ track[2] @ self._f.T + self._q
             track[3] += 1
         overlap = iou(np.array([_box(track[1]) for track in self.tracks]).reshape(-1, 4), boxes)
-        pairs = [(i, j) for i, j in zip(*linear_sum_assignment(-overlap), strict=True) if overlap[i, j] >= self._least]
+        pairs = [
+            (i, j)
+            for i, j in zip(*linear_sum_assignment(-overlap), strict=True)
+            if overlap[i, j] >= self._least
+        ]
         for i, j in pairs:
             track = self.tracks[i]
             gain = track[2][:, :4] @ np.linalg.inv(track[2][:4, :4] + self._r)
             track[1] = track[1] + gain @ (_measured(boxes[j]) - track[1][:4])
-            track[2], track[3] = track[2] - gain @ track[2][:4], 0
+            track[2] = track[2] - gain @ track[2][:4]
+            track[3] = 0
         for j in set(range(len(boxes))) - {j for _, j in pairs}:
             state = np.concatenate([_measured(boxes[j]), np.zeros(3)])
             self.tracks.append([self._next, state, np.diag([10.0, 10, 10, 10, 1e4, 1e4, 1e4]), 0])
@@ -145,7 +199,8 @@ class Sort:
 
 def _measured(box: np.ndarray) -> np.ndarray:
     """Centre, area and shape of a box."""
-    width, height = box[2] - box[0], box[3] - box[1]
+    width = box[2] - box[0]
+    height = box[3] - box[1]
     return np.array([(box[0] + box[2]) / 2, (box[1] + box[3]) / 2, width * height, width / height])
 
 
@@ -153,25 +208,42 @@ def _box(state: np.ndarray) -> np.ndarray:
     """The box of a state."""
     width = np.sqrt(max(state[2] * state[3], 1.0))
     height = max(state[2], 1.0) / width
-    return np.array([state[0] - width / 2, state[1] - height / 2, state[0] + width / 2, state[1] + height / 2])
+    return np.array(
+        [state[0] - width / 2, state[1] - height / 2, state[0] + width / 2, state[1] + height / 2]
+    )
 
 
 def loop(video: str, out: str) -> float:
     """Frames a second of what one would write oneself, at the video's own size."""
-    capture, tracker = cv2.VideoCapture(video), Sort()
-    subtractor, window = cv2.createBackgroundSubtractorMOG2(detectShadows=True), np.ones((5, 5), np.uint8)
+    capture = cv2.VideoCapture(video)
+    tracker = Sort()
+    subtractor = cv2.createBackgroundSubtractorMOG2(detectShadows=True)
+    window = np.ones((5, 5), np.uint8)
     size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
-    writer = None if out == "-" else cv2.VideoWriter(out, cv2.VideoWriter.fourcc(*"mp4v"), RATE, size)
-    frames, began = 0, time.perf_counter()
+    writer = (
+        None if out == "-" else cv2.VideoWriter(out, cv2.VideoWriter.fourcc(*"mp4v"), RATE, size)
+    )
+    frames = 0
+    began = time.perf_counter()
     while (shot := capture.read())[0]:
         mask = cv2.compare(subtractor.apply(shot[1]), 200, cv2.CMP_GT)
-        mask = cv2.morphologyEx(cv2.morphologyEx(mask, cv2.MORPH_OPEN, window), cv2.MORPH_CLOSE, window)
-        found = [cv2.boundingRect(each) for each in cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]]
-        boxes = np.array([(x, y, x + w, y + h) for x, y, w, h in found if w * h > 5e-4 * size[0] * size[1]], np.float64)
+        mask = cv2.morphologyEx(
+            cv2.morphologyEx(mask, cv2.MORPH_OPEN, window), cv2.MORPH_CLOSE, window
+        )
+        found = [
+            cv2.boundingRect(each)
+            for each in cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
+        ]
+        boxes = np.array(
+            [(x, y, x + w, y + h) for x, y, w, h in found if w * h > 5e-4 * size[0] * size[1]],
+            np.float64,
+        )
         for identity, box in tracker.update(boxes.reshape(-1, 4)):
             left, top, right, bottom = box.round().astype(int).tolist()
             cv2.rectangle(shot[1], (left, top), (right, bottom), (0, 255, 0), 2)
-            cv2.putText(shot[1], str(identity), (left, top), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (0, 255, 0), 2)
+            cv2.putText(
+                shot[1], str(identity), (left, top), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (0, 255, 0), 2
+            )
         if writer is not None:
             writer.write(shot[1])
         frames += 1
@@ -181,14 +253,16 @@ def loop(video: str, out: str) -> float:
 
 
 def detectors(video: Path, warm: int = 20) -> dict[str, float]:
-    """Median milliseconds a frame: `change` at the command's width, shrinking included, and then MOG2 at the full one.
+    """Median milliseconds a frame: `change` at the command's width, shrinking included, and then
+    MOG2 at the full one.
 
     One after the other, for each empties the other's caches.
     """
     from phdtrack.detect.registry import make_detector, study, working_width
     from phdtrack.video import open_source
 
-    source, subtractor = open_source(video), cv2.createBackgroundSubtractorMOG2(detectShadows=True)
+    source = open_source(video)
+    subtractor = cv2.createBackgroundSubtractorMOG2(detectShadows=True)
     change = make_detector("change", max_width=working_width("change", None, source.info))
     study(change, source, source.sample)
     taken: dict[str, list[float]] = {"change": [], "mog2": []}
@@ -207,10 +281,12 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
         raise Skipped("not in this scale")
     if sys.platform == "win32":
         raise Skipped("this system does not tell the peak memory of a process that has ended")
-    rows, entry = list[Row](), dict[str, Any]()
+    rows = list[Row]()
+    entry = dict[str, Any]()
     for name, size in SIZES.items():
         with tempfile.TemporaryDirectory() as folder:
-            video, out = Path(folder) / "video.mp4", Path(folder) / "plain.mp4"
+            video = Path(folder) / "video.mp4"
+            out = Path(folder) / "plain.mp4"
             say(f"making {name}")
             make(video, size.width, size.height, size.frames * (3 if scale.name == "full" else 1))
             kinds = [("with video", size.with_video), ("--no-video", size.without)]
@@ -218,17 +294,42 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
             for kind, least in kinds:
                 say(f"{name}, {kind}")
                 options = kind.split() if kind.startswith("--") else []
-                mine, other = ours(video, Path(folder), *options), plain(video, "-" if kind == "--no-video" else str(out))
+                mine = ours(video, Path(folder), *options)
+                other = plain(video, "-" if kind == "--no-video" else str(out))
                 entry[f"{name} {kind}"] = {"phdtrack": mine, "plain loop": other}
                 note = f"plain loop {other['fps']:.0f}, ratio {mine['fps'] / other['fps']:.2f}; "
                 note += f"{1e3 * mine['cpu'] / mine['frames']:.1f} ms of processor a frame, {mine['wall']:.1f} s in all"
-                rows.append(Row(f"phdtrack track, {name}, {kind}", mine["fps"], "frames/s", least=least, note=note))
+                rows.append(
+                    Row(
+                        f"phdtrack track, {name}, {kind}",
+                        mine["fps"],
+                        "frames/s",
+                        least=least,
+                        note=note,
+                    )
+                )
                 most = MEMORY if name == "1080p" else None
-                rows.append(Row(f"peak, {name}, {kind}", mine["peak"], "MiB", most=most, note=f"plain {other['peak']:.0f}"))
+                rows.append(
+                    Row(
+                        f"peak, {name}, {kind}",
+                        mine["peak"],
+                        "MiB",
+                        most=most,
+                        note=f"plain {other['peak']:.0f}",
+                    )
+                )
             each = detectors(video)
             entry[f"{name} detectors"] = each
             most = min(DETECT, each["mog2"]) if name == "1080p" else None
-            rows.append(Row(f"change, {name}", each["change"], "ms", most=most, note=f"MOG2 {each['mog2']:.1f}"))
+            rows.append(
+                Row(
+                    f"change, {name}",
+                    each["change"],
+                    "ms",
+                    most=most,
+                    note=f"MOG2 {each['mog2']:.1f}",
+                )
+            )
     return Outcome(tuple(rows), {"command": entry})
 
 

@@ -1,4 +1,5 @@
-"""First use and start: how long `phdtrack track` compiles with an empty cache, how soon it tracks with a full one.
+"""First use and start: how long `phdtrack track` compiles with an empty cache, how soon it tracks
+with a full one.
 
     python -m benchmarks.compile
 
@@ -46,14 +47,18 @@ with watched() as kernels:
 
 # Numba has no types.
 class _Listener(event.Listener):  # type: ignore[misc]
-    """Adds up seconds of processor time. Numba compiles one function at a time, and those that it calls in between."""
+    """Adds up seconds of processor time. Numba compiles one function at a time, and those that it
+    calls in between.
+    """
 
     def __init__(self) -> None:
         self.kernels: dict[str, float] = {}
         self._stack: list[list[float]] = []
 
     def on_start(self, event: event.Event) -> None:
-        """A function begins to be compiled: when, and the seconds of kernels compiled on its behalf."""
+        """A function begins to be compiled: when, and the seconds of kernels compiled on its
+        behalf.
+        """
         self._stack.append([time.thread_time(), 0.0])
 
     def on_end(self, event: event.Event) -> None:
@@ -63,24 +68,29 @@ class _Listener(event.Listener):  # type: ignore[misc]
         passed = time.thread_time() - clock
         ours = function.__module__.startswith("phdtrack.")
         if ours:
-            self.kernels[function.__name__] = self.kernels.get(function.__name__, 0.0) + passed - within
+            self.kernels[function.__name__] = (
+                self.kernels.get(function.__name__, 0.0) + passed - within
+            )
         if self._stack:
             self._stack[-1][1] += passed if ours else within
 
 
 @contextmanager
 def watched() -> Iterator[dict[str, float]]:
-    """Seconds of processor time by name of kernel, filled while this lasts; each without the kernels that it calls."""
+    """Seconds of processor time by name of kernel, filled while this lasts; each without the
+    kernels that it calls.
+    """
     listener = _Listener()
     with event.install_listener("numba:compile", listener):
         yield listener.kernels
 
 
 def measure(starts: int = 5) -> dict[str, Any]:
-    """What a first run compiles, and how soon after its start a process has tracked its first frame.
+    """What a first run compiles, and how soon after its start a process has tracked its first
+    frame.
 
-    ``compile_s``: processor time of all that was compiled, ``kernels``: of each; ``first_use_s`` to the first frame in that
-    run; ``start_s`` in the fastest of ``starts`` runs after it.
+    ``compile_s``: processor time of all that was compiled, ``kernels``: of each; ``first_use_s`` to
+    the first frame in that run; ``start_s`` in the fastest of ``starts`` runs after it.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -97,9 +107,12 @@ def measure(starts: int = 5) -> dict[str, Any]:
 
 
 def detections(path: Path, frames: int = 40, objects: int = 5, seed: int = 1) -> None:
-    """A MOTChallenge file of objects that walk through a frame of 640x480, with jitter, misses and clutter."""
+    """A MOTChallenge file of objects that walk through a frame of 640x480, with jitter, misses and
+    clutter.
+    """
     rng = np.random.default_rng(seed)
-    place, speed = rng.uniform((50, 50), (500, 350), (objects, 2)), rng.normal(0, 2, (objects, 2))
+    place = rng.uniform((50, 50), (500, 350), (objects, 2))
+    speed = rng.normal(0, 2, (objects, 2))
     rows = []
     for number in range(1, frames + 1):
         place = place + speed
@@ -111,10 +124,22 @@ def detections(path: Path, frames: int = 40, objects: int = 5, seed: int = 1) ->
 
 def _run(folder: Path) -> dict[str, Any]:
     """One process, with a cache of its own in ``folder``."""
-    options = ["track", "--detections", str(folder / "det.txt"), "--frame-size", "640x480", "--fps", "25"]
+    options = [
+        "track",
+        "--detections",
+        str(folder / "det.txt"),
+        "--frame-size",
+        "640x480",
+        "--fps",
+        "25",
+    ]
     out = ["--out", str(folder / "run"), "--overwrite"]
-    # Bytecode is kept, as an installation has it, also where the shell forbids it: that work is no part of a start.
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(folder / "cache"), "PYTHONDONTWRITEBYTECODE": ""}
+    # Bytecode is kept, as an installation has it, also where the shell forbids it: that work is no
+    # part of a start.
+    environment = os.environ | {
+        "NUMBA_CACHE_DIR": str(folder / "cache"),
+        "PYTHONDONTWRITEBYTECODE": "",
+    }
     began = time.time()
     command = [sys.executable, "-c", PROGRAM, str(folder / "report.json"), *options, *out]
     subprocess.run(command, check=True, env=environment, stdout=subprocess.DEVNULL)
@@ -127,8 +152,12 @@ def main() -> None:
     found = measure()
     for name, seconds in sorted(found["kernels"].items(), key=lambda pair: -pair[1]):
         print(f"{seconds:8.2f} s  {name}")
-    print(f"{found['compile_s']:8.2f} s  these {len(found['kernels'])}, each without those that it calls")
-    print(f"first frame after {found['first_use_s']:.1f} s on first use, {found['start_s']:.2f} s from then on")
+    print(
+        f"{found['compile_s']:8.2f} s  these {len(found['kernels'])}, each without those that it calls"
+    )
+    print(
+        f"first frame after {found['first_use_s']:.1f} s on first use, {found['start_s']:.2f} s from then on"
+    )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-"""D14's time: 475 frames of the simulated corridor with N = 4000, on one core (the paper: 53 s and 63 s).
+"""D14's time: 475 frames of the simulated corridor with N = 4000, on one core (the paper: 53 s and
+63 s).
 
-The MCMC filter samples the posterior of given associations, ``mcmc`` with moves between the targets' common ancestors,
-``mcmc_each`` with ancestors of every target's own; all with extraction.
+The MCMC filter samples the posterior of given associations, ``mcmc`` with moves between the
+targets' common ancestors, ``mcmc_each`` with ancestors of every target's own; all with extraction.
 """
 
 from __future__ import annotations
@@ -30,10 +31,21 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
             # The first round compiles.
             if repeat:
                 spent[key].append(took(began, clock()))
-    rows, seconds = [], {}
+    rows = []
+    seconds = {}
     for key, each in spent.items():
         wall, cpu = (Spread.of(times) for times in zip(*each, strict=True))
         seconds[key] = wall.median
         note = f"least {wall.least:.2f} s; settings and measurements included"
-        rows.append(Row(f"{NAMES[key]}, N = {number}, 475 frames", wall.median, "s", wall, LIMIT, note=note, cpu=cpu.median))
+        rows.append(
+            Row(
+                f"{NAMES[key]}, N = {number}, 475 frames",
+                wall.median,
+                "s",
+                wall,
+                LIMIT,
+                note=note,
+                cpu=cpu.median,
+            )
+        )
     return Outcome(tuple(rows), {"d14_seconds": seconds})

@@ -2,8 +2,9 @@
 
     python -m benchmarks.detectors
 
-The street scene with its usual look is rendered before the clock starts. The frames are gone through forwards and backwards,
-so that detectors which learn the scene have learned it before they are measured, and motion stays continuous.
+The street scene with its usual look is rendered before the clock starts. The frames are gone
+through forwards and backwards, so that detectors which learn the scene have learned it before they
+are measured, and motion stays continuous.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ SIZES = {"QCIF": (176, 144), "768x576": (768, 576), "1080p": (1920, 1080)}
 DETECTORS = ("change", "mean-background", "mog2", "knn", "face", "person")
 FPS = 25.0
 RENDERED = 40
-# The default detector learns for four seconds; one that looks at each frame alone needs only its first call.
+# The default detector learns for four seconds; one that looks at each frame alone needs only its
+# first call.
 LEARNING = {"face": 1, "person": 1}
 LEARNED = 125
 
@@ -46,17 +48,29 @@ def endless(images: tuple[Image, ...]) -> Iterator[Frame]:
             yield Frame(number, (number - 1) / FPS, images[i])
 
 
-def measure(size: tuple[int, int], detector: str, frames: int = 60, seed: int = 1) -> dict[str, Any]:
-    """Time per frame of the detector of that name, with its defaults, on ``frames`` frames of ``size`` (width, height).
+def measure(
+    size: tuple[int, int], detector: str, frames: int = 60, seed: int = 1
+) -> dict[str, Any]:
+    """Time per frame of the detector of that name, with its defaults, on ``frames`` frames of
+    ``size`` (width, height).
 
     ``ms`` is the median, ``spread`` has the quartiles, ``detections`` is the mean number of boxes.
     """
-    look, source = make_detector(detector), endless(rendered(size, seed))
+    look = make_detector(detector)
+    source = endless(rendered(size, seed))
     boxes: list[int] = []
-    spent = seconds(lambda: boxes.append(len(look(next(source)))), frames, LEARNING.get(detector, LEARNED))
+    spent = seconds(
+        lambda: boxes.append(len(look(next(source)))), frames, LEARNING.get(detector, LEARNED)
+    )
     spread = Spread.of(spent, 1e3)
     mean = float(np.mean(boxes[-frames:]))
-    return {"size": list(size), "detector": detector, "ms": spread.median, "spread": spread.as_dict(), "detections": mean}
+    return {
+        "size": list(size),
+        "detector": detector,
+        "ms": spread.median,
+        "spread": spread.as_dict(),
+        "detections": mean,
+    }
 
 
 def main() -> None:

@@ -1,5 +1,5 @@
-"""Milliseconds of one extraction, on the intensities of the fused filter at M07's parameters and constant density; and of a
-frame's filter and extraction on one thread and on two.
+"""Milliseconds of one extraction, on the intensities of the fused filter at M07's parameters and
+constant density; and of a frame's filter and extraction on one thread and on two.
 
 python -m benchmarks.extraction
 """
@@ -18,15 +18,20 @@ from phdtrack.protocols import AnyStages, Model
 from phdtrack.types import F8, Estimates
 
 EXTRACTORS: dict[str, KMeans | Mixture] = {"kmeans": KMeans(), "mixture": Mixture()}
-WARM_UP, REPEATS = 12, 15
+WARM_UP = 12
+REPEATS = 15
 
 
 def intensities(targets: int, frames: int, seed: int = 1) -> list[tuple[Any, Any, Any]]:
-    """Of the last ``frames`` frames of a crowd: the filter's intensity, the measurements, the model."""
+    """Of the last ``frames`` frames of a crowd: the filter's intensity, the measurements, the
+    model.
+    """
     crowd = Crowd(targets, WARM_UP + frames)
-    stream, built = draw(crowd, seed), stages(crowd)
+    stream = draw(crowd, seed)
+    built = stages(crowd)
     rng = np.random.default_rng(seed)
-    state, out = built.filter.start(built.model, rng), []
+    state = built.filter.start(built.model, rng)
+    out = []
     for number, found in enumerate(stream.detections()):
         z = built.model.sensor.measure(found)
         state, _ = built.filter.step(state, z, built.model, 1.0, rng)
@@ -36,7 +41,9 @@ def intensities(targets: int, frames: int, seed: int = 1) -> list[tuple[Any, Any
 
 
 def measure(targets: int, kind: str = "kmeans", frames: int = 8, seed: int = 1) -> dict[str, float]:
-    """Milliseconds an extraction (the least and the median over frames of the least of repeats), particles and states."""
+    """Milliseconds an extraction (the least and the median over frames of the least of repeats),
+    particles and states.
+    """
     extractor = EXTRACTORS[kind]
     cases = intensities(targets, frames, seed)
     least = [seconds(lambda case=case: extractor.extract(*case), REPEATS).min() for case in cases]
@@ -49,25 +56,32 @@ def measure(targets: int, kind: str = "kmeans", frames: int = 8, seed: int = 1) 
     }
 
 
-def on_threads(targets: int, frames: int = 4, seed: int = 1, repeats: int = REPEATS) -> dict[str, float | bool]:
+def on_threads(
+    targets: int, frames: int = 4, seed: int = 1, repeats: int = REPEATS
+) -> dict[str, float | bool]:
     """Filter and extraction of a frame on one thread and on two, in turns.
 
-    ``one_ms``, ``two_ms`` : medians over ``frames`` frames of the least of ``repeats``; ``ratio`` : of the one to the other;
+    ``one_ms``, ``two_ms`` : medians over ``frames`` frames of the least of ``repeats``; ``ratio`` :
+        of the one to the other;
     ``identical`` : whether the states are the same to the bit.
     """
     crowd = Crowd(targets, WARM_UP + frames)
     built = [stages(crowd, sets=(f"filter.threads={n}",)) for n in (1, 2)]
-    least, identical = [], True
+    least = []
+    identical = True
     for state, z, model in intensities(targets, frames, seed):
 
         def frame(of: AnyStages, state: Any = state, z: F8 = z, model: Model = model) -> Estimates:
             after, _ = of.filter.step(state, z, model, 1.0, np.random.default_rng(seed))
             return of.extractor.extract(after, z, model)
 
-        least.append([times.min() for times in in_turns([partial(frame, of) for of in built], repeats)])
+        least.append(
+            [times.min() for times in in_turns([partial(frame, of) for of in built], repeats)]
+        )
         one, two = (frame(of) for of in built)
         identical &= all(
-            np.array_equal(getattr(one, name), getattr(two, name)) for name in ("state", "covariance", "weight")
+            np.array_equal(getattr(one, name), getattr(two, name))
+            for name in ("state", "covariance", "weight")
         )
     one_ms, two_ms = np.median(1e3 * np.array(least), axis=0).tolist()
     return {"one_ms": one_ms, "two_ms": two_ms, "ratio": one_ms / two_ms, "identical": identical}
@@ -79,7 +93,9 @@ def main() -> None:
         print("filter and extraction", targets, on_threads(targets), flush=True)
     for kind in EXTRACTORS:
         for targets in (10, 20, 100, 1000):
-            print(kind, targets, measure(targets, kind, frames=4 if targets > 300 else 8), flush=True)
+            print(
+                kind, targets, measure(targets, kind, frames=4 if targets > 300 else 8), flush=True
+            )
 
 
 if __name__ == "__main__":

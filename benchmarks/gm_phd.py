@@ -1,9 +1,10 @@
-"""The GM-PHD filter for boxes: µs per step (predict, births, update, prune, merge, cap) and OSPA against the truth.
+"""The GM-PHD filter for boxes: µs per step (predict, births, update, prune, merge, cap) and OSPA
+against the truth.
 
     python -m benchmarks.gm_phd
 
-The workload is `benchmarks.workload`'s, the model M09's for its density. Extraction is not part of a step; OSPA is between
-the centres of the components of weight ≥ 0.5 and the true ones.
+The workload is `benchmarks.workload`'s, the model M09's for its density. Extraction is not part of
+a step; OSPA is between the centres of the components of weight ≥ 0.5 and the true ones.
 """
 
 from __future__ import annotations
@@ -32,12 +33,16 @@ def measure(targets: int, seed: int = 1, frames: int = 60) -> dict[str, Any]:
     return steps(GMPHD(), stages(crowd).model, crowd, seed, _heavy)
 
 
-def steps(recursion: Filter[Any], model: Model, crowd: Crowd, seed: int, points: Points) -> dict[str, Any]:
+def steps(
+    recursion: Filter[Any], model: Model, crowd: Crowd, seed: int, points: Points
+) -> dict[str, Any]:
     """Median µs per step over the second half of the frames and all repeats, with what was tracked.
 
-    ``least`` is the median over the frames of each one's fastest repeat, ``cpu`` the median of the thread's processor time.
+    ``least`` is the median over the frames of each one's fastest repeat, ``cpu`` the median of the
+    thread's processor time.
     """
-    stream, frames = draw(crowd, seed), crowd.frames
+    stream = draw(crowd, seed)
+    frames = crowd.frames
     measured = [model.sensor.measure(found) for found in stream.detections()]
     spent = [_run(recursion, model, measured, None, points)[0] for _ in range(REPEATS)]
     wall, cpu = np.moveaxis(np.array(spent)[:, frames // 2 :], 2, 0)
@@ -59,10 +64,15 @@ def steps(recursion: Filter[Any], model: Model, crowd: Crowd, seed: int, points:
 def _run(
     recursion: Filter[Any], model: Model, measured: list[F8], stream: Stream | None, points: Points
 ) -> tuple[list[Any], ...]:
-    """Seconds on the wall and of the processor, components and mass of every frame, and with the ``stream`` OSPA."""
+    """Seconds on the wall and of the processor, components and mass of every frame, and with the
+    ``stream`` OSPA.
+    """
     rng = np.random.default_rng(0)
     state = recursion.start(model, rng)
-    spent, components, mass, distance = [], [], [], []
+    spent = []
+    components = []
+    mass = []
+    distance = []
     for number, z in enumerate(measured, start=1):
         began = clock()
         state, info = recursion.step(state, z, model, 1.0, rng)

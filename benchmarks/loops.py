@@ -1,4 +1,6 @@
-"""Trackers over a stream of detections, in turns: all see the same frames, on the same machine, at the same time."""
+"""Trackers over a stream of detections, in turns: all see the same frames, on the same machine, at
+the same time.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ from experiments.scans import ospa
 from phdtrack.protocols import AnyStages
 from phdtrack.types import F8, Detections
 
-# Frames by turns: long enough that each finds its own data in the cache again, short against the machine's moods.
+# Frames by turns: long enough that each finds its own data in the cache again, short against the
+# machine's moods.
 TURN = 6
 # OSPA between centres, pixels: a target too many or too few costs about its height.
 CUTOFF = 50.0
@@ -29,17 +32,21 @@ class Loop(Protocol):
 
 
 class Ours:
-    """phdtrack's stages, the filter's step and the extraction, and the association where ``link``."""
+    """phdtrack's stages, the filter's step and the extraction, and the association where
+    ``link``.
+    """
 
     def __init__(self, stages: AnyStages, seed: int, *, link: bool = False) -> None:
-        self.stages, self.link = stages, link
+        self.stages = stages
+        self.link = link
         self.rng = np.random.default_rng(seed)
         self.state: Any = stages.filter.start(stages.model, self.rng)
         self.association: Any = stages.associator.start()
 
     def frame(self, number: int, detections: Detections) -> tuple[tuple[Took, ...], F8]:
         """Seconds of filter, extraction and association."""
-        stages, model = self.stages, self.stages.model
+        model = self.stages.model
+        stages = self.stages
         began = clock()
         z = model.sensor.measure(detections)
         self.state, _ = stages.filter.step(self.state, z, model, model.rate / RATE, self.rng)
@@ -47,17 +54,23 @@ class Ours:
         found = stages.extractor.extract(self.state, z, model)
         extracted = clock()
         if self.link:
-            self.association, _ = stages.associator.extend(self.association, found, z, number, model.rate / RATE, model)
+            self.association, _ = stages.associator.extend(
+                self.association, found, z, number, model.rate / RATE, model
+            )
         ended = clock()
-        return (took(began, filtered), took(filtered, extracted), took(extracted, ended)), found.state[:2]
+        return (
+            took(began, filtered),
+            took(filtered, extracted),
+            took(extracted, ended),
+        ), found.state[:2]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lap:
     """What one loop did.
 
-    ``seconds`` and ``cpu`` (T, stages): by the clock on the wall, and of processor time that the thread was given;
-    ``count`` (T,) states found less truth; ``ospa`` (T,) pixels.
+    ``seconds`` and ``cpu`` (T, stages): by the clock on the wall, and of processor time that the
+    thread was given; ``count`` (T,) states found less truth; ``ospa`` (T,) pixels.
     """
 
     seconds: F8
@@ -79,12 +92,14 @@ class Lap:
 def race(loops: Sequence[Loop], stream: Stream, warm_up: int, budget: float = 20.0) -> list[Lap]:
     """All loops over the stream, in turns; the first ``warm_up`` frames do not count.
 
-    After ``budget`` seconds no further turn begins, once two turns have counted. The scores are not part of any time.
+    After ``budget`` seconds no further turn begins, once two turns have counted. The scores are not
+    part of any time.
     """
     detections = stream.detections()
     spent: list[list[tuple[Took, ...]]] = [[] for _ in loops]
     found: list[list[F8]] = [[] for _ in loops]
-    began, first = time.perf_counter(), 1
+    began = time.perf_counter()
+    first = 1
     while first <= len(detections):
         numbers = range(first, min(first + (warm_up if first == 1 else TURN), len(detections) + 1))
         for loop, times, centres in zip(loops, spent, found, strict=True):
@@ -101,12 +116,19 @@ def race(loops: Sequence[Loop], stream: Stream, warm_up: int, budget: float = 20
 
 def _lap(spent: list[tuple[Took, ...]], centres: list[F8], stream: Stream, skip: int) -> Lap:
     """The frames after ``skip``."""
-    count, distance = [], []
+    count = []
+    distance = []
     for number in range(skip + 1, len(spent) + 1):
-        truth, where = stream.truth_at(number), centres[number - 1]
+        truth = stream.truth_at(number)
+        where = centres[number - 1]
         count.append(where.shape[1] - len(truth))
         # The assignment of a thousand to a thousand is slow: a few frames tell.
         if len(truth) <= 300 or number % TURN == 0:
             distance.append(ospa(where, (truth[:, :2] + truth[:, 2:]).T / 2, CUTOFF))
     seconds = np.array(spent[skip:])
-    return Lap(seconds[:, :, 0], seconds[:, :, 1], np.array(count, np.float64), np.array(distance or [np.nan]))
+    return Lap(
+        seconds[:, :, 0],
+        seconds[:, :, 1],
+        np.array(count, np.float64),
+        np.array(distance or [np.nan]),
+    )

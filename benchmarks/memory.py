@@ -1,4 +1,6 @@
-"""Bytes per particle at the peak of a step, and memory along a sequence; measured in processes of their own."""
+"""Bytes per particle at the peak of a step, and memory along a sequence; measured in processes of
+their own.
+"""
 
 from __future__ import annotations
 
@@ -22,15 +24,21 @@ def asked(what: str, number: int) -> dict[str, Any]:
     root = Path(__file__).resolve().parent.parent
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=root)
     if done.returncode:
-        raise RuntimeError(f"memory_process {what} ended with: {(done.stderr.strip().splitlines() or ['no word'])[-1]}")
+        raise RuntimeError(
+            f"memory_process {what} ended with: {(done.stderr.strip().splitlines() or ['no word'])[-1]}"
+        )
     result: dict[str, Any] = json.loads(done.stdout)
     return result
 
 
 def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
-    """The filter's peak, and the growth along a sequence of filter and extraction, and of the whole tracker."""
+    """The filter's peak, and the growth along a sequence of filter and extraction, and of the whole
+    tracker.
+    """
     if not Path("/proc/self/clear_refs").exists():
-        raise Skipped("this system does not tell a process's peak memory and set it back (Linux does)")
+        raise Skipped(
+            "this system does not tell a process's peak memory and set it back (Linux does)"
+        )
     say(f"peak, {scale.memory_at} targets")
     top = asked("peak", scale.memory_at)
     rows = [
@@ -44,7 +52,10 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
         Row("peak of the process", top["peak"] / 2**20, "MiB"),
     ]
     entries: dict[str, Any] = {"peak": top}
-    for what, name in (("flat", "filter and extraction"), ("tracker", "whole tracker, which keeps its tracks")):
+    for what, name in (
+        ("flat", "filter and extraction"),
+        ("tracker", "whole tracker, which keeps its tracks"),
+    ):
         say(f"{name}, {scale.memory_frames} frames")
         along = asked(what, scale.memory_frames)
         entries[what] = along

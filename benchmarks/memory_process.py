@@ -1,8 +1,10 @@
-"""Measures the memory of one filter in a process of its own, started by `benchmarks.memory`; prints JSON.
+"""Measures the memory of one filter in a process of its own, started by `benchmarks.memory`; prints
+JSON.
 
-    python -m benchmarks.memory_process peak TARGETS        peak of a step over what was there, and particles
-    python -m benchmarks.memory_process flat FRAMES         resident memory along a sequence of 10 targets
-    python -m benchmarks.memory_process tracker FRAMES      the same of a whole `Tracker`
+    python -m benchmarks.memory_process peak TARGETS        peak of a step over what was there, and
+    particles python -m benchmarks.memory_process flat FRAMES         resident memory along a
+    sequence of 10 targets python -m benchmarks.memory_process tracker FRAMES      the same of a
+    whole `Tracker`
 
 Linux tells both numbers: VmRSS, and VmHWM, its peak, which can be set back.
 """
@@ -35,9 +37,12 @@ def resident(what: str = "VmRSS") -> int:
 
 
 def peak(targets: int) -> dict[str, Any]:
-    """Bytes per particle, old and newborn, that a step needs beyond what is there before the first frame."""
+    """Bytes per particle, old and newborn, that a step needs beyond what is there before the first
+    frame.
+    """
     frames = WARM_UP + 4
-    small, crowd = Crowd(min(10, targets), frames), Crowd(targets, frames)
+    small = Crowd(min(10, targets), frames)
+    crowd = Crowd(targets, frames)
     warm = Ours(stages(small, worst=True), 1)
     for number, found in enumerate(draw(small, 1).detections(), start=1):
         warm.frame(number, found)
@@ -46,25 +51,35 @@ def peak(targets: int) -> dict[str, Any]:
     before = resident()
     Path("/proc/self/clear_refs").write_text("5")
     out: dict[str, Any] = {"targets": targets, "before": before}
-    loop, most = Ours(stages(crowd, worst=True), 1), 0
-    model, particle_filter = loop.stages.model, loop.stages.filter
+    loop = Ours(stages(crowd, worst=True), 1)
+    most = 0
+    model = loop.stages.model
+    particle_filter = loop.stages.filter
     for found in detections:
         old = len(loop.state)
-        loop.state, _ = particle_filter.step(loop.state, model.sensor.measure(found), model, 1.0, loop.rng)
+        loop.state, _ = particle_filter.step(
+            loop.state, model.sensor.measure(found), model, 1.0, loop.rng
+        )
         most = max(most, old + NEWBORN * len(found))
     out |= {"particles": most, "filter": (resident("VmHWM") - before) / most}
     for number, found in enumerate(detections, start=1):
         loop.frame(number, found)
-    return out | {"filter_and_extraction": (resident("VmHWM") - before) / most, "peak": resident("VmHWM")}
+    return out | {
+        "filter_and_extraction": (resident("VmHWM") - before) / most,
+        "peak": resident("VmHWM"),
+    }
 
 
 def flat(frames: int, whole: bool) -> dict[str, Any]:
-    """Resident memory after a tenth of the frames and at the end, and the growth per frame between."""
+    """Resident memory after a tenth of the frames and at the end, and the growth per frame
+    between.
+    """
     crowd = Crowd(10, min(frames, 500))
     detections = draw(crowd, 1).detections()
     loop = Ours(stages(crowd), 1)
     tracker = Tracker((crowd.info.width, crowd.info.height), fps=RATE)
-    marks, began = [], time.perf_counter()
+    marks = []
+    began = time.perf_counter()
     for number in range(frames):
         found = detections[number % len(detections)]
         if whole:
@@ -78,12 +93,19 @@ def flat(frames: int, whole: bool) -> dict[str, Any]:
     slope = float(np.polyfit(np.linspace(0.1, 1, len(after)) * frames, after, 1)[0])
     grown = after[-1] - after[0]
     spent = time.perf_counter() - began
-    return {"frames": frames, "resident": marks, "grown": grown, "bytes_per_frame": slope, "seconds": spent}
+    return {
+        "frames": frames,
+        "resident": marks,
+        "grown": grown,
+        "bytes_per_frame": slope,
+        "seconds": spent,
+    }
 
 
 def main() -> None:
     """Measure what the arguments say."""
-    what, number = sys.argv[1], int(sys.argv[2])
+    what = sys.argv[1]
+    number = int(sys.argv[2])
     result = peak(number) if what == "peak" else flat(number, what == "tracker")
     print(json.dumps(result))
 

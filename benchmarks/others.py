@@ -1,4 +1,6 @@
-"""Parts that are measured by one function each: Gaussian filters, extraction, association, detectors, the whole process."""
+"""Parts that are measured by one function each: Gaussian filters, extraction, association,
+detectors, the whole process.
+"""
 
 from __future__ import annotations
 
@@ -33,11 +35,20 @@ def pmb(scale: Scale, say: Callable[[str], None]) -> Outcome:
 
 
 def _steps(
-    name: str, title: str, limits: dict[int, float], most: float | None, scale: Scale, say: Callable[[str], None]
+    name: str,
+    title: str,
+    limits: dict[int, float],
+    most: float | None,
+    scale: Scale,
+    say: Callable[[str], None],
 ) -> Outcome:
-    """µs per step of the filter that the module ``name`` measures, and how they grow, by no more than to the ``most``-th."""
+    """µs per step of the filter that the module ``name`` measures, and how they grow, by no more
+    than to the ``most``-th.
+    """
     measure = _module(name).measure
-    rows, us, details = [], {}, {}
+    rows = []
+    us = {}
+    details = {}
     for targets in scale.sizes:
         say(f"{targets} targets")
         found = measure(targets, seed=1, frames=min(scale.frames, 60))
@@ -55,8 +66,17 @@ def _steps(
             )
         )
     growth = exponent([float(n) for n in us], list(us.values()))
-    rows.append(Row(f"{title}, growth exponent, {scale.sizes[0]} … {scale.sizes[-1]} targets", growth, "", most=most))
-    return Outcome(tuple(rows), {f"{name}_us": us, name: {"growth_exponent": growth, "runs": details}})
+    rows.append(
+        Row(
+            f"{title}, growth exponent, {scale.sizes[0]} … {scale.sizes[-1]} targets",
+            growth,
+            "",
+            most=most,
+        )
+    )
+    return Outcome(
+        tuple(rows), {f"{name}_us": us, name: {"growth_exponent": growth, "runs": details}}
+    )
 
 
 def extraction(scale: Scale, say: Callable[[str], None]) -> Outcome:
@@ -68,18 +88,28 @@ def extraction(scale: Scale, say: Callable[[str], None]) -> Outcome:
         for targets in scale.sizes[::2]:
             say(f"{kind}, {targets} targets")
             found = sizes[str(targets)] = measure(targets, kind, frames=2)
-            rows.append(Row(f"{kind}, {targets} targets", found["ms"], "ms", note=_rest(found, "ms")))
+            rows.append(
+                Row(f"{kind}, {targets} targets", found["ms"], "ms", note=_rest(found, "ms"))
+            )
     return Outcome(tuple(rows), {"extraction": entry})
 
 
 def association(scale: Scale, say: Callable[[str], None]) -> Outcome:
     """µs per frame of the association."""
     measure = _module("association").measure
-    rows, entry = [], {}
+    rows = []
+    entry = {}
     for targets in scale.sizes[::2]:
         say(f"{targets} targets")
         found = entry[str(targets)] = measure(targets)
-        rows.append(Row(f"association, {targets} targets", found["median"], "µs", note=_rest(found, "median")))
+        rows.append(
+            Row(
+                f"association, {targets} targets",
+                found["median"],
+                "µs",
+                note=_rest(found, "median"),
+            )
+        )
     return Outcome(tuple(rows), {"association": entry})
 
 
@@ -94,11 +124,15 @@ def detectors(scale: Scale, say: Callable[[str], None]) -> Outcome:
     for size in module.SIZES:
         for detector in module.DETECTORS:
             say(f"{detector}, {size}")
-            frames = scale.repeats if detector not in module.LEARNING else max(3, scale.repeats // 5)
+            frames = (
+                scale.repeats if detector not in module.LEARNING else max(3, scale.repeats // 5)
+            )
             found = module.measure(module.SIZES[size], detector, frames=frames)
             entry.setdefault(size, {})[detector] = found
             note = f"{found['detections']:.1f} boxes a frame"
-            rows.append(Row(f"{detector}, {size}", found["ms"], "ms", Spread(**found["spread"]), note=note))
+            rows.append(
+                Row(f"{detector}, {size}", found["ms"], "ms", Spread(**found["spread"]), note=note)
+            )
     return Outcome(tuple(rows), {"detectors": entry})
 
 
@@ -118,7 +152,9 @@ def process(scale: Scale, say: Callable[[str], None]) -> Outcome:
         entry[detector] = found
         note = f"without start and report {found['without_start']:.0f} frames/s; stages, ms: "
         note += ", ".join(f"{name} {ms:.2g}" for name, ms in found["stage_ms"].items())
-        rows.append(Row(f"{found['video']}, {detector}", found["frames_per_second"], "frames/s", note=note))
+        rows.append(
+            Row(f"{found['video']}, {detector}", found["frames_per_second"], "frames/s", note=note)
+        )
     return Outcome(tuple(rows), {"process": entry})
 
 
@@ -137,5 +173,9 @@ def first_use(scale: Scale, say: Callable[[str], None]) -> Outcome:
 
 def _rest(found: dict[str, Any], *but: str) -> str:
     """The other numbers of a measurement in a few words."""
-    words = [f"{key} {value:.3g}" for key, value in found.items() if isinstance(value, (int, float)) and key not in but]
+    words = [
+        f"{key} {value:.3g}"
+        for key, value in found.items()
+        if isinstance(value, (int, float)) and key not in but
+    ]
     return ", ".join(words)

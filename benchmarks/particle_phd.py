@@ -1,6 +1,8 @@
-"""The particle PHD filter on the workload: time per stage and target number, both forms of birth, one thread and two.
+"""The particle PHD filter on the workload: time per stage and target number, both forms of birth,
+one thread and two.
 
-``specified``: J_j = ⌈Jmax·max(0, 1 − M_j)⌉ newborn at a detection; ``worst``: Jmax at each, which the limits are for.
+``specified``: J_j = ⌈Jmax·max(0, 1 − M_j)⌉ newborn at a detection; ``worst``: Jmax at each, which
+the limits are for.
 """
 
 from __future__ import annotations
@@ -29,7 +31,10 @@ LIMIT_MS = {10: 0.7, 100: 7.0, 1000: 70.0}
 
 def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
     """All sizes, forms and thread numbers."""
-    rows, details, worst, of_cpu = [], [], {}, {}
+    rows = []
+    details = []
+    worst = {}
+    of_cpu = {}
     particles_per_target = pairs_per_target(Crowd(min(100, max(scale.sizes)), 12))
     for targets in scale.sizes:
         say(f"{targets} targets")
@@ -39,13 +44,24 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
             loops = [Ours(stages(crowd, worst=worst), seed, link=True) for worst in (True, False)]
             laps = race(loops, draw(crowd, seed), warm, scale.budget)
             for form, lap, loop in zip(("worst", "specified"), laps, loops, strict=True):
-                details.append(_detail(targets, form, seed, lap, len(loop.state), particles_per_target[form] * targets))
+                details.append(
+                    _detail(
+                        targets,
+                        form,
+                        seed,
+                        lap,
+                        len(loop.state),
+                        particles_per_target[form] * targets,
+                    )
+                )
         for form in ("worst", "specified"):
             mine = [d for d in details if d["targets"] == targets and d["form"] == form]
             rows.append(_row(targets, form, mine))
         mine = [d["total_ms"] for d in details if d["targets"] == targets and d["form"] == "worst"]
         worst[str(targets)] = float(np.median(mine))
-        mine = [d["cpu"]["median"] for d in details if d["targets"] == targets and d["form"] == "worst"]
+        mine = [
+            d["cpu"]["median"] for d in details if d["targets"] == targets and d["form"] == "worst"
+        ]
         of_cpu[str(targets)] = float(np.median(mine))
     growth = exponent([float(n) for n in worst], list(worst.values()))
     cpu_growth = exponent([float(n) for n in of_cpu], list(of_cpu.values()))
@@ -54,7 +70,9 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
     threads, more = _threads(scale, say)
     largest = [d for d in details if d["targets"] == scale.sizes[-1] and d["form"] == "worst"]
     ns = float(np.median([d["ns_per_pair"] for d in largest]))
-    rows.append(Row(f"filter per particle–detection pair, {scale.sizes[-1]} targets, worst", ns, "ns"))
+    rows.append(
+        Row(f"filter per particle–detection pair, {scale.sizes[-1]} targets, worst", ns, "ns")
+    )
     entries = {
         "particle_phd_ms": worst,
         "particle_phd": details,
@@ -66,7 +84,8 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
 
 
 def pairs_per_target(crowd: Crowd) -> dict[str, float]:
-    """Particle–detection pairs inside the gates, for each target: old particles and newborn, by form.
+    """Particle–detection pairs inside the gates, for each target: old particles and newborn, by
+    form.
 
     Counted on one frame with the general model; the density is the same at every size.
     """
@@ -75,7 +94,8 @@ def pairs_per_target(crowd: Crowd) -> dict[str, float]:
     stream = draw(crowd, 1).detections()
     for number, detections in enumerate(stream[:-1], start=1):
         loop.frame(number, detections)
-    z, rng = built.model.sensor.measure(stream[-1]), np.random.default_rng(1)
+    z = built.model.sensor.measure(stream[-1])
+    rng = np.random.default_rng(1)
     old = plain(loop.state)
     moved = ParticlePHD().predict(old, built.model, 1.0, rng).particles()
     lower, upper = built.model.sensor.gate(z)
@@ -85,7 +105,9 @@ def pairs_per_target(crowd: Crowd) -> dict[str, float]:
     covered = np.bincount(which[near], moved.weight[point[near]], z.shape[1])
     out = {}
     for form, mass in (("worst", np.zeros_like(covered)), ("specified", covered)):
-        born = built.model.birth.sample(z, np.asarray(mass, np.float64), built.model.sensor, 1.0, rng)
+        born = built.model.birth.sample(
+            z, np.asarray(mass, np.float64), built.model.sensor, 1.0, rng
+        )
         newborn, _ = points_in_rectangles(born.state[:2].astype(np.float64), lower, upper)
         out[form] = (len(point) + len(newborn)) / crowd.targets
     return out
@@ -96,8 +118,12 @@ def plain(state: Particles | ParticleBlocks) -> Particles:
     return state.particles() if isinstance(state, ParticleBlocks) else state
 
 
-def _detail(targets: int, form: str, seed: int, lap: Lap, particles: int, pairs: float) -> dict[str, Any]:
-    """What one run gave; the total is filter and extraction, M09's workload, without the association."""
+def _detail(
+    targets: int, form: str, seed: int, lap: Lap, particles: int, pairs: float
+) -> dict[str, Any]:
+    """What one run gave; the total is filter and extraction, M09's workload, without the
+    association.
+    """
     filtering, extraction, association = (Spread.of(column, 1e3) for column in lap.seconds.T)
     total = Spread.of(lap.seconds[:, :2].sum(axis=1), 1e3)
     cpu = Spread.of(lap.cpu[:, :2].sum(axis=1), 1e3)
@@ -171,5 +197,11 @@ def _threads(scale: Scale, say: Callable[[str], None]) -> tuple[dict[str, Any], 
             note=f"filter alone {alone:.2f} ×; {'same' if same else 'DIFFERENT'} particles; {cores} cores, not idle perhaps",
         ),
     ]
-    entry = {"targets": crowd.targets, "ratio": ratio, "filter_ratio": alone, "identical": same, "two_ms": spread.as_dict()}
+    entry = {
+        "targets": crowd.targets,
+        "ratio": ratio,
+        "filter_ratio": alone,
+        "identical": same,
+        "two_ms": spread.as_dict(),
+    }
     return entry, rows

@@ -107,9 +107,11 @@ SCALES: Mapping[str, Scale] = {scale.name: scale for scale in (QUICK, FULL, SMOK
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A line of the table: a value with its quartiles, and the limit it is held to (``most`` or ``least``).
+    """A line of the table: a value with its quartiles, and the limit it is held to (``most`` or
+    ``least``).
 
-    ``cpu`` is the same of the thread's processor time, which a busy machine does not lengthen; no limit is for it.
+    ``cpu`` is the same of the thread's processor time, which a busy machine does not lengthen; no
+    limit is for it.
     """
 
     what: str
@@ -126,7 +128,9 @@ class Row:
         """Whether the limit is kept; None where there is none."""
         if self.most is None and self.least is None:
             return None
-        return (self.most is None or self.value <= self.most) and (self.least is None or self.value >= self.least)
+        return (self.most is None or self.value <= self.most) and (
+            self.least is None or self.value >= self.least
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,11 +1,13 @@
-"""Runs one tracker of another library over given detections, in the peers' environment; for `benchmarks.whole_tracker`.
+"""Runs one tracker of another library over given detections, in the peers' environment; for
+`benchmarks.whole_tracker`.
 
     python -P peer_process.py TRACKER SETTINGS_JSON DETECTIONS.npz OUT.npz
 
-DETECTIONS holds ``frame`` (M,) from 1, ``xyxy`` (M, 4), ``confidence`` (M,) and ``frames``. OUT gets ``seconds`` and ``cpu``
-(frames,) of the update calls alone, by the clock on the wall and of processor time, and the rows that the tracker gave:
-``frame``, ``identity`` (−1 where a box has none yet), ``xyxy``. What a library needs as its input is made before the clock
-starts, what it returns is read after it stops. Imports nothing of phdtrack.
+DETECTIONS holds ``frame`` (M,) from 1, ``xyxy`` (M, 4), ``confidence`` (M,) and ``frames``. OUT
+gets ``seconds`` and ``cpu`` (frames,) of the update calls alone, by the clock on the wall and of
+processor time, and the rows that the tracker gave: ``frame``, ``identity`` (−1 where a box has none
+yet), ``xyxy``. What a library needs as its input is made before the clock starts, what it returns
+is read after it stops. Imports nothing of phdtrack.
 """
 
 import json
@@ -16,15 +18,21 @@ import numpy as np
 
 
 def roboflow(name, settings):
-    """The `trackers` package: what makes its input of boxes and scores, the call that is timed, what reads its result."""
+    """The `trackers` package: what makes its input of boxes and scores, the call that is timed,
+    what reads its result.
+    """
     import supervision as sv
     import trackers
 
-    tracker = {"sort": trackers.SORTTracker, "bytetrack": trackers.ByteTrackTracker}[name](**settings)
+    tracker = {"sort": trackers.SORTTracker, "bytetrack": trackers.ByteTrackTracker}[name](
+        **settings
+    )
 
     def prepare(xyxy, confidence):
         # Newer versions of supervision want no empty array of another shape.
-        return sv.Detections(xyxy.reshape(-1, 4), confidence=confidence, class_id=np.zeros(len(xyxy), int))
+        return sv.Detections(
+            xyxy.reshape(-1, 4), confidence=confidence, class_id=np.zeros(len(xyxy), int)
+        )
 
     def read(found):
         if found.tracker_id is None:
@@ -41,7 +49,10 @@ def norfair(settings):
     tracker = Tracker(distance_function="iou", **settings)
 
     def prepare(xyxy, confidence):
-        return [Detection(box.reshape(2, 2), np.full(2, score)) for box, score in zip(xyxy, confidence, strict=True)]
+        return [
+            Detection(box.reshape(2, 2), np.full(2, score))
+            for box, score in zip(xyxy, confidence, strict=True)
+        ]
 
     def read(objects):
         if not objects:
@@ -59,13 +70,18 @@ def main():
     prepare, update, read = norfair(settings) if name == "norfair" else roboflow(name, settings)
     frames = int(given["frames"])
     ends = np.searchsorted(given["frame"], np.arange(1, frames + 2))
-    seconds, cpu, rows = np.zeros(frames), np.zeros(frames), []
+    seconds = np.zeros(frames)
+    cpu = np.zeros(frames)
+    rows = []
     for index in range(frames):
-        lo, hi = ends[index], ends[index + 1]
+        lo = ends[index]
+        hi = ends[index + 1]
         detections = prepare(given["xyxy"][lo:hi], given["confidence"][lo:hi])
-        began, given_before = time.perf_counter(), time.thread_time()
+        began = time.perf_counter()
+        given_before = time.thread_time()
         found = update(detections)
-        seconds[index], cpu[index] = time.perf_counter() - began, time.thread_time() - given_before
+        seconds[index] = time.perf_counter() - began
+        cpu[index] = time.thread_time() - given_before
         identity, xyxy = read(found)
         rows.append((np.full(len(identity), index + 1), identity, xyxy))
     frame, identity, xyxy = (np.concatenate(column) for column in zip(*rows, strict=True))

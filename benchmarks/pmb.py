@@ -1,7 +1,9 @@
-"""The PMB filter for boxes: µs per step (predict, update, new targets, merge) and OSPA against the truth.
+"""The PMB filter for boxes: µs per step (predict, update, new targets, merge) and OSPA against the
+truth.
 
-The workload is `benchmarks.workload`'s, as many false alarms as targets, under the default settings. Extraction is not
-part of a step; OSPA is between the centres of the targets that are there with probability 0.5 or more and the true ones.
+The workload is `benchmarks.workload`'s, as many false alarms as targets, under the default
+settings. Extraction is not part of a step; OSPA is between the centres of the targets that are
+there with probability 0.5 or more and the true ones.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
-"""Frames per second of `phdtrack track` as a user sees them: the whole process, from its start to its end.
+"""Frames per second of `phdtrack track` as a user sees them: the whole process, from its start to
+its end.
 
     python -m benchmarks.process [VIDEO]
 
-Start, decoding, detecting, tracking, corrected tracks, annotated video and report are all in the time. The stages overlap in
-threads, so ``stage_ms`` may add up to more than a frame's share.
+Start, decoding, detecting, tracking, corrected tracks, annotated video and report are all in the
+time. The stages overlap in threads, so ``stage_ms`` may add up to more than a frame's share.
 """
 
 from __future__ import annotations
@@ -19,18 +20,26 @@ from typing import Any
 
 import numpy as np
 
-DATA = Path(os.environ.get("PHDTRACK_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+DATA = Path(
+    os.environ.get("PHDTRACK_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")
+)
 PETS = DATA / "mot15" / "PETS09-S2L1" / "PETS09-S2L1.mp4"
 DETECTORS = ("change", "mean-background", "mog2", "person")
 
 
-def measure(video: Path = PETS, detector: str = "change", repeats: int = 1, options: tuple[str, ...] = ()) -> dict[str, Any]:
+def measure(
+    video: Path = PETS, detector: str = "change", repeats: int = 1, options: tuple[str, ...] = ()
+) -> dict[str, Any]:
     """Run ``phdtrack track`` on ``video``; ``frames_per_second`` is the median over ``repeats``.
 
     ``frames_per_second`` is None, and ``reason`` says why, where the video is absent.
     """
     if not video.exists():
-        return {"detector": detector, "frames_per_second": None, "reason": f"{video} is not there; set PHDTRACK_DATA"}
+        return {
+            "detector": detector,
+            "frames_per_second": None,
+            "reason": f"{video} is not there; set PHDTRACK_DATA",
+        }
     runs = [_run(video, detector, options) for _ in range(repeats)]
     last = runs[-1][1]
     spent = [seconds for seconds, _ in runs]
@@ -75,8 +84,12 @@ def main() -> None:
             print(found["reason"])
             return
         stages = ", ".join(f"{name} {ms:.1f}" for name, ms in found["stage_ms"].items())
-        whole, without = found["frames_per_second"], found["without_start"]
-        print(f"{detector:16}{whole:7.1f} fps, without start and report {without:.1f} fps ({stages} ms)", flush=True)
+        whole = found["frames_per_second"]
+        without = found["without_start"]
+        print(
+            f"{detector:16}{whole:7.1f} fps, without start and report {without:.1f} fps ({stages} ms)",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -32,7 +32,9 @@ PARTS: tuple[Part, ...] = (
     Part("extraction", "Extraction, ms per frame", others.extraction, ("extraction",)),
     Part("stone-soup", "Stone Soup", stone_soup.run, stone_soup.KEYS),
     Part("association", "Association", others.association, ("association",)),
-    Part("tracker", "Whole tracker, detections in, tracks out", whole_tracker.run, whole_tracker.KEYS),
+    Part(
+        "tracker", "Whole tracker, detections in, tracks out", whole_tracker.run, whole_tracker.KEYS
+    ),
     Part("detectors", "Detectors, ms per frame", others.detectors, ("detectors",)),
     Part("first-use", "First use and start", others.first_use, ("first_use",)),
     Part("process", "phdtrack track, whole process", others.process, ("process",)),

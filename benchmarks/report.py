@@ -28,7 +28,10 @@ def machine() -> dict[str, Any]:
         "cores": os.cpu_count(),
         "system": platform.platform(),
         "load_at_start": load,
-        "threads": {name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")},
+        "threads": {
+            name: os.environ.get(name)
+            for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+        },
     }
 
 
@@ -88,7 +91,13 @@ class Paper:
 
 def _cells(row: Row) -> tuple[str, ...]:
     spread = f"{_number(row.spread.low)} … {_number(row.spread.high)}" if row.spread else ""
-    limit = f"≤ {row.most:g}" if row.most is not None else f"≥ {row.least:g}" if row.least is not None else ""
+    limit = (
+        f"≤ {row.most:g}"
+        if row.most is not None
+        else f"≥ {row.least:g}"
+        if row.least is not None
+        else ""
+    )
     kept = {True: "yes", False: "NO", None: ""}[row.kept]
     cpu = "" if row.cpu is None else _number(row.cpu)
     return row.what, f"{_number(row.value)} {row.unit}".rstrip(), cpu, spread, limit, kept, row.note

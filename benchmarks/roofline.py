@@ -1,11 +1,13 @@
-"""How far each stage is from what this machine allows: memory bandwidth, normals and exponentials measured in the same run.
+"""How far each stage is from what this machine allows: memory bandwidth, normals and exponentials
+measured in the same run.
 
-What a frame of the filter cannot avoid: every old particle is read and written once (24 bytes each way), moved by four
-normals and weighed by one exponential per detection in whose gate it is; every newborn needs four normals and its pairs. The
-floor is the larger of the two times, memory and arithmetic, on one thread. The extraction reads every particle once.
+What a frame of the filter cannot avoid: every old particle is read and written once (24 bytes each
+way), moved by four normals and weighed by one exponential per detection in whose gate it is; every
+newborn needs four normals and its pairs. The floor is the larger of the two times, memory and
+arithmetic, on one thread. The extraction reads every particle once.
 
-The bandwidth is STREAM's triad over three arrays of 128 MiB each or more, many times what a last-level cache holds. A limit
-is the best of its repeats: it is what the machine can do.
+The bandwidth is STREAM's triad over three arrays of 128 MiB each or more, many times what a
+last-level cache holds. A limit is the best of its repeats: it is what the machine can do.
 """
 
 from __future__ import annotations
@@ -56,11 +58,16 @@ def exponentials(x: F4, out: F4, calls: int) -> None:
 
 
 def limits(scale: Scale) -> dict[str, tuple[float, Spread]]:
-    """Bytes, normals and exponentials per nanosecond (10⁹ a second): the best of the repeats, and their spread."""
+    """Bytes, normals and exponentials per nanosecond (10⁹ a second): the best of the repeats, and
+    their spread.
+    """
     n = scale.triad
-    a, b, c = np.zeros(n), np.ones(n), np.ones(n)
+    a = np.zeros(n)
+    b = np.ones(n)
+    c = np.ones(n)
     s = np.zeros(ROWS * BLOCK, np.float32)
-    x, out = np.linspace(-40, 0, BLOCK, dtype=np.float32), np.zeros(BLOCK, np.float32)
+    x = np.linspace(-40, 0, BLOCK, dtype=np.float32)
+    out = np.zeros(BLOCK, np.float32)
     calls = 2000
     # Amounts in 10⁹ and what does them.
     work: dict[str, tuple[float, Callable[[], None]]] = {
@@ -68,7 +75,9 @@ def limits(scale: Scale) -> dict[str, tuple[float, Spread]]:
         "normals": (4e-9 * BLOCK * calls, lambda: normals(s, calls)),
         "exponentials": (1e-9 * BLOCK * calls, lambda: exponentials(x, out, calls)),
     }
-    rates = {name: amount / seconds(call, scale.repeats, 2) for name, (amount, call) in work.items()}
+    rates = {
+        name: amount / seconds(call, scale.repeats, 2) for name, (amount, call) in work.items()
+    }
     return {name: (float(rate.max()), Spread.of(rate)) for name, rate in rates.items()}
 
 
@@ -83,7 +92,8 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
     stream = draw(crowd, 1)
     loop = Ours(stages(crowd, worst=True), 1)
     (lap,) = race([loop], stream, min(12, crowd.frames // 2), scale.budget)
-    old, born = len(loop.state), NEWBORN * len(stream.table) / crowd.frames
+    old = len(loop.state)
+    born = NEWBORN * len(stream.table) / crowd.frames
     pairs = targets * pairs_per_target(Crowd(min(100, targets), min(12, crowd.frames)))["worst"]
     parts = {
         "memory": 2 * PARTICLE * old / best["bandwidth"] * 1e-6,
@@ -105,8 +115,21 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
         note = f"floor {floor:.3g} ms"
         if stage == "filter":
             note += " of " + ", ".join(f"{name} {ms:.3g}" for name, ms in parts.items())
-        rows.append(Row(f"{stage}, {targets} targets, over its floor", spent.median / floor, "×", note=note))
-        stage_entries[stage] = {"ms": spent.as_dict(), "floor_ms": floor, "over_floor": spent.median / floor}
-    rate = {name: {"best": fastest, **spread.as_dict()} for name, (fastest, spread) in measured.items()}
-    entry = {"limits_per_ns": rate, "targets": targets, "floor_parts_ms": parts, "stages": stage_entries}
+        rows.append(
+            Row(f"{stage}, {targets} targets, over its floor", spent.median / floor, "×", note=note)
+        )
+        stage_entries[stage] = {
+            "ms": spent.as_dict(),
+            "floor_ms": floor,
+            "over_floor": spent.median / floor,
+        }
+    rate = {
+        name: {"best": fastest, **spread.as_dict()} for name, (fastest, spread) in measured.items()
+    }
+    entry = {
+        "limits_per_ns": rate,
+        "targets": targets,
+        "floor_parts_ms": parts,
+        "stages": stage_entries,
+    }
     return Outcome(tuple(rows), {"roofline": entry})

@@ -1,4 +1,6 @@
-"""Stone Soup's GM-PHD and SMC-PHD filters as loops, on the model and births of phdtrack's stages."""
+"""Stone Soup's GM-PHD and SMC-PHD filters as loops, on the model and births of phdtrack's
+stages.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,10 @@ from typing import Any
 
 import numpy as np
 from stonesoup.hypothesiser.distance import DistanceHypothesiser
-from stonesoup.hypothesiser.gaussianmixture import GaussianMixtureHypothesiser, GaussianMixtureKDTreeHypothesiser
+from stonesoup.hypothesiser.gaussianmixture import (
+    GaussianMixtureHypothesiser,
+    GaussianMixtureKDTreeHypothesiser,
+)
 from stonesoup.measures import Mahalanobis
 from stonesoup.mixturereducer.gaussianmixture import GaussianMixtureReducer
 from stonesoup.models.measurement.linear import LinearGaussian
@@ -33,8 +38,10 @@ from phdtrack.protocols import AnyStages, Model
 from phdtrack.types import F8, Detections, Particles
 
 START = datetime(2000, 1, 1)
-# Mahalanobis distance, as phdtrack's gate. Pixels within which a k-d tree looks: more than the gate of any component here.
-GATE, TREE = 5.0, 60.0
+# Mahalanobis distance, as phdtrack's gate. Pixels within which a k-d tree looks: more than the gate
+# of any component here.
+GATE = 5.0
+TREE = 60.0
 REGION = 13.28
 
 
@@ -59,26 +66,38 @@ def transition(model: Model) -> LinearGaussianTimeInvariantTransitionModel:
 def measurement(stages: AnyStages) -> LinearGaussian:
     """g: four of the six components with the sensor's deviations."""
     position, size = stages.model.sensor.fixed_noise
-    return LinearGaussian(ndim_state=6, mapping=(0, 1, 4, 5), noise_covar=np.diag([position**2] * 2 + [size**2] * 2))
+    return LinearGaussian(
+        ndim_state=6, mapping=(0, 1, 4, 5), noise_covar=np.diag([position**2] * 2 + [size**2] * 2)
+    )
 
 
 def detected(z: F8, when: datetime, model: LinearGaussian) -> set[Detection]:
     """Stone Soup's detections."""
-    return {Detection(StateVector(column), timestamp=when, measurement_model=model) for column in z.T}
+    return {
+        Detection(StateVector(column), timestamp=when, measurement_model=model) for column in z.T
+    }
 
 
 class Mixture:
-    """GM-PHD; ``settings``: ``gate`` (none or tree) for the hypotheses, ``merge`` (none or tree) for the merging."""
+    """GM-PHD; ``settings``: ``gate`` (none or tree) for the hypotheses, ``merge`` (none or tree)
+    for the merging.
+    """
 
     def __init__(self, stages: AnyStages, settings: Mapping[str, str], most: int) -> None:
         model = stages.model
-        self.model, self.sensor = model, measurement(stages)
+        self.model = model
+        self.sensor = measurement(stages)
         self.f, self.q = matrices(model)
-        predictor, updater = KalmanPredictor(transition(model)), KalmanUpdater(self.sensor)
+        predictor = KalmanPredictor(transition(model))
+        updater = KalmanUpdater(self.sensor)
         base = DistanceHypothesiser(predictor, updater, Mahalanobis(), missed_distance=GATE)
         if settings["gate"] == "tree":
             self.hypothesiser = GaussianMixtureKDTreeHypothesiser(
-                base, predictor=predictor, updater=updater, max_distance=TREE, order_by_detection=True
+                base,
+                predictor=predictor,
+                updater=updater,
+                max_distance=TREE,
+                order_by_detection=True,
             )
         else:
             self.hypothesiser = GaussianMixtureHypothesiser(base, order_by_detection=True)
@@ -91,12 +110,17 @@ class Mixture:
         )
         tree = TREE if settings["merge"] == "tree" else None
         self.reducer = GaussianMixtureReducer(
-            prune_threshold=1e-5, merge_threshold=4.0, max_number_components=most, kdtree_max_distance=tree
+            prune_threshold=1e-5,
+            merge_threshold=4.0,
+            max_number_components=most,
+            kdtree_max_distance=tree,
         )
         self.components: list[TaggedWeightedGaussianState] = []
 
     def frame(self, number: int, detections: Detections) -> tuple[tuple[Took, ...], F8]:
-        """Seconds of a step, and the means of the components of weight ≥ 0.5. Births are made before the clock starts."""
+        """Seconds of a step, and the means of the components of weight ≥ 0.5. Births are made
+        before the clock starts.
+        """
         when = START + timedelta(seconds=number)
         z = self.model.sensor.measure(detections)
         found = detected(z, when, self.sensor)
@@ -105,20 +129,30 @@ class Mixture:
         hypotheses = self.hypothesiser.hypothesise([*self.components, *births], found, when)
         self.components = self.reducer.reduce(list(self.updater.update(hypotheses).components))
         spent = took(began, clock())
-        heavy = [np.asarray(c.state_vector[:2], float).ravel() for c in self.components if float(c.weight) >= 0.5]
+        heavy = [
+            np.asarray(c.state_vector[:2], float).ravel()
+            for c in self.components
+            if float(c.weight) >= 0.5
+        ]
         return (spent,), np.array(heavy).reshape(-1, 2).T
 
     def _births(self, z: F8, when: datetime) -> list[TaggedWeightedGaussianState]:
-        """phdtrack's own births, where less than a target's mass is predicted; as they are before f, which is applied."""
+        """phdtrack's own births, where less than a target's mass is predicted; as they are before
+        f, which is applied.
+        """
         covered = np.zeros(z.shape[1])
         if self.components:
             covered = self._covered(z)
-        # What the filter makes of a frame in which nothing is expected, and nothing is detected: its births.
+        # What the filter makes of a frame in which nothing is expected, and nothing is detected:
+        # its births.
         unseen = replace(self.model, sensor=replace(self.model.sensor, detection_probability=0.0))
         none = GMPHD().start(self.model, np.random.default_rng(0))
-        born, _ = GMPHD().update(none, np.ascontiguousarray(z[:, covered < 1]), unseen, 1.0, np.random.default_rng(0))
+        born, _ = GMPHD().update(
+            none, np.ascontiguousarray(z[:, covered < 1]), unseen, 1.0, np.random.default_rng(0)
+        )
         back = np.linalg.inv(self.f)
-        mean, cov = back @ born.mean, back @ (born.covariance - self.q) @ back.T
+        mean = back @ born.mean
+        cov = back @ (born.covariance - self.q) @ back.T
         parts: Iterable[tuple[Any, ...]] = zip(born.weight, mean.T, cov, strict=True)
         return [
             TaggedWeightedGaussianState(StateVector(m), p, weight=w, tag="birth", timestamp=when)
@@ -129,9 +163,17 @@ class Mixture:
     def _covered(self, z: F8) -> F8:
         """M(z): mass of the predicted components within whose 99 % region a detection lies."""
         rows = list(self.model.sensor.observed)
-        mean = np.array([np.asarray(c.state_vector, float).ravel() for c in self.components]) @ self.f.T
-        cov = self.f @ np.array([np.asarray(c.covar, float) for c in self.components]) @ self.f.T + self.q
-        inverse = np.linalg.inv(cov[:, rows][:, :, rows] + np.asarray(self.sensor.noise_covar, float))
+        mean = (
+            np.array([np.asarray(c.state_vector, float).ravel() for c in self.components])
+            @ self.f.T
+        )
+        cov = (
+            self.f @ np.array([np.asarray(c.covar, float) for c in self.components]) @ self.f.T
+            + self.q
+        )
+        inverse = np.linalg.inv(
+            cov[:, rows][:, :, rows] + np.asarray(self.sensor.noise_covar, float)
+        )
         step = z.T[None] - mean[:, None, rows]
         near = np.einsum("knr,krs,kns->kn", step, inverse, step) <= REGION
         weight = _stays(self.model) * np.array([float(c.weight) for c in self.components])
@@ -140,11 +182,16 @@ class Mixture:
 
 
 class Sampled:
-    """SMC-PHD with ``count`` particles; a fifth as many newborn, drawn around the detections from phdtrack's births."""
+    """SMC-PHD with ``count`` particles; a fifth as many newborn, drawn around the detections from
+    phdtrack's births.
+    """
 
     def __init__(self, stages: AnyStages, count: int, seed: int) -> None:
         model = stages.model
-        self.stages, self.model, self.sensor, self.count = stages, model, measurement(stages), count
+        self.stages = stages
+        self.model = model
+        self.sensor = measurement(stages)
+        self.count = count
         self.rng = np.random.default_rng(seed)
         self.born = Particles(np.zeros((6, 0)), np.zeros(0))
         sampler = ParticleSampler(distribution_func=self._draw, params={}, ndim_state=6)
@@ -166,12 +213,16 @@ class Sampled:
         self.state: ParticleState | None = None
 
     def _draw(self, num_samples: int) -> Any:
-        """Newborn of the frame, made before the clock starts, as likely as they weigh: Stone Soup's all weigh the same."""
+        """Newborn of the frame, made before the clock starts, as likely as they weigh: Stone Soup's
+        all weigh the same.
+        """
         share = self.born.weight / self.born.mass
         return self.born.state[:, self.rng.choice(len(self.born), num_samples, p=share)].T
 
     def _births(self, z: F8) -> Particles:
-        """phdtrack's births where less than a target's mass is predicted, and everywhere where that leaves none."""
+        """phdtrack's births where less than a target's mass is predicted, and everywhere where that
+        leaves none.
+        """
         sensor = self.model.sensor
         covered = np.zeros(z.shape[1])
         if self.state is not None:
@@ -183,7 +234,11 @@ class Sampled:
             near = (apart**2 / variance[:, None, None]).sum(axis=0) <= REGION
             covered = near @ moved.weight
         born = self.model.birth.sample(z, covered, sensor, 1 / self.model.rate, self.rng)
-        return born if len(born) else self.model.birth.sample(z, np.zeros_like(covered), sensor, 1.0, self.rng)
+        return (
+            born
+            if len(born)
+            else self.model.birth.sample(z, np.zeros_like(covered), sensor, 1.0, self.rng)
+        )
 
     def frame(self, number: int, detections: Detections) -> tuple[tuple[Took, ...], F8]:
         """Seconds of a step, and the centres of phdtrack's K-means of the particles."""
@@ -191,13 +246,17 @@ class Sampled:
         z = self.model.sensor.measure(detections)
         self.born = self._births(z)
         if len(self.born) == 0:
-            raise RuntimeError(f"frame {number} of the scene has no detections, for which this loop is not made")
+            raise RuntimeError(
+                f"frame {number} of the scene has no detections, for which this loop is not made"
+            )
         self.predictor.birth_rate = self.born.mass
         found = detected(z, when, self.sensor)
         if self.state is None:
             first = self._draw(self.count).T
             weight = np.full(self.count, np.log(self.born.mass / self.count))
-            self.state = ParticleState(StateVectors(first), log_weight=weight, timestamp=when - timedelta(seconds=1))
+            self.state = ParticleState(
+                StateVectors(first), log_weight=weight, timestamp=when - timedelta(seconds=1)
+            )
         began = clock()
         prediction = self.predictor.predict(self.state, timestamp=when)
         hypotheses = MultipleHypothesis(
@@ -208,7 +267,9 @@ class Sampled:
         )
         self.state = self.updater.update(hypotheses)
         spent = took(began, clock())
-        cloud = Particles(_plain(self.state.state_vector), np.exp(np.asarray(self.state.log_weight, float)))
+        cloud = Particles(
+            _plain(self.state.state_vector), np.exp(np.asarray(self.state.log_weight, float))
+        )
         return (spent,), self.stages.extractor.extract(cloud, z, self.model).state[:2]
 
 

@@ -1,7 +1,7 @@
 """Clocks: medians with quartiles of many repeats, and comparisons whose sides take turns.
 
-A machine that others use is fast one second and slow the next. So whatever is compared is measured in turns within one run,
-and the ratio is that of medians over the same stretch of time.
+A machine that others use is fast one second and slow the next. So whatever is compared is measured
+in turns within one run, and the ratio is that of medians over the same stretch of time.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ class Spread:
         return asdict(self)
 
 
-# Seconds by the clock on the wall, and of processor time that this thread was given: others on the machine lengthen only
-# the first. Of several threads the second knows only one.
+# Seconds by the clock on the wall, and of processor time that this thread was given: others on the
+# machine lengthen only the first. Of several threads the second knows only one.
 Took = tuple[float, float]
 
 
@@ -67,7 +67,9 @@ def seconds(call: Callable[[], Any], repeats: int, warm_up: int = 1) -> F8:
 
 
 def in_turns(calls: Sequence[Callable[[], Any]], repeats: int, warm_up: int = 1) -> list[F8]:
-    """For each call its (repeats,) seconds; the calls take turns, so that all see the same machine."""
+    """For each call its (repeats,) seconds; the calls take turns, so that all see the same
+    machine.
+    """
     for _ in range(warm_up):
         for call in calls:
             call()

@@ -1,9 +1,11 @@
-"""The same filter in NumPy, float64, as one would write it: dense, and gated through a grid; K-means in NumPy.
+"""The same filter in NumPy, float64, as one would write it: dense, and gated through a grid;
+K-means in NumPy.
 
-They do what `ParticlePHD` does with M09's model and Jmax newborn for every detection: move with noises that follow the size,
-draw newborn inside the 99 % region of each detection, weigh them by γ over the whole proposal, weigh everything with every
-detection, resample, and find clusters that start on the detections and on what no detection is near. The dense twin compares
-every particle with every detection; the gated one only those within 5 σ, through a grid of the detections.
+They do what `ParticlePHD` does with M09's model and Jmax newborn for every detection: move with
+noises that follow the size, draw newborn inside the 99 % region of each detection, weigh them by γ
+over the whole proposal, weigh everything with every detection, resample, and find clusters that
+start on the detections and on what no detection is near. The dense twin compares every particle
+with every detection; the gated one only those within 5 σ, through a grid of the detections.
 """
 
 from __future__ import annotations
@@ -21,11 +23,19 @@ from phdtrack.arrays import to_cxcywh
 from phdtrack.types import F8, Detections
 
 I8 = NDArray[np.int64]
-PER_TARGET, NEWBORN = 1500, 1000
-ACCELERATION, RESIZE, SPREAD, SURVIVAL, SPEED = 0.03, 0.1, 0.15, 0.99, 0.06
+PER_TARGET = 1500
+NEWBORN = 1000
+ACCELERATION = 0.03
+RESIZE = 0.1
+SPREAD = 0.15
+SURVIVAL = 0.99
+SPEED = 0.06
 REGION = float(chdtri(4, 0.01))
-GATE, REACH = 5.0, 8.0
-LIGHTEST, HEAVIEST, ROUNDS = 0.6, 1.5, 3
+GATE = 5.0
+REACH = 8.0
+LIGHTEST = 0.6
+HEAVIEST = 1.5
+ROUNDS = 3
 # State rows: x, y, vx, vy, w, h.
 OBSERVED = [0, 1, 4, 5]
 
@@ -40,16 +50,23 @@ class World:
 
     @classmethod
     def of(cls, crowd: Crowd, sizes: float) -> World:
-        """That of the crowd; ``sizes`` is the volume of possible sizes that the intensities are spread over."""
+        """That of the crowd; ``sizes`` is the volume of possible sizes that the intensities are
+        spread over.
+        """
         area = crowd.info.width * crowd.info.height
-        return cls(crowd.p_detect, 0.001 * crowd.targets / (area * sizes), crowd.false_alarms / (area * sizes))
+        return cls(
+            crowd.p_detect,
+            0.001 * crowd.targets / (area * sizes),
+            crowd.false_alarms / (area * sizes),
+        )
 
 
 class Twin:
     """One of the two: ``gated`` or dense."""
 
     def __init__(self, world: World, seed: int, *, gated: bool) -> None:
-        self.world, self.gated = world, gated
+        self.world = world
+        self.gated = gated
         self.rng = np.random.default_rng(seed)
         self.state: F8 = np.zeros((6, 0))
         self.unit = 0.0
@@ -61,8 +78,13 @@ class Twin:
         moved, weight = self._predict()
         born, born_weight = self._births(z)
         old = len(weight)
-        x, weight = np.hstack([moved, born]), np.concatenate([weight, born_weight])
-        weight = self._update_gated(x, weight, z, old) if self.gated else self._update_dense(x, weight, z)
+        x = np.hstack([moved, born])
+        weight = np.concatenate([weight, born_weight])
+        weight = (
+            self._update_gated(x, weight, z, old)
+            if self.gated
+            else self._update_dense(x, weight, z)
+        )
         self._resample(x, weight)
         filtered = clock()
         centres = extract(self.state, self.unit, z, gated=self.gated)
@@ -73,7 +95,9 @@ class Twin:
         noise = self.rng.standard_normal((4, x.shape[1]))
         size = x[4:6]
         kick = ACCELERATION * size * noise[:2]
-        moved = np.concatenate([x[:2] + x[2:4] + kick / 2, x[2:4] + kick, np.abs(size + RESIZE * size * noise[2:])])
+        moved = np.concatenate(
+            [x[:2] + x[2:4] + kick / 2, x[2:4] + kick, np.abs(size + RESIZE * size * noise[2:])]
+        )
         return moved, np.full(x.shape[1], self.unit * SURVIVAL)
 
     def _births(self, z: F8) -> tuple[F8, F8]:
@@ -85,7 +109,9 @@ class Twin:
         drawn = z[:, parent] + sigma[:, parent] * step
         amplitude = SPEED * np.sqrt(z[2] * z[3])[parent] * self.rng.standard_normal(len(parent))
         angle = self.rng.uniform(0, 2 * math.pi, len(parent))
-        born = np.concatenate([drawn[:2], [amplitude * np.cos(angle), amplitude * np.sin(angle)], drawn[2:]])
+        born = np.concatenate(
+            [drawn[:2], [amplitude * np.cos(angle), amplitude * np.sin(angle)], drawn[2:]]
+        )
         norm = 1 / (0.99 * (2 * math.pi) ** 2 * sigma.prod(0))
         if self.gated:
             half = math.sqrt(REGION) * sigma[:2]
@@ -96,7 +122,9 @@ class Twin:
             proposal += np.bincount(point, share, len(parent))
         else:
             d2 = (((drawn[:, None, :] - z[:, :, None]) / sigma[:, :, None]) ** 2).sum(0)
-            proposal = np.where(d2 <= REGION * (1 + 1e-9), norm[:, None] * np.exp(-0.5 * d2), 0.0).sum(0)
+            proposal = np.where(
+                d2 <= REGION * (1 + 1e-9), norm[:, None] * np.exp(-0.5 * d2), 0.0
+            ).sum(0)
         return born, self.world.gamma / (NEWBORN * proposal)
 
     def _inside(self, count: int) -> F8:
@@ -111,14 +139,15 @@ class Twin:
     def _of_newborn(self, z: F8, around: F8, reach: F8, *, itself: bool) -> tuple[I8, I8]:
         """Pairs (newborn, detection) that may matter, from the pairs of detections alone.
 
-        Newborn lie within ``around`` (2, N) of theirs and matter to what is within ``reach`` (2, N); with their own
-        detection only where ``itself``.
+        Newborn lie within ``around`` (2, N) of theirs and matter to what is within ``reach`` (2,
+        N); with their own detection only where ``itself``.
         """
         half = reach + around.max(1, initial=0.0)[:, None]
         born, which = in_rectangles(z[0], z[1], z[:2] - half, z[:2] + half)
         if not itself:
             other = born != which
-            born, which = born[other], which[other]
+            born = born[other]
+            which = which[other]
         point = born[:, None] * NEWBORN + np.arange(NEWBORN)
         return point.ravel(), np.repeat(which, NEWBORN)
 
@@ -127,7 +156,9 @@ class Twin:
         d2 = np.zeros((z.shape[1], x.shape[1]))
         for row, s, value in zip(OBSERVED, sigma, z, strict=True):
             d2 += ((value[:, None] - x[row]) / s) ** 2
-        share = self.world.detection * weight / ((2 * math.pi) ** 2 * sigma.prod(0)) * np.exp(-0.5 * d2)
+        share = (
+            self.world.detection * weight / ((2 * math.pi) ** 2 * sigma.prod(0)) * np.exp(-0.5 * d2)
+        )
         total = self.world.kappa + share.sum(1)
         out: F8 = (1 - self.world.detection) * weight + (share / total[:, None]).sum(0)
         return out
@@ -136,8 +167,11 @@ class Twin:
         g = GATE * SPREAD
         half = g / 2 / math.sqrt(1 - g**2) * z[2:4]
         near, of_old = in_rectangles(x[0, :old], x[1, :old], z[:2] - half, z[:2] + half)
-        born, of_born = self._of_newborn(z, math.sqrt(REGION) * sigmas(z[2:4])[:2], half, itself=True)
-        point, which = np.concatenate([near, old + born]), np.concatenate([of_old, of_born])
+        born, of_born = self._of_newborn(
+            z, math.sqrt(REGION) * sigmas(z[2:4])[:2], half, itself=True
+        )
+        point = np.concatenate([near, old + born])
+        which = np.concatenate([of_old, of_born])
         sigma = sigmas(x[4:6])
         d2 = np.zeros(len(point))
         for row, s, value in zip(OBSERVED, sigma, z, strict=True):
@@ -145,7 +179,9 @@ class Twin:
         seen = self.world.detection * weight / ((2 * math.pi) ** 2 * sigma.prod(0))
         share = seen[point] * np.exp(-0.5 * d2)
         total = self.world.kappa + np.bincount(which, share, z.shape[1])
-        out: F8 = (1 - self.world.detection) * weight + np.bincount(point, share / total[which], len(weight))
+        out: F8 = (1 - self.world.detection) * weight + np.bincount(
+            point, share / total[which], len(weight)
+        )
         return out
 
     def _resample(self, x: F8, weight: F8) -> None:
@@ -153,7 +189,8 @@ class Twin:
         count = round(PER_TARGET * mass)
         comb = (np.arange(count) + self.rng.random()) * (mass / max(count, 1))
         chosen = np.minimum(np.searchsorted(np.cumsum(weight), comb), len(weight) - 1)
-        self.state, self.unit = x[:, chosen], mass / max(count, 1)
+        self.state = x[:, chosen]
+        self.unit = mass / max(count, 1)
 
 
 def sigmas(size: F8) -> F8:
@@ -162,7 +199,9 @@ def sigmas(size: F8) -> F8:
 
 
 def in_rectangles(px: F8, py: F8, lower: F8, upper: F8) -> tuple[I8, I8]:
-    """Pairs (point, rectangle): rectangles are entered in all cells that they touch, a point asks its own cell."""
+    """Pairs (point, rectangle): rectangles are entered in all cells that they touch, a point asks
+    its own cell.
+    """
     none = np.zeros(0, np.int64)
     if not px.size or not lower.shape[1]:
         return none, none
@@ -174,7 +213,11 @@ def in_rectangles(px: F8, py: F8, lower: F8, upper: F8) -> tuple[I8, I8]:
     wide, high = last - first + 1
     rectangle = np.repeat(np.arange(lower.shape[1]), wide * high)
     nth = np.arange(len(rectangle)) - np.repeat(np.cumsum(wide * high) - wide * high, wide * high)
-    entered = (first[1][rectangle] + nth // wide[rectangle]) * columns + first[0][rectangle] + nth % wide[rectangle]
+    entered = (
+        (first[1][rectangle] + nth // wide[rectangle]) * columns
+        + first[0][rectangle]
+        + nth % wide[rectangle]
+    )
     rectangle = rectangle[np.argsort(entered, kind="stable")]
     held = np.bincount(entered, minlength=columns * grid_rows)
     start = np.cumsum(held) - held
@@ -185,13 +228,21 @@ def in_rectangles(px: F8, py: F8, lower: F8, upper: F8) -> tuple[I8, I8]:
     point = np.repeat(inside, counts)
     offset = np.arange(len(point)) - np.repeat(np.cumsum(counts) - counts, counts)
     which = rectangle[np.repeat(start[mine], counts) + offset]
-    x, y = px[point], py[point]
-    kept = (x >= lower[0, which]) & (x <= upper[0, which]) & (y >= lower[1, which]) & (y <= upper[1, which])
+    x = px[point]
+    y = py[point]
+    kept = (
+        (x >= lower[0, which])
+        & (x <= upper[0, which])
+        & (y >= lower[1, which])
+        & (y <= upper[1, which])
+    )
     return point[kept], which[kept]
 
 
 def extract(x: F8, unit: float, z: F8, *, gated: bool) -> F8:
-    """(6, k) cluster centres: K-means from the detections at rest and from what none of them is near."""
+    """(6, k) cluster centres: K-means from the detections at rest and from what none of them is
+    near.
+    """
     if not x.size:
         return np.zeros((6, 0))
     centres = np.concatenate([z[:2], np.zeros_like(z[:2]), z[2:]])
@@ -203,11 +254,15 @@ def extract(x: F8, unit: float, z: F8, *, gated: bool) -> F8:
         choice = Gated(x, centres) if gated else choice
         labels = choice.labels(centres)
     centres, labels = _settle(x, centres, labels, choice)
-    mass: F8 = (unit * np.bincount(labels[labels >= 0], minlength=centres.shape[1])).astype(np.float64)
+    mass: F8 = (unit * np.bincount(labels[labels >= 0], minlength=centres.shape[1])).astype(
+        np.float64
+    )
     heavy = np.flatnonzero(mass > HEAVIEST)
     if len(heavy):
         inside = np.flatnonzero(np.isin(labels, heavy))
-        distance2 = (((x[:, inside] - centres[:, labels[inside]]) / _scale(centres)[:, labels[inside]]) ** 2).sum(0)
+        distance2 = (
+            ((x[:, inside] - centres[:, labels[inside]]) / _scale(centres)[:, labels[inside]]) ** 2
+        ).sum(0)
         order = np.lexsort((distance2, labels[inside]))
         farthest = inside[order[np.searchsorted(labels[inside][order], heavy, side="right") - 1]]
         # Only the particles of the heavy clusters choose again.
@@ -238,7 +293,8 @@ def _settle(x: F8, centres: F8, labels: I8, choice: Dense | Gated) -> tuple[F8, 
         count = np.bincount(mine, minlength=centres.shape[1])
         sums = np.stack([np.bincount(mine, row, len(count)) for row in points])
         centres = np.where(count > 0, sums / np.maximum(count, 1), centres)
-        before, labels = labels, choice.labels(centres)
+        before = labels
+        labels = choice.labels(centres)
         if np.array_equal(labels, before):
             break
     return centres, labels
@@ -247,7 +303,9 @@ def _settle(x: F8, centres: F8, labels: I8, choice: Dense | Gated) -> tuple[F8, 
 def _scale(centres: F8) -> F8:
     """(6, k) deviations that distances are measured in."""
     size = centres[4:6]
-    speed = np.broadcast_to(np.maximum(SPEED * np.sqrt(size[0] * size[1]) / math.sqrt(2), 1e-6), size.shape)
+    speed = np.broadcast_to(
+        np.maximum(SPEED * np.sqrt(size[0] * size[1]) / math.sqrt(2), 1e-6), size.shape
+    )
     return np.concatenate([SPREAD / 2 * size, speed, SPREAD * size])
 
 
@@ -259,19 +317,24 @@ class Dense:
 
     def labels(self, centres: F8) -> I8:
         """The nearest centre of each particle within reach, −1 for none."""
-        x, scale = self.x, _scale(centres)
+        x = self.x
+        scale = _scale(centres)
         if not centres.shape[1]:
             return np.full(x.shape[1], -1)
         d2 = np.zeros((centres.shape[1], x.shape[1]))
         for value, centre, s in zip(x, centres, scale, strict=True):
             d2 += ((value - centre[:, None]) / s[:, None]) ** 2
-        d2[(np.abs(x[:2, None] - centres[:2, :, None]) > REACH * scale[:2, :, None]).any(0)] = np.inf
+        d2[(np.abs(x[:2, None] - centres[:2, :, None]) > REACH * scale[:2, :, None]).any(0)] = (
+            np.inf
+        )
         nearest = d2.argmin(0)
         return np.where(np.isfinite(d2[nearest, np.arange(x.shape[1])]), nearest, -1)
 
 
 class Gated:
-    """Every particle may choose among the centres within whose reach it was at the start: they move little afterwards."""
+    """Every particle may choose among the centres within whose reach it was at the start: they move
+    little afterwards.
+    """
 
     def __init__(self, x: F8, centres: F8) -> None:
         half = REACH * _scale(centres)[:2]
@@ -280,7 +343,8 @@ class Gated:
         self.alone = np.full(x.shape[1], -1)
         self.alone[point] = which
         several = np.bincount(point, minlength=x.shape[1])[point] > 1
-        self.point, self.which = point[several], which[several]
+        self.point = point[several]
+        self.which = which[several]
         self.x = x[:, self.point]
         # The pairs come in the order of their particles.
         self.first = np.flatnonzero(np.diff(self.point, prepend=-1))
@@ -297,14 +361,26 @@ class Gated:
 
 
 def _join_light(centres: F8, mass: F8) -> F8:
-    """Centres heavy enough; light neighbours are joined first, nearest first, while they are not too heavy together."""
+    """Centres heavy enough; light neighbours are joined first, nearest first, while they are not
+    too heavy together.
+    """
     light = np.flatnonzero((mass > 0) & (mass < LIGHTEST))
-    lower, upper = centres[:2, light] - centres[4:6, light] / 2, centres[:2, light] + centres[4:6, light] / 2
+    lower = centres[:2, light] - centres[4:6, light] / 2
+    upper = centres[:2, light] + centres[4:6, light] / 2
     a, b = in_rectangles(centres[0, light], centres[1, light], lower, upper)
     a, b = light[a[a < b]], light[b[a < b]]
-    mass, centres = mass.copy(), centres.copy()
+    mass = mass.copy()
+    centres = centres.copy()
     for i, j in zip(a, b, strict=True):
-        if mass[i] and mass[j] and min(mass[i], mass[j]) < LIGHTEST and mass[i] + mass[j] <= HEAVIEST:
-            centres[:, i] = (mass[i] * centres[:, i] + mass[j] * centres[:, j]) / (mass[i] + mass[j])
-            mass[i], mass[j] = mass[i] + mass[j], 0.0
+        if (
+            mass[i]
+            and mass[j]
+            and min(mass[i], mass[j]) < LIGHTEST
+            and mass[i] + mass[j] <= HEAVIEST
+        ):
+            centres[:, i] = (mass[i] * centres[:, i] + mass[j] * centres[:, j]) / (
+                mass[i] + mass[j]
+            )
+            mass[i] = mass[i] + mass[j]
+            mass[j] = 0.0
     return centres[:, mass >= LIGHTEST]

@@ -1,12 +1,15 @@
-"""Whole trackers, detections in and tracks out: phdtrack against SORT and ByteTrack of `trackers`, and Norfair.
+"""Whole trackers, detections in and tracks out: phdtrack against SORT and ByteTrack of `trackers`,
+and Norfair.
 
-The scenes (constant density, people come and go every 150 frames, see `benchmarks.workload`): easy has p_D = 0.95 and one
-false alarm per 20 objects and frame; hard has p_D = 0.85 and ten times the clutter, so 10 → 100 per frame at 200 objects.
-All scores are 1, so that motion alone decides. The peers run in an environment of their own, on its default settings
-or the best of those that `TUNED` names, by its MOTA on the smaller scenes; only their update call is timed.
+The scenes (constant density, people come and go every 150 frames, see `benchmarks.workload`): easy
+has p_D = 0.95 and one false alarm per 20 objects and frame; hard has p_D = 0.85 and ten times the
+clutter, so 10 → 100 per frame at 200 objects. All scores are 1, so that motion alone decides. The
+peers run in an environment of their own, on its default settings or the best of those that `TUNED`
+names, by its MOTA on the smaller scenes; only their update call is timed.
 
-What counts is what `update` returns, MOTA at IoU 0.5: of phdtrack all rows, also those that it flags as not confirmed yet;
-of a peer the rows with an identity, or all boxes that it returns where that is better for it.
+What counts is what `update` returns, MOTA at IoU 0.5: of phdtrack all rows, also those that it
+flags as not confirmed yet; of a peer the rows with an identity, or all boxes that it returns where
+that is better for it.
 """
 
 from __future__ import annotations
@@ -38,11 +41,15 @@ WARM_UP = 20
 LIMIT_MS = {"20 easy": 0.35, "20 hard": 0.35, "200 hard": 1.8}
 LEAST_RATIO = {"20 easy": 2.0, "20 hard": 2.0, "200 hard": 6.0}
 LIFE = 150
-# Settings tried, each library's own defaults first (Norfair has no default threshold): tracks kept shorter, confirmed sooner
-# or later. The scenes' frame_rate is given to those that ask for it.
+# Settings tried, each library's own defaults first (Norfair has no default threshold): tracks kept
+# shorter, confirmed sooner or later. The scenes' frame_rate is given to those that ask for it.
 TUNED: dict[str, tuple[dict[str, Any], ...]] = {
     "sort": ({}, {"lost_track_buffer": 15}, {"minimum_consecutive_frames": 2}),
-    "bytetrack": ({}, {"lost_track_buffer": 15}, {"minimum_consecutive_frames": 3, "minimum_iou_threshold": 0.2}),
+    "bytetrack": (
+        {},
+        {"lost_track_buffer": 15},
+        {"minimum_consecutive_frames": 3, "minimum_iou_threshold": 0.2},
+    ),
     "norfair": (
         {"distance_threshold": 0.7},
         {"distance_threshold": 0.7, "hit_counter_max": 10, "initialization_delay": 4},
@@ -57,8 +64,13 @@ def cases(scale: Scale) -> list[Case]:
     """Names and scenes."""
     out = []
     for objects in scale.peer_objects:
-        easy, hard = objects / 20, objects / 2
-        common = {"targets": objects, "frames": scale.peer_frames, "life": min(LIFE, scale.peer_frames)}
+        easy = objects / 20
+        hard = objects / 2
+        common = {
+            "targets": objects,
+            "frames": scale.peer_frames,
+            "life": min(LIFE, scale.peer_frames),
+        }
         out.append((f"{objects} easy", Crowd(clutter=easy, p_detect=0.95, **common)))
         out.append((f"{objects} hard", Crowd(clutter=hard, p_detect=0.85, **common)))
     return out
@@ -68,8 +80,11 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
     """Ours and the peers on every case."""
     scenes = cases(scale)
     streams = {name: draw(crowd, 1) for name, crowd in scenes}
-    few = {name: streams[name] for name, crowd in scenes if crowd.targets == min(scale.peer_objects)}
-    chosen, reasons = {}, {}
+    few = {
+        name: streams[name] for name, crowd in scenes if crowd.targets == min(scale.peer_objects)
+    }
+    chosen = {}
+    reasons = {}
     for peer in TUNED:
         say(f"{peer}, settings")
         try:
@@ -82,21 +97,39 @@ def run(scale: Scale, say: Callable[[str], None]) -> Outcome:
         for who, result in _in_turns(stream, chosen, scale.rounds).items():
             results[who][name] = result
     rows = [row for name in streams for row in _rows(name, results)]
-    rows += [Row(peer, float("nan"), "", note=f"skipped: {reason}") for peer, reason in reasons.items()]
+    rows += [
+        Row(peer, float("nan"), "", note=f"skipped: {reason}") for peer, reason in reasons.items()
+    ]
     entries = {
-        "tracker_ms": {who: {case: r["ms"]["median"] for case, r in of.items()} for who, of in results.items()},
-        "trackers": {"results": results, "skipped": reasons, "scenes": {name: _scene(crowd) for name, crowd in scenes}},
+        "tracker_ms": {
+            who: {case: r["ms"]["median"] for case, r in of.items()} for who, of in results.items()
+        },
+        "trackers": {
+            "results": results,
+            "skipped": reasons,
+            "scenes": {name: _scene(crowd) for name, crowd in scenes},
+        },
     }
     return Outcome(tuple(rows), entries)
 
 
 def _best(peer: str, streams: dict[str, Stream]) -> dict[str, Any]:
     """The setting whose MOTA is best, summed over the streams."""
-    given = [settings if peer == "norfair" else {"frame_rate": RATE, **settings} for settings in TUNED[peer]]
-    return max(given, key=lambda settings: sum(theirs(peer, settings, stream)["MOTA"] for stream in streams.values()))
+    given = [
+        settings if peer == "norfair" else {"frame_rate": RATE, **settings}
+        for settings in TUNED[peer]
+    ]
+    return max(
+        given,
+        key=lambda settings: sum(
+            theirs(peer, settings, stream)["MOTA"] for stream in streams.values()
+        ),
+    )
 
 
-def _in_turns(stream: Stream, chosen: dict[str, dict[str, Any]], turns: int) -> dict[str, dict[str, Any]]:
+def _in_turns(
+    stream: Stream, chosen: dict[str, dict[str, Any]], turns: int
+) -> dict[str, dict[str, Any]]:
     """All trackers on one stream, in rounds; of each the round with the least median."""
     rounds: dict[str, list[dict[str, Any]]] = {who: [] for who in ("phdtrack", *chosen)}
     for _ in range(turns):
@@ -107,16 +140,23 @@ def _in_turns(stream: Stream, chosen: dict[str, dict[str, Any]], turns: int) -> 
 
 
 def _scene(crowd: Crowd) -> dict[str, float]:
-    return {"objects": crowd.targets, "p_detect": crowd.p_detect, "clutter": crowd.false_alarms, "life": crowd.life}
+    return {
+        "objects": crowd.targets,
+        "p_detect": crowd.p_detect,
+        "clutter": crowd.false_alarms,
+        "life": crowd.life,
+    }
 
 
 def ours(stream: Stream) -> dict[str, Any]:
-    """phdtrack's default settings: all rows that `Tracker.update` returns, and beside them what else can be had.
+    """phdtrack's default settings: all rows that `Tracker.update` returns, and beside them what
+    else can be had.
 
     Those are the rows that it has confirmed, and the corrected tracks of the end.
     """
     tracker = Tracker((stream.info.width, stream.info.height), fps=RATE)
-    spent, parts = [], []
+    spent = []
+    parts = []
     for found in stream.detections():
         boxes = np.column_stack([found.xyxy, found.confidence])
         began = clock()
@@ -127,7 +167,10 @@ def ours(stream: Stream) -> dict[str, Any]:
     wall, cpu = np.array(spent).T
     result = _result(wall, cpu, stream, given)
     more = {"MOTA_confirmed": given.take(given.confirmed), "MOTA_corrected": tracker.tracks()}
-    scores = {name: evaluate(stream.truth, rows, frames=stream.info.frames).MOTA for name, rows in more.items()}
+    scores = {
+        name: evaluate(stream.truth, rows, frames=stream.info.frames).MOTA
+        for name, rows in more.items()
+    }
     return {**result, **scores, "settings": "defaults"}
 
 
@@ -149,12 +192,17 @@ def _result(wall: F8, cpu: F8, stream: Stream, rows: Tracks) -> dict[str, Any]:
 
 
 def theirs(peer: str, settings: dict[str, Any], stream: Stream) -> dict[str, Any]:
-    """A peer in its own process; raises `Skipped` where its environment or the package is missing."""
+    """A peer in its own process; raises `Skipped` where its environment or the package is
+    missing.
+    """
     python = Path(os.environ.get("PEERS_PYTHON", PYTHON))
     if not python.exists():
-        raise Skipped(f"no environment for the peers at {python.parent.parent.name}: make bench makes it")
+        raise Skipped(
+            f"no environment for the peers at {python.parent.parent.name}: make bench makes it"
+        )
     with tempfile.TemporaryDirectory() as folder:
-        source, target = Path(folder) / "in.npz", Path(folder) / "out.npz"
+        source = Path(folder) / "in.npz"
+        target = Path(folder) / "out.npz"
         table = stream.table
         np.savez(
             source,
@@ -163,12 +211,24 @@ def theirs(peer: str, settings: dict[str, Any], stream: Stream) -> dict[str, Any
             confidence=table.detections.confidence,
             frames=stream.info.frames,
         )
-        command = [str(python), "-P", str(SCRIPT), peer, json.dumps(settings), str(source), str(target)]
+        command = [
+            str(python),
+            "-P",
+            str(SCRIPT),
+            peer,
+            json.dumps(settings),
+            str(source),
+            str(target),
+        ]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
-            raise Skipped(f"{peer} ended with: {(done.stderr.strip().splitlines() or ['no word'])[-1]}")
+            raise Skipped(
+                f"{peer} ended with: {(done.stderr.strip().splitlines() or ['no word'])[-1]}"
+            )
         with np.load(target) as out:
-            wall, cpu, frame, identity, xyxy = (out[key] for key in ("seconds", "cpu", "frame", "identity", "xyxy"))
+            wall, cpu, frame, identity, xyxy = (
+                out[key] for key in ("seconds", "cpu", "frame", "identity", "xyxy")
+            )
     named = identity >= 0
     # A box without identity is an object of its own, in case that scores better.
     every = np.where(named, identity, identity.max(initial=0) + 1 + np.arange(len(identity)))
@@ -201,14 +261,16 @@ def _rows(case: str, results: dict[str, dict[str, dict[str, Any]]]) -> list[Row]
         errors = ", ".join(f"{result[name]:.0f} {words}" for name, words in ERRORS.items())
         note = f"MOTA {result['MOTA']:.3f} ({errors}), IDF1 {result['IDF1']:.3f}"
         if who == "phdtrack":
-            note += (
-                f"; MOTA of confirmed rows alone {result['MOTA_confirmed']:.3f}, corrected {result['MOTA_corrected']:.3f}"
-            )
+            note += f"; MOTA of confirmed rows alone {result['MOTA_confirmed']:.3f}, corrected {result['MOTA_corrected']:.3f}"
         else:
             note += f"; {json.dumps(result['settings'])}"
         most = LIMIT_MS.get(case) if who == "phdtrack" else None
         spread = Spread(**result["ms"])
-        rows.append(Row(f"{case}: {who}", spread.median, "ms", spread, most, note=note, cpu=result["cpu_ms"]))
+        rows.append(
+            Row(
+                f"{case}: {who}", spread.median, "ms", spread, most, note=note, cpu=result["cpu_ms"]
+            )
+        )
     peers = {who: of[case] for who, of in results.items() if who != "phdtrack"}
     if peers:
         fastest = min(peers.values(), key=lambda r: r["ms"]["median"])
@@ -216,7 +278,17 @@ def _rows(case: str, results: dict[str, dict[str, dict[str, Any]]]) -> list[Row]
         of_cpu = fastest["cpu_ms"] / mine["cpu_ms"]
         best = max(r["MOTA"] for r in peers.values())
         hard = case == "200 hard"
-        rows.append(Row(f"{case}: phdtrack against the fastest peer", ratio, "×", least=LEAST_RATIO.get(case), cpu=of_cpu))
+        rows.append(
+            Row(
+                f"{case}: phdtrack against the fastest peer",
+                ratio,
+                "×",
+                least=LEAST_RATIO.get(case),
+                cpu=of_cpu,
+            )
+        )
         gain = mine["MOTA"] - best
-        rows.append(Row(f"{case}: MOTA above the best peer's", gain, "", least=0.0 if hard else None))
+        rows.append(
+            Row(f"{case}: MOTA above the best peer's", gain, "", least=0.0 if hard else None)
+        )
     return rows

@@ -1,9 +1,10 @@
 """The workload: n boxes at constant density, and a detector that misses some and adds clutter.
 
-10 targets and 10 clutter points per 720 × 480 area; the area grows with the targets. Boxes are 20 … 50 pixels wide and twice
-as high (uniform in the width), cross their own size in about 50 frames and turn at the borders; detected with p_D = 0.95 and
-errors of 5 % of the size in position and in size. Clutter is Poisson, uniform, of the same sizes. The number of targets
-is constant unless ``life`` is given.
+10 targets and 10 clutter points per 720 × 480 area; the area grows with the targets. Boxes are 20 …
+50 pixels wide and twice as high (uniform in the width), cross their own size in about 50 frames and
+turn at the borders; detected with p_D = 0.95 and errors of 5 % of the size in position and in size.
+Clutter is Poisson, uniform, of the same sizes. The number of targets is constant unless ``life`` is
+given.
 """
 
 from __future__ import annotations
@@ -53,7 +54,9 @@ class Crowd:
     def info(self) -> SequenceInfo:
         """Size of the area, rate and number of frames."""
         grow = (self.targets / PER_AREA) ** 0.5
-        return SequenceInfo(round(AREA[0] * grow), round(AREA[1] * grow), RATE, self.frames, "crowd")
+        return SequenceInfo(
+            round(AREA[0] * grow), round(AREA[1] * grow), RATE, self.frames, "crowd"
+        )
 
     @property
     def false_alarms(self) -> float:
@@ -84,18 +87,31 @@ def draw(crowd: Crowd, seed: int) -> Stream:
     walk_rng, see_rng, clutter_rng, order_rng = np.random.default_rng(seed).spawn(4)
     identity, centre, size = _walks(crowd, walk_rng)
     frames = np.broadcast_to(np.arange(1, crowd.frames + 1)[:, None], identity.shape)
-    flat_centre, flat_size = centre.reshape(-1, 2), size.reshape(-1, 2)
-    truth = Truth(frames.ravel(), identity.ravel(), _boxes(flat_centre, flat_size), np.zeros(identity.size, np.bool_))
+    flat_centre = centre.reshape(-1, 2)
+    flat_size = size.reshape(-1, 2)
+    truth = Truth(
+        frames.ravel(),
+        identity.ravel(),
+        _boxes(flat_centre, flat_size),
+        np.zeros(identity.size, np.bool_),
+    )
     seen = np.flatnonzero(see_rng.random(identity.size) < crowd.p_detect)
     errors = see_rng.standard_normal((4, len(seen))).T * _deviations(crowd, flat_size[seen])
-    found = _boxes(flat_centre[seen] + errors[:, :2], np.maximum(flat_size[seen] + errors[:, 2:], 0.2 * flat_size[seen]))
+    found = _boxes(
+        flat_centre[seen] + errors[:, :2],
+        np.maximum(flat_size[seen] + errors[:, 2:], 0.2 * flat_size[seen]),
+    )
     counts = clutter_rng.poisson(crowd.false_alarms, crowd.frames)
     total = int(counts.sum())
     place = clutter_rng.random((total, 2)) * [crowd.info.width, crowd.info.height]
     false = _boxes(place, _sizes(crowd, total, clutter_rng))
     frame = np.concatenate([truth.frame[seen], np.repeat(np.arange(1, crowd.frames + 1), counts)])
     order = np.lexsort((order_rng.random(len(frame)), frame))
-    return Stream(crowd.info, truth, DetectionTable(frame[order], Detections.of(np.concatenate([found, false])[order])))
+    return Stream(
+        crowd.info,
+        truth,
+        DetectionTable(frame[order], Detections.of(np.concatenate([found, false])[order])),
+    )
 
 
 def _deviations(crowd: Crowd, size: F8) -> F8:
@@ -108,8 +124,11 @@ def _deviations(crowd: Crowd, size: F8) -> F8:
 def _walks(crowd: Crowd, rng: np.random.Generator) -> tuple[Any, F8, F8]:
     """Identities (T, n), centres (T, n, 2) and sizes (T, n, 2)."""
     span = crowd.life or crowd.frames
-    clock = np.arange(crowd.frames)[:, None] + (rng.integers(0, span, crowd.targets) if crowd.life else 0)
-    turn, age = clock // span, clock % span
+    clock = np.arange(crowd.frames)[:, None] + (
+        rng.integers(0, span, crowd.targets) if crowd.life else 0
+    )
+    turn = clock // span
+    age = clock % span
     lives = int(turn.max()) + 1
     who = turn * crowd.targets + np.arange(crowd.targets)
     size = _sizes(crowd, lives * crowd.targets, rng)
@@ -132,7 +151,9 @@ def _boxes(centre: F8, size: F8) -> F8:
     return np.concatenate([centre - size / 2, centre + size / 2], axis=1)
 
 
-def stages(crowd: Crowd, *, worst: bool = False, sets: tuple[str, ...] = (), preset: str = "m09") -> AnyStages:
+def stages(
+    crowd: Crowd, *, worst: bool = False, sets: tuple[str, ...] = (), preset: str = "m09"
+) -> AnyStages:
     """M09's tracker with K-means for the crowd's density: ρ = 1500, Jmax = 1000, p_M = 0.05.
 
     With ``worst`` no predicted mass explains a detection, so that each gets all its Jmax newborn.
@@ -159,7 +180,9 @@ class Uncovered:
 
     birth: Birth
 
-    def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
+    def sample(
+        self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator
+    ) -> Particles:
         """The newborn of the wrapped birth model where no mass is covered."""
         return self.birth.sample(z, np.zeros_like(covered), sensor, seconds, rng)
 

@@ -1,1 +1,3 @@
-"""The measured tables of docs/results/: one script per table, next to the paper's figures where there are any."""
+"""The measured tables of docs/results/: one script per table, next to the paper's figures where
+there are any.
+"""

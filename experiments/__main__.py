@@ -1,6 +1,7 @@
 """The papers' tables and figures, measured again: ``python -m experiments m07 [--quick]``.
 
-Each experiment writes a page: the paper's figure next to ours, where the data differ, and where a claim does not hold.
+Each experiment writes a page: the paper's figure next to ours, where the data differ, and where a
+claim does not hold.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ from phdtrack.errors import InputError
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """What an experiment answers, in a line, and whether it needs the real sequences. It is the module of its name."""
+    """What an experiment answers, in a line, and whether it needs the real sequences. It is the
+    module of its name.
+    """
 
     about: str
     data: bool = True
@@ -30,46 +33,97 @@ class Experiment:
 # The short ones first.
 EXPERIMENTS = {
     "count": Experiment("does the filter count right, with known parameters?", data=False),
-    "vo": Experiment("the standard scenarios of simulated points, straight and turning, by OSPA", data=False),
-    "groups": Experiment("annotated groups of pedestrians, found among true positions and behind a filter"),
+    "vo": Experiment(
+        "the standard scenarios of simulated points, straight and turning, by OSPA", data=False
+    ),
+    "groups": Experiment(
+        "annotated groups of pedestrians, found among true positions and behind a filter"
+    ),
     "plane": Experiment("tracks on the ground plane, in metres, next to those in the image"),
     "e13": Experiment("E13 Figs. 1 and 2: people and groups on E13's own sequence"),
-    "d14": Experiment("D14 Tables I-III: SMC PHD and MCMC filters on centroids, by particles and noise"),
+    "d14": Experiment(
+        "D14 Tables I-III: SMC PHD and MCMC filters on centroids, by particles and noise"
+    ),
     "videos": Experiment("from a video to tracks, with the package's detectors"),
     "counting": Experiment("lines and zones counted in real video, against the truth"),
     "blobs": Experiment("merged and split blobs: with and without a model of merged measurements"),
     "m07": Experiment("M07 Table 1 and M09 Fig. 16: PHD against no filter and multiple hypotheses"),
-    "m09": Experiment("M09 Figs. 14-16: the paper's own method, births and false alarms learned, by number of marks"),
-    "scenes": Experiment("learned scenes laid over the default filter's births and false alarms, part by part"),
-    "peers": Experiment("compared with widely used trackers; what each part of the default filter contributes"),
-    "cameras": Experiment("new cameras and detectors next to other trackers, with the figure of groups left out"),
-    "classes": Experiment("cars and people laid over each other, tracked with their classes, apart, and without"),
-    "rates": Experiment("the same settings from one picture in five minutes to a hundred a second, with lost frames"),
+    "m09": Experiment(
+        "M09 Figs. 14-16: the paper's own method, births and false alarms learned, by number of marks"
+    ),
+    "scenes": Experiment(
+        "learned scenes laid over the default filter's births and false alarms, part by part"
+    ),
+    "peers": Experiment(
+        "compared with widely used trackers; what each part of the default filter contributes"
+    ),
+    "cameras": Experiment(
+        "new cameras and detectors next to other trackers, with the figure of groups left out"
+    ),
+    "classes": Experiment(
+        "cars and people laid over each other, tracked with their classes, apart, and without"
+    ),
+    "rates": Experiment(
+        "the same settings from one picture in five minutes to a hundred a second, with lost frames"
+    ),
 }
 
 
 def parser() -> argparse.ArgumentParser:
     """The command's options."""
     out = argparse.ArgumentParser(prog="python -m experiments", description=__doc__)
-    out.add_argument("names", nargs="*", metavar="NAME", help="which to run; all: every experiment, the short ones first")
-    out.add_argument("--list", action="store_true", help="list the experiments and what each answers")
-    out.add_argument("--quick", action="store_true", help="a short form, at most two minutes; its figures are no results")
-    out.add_argument("--runs", type=int, default=0, metavar="N", help="Monte Carlo runs of each case; default: its own")
-    out.add_argument("--out", type=Path, metavar="DIR", help="where pages go; default: docs/results/, in short forms runs/")
-    out.add_argument("--jobs", type=int, default=0, metavar="N", help="processes; default: one for each core")
-    out.add_argument("--check", action="store_true", help="say which pages are older than the code and settings they show")
+    out.add_argument(
+        "names",
+        nargs="*",
+        metavar="NAME",
+        help="which to run; all: every experiment, the short ones first",
+    )
+    out.add_argument(
+        "--list", action="store_true", help="list the experiments and what each answers"
+    )
+    out.add_argument(
+        "--quick",
+        action="store_true",
+        help="a short form, at most two minutes; its figures are no results",
+    )
+    out.add_argument(
+        "--runs",
+        type=int,
+        default=0,
+        metavar="N",
+        help="Monte Carlo runs of each case; default: its own",
+    )
+    out.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="where pages go; default: docs/results/, in short forms runs/",
+    )
+    out.add_argument(
+        "--jobs", type=int, default=0, metavar="N", help="processes; default: one for each core"
+    )
+    out.add_argument(
+        "--check",
+        action="store_true",
+        help="say which pages are older than the code and settings they show",
+    )
     return out
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the experiments that are asked for; the exit status: 0, or 2 for an input that is not as it should be."""
+    """Run the experiments that are asked for; the exit status: 0, or 2 for an input that is not as
+    it should be.
+    """
     command = parser()
     given = command.parse_args(arguments)
     if given.runs < 0 or given.jobs < 0:
         command.error("--runs and --jobs are numbers from 1 on; 0 stands for the default")
     if given.list or not (given.names or given.check):
         print(
-            "\n".join(f"{name:<10} {one.about}{'' if one.data else ' (no real data)'}" for name, one in EXPERIMENTS.items())
+            "\n".join(
+                f"{name:<10} {one.about}{'' if one.data else ' (no real data)'}"
+                for name, one in EXPERIMENTS.items()
+            )
         )
         return 0
     if given.check:
@@ -83,12 +137,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run(names: Sequence[str], given: argparse.Namespace) -> None:
-    """Run the experiments of these names; those that need missing data are found before anything runs."""
+    """Run the experiments of these names; those that need missing data are found before anything
+    runs.
+    """
     for name in names:
         if name not in EXPERIMENTS:
             near = difflib.get_close_matches(name, EXPERIMENTS, n=1)
-            cure = f"Did you mean {near[0]}?" if near else "python -m experiments --list says what there is"
-            raise InputError(f"expected one of {', '.join(EXPERIMENTS)}, got {name!r}", where="experiment", cure=cure)
+            cure = (
+                f"Did you mean {near[0]}?"
+                if near
+                else "python -m experiments --list says what there is"
+            )
+            raise InputError(
+                f"expected one of {', '.join(EXPERIMENTS)}, got {name!r}",
+                where="experiment",
+                cure=cure,
+            )
     for name in names:
         print(f"{name}: {EXPERIMENTS[name].about}", file=sys.stderr, flush=True)
     if given.quick:
@@ -105,7 +169,9 @@ def run(names: Sequence[str], given: argparse.Namespace) -> None:
         return
     for name in names:
         began = time.perf_counter()
-        importlib.import_module(f"experiments.{name}").main(Options(given.runs, given.quick, given.out, given.jobs, name))
+        importlib.import_module(f"experiments.{name}").main(
+            Options(given.runs, given.quick, given.out, given.jobs, name)
+        )
         print(f"{name}: done in {time.perf_counter() - began:.0f} s", file=sys.stderr, flush=True)
 
 

@@ -1,9 +1,11 @@
-"""What a video costs in `phdtrack batch`: CPU per video, per frame and per video that is done, memory, and bytes on disk.
+"""What a video costs in `phdtrack batch`: CPU per video, per frame and per video that is done,
+memory, and bytes on disk.
 
     python -m experiments.batch_costs
 
-A rendered street of 640x360 is tracked by the change detector, and once more from its detections, without annotated videos.
-CPU seconds count all threads and processes; other programs on the machine disturb them less than they do the time.
+A rendered street of 640x360 is tracked by the change detector, and once more from its detections,
+without annotated videos. CPU seconds count all threads and processes; other programs on the machine
+disturb them less than they do the time.
 """
 
 from __future__ import annotations
@@ -23,11 +25,16 @@ import pyarrow.parquet
 
 from phdtrack.cli.batch import DOCUMENT, Cutting, planned
 
-SHORT, MIDDLE, MANY, DONE = 50, 200, 9, 1000
+SHORT = 50
+MIDDLE = 200
+MANY = 9
+DONE = 1000
 
 
 class Used(NamedTuple):
-    """CPU seconds of a command with all its processes, the memory of the largest of them, MiB, and seconds."""
+    """CPU seconds of a command with all its processes, the memory of the largest of them, MiB, and
+    seconds.
+    """
 
     cpu: float
     memory: float
@@ -36,7 +43,8 @@ class Used(NamedTuple):
 
 def run(*words: object) -> Used:
     """Run ``phdtrack`` to its end."""
-    command, began = [sys.executable, "-m", "phdtrack", *map(str, words)], time.monotonic()
+    command = [sys.executable, "-m", "phdtrack", *map(str, words)]
+    began = time.monotonic()
     child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     assert child.stderr is not None
     said = child.stderr.read().decode()
@@ -70,7 +78,8 @@ def costs(source: Path, long: Path, frames: int, folder: Path) -> list[tuple[str
     one = run(*batch, folder / "one", many[0], "--", "--no-video")
     all_of_them = run(*batch, folder / "many", *many, "--", "--no-video")
     longer = run(*batch, folder / "long", long, "--", "--no-video")
-    each, frame = (all_of_them.cpu - one.cpu) / (MANY - 1), (longer.cpu - one.cpu) / (frames - SHORT)
+    each = (all_of_them.cpu - one.cpu) / (MANY - 1)
+    frame = (longer.cpu - one.cpu) / (frames - SHORT)
     rows = next((folder / "long" / "tracks").iterdir())
     count = pyarrow.parquet.read_metadata(rows).num_rows
     size = sum(file.stat().st_size for file in (folder / "long" / "runs" / rows.stem).iterdir())
@@ -86,22 +95,32 @@ def costs(source: Path, long: Path, frames: int, folder: Path) -> list[tuple[str
 
 
 def per_core(source: Path, folder: Path) -> str:
-    """Work per core of two processes on two cores over that of one, by CPU and by the clock, starts included."""
+    """Work per core of two processes on two cores over that of one, by CPU and by the clock, starts
+    included.
+    """
     many = copies(source, folder, 6)
-    one, two = (run("batch", "--jobs", n, "--out", folder / f"by{n}", *many, "--", "--no-video") for n in (1, 2))
+    one, two = (
+        run("batch", "--jobs", n, "--out", folder / f"by{n}", *many, "--", "--no-video")
+        for n in (1, 2)
+    )
     return f"{one.cpu / two.cpu:.2f}, {one.wall / two.wall / 2:.2f}"
 
 
 def done(source: Path, out: Path, folder: Path) -> float:
     """CPU milliseconds that a video takes of which everything is there already."""
-    many, place = copies(source, folder, DONE), folder / "out"
+    many = copies(source, folder, DONE)
+    place = folder / "out"
     mark = json.loads(next(out.glob(f"runs/*/{DOCUMENT}")).read_bytes())
     for video in planned([str(one) for one in many], (), place, Cutting()):
         video.folder.mkdir(parents=True)
         (video.folder / DOCUMENT).write_text(json.dumps(mark | {"digest": video.digest}))
         video.rows.parent.mkdir(exist_ok=True)
         video.rows.touch()
-    return 1000 * (run("batch", "--out", place, *many).cpu - run("batch", "--out", place, many[0]).cpu) / (DONE - 1)
+    return (
+        1000
+        * (run("batch", "--out", place, *many).cpu - run("batch", "--out", place, many[0]).cpu)
+        / (DONE - 1)
+    )
 
 
 def main() -> None:
@@ -113,13 +132,18 @@ def main() -> None:
         folder = Path(name)
         for part in ("short", "long"):
             (folder / part).mkdir()
-        short, long = sources(folder / "short", SHORT), sources(folder / "long", frames)
+        short = sources(folder / "short", SHORT)
+        long = sources(folder / "long", frames)
         for kind, one, other in zip(("video", "detections"), short, long, strict=True):
             for what, value in costs(one, other, frames, folder / kind):
                 print(f"{kind:12} {what:52} {value:>8}", flush=True)
         (folder / "middle").mkdir()
-        for kind, one in zip(("video", "detections"), sources(folder / "middle", MIDDLE), strict=True):
-            print(f"{kind:12} {'work per core of two processes: CPU, clock':52} {per_core(one, folder / ('two' + kind)):>8}")
+        for kind, one in zip(
+            ("video", "detections"), sources(folder / "middle", MIDDLE), strict=True
+        ):
+            print(
+                f"{kind:12} {'work per core of two processes: CPU, clock':52} {per_core(one, folder / ('two' + kind)):>8}"
+            )
         again = done(short[1], folder / "video" / "one", folder / "done")
         print(f"{'':12} {'a video that is done, CPU ms':52} {again:8.2f}")
 

@@ -1,22 +1,24 @@
 """Turning targets that a radar or sonar sees by bearing and range [V06 §IV-C].
 
-**Motion.** State x = (px, py, vx, vy, ω): metres, metres per second, radians per second, anticlockwise; the time unit is the
-second. Nearly constant speed and turn rate; with α = ωT, over an interval T
+**Motion.** State x = (px, py, vx, vy, ω): metres, metres per second, radians per second,
+anticlockwise; the time unit is the second. Nearly constant speed and turn rate; with α = ωT, over
+an interval T
 
     p' = p + T [s(α) −c(α); c(α) s(α)] v,   s(α) = sin α / α,   c(α) = (1 − cos α) / α
     v' = [cos α −sin α; sin α cos α] v,   ω' = ω
 
-which for ω → 0 is constant velocity. White noise pushes the velocity along each axis (`models.positions`), and the turn
-rate: variances of ω' are u² T² (``piecewise``, as printed) or u² T (``continuous``).
+which for ω → 0 is constant velocity. White noise pushes the velocity along each axis
+(`models.positions`), and the turn rate: variances of ω' are u² T² (``piecewise``, as printed) or u²
+T (``continuous``).
 
-**Sensor.** Measurement z = (θ, r): θ in radians, from the y axis towards the x axis, and r in metres, with independent
-Gaussian noises:
+**Sensor.** Measurement z = (θ, r): θ in radians, from the y axis towards the x axis, and r in
+metres, with independent Gaussian noises:
 
     θ = atan2(px − ox, py − oy) + σ_θ n₁,    r = |p − o| + σ_r n₂
 
-Bearings are compared the short way round. g(z|x) is a density per radian and metre, and so must be κ(z): uniform clutter
-over a half disc of radius R that is uniform in bearing and range has the volume πR. The sensor is not linear: Gaussians go
-through it by sigma points (`models.gaussian`).
+Bearings are compared the short way round. g(z|x) is a density per radian and metre, and so must be
+κ(z): uniform clutter over a half disc of radius R that is uniform in bearing and range has the
+volume πR. The sensor is not linear: Gaussians go through it by sigma points (`models.gaussian`).
 
     p_D(x) = p_D · exp(−|p − o|² / 2ℓ²)
 
@@ -72,12 +74,14 @@ class TurningMotion(PositionMotion):
 
     Parameters
     ----------
-    acceleration : ``continuous``: standard deviation of the velocity's change over one second, m/s; ``piecewise``: of the
-        acceleration, m/s².
-    turning : u, the same of the turn rate, rad/s; ``piecewise``: of the angular acceleration, rad/s².
+    acceleration : ``continuous``: standard deviation of the velocity's change over one second, m/s;
+        ``piecewise``: of the acceleration, m/s².
+    turning : u, the same of the turn rate, rad/s; ``piecewise``: of the angular acceleration,
+        rad/s².
     survival_probability : probability p_S that a target is still there after one second.
     form : ``continuous`` or ``piecewise``, see `models.positions`.
-    borders : left, low, right and high border in metres; a target that has left it does not survive. All 0: no border.
+    borders : left, low, right and high border in metres; a target that has left it does not
+        survive. All 0: no border.
     """
 
     acceleration: NonNegative = 5.0
@@ -92,7 +96,9 @@ class TurningMotion(PositionMotion):
         return self.turning**2 * dt * (dt if self.form == "piecewise" else 1.0)
 
     def particle_model(self, dt: float, seconds: float) -> TurningWalk:
-        """The numbers of f over ``dt`` and p_S over ``seconds`` for the particle filters [V06 §IV-C]."""
+        """The numbers of f over ``dt`` and p_S over ``seconds`` for the particle filters [V06
+        §IV-C].
+        """
         straight = walk(dt, self._variances(dt), self.survival_probability**seconds, self.borders)
         return TurningWalk(straight, math.sqrt(self._turn_variance(dt)))
 
@@ -104,31 +110,53 @@ class TurningMotion(PositionMotion):
 
 
 def turned(x: F8, dt: float) -> F8:
-    """(5, n) states ``x`` (5, n) after ``dt`` seconds on their circles, without noise [V06 §IV-C]."""
+    """(5, n) states ``x`` (5, n) after ``dt`` seconds on their circles, without noise [V06
+    §IV-C].
+    """
     angle = x[4] * dt
-    along, across = dt * _sinc(angle), dt * _across(angle)
-    cos, sin = np.cos(angle), np.sin(angle)
-    vx, vy = x[2], x[3]
+    along = dt * _sinc(angle)
+    across = dt * _across(angle)
+    cos = np.cos(angle)
+    sin = np.sin(angle)
+    vx = x[2]
+    vy = x[3]
     return np.stack(
-        [x[0] + along * vx - across * vy, x[1] + across * vx + along * vy, cos * vx - sin * vy, sin * vx + cos * vy, x[4]]
+        [
+            x[0] + along * vx - across * vy,
+            x[1] + across * vx + along * vy,
+            cos * vx - sin * vy,
+            sin * vx + cos * vy,
+            x[4],
+        ]
     )
 
 
 def slopes(x: F8, dt: float) -> F8:
     """(n, 5, 5) Jacobians of `turned`."""
     angle = x[4] * dt
-    along, across = dt * _sinc(angle), dt * _across(angle)
-    cos, sin = np.cos(angle), np.sin(angle)
+    along = dt * _sinc(angle)
+    across = dt * _across(angle)
+    cos = np.cos(angle)
+    sin = np.sin(angle)
     # s' and c' by angle; c/α = s(α/2)²/2 needs no difference of neighbours.
     faster = dt**2 * _sinc_slope(angle)
     wider = dt**2 * (_sinc(angle) - 0.5 * _sinc(0.5 * angle) ** 2)
-    vx, vy = x[2], x[3]
+    vx = x[2]
+    vy = x[3]
     f = np.zeros((5, 5, x.shape[1]))
     f[range(5), range(5)] = 1.0
-    f[0, 2], f[0, 3], f[0, 4] = along, -across, faster * vx - wider * vy
-    f[1, 2], f[1, 3], f[1, 4] = across, along, wider * vx + faster * vy
-    f[2, 2], f[2, 3], f[2, 4] = cos, -sin, -dt * (sin * vx + cos * vy)
-    f[3, 2], f[3, 3], f[3, 4] = sin, cos, dt * (cos * vx - sin * vy)
+    f[0, 2] = along
+    f[0, 3] = -across
+    f[0, 4] = faster * vx - wider * vy
+    f[1, 2] = across
+    f[1, 3] = along
+    f[1, 4] = wider * vx + faster * vy
+    f[2, 2] = cos
+    f[2, 3] = -sin
+    f[2, 4] = -dt * (sin * vx + cos * vy)
+    f[3, 2] = sin
+    f[3, 3] = cos
+    f[3, 4] = dt * (cos * vx - sin * vy)
     return np.ascontiguousarray(f.transpose(2, 0, 1))
 
 
@@ -170,8 +198,8 @@ class BearingSensor(PositionSensor):
     birth_speed : standard deviation of an unknown velocity's amplitude, m/s.
     turn : standard deviation of an unknown turn rate, rad/s.
     size : side of the square that is drawn about a position, metres.
-    gate_probability : part of the detections of a target that its gate holds; detections touch no particles beyond. 1: no
-        gate.
+    gate_probability : part of the detections of a target that its gate holds; detections touch no
+        particles beyond. 1: no gate.
     """
 
     bearing: Positive = math.pi / 90
@@ -193,7 +221,8 @@ class BearingSensor(PositionSensor):
 
     def expected(self, x: F8) -> F8:
         """(2, …) bearing and range of the positions, the first two rows of ``x`` [V06 §IV-C]."""
-        east, north = x[0] - self.origin[0], x[1] - self.origin[1]
+        east = x[0] - self.origin[0]
+        north = x[1] - self.origin[1]
         return np.stack([np.arctan2(east, north), np.hypot(east, north)])
 
     def innovation(self, z: F8, seen: F8) -> F8:
@@ -203,7 +232,8 @@ class BearingSensor(PositionSensor):
 
     def _noise(self, z: F8) -> tuple[F8, F8, F8]:
         """The variances of bearing and range."""
-        turn, longer = np.full(z.shape[1:], self.bearing**2), np.full(z.shape[1:], self.reach**2)
+        turn = np.full(z.shape[1:], self.bearing**2)
+        longer = np.full(z.shape[1:], self.reach**2)
         return turn, np.zeros_like(turn), longer
 
     def p_detect(self, x: F8) -> F8:
@@ -214,10 +244,14 @@ class BearingSensor(PositionSensor):
         return out
 
     def particle_model(self, z: F8) -> SensorNumbers:
-        """The numbers of g and p_D for the particle filters, and a column for each measurement [V06 §IV-C]."""
+        """The numbers of g and p_D for the particle filters, and a column for each measurement [V06
+        §IV-C].
+        """
         factor = 1 / (WHOLE_TURN * self.bearing * self.reach)
         x, y = self.origin
-        model = BearingRange(float(x), float(y), 1 / self.bearing, 1 / self.reach, factor, 10 * self.reach)
+        model = BearingRange(
+            float(x), float(y), 1 / self.bearing, 1 / self.reach, factor, 10 * self.reach
+        )
         return SensorNumbers(model, np.ascontiguousarray(z[:2], np.float64), np.zeros(0))
 
     def watching(self, targets: F8) -> BearingSensor:
@@ -226,18 +260,26 @@ class BearingSensor(PositionSensor):
 
     def gate(self, z: F8) -> tuple[F8, F8]:
         """Rectangles about the pieces of rings that reach G deviations of bearing and of range."""
-        wide, deep = self._gate * self.bearing, self._gate * self.reach
-        near, far = np.maximum(z[1] - deep, 0.0), np.maximum(z[1] + deep, 0.0)
+        wide = self._gate * self.bearing
+        deep = self._gate * self.reach
+        near = np.maximum(z[1] - deep, 0.0)
+        far = np.maximum(z[1] + deep, 0.0)
         # sin θ gives x, and y = sin(θ + π/2).
         sides = [_between(z[0] + quarter, wide, near, far) for quarter in (0.0, math.pi / 2)]
         place = np.array(self.origin)[:, None]
-        return place + np.stack([low for low, _ in sides]), place + np.stack([high for _, high in sides])
+        return place + np.stack([low for low, _ in sides]), place + np.stack(
+            [high for _, high in sides]
+        )
 
     def states(self, z: F8) -> tuple[F8, F8]:
-        """Targets at rest that would give z, with the covariance of what z alone tells, to first order."""
+        """Targets at rest that would give z, with the covariance of what z alone tells, to first
+        order.
+        """
         n = z.shape[1]
-        x, cov = np.zeros((5, n)), np.zeros((n, 5, 5))
-        x[0], x[1] = self.origin[0] + z[1] * np.sin(z[0]), self.origin[1] + z[1] * np.cos(z[0])
+        x = np.zeros((5, n))
+        cov = np.zeros((n, 5, 5))
+        x[0] = self.origin[0] + z[1] * np.sin(z[0])
+        x[1] = self.origin[1] + z[1] * np.cos(z[0])
         cov[:, :2, :2] = self._plane_covariance(z)
         cov[:, 2, 2] = cov[:, 3, 3] = self.birth_speed**2 / 2
         cov[:, 4, 4] = self.turn**2
@@ -245,18 +287,28 @@ class BearingSensor(PositionSensor):
 
     def _plane_covariance(self, polar: F8) -> F8:
         """(n, 2, 2) covariances of positions by the noise of bearing and range (2, n)."""
-        sin, cos = np.sin(polar[0]), np.cos(polar[0])
-        # At the sensor's place no bearing tells anything, and no position is better known than by its range.
+        sin = np.sin(polar[0])
+        cos = np.cos(polar[0])
+        # At the sensor's place no bearing tells anything, and no position is better known than by
+        # its range.
         across = np.maximum(np.abs(polar[1]) * self.bearing, self.reach * self.bearing)
-        root = np.stack([np.stack([across * cos, self.reach * sin]), np.stack([-across * sin, self.reach * cos])])
+        root = np.stack(
+            [
+                np.stack([across * cos, self.reach * sin]),
+                np.stack([-across * sin, self.reach * cos]),
+            ]
+        )
         out: F8 = np.einsum("abn,cbn->nac", root, root)
         return out
 
     def noise(self, x: F8) -> F8:
-        """(5, n) deviations by which components at ``x`` are resolved: of the position there, of what is not measured."""
+        """(5, n) deviations by which components at ``x`` are resolved: of the position there, of
+        what is not measured.
+        """
         out = np.empty((5, x.shape[1]))
         out[:2] = np.sqrt(np.diagonal(self._plane_covariance(self.expected(x)), axis1=1, axis2=2).T)
-        out[2:4], out[4] = self.birth_speed / math.sqrt(2), self.turn
+        out[2:4] = self.birth_speed / math.sqrt(2)
+        out[4] = self.turn
         return out
 
     def boxes(self, x: F8) -> F8:
@@ -266,8 +318,11 @@ class BearingSensor(PositionSensor):
 
 
 def _between(angle: F8, wide: float, near: F8, far: F8) -> tuple[F8, F8]:
-    """(n,) least and largest ρ sin φ over φ within ``wide`` of ``angle`` and ρ from ``near`` to ``far``."""
-    first, last = angle - wide, angle + wide
+    """(n,) least and largest ρ sin φ over φ within ``wide`` of ``angle`` and ρ from ``near`` to
+    ``far``.
+    """
+    first = angle - wide
+    last = angle + wide
     ends = np.sort(np.stack([np.sin(first), np.sin(last)]), axis=0)
     low = np.where(_holds(first, last, -math.pi / 2), -1.0, ends[0])
     high = np.where(_holds(first, last, math.pi / 2), 1.0, ends[1])
@@ -291,7 +346,9 @@ class TurningWalk(NamedTuple):
 
 
 class BearingRange(NamedTuple):
-    """`BearingSensor`: place of the sensor, one over the deviations, the density's factor, extent of a block."""
+    """`BearingSensor`: place of the sensor, one over the deviations, the density's factor, extent
+    of a block.
+    """
 
     x: float
     y: float
@@ -314,14 +371,24 @@ def _survives_turning(model: Number, s: Real, i: int) -> Number:
 @implements(move, TurningWalk)
 def _move_turning(model: Number, s: Real, i: int) -> None:
     straight = model.walk
-    angle, vx, vy = s[W + i] * straight.dt, s[VX + i], s[VY + i]
+    angle = s[W + i] * straight.dt
+    vx = s[VX + i]
+    vy = s[VY + i]
     half = 0.5 * angle
     along = math.sin(angle) / angle if abs(angle) > 1e-8 else 1.0
     across = math.sin(half) * math.sin(half) / half if abs(half) > 1e-8 else 0.0
-    cos, sin, nx, ny = math.cos(angle), math.sin(angle), s[N0 + i], s[N1 + i]
-    s[X + i] += straight.dt * (along * vx - across * vy) + straight.coupled * nx + straight.rest * s[N2 + i]
-    s[Y + i] += straight.dt * (across * vx + along * vy) + straight.coupled * ny + straight.rest * s[N3 + i]
-    s[VX + i], s[VY + i] = cos * vx - sin * vy + straight.kick * nx, sin * vx + cos * vy + straight.kick * ny
+    cos = math.cos(angle)
+    sin = math.sin(angle)
+    nx = s[N0 + i]
+    ny = s[N1 + i]
+    s[X + i] += (
+        straight.dt * (along * vx - across * vy) + straight.coupled * nx + straight.rest * s[N2 + i]
+    )
+    s[Y + i] += (
+        straight.dt * (across * vx + along * vy) + straight.coupled * ny + straight.rest * s[N3 + i]
+    )
+    s[VX + i] = cos * vx - sin * vy + straight.kick * nx
+    s[VY + i] = sin * vx + cos * vy + straight.kick * ny
     s[W + i] += model.turn * s[N4 + i]
 
 
@@ -332,7 +399,8 @@ def _seen_bearing(model: Number, table: Real, j: int) -> Number:
 
 @implements(distance, BearingRange)
 def _distance_bearing(model: Number, z: Number, s: Real, i: int) -> Number:
-    east, north = s[X + i] - model.x, s[Y + i] - model.y
+    east = s[X + i] - model.x
+    north = s[Y + i] - model.y
     turn = z[0] - math.atan2(east, north)
     turn = (turn - 2.0 * math.pi * np.rint(turn / (2.0 * math.pi))) * model.per_bearing
     longer = (z[1] - math.sqrt(east * east + north * north)) * model.per_range

@@ -11,7 +11,18 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.common import Case, Options, built, detections_in, followed, in_parallel, mot15, need_data, table, write
+from experiments.common import (
+    Case,
+    Options,
+    built,
+    detections_in,
+    followed,
+    in_parallel,
+    mot15,
+    need_data,
+    table,
+    write,
+)
 from experiments.meetings import PARTINGS, Leave, filmed, leaving
 from phdtrack.metrics import Scores, evaluate, pool
 from phdtrack.video import open_source
@@ -36,7 +47,9 @@ class BlobCase:
 
 @dataclass(frozen=True, slots=True)
 class BlobScores:
-    """Scores of corrected tracks and online rows; of a meeting with which identities two left the blob, of either."""
+    """Scores of corrected tracks and online rows; of a meeting with which identities two left the
+    blob, of either.
+    """
 
     corrected: Scores
     online: Scores
@@ -56,10 +69,16 @@ def case_of(which: BlobCase) -> Case:
 def work(job: tuple[BlobCase, Case, str, Sets]) -> BlobScores:
     """Track a case with a filter and settings."""
     which, case, filter_name, sets = job
-    run = followed(built(case.info, filter_name, sets, "mot15" if filter_name == "pmb" else ""), case, 1)
+    run = followed(
+        built(case.info, filter_name, sets, "mot15" if filter_name == "pmb" else ""), case, 1
+    )
     online = run.online.take(run.online.confirmed)
-    scores = [evaluate(case.truth, tracks, frames=case.info.frames) for tracks in (run.corrected, online)]
-    leave = (leaving(case, run.corrected), leaving(case, online)) if which.kind == "meeting" else None
+    scores = [
+        evaluate(case.truth, tracks, frames=case.info.frames) for tracks in (run.corrected, online)
+    ]
+    leave = (
+        (leaving(case, run.corrected), leaving(case, online)) if which.kind == "meeting" else None
+    )
     return BlobScores(scores[0], scores[1], leave)
 
 
@@ -69,7 +88,9 @@ def main(options: Options) -> Path:
     filters, videos = (FILTERS[:1], VIDEOS[-1:]) if options.quick else (FILTERS, VIDEOS)
     wanted = [BlobCase("meeting", parting, seed) for parting in PARTINGS for seed in range(seeds)]
     wanted += [BlobCase("video", " ".join(video), 0) for video in videos]
-    cases = dict(zip(wanted, in_parallel(case_of, wanted, "blobs, detecting", options), strict=True))
+    cases = dict(
+        zip(wanted, in_parallel(case_of, wanted, "blobs, detecting", options), strict=True)
+    )
     runs = [(which, name, way) for which in wanted for name in filters for way in WAYS]
     jobs = [(which, cases[which], name, WAYS[way]) for which, name, way in runs]
     scored = dict(zip(runs, in_parallel(work, jobs, "blobs", options), strict=True))
@@ -85,9 +106,19 @@ def _table(kind: str, filters: Sets, scored: Runs) -> tuple[tuple[str, ...], lis
     names = dict.fromkeys(which.name for which, _, _ in scored if which.kind == kind)
     rows: list[list[object]] = []
     for filter_, way, name in ((f, w, n) for n in names for f in filters for w in WAYS):
-        those = [one for (which, f, w), one in scored.items() if (which.name, f, w) == (name, filter_, way)]
-        corrected, online = pool([one.corrected for one in those]), pool([one.online for one in those])
-        cells: list[object] = [corrected.MOTA, corrected.IDF1, corrected.HOTA, corrected.id_switches]
+        those = [
+            one
+            for (which, f, w), one in scored.items()
+            if (which.name, f, w) == (name, filter_, way)
+        ]
+        corrected = pool([one.corrected for one in those])
+        online = pool([one.online for one in those])
+        cells: list[object] = [
+            corrected.MOTA,
+            corrected.IDF1,
+            corrected.HOTA,
+            corrected.id_switches,
+        ]
         cells += [online.MOTA, online.IDF1, online.HOTA]
         rows.append([name, filter_, way, *(_left(those) if kind == "meeting" else ()), *cells])
     return (kind, "filter", "blobs", *(LEAVES if kind == "meeting" else ()), *SCORES), rows
@@ -96,5 +127,7 @@ def _table(kind: str, filters: Sets, scored: Runs) -> tuple[tuple[str, ...], lis
 def _left(those: list[BlobScores]) -> list[str]:
     """Shares of the pairs that left in each way, of the corrected tracks and (online)."""
     left = [one.leave for one in those if one.leave is not None]
-    shares = [[float(np.mean([pair[k] == leave for pair in left])) for k in (0, 1)] for leave in LEAVES]
+    shares = [
+        [float(np.mean([pair[k] == leave for pair in left])) for k in (0, 1)] for leave in LEAVES
+    ]
     return [f"{corrected:.2f} ({online:.2f})" for corrected, online in shares]

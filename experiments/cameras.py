@@ -1,12 +1,15 @@
-"""New cameras and today's detectors: two presets and ten motion-only trackers, with the figure of groups left out.
+"""New cameras and today's detectors: two presets and ten motion-only trackers, with the figure of
+groups left out.
 
-The sequences are those in the folder ``more`` of the real data (MOT17, MOT20, DanceTrack, KITTI, cells, players, aerial
-views) and those of MOT15. All are tracked with one set of values, and the camera's motion is not given. Boxes without an
-area are left out. The scorer and the peers' scores are in the folder ``bench`` next to the data.
+The sequences are those in the folder ``more`` of the real data (MOT17, MOT20, DanceTrack, KITTI,
+cells, players, aerial views) and those of MOT15. All are tracked with one set of values, and the
+camera's motion is not given. Boxes without an area are left out. The scorer and the peers' scores
+are in the folder ``bench`` next to the data.
 
-The preset ``mot15`` was chosen on MOT15. The default was chosen among its `VARIANTS` on all groups; what that choice is
-worth elsewhere says the left-out figure: each group is tracked with the variant that is best on the other groups, by the
-mean over groups of the mean distance of the online rows to the best peer."""
+The preset ``mot15`` was chosen on MOT15. The default was chosen among its `VARIANTS` on all groups;
+what that choice is worth elsewhere says the left-out figure: each group is tracked with the variant
+that is best on the other groups, by the mean over groups of the mean distance of the online rows to
+the best peer."""
 
 from __future__ import annotations
 
@@ -67,7 +70,8 @@ VARIANTS: Mapping[str, tuple[str, Sets]] = {
 SHOWN = ("mot15", "default")
 # How far behind the best peer a value may be, in points, without being listed.
 BEHIND = {"online": 5.0, "corrected": 2.0}
-# Variant, folder of the sequence, name of the detections, folder of the results, whether only delayed rows are wanted.
+# Variant, folder of the sequence, name of the detections, folder of the results, whether only
+# delayed rows are wanted.
 CameraRun = tuple[str, str, str, str, bool]
 Row = Mapping[str, str]
 
@@ -97,7 +101,8 @@ def track(job: CameraRun) -> None:
     boxes = np.column_stack([rows[:, 2:4], rows[:, 2:4] + rows[:, 4:6], rows[:, 6]])
     late = {"output_delay": round(DELAY * info.fps) if delayed else 0}
     settings = {**sets, "associate": {**sets.get("associate", {}), **late}}
-    tracker, online = Tracker((info.width, info.height), fps=info.fps, preset=preset, **settings), []
+    tracker = Tracker((info.width, info.height), fps=info.fps, preset=preset, **settings)
+    online = []
     for number in range(1, info.frames + 1):
         online.append(tracker.update(boxes[rows[:, 0] == number], frame=number))
     given = Tracks.concatenate([*online, tracker.flush()])
@@ -117,16 +122,19 @@ def track(job: CameraRun) -> None:
 def scored(job: tuple[str, str, str]) -> list[Row]:
     """The scores of every case and of every group (whose sequence is ALL) of a variant's output.
 
-    Those of new cameras are by the scorer in the folder next to the data, those of MOT15 were scored when they were tracked;
-    their group is the mean of its cases.
+    Those of new cameras are by the scorer in the folder next to the data, those of MOT15 were
+    scored when they were tracked; their group is the mean of its cases.
     """
     variant, output, place = job
-    results, kept = Path(place) / variant, Path(place) / variant / f"{output}.csv"
+    results = Path(place) / variant
+    kept = Path(place) / variant / f"{output}.csv"
     command = [sys.executable, str(bench() / "score_more.py"), "--data", str(need_data() / "more")]
     command += ["--results", str(results / output), "--name", output, "--out", str(kept)]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     if done.returncode:
-        raise InputError(f"the scorer failed: {done.stderr.strip()[-300:]}", where=bench() / "score_more.py")
+        raise InputError(
+            f"the scorer failed: {done.stderr.strip()[-300:]}", where=bench() / "score_more.py"
+        )
     names = ("group", "sequence", "detector", *SCORES)
     old = [
         dict(zip(names, file.read_text(encoding="utf-8").split(","), strict=True))
@@ -141,7 +149,12 @@ def scored(job: tuple[str, str, str]) -> list[Row]:
 def peers_of_cases() -> list[Row]:
     """The peers' scores in every case, of new cameras and of MOT15."""
     old = [
-        {"group": "MOT15", "sequence": row["seq"], "detector": row["case"], **{key: row[key] for key in ("name", *SCORES)}}
+        {
+            "group": "MOT15",
+            "sequence": row["seq"],
+            "detector": row["case"],
+            **{key: row[key] for key in ("name", *SCORES)},
+        }
         for row in _read(bench() / "peers.csv")
         if row["name"] != "oracle" and row["seq"] in SEQUENCES.get(row["case"], ())
     ]
@@ -155,11 +168,21 @@ def best(peers: Sequence[Row]) -> list[float]:
 
 
 def pairs_won(rows: Sequence[Row], peers: Sequence[Row]) -> tuple[int, int]:
-    """In how many (case, score) pairs the value is at least the best peer's, and how many pairs there are."""
+    """In how many (case, score) pairs the value is at least the best peer's, and how many pairs
+    there are.
+    """
     won = of = 0
     for row in (row for row in rows if row["sequence"] != "ALL"):
-        peer_best = best([p for p in peers if (p["sequence"], p["detector"]) == (row["sequence"], row["detector"])])
-        won += sum(float(row[score]) >= value for score, value in zip(SCORES, peer_best, strict=True))
+        peer_best = best(
+            [
+                p
+                for p in peers
+                if (p["sequence"], p["detector"]) == (row["sequence"], row["detector"])
+            ]
+        )
+        won += sum(
+            float(row[score]) >= value for score, value in zip(SCORES, peer_best, strict=True)
+        )
         of += len(SCORES)
     return won, of
 
@@ -168,81 +191,148 @@ def distances(rows: Sequence[Row], peers: Sequence[Row]) -> dict[str, float]:
     """Of each group the mean over its cases and scores of the distance to the best peer, points."""
     found: dict[str, list[float]] = {}
     for row in (row for row in rows if row["sequence"] != "ALL"):
-        peer_best = best([p for p in peers if (p["sequence"], p["detector"]) == (row["sequence"], row["detector"])])
-        away = np.mean([float(row[score]) - value for score, value in zip(SCORES, peer_best, strict=True)])
+        peer_best = best(
+            [
+                p
+                for p in peers
+                if (p["sequence"], p["detector"]) == (row["sequence"], row["detector"])
+            ]
+        )
+        away = np.mean(
+            [float(row[score]) - value for score, value in zip(SCORES, peer_best, strict=True)]
+        )
         found.setdefault(row["group"], []).append(float(away))
     return {group: float(np.mean(values)) for group, values in found.items()}
 
 
 def difference(one: Mapping[str, float], other: Mapping[str, float]) -> tuple[float, float]:
-    """The mean over groups of the difference, and its standard error by the jackknife that leaves out one group in turn."""
+    """The mean over groups of the difference, and its standard error by the jackknife that leaves
+    out one group in turn.
+    """
     values = np.array([one[group] - other[group] for group in other])
     n = len(values)
     without = (values.sum() - values) / max(n - 1, 1)
-    return float(values.mean()), float(np.sqrt((n - 1) / n * np.square(without - without.mean()).sum()))
+    return float(values.mean()), float(
+        np.sqrt((n - 1) / n * np.square(without - without.mean()).sum())
+    )
 
 
 def behind(kept: Mapping[tuple[str, str], Sequence[Row]], peers: Sequence[Row]) -> list[list[str]]:
-    """The pairs in which the default is farther behind the best peer than `BEHIND`, the farthest first."""
+    """The pairs in which the default is farther behind the best peer than `BEHIND`, the farthest
+    first.
+    """
     found = []
     for output, most in BEHIND.items():
         for row in (row for row in kept["default", output] if row["sequence"] != "ALL"):
-            of_case = [p for p in peers if (p["sequence"], p["detector"]) == (row["sequence"], row["detector"])]
+            of_case = [
+                p
+                for p in peers
+                if (p["sequence"], p["detector"]) == (row["sequence"], row["detector"])
+            ]
             for score, value in zip(SCORES, best(of_case), strict=True):
                 if (away := float(row[score]) - value) < -most:
                     case = f"{row['sequence']} {row['detector']}"
                     found.append(
-                        (output, away, [output, row["group"], case, score, f"{float(row[score]):.1f}", f"{value:.1f}"])
+                        (
+                            output,
+                            away,
+                            [
+                                output,
+                                row["group"],
+                                case,
+                                score,
+                                f"{float(row[score]):.1f}",
+                                f"{value:.1f}",
+                            ],
+                        )
                     )
     return [cells for _, _, cells in sorted(found, key=lambda one: (one[0] != "online", one[1]))]
 
 
 def left_out(by_variant: Mapping[str, Mapping[str, float]]) -> dict[str, str]:
-    """The variant for each group that is best, in the mean, on the other groups; ``by_variant`` as of `distances`."""
+    """The variant for each group that is best, in the mean, on the other groups; ``by_variant`` as
+    of `distances`.
+    """
     groups = next(iter(by_variant.values()))
     return {
-        group: max(by_variant, key=lambda name: sum(v for g, v in by_variant[name].items() if g != group))
+        group: max(
+            by_variant, key=lambda name: sum(v for g, v in by_variant[name].items() if g != group)
+        )
         for group in groups
     }
 
 
 def main(options: Options) -> Path:
     """Track every case, score the rows, and write cameras.md."""
-    folder, groups = bench(), _read(bench() / "groups.csv")
+    folder = bench()
+    groups = _read(bench() / "groups.csv")
     names = [row["sequence"] for row in groups if not options.quick or row["sequence"] in SHORT]
-    cases = [(name, det.name[4:]) for name in names for det in sorted((need_data() / "more" / name).glob("det_*"))]
-    cases += [(name, kind) for kind, those in SEQUENCES.items() for name in those if not options.quick]
+    cases = [
+        (name, det.name[4:])
+        for name in names
+        for det in sorted((need_data() / "more" / name).glob("det_*"))
+    ]
+    cases += [
+        (name, kind) for kind, those in SEQUENCES.items() for name in those if not options.quick
+    ]
     variants = SHOWN if options.quick else tuple(VARIANTS)
-    peers, of_groups, rows = peers_of_cases(), _read(folder / "peers_more_groups.csv"), dict[tuple[str, str], list[Row]]()
+    peers = peers_of_cases()
+    of_groups = _read(folder / "peers_more_groups.csv")
+    rows = dict[tuple[str, str], list[Row]]()
 
     def run(some: Sequence[str], outputs: Sequence[str], place: str) -> None:
         late = "delayed" in outputs
-        in_parallel(track, [(variant, *case, place, late) for variant in some for case in cases], "cameras", options)
+        in_parallel(
+            track,
+            [(variant, *case, place, late) for variant in some for case in cases],
+            "cameras",
+            options,
+        )
         wanted = [(variant, output, place) for variant in some for output in outputs]
-        rows.update(zip([job[:2] for job in wanted], in_parallel(scored, wanted, "scores", options), strict=True))
+        rows.update(
+            zip(
+                [job[:2] for job in wanted],
+                in_parallel(scored, wanted, "scores", options),
+                strict=True,
+            )
+        )
 
     with tempfile.TemporaryDirectory() as place:
         run(variants, ("online", "corrected"), place)
-        away = {output: {name: distances(rows[name, output], peers) for name in variants} for output in BEHIND}
+        away = {
+            output: {name: distances(rows[name, output], peers) for name in variants}
+            for output in BEHIND
+        }
         chosen = left_out({name: away["online"][name] for name in variants if name != "mot15"})
         run(sorted({*SHOWN, *chosen.values()}), ("delayed",), place)
-    kept: dict[tuple[str, str], list[Row]] = {(name, output): rows[name, output] for name in SHOWN for output in OUTPUTS}
+    kept: dict[tuple[str, str], list[Row]] = {
+        (name, output): rows[name, output] for name in SHOWN for output in OUTPUTS
+    }
     for output in OUTPUTS:
         kept["left out", output] = [
-            row for group, name in chosen.items() for row in rows[name, output] if row["group"] == group
+            row
+            for group, name in chosen.items()
+            for row in rows[name, output]
+            if row["group"] == group
         ]
     lines = []
     for group in chosen:
         known = [row for row in of_groups if row["group"] == group]
         cells = [_cell(best(known))] if known else ["-"]
-        for name, output in [*((name, "online") for name in SHOWN), *(("default", output) for output in OUTPUTS[1:])]:
+        for name, output in [
+            *((name, "online") for name in SHOWN),
+            *(("default", output) for output in OUTPUTS[1:]),
+        ]:
             (row,) = (row for row in _groups(kept[name, output]) if row["group"] == group)
             cells.append(_cell([float(row[score]) for score in SCORES]))
         cells += [f"{away['online'][name][group]:+.1f}" for name in SHOWN]
         lines.append([group, *cells, chosen[group]])
     won = []
     for (name, output), found in kept.items():
-        new, old = ([row for row in found if (row["group"] == "MOT15") is is_old] for is_old in (False, True))
+        new, old = (
+            [row for row in found if (row["group"] == "MOT15") is is_old]
+            for is_old in (False, True)
+        )
         mean = np.mean(list(distances(found, peers).values()))
         won.append(
             [
@@ -256,8 +346,12 @@ def main(options: Options) -> Path:
     compared = []
     for name in variants:
         changes = [difference(away[output][name], away[output]["default"]) for output in BEHIND]
-        cells = ["" if name == "default" else f"{mean:+.2f} ± {error:.2f}" for mean, error in changes]
-        compared.append([name, *cells, *(f"{value:+.1f}" for value in away["online"][name].values())])
+        cells = [
+            "" if name == "default" else f"{mean:+.2f} ± {error:.2f}" for mean, error in changes
+        ]
+        compared.append(
+            [name, *cells, *(f"{value:+.1f}" for value in away["online"][name].values())]
+        )
     return write(
         "cameras",
         options,
@@ -277,7 +371,9 @@ def main(options: Options) -> Path:
             lines,
         ),
         won=table(["values", "rows", "new cameras", "MOT15", "mean distance"], won),
-        behind=table(["rows", "group", "case", "score", "default", "best peer"], behind(kept, peers)),
+        behind=table(
+            ["rows", "group", "case", "score", "default", "best peer"], behind(kept, peers)
+        ),
         variants=table(["variant", *BEHIND, *chosen], compared),
     )
 

@@ -1,4 +1,6 @@
-"""What the trackers are compared on: real detections, ones made of real truth, simulated and rendered scenes; clutter."""
+"""What the trackers are compared on: real detections, ones made of real truth, simulated and
+rendered scenes; clutter.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,8 @@ from phdtrack.formats import read_truth
 from phdtrack.simulate import DetectorModel, Rendered, add_clutter, detect, make_scene
 from phdtrack.types import SequenceInfo
 
-# A sequence, and which detections of it: public or frcnn; made; of a simulated scene; of one with places that fire;
-# of a rendered one, by a detector.
+# A sequence, and which detections of it: public or frcnn; made; of a simulated scene; of one with
+# places that fire; of a rendered one, by a detector.
 Named = tuple[str, str]
 # The shipped defaults were chosen by scores on these.
 _BOTH = ("PETS09-S2L1", "TUD-Campus", "KITTI-17")
@@ -28,19 +30,26 @@ HELD_OUT: tuple[Named, ...] = (("ETH-Sunnyday", "public"), ("ETH-Sunnyday", "frc
 MADE: tuple[Named, ...] = (("OneLeaveShop1cor", "made"), ("PETS2009-S1L1-1", "made"))
 _NAMES = ("street", "crossing", "occlusion", "crowd", "corridor")
 SCENES: tuple[Named, ...] = tuple((name, "scene") for name in _NAMES)
-# The scenes as `phdtrack simulate` makes them: five places where something is reported in every other frame.
+# The scenes as `phdtrack simulate` makes them: five places where something is reported in every
+# other frame.
 PLACES: tuple[Named, ...] = tuple((name, "places") for name in _NAMES)
 # Three of them as a video, in which a detector finds what it can.
-RENDERED: tuple[Named, ...] = tuple((name, "rendered") for name in ("street", "crossing", "corridor"))
+RENDERED: tuple[Named, ...] = tuple(
+    (name, "rendered") for name in ("street", "crossing", "corridor")
+)
 SCENE_FRAMES = 300
 # Annotated sequences without detections: file, size and rate.
 _ANNOTATED = {
-    "OneLeaveShop1cor": ("caviar/cols1gt.xml", SequenceInfo(384, 288, 25.0, 295, "OneLeaveShop1cor")),
+    "OneLeaveShop1cor": (
+        "caviar/cols1gt.xml",
+        SequenceInfo(384, 288, 25.0, 295, "OneLeaveShop1cor"),
+    ),
     "PETS2009-S1L1-1": ("pets2009/PETS2009-S1L1-1.xml", e13.INFO),
 }
-# Two false alarms a frame; a person of whom the part c is hidden is detected with probability 0.9 (1 − c), in scenes
-# 0.9 (1 − c)².
-_DETECTOR, _IN_SCENES = DetectorModel(occlusion=1.0), DetectorModel(occlusion=2.0)
+# Two false alarms a frame; a person of whom the part c is hidden is detected with probability 0.9
+# (1 − c), in scenes 0.9 (1 − c)².
+_DETECTOR = DetectorModel(occlusion=1.0)
+_IN_SCENES = DetectorModel(occlusion=2.0)
 
 
 def short(cases: Sequence[Named]) -> tuple[Named, ...]:
@@ -56,23 +65,33 @@ def given(sequence: str, kind: str) -> Case:
 
 @lru_cache(maxsize=2)
 def rendered(name: str, seed: int) -> Case:
-    """The video of a scene, and what the change detector finds in it, both as shipped; kept, as it takes seconds."""
+    """The video of a scene, and what the change detector finds in it, both as shipped; kept, as it
+    takes seconds.
+    """
     scene = make_scene(name, seed, frames=SCENE_FRAMES)
-    return Case(name, scene.info, scene.truth, detections_in(Rendered(scene, np.random.default_rng(seed))))
+    return Case(
+        name, scene.info, scene.truth, detections_in(Rendered(scene, np.random.default_rng(seed)))
+    )
 
 
 def drawn(name: Named, seed: int) -> Case:
-    """A case by its name; ``seed`` draws what is made and what is simulated, and does nothing to real detections."""
+    """A case by its name; ``seed`` draws what is made and what is simulated, and does nothing to
+    real detections.
+    """
     sequence, kind = name
     if kind in ("scene", "places"):
-        scene = make_scene(sequence, seed, _IN_SCENES if kind == "scene" else None, frames=SCENE_FRAMES)
+        scene = make_scene(
+            sequence, seed, _IN_SCENES if kind == "scene" else None, frames=SCENE_FRAMES
+        )
         return Case(sequence, scene.info, scene.truth, scene.detections)
     if kind == "rendered":
         return rendered(sequence, seed)
     if kind == "made":
         file, info = _ANNOTATED[sequence]
         truth = read_truth(need_data() / file)
-        return Case(sequence, info, truth, detect(truth, info, np.random.default_rng(seed), _DETECTOR).table)
+        return Case(
+            sequence, info, truth, detect(truth, info, np.random.default_rng(seed), _DETECTOR).table
+        )
     return given(sequence, kind)
 
 
@@ -81,4 +100,6 @@ def cluttered(case: Case, rate: float, seed: int) -> Case:
     if rate == 0:
         return case
     sizes = case.truth.xyxy[:, 2:] - case.truth.xyxy[:, :2]
-    return replace(case, table=add_clutter(case.table, case.info, rate, np.random.default_rng(seed), sizes))
+    return replace(
+        case, table=add_clutter(case.table, case.info, rate, np.random.default_rng(seed), sizes)
+    )

@@ -1,8 +1,10 @@
-"""Two classes crossing: cars of one drive and people of another, laid over each other, tracked together and apart.
+"""Two classes crossing: cars of one drive and people of another, laid over each other, tracked
+together and apart.
 
-Both sequences have the size of the larger and the frames of the shorter one. *Apart*: a tracker for each class. *Classes*:
-one tracker that is told the classes. *Without*: one tracker that is not told; a track then has the class of most of its
-detections. Each class is scored on its own, without the benchmarks' ignored regions."""
+Both sequences have the size of the larger and the frames of the shorter one. *Apart*: a tracker for
+each class. *Classes*: one tracker that is told the classes. *Without*: one tracker that is not
+told; a track then has the class of most of its detections. Each class is scored on its own, without
+the benchmarks' ignored regions."""
 
 from __future__ import annotations
 
@@ -19,11 +21,14 @@ from phdtrack.formats import read_detections, read_seqinfo, read_truth
 from phdtrack.metrics import evaluate
 from phdtrack.types import I8, Detections, DetectionTable, SequenceInfo, Truth
 
-CAR, PERSON = 1, 2
+CAR = 1
+PERSON = 2
 NAMES = {CAR: "car", PERSON: "person"}
 PEOPLE = "KITTI-0015-ped"
 CARS = ("KITTI-0001-car", "KITTI-0007-car", "KITTI-0009-car", "KITTI-0011-car", "KITTI-0014-car")
-DETECTORS, OUTPUTS, SCORES = ("rrc", "pointrcnn"), ("online", "corrected"), ("HOTA", "MOTA", "IDF1")
+DETECTORS = ("rrc", "pointrcnn")
+OUTPUTS = ("online", "corrected")
+SCORES = ("HOTA", "MOTA", "IDF1")
 WAYS = ("apart", "classes", "without")
 
 
@@ -36,7 +41,9 @@ class Crossing(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Scores in points (2 outputs, 2 classes, 3 scores), and of the identities those with detections of both classes."""
+    """Scores in points (2 outputs, 2 classes, 3 scores), and of the identities those with
+    detections of both classes.
+    """
 
     scores: np.ndarray
     mixed: list[int]
@@ -45,7 +52,8 @@ class Found(NamedTuple):
 
 def laid_over(cars: str, detector: str) -> tuple[SequenceInfo, DetectionTable, dict[int, Truth]]:
     """The sequence, the detections of both classes, and the truth of each."""
-    parts, truth = [], {}
+    parts = []
+    truth = {}
     infos = [read_seqinfo(folder_of(name)) for name in (cars, PEOPLE)]
     last = min(info.frames for info in infos)
     for label, name in ((CAR, cars), (PERSON, PEOPLE)):
@@ -57,18 +65,29 @@ def laid_over(cars: str, detector: str) -> tuple[SequenceInfo, DetectionTable, d
         keep = all_of_it.frame <= last
         columns = (all_of_it.frame, all_of_it.identity, all_of_it.xyxy, all_of_it.distractor)
         truth[label] = Truth(*(column[keep] for column in columns))
-    info = SequenceInfo(max(i.width for i in infos), max(i.height for i in infos), infos[0].fps, last, f"{cars} and people")
+    info = SequenceInfo(
+        max(i.width for i in infos),
+        max(i.height for i in infos),
+        infos[0].fps,
+        last,
+        f"{cars} and people",
+    )
     frame = np.concatenate([part[0] for part in parts])
     order = np.argsort(frame, kind="stable")
     each = [part[1] for part in parts]
-    boxes, score, label = (np.concatenate([getattr(x, name) for x in each]) for name in ("xyxy", "confidence", "class_id"))
+    boxes, score, label = (
+        np.concatenate([getattr(x, name) for x in each])
+        for name in ("xyxy", "confidence", "class_id")
+    )
     return info, DetectionTable(frame[order], Detections(boxes, score, label).take(order)), truth
 
 
 def tracked(info: SequenceInfo, given: DetectionTable, preset: str) -> tuple[Tracks, Tracks]:
     """Online and corrected rows."""
     tracker = Tracker((info.width, info.height), fps=info.fps, preset=preset)
-    online = [tracker.update(given.at(number), frame=number) for number in range(1, info.frames + 1)]
+    online = [
+        tracker.update(given.at(number), frame=number) for number in range(1, info.frames + 1)
+    ]
     return Tracks.concatenate([*online, tracker.flush()]), tracker.tracks()
 
 
@@ -91,7 +110,9 @@ def crossing(job: tuple[Crossing, str]) -> Found:
     (cars, detector, preset), way = job
     info, given, truth = laid_over(cars, detector)
     label = given.detections.class_id
-    scores, mixed, identities = np.zeros((2, 2, 3)), [], []
+    scores = np.zeros((2, 2, 3))
+    mixed = []
+    identities = []
     if way == "apart":
         each = []
         for one in (CAR, PERSON):
@@ -99,7 +120,11 @@ def crossing(job: tuple[Crossing, str]) -> Found:
             each.append(tracked(info, mine, preset))
         outputs = list(zip(*each, strict=True))
     else:
-        told = given if way == "classes" else replace(given, detections=replace(given.detections, class_id=0 * label))
+        told = (
+            given
+            if way == "classes"
+            else replace(given, detections=replace(given.detections, class_id=0 * label))
+        )
         outputs = [(rows, rows) for rows in tracked(info, told, preset)]
     for k, pair in enumerate(outputs):
         if way != "apart":
@@ -110,7 +135,9 @@ def crossing(job: tuple[Crossing, str]) -> Found:
             mixed.append(len(both[0] & both[1]))
             identities.append(len(both[0] | both[1]))
         for c, (one, rows) in enumerate(zip((CAR, PERSON), pair, strict=True)):
-            found = evaluate(truth[one], rows.take(rows.class_id == one), frames=info.frames).as_dict()
+            found = evaluate(
+                truth[one], rows.take(rows.class_id == one), frames=info.frames
+            ).as_dict()
             scores[k, c] = [100 * float(found[name] or 0.0) for name in SCORES]
     return Found(scores, mixed or [0, 0], identities or [0, 0])
 
@@ -118,19 +145,34 @@ def crossing(job: tuple[Crossing, str]) -> Found:
 def main(options: Options) -> Path:
     """Track all crossings in all ways, and write classes.md."""
     cars, presets = (CARS[-1:], ("default",)) if options.quick else (CARS, ("default", "mot15"))
-    cases = [Crossing(name, detector, preset) for preset in presets for detector in DETECTORS for name in cars]
+    cases = [
+        Crossing(name, detector, preset)
+        for preset in presets
+        for detector in DETECTORS
+        for name in cars
+    ]
     jobs = [(case, way) for case in cases for way in WAYS]
     found = dict(zip(jobs, in_parallel(crossing, jobs, "classes", options), strict=True))
-    lines, apart = [], 0.0
+    lines = []
+    apart = 0.0
     for preset in presets:
         mine = [case for case in cases if case.preset == preset]
         for k, output in enumerate(OUTPUTS):
             for way in WAYS:
                 scores = np.mean([found[case, way].scores[k] for case in mine], axis=0)
-                mixed, of = (sum(getattr(found[c, way], name)[k] for c in mine) for name in ("mixed", "identities"))
+                mixed, of = (
+                    sum(getattr(found[c, way], name)[k] for c in mine)
+                    for name in ("mixed", "identities")
+                )
                 cells = [" / ".join(f"{value:.1f}" for value in one) for one in scores]
-                lines.append([preset, output, way, *cells, "–" if way == "apart" else f"{mixed} of {of}"])
+                lines.append(
+                    [preset, output, way, *cells, "–" if way == "apart" else f"{mixed} of {of}"]
+                )
     for case in cases:
-        apart = max(apart, float(np.abs(found[case, "classes"].scores - found[case, "apart"].scores).max()))
+        apart = max(
+            apart, float(np.abs(found[case, "classes"].scores - found[case, "apart"].scores).max())
+        )
     head = ["preset", "rows", "tracked", "cars", "people", "identities on both"]
-    return write("classes", options, scores=table(head, lines), cases=len(cases), apart=f"{apart:.2f}")
+    return write(
+        "classes", options, scores=table(head, lines), cases=len(cases), apart=f"{apart:.2f}"
+    )

@@ -1,7 +1,9 @@
-"""What the experiments share: options, sequences, one run of the tracker, parallel work, Markdown tables and pages.
+"""What the experiments share: options, sequences, one run of the tracker, parallel work, Markdown
+tables and pages.
 
-An experiment is a module with ``main(options) -> Path``: it measures, writes its page (and pictures) to ``options.out`` and
-returns the page. A page is a template, ``pages/NAME.md``, into which figures and tables are filled.
+An experiment is a module with ``main(options) -> Path``: it measures, writes its page (and
+pictures) to ``options.out`` and returns the page. A page is a template, ``pages/NAME.md``, into
+which figures and tables are filled.
 """
 
 from __future__ import annotations
@@ -33,7 +35,8 @@ from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects
 from phdtrack.types import F8, Detections, DetectionTable, Frame, SequenceInfo, Tracks, Truth
 
 ROOT = Path(__file__).resolve().parents[1]
-RESULTS, QUICK_RESULTS = ROOT / "docs" / "results", ROOT / "runs" / "experiments-quick"
+RESULTS = ROOT / "docs" / "results"
+QUICK_RESULTS = ROOT / "runs" / "experiments-quick"
 PAGES = Path(__file__).parent / "pages"
 # Into a file or a pipe progress is written this rarely, seconds.
 QUIET = 10.0
@@ -48,13 +51,16 @@ class Options:
 
     Attributes
     ----------
-    runs : Monte Carlo runs (seeds) of each case; 0: the experiment's own number. One that draws nothing does not ask.
+    runs : Monte Carlo runs (seeds) of each case; 0: the experiment's own number. One that draws
+        nothing does not ask.
     quick : a short form that shows that everything works; its figures are no results.
-    out : where pages and pictures are written; None: docs/results, in the short form runs/experiments-quick.
+    out : where pages and pictures are written; None: docs/results, in the short form
+        runs/experiments-quick.
     jobs : number of processes; 0: one for each core.
     name : of the experiment, which may have pages of other names.
 
-    The real sequences are where the environment says (`need_data`), because worker processes need them too.
+    The real sequences are where the environment says (`need_data`), because worker processes need
+    them too.
     """
 
     runs: int = 0
@@ -64,7 +70,9 @@ class Options:
     name: str = ""
 
     def number(self, usual: int, quick: int) -> int:
-        """Number of runs: as asked for, else ``quick`` in the short form and ``usual`` in the full one."""
+        """Number of runs: as asked for, else ``quick`` in the short form and ``usual`` in the full
+        one.
+        """
         return self.runs or (quick if self.quick else usual)
 
     @property
@@ -87,7 +95,9 @@ class Case:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedCase:
-    """Corrected tracks, the rows given online, and the seconds that a frame took: filter, extraction, association."""
+    """Corrected tracks, the rows given online, and the seconds that a frame took: filter,
+    extraction, association.
+    """
 
     corrected: Tracks
     online: Tracks
@@ -101,7 +111,9 @@ class TrackedCase:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScoredCase:
-    """Scores of the corrected tracks, mean delay of the first output in frames, seconds of a frame as of `TrackedCase`."""
+    """Scores of the corrected tracks, mean delay of the first output in frames, seconds of a frame
+    as of `TrackedCase`.
+    """
 
     scores: Scores
     delay: float
@@ -114,11 +126,15 @@ class ScoredCase:
 
 
 def need_data() -> Path:
-    """The folder of real sequences, $PHDTRACK_DATA or ../shared/data; `InputError` where it is missing."""
+    """The folder of real sequences, $PHDTRACK_DATA or ../shared/data; `InputError` where it is
+    missing.
+    """
     data = Path(os.environ.get("PHDTRACK_DATA", ROOT.parent / "shared" / "data"))
     if not (data / "mot15").is_dir():
         raise InputError(
-            "the real sequences are missing", where=data, cure="Set PHDTRACK_DATA to the folder that holds mot15/"
+            "the real sequences are missing",
+            where=data,
+            cure="Set PHDTRACK_DATA to the folder that holds mot15/",
         )
     return data
 
@@ -127,7 +143,9 @@ def mot15(sequence: str, kind: str) -> Case:
     """A MOT15 sequence with its ``public`` or ``frcnn`` detections."""
     folder = need_data() / "mot15" / sequence
     table = read_detections(folder / f"det_{kind}" / "det.txt")
-    return Case(f"{sequence} {kind}", read_seqinfo(folder), read_truth(folder / "gt" / "gt.txt"), table)
+    return Case(
+        f"{sequence} {kind}", read_seqinfo(folder), read_truth(folder / "gt" / "gt.txt"), table
+    )
 
 
 def detections_in(frames: Iterable[Frame], detector_name: str = "change") -> DetectionTable:
@@ -136,20 +154,29 @@ def detections_in(frames: Iterable[Frame], detector_name: str = "change") -> Det
     found = [(frame.number, detector(frame)) for frame in frames]
     number = np.repeat([n for n, _ in found], [len(boxes) for _, boxes in found])
     boxes = np.concatenate([np.zeros((0, 4)), *(one.xyxy for _, one in found)])
-    return DetectionTable(number, Detections.of(boxes, np.concatenate([np.zeros(0), *(o.confidence for _, o in found)])))
+    return DetectionTable(
+        number,
+        Detections.of(boxes, np.concatenate([np.zeros(0), *(o.confidence for _, o in found)])),
+    )
 
 
-def built(info: SequenceInfo, filter_name: str, sets: Sequence[str] = (), preset: str = "") -> AnyStages:
+def built(
+    info: SequenceInfo, filter_name: str, sets: Sequence[str] = (), preset: str = ""
+) -> AnyStages:
     """The stages of a filter, with ``sets``, which may be settings that no other filter has."""
     return config.build(config.load(None, (f"filter.kind={filter_name}", *sets), preset), info)
 
 
 def followed(stages: AnyStages, case: Case, seed: int) -> TrackedCase:
     """One run of the tracker over a case."""
-    rng, spent, online = np.random.default_rng(seed), np.zeros(3), []
+    rng = np.random.default_rng(seed)
+    spent = np.zeros(3)
+    online = []
     state = pipeline.start(stages, rng)
     for number in range(1, case.info.frames + 1):
-        state, step = pipeline.advance(stages, state, case.table.at(number), number, (number - 1) / case.info.fps, rng)
+        state, step = pipeline.advance(
+            stages, state, case.table.at(number), number, (number - 1) / case.info.fps, rng
+        )
         online.append(step.tracks)
         spent += step.seconds
     online.append(pipeline.flush(stages, state))
@@ -157,12 +184,18 @@ def followed(stages: AnyStages, case: Case, seed: int) -> TrackedCase:
     return TrackedCase(pipeline.finish(stages, state), Tracks.concatenate(online), (a, b, c))
 
 
-def measure(case: Case, filter_name: str, seed: int, sets: Sequence[str] = (), preset: str = "") -> ScoredCase:
-    """Track a case with a filter, settings that are not its own, and a preset; the scores of its corrected tracks."""
+def measure(
+    case: Case, filter_name: str, seed: int, sets: Sequence[str] = (), preset: str = ""
+) -> ScoredCase:
+    """Track a case with a filter, settings that are not its own, and a preset; the scores of its
+    corrected tracks.
+    """
     run = followed(built(case.info, filter_name, sets, preset), case, seed)
     delays = first_output_delays(case.truth, run.corrected, case.table).delay
     delay = float(np.nanmean(delays)) if np.isfinite(delays).any() else float("nan")
-    return ScoredCase(evaluate(case.truth, run.corrected, frames=case.info.frames), delay, run.stages)
+    return ScoredCase(
+        evaluate(case.truth, run.corrected, frames=case.info.frames), delay, run.stages
+    )
 
 
 def uniform_density(low: F8, high: F8) -> SceneDensity:
@@ -178,15 +211,20 @@ def with_scene(
     followed: TrackedObjects | None,
     particles: int,
 ) -> Model:
-    """The model with what a scene has taught, added to its own births and false alarms if they are the same at every scale.
+    """The model with what a scene has taught, added to its own births and false alarms if they are
+    the same at every scale.
 
     None: what was not learned stays as it is; ``particles`` is Jmax.
     """
-    birth, false = model.birth, model.clutter
+    birth = model.birth
+    false = model.clutter
     if births is not None:
         own = birth.births_per_detection if isinstance(birth, MeasurementBirth) else 0.0
-        rate, among = births.rate * model.rate, None if followed is None else followed.objects.density
-        birth = SceneBirth(rate, births.density, particles=particles, births_per_detection=own, among=among)
+        rate = births.rate * model.rate
+        among = None if followed is None else followed.objects.density
+        birth = SceneBirth(
+            rate, births.density, particles=particles, births_per_detection=own, among=among
+        )
     if clutter is not None:
         own = false.clutter_per_detection if isinstance(false, BoxClutter) else 0.0
         false = SceneClutter(clutter.rate, clutter.density, own)
@@ -195,7 +233,8 @@ def with_scene(
 
 
 def in_parallel(work: Callable[[A], B], jobs: Sequence[A], label: str, options: Options) -> list[B]:
-    """``work`` over ``jobs`` in processes of their own, in the order of the jobs; progress on stderr.
+    """``work`` over ``jobs`` in processes of their own, in the order of the jobs; progress on
+    stderr.
 
     On a terminal the progress is one line that changes, elsewhere a line from time to time.
     """
@@ -212,7 +251,11 @@ def in_parallel(work: Callable[[A], B], jobs: Sequence[A], label: str, options: 
             now = time.perf_counter()
             last = done == len(jobs)
             if terminal or last or now - last_line > QUIET:
-                _say(f"{label}: {done} of {len(jobs)}, {now - began:.0f} s", changing=terminal, last=last)
+                _say(
+                    f"{label}: {done} of {len(jobs)}, {now - began:.0f} s",
+                    changing=terminal,
+                    last=last,
+                )
                 last_line = now
     results = [future.result() for future in futures]
     _LOADED.update(*(modules for _, modules in results))
@@ -229,26 +272,42 @@ def _noted(work: Callable[[A], B], job: A) -> tuple[B, set[str]]:
 
 
 def _say(text: str, *, changing: bool = False, last: bool = True) -> None:
-    print(f"\r{text}" if changing else text, end="\n" if last or not changing else "", file=sys.stderr, flush=True)
+    print(
+        f"\r{text}" if changing else text,
+        end="\n" if last or not changing else "",
+        file=sys.stderr,
+        flush=True,
+    )
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """A Markdown table; floats with three digits."""
     lines = [" | ".join(header), " | ".join("---" for _ in header)]
-    lines += [" | ".join(f"{cell:.3f}" if isinstance(cell, float) else str(cell) for cell in row) for row in rows]
+    lines += [
+        " | ".join(f"{cell:.3f}" if isinstance(cell, float) else str(cell) for cell in row)
+        for row in rows
+    ]
     return "\n".join(f"| {line} |" for line in lines) + "\n"
 
 
 def with_interval(value: Interval, digits: int = 3, sign: str = "") -> str:
     """A cell: a mean with half its interval, where there is one that is not 0 in these digits."""
     mean = f"{value.mean:{sign}.{digits}f}"
-    return mean if not math.isfinite(value.half) or value.half < 0.5 * 10**-digits else f"{mean} ± {value.half:.{digits}f}"
+    return (
+        mean
+        if not math.isfinite(value.half) or value.half < 0.5 * 10**-digits
+        else f"{mean} ± {value.half:.{digits}f}"
+    )
 
 
 def with_error(values: Sequence[float], digits: int = 3) -> str:
     """A cell: mean ± standard error; of one value the value."""
     mean = f"{np.mean(values):.{digits}f}"
-    return mean if len(values) < 2 else f"{mean} ± {np.std(values, ddof=1) / math.sqrt(len(values)):.{digits}f}"
+    return (
+        mean
+        if len(values) < 2
+        else f"{mean} ± {np.std(values, ddof=1) / math.sqrt(len(values)):.{digits}f}"
+    )
 
 
 def filled(template: str, **values: object) -> str:
@@ -263,7 +322,10 @@ def write(name: str, options: Options, **values: object) -> Path:
     """
     text = filled(name, **values)
     if options.quick:
-        text = "*The short form of an experiment: everything ran, but these figures are no results.*\n\n" + text
+        text = (
+            "*The short form of an experiment: everything ran, but these figures are no results.*\n\n"
+            + text
+        )
     runs = f" --runs {options.runs}" if options.runs else ""
     command = f"python -m experiments {options.name or name}{runs}"
     text += made.record(options.folder, name, command, made.loaded() | _LOADED)

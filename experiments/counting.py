@@ -1,7 +1,8 @@
-"""Who crosses lines and who is in zones: `phdtrack count` against the same counts of the annotated truth.
+"""Who crosses lines and who is in zones: `phdtrack count` against the same counts of the annotated
+truth.
 
-Two videos, PETS09-S2L1 and CAVIAR's shop corridor. The truth goes through the same lines and zones, with the same
-hysteresis. Lines and zones were drawn before anything was counted.
+Two videos, PETS09-S2L1 and CAVIAR's shop corridor. The truth goes through the same lines and zones,
+with the same hysteresis. Lines and zones were drawn before anything was counted.
 """
 
 from __future__ import annotations
@@ -43,14 +44,28 @@ class Count:
 
 
 PETS = (
-    *(line("road", 330, 80, 420, 570), line("left", 200, 120, 200, 500), line("far", 300, 200, 768, 200)),
+    *(
+        line("road", 330, 80, 420, 570),
+        line("left", 200, 120, 200, 500),
+        line("far", 300, 200, 768, 200),
+    ),
     *(box("middle", 250, 200, 600, 450), box("right", 450, 150, 768, 400)),
 )
-CORRIDOR = (line("across", 0, 150, 384, 150), line("shop", 150, 60, 150, 288), box("near", 60, 120, 340, 288))
+CORRIDOR = (
+    line("across", 0, 150, 384, 150),
+    line("shop", 150, 60, 150, 288),
+    box("near", 60, 120, 340, 288),
+)
 _PETS = "mot15/PETS09-S2L1"
 COUNTS = (
     Count("PETS09-S2L1", f"{_PETS}/PETS09-S2L1.mp4", f"{_PETS}/gt/gt.txt", "", PETS),
-    Count("PETS09-S2L1", f"{_PETS}/PETS09-S2L1.mp4", f"{_PETS}/gt/gt.txt", f"{_PETS}/det_public/det.txt", PETS),
+    Count(
+        "PETS09-S2L1",
+        f"{_PETS}/PETS09-S2L1.mp4",
+        f"{_PETS}/gt/gt.txt",
+        f"{_PETS}/det_public/det.txt",
+        PETS,
+    ),
     Count("OneLeaveShop1cor", "caviar/OneLeaveShop1cor.mpg", "caviar/cols1gt.xml", "", CORRIDOR),
 )
 SHORT = "OneLeaveShop1cor"
@@ -76,29 +91,56 @@ def work(job: tuple[Count, Path]) -> list[list[object]]:
     case, runs = job
     out = runs / f"{case.name}-{'given' if case.detections else 'change'}"
     given = ("--detections", str(need_data() / case.detections)) if case.detections else ()
-    command = [sys.executable, "-m", "phdtrack", "track", str(need_data() / case.video), *given, "--no-video", "--overwrite"]
+    command = [
+        sys.executable,
+        "-m",
+        "phdtrack",
+        "track",
+        str(need_data() / case.video),
+        *given,
+        "--no-video",
+        "--overwrite",
+    ]
     subprocess.run([*command, "--out", str(out)], check=True, capture_output=True)
-    run, watch = given_tracks(out), Watch(case.places)
-    last, fps = run.info.frames, run.info.fps
+    run = given_tracks(out)
+    watch = Watch(case.places)
+    last = run.info.frames
+    fps = run.info.fps
     truth = place_events(watch, as_tracks(read_truth(need_data() / case.truth)), last, fps)
     rows = list[list[object]]()
-    for what, tracks in (("corrected", run.tracks), ("online", given_tracks(out / "tracks_online.csv").tracks)):
+    for what, tracks in (
+        ("corrected", run.tracks),
+        ("online", given_tracks(out / "tracks_online.csv").tracks),
+    ):
         found = place_events(watch, tracks, last, fps)
-        pairs = zip(tallies(watch, truth, 0.0, last / fps), tallies(watch, found, 0.0, last / fps), strict=True)
+        pairs = zip(
+            tallies(watch, truth, 0.0, last / fps),
+            tallies(watch, found, 0.0, last / fps),
+            strict=True,
+        )
         for place, (real, ours) in zip(case.places, pairs, strict=True):
             seen = "public" if case.detections else "change"
-            rows.append([case.name, seen, what, place.name, *_cells(place, real, ours, truth, found, last)])
+            rows.append(
+                [case.name, seen, what, place.name, *_cells(place, real, ours, truth, found, last)]
+            )
     return rows
 
 
-def _cells(place: Place, real: Tally, ours: Tally, truth: list[Event], found: list[Event], last: int) -> list[object]:
+def _cells(
+    place: Place, real: Tally, ours: Tally, truth: list[Event], found: list[Event], last: int
+) -> list[object]:
     """In and out, true and counted; of a zone how many are inside and how long."""
     error = abs(real.entered - ours.entered) + abs(real.left - ours.left)
     cells: list[object] = [f"{real.entered} / {real.left}", f"{ours.entered} / {ours.left}", error]
     if not place.closed:
         return [*cells, "", "", ""]
     off = np.abs(inside(truth, place.name, last) - inside(found, place.name, last)).mean()
-    return [*cells, f"{real.mean:.2f} / {ours.mean:.2f}", f"{off:.2f}", f"{real.stay:.1f} / {ours.stay:.1f}"]
+    return [
+        *cells,
+        f"{real.mean:.2f} / {ours.mean:.2f}",
+        f"{off:.2f}",
+        f"{real.stay:.1f} / {ours.stay:.1f}",
+    ]
 
 
 def main(options: Options) -> Path:
@@ -106,7 +148,11 @@ def main(options: Options) -> Path:
     runs = ROOT / "runs" / ("counting-quick" if options.quick else "counting")
     runs.mkdir(parents=True, exist_ok=True)
     cases = [case for case in COUNTS if not options.quick or case.name == SHORT]
-    rows = [row for part in in_parallel(work, [(case, runs) for case in cases], "counting", options) for row in part]
+    rows = [
+        row
+        for part in in_parallel(work, [(case, runs) for case in cases], "counting", options)
+        for row in part
+    ]
     head = ("video", "detections", "tracks", "place", "truth in / out", "counted", "error")
     head = (*head, "mean inside, truth / counted", "mean error a frame", "seconds of a visit")
     lines = [row for row in rows if row[7] == ""]
@@ -114,7 +160,9 @@ def main(options: Options) -> Path:
         "counting",
         options,
         table=table(head, rows),
-        crossings=sum(int(part) for row in lines if row[2] == "corrected" for part in str(row[4]).split(" / ")),
+        crossings=sum(
+            int(part) for row in lines if row[2] == "corrected" for part in str(row[4]).split(" / ")
+        ),
         wrong=sum(int(str(row[6])) for row in lines if row[2] == "corrected"),
         online=sum(int(str(row[6])) for row in lines if row[2] == "online"),
     )

@@ -1,4 +1,5 @@
-"""D14 Tables I–III: SMC PHD and MCMC filters on centroids of people in a corridor, by number of particles and noise.
+"""D14 Tables I–III: SMC PHD and MCMC filters on centroids of people in a corridor, by number of
+particles and noise.
 
 The runs are those of `d14_runs`.
 """
@@ -36,13 +37,18 @@ from phdtrack.types import F8
 
 SEEDS = 20
 NUMBERS = (100, 500, 1000, 4000)
-WORLDS = {"model": "Drawn from the model", "corridor": "Simulated corridor", "caviar": "CAVIAR, OneLeaveShop1cor"}
+WORLDS = {
+    "model": "Drawn from the model",
+    "corridor": "Simulated corridor",
+    "caviar": "CAVIAR, OneLeaveShop1cor",
+}
 PEOPLE = ("corridor", "caviar")
 # Where a chain goes with more samples than D14's grid has; of the points drawn from the model.
 BEYOND = 16000
 PHD, JOINT, TRUE, GREEDY = FILTERS
 CHAINS = (JOINT, TRUE, GREEDY)
-# D14's figures over all settings and at N = 4000, with the seconds that this took; its MCMC filter is the greedy one.
+# D14's figures over all settings and at N = 4000, with the seconds that this took; its MCMC filter
+# is the greedy one.
 PAPER = {PHD: ("0.002–1.11", "0.002–0.40", "53"), GREEDY: ("0.11–1.28", "0.11–1.27", "63")}
 Results = Mapping[CorridorRun, RunErrors]
 Measure = Callable[[RunErrors], float]
@@ -62,7 +68,14 @@ class CorridorErrors:
         few = {job.number for job in self.results if job.filter in CHAINS}
         return tuple(sorted(few))
 
-    def values(self, world: str, name: str, number: int, variance: float, of: Callable[[RunErrors], F8 | float]) -> F8:
+    def values(
+        self,
+        world: str,
+        name: str,
+        number: int,
+        variance: float,
+        of: Callable[[RunErrors], F8 | float],
+    ) -> F8:
         """(seeds, …) of every run of a setting."""
         number = 0 if name == KALMAN else number
         return np.array(
@@ -72,15 +85,27 @@ class CorridorErrors:
             ]
         )
 
-    def mean(self, name: str, number: int, of: Measure, worlds: Sequence[str] = tuple(WORLDS)) -> float:
+    def mean(
+        self, name: str, number: int, of: Measure, worlds: Sequence[str] = tuple(WORLDS)
+    ) -> float:
         """Mean over worlds, variances and seeds."""
-        each = [self.values(world, name, number, variance, of).mean() for world in worlds for variance in VARIANCES]
+        each = [
+            self.values(world, name, number, variance, of).mean()
+            for world in worlds
+            for variance in VARIANCES
+        ]
         return float(np.mean(each))
 
     def far(self, name: str, number: int) -> float:
-        """Distance from the exact posterior mean where the model is true, over the seeds of the chains."""
+        """Distance from the exact posterior mean where the model is true, over the seeds of the
+        chains.
+        """
         few = range(seeds_of("model", self.seeds))
-        jobs = (CorridorRun("model", name, number, variance, seed) for variance in VARIANCES for seed in few)
+        jobs = (
+            CorridorRun("model", name, number, variance, seed)
+            for variance in VARIANCES
+            for seed in few
+        )
         return float(np.mean([self.results[job].to_posterior for job in jobs]))
 
 
@@ -101,15 +126,20 @@ def seconds(outcome: RunErrors) -> float:
 
 
 def with_misses(outcome: RunErrors) -> float:
-    """RMSE per axis over all frames of all targets alike, with the gate as the error of a target not located."""
+    """RMSE per axis over all frames of all targets alike, with the gate as the error of a target
+    not located.
+    """
     near = np.where(outcome.located > 0, outcome.truth, 0.0) ** 2
     return math.sqrt((outcome.located * near + (1 - outcome.located) * GATE**2 / 2).mean())
 
 
 def located_mean(values: F8) -> F8:
-    """(G,) means over seeds of (seeds, G) errors, without the runs in which a target was never located; NaN without any."""
+    """(G,) means over seeds of (seeds, G) errors, without the runs in which a target was never
+    located; NaN without any.
+    """
     there = np.isfinite(values)
-    total, count = np.where(there, values, 0.0).sum(axis=0), there.sum(axis=0)
+    total = np.where(there, values, 0.0).sum(axis=0)
+    count = there.sum(axis=0)
     mean: F8 = np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0)
     return mean
 
@@ -134,7 +164,9 @@ def whole(found: CorridorErrors, of: Measure, shares: bool = False) -> str:
                     share = 100 * found.values(world, name, number, variance, located).mean()
                     cell = spread(found.values(world, name, number, variance, of))
                     cells.append(f"{cell} ({share:.0f} %)" if shares else cell)
-                rows.append((title, f"{variance:g}", number, *cells, f"{posterior_deviation(variance):.2f}"))
+                rows.append(
+                    (title, f"{variance:g}", number, *cells, f"{posterior_deviation(variance):.2f}")
+                )
     return table(("", "σ²", "N", *FILTERS, KALMAN, "posterior"), rows)
 
 
@@ -148,7 +180,9 @@ def falls(found: CorridorErrors, name: str, worlds: Sequence[str]) -> str:
 
 
 def overview(found: CorridorErrors) -> str:
-    """Of each filter, for the least and the greatest N: error, share located and error with misses; whether it falls."""
+    """Of each filter, for the least and the greatest N: error, share located and error with misses;
+    whether it falls.
+    """
     rows: list[tuple[object, ...]] = []
     ends = (found.numbers[0], found.numbers[-1])
     for place, worlds in (("the model is true", ("model",)), ("people", PEOPLE)):
@@ -156,21 +190,29 @@ def overview(found: CorridorErrors) -> str:
             cells: list[str] = []
             for number in ends:
                 near, far = (found.mean(name, number, of, worlds) for of in (overall, with_misses))
-                cells.append(f"{near:.3f} ({100 * found.mean(name, number, located, worlds):.1f} %)")
+                cells.append(
+                    f"{near:.3f} ({100 * found.mean(name, number, located, worlds):.1f} %)"
+                )
                 cells.append(f"{far:.3f}")
             rows.append((place, name, *cells, "" if name == KALMAN else falls(found, name, worlds)))
-    columns = [f"{what}, N = {number}" for number in ends for what in ("px (located)", "with misses")]
+    columns = [
+        f"{what}, N = {number}" for number in ends for what in ("px (located)", "with misses")
+    ]
     return table(("", "", *columns, "steps of N in which that falls"), rows)
 
 
 def target_tables(found: CorridorErrors) -> str:
-    """D14's tables, one for each world and variance: of every target the error to the truth and, behind it, to z."""
+    """D14's tables, one for each world and variance: of every target the error to the truth and,
+    behind it, to z.
+    """
     parts = []
     for world, title in WORLDS.items():
         names = np.unique(scene(world).identity).tolist()
         for variance in VARIANCES:
             rows = []
-            for name, number in [(name, n) for name in FILTERS for n in found.numbers] + [(KALMAN, 0)]:
+            for name, number in [(name, n) for name in FILTERS for n in found.numbers] + [
+                (KALMAN, 0)
+            ]:
                 truth, seen, share = (
                     located_mean(found.values(world, name, number, variance, of))
                     for of in (lambda o: o.truth, lambda o: o.measurement, lambda o: o.located)
@@ -203,7 +245,9 @@ def ranges(found: CorridorErrors) -> str:
 
 def typical(found: CorridorErrors, world: str, name: str, number: int) -> float:
     """Seconds of processor time for a sequence, the median over variances and seeds."""
-    return float(np.median([found.values(world, name, number, variance, seconds) for variance in VARIANCES]))
+    return float(
+        np.median([found.values(world, name, number, variance, seconds) for variance in VARIANCES])
+    )
 
 
 def times(found: CorridorErrors) -> str:
@@ -214,12 +258,21 @@ def times(found: CorridorErrors) -> str:
             each = [typical(found, world, name, number) for name in FILTERS]
             measured = world == "corridor" and number == NUMBERS[-1]
             paper = [PAPER[name][2] if measured else "" for name in (PHD, GREEDY)]
-            rows.append((f"{title}, {INFOS[world].frames} frames", number, *(f"{s:.2f}" for s in each), *paper))
+            rows.append(
+                (
+                    f"{title}, {INFOS[world].frames} frames",
+                    number,
+                    *(f"{s:.2f}" for s in each),
+                    *paper,
+                )
+            )
     return table(("", "N", *FILTERS, "paper, PHD", "paper, MCMC"), rows)
 
 
 def distances(found: CorridorErrors) -> str:
-    """A row for each N: how far the chains' means are from the exact posterior mean where the model is true."""
+    """A row for each N: how far the chains' means are from the exact posterior mean where the model
+    is true.
+    """
     rows = [(number, *(found.far(name, number) for name in CHAINS)) for number in found.all_numbers]
     return table(("N", *CHAINS), rows)
 
@@ -227,7 +280,10 @@ def distances(found: CorridorErrors) -> str:
 def figures(found: CorridorErrors) -> dict[str, object]:
     """What is filled into the page."""
     people = scene("caviar")
-    steps = [np.hypot(*np.diff(centroids(people)[:, people.identity == one])).max() for one in np.unique(people.identity)]
+    steps = [
+        np.hypot(*np.diff(centroids(people)[:, people.identity == one])).max()
+        for one in np.unique(people.identity)
+    ]
     return {
         "far": distances(found),
         "overview": overview(found),
@@ -251,13 +307,21 @@ def figures(found: CorridorErrors) -> dict[str, object]:
 def beyond(seeds: int) -> list[CorridorRun]:
     """The chains with more samples than the grid has."""
     few = range(seeds_of("model", seeds))
-    return [CorridorRun("model", name, BEYOND, variance, seed) for name in CHAINS for variance in VARIANCES for seed in few]
+    return [
+        CorridorRun("model", name, BEYOND, variance, seed)
+        for name in CHAINS
+        for variance in VARIANCES
+        for seed in few
+    ]
 
 
 def main(options: Options) -> Path:
     """Run everything; write the page and its pictures."""
-    seeds, numbers = options.number(SEEDS, 1), NUMBERS[:2] if options.quick else NUMBERS
+    seeds = options.number(SEEDS, 1)
+    numbers = NUMBERS[:2] if options.quick else NUMBERS
     jobs = jobs_of(numbers, seeds) + ([] if options.quick else beyond(seeds))
-    found = CorridorErrors(dict(zip(jobs, in_parallel(work, jobs, "d14", options), strict=True)), numbers, seeds)
+    found = CorridorErrors(
+        dict(zip(jobs, in_parallel(work, jobs, "d14", options), strict=True)), numbers, seeds
+    )
     pictures(found.results, numbers, seeds, options.folder)
     return write("d14", options, **figures(found))

@@ -1,13 +1,15 @@
-"""The runs behind D14's tables: SMC PHD and MCMC filters, and a Kalman filter per target, on centroids of people.
+"""The runs behind D14's tables: SMC PHD and MCMC filters, and a Kalman filter per target, on
+centroids of people.
 
-Every filter is given the same centroids, made of a truth with Gaussian noise, and D14's model (preset ``d14``): constant
-velocity, process variance 2 on every component, the measurement's own variance. The MCMC filters and the Kalman filters are
-given the identity of each measurement, as in D14; the PHD filter is not. States are mapped to the truth one to one within
-`GATE` pixels.
+Every filter is given the same centroids, made of a truth with Gaussian noise, and D14's model
+(preset ``d14``): constant velocity, process variance 2 on every component, the measurement's own
+variance. The MCMC filters and the Kalman filters are given the identity of each measurement, as in
+D14; the PHD filter is not. States are mapped to the truth one to one within `GATE` pixels.
 
-What the Kalman filter per target gives is the exact mean of the posterior of given associations: the MCMC sampler's error
-against it is the sampler's own. Three worlds: points drawn from D14's model, where that mean is the best there is; the
-simulated corridor; the annotated people of a CAVIAR sequence.
+What the Kalman filter per target gives is the exact mean of the posterior of given associations:
+the MCMC sampler's error against it is the sampler's own. Three worlds: points drawn from D14's
+model, where that mean is the best there is; the simulated corridor; the annotated people of a
+CAVIAR sequence.
 """
 
 from __future__ import annotations
@@ -34,7 +36,11 @@ VARIANCES = (0.5, 1.0, 2.0)
 GATE = 10.0
 """Pixels: half the width of a person far away."""
 BURN = 50
-INFOS = {"model": PATHS.info, "corridor": PATHS.info, "caviar": SequenceInfo(384, 288, 25.0, 295, "OneLeaveShop1cor")}
+INFOS = {
+    "model": PATHS.info,
+    "corridor": PATHS.info,
+    "caviar": SequenceInfo(384, 288, 25.0, 295, "OneLeaveShop1cor"),
+}
 KALMAN = "Kalman"
 FILTERS = {
     "SMC PHD": None,
@@ -42,7 +48,9 @@ FILTERS = {
     "MCMC": GivenMCMC(burn_in=BURN, ancestors="each"),
     "MCMC greedy": GivenMCMC(burn_in=BURN, greedy=True),
 }
-"""The filter in place of the preset's, but for N. With ``joint`` all targets of a sample have one ancestor."""
+"""The filter in place of the preset's, but for N. With ``joint`` all targets of a sample have one
+ancestor.
+"""
 MODEL_SEEDS = 3
 """At most so many seeds of the points drawn from the model, each of which draws paths too."""
 SETTLED = 25
@@ -51,7 +59,9 @@ SETTLED = 25
 
 @dataclass(frozen=True, slots=True)
 class CorridorRun:
-    """One run; ``number`` is N, 0 for the Kalman filter. The measurements depend on world, variance and seed only."""
+    """One run; ``number`` is N, 0 for the Kalman filter. The measurements depend on world, variance
+    and seed only.
+    """
 
     world: str
     filter: str
@@ -75,10 +85,11 @@ class RunErrors:
 
     Attributes
     ----------
-    truth, measurement : (G,) against each target's true and measured centroids; NaN for a target never located.
+    truth, measurement : (G,) against each target's true and measured centroids; NaN for a target
+        never located.
     located : (G,) share of its frames in which a state is within the gate of the truth.
-    overall, settled, to_posterior : over all targets, against the truth; in the frames after their first second; against the
-        Kalman filter's states.
+    overall, settled, to_posterior : over all targets, against the truth; in the frames after their
+        first second; against the Kalman filter's states.
     detected : over all targets, against the measurements.
     spare : states a frame that are mapped to no target.
     seconds : of processor time for the whole sequence, filter and extraction.
@@ -97,7 +108,9 @@ class RunErrors:
 
 @lru_cache(maxsize=4)
 def scene(world: str, seed: int = 0) -> Truth:
-    """The truth: of points drawn from D14's model, of the simulated corridor, or the annotated people of CAVIAR's."""
+    """The truth: of points drawn from D14's model, of the simulated corridor, or the annotated
+    people of CAVIAR's.
+    """
     if world == "model":
         model = stages_of(CorridorRun(world, KALMAN, 0, 1.0, seed)).model
         deviation = float(np.sqrt(model.sensor.states(np.zeros((2, 1)))[1][0, 2, 2]))
@@ -112,26 +125,42 @@ def scans_of(job: CorridorRun) -> tuple[F8, ...]:
 
 
 def stages_of(job: CorridorRun) -> AnyStages:
-    """The stages of a run; those of the Kalman filter are the PHD filter's, whose model it takes."""
-    stages = config.build(config.load(None, (f"sensor.noise_variance={job.variance}",), "d14"), INFOS[job.world])
+    """The stages of a run; those of the Kalman filter are the PHD filter's, whose model it
+    takes.
+    """
+    stages = config.build(
+        config.load(None, (f"sensor.noise_variance={job.variance}",), "d14"), INFOS[job.world]
+    )
     if job.filter == KALMAN:
         return stages
     chain = FILTERS[job.filter]
     if chain is None:
-        return replace(stages, filter=replace(stages.filter, particles_per_target=job.number, max_particles=job.number))
-    return replace(stages, filter=replace(chain, samples=job.number), extractor=Joint(merge_iou=1.0))
+        return replace(
+            stages,
+            filter=replace(
+                stages.filter, particles_per_target=job.number, max_particles=job.number
+            ),
+        )
+    return replace(
+        stages, filter=replace(chain, samples=job.number), extractor=Joint(merge_iou=1.0)
+    )
 
 
 def track(job: CorridorRun) -> tuple[Points, float]:
-    """The states that the filter of a job reports, and the seconds of processor time that it took."""
-    scans, stages = scans_of(job), stages_of(job)
+    """The states that the filter of a job reports, and the seconds of processor time that it
+    took.
+    """
+    scans = scans_of(job)
+    stages = stages_of(job)
     began = time.thread_time()
     if job.filter == KALMAN:
         found = kalman(stages.model, scans)
         return found, time.thread_time() - began
-    named, rng = FILTERS[job.filter] is not None, np.random.default_rng([job.seed, job.number, 1])
+    named = FILTERS[job.filter] is not None
+    rng = np.random.default_rng([job.seed, job.number, 1])
     state = stages.filter.start(stages.model, rng)
-    points, tags = [], []
+    points = []
+    tags = []
     for whole in scans:
         z = whole if named else np.ascontiguousarray(whole[:2])
         state, _ = stages.filter.step(state, z, stages.model, 1.0, rng)
@@ -144,22 +173,30 @@ def track(job: CorridorRun) -> tuple[Points, float]:
 
 
 def kalman(model: Model, scans: Sequence[F8]) -> Points:
-    """Means of the exact posterior where the associations are given: a Kalman filter for every target.
+    """Means of the exact posterior where the associations are given: a Kalman filter for every
+    target.
 
     A target starts at its first measurement with what the sensor knows from it.
     """
     rows = list(model.sensor.observed)
-    mean, cov, label = np.zeros((4, 0)), np.zeros((0, 4, 4)), np.zeros(0)
-    frames, labels, points = [], [], []
+    mean = np.zeros((4, 0))
+    cov = np.zeros((0, 4, 4))
+    label = np.zeros(0)
+    frames = []
+    labels = []
+    points = []
     for number, z in enumerate(scans, 1):
         fresh, start = model.sensor.states(z)
-        known, at = np.isin(z[2], label), np.searchsorted(label, z[2])
+        known = np.isin(z[2], label)
+        at = np.searchsorted(label, z[2])
         place = at[known]
         ahead, f, q = model.motion.transition(np.ascontiguousarray(mean[:, place]), 1.0)
         cov = f @ cov[place] @ f.transpose(0, 2, 1) + q
         fresh[:, known], start[known] = updated(model, rows, ahead, cov, z[:, known])
         order = np.argsort(z[2])
-        mean, cov, label = fresh[:, order], start[order], z[2, order]
+        mean = fresh[:, order]
+        cov = start[order]
+        label = z[2, order]
         frames.append(np.full(len(label), number))
         labels.append(label.astype(np.int64))
         points.append(mean[:2])
@@ -178,7 +215,8 @@ def updated(model: Model, rows: list[int], mean: F8, cov: F8, z: F8) -> tuple[F8
 def posterior_deviation(variance: float) -> float:
     """The deviation of a coordinate that the Kalman filter of D14's model settles at, pixels."""
     model = stages_of(CorridorRun("corridor", KALMAN, 0, variance, 0)).model
-    mean, z = np.zeros((4, 1)), np.zeros((3, 1))
+    mean = np.zeros((4, 1))
+    z = np.zeros((3, 1))
     _, cov = model.sensor.states(z)
     _, f, q = model.motion.transition(mean, 1.0)
     for _ in range(200):
@@ -190,7 +228,8 @@ def work(job: CorridorRun) -> RunErrors:
     """One run and its errors."""
     found, seconds = track(job)
     exact, _ = track(CorridorRun(job.world, KALMAN, 0, job.variance, job.seed))
-    truth, scans = scene(job.world, job.seed), scans_of(job)
+    truth = scene(job.world, job.seed)
+    scans = scans_of(job)
     true = Points(truth.frame, truth.identity, centroids(truth))
     frame = np.repeat(np.arange(1, len(scans) + 1), [z.shape[1] for z in scans])
     every = np.hstack(scans)
@@ -233,7 +272,9 @@ def seeds_of(world: str, seeds: int) -> int:
 
 
 def jobs_of(numbers: Sequence[int], seeds: int) -> list[CorridorRun]:
-    """Every filter in every setting; seed by seed, so that a run that is broken off has whole ones."""
+    """Every filter in every setting; seed by seed, so that a run that is broken off has whole
+    ones.
+    """
     filters = [(name, number) for number in numbers for name in FILTERS] + [(KALMAN, 0)]
     return [
         CorridorRun(world, name, number, variance, seed)

@@ -1,4 +1,6 @@
-"""Per object the frames from its first detection to its first mapped output, by which M09 compares birth models."""
+"""Per object the frames from its first detection to its first mapped output, by which M09 compares
+birth models.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +15,11 @@ from phdtrack.types import F8, I8, DetectionTable, Tracks, Truth
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Delays:
-    """Per object: ``identity`` (G,) ascending, ``detected`` and ``mapped`` (G,) first frames, 0 where never, ``delay`` (G,).
+    """Per object: ``identity`` (G,) ascending, ``detected`` and ``mapped`` (G,) first frames, 0
+    where never, ``delay`` (G,).
 
-    ``delay`` is mapped − detected in frames, negative where the output came first, NaN where either never came.
+    ``delay`` is mapped − detected in frames, negative where the output came first, NaN where either
+    never came.
     """
 
     identity: I8
@@ -24,10 +28,14 @@ class Delays:
     delay: F8
 
 
-def first_output_delays(truth: Truth, tracks: Tracks, detections: DetectionTable, iou: float = 0.5) -> Delays:
-    """How many frames after its first detection each annotated object is first mapped to an output row.
+def first_output_delays(
+    truth: Truth, tracks: Tracks, detections: DetectionTable, iou: float = 0.5
+) -> Delays:
+    """How many frames after its first detection each annotated object is first mapped to an output
+    row.
 
-    Distractors do not count. A detection or an output row is an object's where they overlap by ``iou``.
+    Distractors do not count. A detection or an output row is an object's where they overlap by
+    ``iou``.
     """
     scene = build(truth, tracks)
     mapped = tracking_mapping(scene, iou).first_frames(scene)

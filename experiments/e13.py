@@ -1,18 +1,23 @@
-"""E13 on its own sequence: people counted on the ground plane behind a detector that misses three of ten.
+"""E13 on its own sequence: people counted on the ground plane behind a detector that misses three
+of ten.
 
-PETS 2009 S1L1, time 13-57, view 1: the truth is known, E13's detections are not, so they are made from the truth. The drop
-model was fixed before any filter was run, and no parameter was chosen by the outcome:
+PETS 2009 S1L1, time 13-57, view 1: the truth is known, E13's detections are not, so they are made
+from the truth. The drop model was fixed before any filter was run, and no parameter was chosen by
+the outcome:
 
-* a person of whom a nearer box covers the part c is detected with probability 0.95 (1 − 0.75 c), which is 0.69 on average
-  (E13 states 0.7);
-* boxes are jittered by 10 % of the width across, 5 % of the height down (their foot) and 5 % in size;
-* clutter is Poisson, 0.1 or 1 box a frame, boxes of the truth's sizes standing anywhere on the ground that people walk on.
+* a person of whom a nearer box covers the part c is detected with probability 0.95 (1 − 0.75 c),
+  which is 0.69 on average (E13 states 0.7);
+* boxes are jittered by 10 % of the width across, 5 % of the height down (their foot) and 5 % in
+  size;
+* clutter is Poisson, 0.1 or 1 box a frame, boxes of the truth's sizes standing anywhere on the
+  ground that people walk on.
 
-E13's parameters throughout. ``occlusion`` lets p_D fall where other targets cover a person, from 0.95 for one who is free,
-as the detector has it. ``rates`` replaces E13's places of birth (0.011 people a frame; 0.2 a frame come) and its clutter
-density (about 10⁻⁵ a frame) by what is true of the scene, births anywhere, and R by each detection's own
-covariance: the cardinalised filter takes rates at their word. People are counted as the intensity's mass, E13's head count,
-and as the states extracted. Groups are those of E13's rule (2 m, 1 m/s).
+E13's parameters throughout. ``occlusion`` lets p_D fall where other targets cover a person, from
+0.95 for one who is free, as the detector has it. ``rates`` replaces E13's places of birth (0.011
+people a frame; 0.2 a frame come) and its clutter density (about 10⁻⁵ a frame) by what is true of
+the scene, births anywhere, and R by each detection's own covariance: the cardinalised filter takes
+rates at their word. People are counted as the intensity's mass, E13's head count, and as the states
+extracted. Groups are those of E13's rule (2 m, 1 m/s).
 """
 
 from __future__ import annotations
@@ -39,7 +44,8 @@ INFO = SequenceInfo(768, 576, 7.0, 221, "PETS2009-S1L1-1")
 SEEDS = 20
 CLUTTER = (0.1, 1.0)
 PICTURED = (10, 40, 80, 120)
-FREE, FALL = 0.95, 0.75
+FREE = 0.95
+FALL = 0.75
 # What each filter changes of the preset e13.
 AWARE = ("sensor.occlusion=true", f"sensor.detection_probability={FREE}")
 # The ground that the people of the sequence walk on, metres.
@@ -69,7 +75,9 @@ FILTERS: dict[str, tuple[str, tuple[str, ...]]] = {
 
 @dataclass(frozen=True, slots=True)
 class CrowdRun:
-    """One run: a filter by its name in `FILTERS`, the clutter's rate and the seed of the detections."""
+    """One run: a filter by its name in `FILTERS`, the clutter's rate and the seed of the
+    detections.
+    """
 
     filter: str
     clutter: float
@@ -78,7 +86,9 @@ class CrowdRun:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrowdCounts:
-    """By frame: ``mass``, number of ``states`` and of ``raw`` detections, and number of ``groups`` of the intensity."""
+    """By frame: ``mass``, number of ``states`` and of ``raw`` detections, and number of ``groups``
+    of the intensity.
+    """
 
     mass: F8
     states: F8
@@ -103,7 +113,9 @@ def feet(xyxy: F8) -> F8:
 
 
 def covered(xyxy: F8) -> F8:
-    """(n,) the largest part of each box that one nearer box of the frame covers; nearer is whose foot is lower."""
+    """(n,) the largest part of each box that one nearer box of the frame covers; nearer is whose
+    foot is lower.
+    """
     shared = intersection(xyxy, xyxy) * (xyxy[:, 3] > xyxy[:, None, 3])
     part: F8 = (shared / area(xyxy)[:, None]).max(axis=1, initial=0.0)
     return part
@@ -123,14 +135,23 @@ def _jittered(xyxy: F8, more: float, rng: np.random.Generator) -> F8:
     size = xyxy[:, 2:] - xyxy[:, :2]
     foot = feet(xyxy).T + more * np.array([0.1, 0.05]) * size * rng.standard_normal((len(xyxy), 2))
     size = size * np.exp(0.05 * rng.standard_normal((len(xyxy), 2)))
-    return np.column_stack([foot[:, 0] - size[:, 0] / 2, foot[:, 1] - size[:, 1], foot[:, 0] + size[:, 0] / 2, foot[:, 1]])
+    return np.column_stack(
+        [
+            foot[:, 0] - size[:, 0] / 2,
+            foot[:, 1] - size[:, 1],
+            foot[:, 0] + size[:, 0] / 2,
+            foot[:, 1],
+        ]
+    )
 
 
 def stages_of(name: str, clutter: float) -> AnyStages:
     """The stages of a filter by its name in `FILTERS`."""
     kind, sets = FILTERS[name]
     rate = (f"clutter.clutter_per_frame={clutter}",) if RATES[0] in sets else ()
-    return config.build(config.load(None, (f"camera.file={camera_file()}", *sets, *rate), "e13"), INFO, kind)
+    return config.build(
+        config.load(None, (f"camera.file={camera_file()}", *sets, *rate), "e13"), INFO, kind
+    )
 
 
 def mixture_of(intensity: GaussianMixture | Cardinalised[GaussianMixture]) -> GaussianMixture:
@@ -140,8 +161,10 @@ def mixture_of(intensity: GaussianMixture | Cardinalised[GaussianMixture]) -> Ga
 
 def run(job: CrowdRun) -> Iterator[tuple[GaussianMixture, Step]]:
     """The intensity and the step of each frame."""
-    stages, camera = stages_of(job.filter, job.clutter), read_camera(camera_file())
-    drops, rng = np.random.default_rng([job.seed, int(10 * job.clutter)]), np.random.default_rng(job.seed)
+    stages = stages_of(job.filter, job.clutter)
+    camera = read_camera(camera_file())
+    drops = np.random.default_rng([job.seed, int(10 * job.clutter)])
+    rng = np.random.default_rng(job.seed)
     state = pipeline.start(stages, rng)
     for number in range(1, INFO.frames + 1):
         found = detected(number, job.clutter, drops)
@@ -155,34 +178,50 @@ def run(job: CrowdRun) -> Iterator[tuple[GaussianMixture, Step]]:
 def work(job: CrowdRun) -> CrowdCounts:
     """One run over the sequence."""
     rows = [
-        (step.info.mass, len(step.estimates), len(step.detections), len(Grouping().groups(mixture).count))
+        (
+            step.info.mass,
+            len(step.estimates),
+            len(step.detections),
+            len(Grouping().groups(mixture).count),
+        )
         for mixture, step in run(job)
     ]
     return CrowdCounts(*np.array(rows, dtype=np.float64).T)
 
 
 def true_groups() -> tuple[F8, dict[int, Groups], dict[int, GaussianMixture]]:
-    """Number of groups that E13's rule finds in the true positions by frame; groups and people of the pictured frames.
+    """Number of groups that E13's rule finds in the true positions by frame; groups and people of
+    the pictured frames.
 
     Velocities are the slopes of straight lines through a person's positions within half a second.
     """
-    camera, annotated = read_camera(camera_file()), truth()
+    camera = read_camera(camera_file())
+    annotated = truth()
     place = camera.ground(feet(annotated.xyxy))
-    counts, groups, people = np.zeros(INFO.frames), dict[int, Groups](), dict[int, GaussianMixture]()
+    counts = np.zeros(INFO.frames)
+    groups = dict[int, Groups]()
+    people = dict[int, GaussianMixture]()
     for number in range(1, INFO.frames + 1):
         now = np.flatnonzero(annotated.frame == number)
-        state = np.vstack([place[:, now], np.column_stack([_velocity(annotated, place, int(i)) for i in now])])
-        mixture = GaussianMixture(np.ones(len(now)), state, np.tile(0.09 * np.eye(4), (len(now), 1, 1)))
+        state = np.vstack(
+            [place[:, now], np.column_stack([_velocity(annotated, place, int(i)) for i in now])]
+        )
+        mixture = GaussianMixture(
+            np.ones(len(now)), state, np.tile(0.09 * np.eye(4), (len(now), 1, 1))
+        )
         found = Grouping().groups(mixture)
         counts[number - 1] = len(found.count)
         if number in PICTURED:
-            groups[number], people[number] = found, mixture
+            groups[number] = found
+            people[number] = mixture
     return counts, groups, people
 
 
 def _velocity(annotated: Truth, place: F8, i: int) -> F8:
     """(2,) metres per second of the person of row ``i``."""
-    near = (annotated.identity == annotated.identity[i]) & (np.abs(annotated.frame - annotated.frame[i]) <= 3)
+    near = (annotated.identity == annotated.identity[i]) & (
+        np.abs(annotated.frame - annotated.frame[i]) <= 3
+    )
     time = (annotated.frame[near] - annotated.frame[i]) / INFO.fps
     if len(time) < 2:
         return np.zeros(2)
@@ -192,26 +231,52 @@ def _velocity(annotated: Truth, place: F8, i: int) -> F8:
 
 def main(options: Options) -> Path:
     """Run everything and write the page with its pictures."""
-    seeds, rates = options.number(SEEDS, 1), CLUTTER[:1] if options.quick else CLUTTER
-    jobs = [CrowdRun(name, clutter, seed) for clutter in rates for name in FILTERS for seed in range(seeds)]
+    seeds = options.number(SEEDS, 1)
+    rates = CLUTTER[:1] if options.quick else CLUTTER
+    jobs = [
+        CrowdRun(name, clutter, seed)
+        for clutter in rates
+        for name in FILTERS
+        for seed in range(seeds)
+    ]
     results = dict(zip(jobs, in_parallel(work, jobs, "e13", options), strict=True))
     people = np.bincount(truth().frame, minlength=INFO.frames + 1)[1:].astype(np.float64)
     groups, pictured_groups, pictured = true_groups()
     rows = [row for clutter in rates for row in _rows(results, clutter, people, groups, seeds)]
     pictures(results, people, groups, pictured_groups, pictured, options.folder)
-    header = ("clutter", "filter", "mass: error", "bias", "of the raw error", "jumps", "states: error", "groups: error")
+    header = (
+        "clutter",
+        "filter",
+        "mass: error",
+        "bias",
+        "of the raw error",
+        "jumps",
+        "states: error",
+        "groups: error",
+    )
     own = _own_filter(results, people, groups, seeds)
-    return write("e13", options, seeds=seeds, table=table(header, rows), detectors=e13_detectors.section(options), **own)
+    return write(
+        "e13",
+        options,
+        seeds=seeds,
+        table=table(header, rows),
+        detectors=e13_detectors.section(options),
+        **own,
+    )
 
 
 def _rows(
     results: Mapping[CrowdRun, CrowdCounts], clutter: float, people: F8, groups: F8, seeds: int
 ) -> list[tuple[object, ...]]:
-    """A row for the raw detections and one for each filter: means over seeds with standard errors."""
+    """A row for the raw detections and one for each filter: means over seeds with standard
+    errors.
+    """
     first = [results[CrowdRun(next(iter(FILTERS)), clutter, seed)] for seed in range(seeds)]
     raw = np.array([np.abs(o.raw - people).mean() for o in first])
     steps = np.array([np.abs(np.diff(o.raw)).mean() for o in first])
-    rows: list[tuple[object, ...]] = [(clutter, "raw detections", _pm(raw), "", 1.0, _pm(steps), "", "")]
+    rows: list[tuple[object, ...]] = [
+        (clutter, "raw detections", _pm(raw), "", 1.0, _pm(steps), "", "")
+    ]
     for name in FILTERS:
         runs = [results[CrowdRun(name, clutter, seed)] for seed in range(seeds)]
         mass = np.array([np.abs(o.mass - people).mean() for o in runs])
@@ -220,7 +285,9 @@ def _rows(
         grouped = np.array([np.abs(o.groups - groups).mean() for o in runs])
         jumps = np.array([np.abs(np.diff(o.mass)).mean() for o in runs])
         share = float(mass.mean() / raw.mean())
-        rows.append((clutter, name, _pm(mass), f"{bias:+.2f}", share, _pm(jumps), _pm(states), _pm(grouped)))
+        rows.append(
+            (clutter, name, _pm(mass), f"{bias:+.2f}", share, _pm(jumps), _pm(states), _pm(grouped))
+        )
     return rows
 
 
@@ -228,8 +295,12 @@ def _pm(values: F8) -> str:
     return with_error(values.tolist(), 2)
 
 
-def _own_filter(results: Mapping[CrowdRun, CrowdCounts], people: F8, groups: F8, seeds: int) -> dict[str, object]:
-    """What is compared with E13's own figures: its filter under its parameters, in little clutter."""
+def _own_filter(
+    results: Mapping[CrowdRun, CrowdCounts], people: F8, groups: F8, seeds: int
+) -> dict[str, object]:
+    """What is compared with E13's own figures: its filter under its parameters, in little
+    clutter.
+    """
     runs = [results[CrowdRun("GM-PHD", CLUTTER[0], seed)] for seed in range(seeds)]
     raw = np.array([np.abs(o.raw - people).mean() for o in runs])
     mass = np.array([np.abs(o.mass - people).mean() for o in runs])
@@ -259,9 +330,12 @@ def pictures(
     true: Mapping[int, GaussianMixture],
     out: Path,
 ) -> None:
-    """E13's two figures: counts over time, and contours with truth and detections on the ground at the pictured frames."""
+    """E13's two figures: counts over time, and contours with truth and detections on the ground at
+    the pictured frames.
+    """
     plt = pyplot()
-    job, other = CrowdRun("GM-PHD", CLUTTER[0], 0), CrowdRun("GM-CPHD, rates", CLUTTER[0], 0)
+    job = CrowdRun("GM-PHD", CLUTTER[0], 0)
+    other = CrowdRun("GM-CPHD, rates", CLUTTER[0], 0)
     frames = np.arange(1, INFO.frames + 1)
     figure, axes = plt.subplots(2, 1, figsize=(9, 6), sharex=True, layout="constrained")
     axes[0].plot(frames, results[job].raw, color="0.7", lw=0.8, label="detections")
@@ -278,20 +352,30 @@ def pictures(
         axis.grid(alpha=0.3)
         axis.set_ylim(0, axis.get_ylim()[1] * 1.2)
     figure.savefig(out / "e13-counts.png", dpi=110)
-    figure, axes = plt.subplots(1, len(PICTURED), figsize=(13, 4.6), sharey=True, layout="constrained")
+    figure, axes = plt.subplots(
+        1, len(PICTURED), figsize=(13, 4.6), sharey=True, layout="constrained"
+    )
     camera = read_camera(camera_file())
     for number, (mixture, step) in enumerate(run(other), 1):
         if number not in PICTURED:
             continue
-        axis, groups = axes[PICTURED.index(number)], Grouping().groups(mixture)
+        axis = axes[PICTURED.index(number)]
+        groups = Grouping().groups(mixture)
         for group in range(len(groups.count)):
             for line in Contours().of(mixture, groups.label == group):
                 axis.plot(*line, color=f"C{group % 10}", lw=1.5)
-            axis.annotate(f"{groups.count[group]:.1f}", groups.mean[:2, group], color=f"C{group % 10}", fontsize=8)
+            axis.annotate(
+                f"{groups.count[group]:.1f}",
+                groups.mean[:2, group],
+                color=f"C{group % 10}",
+                fontsize=8,
+            )
         axis.plot(*camera.ground(feet(step.detections.xyxy)), "kx", ms=5, label="detections")
         axis.plot(*true[number].mean[:2], "o", ms=5, mfc="none", mec="0.5", label="truth")
         axis.set(
-            title=f"frame {number}: {len(found[number].count)} groups, {len(groups.count)} found", xlabel="m", aspect="equal"
+            title=f"frame {number}: {len(found[number].count)} groups, {len(groups.count)} found",
+            xlabel="m",
+            aspect="equal",
         )
         axis.set(xlim=(-16, -2), ylim=(-18, 11))
     axes[0].legend(fontsize=8, loc="upper left")

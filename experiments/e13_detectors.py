@@ -1,4 +1,6 @@
-"""E13's filter behind real detectors: PETS09-S2L1, the same camera, people counted and placed on the ground."""
+"""E13's filter behind real detectors: PETS09-S2L1, the same camera, people counted and placed on
+the ground.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ SEQUENCE = "PETS09-S2L1"
 DETECTORS = ("public", "frcnn", "person")
 # Cut-off of OSPA, metres.
 CUTOFF = 2.0
-# Births anywhere, one in three seconds, a false alarm a frame on the ground, today's p_D, each detection's noise.
+# Births anywhere, one in three seconds, a false alarm a frame on the ground, today's p_D, each
+# detection's noise.
 ANYWHERE = (
     "birth.kind=ground",
     "birth.births_per_second=0.35",
@@ -38,7 +41,9 @@ FILTERS: Mapping[str, tuple[str, tuple[str, ...]]] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Crowd:
-    """By frame: people, detections, the intensity's mass, the states extracted, and OSPA of detections and of states."""
+    """By frame: people, detections, the intensity's mass, the states extracted, and OSPA of
+    detections and of states.
+    """
 
     people: F8
     raw: F8
@@ -57,18 +62,26 @@ def detections(kind: str) -> DetectionTable:
 
 def work(job: tuple[str, DetectionTable]) -> Crowd:
     """A filter by its name over the sequence with these detections, scored on the ground."""
-    (kind, sets), table_ = FILTERS[job[0]], job[1]
-    case, file = mot15(SEQUENCE, "public"), need_data() / "pets2009" / "View_001.xml"
+    kind, sets = FILTERS[job[0]]
+    table_ = job[1]
+    case = mot15(SEQUENCE, "public")
+    file = need_data() / "pets2009" / "View_001.xml"
     camera = CountedFrom(read_camera(file), 1)
-    place = camera.ground(np.stack([case.truth.xyxy[:, [0, 2]].mean(axis=1), case.truth.xyxy[:, 3]]))
-    low, high = place.min(axis=1), place.max(axis=1)
+    place = camera.ground(
+        np.stack([case.truth.xyxy[:, [0, 2]].mean(axis=1), case.truth.xyxy[:, 3]])
+    )
+    low = place.min(axis=1)
+    high = place.max(axis=1)
     region = f"camera.region=[{low[0]}, {low[1]}, {high[0]}, {high[1]}]"
     given = (f"camera.file={file}", "camera.first_pixel=1", *((region,) if sets else ()))
     stages = config.build(config.load(None, (*given, *sets), "e13"), case.info, kind)
-    rng, rows = np.random.default_rng(1), []
+    rng = np.random.default_rng(1)
+    rows = []
     state = pipeline.start(stages, rng)
     for number in range(1, case.info.frames + 1):
-        state, step = pipeline.advance(stages, state, table_.at(number), number, (number - 1) / case.info.fps, rng)
+        state, step = pipeline.advance(
+            stages, state, table_.at(number), number, (number - 1) / case.info.fps, rng
+        )
         true = place[:, case.truth.frame == number]
         box = step.detections.xyxy
         seen = camera.ground(np.stack([(box[:, 0] + box[:, 2]) / 2, box[:, 3]]))
@@ -82,16 +95,35 @@ def work(job: tuple[str, DetectionTable]) -> Crowd:
 def section(options: Options) -> str:
     """Measure; the section of the page."""
     kinds = DETECTORS[: 1 if options.quick else None]
-    tables = dict(zip(kinds, in_parallel(detections, kinds, "e13, detecting", options), strict=True))
+    tables = dict(
+        zip(kinds, in_parallel(detections, kinds, "e13, detecting", options), strict=True)
+    )
     each = [(name, kind) for kind in kinds for name in FILTERS]
-    found = in_parallel(work, [(name, tables[kind]) for name, kind in each], "e13, real detectors", options)
+    found = in_parallel(
+        work, [(name, tables[kind]) for name, kind in each], "e13, real detectors", options
+    )
     rows = []
     for (name, kind), one in zip(each, found, strict=True):
         if name == next(iter(FILTERS)):
-            rows.append((kind, "raw detections", *_cells(one.raw - one.people), "", f"{one.raw_ospa.mean():.2f}"))
+            rows.append(
+                (
+                    kind,
+                    "raw detections",
+                    *_cells(one.raw - one.people),
+                    "",
+                    f"{one.raw_ospa.mean():.2f}",
+                )
+            )
         off = f"{np.abs(one.states - one.people).mean():.2f}"
         rows.append((kind, name, *_cells(one.mass - one.people), off, f"{one.ospa.mean():.2f}"))
-    header = ("detector", "filter", "mass: error", "bias", "states: error", f"OSPA, m (c = {CUTOFF:g})")
+    header = (
+        "detector",
+        "filter",
+        "mass: error",
+        "bias",
+        "states: error",
+        f"OSPA, m (c = {CUTOFF:g})",
+    )
     return filled("e13_detectors", people=f"{one.people.mean():.1f}", table=table(header, rows))
 
 

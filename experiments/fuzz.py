@@ -1,13 +1,15 @@
-"""Broken files for every reader: ``python -m experiments.fuzz FAMILY --inputs N --seed S [--jobs J] [--out FILE.json]``.
+"""Broken files for every reader: ``python -m experiments.fuzz FAMILY --inputs N --seed S [--jobs J]
+[--out FILE.json]``.
 
-Small valid samples are changed (bits, cuts, doubled spans, huge numbers, deep nesting, wrong types), some inputs are random
-bytes. Each is read in a child process. Good is what is read, and what is refused by `InputError`. A finding is any other
-exception (warnings count), a process that dies, one that takes longer than the limit for an input, or more memory than the
-bound. Its input is kept, in a file that the report names (its first byte is the number of the sample); index and seed make
-it again.
+Small valid samples are changed (bits, cuts, doubled spans, huge numbers, deep nesting, wrong
+types), some inputs are random bytes. Each is read in a child process. Good is what is read, and
+what is refused by `InputError`. A finding is any other exception (warnings count), a process that
+dies, one that takes longer than the limit for an input, or more memory than the bound. Its input is
+kept, in a file that the report names (its first byte is the number of the sample); index and seed
+make it again.
 
-A campaign that was stopped goes on where its report says, with one process. `campaign` does all this for anything that makes
-bytes and reads them.
+A campaign that was stopped goes on where its report says, with one process. `campaign` does all
+this for anything that makes bytes and reads them.
 """
 
 from __future__ import annotations
@@ -39,7 +41,8 @@ from phdtrack.errors import InputError
 Make = Callable[[random.Random], bytes]
 Try = Callable[[bytes], object]
 ROOT = Path(__file__).resolve().parents[1]
-# What a child tells about itself: index, when it began, and how many it accepted, refused, failed on.
+# What a child tells about itself: index, when it began, and how many it accepted, refused, failed
+# on.
 _STATE = struct.Struct("<qdqqqd")
 _PAGE = os.sysconf("SC_PAGE_SIZE")
 # Inputs that one child reads; then a fresh one goes on.
@@ -77,7 +80,9 @@ class _Child:
     suspect: int = -1
 
     def read(self) -> tuple[int, float, int, int, int, float]:
-        """Index, the time when it was begun, numbers of accepted, refused and failed, longest time."""
+        """Index, the time when it was begun, numbers of accepted, refused and failed, longest
+        time.
+        """
         found: tuple[int, float, int, int, int, float] = _STATE.unpack_from(self.state)
         return found
 
@@ -113,12 +118,23 @@ class Report:
         """What a file holds of the same campaign; None where it holds none."""
         try:
             known = json.loads(file.read_text(encoding="utf-8"))
-            limits, found = Limits(**known.pop("limits")), known.pop("findings")
-            kept = {name: known[name] for name in known if name not in ("done", "inputs_per_second")}
-            report = cls(**kept, limits=limits, findings={name: Finding(**one) for name, one in found.items()})
+            limits = Limits(**known.pop("limits"))
+            found = known.pop("findings")
+            kept = {
+                name: known[name] for name in known if name not in ("done", "inputs_per_second")
+            }
+            report = cls(
+                **kept,
+                limits=limits,
+                findings={name: Finding(**one) for name, one in found.items()},
+            )
         except (OSError, ValueError, KeyError, TypeError):
             return None
-        return report if (report.family, report.seed, report.limits) == (family, seed, bounds) else None
+        return (
+            report
+            if (report.family, report.seed, report.limits) == (family, seed, bounds)
+            else None
+        )
 
 
 def random_of(seed: int, index: int) -> random.Random:
@@ -136,13 +152,21 @@ def _rss(pid: int) -> int:
 def tell(state: Any, *values: float) -> None:
     """Write what a child tells, all at once.
 
-    ``pack_into`` fills the place with 0 first: a child that has to wait just then seems to have begun
-    long ago, for as long as it waits, and is taken for one that hangs.
+    ``pack_into`` fills the place with 0 first: a child that has to wait just then seems to have
+    begun long ago, for as long as it waits, and is taken for one that hangs.
     """
     state[:] = _STATE.pack(*values)
 
 
-def _child(make: Make, try_one: Try, span: tuple[int, int], seed: int, limits: Limits, says: Any, state: mmap.mmap) -> None:
+def _child(
+    make: Make,
+    try_one: Try,
+    span: tuple[int, int],
+    seed: int,
+    limits: Limits,
+    says: Any,
+    state: mmap.mmap,
+) -> None:
     """Read the inputs of a span; what is wrong with one is said, and the next one is read."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     virtual = int(Path("/proc/self/statm").read_text().split()[0]) * _PAGE
@@ -164,9 +188,19 @@ def _child(make: Make, try_one: Try, span: tuple[int, int], seed: int, limits: L
             refused += 1
         except BaseException as error:
             failed += 1
-            places = [f"{Path(f.filename).name}:{f.lineno}" for f in traceback.extract_tb(error.__traceback__)]
+            places = [
+                f"{Path(f.filename).name}:{f.lineno}"
+                for f in traceback.extract_tb(error.__traceback__)
+            ]
             ours = [place for place in places if not place.startswith("fuzz")]
-            says.send((index, type(error).__name__, f"{' '.join(ours[-4:])}: {str(error)[:200]}", " ".join(ours[-4:])))
+            says.send(
+                (
+                    index,
+                    type(error).__name__,
+                    f"{' '.join(ours[-4:])}: {str(error)[:200]}",
+                    " ".join(ours[-4:]),
+                )
+            )
         longest = max(longest, time.monotonic() - began)
     tell(state, span[1], time.monotonic(), accepted, refused, failed, longest)
     says.send(None)
@@ -191,8 +225,9 @@ def campaign(
     ----------
     family : name, for the report.
     make_inputs : the bytes of one input from its randomness; runs in the child and must not fail.
-    try_one : reads them; returns where they are accepted, raises `InputError` where they are refused. It runs in a process
-        of its own that has been forked: it may start threads, this process must not have any.
+    try_one : reads them; returns where they are accepted, raises `InputError` where they are
+        refused. It runs in a process of its own that has been forked: it may start threads, this
+        process must not have any.
     inputs, seed, jobs : how many; of the randomness; processes side by side.
     limits : for each input.
     kept : the folder for inputs that were findings; None: a temporary one.
@@ -203,9 +238,11 @@ def campaign(
     -------
     The report.
     """
-    limits, kept = limits or Limits(), kept or Path(tempfile.mkdtemp(prefix=f"fuzz-{family}-"))
+    limits = limits or Limits()
+    kept = kept or Path(tempfile.mkdtemp(prefix=f"fuzz-{family}-"))
     report = begun or Report(family, inputs, seed, limits)
-    report.inputs, began = inputs, time.monotonic() - report.seconds
+    report.inputs = inputs
+    began = time.monotonic() - report.seconds
     waiting = [(at, min(at + _BLOCK, inputs)) for at in range(report.done, inputs, _BLOCK)][::-1]
     running: list[_Child] = []
     context = multiprocessing.get_context("fork")
@@ -220,10 +257,14 @@ def campaign(
         report.findings[f"{kind} {key}"] = Finding(kind, what, index, str(file))
 
     def ended(child: _Child, kind: str = "", what: str = "") -> None:
-        """Count what it did; where it did not come to its end another one goes on after the input that it ended at."""
+        """Count what it did; where it did not come to its end another one goes on after the input
+        that it ended at.
+        """
         index, _, accepted, refused, failed, slowest = child.read()
-        report.accepted, report.refused = report.accepted + accepted, report.refused + refused
-        report.failed, report.slowest = report.failed + failed, max(report.slowest, slowest)
+        report.accepted = report.accepted + accepted
+        report.refused = report.refused + refused
+        report.failed = report.failed + failed
+        report.slowest = max(report.slowest, slowest)
         running.remove(child)
         if kind:
             report.failed += 1
@@ -242,7 +283,9 @@ def campaign(
             state = mmap.mmap(-1, _STATE.size)
             tell(state, span[0], time.monotonic(), 0, 0, 0, 0.0)
             process = context.Process(
-                target=_child, args=(make_inputs, try_one, span, seed, limits, says, state), daemon=True
+                target=_child,
+                args=(make_inputs, try_one, span, seed, limits, says, state),
+                daemon=True,
             )
             process.start()
             says.close()
@@ -254,7 +297,13 @@ def campaign(
     return report
 
 
-def _watch(child: _Child, limits: Limits, report: Report, found: Callable[..., None], ended: Callable[..., None]) -> None:
+def _watch(
+    child: _Child,
+    limits: Limits,
+    report: Report,
+    found: Callable[..., None],
+    ended: Callable[..., None],
+) -> None:
     """Hear what a child says, and end it where it takes too long or too much."""
     done = False
     try:
@@ -271,26 +320,74 @@ def _watch(child: _Child, limits: Limits, report: Report, found: Callable[..., N
         name = signal.Signals(-code).name if code < 0 else f"exit {code}"
         ended(child) if done else ended(child, "crash", name)
         return
-    used, (index, since, *_) = _rss(child.process.pid), child.read()
+    used = _rss(child.process.pid)
+    index, since, *_ = child.read()
     child.base = child.base or used
     report.memory = max(report.memory, used - child.base)
     # What is read while the child writes may be of two inputs: it counts when it is read twice.
-    slow, large = time.monotonic() - since > limits.seconds, used - child.base > limits.memory
-    late, child.suspect = slow and child.suspect == index, index if slow else -1
+    slow = time.monotonic() - since > limits.seconds
+    large = used - child.base > limits.memory
+    late = slow and child.suspect == index
+    child.suspect = index if slow else -1
     if late or large:
         child.process.kill()
         child.process.join()
-        ended(child, "hang" if late else "memory", f"more than {limits.seconds:g} s" if late else "above the bound")
+        ended(
+            child,
+            "hang" if late else "memory",
+            f"more than {limits.seconds:g} s" if late else "above the bound",
+        )
 
 
-# ---------------------------------------------------------------------------------------------------------- mutations
+# ----------------------------------------------------------------------------------------------------------
+# mutations
 
 NUMBERS = (
-    *("0", "-0", "-1", "1e400", "-1e400", "1e-400", "nan", "inf", "-inf", "9" * 5000, "1e308", "4.9e-324", "0x10", "1_0"),
-    *("1000000000", "9007199254740993", "9223372036854775808", "-9223372036854775809", "1e18", "1e19", "2147483648", "٣"),
+    *(
+        "0",
+        "-0",
+        "-1",
+        "1e400",
+        "-1e400",
+        "1e-400",
+        "nan",
+        "inf",
+        "-inf",
+        "9" * 5000,
+        "1e308",
+        "4.9e-324",
+        "0x10",
+        "1_0",
+    ),
+    *(
+        "1000000000",
+        "9007199254740993",
+        "9223372036854775808",
+        "-9223372036854775809",
+        "1e18",
+        "1e19",
+        "2147483648",
+        "٣",
+    ),
 )
 WORDS = (
-    *(b"\0", b"\xff\xfe", b"\xef\xbb\xbf", b"\r", b"\n", b"\r\n", b"\t", b",", b";", b'"', b"'", b"#", b"=", b"\\", b"\x1a"),
+    *(
+        b"\0",
+        b"\xff\xfe",
+        b"\xef\xbb\xbf",
+        b"\r",
+        b"\n",
+        b"\r\n",
+        b"\t",
+        b",",
+        b";",
+        b'"',
+        b"'",
+        b"#",
+        b"=",
+        b"\\",
+        b"\x1a",
+    ),
     *(
         b"null",
         b"true",
@@ -326,7 +423,11 @@ _NUMBER = re.compile(rb"-?\d+(\.\d+)?(e[-+]?\d+)?")
 def mutated(samples: Sequence[bytes], rng: random.Random) -> bytes:
     """The number of one of the samples, and its content with a few changes; rarely random bytes."""
     which = rng.randrange(len(samples))
-    content = bytearray(samples[which]) if rng.random() > 0.02 else bytearray(rng.randbytes(rng.randrange(400)))
+    content = (
+        bytearray(samples[which])
+        if rng.random() > 0.02
+        else bytearray(rng.randbytes(rng.randrange(400)))
+    )
     for _ in range(rng.choice((1, 1, 1, 1, 1, 1, 2, 2, 3, 6))):
         content = _CHANGES[rng.randrange(len(_CHANGES))](content, rng, samples)
     return bytes((which,)) + content
@@ -342,7 +443,9 @@ def flip(content: bytearray, rng: random.Random, _: Sequence[bytes]) -> bytearra
     if content:
         at = rng.randrange(len(content))
         content[at] = (
-            content[at] ^ (1 << rng.randrange(8)) if rng.random() < 0.5 else rng.choice((0, 255, 127, 128, 32, 48, 57, 10))
+            content[at] ^ (1 << rng.randrange(8))
+            if rng.random() < 0.5
+            else rng.choice((0, 255, 127, 128, 32, 48, 57, 10))
         )
     return content
 
@@ -389,7 +492,8 @@ def splice(content: bytearray, rng: random.Random, samples: Sequence[bytes]) -> 
 def swap(content: bytearray, rng: random.Random, _: Sequence[bytes]) -> bytearray:
     """Two lines change places."""
     lines = content.split(b"\n")
-    i, j = rng.randrange(len(lines)), rng.randrange(len(lines))
+    i = rng.randrange(len(lines))
+    j = rng.randrange(len(lines))
     lines[i], lines[j] = lines[j], lines[i]
     return bytearray(b"\n".join(lines))
 
@@ -407,17 +511,42 @@ def value(content: bytearray, rng: random.Random, _: Sequence[bytes]) -> bytearr
     if content[:1] in (b"<",):
         found = [m.span() for m in re.finditer(rb'\w+="[^"]*"', content)]
         start, end = rng.choice(found) if found else (0, 0)
-        return content[:start] + rng.choice((b"", b'id=""', b'xc="' + rng.choice(NUMBERS).encode() + b'"')) + content[end:]
+        return (
+            content[:start]
+            + rng.choice((b"", b'id=""', b'xc="' + rng.choice(NUMBERS).encode() + b'"'))
+            + content[end:]
+        )
     if content[:1] not in (b"{", b"["):
         return number(content, rng, ())
     try:
         document = json.loads(content)
     except (ValueError, RecursionError):
         return flip(content, rng, ())
-    new: Any = rng.choice((None, True, "", "a", [], {}, [[]], -1, 1e300, 10**400, 10**18, 0.5, "12", {"a": [1]}, [1] * 5))
-    parent, key, at = None, None, document
+    new: Any = rng.choice(
+        (
+            None,
+            True,
+            "",
+            "a",
+            [],
+            {},
+            [[]],
+            -1,
+            1e300,
+            10**400,
+            10**18,
+            0.5,
+            "12",
+            {"a": [1]},
+            [1] * 5,
+        )
+    )
+    parent = None
+    key = None
+    at = document
     while isinstance(at, (dict, list)) and at and rng.random() < 0.9:
-        parent, key = at, rng.choice(list(at)) if isinstance(at, dict) else rng.randrange(len(at))
+        parent = at
+        key = rng.choice(list(at)) if isinstance(at, dict) else rng.randrange(len(at))
         at = at[key]
     if parent is None:
         document = new
@@ -428,9 +557,26 @@ def value(content: bytearray, rng: random.Random, _: Sequence[bytes]) -> bytearr
     return bytearray(json.dumps(document).encode())
 
 
-_CHANGES = (flip, cut, drop, double, number, number, number, word, splice, swap, deep, value, value, value, value)
+_CHANGES = (
+    flip,
+    cut,
+    drop,
+    double,
+    number,
+    number,
+    number,
+    word,
+    splice,
+    swap,
+    deep,
+    value,
+    value,
+    value,
+    value,
+)
 
-# ----------------------------------------------------------------------------------------------------------- families
+# -----------------------------------------------------------------------------------------------------------
+# families
 
 Sample = tuple[str | bytes, Callable[[Path], object]]
 
@@ -449,12 +595,16 @@ def _shared() -> Path:
 
 
 def reading(samples: Sequence[Sample], suffix: str) -> tuple[list[bytes], Try]:
-    """The contents of samples, and what reads what `mutated` makes of them: each with the reader of its sample."""
+    """The contents of samples, and what reads what `mutated` makes of them: each with the reader of
+    its sample.
+    """
 
     def read(content: bytes) -> None:
         samples[content[0]][1](in_file(content[1:], suffix))
 
-    return [content.encode() if isinstance(content, str) else content for content, _ in samples], read
+    return [
+        content.encode() if isinstance(content, str) else content for content, _ in samples
+    ], read
 
 
 def _detections() -> tuple[list[bytes], Try]:
@@ -467,13 +617,19 @@ def _detections() -> tuple[list[bytes], Try]:
         f"{f};{a};{b};{a + c};{b + d};{s};car\n" for f, _, a, b, c, d, s in rows
     )
     blanks = "".join(" ".join(map(str, row)) + "\n" for row in rows)
-    results = [{"image_id": f, "category_id": 1, "bbox": [a, b, c, d], "score": s} for f, _, a, b, c, d, s in rows]
+    results = [
+        {"image_id": f, "category_id": 1, "bbox": [a, b, c, d], "score": s}
+        for f, _, a, b, c, d, s in rows
+    ]
     images = [{"id": 7 + k, "file_name": f"img/{k:06d}.jpg", "video_id": 1} for k in range(1, 4)]
     annotations = [{"id": k, "image_id": 7 + f, "category_id": 2, "bbox": [a, b, 3, 4], "attributes": {"track_id": k}}
                    for k, (f, _, a, b, *_) in enumerate(rows)]  # fmt: skip
     data = {"images": images, "annotations": annotations, "categories": [{"id": 2, "name": "car"}]}
     kitti = (
-        "0 1 Car 0 0 -1 10 20 30 40 -1 -1 -1 -1 -1 -1 -1 0.9\n" * 2 + "1 -1 DontCare -1 -1 -10 1 2 3 4" + " -1" * 7 + " 0\n"
+        "0 1 Car 0 0 -1 10 20 30 40 -1 -1 -1 -1 -1 -1 -1 0.9\n" * 2
+        + "1 -1 DontCare -1 -1 -10 1 2 3 4"
+        + " -1" * 7
+        + " 0\n"
     )
     warps = "frame,g11,g12,g13,g21,g22,g23\n2,1,0,3,0,1,4\n3,1,0,0,0,1,0\n"
     texts = [text, covariance, named, blanks, json.dumps(results), json.dumps(data), kitti]
@@ -484,25 +640,55 @@ def _detections() -> tuple[list[bytes], Try]:
 def _truth() -> tuple[list[bytes], Try]:
     import numpy as np
 
-    from phdtrack.formats import ignoring, read_seqinfo, read_tracks, read_tracks_named, read_truth, read_truth_by_class
+    from phdtrack.formats import (
+        ignoring,
+        read_seqinfo,
+        read_tracks,
+        read_tracks_named,
+        read_truth,
+        read_truth_by_class,
+    )
     from phdtrack.types import Truth
 
     none = Truth(*(np.zeros(0, np.int64),) * 2, np.zeros((0, 4)), np.zeros(0, np.bool_))
-    mot = "".join(f"{f},{i},{10 * i + f},20,30,60,1,{1 + i % 8},1\n" for f in range(1, 4) for i in range(1, 4))
-    tracks = "".join(f"{f},{i},{10 * i + f},20,30,60,.9,-1,-1,-1,0,1,2\n" for f in range(1, 4) for i in range(1, 4))
+    mot = "".join(
+        f"{f},{i},{10 * i + f},20,30,60,1,{1 + i % 8},1\n" for f in range(1, 4) for i in range(1, 4)
+    )
+    tracks = "".join(
+        f"{f},{i},{10 * i + f},20,30,60,.9,-1,-1,-1,0,1,2\n"
+        for f in range(1, 4)
+        for i in range(1, 4)
+    )
     named = "frame,id,left,top,width,height,distractor,class\n1,1,5,5,9,9,0,car\n1,2,5,5,9,9,1,bus\n2,1,6,5,9,9,0,car\n"
     regions = "frame,x,y,w,h\n,10,10,50,50\n2,0,0,5,5\n"
-    kitti = "0 1 Car 0 0 -1 10 20 30 60" + " -1" * 7 + "\n1 -1 DontCare -1 -1 -10 1 2 3 4" + " -1" * 7 + "\n"
+    kitti = (
+        "0 1 Car 0 0 -1 10 20 30 60"
+        + " -1" * 7
+        + "\n1 -1 DontCare -1 -1 -10 1 2 3 4"
+        + " -1" * 7
+        + "\n"
+    )
     info = "[Sequence]\nname=A\nimDir=img1\nframeRate=25\nseqLength=100\nimWidth=640\nimHeight=480\nimExt=.jpg\n"
-    entries = [{"image_id": 1, "track_id": k, "category_id": 1, "bbox": [k, k, 9, 9], "iscrowd": k % 2} for k in range(3)]
+    entries = [
+        {"image_id": 1, "track_id": k, "category_id": 1, "bbox": [k, k, 9, 9], "iscrowd": k % 2}
+        for k in range(3)
+    ]
     samples: list[Sample] = [
         (mot, read_truth),
         (named, read_truth),
         (json.dumps(entries), read_truth),
         (tracks, read_tracks),
     ]
-    samples += [(named, read_tracks_named), (named, read_truth_by_class), (kitti, partial(read_truth, kitti="Car"))]
-    samples += [(regions, partial(ignoring, none)), (tracks, partial(ignoring, none)), (info, read_seqinfo)]
+    samples += [
+        (named, read_tracks_named),
+        (named, read_truth_by_class),
+        (kitti, partial(read_truth, kitti="Car")),
+    ]
+    samples += [
+        (regions, partial(ignoring, none)),
+        (tracks, partial(ignoring, none)),
+        (info, read_seqinfo),
+    ]
     return reading(samples, ".txt")
 
 
@@ -525,7 +711,12 @@ def _xml() -> tuple[list[bytes], Try]:
         for f in range(4)
     )
     cvml = f'<?xml version="1.0" encoding="UTF-8"?>\n<dataset name="a">{boxes}</dataset>\n'
-    readers = [(cvml, read_truth), (cvml, read_detections), (_TSAI, read_camera), (_storages()[1], read_camera)]
+    readers = [
+        (cvml, read_truth),
+        (cvml, read_detections),
+        (_TSAI, read_camera),
+        (_storages()[1], read_camera),
+    ]
     return reading(readers, ".xml")
 
 
@@ -552,9 +743,15 @@ def _cameras() -> tuple[list[bytes], Try]:
 
     matrix = [[0.01, 0.002, -3.0], [0.0003, -0.02, 4.0], [1e-5, 2e-3, 1.0]]
     text = "\n".join(" ".join(map(str, row)) for row in matrix) + "\n"
-    plain = {"mtx": [[800.0, 0, 320], [0, 800, 240], [0, 0, 1]], "dist": [[-0.2, 0.1, 0, 0, 0]], "rvec": [1.9, 0.1, 0.2]}
+    plain = {
+        "mtx": [[800.0, 0, 320], [0, 800, 240], [0, 0, 1]],
+        "dist": [[-0.2, 0.1, 0, 0, 0]],
+        "rvec": [1.9, 0.1, 0.2],
+    }
     toml = f'homography = {matrix}\nmaps = "pixel-to-ground"\npixel = "xy"\nunit = "cm"\ninside = [300, 400]\n'
-    grid = "ncols 3\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 2.5\nNODATA_value -9\n1 2 3\n4 5 -9\n"
+    grid = (
+        "ncols 3\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 2.5\nNODATA_value -9\n1 2 3\n4 5 -9\n"
+    )
     texts = [text, json.dumps(plain | {"tvec": [0.5, 0.7, 9.0]}), toml, *_storages()[:2]]
     samples: list[Sample] = [(one, read_camera) for one in texts]
     return reading([*samples, (grid, read_terrain)], ".cam")
@@ -589,7 +786,13 @@ def _scenes() -> tuple[list[bytes], Try]:
     def density(dim: int) -> dict[str, Any]:
         cov = [[4.0 * (i == j) for j in range(dim)] for i in range(dim)]
         mean = [[50.0 + 9 * i for i in range(dim)], [80.0] * dim]
-        inner = {"low": [0.0] * dim, "high": [640.0] * dim, "weight": [0.6, 0.4], "mean": mean, "covariance": [cov, cov]}
+        inner = {
+            "low": [0.0] * dim,
+            "high": [640.0] * dim,
+            "weight": [0.6, 0.4],
+            "mean": mean,
+            "covariance": [cov, cov],
+        }
         return {"rate": 0.2, "samples": 40, "uniform": 0.2} | inner
 
     scene = {"format": 1, "width": 640, "height": 480, "rate": 25.0, "source": "a.mp4", "births": density(6),
@@ -633,8 +836,13 @@ def _watched(path: Path) -> None:
 
 @cache
 def _clips() -> tuple[bytes, ...]:
-    """Short clips of several containers and codecs, made by a process of their own: encoders start threads."""
-    with tempfile.TemporaryDirectory() as folder, multiprocessing.get_context("spawn").Pool(1) as pool:
+    """Short clips of several containers and codecs, made by a process of their own: encoders start
+    threads.
+    """
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        multiprocessing.get_context("spawn").Pool(1) as pool,
+    ):
         return tuple(pool.apply(_encoded, (folder,)))
 
 
@@ -643,11 +851,18 @@ def _encoded(folder: str) -> list[bytes]:
     import numpy as np
 
     found = []
-    for kind, codec in (("mp4", "libx264"), ("matroska", "mpeg4"), ("avi", "mjpeg"), ("mpegts", "mpeg4"), ("mp4", "mpeg4")):
+    for kind, codec in (
+        ("mp4", "libx264"),
+        ("matroska", "mpeg4"),
+        ("avi", "mjpeg"),
+        ("mpegts", "mpeg4"),
+        ("mp4", "mpeg4"),
+    ):
         path = os.path.join(folder, f"a.{kind}")
         with av.open(path, "w", format=kind) as container:
             stream = container.add_stream(codec, rate=25)
-            stream.width, stream.height = 64, 48
+            stream.width = 64
+            stream.height = 48
             stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
             for k in range(6):
                 image = np.full((48, 64, 3), 60, np.uint8)
@@ -682,10 +897,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     out.add_argument("--inputs", type=int, default=1000, metavar="N")
     out.add_argument("--seed", type=int, default=0, metavar="S")
     out.add_argument("--jobs", type=int, default=1, metavar="J")
-    out.add_argument("--seconds", type=float, default=Limits().seconds, metavar="S", help="for one input")
-    out.add_argument("--out", type=Path, metavar="PATH", help="FILE.json, or a folder; default: runs/reliability")
+    out.add_argument(
+        "--seconds", type=float, default=Limits().seconds, metavar="S", help="for one input"
+    )
+    out.add_argument(
+        "--out", type=Path, metavar="PATH", help="FILE.json, or a folder; default: runs/reliability"
+    )
     given = out.parse_args(arguments)
-    worst, limits = 0, Limits(given.seconds)
+    worst = 0
+    limits = Limits(given.seconds)
     for family in FAMILIES if given.family == "all" else [given.family]:
         samples, try_one = FAMILIES[family]()
         file = given.out or ROOT / "runs" / "reliability"

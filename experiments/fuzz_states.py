@@ -1,11 +1,14 @@
-"""Broken saved states: ``python -m experiments.fuzz_states [states|track|live] --inputs N [--minutes M] [--out FILE.json]``.
+"""Broken saved states: ``python -m experiments.fuzz_states [states|track|live] --inputs N
+[--minutes M] [--out FILE.json]``.
 
-Every filter tracks a few frames of several targets and clutter, some with classes, with what is learned, a delay, a camera
-that moves. What is saved is changed: arrays are shorter, longer, of another type or shape, their values NaN, infinite, huge,
-negative or out of range; records change places, keys are missing. It is loaded, and where it is accepted, three updates and
-`tracks` follow. Checkpoint files are changed byte by byte, with checksums that are right again, and read. So it is with what
-`phdtrack track` resumes from (``track``: checkpoint.log and checkpoint.detector, whose frames then go through a tracker) and
-a camera of `phdtrack live` (``live``: checkpoint.state, with three more frames). All else is as in `experiments.fuzz`.
+Every filter tracks a few frames of several targets and clutter, some with classes, with what is
+learned, a delay, a camera that moves. What is saved is changed: arrays are shorter, longer, of
+another type or shape, their values NaN, infinite, huge, negative or out of range; records change
+places, keys are missing. It is loaded, and where it is accepted, three updates and `tracks` follow.
+Checkpoint files are changed byte by byte, with checksums that are right again, and read. So it is
+with what `phdtrack track` resumes from (``track``: checkpoint.log and checkpoint.detector, whose
+frames then go through a tracker) and a camera of `phdtrack live` (``live``: checkpoint.state, with
+three more frames). All else is as in `experiments.fuzz`.
 """
 
 from __future__ import annotations
@@ -45,7 +48,8 @@ from phdtrack.live.zones import Place
 from phdtrack.state import blocks, from_bytes, to_bytes
 from phdtrack.types import Detections, Frame, SequenceInfo
 
-FRAMES, SIZE = 6, (640, 480)
+FRAMES = 6
+SIZE = (640, 480)
 # Inputs of one seed.
 CHUNK = 250
 _FEW = {"particles_per_target": 30}
@@ -75,10 +79,17 @@ MOVED = np.array([[1.0, 0.0, 2.0], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
 def frame(k: int, rng: np.random.Generator, *, classes: bool) -> Detections:
     """Four who walk, one false alarm, scores and, if asked, three classes."""
     boxes = [
-        [60 + 150.0 * j + 3 * k * (-1) ** j, 100 + 40.0 * j, 100 + 150.0 * j + 3 * k * (-1) ** j, 200 + 40.0 * j]
+        [
+            60 + 150.0 * j + 3 * k * (-1) ** j,
+            100 + 40.0 * j,
+            100 + 150.0 * j + 3 * k * (-1) ** j,
+            200 + 40.0 * j,
+        ]
         for j in range(4)
     ]
-    found = np.array([*boxes, [rng.uniform(0, 500), rng.uniform(0, 350), 0, 0]]) + rng.normal(0, 1, (5, 4))
+    found = np.array([*boxes, [rng.uniform(0, 500), rng.uniform(0, 350), 0, 0]]) + rng.normal(
+        0, 1, (5, 4)
+    )
     found[4, 2:] = found[4, :2] + rng.uniform(30, 80, 2)
     return Detections(found, rng.uniform(0.4, 0.95, 5), np.array([2, 7, 2, 1, 7]) * classes)
 
@@ -90,22 +101,28 @@ def tracker_of(name: str) -> Tracker:
 
 def saved_of(name: str, frames: int = FRAMES) -> dict[str, Any]:
     """The state after some frames."""
-    tracker, rng = tracker_of(name), np.random.default_rng(3)
+    tracker = tracker_of(name)
+    rng = np.random.default_rng(3)
     for k in range(frames):
-        tracker.update(frame(k, rng, classes="classes" in name), warp=MOVED if name == "pmb" and k else None)
+        tracker.update(
+            frame(k, rng, classes="classes" in name), warp=MOVED if name == "pmb" and k else None
+        )
     return tracker.state_dict()
 
 
 def go_on(tracker: Tracker, name: str) -> None:
     """Three updates and what comes of them."""
-    rng, at, begun = np.random.default_rng(4), tracker.state.number, tracker.state.time
+    rng = np.random.default_rng(4)
+    at = tracker.state.number
+    begun = tracker.state.time
     for k in range(1, 4):
         tracker.update(frame(at % 20 + k, rng, classes="classes" in name), at + k, begun + 0.04 * k)
     tracker.flush()
     tracker.tracks()
 
 
-# ---------------------------------------------------------------------------------------------------------- mutations
+# ----------------------------------------------------------------------------------------------------------
+# mutations
 
 FLOATS = (np.nan, np.inf, -np.inf, 1e300, -1e300, 1e18, -1.0, 0.0, 5e-324, 2.0, 1e9, -1e-9)
 INTEGERS = (-1, -2, -3, 0, 1, 2, 7, 100, 1 << 31, (1 << 63) - 1, -(1 << 63), 1_000_000)
@@ -133,7 +150,13 @@ ODD = (
 
 def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     """The ways to every value within."""
-    inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    inside = (
+        value.items()
+        if isinstance(value, dict)
+        else enumerate(value)
+        if isinstance(value, list)
+        else ()
+    )
     found = [path] if path else []
     for key, one in inside:
         found += places(one, (*path, key))
@@ -150,7 +173,8 @@ def _array(a: np.ndarray, rng: random.Random) -> Any:
     """Another array, or one of its values another."""
     what = rng.randrange(12)
     if what < 5 and a.size:
-        b, at = a.copy(), rng.randrange(a.size)
+        b = a.copy()
+        at = rng.randrange(a.size)
         flat = b.reshape(-1)
         if b.dtype.names:
             column = rng.choice(b.dtype.names)
@@ -160,7 +184,9 @@ def _array(a: np.ndarray, rng: random.Random) -> Any:
                 flat[at] = rng.choice((*FLOATS, float(flat[at]) * rng.choice((-1, 0.5, 3, 1e6))))
         else:
             near = int(flat[at]) + rng.choice((-1, 1, 2, 5))
-            flat[at] = rng.choice((*INTEGERS, near, near, near)) if b.dtype.kind == "i" else not flat[at]
+            flat[at] = (
+                rng.choice((*INTEGERS, near, near, near)) if b.dtype.kind == "i" else not flat[at]
+            )
         return b
     if what == 5 and a.ndim:
         return a[: rng.randrange(len(a) + 1)]
@@ -175,7 +201,11 @@ def _array(a: np.ndarray, rng: random.Random) -> Any:
         return a.reshape(rng.choice(((-1,), (1, *a.shape), (*a.shape, 1))))
     if what == 10 and a.ndim:
         return a[::-1]
-    return a.T if what == 11 else rng.choice((np.zeros(0), np.zeros((0, 0)), np.zeros(3, np.int64), np.array(3.0)))
+    return (
+        a.T
+        if what == 11
+        else rng.choice((np.zeros(0), np.zeros((0, 0)), np.zeros(3, np.int64), np.array(3.0)))
+    )
 
 
 def changed(value: Any, rng: random.Random) -> Any:
@@ -186,21 +216,38 @@ def changed(value: Any, rng: random.Random) -> Any:
         return rng.choice((not value, *ODD))
     if isinstance(value, (int, float)) and rng.random() < 0.9:
         return rng.choice(
-            (value + rng.choice((-1, 1, 5)), -value, value * 1000, *(FLOATS if isinstance(value, float) else INTEGERS))
+            (
+                value + rng.choice((-1, 1, 5)),
+                -value,
+                value * 1000,
+                *(FLOATS if isinstance(value, float) else INTEGERS),
+            )
         )
     if isinstance(value, list) and value and rng.random() < 0.9:
-        k, j = rng.randrange(len(value)), rng.randrange(len(value))
+        k = rng.randrange(len(value))
+        j = rng.randrange(len(value))
         swapped = list(value)
-        swapped[k], swapped[j] = value[j], value[k]
-        return rng.choice((value[:k] + value[k + 1 :], [*value, value[k]], value[:k], swapped, value[::-1], []))
+        swapped[k] = value[j]
+        swapped[j] = value[k]
+        return rng.choice(
+            (value[:k] + value[k + 1 :], [*value, value[k]], value[:k], swapped, value[::-1], [])
+        )
     if isinstance(value, dict) and value and rng.random() < 0.8:
         key = rng.choice(list(value))
-        return {k: v for k, v in value.items() if k != key} if rng.random() < 0.5 else value | {key: rng.choice(ODD)}
+        return (
+            {k: v for k, v in value.items() if k != key}
+            if rng.random() < 0.5
+            else value | {key: rng.choice(ODD)}
+        )
     return rng.choice(ODD)
 
 
-def with_change(state: dict[str, Any], ways: list[tuple[Any, ...]], rng: random.Random) -> dict[str, Any]:
-    """A copy of the state in which one place is another; the same where a change before has taken that place away."""
+def with_change(
+    state: dict[str, Any], ways: list[tuple[Any, ...]], rng: random.Random
+) -> dict[str, Any]:
+    """A copy of the state in which one place is another; the same where a change before has taken
+    that place away.
+    """
     way = rng.choice(ways)
     try:
         new = changed(_at(state, way), rng)
@@ -216,7 +263,11 @@ def flipped(content: bytes, rng: random.Random) -> bytes:
     """A changed block, most of them with a checksum that is right."""
     block = bytearray(content)
     for _ in range(rng.choice((1, 1, 2, 5))):
-        at = rng.randrange(8, len(block)) if rng.random() < 0.5 else 12 + min(int(rng.expovariate(1e-3)), len(block) - 13)
+        at = (
+            rng.randrange(8, len(block))
+            if rng.random() < 0.5
+            else 12 + min(int(rng.expovariate(1e-3)), len(block) - 13)
+        )
         block[at] = rng.choice((0, 255, block[at] ^ (1 << rng.randrange(8)), *b'0123456789",:[]{}'))
     if rng.random() < 0.1:
         del block[rng.randrange(len(block)) :]
@@ -241,7 +292,9 @@ class States:
                 go_on(self.trackers[name], name)
 
     def make(self, rng: random.Random) -> bytes:
-        """The number of the settings, and a changed state; one in four is the bytes of a checkpoint."""
+        """The number of the settings, and a changed state; one in four is the bytes of a
+        checkpoint.
+        """
         which = rng.randrange(len(self.names))
         name = self.names[which]
         if rng.random() < 0.25:
@@ -271,7 +324,9 @@ class Resumed:
         self.frames = [Frame(k, k / 25, self.picture(k)) for k in range(1, self.last + 1)]
         detector = make_detector("change", min_area=0.005)
         self.inputs: Any = SimpleNamespace(detector=detector, pictures=True, again=False)
-        self.folder = SimpleNamespace(file=lambda name: _shared() / f"phdtrack-fuzz-{os.getpid()}.{name}")
+        self.folder = SimpleNamespace(
+            file=lambda name: _shared() / f"phdtrack-fuzz-{os.getpid()}.{name}"
+        )
         checkpoint = self.checkpoint(0.0, resume=False)
         for _ in checkpoint.detected(self.inputs, self.frames[:5], None):
             checkpoint._saving and checkpoint._saving.join()
@@ -298,15 +353,26 @@ class Resumed:
         state = dict(self.saved)
         for _ in range(rng.choice((1, 1, 1, 2, 3))):
             state = with_change(state, self.ways, rng)
-        known, log = state.get("known"), state.get("log")
-        parts = [block_of(one, self.saved["log"][0]) for one in (log if isinstance(log, list) else [])]
+        known = state.get("known")
+        log = state.get("log")
+        parts = [
+            block_of(one, self.saved["log"][0]) for one in (log if isinstance(log, list) else [])
+        ]
         if parts and rng.random() < 0.2:
             k = rng.randrange(len(parts))
             parts[k] = flipped(parts[k], rng)
         if isinstance(known, dict) and rng.random() < 0.7:
-            known = known | {"size": sum(map(len, parts)), "number": rng.choice((len(parts), known.get("number")))}
+            known = known | {
+                "size": sum(map(len, parts)),
+                "number": rng.choice((len(parts), known.get("number"))),
+            }
         block = block_of(known, self.saved["known"])
-        return pickle.dumps((zlib.compress(flipped(block, rng) if rng.random() < 0.1 else block, 1), b"".join(parts)))
+        return pickle.dumps(
+            (
+                zlib.compress(flipped(block, rng) if rng.random() < 0.1 else block, 1),
+                b"".join(parts),
+            )
+        )
 
     def try_one(self, content: bytes) -> None:
         """Resume, and track what comes of it."""
@@ -315,7 +381,9 @@ class Resumed:
             self.folder.file(name).write_bytes(held)
         tracker = Tracker((80, 60))
         for one in self.checkpoint(1e9, resume=True).detected(self.inputs, self.frames, None):
-            tracker.update(one.found, one.frame.number, one.frame.time, one.warp if len(one.warp) else None)
+            tracker.update(
+                one.found, one.frame.number, one.frame.time, one.warp if len(one.warp) else None
+            )
         tracker.tracks()
 
 
@@ -334,16 +402,21 @@ class Live:
 
     def camera(self) -> Camera:
         """One with a line, a zone and a delay."""
-        source: Any = SimpleNamespace(status=lambda: SourceStatus(frames=100, fps=25.0), stop=lambda: None)
+        source: Any = SimpleNamespace(
+            status=lambda: SourceStatus(frames=100, fps=25.0), stop=lambda: None
+        )
         line = Place("line", ((40.0, 59.0), (40.0, 0.0)), closed=False)
         zone = Place("zone", ((0.0, 0.0), (50.0, 0.0), (50.0, 59.0)), closed=True)
-        watch, detector = Watch((line, zone)), make_detector("change", min_area=0.005)
+        watch = Watch((line, zone))
+        detector = make_detector("change", min_area=0.005)
 
         def make(info: SequenceInfo) -> Making:
             found = load(None, ["associate.history=10", "associate.output_delay=2"])
             return Making(detector, build_kinds(found, info), info, 2)
 
-        return Camera("gate", source, make, CameraSettings(self.folder, watch=watch, video=0, checkpoint=1e9))
+        return Camera(
+            "gate", source, make, CameraSettings(self.folder, watch=watch, video=0, checkpoint=1e9)
+        )
 
     def show(self, one: Camera, first: int, last: int) -> None:
         """Frames of the walk."""
@@ -392,15 +465,17 @@ def _put(value: Any, way: Sequence[Any], new: Any) -> Any:
 
 def joined(total: Report, more: Report) -> None:
     """Add a further campaign, of the next seed."""
-    total.inputs, total.seconds, total.failed = (
-        total.inputs + more.inputs,
-        total.seconds + more.seconds,
-        total.failed + more.failed,
-    )
-    total.accepted, total.refused = total.accepted + more.accepted, total.refused + more.refused
-    total.slowest, total.memory = max(total.slowest, more.slowest), max(total.memory, more.memory)
+    total.inputs = total.inputs + more.inputs
+    total.seconds = total.seconds + more.seconds
+    total.failed = total.failed + more.failed
+    total.accepted = total.accepted + more.accepted
+    total.refused = total.refused + more.refused
+    total.slowest = max(total.slowest, more.slowest)
+    total.memory = max(total.memory, more.memory)
     for key, one in more.findings.items():
-        total.findings.setdefault(key, one).times += one.times * (key in total.findings and total.findings[key] is not one)
+        total.findings.setdefault(key, one).times += one.times * (
+            key in total.findings and total.findings[key] is not one
+        )
 
 
 FAMILIES: dict[str, Callable[[], Any]] = {"states": States, "track": Resumed, "live": Live}
@@ -413,20 +488,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
     out.add_argument("--inputs", type=int, default=1000, metavar="N")
     out.add_argument("--seed", type=int, default=0, metavar="S")
     out.add_argument("--jobs", type=int, default=1, metavar="J")
-    out.add_argument("--out", type=Path, metavar="FILE.json", help="default: runs/reliability/fuzz-FAMILY.json")
-    out.add_argument("--minutes", type=float, default=math.inf, metavar="M", help="end after so many, with what was done")
+    out.add_argument(
+        "--out", type=Path, metavar="FILE.json", help="default: runs/reliability/fuzz-FAMILY.json"
+    )
+    out.add_argument(
+        "--minutes",
+        type=float,
+        default=math.inf,
+        metavar="M",
+        help="end after so many, with what was done",
+    )
     given = out.parse_args(arguments)
     file = given.out or ROOT / "runs" / "reliability" / f"fuzz-{given.family}.json"
-    states, kept, end = FAMILIES[given.family](), file.parent / "fuzz-findings", time.monotonic() + 60 * given.minutes
+    states = FAMILIES[given.family]()
+    kept = file.parent / "fuzz-findings"
+    end = time.monotonic() + 60 * given.minutes
     total = Report(given.family, 0, given.seed, Limits(60.0, 1 << 30))
     while total.inputs < given.inputs and time.monotonic() < end:
-        count, seed = min(CHUNK, given.inputs - total.inputs), given.seed + total.inputs // CHUNK
+        count = min(CHUNK, given.inputs - total.inputs)
+        seed = given.seed + total.inputs // CHUNK
         joined(total, campaign(given.family, states.make, states.try_one, inputs=count, seed=seed, jobs=given.jobs,
                                limits=total.limits, kept=kept))  # fmt: skip
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(json.dumps(total.document() | {"settings": list(SETTINGS)}, indent=1) + "\n", encoding="utf-8")
+        file.write_text(
+            json.dumps(total.document() | {"settings": list(SETTINGS)}, indent=1) + "\n",
+            encoding="utf-8",
+        )
     took = f"{total.inputs} inputs in {total.seconds / 60:.1f} minutes"
-    print(f"{took}: {total.accepted} accepted, {total.refused} refused, {len(total.findings)} findings")
+    print(
+        f"{took}: {total.accepted} accepted, {total.refused} refused, {len(total.findings)} findings"
+    )
     for one in total.findings.values():
         print(f"  {one.kind} {one.what} ({one.times} times; {one.file})")
     return int(bool(total.findings))

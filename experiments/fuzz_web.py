@@ -1,8 +1,10 @@
-"""Malformed requests against both pages, as a stranger would send them: ``python -m experiments.fuzz_web [--number N]``.
+"""Malformed requests against both pages, as a stranger would send them: ``python -m
+experiments.fuzz_web [--number N]``.
 
-`phdtrack label` and `phdtrack live` are started on a simulated street, and asked by raw sockets. Seeds are fixed. The
-figures go to runs/reliability/fuzz-web.json: how many requests were answered how, and the server's memory. A server error,
-a connection that hangs, memory that grows or a page that no longer answers is a failure (exit status 1).
+`phdtrack label` and `phdtrack live` are started on a simulated street, and asked by raw sockets.
+Seeds are fixed. The figures go to runs/reliability/fuzz-web.json: how many requests were answered
+how, and the server's memory. A server error, a connection that hangs, memory that grows or a page
+that no longer answers is a failure (exit status 1).
 """
 
 from __future__ import annotations
@@ -23,18 +25,57 @@ from pathlib import Path
 from urllib.parse import quote
 
 OUT = Path("runs/reliability/fuzz-web.json")
-# Seconds for an answer, beyond which a request hangs: what is not complete is cut after 40; until a client without an
-# answer says that it is done; connections at once.
-PATIENCE, WAITING, SHARE = 60.0, 1.0, 24
-METHODS = ["GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "TRACE", "CONNECT", "PATCH", "get", "", "G\x00T", "A" * 300]
-VERSIONS = ["HTTP/1.1"] * 60 + ["HTTP/1.0", "HTTP/0.9", "HTTP/2.0", "HTTP/1.10", "HTTP/x", "", "http/1.1"]
+# Seconds for an answer, beyond which a request hangs: what is not complete is cut after 40; until a
+# client without an answer says that it is done; connections at once.
+PATIENCE = 60.0
+WAITING = 1.0
+SHARE = 24
+METHODS = [
+    "GET",
+    "HEAD",
+    "POST",
+    "PUT",
+    "DELETE",
+    "OPTIONS",
+    "TRACE",
+    "CONNECT",
+    "PATCH",
+    "get",
+    "",
+    "G\x00T",
+    "A" * 300,
+]
+VERSIONS = ["HTTP/1.1"] * 60 + [
+    "HTTP/1.0",
+    "HTTP/0.9",
+    "HTTP/2.0",
+    "HTTP/1.10",
+    "HTTP/x",
+    "",
+    "http/1.1",
+]
 PATHS = [
     "/", "/metrics", "/healthz", "/api/cameras", "/api/camera/gate", "/api/camera/gate/minutes", "/api/camera/gate/places",
     "/picture/gate.jpg", "/map/gate/people.jpg", "/map/gate/clutter.jpg", "/static/live.js", "/static/label.js",
     "/api/overview", "/api/frame/1", "/api/frame/1/marks", "/api/frame/1/undo", "/api/frame/1/redo", "/api/frame/1/done",
     "/api/frame/1/alike/0", "/api/suggestions", "/api/map/false", "/api/labels.csv", "/still/1.jpg", "/crop/1/0.jpg",
 ]  # fmt: skip
-NUMBERS = ["0", "-1", "1.5", "9" * 5, "9" * 20, "9" * 400, "1e9", "NaN", "0x10", "١", "%31", "+1", " 1", "1/2"]
+NUMBERS = [
+    "0",
+    "-1",
+    "1.5",
+    "9" * 5,
+    "9" * 20,
+    "9" * 400,
+    "1e9",
+    "NaN",
+    "0x10",
+    "١",
+    "%31",
+    "+1",
+    " 1",
+    "1/2",
+]
 BITS = [
     "%", "%2", "%zz", "%00", "%ff%fe", "%2e%2e", "..", "//", "/../../etc/passwd", "\\", "?", "#", ";", "\x00", "\x7f", "é",
     "😀", " ", "\t",
@@ -82,11 +123,19 @@ def request(rng: random.Random, host: str) -> bytes:
         # All is well but what is asked for and sent.
         path = re.sub(r"[^!-~]", lambda found: quote(found[0]), path)
         body = rng.choice(BODIES)
-        verb, more = rng.choice([("GET", ""), ("HEAD", ""), ("POST", f"X-Phdtrack: 1\r\nContent-Length: {len(body)}\r\n")])
-        return f"{verb} {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{more}\r\n".encode() + (
-            body if more else b""
+        verb, more = rng.choice(
+            [
+                ("GET", ""),
+                ("HEAD", ""),
+                ("POST", f"X-Phdtrack: 1\r\nContent-Length: {len(body)}\r\n"),
+            ]
         )
-    method, body = rng.choice(METHODS + ["GET", "POST"] * 30), rng.choice(BODIES)
+        return (
+            f"{verb} {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{more}\r\n".encode()
+            + (body if more else b"")
+        )
+    method = rng.choice(METHODS + ["GET", "POST"] * 30)
+    body = rng.choice(BODIES)
     headers = [f"Host: {host}"] * rng.choice([1] * 40 + [0, 2]) + rng.choices(
         HEADERS, k=rng.choice([0] * 5 + [1, 1, 1, 2, 3, 8])
     )
@@ -101,7 +150,9 @@ def request(rng: random.Random, host: str) -> bytes:
         )
     rng.shuffle(headers)
     ending = rng.choice(["\r\n"] * 40 + ["\n", "\r"])
-    head = ending.join([f"{method} {path} {rng.choice(VERSIONS)}", *headers, "", ""]).encode("utf-8", "surrogatepass")
+    head = ending.join([f"{method} {path} {rng.choice(VERSIONS)}", *headers, "", ""]).encode(
+        "utf-8", "surrogatepass"
+    )
     whole = bytearray(head + body)
     if rng.random() < 0.15:
         for _ in range(rng.choice([1, 3, 20])):
@@ -110,9 +161,14 @@ def request(rng: random.Random, host: str) -> bytes:
 
 
 def asked(port: int, sent: bytes, rng: random.Random) -> str:
-    """The status of the first answer, or of a server's error; "cut" without any, "hung" where there is no end."""
+    """The status of the first answer, or of a server's error; "cut" without any, "hung" where there
+    is no end.
+    """
     got = bytearray()
-    with contextlib.suppress(ConnectionError, OSError), socket.create_connection(("127.0.0.1", port)) as one:
+    with (
+        contextlib.suppress(ConnectionError, OSError),
+        socket.create_connection(("127.0.0.1", port)) as one,
+    ):
         one.settimeout(PATIENCE)
         step = rng.choice([len(sent)] * 4 + [1 + len(sent) // 3])
         for at in range(0, len(sent), step):
@@ -147,17 +203,29 @@ def memory(child: subprocess.Popen[str]) -> float:
 
 def campaign(words: list[str], folder: Path, number: int, seed: int) -> dict[str, object]:
     """Start a page, ask it, and say what came of it."""
-    statuses, failures = Counter[str](), list[dict[str, str]]()
+    statuses = Counter[str]()
+    failures = list[dict[str, str]]()
     with (folder / "stderr").open("w+b") as stderr:
         child = subprocess.Popen(
-            [sys.executable, "-m", "phdtrack", *words], cwd=folder, stdout=stderr, stderr=stderr, text=True
+            [sys.executable, "-m", "phdtrack", *words],
+            cwd=folder,
+            stdout=stderr,
+            stderr=stderr,
+            text=True,
         )
         try:
-            while not (found := re.search(r"the page: http://(127\.0\.0\.1:(\d+))/", (folder / "stderr").read_text())):
+            while not (
+                found := re.search(
+                    r"the page: http://(127\.0\.0\.1:(\d+))/", (folder / "stderr").read_text()
+                )
+            ):
                 if child.poll() is not None:
                     raise SystemExit((folder / "stderr").read_text())
                 time.sleep(0.1)
-            host, port, begun, held = found[1], int(found[2]), time.monotonic(), list[float]()
+            host = found[1]
+            port = int(found[2])
+            begun = time.monotonic()
+            held = list[float]()
 
             def one(k: int) -> tuple[bytes, str]:
                 rng = random.Random(f"{seed} {k}")
@@ -196,7 +264,9 @@ def campaign(words: list[str], folder: Path, number: int, seed: int) -> dict[str
 
 def main() -> int:
     """Both pages."""
-    given = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    given = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     given.add_argument("--number", type=int, default=10_000, help="requests to each page")
     given.add_argument("--out", type=Path, default=OUT)
     options = given.parse_args()
@@ -228,7 +298,10 @@ def main() -> int:
     bad = [
         one
         for one in found
-        if one["failures"] or one["tracebacks"] or not one["answers_afterwards"] or one["growth_mib"] > 20
+        if one["failures"]
+        or one["tracebacks"]
+        or not one["answers_afterwards"]
+        or one["growth_mib"] > 20
     ]  # type: ignore[operator]
     return 1 if bad else 0
 

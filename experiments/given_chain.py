@@ -1,4 +1,6 @@
-"""The chain of D14's filter: Metropolis–Hastings over targets of which it is known what each measured [D14 Alg. 1, K05]."""
+"""The chain of D14's filter: Metropolis–Hastings over targets of which it is known what each
+measured [D14 Alg. 1, K05].
+"""
 
 from __future__ import annotations
 
@@ -18,9 +20,9 @@ REDRAW, ANCESTOR = range(2)
 class Chain(NamedTuple):
     """How a chain runs.
 
-    ``burn`` steps before the first that is kept, one of every ``thin``, until ``samples`` are kept; ``share`` of steps that
-    propose another ancestor; whether all targets of a sample have a ``joint`` ancestor, and whether acceptance is ``greedy``
-    [D14 Alg. 1].
+    ``burn`` steps before the first that is kept, one of every ``thin``, until ``samples`` are kept;
+    ``share`` of steps that propose another ancestor; whether all targets of a sample have a
+    ``joint`` ancestor, and whether acceptance is ``greedy`` [D14 Alg. 1].
     """
 
     burn: int
@@ -34,9 +36,9 @@ class Chain(NamedTuple):
 class Ancestors(NamedTuple):
     """What targets come from.
 
-    ``origin`` (d, n·M): the M states of each of n targets in the frame before, those of a target side by side.
-    ``running``, ``log`` (k, M): the laws by which ancestors are proposed, for all targets together (k = 1) or for each (k =
-    n): sums of their probabilities, and their logarithms.
+    ``origin`` (d, n·M): the M states of each of n targets in the frame before, those of a target
+    side by side. ``running``, ``log`` (k, M): the laws by which ancestors are proposed, for all
+    targets together (k = 1) or for each (k = n): sums of their probabilities, and their logarithms.
     """
 
     origin: F8
@@ -45,10 +47,16 @@ class Ancestors(NamedTuple):
 
 
 @njit(error_model="numpy")
-def _draw(world: Any, ancestors: Ancestors, t: int, r: int, scratch: F8, rng: np.random.Generator, out: F8) -> float:
-    """log g of measurement t and a draw of f(·|x) of state r of target t, which is written to ``out`` (d,)."""
-    (motion, sensor, table), origin = world, ancestors.origin
-    column, d = t * (origin.shape[1] // table.shape[1]) + r, out.size
+def _draw(
+    world: Any, ancestors: Ancestors, t: int, r: int, scratch: F8, rng: np.random.Generator, out: F8
+) -> float:
+    """log g of measurement t and a draw of f(·|x) of state r of target t, which is written to
+    ``out`` (d,).
+    """
+    motion, sensor, table = world
+    origin = ancestors.origin
+    column = t * (origin.shape[1] // table.shape[1]) + r
+    d = out.size
     for a in range(d):
         scratch[a * BLOCK] = origin[a, column]
     for k in range(normals(motion)):
@@ -70,9 +78,16 @@ def _ancestor(ancestors: Ancestors, law: int, rng: np.random.Generator) -> int:
 
 @njit(nogil=True, error_model="numpy")
 def given_chain(
-    motion: Any, sensor: Any, table: Any, ancestors: Ancestors, chain: Chain, rng: np.random.Generator, kept: F8
+    motion: Any,
+    sensor: Any,
+    table: Any,
+    ancestors: Ancestors,
+    chain: Chain,
+    rng: np.random.Generator,
+    kept: F8,
 ) -> I8:
-    """Samples of targets whose measurements are known, from the samples of the frame before [D14 Alg. 1].
+    """Samples of targets whose measurements are known, from the samples of the frame before [D14
+    Alg. 1].
 
     Parameters
     ----------
@@ -84,25 +99,34 @@ def given_chain(
 
     Returns
     -------
-    (2, 2) proposed and accepted, of redraws of one target (first row) and of changes of the common ancestor.
+    (2, 2) proposed and accepted, of redraws of one target (first row) and of changes of the common
+    ancestor.
     """
-    n, scratch, counts = table.shape[1], np.empty(16 * BLOCK), np.zeros((2, 2), np.int64)
+    n = table.shape[1]
+    scratch = np.empty(16 * BLOCK)
+    counts = np.zeros((2, 2), np.int64)
     # In row 0 the present sample, in row 1 the proposal.
     x = np.empty((2, n, kept.shape[0]))
-    fit, ancestor = np.zeros((2, n)), np.zeros((2, n), np.int64)
+    fit = np.zeros((2, n))
+    ancestor = np.zeros((2, n), np.int64)
     for step in range(-1, chain.burn + chain.thin * chain.samples):
         # The chain starts at a proposal for all.
         everything = step < 0 or (chain.joint and rng.random() < chain.share)
         first = 0 if everything else int(rng.random() * n)
-        last, gain = n if everything else first + 1, 0.0
+        last = n if everything else first + 1
+        gain = 0.0
         common = _ancestor(ancestors, 0, rng) if chain.joint and everything else ancestor[0, first]
         for t in range(first, last):
             ancestor[1, t] = common if chain.joint else _ancestor(ancestors, t, rng)
-            fit[1, t] = _draw((motion, sensor, table), ancestors, t, ancestor[1, t], scratch, rng, x[1, t])
-            # Alg. 1's weight is the likelihood: where a ratio takes its place, a common factor does not cancel.
+            fit[1, t] = _draw(
+                (motion, sensor, table), ancestors, t, ancestor[1, t], scratch, rng, x[1, t]
+            )
+            # Alg. 1's weight is the likelihood: where a ratio takes its place, a common factor does
+            # not cancel.
             fit[1, t] -= 0.0 if chain.joint or chain.greedy else ancestors.log[t, ancestor[1, t]]
             gain += fit[1, t] - fit[0, t]
-        accepted, kind = step < 0, ANCESTOR if everything else REDRAW
+        accepted = step < 0
+        kind = ANCESTOR if everything else REDRAW
         if not accepted:
             if everything:
                 gain -= ancestors.log[0, common] - ancestors.log[0, ancestor[0, 0]]

@@ -1,19 +1,22 @@
 """D14's Metropolis–Hastings filter: which target gave which measurement is known [D14 Alg. 1, K05].
 
-The last row of z is a target's label. With the samples x^r of the frame before, what is sampled is (r, x) jointly,
+The last row of z is a target's label. With the samples x^r of the frame before, what is sampled is
+(r, x) jointly,
 
     p(r, x | z) ∝ Π_t f(x_t | x_t^r) g(z_t | x_t)
 
-whose marginal of x is the posterior of the mixture over all samples of the frame before. Two kinds of moves leave it as it
-is:
+whose marginal of x is the posterior of the mixture over all samples of the frame before. Two kinds
+of moves leave it as it is:
 
-* redraw: for one target, x_t' ~ f(·|x_t^r). What is left of the Hastings ratio is g(z_t|x_t') / g(z_t|x_t).
+* redraw: for one target, x_t' ~ f(·|x_t^r). What is left of the Hastings ratio is g(z_t|x_t') /
+  g(z_t|x_t).
 * another ancestor: r' ~ q, and all targets anew from f(·|x^r'). The ratio is that of Π g / q(r).
 
-With ancestors of their own a target's r_t is redrawn along with it: the product of every target's own mixture [K05]. Few
-samples predict a precise measurement well, and of many targets hardly any does for all at once, so q knows the scan:
-q(r) ∝ Π_t p̂(z_t|x_t^r) with p̂ = N(z; H F x^r, H Q Hᵀ + R). A share of q is uniform. A target whose label is new has N draws
-about its measurement. There is no interaction: the labels keep targets apart.
+With ancestors of their own a target's r_t is redrawn along with it: the product of every target's
+own mixture [K05]. Few samples predict a precise measurement well, and of many targets hardly any
+does for all at once, so q knows the scan: q(r) ∝ Π_t p̂(z_t|x_t^r) with p̂ = N(z; H F x^r, H Q Hᵀ +
+R). A share of q is uniform. A target whose label is new has N draws about its measurement. There is
+no interaction: the labels keep targets apart.
 """
 
 from __future__ import annotations
@@ -43,13 +46,15 @@ class GivenMCMC(Filter[JointSamples]):
     samples : N, joint samples that are kept of a frame's chain.
     burn_in : B, steps before the first that is kept.
     thin : steps for each kept sample.
-    ancestors : ``joint``: all targets of a sample come of the same sample of the frame before, which moves of the chain
-        exchange; the chain's law is the posterior of the mixture of all of them. ``each``: every target has an ancestor of
-        its own [K05], which takes what correlation there was between targets for none.
+    ancestors : ``joint``: all targets of a sample come of the same sample of the frame before,
+        which moves of the chain exchange; the chain's law is the posterior of the mixture of all of
+        them. ``each``: every target has an ancestor of its own [K05], which takes what correlation
+        there was between targets for none.
     ancestor_move_probability : for ``joint``, the share of steps that propose another ancestor.
-    greedy : D14's Alg. 1 as printed: only proposals of ratio 1 and above are accepted, and a rejected one's ratio takes the
-        place of the target's likelihood. That does not sample, and because a likelihood is then compared with a ratio it
-        depends on the unit of positions; ancestors are ``each``, proposed all alike.
+    greedy : D14's Alg. 1 as printed: only proposals of ratio 1 and above are accepted, and a
+        rejected one's ratio takes the place of the target's likelihood. That does not sample, and
+        because a likelihood is then compared with a ratio it depends on the unit of positions;
+        ancestors are ``each``, proposed all alike.
     """
 
     samples: PositiveCount = 1000
@@ -66,33 +71,50 @@ class GivenMCMC(Filter[JointSamples]):
         """No targets."""
         return JointSamples.empty(model.motion.dim, self.samples)
 
-    def predict(self, state: JointSamples, model: Model, dt: float, rng: np.random.Generator) -> JointSamples:
+    def predict(
+        self, state: JointSamples, model: Model, dt: float, rng: np.random.Generator
+    ) -> JointSamples:
         """The samples of the frame before: the chain moves them by itself."""
         return state
 
     def update(
         self, state: JointSamples, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[JointSamples, UpdateInfo]:
-        """Samples of the targets that ``z`` (m, n), labelled in its last row, names, and of no others."""
+        """Samples of the targets that ``z`` (m, n), labelled in its last row, names, and of no
+        others.
+        """
         label = _labels(z)
         order = np.argsort(label, kind="stable")
         known = np.isin(label[order], state.label)
-        old, new = order[known], order[~known]
-        n, dim, count = len(order), model.motion.dim, self.samples
+        old = order[known]
+        new = order[~known]
+        n = len(order)
+        dim = model.motion.dim
+        count = self.samples
         every_target = np.empty((dim, n, count))
         if len(old):
-            origin = state.state.reshape(dim, *state.chance.shape)[:, np.searchsorted(state.label, label[old])]
-            every_target[:, known] = self._sampled(origin, dt, np.ascontiguousarray(z[:, old]), model, rng)
+            origin = state.state.reshape(dim, *state.chance.shape)[
+                :, np.searchsorted(state.label, label[old])
+            ]
+            every_target[:, known] = self._sampled(
+                origin, dt, np.ascontiguousarray(z[:, old]), model, rng
+            )
         mean, cov = model.sensor.states(z[:, new])
         born = draw(GaussianMixture(np.ones(len(new)), mean, cov), count, 1.0, rng)
         every_target[:, ~known] = born.state.reshape(dim, len(new), count)
         fresh = max(state.fresh, int(label.max(initial=-1)) + 1)
-        samples = JointSamples(every_target.reshape(dim, -1), np.ones((n, count)), label[order], fresh)
+        samples = JointSamples(
+            every_target.reshape(dim, -1), np.ones((n, count)), label[order], fresh
+        )
         number = np.eye(1, n + 1, n)[0]
-        return samples, UpdateInfo(float(n), float(len(new)), float(n), np.ones(n), np.zeros(n), 0, number)
+        return samples, UpdateInfo(
+            float(n), float(len(new)), float(n), np.ones(n), np.zeros(n), 0, number
+        )
 
     def _sampled(self, origin: F8, dt: float, z: F8, model: Model, rng: np.random.Generator) -> F8:
-        """The kept samples (d, n, N) of targets with states ``origin`` (d, n, M) in the frame before."""
+        """The kept samples (d, n, N) of targets with states ``origin`` (d, n, M) in the frame
+        before.
+        """
         joint = self.ancestors == "joint" and not self.greedy
         fit = np.zeros(origin.shape[1:]) if self.greedy else _fits(origin, dt, z, model)
         fit = fit.sum(axis=0, keepdims=True) if joint else fit
@@ -100,8 +122,10 @@ class GivenMCMC(Filter[JointSamples]):
         law = (1 - UNIFORM) * weight / weight.sum(axis=1, keepdims=True) + UNIFORM / fit.shape[1]
         flat = np.ascontiguousarray(origin).reshape(len(origin), -1)
         ancestors = Ancestors(flat, np.cumsum(law, axis=1), np.log(law))
-        motion, sensor = model.motion.particle_model(dt, dt / model.rate), model.sensor.particle_model(z)
-        kept, moves = np.empty((len(origin), z.shape[1] * self.samples)), float(self.ancestor_move_probability)
+        motion = model.motion.particle_model(dt, dt / model.rate)
+        sensor = model.sensor.particle_model(z)
+        kept = np.empty((len(origin), z.shape[1] * self.samples))
+        moves = float(self.ancestor_move_probability)
         chain = Chain(self.burn_in, self.thin, self.samples, moves, joint, self.greedy)
         given_chain(motion, sensor.model, sensor.table, ancestors, chain, rng, kept)
         return kept.reshape(len(origin), -1, self.samples)
@@ -118,9 +142,13 @@ def _labels(z: F8) -> I8:
 
 
 def _fits(origin: F8, dt: float, z: F8, model: Model) -> F8:
-    """(n, M) log p̂(z|x^r) of the measurement of each target, up to a constant, from its states ``origin`` (d, n, M)."""
-    # F and Q at the mean of each target's states: any law will do for proposals, and that of linear models is exact.
-    sensor, mean = model.sensor, np.ascontiguousarray(origin.mean(axis=2))
+    """(n, M) log p̂(z|x^r) of the measurement of each target, up to a constant, from its states
+    ``origin`` (d, n, M).
+    """
+    # F and Q at the mean of each target's states: any law will do for proposals, and that of linear
+    # models is exact.
+    sensor = model.sensor
+    mean = np.ascontiguousarray(origin.mean(axis=2))
     moved, step, noise = model.motion.transition(mean, dt)
     rows = np.array(sensor.observed)
     inverse = np.linalg.inv(noise[:, rows[:, None], rows] + sensor.covariance(z, moved))

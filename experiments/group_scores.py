@@ -4,9 +4,10 @@ Two people who are in a frame together are a pair; the pair is positive where bo
 
     F1 = 2 TP / (2 TP + FP + FN)    over the pairs of all frames
 
-People of output and truth are mapped one to one, within a distance. Pairs of annotated people of whom one was not found are
-missed (FN), and pairs of one output group with an unmapped member are false (FP). A group of the truth switches where the
-output identity that most of its members carry is not the last one.
+People of output and truth are mapped one to one, within a distance. Pairs of annotated people of
+whom one was not found are missed (FN), and pairs of one output group with an unmapped member are
+false (FP). A group of the truth switches where the output identity that most of its members carry
+is not the last one.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from phdtrack.types import F8, I8, Bool
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledFrame:
-    """One frame: groups (n,) and positions (2, n) of the truth, and of the output (m,), (2, m), metres.
+    """One frame: groups (n,) and positions (2, n) of the truth, and of the output (m,), (2, m),
+    metres.
 
     Groups are identities from 1; 0 is a person without group.
     """
@@ -35,7 +37,8 @@ class LabelledFrame:
 
 @dataclass(frozen=True, slots=True)
 class GroupScores:
-    """Pairs of people rightly together, wrongly together and wrongly apart; and identity switches of annotated groups.
+    """Pairs of people rightly together, wrongly together and wrongly apart; and identity switches
+    of annotated groups.
 
     Precision, recall and F1 are NaN where they have no pair to count.
     """
@@ -55,13 +58,17 @@ class GroupScores:
 
     def f1(self) -> float:
         """F1 of the pairs."""
-        return ratio(2 * self.true_positives, 2 * self.true_positives + self.false_positives + self.false_negatives)
+        return ratio(
+            2 * self.true_positives,
+            2 * self.true_positives + self.false_positives + self.false_negatives,
+        )
 
 
 def score_groups(frames: Iterable[LabelledFrame], within: float = 1.0) -> GroupScores:
     """The scores of a sequence; people are mapped where they are closer than ``within`` metres."""
     sums = np.zeros(3, np.int64)
-    switches, last = 0, dict[int, int]()
+    switches = 0
+    last = dict[int, int]()
     for frame in frames:
         output_of = np.full(len(frame.truth_group), -1)
         rows, columns = nearest(frame.truth_position, frame.output_position, within)
@@ -79,7 +86,8 @@ def score_groups(frames: Iterable[LabelledFrame], within: float = 1.0) -> GroupS
 
 
 def nearest(a: F8, b: F8, within: float) -> tuple[I8, I8]:
-    """Columns of ``a`` (2, n) and ``b`` (2, m) mapped one to one: as many and as near as can be, closer than ``within``.
+    """Columns of ``a`` (2, n) and ``b`` (2, m) mapped one to one: as many and as near as can be,
+    closer than ``within``.
 
     Parameters
     ----------
@@ -103,7 +111,8 @@ def _together(group: I8) -> Bool:
 
 def _pairs(frame: LabelledFrame, output_of: I8) -> I8:
     """Numbers of pairs that are rightly together, wrongly together, and wrongly apart."""
-    truth, output = _together(frame.truth_group), _together(frame.output_group)
+    truth = _together(frame.truth_group)
+    output = _together(frame.output_group)
     carried = np.append(frame.output_group, 0)[output_of]  # 0 for those who were not found
     right = int((truth & _together(carried)).sum())
     return np.array([right, int(output.sum()) - right, int(truth.sum()) - right], np.int64)

@@ -1,9 +1,11 @@
-"""Annotated groups of pedestrians, found among true positions and behind a filter, with a grid over both thresholds.
+"""Annotated groups of pedestrians, found among true positions and behind a filter, with a grid over
+both thresholds.
 
-seq_eth and zara01, people seen from above every 0.4 s. A detector is made of the annotated positions: noise of 0.2 m, one
-of ten missed, clutter Poisson over the ground that is walked on. The GM-PHD filter on the plane is given these rates and
-shipped settings else; it runs once a seed and its people are grouped under every pair of thresholds. No threshold is chosen:
-E13's own 2 m and 1 m/s are marked.
+seq_eth and zara01, people seen from above every 0.4 s. A detector is made of the annotated
+positions: noise of 0.2 m, one of ten missed, clutter Poisson over the ground that is walked on. The
+GM-PHD filter on the plane is given these rates and shipped settings else; it runs once a seed and
+its people are grouped under every pair of thresholds. No threshold is chosen: E13's own 2 m and 1
+m/s are marked.
 """
 
 from __future__ import annotations
@@ -30,24 +32,32 @@ from phdtrack.types import F8, I8, Detections, GaussianMixture, SequenceInfo, St
 SEQUENCES = {"seq_eth": 15.0, "zara01": 25.0}
 INTERVAL = 0.4
 SEEDS = 5
-NEAR, SLOW = (1.0, 1.5, 2.0, 2.5, 3.0), (0.25, 0.5, 0.75, 1.0, 1.5)
+NEAR = (1.0, 1.5, 2.0, 2.5, 3.0)
+SLOW = (0.25, 0.5, 0.75, 1.0, 1.5)
 OWN = (2.0, 1.0)
 HOLDS = (0.0, 0.5, 1.0)
-# The detector: deviation in metres, detection probability, false alarms a frame, margin around where people walk.
-NOISE, DETECTION, CLUTTER, MARGIN = 0.2, 0.9, 0.5, 1.0
+# The detector: deviation in metres, detection probability, false alarms a frame, margin around
+# where people walk.
+NOISE = 0.2
+DETECTION = 0.9
+CLUTTER = 0.5
+MARGIN = 1.0
 # Parts of a sequence that are laid over each other for a crowd.
 CROWD = 3
 # States farther than this from all true positions are false, metres.
 WITHIN = 1.0
-# Deviations of a person whose position and velocity are known, metres and metres per second: body width, gait.
-BODY, GAIT = 0.3, 0.1
+# Deviations of a person whose position and velocity are known, metres and metres per second: body
+# width, gait.
+BODY = 0.3
+GAIT = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Positions:
     """People on the ground, sorted by frame, then identity.
 
-    ``frame`` (M,), ``identity`` (M,), and ``state`` (4, M): px, py in metres, vx, vy in metres per second.
+    ``frame`` (M,), ``identity`` (M,), and ``state`` (4, M): px, py in metres, vx, vy in metres per
+    second.
     """
 
     frame: I8
@@ -64,7 +74,9 @@ class Positions:
 
 
 def read_positions(path: Path) -> Positions:
-    """The people of an ``obsmat.txt`` of ETH and UCY: frame, identity, x, z, y, vx, vz, vy a line, z upwards."""
+    """The people of an ``obsmat.txt`` of ETH and UCY: frame, identity, x, z, y, vx, vz, vy a line,
+    z upwards.
+    """
     values = np.loadtxt(path)
     values = values[np.lexsort((values[:, 1], values[:, 0]))]
     frame, identity = values[:, :2].T.astype(np.int64)
@@ -79,7 +91,9 @@ def known_people(state: F8) -> GaussianMixture:
 
 
 def read_groups(path: Path) -> tuple[tuple[int, ...], ...]:
-    """The groups of a ``groups.txt`` of ETH and UCY: identities, a group a line. Lines that share people are one group."""
+    """The groups of a ``groups.txt`` of ETH and UCY: identities, a group a line. Lines that share
+    people are one group.
+    """
     found: list[set[int]] = []
     for text in path.read_text(encoding="utf-8").splitlines():
         line = {int(word) for word in text.split()}
@@ -98,8 +112,9 @@ class GroupRun:
 
 @dataclass(frozen=True, slots=True)
 class KnownPeople:
-    """How well people are known: the ``share`` of the annotated who are found within `WITHIN`, ``false`` ones a frame, and
-    the roots of the mean squared errors in ``place`` (m) and ``velocity`` (m/s) of those who are found."""
+    """How well people are known: the ``share`` of the annotated who are found within `WITHIN`,
+    ``false`` ones a frame, and the roots of the mean squared errors in ``place`` (m) and
+    ``velocity`` (m/s) of those who are found."""
 
     share: float
     false: float
@@ -109,9 +124,10 @@ class KnownPeople:
 
 @dataclass(frozen=True, slots=True)
 class GroupOutcome:
-    """``people``: how well each kind of them is known, by name; ``grid``: scores of frames under each pair of thresholds;
-    ``held``: those of lives under E13's thresholds, by kind of people with an identity and hold; ``pairs``: of groups by
-    pairs, by kind of people, and whether only what was seen before counts."""
+    """``people``: how well each kind of them is known, by name; ``grid``: scores of frames under
+    each pair of thresholds; ``held``: those of lives under E13's thresholds, by kind of people with
+    an identity and hold; ``pairs``: of groups by pairs, by kind of people, and whether only what
+    was seen before counts."""
 
     people: dict[str, KnownPeople]
     grid: dict[tuple[float, float], GroupScores]
@@ -121,7 +137,9 @@ class GroupOutcome:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WalkedScene:
-    """A sequence: people, the annotated ``group`` (M,) of each row, 0 for none, number and seconds (F,) of its frames."""
+    """A sequence: people, the annotated ``group`` (M,) of each row, 0 for none, number and seconds
+    (F,) of its frames.
+    """
 
     people: Positions
     group: I8
@@ -131,13 +149,16 @@ class WalkedScene:
     @property
     def region(self) -> tuple[float, float, float, float]:
         """Left, low, right and high border of the ground that is walked on, with a margin."""
-        low, high = self.people.state[:2].min(axis=1) - MARGIN, self.people.state[:2].max(axis=1) + MARGIN
+        low = self.people.state[:2].min(axis=1) - MARGIN
+        high = self.people.state[:2].max(axis=1) + MARGIN
         return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class People:
-    """Of one frame: ``member`` (n,) identities, ``place`` (2, n) metres, and the Gaussian that carries each, −1 for none."""
+    """Of one frame: ``member`` (n,) identities, ``place`` (2, n) metres, and the Gaussian that
+    carries each, −1 for none.
+    """
 
     member: I8
     place: F8
@@ -146,14 +167,17 @@ class People:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """What is known of one frame: Gaussians, and people by kind; the first kind is grouped frame by frame, the others, which
-    have identities, over time."""
+    """What is known of one frame: Gaussians, and people by kind; the first kind is grouped frame by
+    frame, the others, which have identities, over time."""
 
     mixture: GaussianMixture
     people: dict[str, People]
 
 
-KNOWN, STATES, ONLINE, CORRECTED = "true positions", "states", "online rows", "corrected tracks"
+KNOWN = "true positions"
+STATES = "states"
+ONLINE = "online rows"
+CORRECTED = "corrected tracks"
 IN_CROWD = "true positions, in a crowd"
 
 
@@ -177,7 +201,9 @@ def membership(identity: I8, groups: Sequence[Sequence[int]]) -> I8:
     return np.array([of.get(who, 0) for who in identity.tolist()], np.int64)
 
 
-def detected(place: F8, region: tuple[float, float, float, float], rng: np.random.Generator) -> Detections:
+def detected(
+    place: F8, region: tuple[float, float, float, float], rng: np.random.Generator
+) -> Detections:
     """Detections in metres, with covariances, of people at ``place`` (2, n)."""
     seen = place[:, rng.random(place.shape[1]) < DETECTION]
     seen = seen + NOISE * rng.standard_normal(seen.shape)
@@ -186,7 +212,9 @@ def detected(place: F8, region: tuple[float, float, float, float], rng: np.rando
     point = point[rng.permutation(len(point))]
     n = len(point)
     covariance = np.tile(NOISE**2 * np.eye(4), (n, 1, 1))
-    return Detections(np.hstack([point - 0.3, point + 0.3]), np.ones(n), np.zeros(n, np.int64), covariance)
+    return Detections(
+        np.hstack([point - 0.3, point + 0.3]), np.ones(n), np.zeros(n, np.int64), covariance
+    )
 
 
 def settings_of(where: WalkedScene) -> config.Settings:
@@ -207,27 +235,41 @@ def known(where: WalkedScene) -> list[Seen]:
     out = []
     for number in where.number.tolist():
         here = where.people.at(number)
-        out.append(Seen(known_people(here.state), {KNOWN: People(here.identity, here.state[:2], np.arange(len(here)))}))
+        out.append(
+            Seen(
+                known_people(here.state),
+                {KNOWN: People(here.identity, here.state[:2], np.arange(len(here)))},
+            )
+        )
     return out
 
 
 def filtered(where: WalkedScene, stages: AnyStages, lightest: float, seed: int) -> list[Seen]:
-    """Frames as the filter sees them: its extracted states, the confirmed online rows and the corrected tracks."""
-    drawn, rng = np.random.default_rng([seed, 1]), np.random.default_rng(seed)
+    """Frames as the filter sees them: its extracted states, the confirmed online rows and the
+    corrected tracks.
+    """
+    drawn = np.random.default_rng([seed, 1])
+    rng = np.random.default_rng(seed)
     state = pipeline.start(stages, rng)
     steps: list[tuple[GaussianMixture, Step]] = []
-    for k, (number, time) in enumerate(zip(where.number.tolist(), where.time.tolist(), strict=True), start=1):
+    for k, (number, time) in enumerate(
+        zip(where.number.tolist(), where.time.tolist(), strict=True), start=1
+    ):
         found = detected(where.people.at(number).state[:2], where.region, drawn)
         state, step = pipeline.advance(stages, state, found, k, time, rng)
         steps.append((state.intensity, step))
-    tracks, out = pipeline.finish(stages, state), []
+    tracks = pipeline.finish(stages, state)
+    out = []
     for mixture, step in steps:
         here = {
             STATES: (np.arange(len(step.estimates)), step.estimates.state[:2]),
             ONLINE: _rows(step.tracks.take(step.tracks.confirmed)),
             CORRECTED: _rows(tracks.take(tracks.frame == step.number)),
         }
-        people = {name: People(who, at, carriers(mixture, at, lightest)) for name, (who, at) in here.items()}
+        people = {
+            name: People(who, at, carriers(mixture, at, lightest))
+            for name, (who, at) in here.items()
+        }
         out.append(Seen(mixture, people))
     return out
 
@@ -246,26 +288,41 @@ def by_frame(where: WalkedScene, frames: Sequence[Seen], grouping: Grouping) -> 
     return score_groups(_clusters(where, frames, grouping), WITHIN)
 
 
-def _clusters(where: WalkedScene, frames: Sequence[Seen], grouping: Grouping) -> Iterator[LabelledFrame]:
+def _clusters(
+    where: WalkedScene, frames: Sequence[Seen], grouping: Grouping
+) -> Iterator[LabelledFrame]:
     for k, seen in enumerate(frames):
         people = next(iter(seen.people.values()))
-        yield LabelledFrame(*_truth(where, k), _group(grouping.groups(seen.mixture).label, people.carrier), people.place)
+        yield LabelledFrame(
+            *_truth(where, k),
+            _group(grouping.groups(seen.mixture).label, people.carrier),
+            people.place,
+        )
 
 
-def over_time(where: WalkedScene, frames: Sequence[Seen], name: str, grouping: Grouping, hold: float) -> GroupScores:
+def over_time(
+    where: WalkedScene, frames: Sequence[Seen], name: str, grouping: Grouping, hold: float
+) -> GroupScores:
     """Scores of the groups that people of kind ``name`` have accepted."""
     return score_groups(_lives(where, frames, name, grouping, GroupLifeCycle(hold)), WITHIN)
 
 
 def _lives(
-    where: WalkedScene, frames: Sequence[Seen], name: str, grouping: Grouping, living: GroupLifeCycle
+    where: WalkedScene,
+    frames: Sequence[Seen],
+    name: str,
+    grouping: Grouping,
+    living: GroupLifeCycle,
 ) -> Iterator[LabelledFrame]:
     state = LifeCycleState()
     for k, seen in enumerate(frames):
-        people, label = seen.people[name], grouping.groups(seen.mixture).label
+        people = seen.people[name]
+        label = grouping.groups(seen.mixture).label
         used = _group(label, people.carrier) > 0
-        member, carrier = people.member[used], people.carrier[used]
-        weight, time = seen.mixture.weight[carrier], float(where.time[k])
+        member = people.member[used]
+        carrier = people.carrier[used]
+        weight = seen.mixture.weight[carrier]
+        time = float(where.time[k])
         state, accepted, _ = living.extend(state, member, label[carrier], weight, k + 1, time)
         yield LabelledFrame(*_truth(where, k), accepted, people.place[:, used])
 
@@ -274,9 +331,12 @@ def tracked(where: WalkedScene, seed: int) -> list[Walkers]:
     """The people of corrected tracks of the PMB filter, in every frame."""
     settings = settings_of(where)
     stages = config.build(settings, SequenceInfo(0, 0, 1 / INTERVAL, len(where.number), ""), "pmb")
-    drawn, rng = np.random.default_rng([seed, 1]), np.random.default_rng(seed)
+    drawn = np.random.default_rng([seed, 1])
+    rng = np.random.default_rng(seed)
     state = pipeline.start(stages, rng)
-    for k, (number, time) in enumerate(zip(where.number.tolist(), where.time.tolist(), strict=True), start=1):
+    for k, (number, time) in enumerate(
+        zip(where.number.tolist(), where.time.tolist(), strict=True), start=1
+    ):
         found = detected(where.people.at(number).state[:2], where.region, drawn)
         state, _ = pipeline.advance(stages, state, found, k, time, rng)
     seen = stages.associator.measurements(state.association)
@@ -295,9 +355,11 @@ def known_walkers(where: WalkedScene) -> list[Walkers]:
 
 def folded(where: WalkedScene, times: int) -> WalkedScene:
     """A crowd: as many parts of the sequence at once, whose people are strangers to each other."""
-    length, people = len(where.number) // times, where.people
+    length = len(where.number) // times
+    people = where.people
     place = np.searchsorted(where.number, people.frame)
-    part, frame = place // length, where.number[place % length]
+    part = place // length
+    frame = where.number[place % length]
     kept = part < times
     order = np.flatnonzero(kept)[np.lexsort((people.identity[kept], part[kept], frame[kept]))]
     apart = part[order] * (int(people.identity.max()) + 1)
@@ -316,8 +378,11 @@ def by_pairs(where: WalkedScene, walkers: Sequence[Walkers], labels: Iterable[I8
     def frames() -> Iterator[LabelledFrame]:
         state = LifeCycleState()
         for k, (here, label) in enumerate(zip(walkers, labels, strict=True)):
-            weight, time = np.ones(len(label)), float(where.time[k])
-            state, accepted, _ = GroupLifeCycle().extend(state, here.identity, label, weight, k + 1, time)
+            weight = np.ones(len(label))
+            time = float(where.time[k])
+            state, accepted, _ = GroupLifeCycle().extend(
+                state, here.identity, label, weight, k + 1, time
+            )
             yield LabelledFrame(*_truth(where, k), accepted, here.mean[:2])
 
     return score_groups(frames(), WITHIN)
@@ -331,7 +396,9 @@ def online(walkers: Sequence[Walkers]) -> Iterator[I8]:
         yield label
 
 
-def both(where: WalkedScene, kind: str, walkers: Sequence[Walkers]) -> dict[tuple[str, str], GroupScores]:
+def both(
+    where: WalkedScene, kind: str, walkers: Sequence[Walkers]
+) -> dict[tuple[str, str], GroupScores]:
     """Scores of groups by pairs, with and without what is seen later."""
     return {
         (kind, "so far"): by_pairs(where, walkers, online(walkers)),
@@ -341,16 +408,20 @@ def both(where: WalkedScene, kind: str, walkers: Sequence[Walkers]) -> dict[tupl
 
 def found_of(where: WalkedScene, frames: Sequence[Seen], name: str) -> KnownPeople:
     """How well the people of kind ``name`` are known."""
-    place, velocity, false = [np.zeros(0)], [np.zeros(0)], 0
+    place = [np.zeros(0)]
+    velocity = [np.zeros(0)]
+    false = 0
     for k, seen in enumerate(frames):
-        people, here = seen.people[name], where.people.at(int(where.number[k]))
+        here = where.people.at(int(where.number[k]))
+        people = seen.people[name]
         rows, columns = nearest(here.state[:2], people.place, WITHIN)
         place.append(((here.state[:2, rows] - people.place[:, columns]) ** 2).sum(axis=0))
         false += people.place.shape[1] - len(columns)
         carried = people.carrier[columns] >= 0
         means = seen.mixture.mean[2:, people.carrier[columns[carried]]]
         velocity.append(((here.state[2:, rows[carried]] - means) ** 2).sum(axis=0))
-    off, slip = np.concatenate(place), np.concatenate(velocity)
+    off = np.concatenate(place)
+    slip = np.concatenate(velocity)
     rms = float(np.sqrt(off.mean())), float(np.sqrt(slip.mean()))
     return KnownPeople(len(off) / len(where.people), false / len(where.number), *rms)
 
@@ -362,7 +433,9 @@ def _truth(where: WalkedScene, k: int) -> tuple[I8, F8]:
 
 
 def _group(label: I8, carrier: I8) -> I8:
-    """(n,) the cluster from 1 of each person's Gaussian; 0 where there is none or its weight is too low."""
+    """(n,) the cluster from 1 of each person's Gaussian; 0 where there is none or its weight is too
+    low.
+    """
     return np.where(carrier >= 0, np.append(label, -1)[carrier] + 1, 0)
 
 
@@ -371,20 +444,29 @@ def work(job: GroupRun) -> GroupOutcome:
     where = scene(job.sequence)
     lightest = Grouping().min_weight
     if job.seed < 0:
-        frames, crowd = known(where), folded(where, CROWD)
-        paired = both(where, KNOWN, known_walkers(where)) | both(crowd, IN_CROWD, known_walkers(crowd))
+        frames = known(where)
+        crowd = folded(where, CROWD)
+        paired = both(where, KNOWN, known_walkers(where)) | both(
+            crowd, IN_CROWD, known_walkers(crowd)
+        )
     else:
         paired = both(where, CORRECTED, tracked(where, job.seed))
         settings = settings_of(where)
         info = SequenceInfo(0, 0, 1 / INTERVAL, len(where.number), job.sequence)
         stages = config.build(settings, info, "gm-phd")
         # As the product: so low that one miss removes no one.
-        read = config.overlay(settings, {"filter": {"kind": "gm-phd"}, "groups": {"kind": "intensity"}})
+        read = config.overlay(
+            settings, {"filter": {"kind": "gm-phd"}, "groups": {"kind": "intensity"}}
+        )
         grouping = build_groups(read, stages).grouping
         assert isinstance(grouping, Grouping)
         lightest = grouping.min_weight
         frames = filtered(where, stages, lightest, job.seed)
-    grid = {(near, slow): by_frame(where, frames, Grouping(near, slow, lightest)) for near in NEAR for slow in SLOW}
+    grid = {
+        (near, slow): by_frame(where, frames, Grouping(near, slow, lightest))
+        for near in NEAR
+        for slow in SLOW
+    }
     names = tuple(frames[0].people)
     held = {
         (name, hold): over_time(where, frames, name, Grouping(*OWN, lightest), hold)
@@ -420,13 +502,33 @@ def figures(outcomes: dict[GroupRun, GroupOutcome], seeds: int) -> dict[str, obj
         ),
         "people": table(
             ("sequence", "people", "found", "false a frame", "place, m", "velocity, m/s"),
-            [(name, kind, *_known_by(kind, found)) for name, _, found in sources for kind in found[0].people],
-        ),
-        "grids": "\n".join(f"### {name}, {source}\n\n{_grid(found)}" for name, source, found in sources),
-        "pairs": table(
-            ("sequence", "people", "by what was seen", "F1", "precision", "recall", "identity switches"),
             [
-                (name, kind, when, *_means([out.pairs[kind, when] for out in found]), _pair_switches(found, kind, when))
+                (name, kind, *_known_by(kind, found))
+                for name, _, found in sources
+                for kind in found[0].people
+            ],
+        ),
+        "grids": "\n".join(
+            f"### {name}, {source}\n\n{_grid(found)}" for name, source, found in sources
+        ),
+        "pairs": table(
+            (
+                "sequence",
+                "people",
+                "by what was seen",
+                "F1",
+                "precision",
+                "recall",
+                "identity switches",
+            ),
+            [
+                (
+                    name,
+                    kind,
+                    when,
+                    *_means([out.pairs[kind, when] for out in found]),
+                    _pair_switches(found, kind, when),
+                )
                 for name, _, found in sources
                 for kind, when in found[0].pairs
             ],
@@ -435,7 +537,13 @@ def figures(outcomes: dict[GroupRun, GroupOutcome], seeds: int) -> dict[str, obj
         "lives": table(
             ("sequence", "people", "hold, s", "F1", "precision", "recall", "identity switches"),
             [
-                (name, kind, f"{hold:g}", *_means([out.held[kind, hold] for out in found]), _switches(found, kind, hold))
+                (
+                    name,
+                    kind,
+                    f"{hold:g}",
+                    *_means([out.held[kind, hold] for out in found]),
+                    _switches(found, kind, hold),
+                )
                 for name, _, found in sources
                 for kind, hold in found[0].held
             ],
@@ -443,7 +551,9 @@ def figures(outcomes: dict[GroupRun, GroupOutcome], seeds: int) -> dict[str, obj
     }
 
 
-def _sources(outcomes: dict[GroupRun, GroupOutcome], seeds: int) -> list[tuple[str, str, list[GroupOutcome]]]:
+def _sources(
+    outcomes: dict[GroupRun, GroupOutcome], seeds: int
+) -> list[tuple[str, str, list[GroupOutcome]]]:
     """Sequence, where people come from, and the outcomes of all seeds."""
     out = []
     for name in dict.fromkeys(job.sequence for job in outcomes):
@@ -467,7 +577,8 @@ def _grid(found: Sequence[GroupOutcome]) -> str:
         cells = []
         for slow in SLOW:
             scores = [outcome.grid[near, slow] for outcome in found]
-            precision, recall = np.mean([one.precision() for one in scores]), np.mean([one.recall() for one in scores])
+            precision = np.mean([one.precision() for one in scores])
+            recall = np.mean([one.recall() for one in scores])
             cell = f"{with_error([one.f1() for one in scores])} ({precision:.2f}, {recall:.2f})"
             cells.append(f"**{cell}**" if (near, slow) == OWN else cell)
         rows.append((f"{near:g} m", *cells))

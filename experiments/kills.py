@@ -1,10 +1,12 @@
-"""Runs that are killed at any moment and resumed: are their files those of a run that nothing stopped?
+"""Runs that are killed at any moment and resumed: are their files those of a run that nothing
+stopped?
 
     python -m experiments.kills --kills 160 --stops 40 --seed 1
 
-Half of the runs read a video (change detector, camera motion, annotated video), half a file of detections. Each is
-started, ended by SIGKILL or SIGTERM at a time drawn uniformly from what a whole run takes, resumed, now and then ended once
-more, and resumed until it is complete. Then every file is compared with that of the run that nothing stopped, byte by byte.
+Half of the runs read a video (change detector, camera motion, annotated video), half a file of
+detections. Each is started, ended by SIGKILL or SIGTERM at a time drawn uniformly from what a whole
+run takes, resumed, now and then ended once more, and resumed until it is complete. Then every file
+is compared with that of the run that nothing stopped, byte by byte.
 """
 
 from __future__ import annotations
@@ -25,7 +27,9 @@ import numpy as np
 from phdtrack.video import VideoWriter
 
 SAME = ("tracks.csv", "tracks_online.csv", "states.csv", "detections.csv", "annotated.mp4")
-_FRAMES, _PATIENCE, _AGAIN = 250, 600.0, 0.3
+_FRAMES = 250
+_PATIENCE = 600.0
+_AGAIN = 0.3
 
 
 def clip(path: Path) -> None:
@@ -42,16 +46,32 @@ def clip(path: Path) -> None:
 
 def detections(path: Path) -> None:
     """The same without pictures, with false alarms."""
-    rng, rows = np.random.default_rng(6), list[str]()
+    rng = np.random.default_rng(6)
+    rows = list[str]()
     for k in range(1, 8 * _FRAMES):
-        found = [(2 * k % 180, 20), (180 - 3 * k % 180, 70), *rng.uniform(0, 100, (rng.poisson(1.0), 2)).tolist()]
+        found = [
+            (2 * k % 180, 20),
+            (180 - 3 * k % 180, 70),
+            *rng.uniform(0, 100, (rng.poisson(1.0), 2)).tolist(),
+        ]
         rows += [f"{k},-1,{x:.2f},{y:.2f},16,40,0.9" for x, y in found]
     path.write_text("\n".join(rows) + "\n")
 
 
 def started(words: list[str], out: Path, *more: str) -> subprocess.Popen[bytes]:
     """A run in a process of its own."""
-    command = [sys.executable, "-m", "phdtrack", "track", *words, "--out", str(out), "--checkpoint-every", "0.05", *more]
+    command = [
+        sys.executable,
+        "-m",
+        "phdtrack",
+        "track",
+        *words,
+        "--out",
+        str(out),
+        "--checkpoint-every",
+        "0.05",
+        *more,
+    ]
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
 
@@ -66,10 +86,17 @@ def whole(words: list[str], out: Path) -> float:
 
 
 def ended(
-    words: list[str], folder: Path, usual: Path, number: int, seconds: float, rng: np.random.Generator
+    words: list[str],
+    folder: Path,
+    usual: Path,
+    number: int,
+    seconds: float,
+    rng: np.random.Generator,
 ) -> Counter[str]:
     """End a run by a signal, resume it, and count what came of it."""
-    out, came, more = folder / "run", Counter[str](), ()
+    out = folder / "run"
+    came = Counter[str]()
+    more = ()
     while True:
         run = started(words, out, *more)
         strike = not more or rng.random() < _AGAIN
@@ -84,14 +111,19 @@ def ended(
             break
         if not strike or run.returncode not in (-number, 128 + number):
             came["failed"] += 1
-            print(f"status {run.returncode} after {signal.Signals(number).name}: {said.decode()[-2000:]}", flush=True)
+            print(
+                f"status {run.returncode} after {signal.Signals(number).name}: {said.decode()[-2000:]}",
+                flush=True,
+            )
             break
         more = ("--resume",) if out.exists() else ()
     names = {path.name for path in out.iterdir()} if out.exists() else set()
     if names != {path.name for path in usual.iterdir()}:
         came["other files"] += 1
     for name in SAME:
-        if (usual / name).exists() and (name not in names or (out / name).read_bytes() != (usual / name).read_bytes()):
+        if (usual / name).exists() and (
+            name not in names or (out / name).read_bytes() != (usual / name).read_bytes()
+        ):
             came[f"another {name}"] += 1
     shutil.rmtree(out, ignore_errors=True)
     return came
@@ -106,7 +138,8 @@ def main() -> None:
     out.add_argument("--out", type=Path, default=Path("runs/reliability"))
     given = out.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
-    rng, result = np.random.default_rng(given.seed), dict[str, object]()
+    rng = np.random.default_rng(given.seed)
+    result = dict[str, object]()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         clip(folder / "clip.mp4")
@@ -115,12 +148,21 @@ def main() -> None:
         jobs = {"video": [str(folder / "clip.mp4"), "--camera-motion", "flow"]}
         jobs["detections"] = ["--detections", str(folder / "det.txt"), *size]
         for what, words in jobs.items():
-            usual, total, began = folder / what, Counter[str](), time.monotonic()
+            usual = folder / what
+            total = Counter[str]()
+            began = time.monotonic()
             seconds = whole(words, usual)
-            for number, count in ((signal.SIGKILL, given.kills // 2), (signal.SIGTERM, given.stops // 2)):
+            for number, count in (
+                (signal.SIGKILL, given.kills // 2),
+                (signal.SIGTERM, given.stops // 2),
+            ):
                 for _ in range(count):
                     total += ended(words, folder, usual, int(number), seconds, rng)
-            result[what] = {"seconds of a run": seconds, "seconds": time.monotonic() - began, **total}
+            result[what] = {
+                "seconds of a run": seconds,
+                "seconds": time.monotonic() - began,
+                **total,
+            }
             print(what, result[what], flush=True)
     (given.out / "kills.json").write_text(json.dumps(result, indent=1) + "\n")
 

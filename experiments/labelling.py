@@ -1,21 +1,22 @@
 """Delayed labelling: which detections were false alarms, decided some seconds later.
 
-At once a filter gives a detection the probability κ/(κ + C) to be a false alarm. To learn from that alone goes wrong: the
-first detections of a target that enters are doubted, so that entrances become places of false alarms and are doubted more;
-and a place that fires often is confirmed, so that it is never learned. Some seconds later, track evidence says more:
+At once a filter gives a detection the probability κ/(κ + C) to be a false alarm. To learn from that
+alone goes wrong: the first detections of a target that enters are doubted, so that entrances become
+places of false alarms and are doubted more; and a place that fires often is confirmed, so that it
+is never learned. Some seconds later, track evidence says more:
 
 * a detection on a track of an object, or where that track was before it began, is no false alarm;
 * a detection on a track that was confirmed but is not an object is a false alarm;
 * any other detection is a false alarm with the probability that the filter gave it.
 
-A confirmed track is an object if its detections have a standard deviation of 0.4 of its width or height, or if they came as
-often as p_D says: with h of n frames detected, if
+A confirmed track is an object if its detections have a standard deviation of 0.4 of its width or
+height, or if they came as often as p_D says: with h of n frames detected, if
 
     h log(p_D/q) + (n − h) log((1 − p_D)/(1 − q)) > 0,     q = p_D/2
 
-which holds from h/n = 0.71 on for p_D = 0.9. A false alarm that returns in one place is detected in fewer frames and goes
-nowhere. An object that stands still and is detected in every second frame looks the same, and so does a place that fires in
-nine frames of ten look like an object.
+which holds from h/n = 0.71 on for p_D = 0.9. A false alarm that returns in one place is detected in
+fewer frames and goes nowhere. An object that stands still and is detected in every second frame
+looks the same, and so does a place that fires in nine frames of ten look like an object.
 """
 
 from __future__ import annotations
@@ -44,9 +45,9 @@ _NONE: I8 = np.zeros(0, np.int64)
 class TrackEvidence:
     """What is known of the tracks of the last seconds, identities (n,) ascending.
 
-    ``first``, ``last`` (n,): places of their first and last detections, counted in observed frames. ``hits`` (n,): frames in
-    which they were detected. ``confirmed`` (n,). ``sums`` (6, n): of the boxes then, as centres and sizes, and of the
-    squares of the centres.
+    ``first``, ``last`` (n,): places of their first and last detections, counted in observed frames.
+    ``hits`` (n,): frames in which they were detected. ``confirmed`` (n,). ``sums`` (6, n): of the
+    boxes then, as centres and sizes, and of the squares of the centres.
     """
 
     identity: I8 = field(default_factory=_NONE.copy)
@@ -59,13 +60,16 @@ class TrackEvidence:
     def since(self, place: int) -> TrackEvidence:
         """Without tracks that were last detected before ``place``."""
         kept = self.last >= place
-        identity, first, last, hits = (column[kept] for column in (self.identity, self.first, self.last, self.hits))
+        identity, first, last, hits = (
+            column[kept] for column in (self.identity, self.first, self.last, self.hits)
+        )
         return TrackEvidence(identity, first, last, hits, self.confirmed[kept], self.sums[:, kept])
 
     def with_rows(self, rows: Tracks, place: I8) -> TrackEvidence:
         """With more rows of tracks, of frames at the places (M,)."""
         seen = rows.detection >= 0
-        rows, place = rows.take(seen), place[seen]
+        rows = rows.take(seen)
+        place = place[seen]
         if not len(rows):
             return self
         box = to_cxcywh(rows.xyxy)
@@ -87,10 +91,14 @@ class TrackEvidence:
     def moved(self) -> Bool:
         """(n,) whether each track has gone somewhere."""
         mean, size, square = np.split(self.sums / self.hits, 3)
-        return np.asarray((square - np.square(mean) > np.square(MOVED * size)).any(axis=0), np.bool_)
+        return np.asarray(
+            (square - np.square(mean) > np.square(MOVED * size)).any(axis=0), np.bool_
+        )
 
     def objects(self, detection: float) -> Bool:
-        """(n,) whether each track is an object's, where objects are detected with this probability."""
+        """(n,) whether each track is an object's, where objects are detected with this
+        probability.
+        """
         p = min(max(detection, 0.01), 0.99)
         missed = self.last - self.first + 1 - self.hits
         often = self.hits * math.log(2) + missed * math.log((1 - p) / (1 - p / 2)) > 0
@@ -100,8 +108,8 @@ class TrackEvidence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedFrame:
-    """An observed frame: its number and time, the boxes detected (N, 4), the filter's probability (N,) that each is a false
-    alarm, and the online rows of the frame."""
+    """An observed frame: its number and time, the boxes detected (N, 4), the filter's probability
+    (N,) that each is a false alarm, and the online rows of the frame."""
 
     number: int
     time: float
@@ -114,7 +122,8 @@ class ObservedFrame:
 class PendingFrames:
     """Frames that wait for their labels.
 
-    ``place``: number of observed frames before them. The rows of the first ``counted`` of them are in ``evidence``.
+    ``place``: number of observed frames before them. The rows of the first ``counted`` of them are
+    in ``evidence``.
     """
 
     frames: tuple[ObservedFrame, ...] = ()
@@ -126,7 +135,8 @@ class PendingFrames:
         """With one more frame, if it was observed."""
         if not step.detections.observed:
             return self
-        n, false = len(step.detections), step.info.clutter_probability
+        n = len(step.detections)
+        false = step.info.clutter_probability
         false = false if len(false) == n else np.ones(n)
         frame = ObservedFrame(step.number, step.time, step.detections.xyxy, false, step.tracks)
         return replace(self, frames=(*self.frames, frame))
@@ -157,9 +167,13 @@ def label(pending: PendingFrames, until: float, detection: float) -> tuple[Pendi
     -------
     The frames that still wait, and the labels.
     """
-    frames, place = pending.frames, pending.place
-    number, time = np.array([f.number for f in frames], np.int64), np.array([f.time for f in frames])
-    rows, new = (Tracks.concatenate([f.rows for f in frames[begin:]]) for begin in (0, pending.counted))
+    frames = pending.frames
+    place = pending.place
+    number = np.array([f.number for f in frames], np.int64)
+    time = np.array([f.time for f in frames])
+    rows, new = (
+        Tracks.concatenate([f.rows for f in frames[begin:]]) for begin in (0, pending.counted)
+    )
     new = new.take(np.isin(new.frame, number))
     evidence = pending.evidence.with_rows(new, place + np.searchsorted(number, new.frame))
     due = int(np.searchsorted(time, until, side="right"))
@@ -167,13 +181,22 @@ def label(pending: PendingFrames, until: float, detection: float) -> tuple[Pendi
     of_object = np.isin(rows.identity, evidence.identity[objects])
     of_none = np.isin(rows.identity, evidence.identity[evidence.confirmed & ~objects])
     # Tracks that began in these frames or so soon after them that detections in them may be theirs.
-    begun = np.flatnonzero(objects & (evidence.first >= place) & (evidence.first < place + due + BACK))
+    begun = np.flatnonzero(
+        objects & (evidence.first >= place) & (evidence.first < place + due + BACK)
+    )
     before, where = _led_back(rows, evidence.identity[begun], number, time)
     box = np.concatenate([np.zeros((0, 4)), *(f.xyxy for f in frames[:due])])
     false = np.concatenate([np.zeros(0), *(f.false for f in frames[:due])])
     frame = np.repeat(number[:due], [len(f.xyxy) for f in frames[:due]])
-    true = _on(frame, box, np.append(rows.frame[of_object], before), np.concatenate([rows.xyxy[of_object], where]))
-    false = np.where(true, 0.0, np.where(_on(frame, box, rows.frame[of_none], rows.xyxy[of_none]), 1.0, false))
+    true = _on(
+        frame,
+        box,
+        np.append(rows.frame[of_object], before),
+        np.concatenate([rows.xyxy[of_object], where]),
+    )
+    false = np.where(
+        true, 0.0, np.where(_on(frame, box, rows.frame[of_none], rows.xyxy[of_none]), 1.0, false)
+    )
     # A frame that no other follows lasts as long as those before it on average.
     ends = time[min(due, len(time) - 1)] if due else time[0]
     seconds = (ends - time[0]) * (due / max(1, min(due, len(time) - 1)))
@@ -184,21 +207,27 @@ def label(pending: PendingFrames, until: float, detection: float) -> tuple[Pendi
 
 def _led_back(rows: Tracks, begun: I8, number: I8, time: F8) -> tuple[I8, F8]:
     """Frame numbers and boxes where the tracks of the identities ``begun`` (B,) were before."""
-    frames, boxes = [_NONE], [np.zeros((0, 4))]
+    frames = [_NONE]
+    boxes = [np.zeros((0, 4))]
     for identity in begun:
         its = np.flatnonzero((rows.identity == identity) & (rows.detection >= 0))
         place = np.searchsorted(number, rows.frame[its])
-        box, seconds = to_cxcywh(rows.xyxy[its]), time[place] - time[place[0]]
+        box = to_cxcywh(rows.xyxy[its])
+        seconds = time[place] - time[place[0]]
         velocity = first_state(box, seconds)[2:4] if len(its) > 2 else np.zeros(2)
         earlier = np.arange(max(0, place[0] - BACK), place[0])
         back = np.outer(velocity, time[earlier] - time[place[0]])
         frames.append(number[earlier])
-        boxes.append(to_xyxy(np.concatenate([box[:2, :1] + back, np.tile(box[2:, :1], len(earlier))])))
+        boxes.append(
+            to_xyxy(np.concatenate([box[:2, :1] + back, np.tile(box[2:, :1], len(earlier))]))
+        )
     return np.concatenate(frames), np.concatenate(boxes)
 
 
 def _on(frame: I8, xyxy: F8, row_frame: I8, row_xyxy: F8) -> Bool:
-    """(N,) whether each box (N, 4) of a frame (N,) lies on one of the rows (M, 4) of the same frame."""
+    """(N,) whether each box (N, 4) of a frame (N,) lies on one of the rows (M, 4) of the same
+    frame.
+    """
     on = np.zeros(len(frame), np.bool_)
     for number in np.intersect1d(frame, row_frame):
         here = frame == number

@@ -1,18 +1,20 @@
 """Rates that are learned while tracking, from the stream: p_D and false alarms. A section of vo.md.
 
-**p_D** is the share of frames, from one detection of a track to its next, in which it was detected: n detections over g
-frames of tracks say n/Σg. Frames before the first and after the last detection of a track do not count, nor do tracks that
-never moved: a place that fires now and then must not teach how often objects are detected. **False alarms** are the sum of
-the probabilities of labelled detections to be false (`experiments.labelling`), and until they are labelled, those of the
-filter, so that a rate that is far off is corrected within a few frames. Both are means under a prior about the setting
-(Beta for p_D, Gamma for the rate) and are kept within limits.
+**p_D** is the share of frames, from one detection of a track to its next, in which it was detected:
+n detections over g frames of tracks say n/Σg. Frames before the first and after the last detection
+of a track do not count, nor do tracks that never moved: a place that fires now and then must not
+teach how often objects are detected. **False alarms** are the sum of the probabilities of labelled
+detections to be false (`experiments.labelling`), and until they are labelled, those of the filter,
+so that a rate that is far off is corrected within a few frames. Both are means under a prior about
+the setting (Beta for p_D, Gamma for the rate) and are kept within limits.
 
-A track that breaks at a long gap hides the gap, so that p_D comes out too high; false alarms that return in one place pass
-for objects. *Cautious* estimates therefore only go to the other side: p_D below its setting, false alarms above theirs.
+A track that breaks at a long gap hides the gap, so that p_D comes out too high; false alarms that
+return in one place pass for objects. *Cautious* estimates therefore only go to the other side: p_D
+below its setting, false alarms above theirs.
 
-Learned rates go into the model in steps of a few per cent, so that the parts of a model stay the same values for many frames
-and what is computed of them is computed once. In real videos both biases are larger than what is gained: vo.md has what is
-learned where all else is known.
+Learned rates go into the model in steps of a few per cent, so that the parts of a model stay the
+same values for many frames and what is computed of them is computed once. In real videos both
+biases are larger than what is gained: vo.md has what is learned where all else is known.
 """
 
 from __future__ import annotations
@@ -33,21 +35,28 @@ from phdtrack.models.point import PointSensor
 from phdtrack.protocols import Learning, Model
 from phdtrack.types import F8, I8, Detections, Step
 
-# What the settings count for: frames of one track; frames; detections, where a rate is per detection.
-PRIOR_TRACKED, PRIOR_FRAMES, PRIOR_DETECTIONS = 10.0, 2.0, 50.0
+# What the settings count for: frames of one track; frames; detections, where a rate is per
+# detection.
+PRIOR_TRACKED = 10.0
+PRIOR_FRAMES = 2.0
+PRIOR_DETECTIONS = 50.0
 # Limits of p_D; of the rate as a multiple of the setting; of a share of the detections.
-DETECTION_LIMITS, CLUTTER_LIMIT, SHARE_LIMITS = (0.3, 0.99), 300.0, (0.01, 1.0)
+DETECTION_LIMITS = (0.3, 0.99)
+CLUTTER_LIMIT = 300.0
+SHARE_LIMITS = (0.01, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
 class RatesSettings(Checked):
-    """Rates that are learned while tracking, beginning with the other settings. All are reported; see which are used.
+    """Rates that are learned while tracking, beginning with the other settings. All are reported;
+    see which are used.
 
     Parameters
     ----------
     detection : use the p_D that is learned.
     clutter : use the rate of false alarms that is learned.
-    cautious : use p_D only where it is lower, and the rate of false alarms only where it is higher, than is set.
+    cautious : use p_D only where it is lower, and the rate of false alarms only where it is higher,
+        than is set.
     memory : seconds after which a frame counts for 37 %.
     verdict_delay : seconds until a detection is labelled, beyond ``associate.output_delay``.
     update_interval : seconds between two times of learning.
@@ -88,7 +97,9 @@ class Rates:
 
 
 class RateSums(NamedTuple):
-    """Sums that fade: ``hits`` in ``span`` frames of tracks; ``false`` alarms among ``detections`` of ``frames``."""
+    """Sums that fade: ``hits`` in ``span`` frames of tracks; ``false`` alarms among ``detections``
+    of ``frames``.
+    """
 
     hits: float = 0.0
     span: float = 0.0
@@ -103,20 +114,29 @@ class RateSums(NamedTuple):
     def rates(self, priors: Priors) -> Rates:
         """The estimates."""
         detection = (PRIOR_TRACKED * priors.detection + self.hits) / (PRIOR_TRACKED + self.span)
-        over, prior, begun = self.frames, PRIOR_FRAMES, priors.clutter
+        over = self.frames
+        prior = PRIOR_FRAMES
+        begun = priors.clutter
         limits = priors.clutter / CLUTTER_LIMIT, max(priors.clutter, 1.0) * CLUTTER_LIMIT
         if priors.each:
             # Of a rate per detection no more than all of them can be false alarms.
-            over, prior, begun, limits = self.detections, PRIOR_DETECTIONS, min(begun, 1.0), SHARE_LIMITS
+            over = self.detections
+            prior = PRIOR_DETECTIONS
+            begun = min(begun, 1.0)
+            limits = SHARE_LIMITS
         found = np.array([detection, (prior * begun + self.false) / (prior + over)])
         kept = np.clip(found, *np.transpose((DETECTION_LIMITS, limits)))
-        limited = tuple(name for name, out in zip(("detection", "clutter"), found != kept, strict=True) if out)
+        limited = tuple(
+            name for name, out in zip(("detection", "clutter"), found != kept, strict=True) if out
+        )
         return Rates(0, 0.0, float(kept[0]), float(kept[1]), limited)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CountedTracks:
-    """Of tracks ``identity`` (n,), ascending, the ``hits`` and the ``span`` (n,) that are in the sums."""
+    """Of tracks ``identity`` (n,), ascending, the ``hits`` and the ``span`` (n,) that are in the
+    sums.
+    """
 
     identity: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
     hits: F8 = field(default_factory=lambda: np.zeros(0))
@@ -135,8 +155,8 @@ class CountedTracks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LearnedRates:
-    """What is known: the ``rates`` in use, sums over labelled frames, frames that wait for labels, and ``learned``, the time
-    when something was last learned, NaN before."""
+    """What is known: the ``rates`` in use, sums over labelled frames, frames that wait for labels,
+    and ``learned``, the time when something was last learned, NaN before."""
 
     rates: Rates
     sums: RateSums = field(default_factory=RateSums)
@@ -145,14 +165,18 @@ class LearnedRates:
     learned: float = math.nan
 
     def detections_per_frame(self, now: int) -> float:
-        """Mean number of detections with ``now`` in the frame at hand; false alarms cannot be more."""
+        """Mean number of detections with ``now`` in the frame at hand; false alarms cannot be
+        more.
+        """
         known = self.sums.plus(_waiting(self.pending))
         return (known.detections + now) / (known.frames + 1)
 
 
 @dataclass(frozen=True, slots=True)
 class RatesLearning:
-    """How rates are learned: by which settings, from which values, with labels ``delay`` seconds late."""
+    """How rates are learned: by which settings, from which values, with labels ``delay`` seconds
+    late.
+    """
 
     settings: RatesSettings
     priors: Priors
@@ -163,7 +187,9 @@ class RatesLearning:
         return LearnedRates(RateSums().rates(self.priors))
 
     def advance(self, state: LearnedRates, step: Step) -> LearnedRates:
-        """Take in one frame, and learn when it is time to. Frames that were not observed teach nothing."""
+        """Take in one frame, and learn when it is time to. Frames that were not observed teach
+        nothing.
+        """
         state = replace(state, pending=state.pending.joined(step))
         if math.isnan(state.learned):
             return replace(state, learned=step.time)
@@ -171,21 +197,29 @@ class RatesLearning:
             return state
         pending, labels = label(state.pending, step.time - self.delay, state.rates.detection)
         counted, tracked = state.counted.updated(pending.evidence)
-        new = RateSums(tracked.hits, tracked.span, float(labels.false.sum()), len(labels.false), labels.frames)
+        new = RateSums(
+            tracked.hits, tracked.span, float(labels.false.sum()), len(labels.false), labels.frames
+        )
         sums = state.sums.plus(new, math.exp(-labels.seconds / self.settings.memory))
-        rates = replace(sums.plus(_waiting(pending)).rates(self.priors), number=step.number, time=step.time)
+        rates = replace(
+            sums.plus(_waiting(pending)).rates(self.priors), number=step.number, time=step.time
+        )
         return LearnedRates(rates, sums, counted, pending, step.time)
 
 
 def _waiting(pending: PendingFrames) -> RateSums:
     """Sums over the frames that wait for labels, by the filter's probabilities."""
     false = [frame.false for frame in pending.frames]
-    return RateSums(false=sum(float(f.sum()) for f in false), detections=sum(map(len, false)), frames=len(false))
+    return RateSums(
+        false=sum(float(f.sum()) for f in false), detections=sum(map(len, false)), frames=len(false)
+    )
 
 
 # p_D goes into the model in steps of this size, rates in steps of this ratio.
-DETECTION_STEP, RATE_RATIO = 0.01, 1.05
-# The parts of a model with a number that can be learned, and its names: of several, the one that is not 0.
+DETECTION_STEP = 0.01
+RATE_RATIO = 1.05
+# The parts of a model with a number that can be learned, and its names: of several, the one that is
+# not 0.
 LEARNABLE: dict[type[Any], tuple[str, ...]] = {
     **dict.fromkeys((BoxSensor, PlaneSensor, PointSensor), ("detection_probability",)),
     UniformClutter: ("clutter_per_frame",),
@@ -205,20 +239,34 @@ class RateLearning(Learning[LearnedRates]):
         return self.rule.begin()
 
     def model(self, state: LearnedRates, model: Model) -> Model:
-        """The model with the rates that are used; cautious ones only where nothing else explains them."""
-        used, found, priors = self.rule.settings, state.rates, self.rule.priors
-        detection, clutter = found.detection, found.clutter
+        """The model with the rates that are used; cautious ones only where nothing else explains
+        them.
+        """
+        used = self.rule.settings
+        found = state.rates
+        priors = self.rule.priors
+        detection = found.detection
+        clutter = found.clutter
         if used.cautious:
-            detection, clutter = min(detection, priors.detection), max(clutter, priors.clutter)
+            detection = min(detection, priors.detection)
+            clutter = max(clutter, priors.clutter)
         if used.detection:
-            model = replace(model, sensor=with_rate(model.sensor, DETECTION_STEP * round(detection / DETECTION_STEP)))
+            model = replace(
+                model,
+                sensor=with_rate(model.sensor, DETECTION_STEP * round(detection / DETECTION_STEP)),
+            )
         if used.clutter:
-            model = replace(model, clutter=with_rate(model.clutter, _rounded(clutter, priors.clutter)))
+            model = replace(
+                model, clutter=with_rate(model.clutter, _rounded(clutter, priors.clutter))
+            )
         return model
 
     def with_scores(self, state: LearnedRates, model: Model, detections: Detections) -> Model:
-        """The model with no more false alarms than the frame has detections, which at first is all that is known."""
-        used, priors = self.rule.settings, self.rule.priors
+        """The model with no more false alarms than the frame has detections, which at first is all
+        that is known.
+        """
+        used = self.rule.settings
+        priors = self.rule.priors
         if len(detections) == 0 or not used.clutter or used.cautious or priors.each:
             return model
         rate = min(state.rates.clutter, state.detections_per_frame(len(detections)))
@@ -233,7 +281,9 @@ def priors_of(model: Model) -> Priors:
     """The rates of a model; 0, or p_D = 1, of parts that have none."""
     clutter = _name(model.clutter)
     detection = getattr(model.sensor, _name(model.sensor), 1.0)
-    return Priors(detection, getattr(model.clutter, clutter, 0.0), clutter == "clutter_per_detection")
+    return Priors(
+        detection, getattr(model.clutter, clutter, 0.0), clutter == "clutter_per_detection"
+    )
 
 
 def _name(part: Any) -> str:
@@ -255,7 +305,9 @@ def _changed(part: Any, name: str, value: float) -> Any:
 
 
 def _rounded(value: float, about: float) -> float:
-    """The nearest ``about`` times a power of `RATE_RATIO`; ``value`` itself where one of them is 0."""
+    """The nearest ``about`` times a power of `RATE_RATIO`; ``value`` itself where one of them is
+    0.
+    """
     if value <= 0 or about <= 0:
         return value
     return about * RATE_RATIO ** round(math.log(value / about, RATE_RATIO))

@@ -1,7 +1,9 @@
-"""M07 Table 1 and M09 Fig. 16: PHD against no filter and against multiple hypotheses, on the same detections.
+"""M07 Table 1 and M09 Fig. 16: PHD against no filter and against multiple hypotheses, on the same
+detections.
 
-Real detections, detections made of real truth, and simulated scenes, natural and with Poisson clutter added; the same
-shipped settings for all. Every method is given the same detections at the same seed. `none` is M07's MT and M09's DA.
+Real detections, detections made of real truth, and simulated scenes, natural and with Poisson
+clutter added; the same shipped settings for all. Every method is given the same detections at the
+same seed. `none` is M07's MT and M09's DA.
 """
 
 from __future__ import annotations
@@ -13,13 +15,33 @@ from pathlib import Path
 import numpy as np
 
 from experiments import m07_printed
-from experiments.cases import CASES, HELD_OUT, MADE, PLACES, RENDERED, SCENES, Named, cluttered, drawn, short
-from experiments.common import Options, ScoredCase, in_parallel, measure, table, with_interval, write
+from experiments.cases import (
+    CASES,
+    HELD_OUT,
+    MADE,
+    PLACES,
+    RENDERED,
+    SCENES,
+    Named,
+    cluttered,
+    drawn,
+    short,
+)
+from experiments.common import (
+    Options,
+    ScoredCase,
+    in_parallel,
+    measure,
+    table,
+    with_interval,
+    write,
+)
 from phdtrack.compare.statistics import Interval, interval
 from phdtrack.metrics import Scores, pool
 
 RATES = (0, 5, 20)
-SEEDS, FEW = 3, 1
+SEEDS = 3
+FEW = 1
 PHD = "particle-phd"
 RIVALS = ("none", "mht", "mht, M09")
 # Name, filter and preset.
@@ -59,12 +81,16 @@ class MethodRun:
 def work(job: MethodRun) -> ScoredCase:
     """One run, scored."""
     kind, preset = METHODS[job.method]
-    return measure(cluttered(drawn(job.case, job.seed), job.rate, job.seed), kind, job.seed, preset=preset)
+    return measure(
+        cluttered(drawn(job.case, job.seed), job.rate, job.seed), kind, job.seed, preset=preset
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MethodScores:
-    """All runs; ``groups`` of cases, ``rates`` of clutter and number of ``seeds`` that there are."""
+    """All runs; ``groups`` of cases, ``rates`` of clutter and number of ``seeds`` that there
+    are.
+    """
 
     results: dict[MethodRun, ScoredCase]
     groups: dict[str, tuple[Named, ...]]
@@ -79,7 +105,8 @@ class MethodScores:
     def runs(self, case: Named, rate: int, method: str) -> list[ScoredCase]:
         """One result for each seed; the same one where nothing is drawn."""
         return [
-            self.results[MethodRun(case, rate, method, seed_of(case, rate, method, k))] for k in range(1, self.seeds + 1)
+            self.results[MethodRun(case, rate, method, seed_of(case, rate, method, k))]
+            for k in range(1, self.seeds + 1)
         ]
 
     def mean(self, case: Named, rate: int, method: str, score: str) -> float:
@@ -93,12 +120,16 @@ class MethodScores:
 
 
 def seed_of(case: Named, rate: int, method: str, seed: int) -> int:
-    """The seed whose run stands for ``seed``: the first where neither detections, clutter nor the method draw anything."""
+    """The seed whose run stands for ``seed``: the first where neither detections, clutter nor the
+    method draw anything.
+    """
     random = method in RANDOM or rate > 0 or case in MADE + SCENES + PLACES + RENDERED
     return seed if random else 1
 
 
-def jobs_of(groups: dict[str, tuple[Named, ...]], rates: Sequence[int], seeds: int) -> list[MethodRun]:
+def jobs_of(
+    groups: dict[str, tuple[Named, ...]], rates: Sequence[int], seeds: int
+) -> list[MethodRun]:
     """All runs, each once."""
     wanted = (
         MethodRun(case, rate, method, seed_of(case, rate, method, seed))
@@ -113,24 +144,48 @@ def jobs_of(groups: dict[str, tuple[Named, ...]], rates: Sequence[int], seeds: i
 
 def main(options: Options) -> Path:
     """Run everything and write m07.md."""
-    seeds, rates = options.number(SEEDS, FEW), RATES[::2] if options.quick else RATES
-    groups = {"real detections": short(CASES), "simulated scenes": SCENES[1:2]} if options.quick else GROUPS
+    seeds = options.number(SEEDS, FEW)
+    rates = RATES[::2] if options.quick else RATES
+    groups = (
+        {"real detections": short(CASES), "simulated scenes": SCENES[1:2]}
+        if options.quick
+        else GROUPS
+    )
     firing = {"places that fire": PLACES[1:2]} if options.quick else FIRING
     videos = {"rendered scenes": RENDERED[:1]} if options.quick else VIDEOS
     once = jobs_of(firing, rates[:1], seeds) + jobs_of(videos, rates[::2], seeds)
     jobs = jobs_of(groups, rates, seeds) + once
     results = dict(zip(jobs, in_parallel(work, jobs, "m07", options), strict=True))
-    found, places = MethodScores(results, groups, rates, seeds), MethodScores(results, firing, rates[:1], seeds)
+    found = MethodScores(results, groups, rates, seeds)
+    places = MethodScores(results, firing, rates[:1], seeds)
     printed = m07_printed.section(options)
-    return write("m07", options, printed=printed, **figures(found, places, MethodScores(results, videos, rates[::2], seeds)))
+    return write(
+        "m07",
+        options,
+        printed=printed,
+        **figures(found, places, MethodScores(results, videos, rates[::2], seeds)),
+    )
 
 
 def figures(found: MethodScores, places: MethodScores, videos: MethodScores) -> dict[str, object]:
-    """What is filled into the page; ``places``: the scenes with places that fire; ``videos``: the rendered ones."""
+    """What is filled into the page; ``places``: the scenes with places that fire; ``videos``: the
+    rendered ones.
+    """
     heavy = found.rates[-1]
     first = found.groups["real detections"]
     none, phd = (_spread(found.pooled(first, heavy, method), "MOTA") for method in ("none", PHD))
-    pooled = ("cases", "clutter added", "method", *FOUR, "IDF1", "HOTA", "misses", "false boxes", "switches", "false tracks")
+    pooled = (
+        "cases",
+        "clutter added",
+        "method",
+        *FOUR,
+        "IDF1",
+        "HOTA",
+        "misses",
+        "false boxes",
+        "switches",
+        "false tracks",
+    )
     each = ("case", "method", *FOUR, "IDF1", "HOTA", "switches", "delay", "false tracks", "ms")
     return {
         "seeds": found.seeds,
@@ -151,16 +206,31 @@ def figures(found: MethodScores, places: MethodScores, videos: MethodScores) -> 
 
 
 def leads(
-    found: MethodScores, case: Named, rate: int, rival: str, phd: str = PHD, scores: Sequence[str] = ("MODA", "MOTA")
+    found: MethodScores,
+    case: Named,
+    rate: int,
+    rival: str,
+    phd: str = PHD,
+    scores: Sequence[str] = ("MODA", "MOTA"),
 ) -> bool:
-    """Whether a PHD filter is ahead of a rival in all of the ``scores``, by their means over the seeds."""
-    return all(found.mean(case, rate, phd, score) > found.mean(case, rate, rival, score) for score in scores)
+    """Whether a PHD filter is ahead of a rival in all of the ``scores``, by their means over the
+    seeds.
+    """
+    return all(
+        found.mean(case, rate, phd, score) > found.mean(case, rate, rival, score)
+        for score in scores
+    )
 
 
-def gap(found: MethodScores, cases: Sequence[Named], rate: int, phd: str, rival: str, score: str) -> Interval:
+def gap(
+    found: MethodScores, cases: Sequence[Named], rate: int, phd: str, rival: str, score: str
+) -> Interval:
     """A pooled score of a PHD filter less that of a rival, seed by seed."""
-    ours, theirs = found.pooled(cases, rate, phd), found.pooled(cases, rate, rival)
-    return interval([getattr(a, score) - getattr(b, score) for a, b in zip(ours, theirs, strict=True)])
+    ours = found.pooled(cases, rate, phd)
+    theirs = found.pooled(cases, rate, rival)
+    return interval(
+        [getattr(a, score) - getattr(b, score) for a, b in zip(ours, theirs, strict=True)]
+    )
 
 
 def _groups(found: MethodScores) -> dict[str, tuple[Named, ...]]:
@@ -169,7 +239,10 @@ def _groups(found: MethodScores) -> dict[str, tuple[Named, ...]]:
 
 def _ahead_table(found: MethodScores) -> str:
     over = (f"ahead of {rival}" for rival in (*RIVALS, "all", "none in all four"))
-    return table(("filter", "cases", "clutter added", "of", *over), [row for phd in PHDS for row in _ahead(found, phd)])
+    return table(
+        ("filter", "cases", "clutter added", "of", *over),
+        [row for phd in PHDS for row in _ahead(found, phd)],
+    )
 
 
 def _ahead(found: MethodScores, phd: str) -> list[tuple[object, ...]]:
@@ -177,10 +250,14 @@ def _ahead(found: MethodScores, phd: str) -> list[tuple[object, ...]]:
     rows: list[tuple[object, ...]] = []
     for name, cases in _groups(found).items():
         for rate in found.rates:
-            over = {rival: [leads(found, case, rate, rival, phd) for case in cases] for rival in RIVALS}
+            over = {
+                rival: [leads(found, case, rate, rival, phd) for case in cases] for rival in RIVALS
+            }
             four = sum(leads(found, case, rate, "none", phd, FOUR) for case in cases)
             every = sum(all(each) for each in zip(*over.values(), strict=True))
-            rows.append((phd, name, rate, len(cases), *(sum(each) for each in over.values()), every, four))
+            rows.append(
+                (phd, name, rate, len(cases), *(sum(each) for each in over.values()), every, four)
+            )
     return rows
 
 
@@ -191,10 +268,20 @@ def _pooled(found: MethodScores) -> list[tuple[object, ...]]:
             for method in METHODS:
                 scores = found.pooled(cases, rate, method)
                 boxes = np.mean([one.truth_boxes for one in scores])
-                per_box = (f"{np.mean([getattr(one, key) for one in scores]) / boxes:.3f}" for key in ERRORS.values())
+                per_box = (
+                    f"{np.mean([getattr(one, key) for one in scores]) / boxes:.3f}"
+                    for key in ERRORS.values()
+                )
                 false = f"{np.mean([one.false_tracks for one in scores]):.0f}"
                 rows.append(
-                    (name, rate, method, *(_spread(scores, key) for key in (*FOUR, "IDF1", "HOTA")), *per_box, false)
+                    (
+                        name,
+                        rate,
+                        method,
+                        *(_spread(scores, key) for key in (*FOUR, "IDF1", "HOTA")),
+                        *per_box,
+                        false,
+                    )
                 )
     return rows
 
@@ -205,7 +292,10 @@ def _spread(scores: Sequence[Scores], key: str) -> str:
 
 def _gaps_table(found: MethodScores) -> str:
     scores = (f"{score}, less {rival}" for rival in RIVALS for score in ("MODA", "MOTA"))
-    return table(("filter", "cases", "clutter added", *scores), [row for phd in PHDS for row in _gaps(found, phd)])
+    return table(
+        ("filter", "cases", "clutter added", *scores),
+        [row for phd in PHDS for row in _gaps(found, phd)],
+    )
 
 
 def _gaps(found: MethodScores, phd: str) -> list[tuple[object, ...]]:
@@ -213,7 +303,11 @@ def _gaps(found: MethodScores, phd: str) -> list[tuple[object, ...]]:
     rows: list[tuple[object, ...]] = []
     for name, cases in _groups(found).items():
         for rate in found.rates:
-            gaps = (gap(found, cases, rate, phd, rival, score) for rival in RIVALS for score in ("MODA", "MOTA"))
+            gaps = (
+                gap(found, cases, rate, phd, rival, score)
+                for rival in RIVALS
+                for score in ("MODA", "MOTA")
+            )
             rows.append((phd, name, rate, *(with_interval(one, sign="+") for one in gaps)))
     return rows
 
@@ -228,7 +322,17 @@ def _natural(found: MethodScores) -> list[tuple[object, ...]]:
             late = [run.delay for run in runs if np.isfinite(run.delay)]
             false = f"{found.mean(case, 0, method, 'false_tracks'):.1f}"
             ms = f"{1e3 * np.median([run.seconds_per_frame for run in runs]):.1f}"
-            rows.append((" ".join(case), method, *scores, switches, f"{np.mean(late):.1f}" if late else "–", false, ms))
+            rows.append(
+                (
+                    " ".join(case),
+                    method,
+                    *scores,
+                    switches,
+                    f"{np.mean(late):.1f}" if late else "–",
+                    false,
+                    ms,
+                )
+            )
     return rows
 
 
@@ -259,16 +363,38 @@ def _behind_table(found: MethodScores) -> str:
         for rival in RIVALS
         if not leads(found, case, rate, rival, phd)
     ]
-    header = ("filter", "case", "clutter added", "behind", "MODA", "MOTA", "misses", "false boxes", "switches", "most by")
+    header = (
+        "filter",
+        "case",
+        "clutter added",
+        "behind",
+        "MODA",
+        "MOTA",
+        "misses",
+        "false boxes",
+        "switches",
+        "most by",
+    )
     return table(header, rows)
 
 
-def _errors(found: MethodScores, case: Named, rate: int, rival: str, phd: str = PHD) -> tuple[object, ...]:
-    """Differences in MODA and MOTA, and in errors per annotated box, whose sum is that in MOTA with the other sign."""
-    gap = [found.mean(case, rate, phd, score) - found.mean(case, rate, rival, score) for score in ("MODA", "MOTA")]
+def _errors(
+    found: MethodScores, case: Named, rate: int, rival: str, phd: str = PHD
+) -> tuple[object, ...]:
+    """Differences in MODA and MOTA, and in errors per annotated box, whose sum is that in MOTA with
+    the other sign.
+    """
+    gap = [
+        found.mean(case, rate, phd, score) - found.mean(case, rate, rival, score)
+        for score in ("MODA", "MOTA")
+    ]
     boxes = found.mean(case, rate, phd, "truth_boxes")
     more = {
-        name: (found.mean(case, rate, phd, key) - found.mean(case, rate, rival, key)) / boxes for name, key in ERRORS.items()
+        name: (found.mean(case, rate, phd, key) - found.mean(case, rate, rival, key)) / boxes
+        for name, key in ERRORS.items()
     }
     worst = max(more, key=lambda name: more[name])
-    return (*(f"{value:+.3f}" for value in (*gap, *more.values())), worst if more[worst] > 0 else "–")
+    return (
+        *(f"{value:+.3f}" for value in (*gap, *more.values())),
+        worst if more[worst] > 0 else "–",
+    )

@@ -1,4 +1,5 @@
-"""M07 Table 1 in the paper's own terms: the preset `m07`, its filter with association against association alone.
+"""M07 Table 1 in the paper's own terms: the preset `m07`, its filter with association against
+association alone.
 
 A section of m07.md.
 """
@@ -13,7 +14,17 @@ from typing import Any
 import numpy as np
 
 from experiments.cases import CASES, Named, cluttered, drawn, short
-from experiments.common import Options, ScoredCase, built, filled, followed, in_parallel, measure, pyplot, table
+from experiments.common import (
+    Options,
+    ScoredCase,
+    built,
+    filled,
+    followed,
+    in_parallel,
+    measure,
+    pyplot,
+    table,
+)
 from phdtrack.metrics import pool
 
 PAIR = ("MT", "PHD-MT")
@@ -24,10 +35,13 @@ METHODS: dict[str, tuple[str, tuple[str, ...]]] = {
     "PHD-MT": ("particle-phd", ()),
     LATER: ("particle-phd", ("extract.split_weight=1.5",)),
 }
-RATES, TABLED = (0, 1, 2, 5, 10, 20), (0, 5, 20)
-SEEDS, FEW = 2, 1
+RATES = (0, 1, 2, 5, 10, 20)
+TABLED = (0, 5, 20)
+SEEDS = 2
+FEW = 1
 FOUR = ("MODA", "MODP", "MOTA", "MOTP")
-PICTURE, PICTURED = ("PETS09-S2L1", "public"), 200
+PICTURE = ("PETS09-S2L1", "public")
+PICTURED = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,14 +60,22 @@ Found = dict[PrintedRun, ScoredCase]
 def work(job: PrintedRun) -> ScoredCase:
     """One run, scored."""
     kind, sets = METHODS[job.method]
-    return measure(cluttered(drawn(job.case, job.seed), job.rate, job.seed), kind, job.seed, sets, "m07")
+    return measure(
+        cluttered(drawn(job.case, job.seed), job.rate, job.seed), kind, job.seed, sets, "m07"
+    )
 
 
 def section(options: Options) -> str:
     """Run everything and draw; the section of the page."""
     cases, rates = (short(CASES)[:2], (0, 20)) if options.quick else (CASES, RATES)
     seeds = range(1, options.number(SEEDS, FEW) + 1)
-    jobs = [PrintedRun(c, rate, method, k) for c in cases for rate in rates for method in METHODS for k in seeds]
+    jobs = [
+        PrintedRun(c, rate, method, k)
+        for c in cases
+        for rate in rates
+        for method in METHODS
+        for k in seeds
+    ]
     found: Found = dict(zip(jobs, in_parallel(work, jobs, "m07, as printed", options), strict=True))
     curve(found, cases, rates, options.folder / "m07-clutter.png")
     paths(cases[0] if options.quick else PICTURE, options.folder / "m07-tracks.png")
@@ -62,7 +84,10 @@ def section(options: Options) -> str:
     return filled(
         "m07_printed",
         seeds=len(seeds),
-        pairs=table(("clutter added", "case", *FOUR), [_row(found, case, rate) for rate in shown for case in cases]),
+        pairs=table(
+            ("clutter added", "case", *FOUR),
+            [_row(found, case, rate) for rate in shown for case in cases],
+        ),
         ahead=table(
             (
                 "clutter added",
@@ -83,21 +108,35 @@ def section(options: Options) -> str:
 def mean(found: Found, case: Named, rate: int, method: str, score: str) -> float:
     """A score's mean over the seeds."""
     return float(
-        np.mean([getattr(s.scores, score) for j, s in found.items() if (j.case, j.rate, j.method) == (case, rate, method)])
+        np.mean(
+            [
+                getattr(s.scores, score)
+                for j, s in found.items()
+                if (j.case, j.rate, j.method) == (case, rate, method)
+            ]
+        )
     )
 
 
 def _row(found: Found, case: Named, rate: int) -> tuple[object, ...]:
-    cells = (" / ".join(f"{mean(found, case, rate, method, score):.3f}" for method in METHODS) for score in FOUR)
+    cells = (
+        " / ".join(f"{mean(found, case, rate, method, score):.3f}" for method in METHODS)
+        for score in FOUR
+    )
     return (rate, " ".join(case), *cells)
 
 
 def _gaps(found: Found, case: Named, rate: int, method: str) -> list[float]:
-    return [mean(found, case, rate, method, score) - mean(found, case, rate, "MT", score) for score in FOUR]
+    return [
+        mean(found, case, rate, method, score) - mean(found, case, rate, "MT", score)
+        for score in FOUR
+    ]
 
 
 def _ahead(found: Found, cases: Sequence[Named], rate: int) -> list[int]:
-    """In how many cases the filter is ahead in MODA and MOTA, and in all four: as printed, and with the later split."""
+    """In how many cases the filter is ahead in MODA and MOTA, and in all four: as printed, and with
+    the later split.
+    """
     out = []
     for method in ("PHD-MT", LATER):
         gaps = [_gaps(found, case, rate, method) for case in cases]
@@ -115,10 +154,13 @@ def _lost(found: Found, case: Named, rate: int) -> list[tuple[object, ...]]:
 
 def _shares(found: Found) -> str:
     """Of the time of a frame, by stage, over all runs of the printed form without added clutter."""
-    spent = np.array([s.stages for j, s in found.items() if j.method == "PHD-MT" and j.rate == 0]).sum(axis=0)
+    spent = np.array(
+        [s.stages for j, s in found.items() if j.method == "PHD-MT" and j.rate == 0]
+    ).sum(axis=0)
     spent = 100 * spent / spent.sum()
     return ", ".join(
-        f"{name} {value:.0f} %" for name, value in zip(("filter", "K-means", "association"), spent, strict=True)
+        f"{name} {value:.0f} %"
+        for name, value in zip(("filter", "K-means", "association"), spent, strict=True)
     )
 
 
@@ -128,8 +170,17 @@ def curve(found: Found, cases: Sequence[Named], rates: Sequence[int], path: Path
     figure, axes = plt.subplots(1, 2, figsize=(9, 3.4), sharey=True, layout="constrained")
     for axis, score in zip(axes, ("MODA", "MOTA"), strict=True):
         for method in METHODS:
-            runs = {rate: [s.scores for j, s in found.items() if j.rate == rate and j.method == method] for rate in rates}
-            axis.plot(list(runs), [getattr(pool(each), score) for each in runs.values()], "o-", ms=3, label=method)
+            runs = {
+                rate: [s.scores for j, s in found.items() if j.rate == rate and j.method == method]
+                for rate in rates
+            }
+            axis.plot(
+                list(runs),
+                [getattr(pool(each), score) for each in runs.values()],
+                "o-",
+                ms=3,
+                label=method,
+            )
         axis.set(title=score, xlabel="false alarms added per frame", ylim=(-0.5, 1))
         axis.axhline(0, color="0.6", lw=0.8)
         axis.grid(alpha=0.3)
@@ -139,13 +190,24 @@ def curve(found: Found, cases: Sequence[Named], rates: Sequence[int], path: Path
 
 
 def paths(name: Named, path: Path) -> None:
-    """Draw detections with clutter over time, and what each method makes of them, a colour for each identity."""
+    """Draw detections with clutter over time, and what each method makes of them, a colour for each
+    identity.
+    """
     plt = pyplot()
     case = cluttered(drawn(name, 1), RATES[-1], 1)
-    figure, axes = plt.subplots(1, 4, figsize=(12, 3.6), sharex=True, sharey=True, layout="constrained")
-    truth, rows = case.truth, case.table.frame <= PICTURED
+    figure, axes = plt.subplots(
+        1, 4, figsize=(12, 3.6), sharex=True, sharey=True, layout="constrained"
+    )
+    truth = case.truth
+    rows = case.table.frame <= PICTURED
     _strokes(axes[0], truth.frame, truth.identity, truth.xyxy)
-    axes[1].plot(case.table.frame[rows], case.table.detections.xyxy[rows][:, ::2].mean(axis=1), ".", ms=1, color="0.4")
+    axes[1].plot(
+        case.table.frame[rows],
+        case.table.detections.xyxy[rows][:, ::2].mean(axis=1),
+        ".",
+        ms=1,
+        color="0.4",
+    )
     for axis, method in zip(axes[2:], PAIR, strict=True):
         kind, sets = METHODS[method]
         tracks = followed(built(case.info, kind, sets, "m07"), case, 1).corrected

@@ -1,8 +1,10 @@
-"""M09's own method, preset ``m09``: particle PHD, mixture extraction, learned densities over the image [M09 Figs. 14-16].
+"""M09's own method, preset ``m09``: particle PHD, mixture extraction, learned densities over the
+image [M09 Figs. 14-16].
 
-Each scene is learned on its first half and scored on its second. False alarms are learned from marks on frames drawn at
-random, births from all tracks that the filter itself made with the uniform model. What was learned is mixed with the uniform
-model in a share that the marked frames choose (`Judge`): with few marks it may be none.
+Each scene is learned on its first half and scored on its second. False alarms are learned from
+marks on frames drawn at random, births from all tracks that the filter itself made with the uniform
+model. What was learned is mixed with the uniform model in a share that the marked frames choose
+(`Judge`): with few marks it may be none.
 """
 
 from __future__ import annotations
@@ -28,7 +30,17 @@ from experiments.common import (
 )
 from experiments.m09_lessons import as_lesson, false_alarms, marked_births
 from experiments.m09_runs import ABLATIONS, GM, UM, SceneRun, SceneScores, score, seconds_per_frame
-from experiments.m09_scenes import FRAMES, HELD_OUT, REAL, RENDERED, SHORT, Halves, detector_seconds, halves, stretch
+from experiments.m09_scenes import (
+    FRAMES,
+    HELD_OUT,
+    REAL,
+    RENDERED,
+    SHORT,
+    Halves,
+    detector_seconds,
+    halves,
+    stretch,
+)
 from experiments.scenes import FINDINGS, SCORES, SceneResults, number, short_of, times
 from phdtrack import config
 from phdtrack.arrays import iou, to_cxcywh
@@ -42,25 +54,32 @@ from phdtrack.scene.training import births_in, with_prior
 from phdtrack.types import F8, Bool, SequenceInfo, Tracks
 
 # Of the paper: marked false alarms, and tracks whose beginnings are births.
-PAPER_MARKS, PAPER_TRACKS = 1800, 320
+PAPER_MARKS = 1800
+PAPER_TRACKS = 320
 MARKS = (10, 30, 100, 300, 1000, 3000)
 # How much of what was learned may be laid into the uniform model.
 SHARES = (0.01, 0.1, 1.0)
-# Marked frames that a share is chosen by, at most, and frames before each from which the filter runs.
-JUDGED, LEAD = 40, 50
-SEEDS, LONG_SEEDS = 3, 1
+# Marked frames that a share is chosen by, at most, and frames before each from which the filter
+# runs.
+JUDGED = 40
+LEAD = 50
+SEEDS = 3
+LONG_SEEDS = 1
 # All that was learned, whatever the marked frames say.
 WHOLE = "whole"
 # Births a time unit and false alarms a frame of the uniform model.
 SWEEP = tuple((births, rate) for births in (0.003, 0.03) for rate in (1.0, 10.0, 100.0))
-# The association alone (M09's DA), multiple hypotheses with the same models, taught and not, and with M09's own parameters.
+# The association alone (M09's DA), multiple hypotheses with the same models, taught and not, and
+# with M09's own parameters.
 RIVALS = (("none", UM), ("mht", UM), ("mht", GM), ("m09-mht", UM))
 RUNS = (UM, GM, WHOLE, *ABLATIONS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alarms:
-    """False alarms learned from ``marks`` on so many frames; the ``share`` of the learned model that was chosen."""
+    """False alarms learned from ``marks`` on so many frames; the ``share`` of the learned model
+    that was chosen.
+    """
 
     clutter: LearnedDensity
     marks: int
@@ -70,7 +89,8 @@ class Alarms:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaperScene:
-    """What was learned of a scene: births of the filter's own tracks and by hand, false alarms by the number of marks.
+    """What was learned of a scene: births of the filter's own tracks and by hand, false alarms by
+    the number of marks.
 
     ``births`` are uniform where there are too few ``tracks``, at the rate that was counted.
     """
@@ -86,45 +106,69 @@ class PaperScene:
 
 
 def uniform(info: SequenceInfo, filter_name: str = "") -> AnyStages:
-    """The preset as it is, births and false alarms uniform over the image, with its own filter or another one."""
+    """The preset as it is, births and false alarms uniform over the image, with its own filter or
+    another one.
+    """
     return config.build(config.load(preset="m09"), info, filter_name)
 
 
 def learn(job: tuple[Halves, int]) -> PaperScene:
-    """Everything that the runs of a scene need; the seed draws the frames that are marked and the particles."""
-    case, seed = job[0].train, job[1]
+    """Everything that the runs of a scene need; the seed draws the frames that are marked and the
+    particles.
+    """
+    case = job[0].train
+    seed = job[1]
     stages = uniform(case.info)
     births, tracks = own_births(followed(stages, case, seed).corrected, case, stages.model.rate)
     with TemporaryDirectory() as folder:
         entries = Marks(marked_births(case, Path(folder) / "births.sqlite"), case.table, case.info)
-        by_hand = as_lesson(entries.birth_states(stages.model.rate), entries.time_watched(stages.model.rate), case)
-    false, alarms = false_detections(case), {}
+        by_hand = as_lesson(
+            entries.birth_states(stages.model.rate), entries.time_watched(stages.model.rate), case
+        )
+    false = false_detections(case)
+    alarms = {}
     judge = Judge(case, stages, false, seed)
     every = sum(int(one.sum()) for one in false)
     for count in sorted({*(count for count in MARKS if count <= every), min(every, PAPER_MARKS)}):
         looked = frames_until(false, count, seed)
         marked = np.concatenate([case.table.at(k).xyxy[false[k - 1]] for k in looked])
         clutter = false_alarms(to_cxcywh(marked), len(looked), case).learned
-        alarms[count] = Alarms(clutter, len(marked), len(looked), judge.share(births, clutter, looked[:JUDGED]))
+        alarms[count] = Alarms(
+            clutter, len(marked), len(looked), judge.share(births, clutter, looked[:JUDGED])
+        )
     return PaperScene(births, tracks, by_hand.learned if by_hand else None, alarms)
 
 
 def own_births(tracks: Tracks, case: Case, rate: float) -> tuple[LearnedDensity, int]:
-    """Births from the beginnings of the first `PAPER_TRACKS` tracks, uniform at their rate where they are too few."""
-    began = {int(one): int(tracks.frame[tracks.identity == one].min()) for one in np.unique(tracks.identity)}
-    frames = sorted(began.values())[PAPER_TRACKS - 1] if len(began) >= PAPER_TRACKS else case.info.frames
+    """Births from the beginnings of the first `PAPER_TRACKS` tracks, uniform at their rate where
+    they are too few.
+    """
+    began = {
+        int(one): int(tracks.frame[tracks.identity == one].min())
+        for one in np.unique(tracks.identity)
+    }
+    frames = (
+        sorted(began.values())[PAPER_TRACKS - 1] if len(began) >= PAPER_TRACKS else case.info.frames
+    )
     early = tracks.take(np.flatnonzero([began[one] <= frames for one in tracks.identity.tolist()]))
-    states, time_units = births_in(early, case.info.fps, rate, everything=True), frames / case.info.fps * rate
+    states = births_in(early, case.info.fps, rate, everything=True)
+    time_units = frames / case.info.fps * rate
     lesson = as_lesson(states, time_units, case)
     # One more than were counted: none of a few does not mean that there never will be one.
-    return (lesson.learned if lesson else even(states.shape[1] + 1, time_units, case, 6)), states.shape[1]
+    return (
+        lesson.learned if lesson else even(states.shape[1] + 1, time_units, case, 6)
+    ), states.shape[1]
 
 
 def even(count: float, units: float, case: Case, dim: int) -> LearnedDensity:
-    """Births (``dim`` 6) or false alarms (4) that are uniform over the image and the sizes that are detected."""
+    """Births (``dim`` 6) or false alarms (4) that are uniform over the image and the sizes that are
+    detected.
+    """
     size = np.array([case.info.width, case.info.height], np.float64)
     still = np.ones(dim - 4)
-    p = uniform_density(np.concatenate([0 * size, -still, 0 * size]), np.concatenate([size, still, size]))
+    p = uniform_density(
+        np.concatenate([0 * size, -still, 0 * size]), np.concatenate([size, still, size])
+    )
     return with_prior(LearnedDensity(count / units, p), to_cxcywh(case.table.detections.xyxy)[2:])
 
 
@@ -144,23 +188,35 @@ def frames_until(false: Sequence[Bool], count: int, seed: int) -> list[int]:
     return drawn[: int(np.searchsorted(marks, count)) + 1]
 
 
-def mixed(stages: AnyStages, births: LearnedDensity | None, clutter: LearnedDensity | None, share: float) -> AnyStages:
-    """The stages with a ``share`` of what was learned, and the rest of the uniform model; 0: the uniform model."""
+def mixed(
+    stages: AnyStages, births: LearnedDensity | None, clutter: LearnedDensity | None, share: float
+) -> AnyStages:
+    """The stages with a ``share`` of what was learned, and the rest of the uniform model; 0: the
+    uniform model.
+    """
     if not share:
         return stages
     preset = stages.model
     assert isinstance(preset.birth, MeasurementBirth)
     assert isinstance(preset.clutter, BoxClutter)
     before = preset.birth.births_per_second / preset.rate, preset.clutter.clutter_per_frame
-    parts = [None if one is None else _laid(one, rate, share) for one, rate in zip((births, clutter), before, strict=True)]
-    return replace(stages, model=with_scene(preset, parts[0], parts[1], None, preset.birth.particles))
+    parts = [
+        None if one is None else _laid(one, rate, share)
+        for one, rate in zip((births, clutter), before, strict=True)
+    ]
+    return replace(
+        stages, model=with_scene(preset, parts[0], parts[1], None, preset.birth.particles)
+    )
 
 
 def _laid(learned: LearnedDensity, before: float, share: float) -> LearnedDensity:
     """A share of a learned density, and of the uniform rate ``before`` what is left."""
-    rest, density = (1 - share) * before, learned.density
+    rest = (1 - share) * before
+    density = learned.density
     rate = rest + share * learned.rate
-    return LearnedDensity(rate, replace(density, uniform=(rest + share * learned.rate * density.uniform) / rate))
+    return LearnedDensity(
+        rate, replace(density, uniform=(rest + share * learned.rate * density.uniform) / rate)
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,29 +234,41 @@ class Judge:
     false: Sequence[Bool]
     seed: int
 
-    def share(self, births: LearnedDensity, clutter: LearnedDensity, looked: Sequence[int]) -> float:
-        """The share among `SHARES` with the most objects followed, less false alarms, on the frames ``looked`` at.
+    def share(
+        self, births: LearnedDensity, clutter: LearnedDensity, looked: Sequence[int]
+    ) -> float:
+        """The share among `SHARES` with the most objects followed, less false alarms, on the frames
+        ``looked`` at.
 
         It is 0 unless that is more than with the uniform model by more than its standard error.
         """
         usual = self.followed(self.stages, looked)
-        best, most = 0.0, 0.0
+        best = 0.0
+        most = 0.0
         for share in SHARES:
             gain = self.followed(mixed(self.stages, births, clutter, share), looked) - usual
-            mean, error = float(gain.mean()), float(gain.std(ddof=1) / np.sqrt(len(gain))) if len(gain) > 1 else np.inf
+            mean = float(gain.mean())
+            error = float(gain.std(ddof=1) / np.sqrt(len(gain))) if len(gain) > 1 else np.inf
             if mean > max(most, error):
-                best, most = share, mean
+                best = share
+                most = mean
         return best
 
     def followed(self, stages: AnyStages, looked: Sequence[int]) -> F8:
-        """(n,) objects' detections that carry a track, less false ones that do, of each frame that was looked at."""
+        """(n,) objects' detections that carry a track, less false ones that do, of each frame that
+        was looked at.
+        """
         whole = len(looked) * LEAD >= self.case.info.frames
         run = followed(stages, self.case, self.seed).corrected if whole else None
         return np.array([self._balance(stages, run, number) for number in looked], np.float64)
 
     def _balance(self, stages: AnyStages, run: Tracks | None, number: int) -> int:
         first = 1 if run is not None else max(1, number - LEAD)
-        tracks = run if run is not None else followed(stages, stretch(self.case, first, number), self.seed).corrected
+        tracks = (
+            run
+            if run is not None
+            else followed(stages, stretch(self.case, first, number), self.seed).corrected
+        )
         rows = tracks.detection[(tracks.frame == number - first + 1) & (tracks.detection >= 0)]
         return int(np.where(self.false[number - 1][rows], -1, 1).sum())
 
@@ -211,7 +279,10 @@ def stages_of(one: SceneRun, scene: PaperScene, halved: Halves) -> AnyStages:
         return config.build(config.load(preset="m09-mht"), halved.test.info)
     stages = uniform(halved.test.info, one.filter)
     if one.rates is not None:
-        sets = (f"birth.births_per_second={stages.model.rate * one.rates[0]}", f"clutter.clutter_per_frame={one.rates[1]}")
+        sets = (
+            f"birth.births_per_second={stages.model.rate * one.rates[0]}",
+            f"clutter.clutter_per_frame={one.rates[1]}",
+        )
         return config.build(config.load(None, sets, "m09"), halved.test.info)
     run, _, count = one.run.partition(" ")
     alarms = scene.at(int(count) if count else PAPER_MARKS)
@@ -219,8 +290,18 @@ def stages_of(one: SceneRun, scene: PaperScene, halved: Halves) -> AnyStages:
         return stages
     if run in ABLATIONS:
         born = even(scene.births.rate, 1.0, halved.train, 6)
-        births = {"A1": scene.births, "A3": born, "A4": scene.births, "A5": born, "A6": scene.hand}.get(run)
-        false = alarms.clutter if run in ("A2", "A5", "A6") else even(alarms.clutter.rate, 1.0, halved.train, 4)
+        births = {
+            "A1": scene.births,
+            "A3": born,
+            "A4": scene.births,
+            "A5": born,
+            "A6": scene.hand,
+        }.get(run)
+        false = (
+            alarms.clutter
+            if run in ("A2", "A5", "A6")
+            else even(alarms.clutter.rate, 1.0, halved.train, 4)
+        )
         return mixed(stages, births, None if run == "A1" else false, alarms.share)
     return mixed(stages, scene.births, alarms.clutter, 1.0 if run == WHOLE else alarms.share)
 
@@ -231,27 +312,46 @@ def work(job: tuple[SceneRun, Halves, PaperScene]) -> SceneScores:
     return score(one, halved, stages_of(one, scene, halved))
 
 
-def runs_of(scenes: Mapping[str, Halves], learned: Mapping[tuple[str, int], PaperScene], quick: bool) -> list[SceneRun]:
+def runs_of(
+    scenes: Mapping[str, Halves], learned: Mapping[tuple[str, int], PaperScene], quick: bool
+) -> list[SceneRun]:
     """All runs, each once."""
     runs = [SceneRun(name, seed, run) for name, seed in learned for run in RUNS]
     for (name, seed), scene in learned.items():
         few = short_of(scenes[name])
         counts = [count for count in MARKS if count in scene.alarms]
-        runs += [SceneRun(name, seed, f"{run} {count}", frames=few) for count in counts for run in (GM, WHOLE)]
+        runs += [
+            SceneRun(name, seed, f"{run} {count}", frames=few)
+            for count in counts
+            for run in (GM, WHOLE)
+        ]
         runs += [SceneRun(name, seed, run, frames=few) for run in (UM, GM)]
         if seed == 1:
-            runs += [SceneRun(name, 1, run, filter_, frames=few) for filter_, run in RIVALS[: 1 if quick else None]]
-            runs += [SceneRun(name, 1, UM, rates=rates, frames=few) for rates in SWEEP[: 1 if quick else None]]
+            runs += [
+                SceneRun(name, 1, run, filter_, frames=few)
+                for filter_, run in RIVALS[: 1 if quick else None]
+            ]
+            runs += [
+                SceneRun(name, 1, UM, rates=rates, frames=few)
+                for rates in SWEEP[: 1 if quick else None]
+            ]
     return list(dict.fromkeys(runs))
 
 
 def main(options: Options) -> Path:
     """Run everything and write m09.md and its picture."""
-    quick, names = options.quick, RENDERED[:1] if options.quick else (*RENDERED, *REAL, *HELD_OUT)
+    names = RENDERED[:1] if options.quick else (*RENDERED, *REAL, *HELD_OUT)
+    quick = options.quick
     wanted = [(name, SHORT if quick else FRAMES) for name in names]
-    scenes = dict(zip(names, in_parallel(halves, wanted, "m09, rendering and detecting", options), strict=True))
+    scenes = dict(
+        zip(
+            names, in_parallel(halves, wanted, "m09, rendering and detecting", options), strict=True
+        )
+    )
     lessons = [
-        (name, seed) for name in names for seed in range(1, options.number(LONG_SEEDS if name in RENDERED else SEEDS, 1) + 1)
+        (name, seed)
+        for name in names
+        for seed in range(1, options.number(LONG_SEEDS if name in RENDERED else SEEDS, 1) + 1)
     ]
     given = [(scenes[name], seed) for name, seed in lessons]
     learned = dict(zip(lessons, in_parallel(learn, given, "m09, learning", options), strict=True))
@@ -260,12 +360,22 @@ def main(options: Options) -> Path:
     scored = dict(zip(runs, in_parallel(work, jobs, "m09", options), strict=True))
     timings = {}
     for name in (name for name in (RENDERED[0], REAL[0]) if name in names):
-        both = [stages_of(SceneRun(name, 1, run), learned[name, 1], scenes[name]) for run in (UM, GM)]
-        timings[name] = (*seconds_per_frame(both, scenes[name].test, 400 if quick else 1000), detector_seconds(scenes[name]))
+        both = [
+            stages_of(SceneRun(name, 1, run), learned[name, 1], scenes[name]) for run in (UM, GM)
+        ]
+        timings[name] = (
+            *seconds_per_frame(both, scenes[name].test, 400 if quick else 1000),
+            detector_seconds(scenes[name]),
+        )
     found = SceneResults(scenes, scored, learned, timings)
     curves = {name: curve(found, learned, name) for name in names}
     draw(curves, found, options.folder / "m09-marks.png")
-    tables: Mapping[str, Callable[..., str]] = {"claims": _claims, "gains": _gains, "scores": _scores, "sweep": _sweep}
+    tables: Mapping[str, Callable[..., str]] = {
+        "claims": _claims,
+        "gains": _gains,
+        "scores": _scores,
+        "sweep": _sweep,
+    }
     return write(
         "m09",
         options,
@@ -279,21 +389,27 @@ def main(options: Options) -> Path:
     )
 
 
-# MOTA less UM's with the chosen share and with all that was learned, and the mean share, by the number of marks.
+# MOTA less UM's with the chosen share and with all that was learned, and the mean share, by the
+# number of marks.
 Curve = Mapping[int, tuple[float, float, float]]
 
 
 def curve(found: SceneResults, learned: Mapping[tuple[str, int], PaperScene], name: str) -> Curve:
-    """What each number of marks brings, on the stretch on which they are compared: means over seeds."""
+    """What each number of marks brings, on the stretch on which they are compared: means over
+    seeds.
+    """
     few = short_of(found.scenes[name])
     seeds = [seed for scene, seed in learned if scene == name]
     out = {}
-    for count in (count for count in MARKS if all(count in learned[name, seed].alarms for seed in seeds)):
+    for count in (
+        count for count in MARKS if all(count in learned[name, seed].alarms for seed in seeds)
+    ):
         gains = []
         for seed in seeds:
             base = found.runs_[SceneRun(name, seed, UM, frames=few)].scores.MOTA
             each = [
-                found.runs_[SceneRun(name, seed, f"{run} {count}", frames=few)].scores.MOTA - base for run in (GM, WHOLE)
+                found.runs_[SceneRun(name, seed, f"{run} {count}", frames=few)].scores.MOTA - base
+                for run in (GM, WHOLE)
             ]
             gains.append((*each, learned[name, seed].alarms[count].share))
         chosen, whole, share = (float(value) for value in np.mean(gains, axis=0))
@@ -306,10 +422,19 @@ def draw(curves: Mapping[str, Curve], found: SceneResults, path: Path) -> None:
     plt = pyplot()
     across = min(3, len(curves))
     down = -(-len(curves) // across)
-    figure, axes = plt.subplots(down, across, figsize=(3.6 * across, 2.7 * down), squeeze=False, layout="constrained")
+    figure, axes = plt.subplots(
+        down, across, figsize=(3.6 * across, 2.7 * down), squeeze=False, layout="constrained"
+    )
     for axis, (name, values) in zip(axes.ravel(), curves.items(), strict=False):
-        axis.plot(list(values), [one[0] for one in values.values()], "o-", label="share chosen by the marks")
-        axis.plot(list(values), [one[1] for one in values.values()], "s--", label="all that was learned")
+        axis.plot(
+            list(values),
+            [one[0] for one in values.values()],
+            "o-",
+            label="share chosen by the marks",
+        )
+        axis.plot(
+            list(values), [one[1] for one in values.values()], "s--", label="all that was learned"
+        )
         axis.axhline(0, color="k", lw=0.8)
         axis.set(xscale="log", xlabel="marks", ylabel="MOTA less UM's", title=name)
         axis.set_xticks(list(values), [str(count) for count in values])
@@ -325,7 +450,10 @@ def _claims(found: SceneResults) -> str:
     shown = [name for name in RENDERED if name in found.scenes]
 
     def each(run: str, than: str, score_: str = "MOTA") -> str:
-        return ", ".join(f"{found.mean(name, run, score_) - found.mean(name, than, score_):+.3f}" for name in shown)
+        return ", ".join(
+            f"{found.mean(name, run, score_) - found.mean(name, than, score_):+.3f}"
+            for name in shown
+        )
 
     rows = [
         ("GM above UM: accuracy +9 % (S101), +14 % (S201)", "MODA", each(GM, UM, "MODA")),
@@ -341,7 +469,13 @@ def _claims(found: SceneResults) -> str:
 
 def _findings(found: SceneResults) -> str:
     rows = [
-        (scene, *(f"{found.mean(scene, a, 'MOTA') - found.mean(scene, b, 'MOTA'):+.3f}" for a, b in FINDINGS))
+        (
+            scene,
+            *(
+                f"{found.mean(scene, a, 'MOTA') - found.mean(scene, b, 'MOTA'):+.3f}"
+                for a, b in FINDINGS
+            ),
+        )
         for scene in found.scenes
     ]
     return table(("scene", *(f"{a} less {b}" for a, b in FINDINGS)), rows)
@@ -353,24 +487,39 @@ def _gains(found: SceneResults) -> str:
          with_interval(found.gain([scene], run, "false_tracks"), 0, "+"))
         for scene in found.scenes for run in RUNS if run != UM
     ]  # fmt: skip
-    return table(("scene", "run", *(f"{one}, less UM" for one in SCORES), "false tracks, less UM"), rows)
+    return table(
+        ("scene", "run", *(f"{one}, less UM" for one in SCORES), "false tracks, less UM"), rows
+    )
 
 
 def _scores(found: SceneResults) -> str:
     keys = ("misses", "false_positives", "id_switches", "false_tracks")
     rows = [
-        (scene, run, *(found.mean(scene, run, one) for one in SCORES), *(round(found.mean(scene, run, key)) for key in keys))
+        (
+            scene,
+            run,
+            *(found.mean(scene, run, one) for one in SCORES),
+            *(round(found.mean(scene, run, key)) for key in keys),
+        )
         for scene in found.scenes
         for run in (UM, GM, WHOLE)
     ]
-    return table(("scene", "run", *SCORES, "misses", "false boxes", "switches", "false tracks"), rows)
+    return table(
+        ("scene", "run", *SCORES, "misses", "false boxes", "switches", "false tracks"), rows
+    )
 
 
 def _delays(found: SceneResults) -> str:
     rows = []
     for scene in found.scenes:
         for run in (UM, GM):
-            rows.append((scene, run, *(number(found.delay(scene, run, where)) for where in ("inside", "outside"))))
+            rows.append(
+                (
+                    scene,
+                    run,
+                    *(number(found.delay(scene, run, where)) for where in ("inside", "outside")),
+                )
+            )
     return table(("scene", "run", "inside", "outside"), rows)
 
 
@@ -379,8 +528,13 @@ def _curves(curves: Mapping[str, Curve], found: SceneResults) -> str:
     for name, values in curves.items():
         few = short_of(found.scenes[name])
         seeds = range(1, found.seeds(name) + 1)
-        base = np.mean([found.runs_[SceneRun(name, seed, UM, frames=few)].scores.MOTA for seed in seeds])
-        cells = ["{:+.3f}, {:+.3f} ({:.2g})".format(*values[count]) if count in values else "–" for count in MARKS]
+        base = np.mean(
+            [found.runs_[SceneRun(name, seed, UM, frames=few)].scores.MOTA for seed in seeds]
+        )
+        cells = [
+            "{:+.3f}, {:+.3f} ({:.2g})".format(*values[count]) if count in values else "–"
+            for count in MARKS
+        ]
         rows.append((name, float(base), *cells))
     return table(("scene", "UM", *(f"{count} marks" for count in MARKS)), rows)
 
@@ -388,11 +542,32 @@ def _curves(curves: Mapping[str, Curve], found: SceneResults) -> str:
 def _sweep(found: SceneResults) -> str:
     rows = []
     for scene in found.scenes:
-        learned, swept = found.short_run(scene, GM).scores, found.sweep(scene, UM)
+        learned = found.short_run(scene, GM).scores
+        swept = found.sweep(scene, UM)
         (births, clutter), best = max(swept.items(), key=lambda item: item[1].MOTA)
         gap = f"{learned.MOTA - best.MOTA:+.3f}"
-        rows.append((scene, f"{births:g}", f"{clutter:g}", best.MODA, learned.MODA, best.MOTA, learned.MOTA, gap))
-    header = ("scene", "births", "clutter", "best UM's MODA", "GM's", "best UM's MOTA", "GM's", "GM less best")
+        rows.append(
+            (
+                scene,
+                f"{births:g}",
+                f"{clutter:g}",
+                best.MODA,
+                learned.MODA,
+                best.MOTA,
+                learned.MOTA,
+                gap,
+            )
+        )
+    header = (
+        "scene",
+        "births",
+        "clutter",
+        "best UM's MODA",
+        "GM's",
+        "best UM's MOTA",
+        "GM's",
+        "GM less best",
+    )
     return table(header, rows)
 
 
@@ -404,8 +579,21 @@ def _rivals(found: SceneResults) -> str:
             if key in found.runs_:
                 one = found.runs_[key].scores
                 values = (f"{float(getattr(one, score_)):.3f}" for score_ in SCORES)
-                name = {"": "PROP", "none": "DA", "mht": "MHT", "m09-mht": "MHT, M09's own parameters"}[filter_]
-                rows.append((scene, name, "–" if filter_ in ("none", "m09-mht") else run, *values, one.false_tracks))
+                name = {
+                    "": "PROP",
+                    "none": "DA",
+                    "mht": "MHT",
+                    "m09-mht": "MHT, M09's own parameters",
+                }[filter_]
+                rows.append(
+                    (
+                        scene,
+                        name,
+                        "–" if filter_ in ("none", "m09-mht") else run,
+                        *values,
+                        one.false_tracks,
+                    )
+                )
     return table(("scene", "tracker", "taught", *SCORES, "false tracks"), rows)
 
 
@@ -413,11 +601,25 @@ def _lessons(learned: Mapping[tuple[str, int], PaperScene]) -> str:
     rows = []
     for (name, seed), scene in learned.items():
         if seed == 1:
-            most, births = scene.at(PAPER_MARKS), scene.births
+            most = scene.at(PAPER_MARKS)
+            births = scene.births
             hand = f"{scene.hand.rate:.4f}" if scene.hand else "too few"
             false = most.clutter
             rows.append((name, most.marks, most.frames, f"{false.rate:.2f}", len(false.density),
                          f"{false.density.uniform:.2f}", f"{most.share:g}", scene.tracks, f"{births.rate:.4f}",
                          len(births.density), f"{births.density.uniform:.2f}", hand))  # fmt: skip
-    header = ("scene", "marks", "frames", "r̄", "places", "α_u", "share", "tracks", "s̄", "places", "α_u", "s̄ by hand")
+    header = (
+        "scene",
+        "marks",
+        "frames",
+        "r̄",
+        "places",
+        "α_u",
+        "share",
+        "tracks",
+        "s̄",
+        "places",
+        "α_u",
+        "s̄ by hand",
+    )
     return table(header, rows)

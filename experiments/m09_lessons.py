@@ -1,8 +1,9 @@
-"""What is learned of a scene from its first half, as M09 does: false alarms from marks, births from tracks or from marks.
+"""What is learned of a scene from its first half, as M09 does: false alarms from marks, births from
+tracks or from marks.
 
-The truth makes the marks: on 40 frames drawn at random a detection that overlaps no annotated box by 0.3 is marked as false;
-on every frame of the half the first detection of each person who enters is marked as a birth. Marks go through the file of
-labels, as those of the labelling page do.
+The truth makes the marks: on 40 frames drawn at random a detection that overlaps no annotated box
+by 0.3 is marked as false; on every frame of the half the first detection of each person who enters
+is marked as a birth. Marks go through the file of labels, as those of the labelling page do.
 """
 
 from __future__ import annotations
@@ -37,19 +38,23 @@ from phdtrack.scene.training import (
 from phdtrack.types import F8, I8, Tracks
 
 MARKED = 40
-# IoU with the annotated boxes below which a detection is false, and from which on it is an object's.
+# IoU with the annotated boxes below which a detection is false, and from which on it is an
+# object's.
 OBJECT = 0.5
-# As shipped: most particles a detection, odds of a false alarm below which a track is confirmed at once, rows of a track.
-MOST, SURE, SHORTEST = 500, 0.1, 5
+# As shipped: most particles a detection, odds of a false alarm below which a track is confirmed at
+# once, rows of a track.
+MOST = 500
+SURE = 0.1
+SHORTEST = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LearnedScene:
     """What was learned; births of fewer than ten tracks or marks are not, and None.
 
-    ``seen``: what the tracker followed, None for too little.
-    ``gains``: held-out nats above uniform, of clutter, births, and births by hand; NaN where nothing was learned.
-    ``entered``: how many came in, in the half that was learned from.
+    ``seen``: what the tracker followed, None for too little. ``gains``: held-out nats above
+    uniform, of clutter, births, and births by hand; NaN where nothing was learned. ``entered``: how
+    many came in, in the half that was learned from.
     """
 
     clutter: LearnedDensity
@@ -61,18 +66,28 @@ class LearnedScene:
 
 
 def learn(job: tuple[Halves, int]) -> LearnedScene:
-    """Everything that the runs of a scene need; the seed draws the frames that are marked and the particles."""
-    case, seed = job[0].train, job[1]
+    """Everything that the runs of a scene need; the seed draws the frames that are marked and the
+    particles.
+    """
+    case = job[0].train
+    seed = job[1]
     stages = config.build(config.load(preset="mot15"), case.info)
     rate = stages.model.rate
     with TemporaryDirectory() as folder:
-        marks = Marks(marked_false(case, Path(folder) / "false.sqlite", seed), case.table, case.info)
+        marks = Marks(
+            marked_false(case, Path(folder) / "false.sqlite", seed), case.table, case.info
+        )
         clutter = learned_alarms(case, marks)
         run = followed(with_learned(stages, None, clutter.learned, None), case, seed).corrected
         seen = learned_followed(run, case, marks)
         entries = Marks(marked_births(case, Path(folder) / "births.sqlite"), case.table, case.info)
-        by_hand, watched = entries.birth_states(rate), entries.time_watched(rate)
-    births = own_births(without_false_tracks(run, FalseAlarmRatio(clutter.learned, seen)) if seen else run, case, rate)
+        by_hand = entries.birth_states(rate)
+        watched = entries.time_watched(rate)
+    births = own_births(
+        without_false_tracks(run, FalseAlarmRatio(clutter.learned, seen)) if seen else run,
+        case,
+        rate,
+    )
     hand = as_lesson(by_hand, watched, case)
     gains = tuple(lesson.gain if lesson else np.nan for lesson in (clutter, births, hand))
     return LearnedScene(
@@ -86,7 +101,10 @@ def learn(job: tuple[Halves, int]) -> LearnedScene:
 
 
 def with_learned(
-    stages: AnyStages, births: LearnedDensity | None, clutter: LearnedDensity | None, seen: TrackedObjects | None
+    stages: AnyStages,
+    births: LearnedDensity | None,
+    clutter: LearnedDensity | None,
+    seen: TrackedObjects | None,
 ) -> AnyStages:
     """The stages with what a scene has taught; None: as shipped."""
     model = with_scene(stages.model, births, clutter, seen, MOST)
@@ -95,13 +113,19 @@ def with_learned(
     return replace(
         stages,
         model=model,
-        associator=FalseTrackRejection(stages.associator, FalseAlarmRatio(clutter, seen, births), SURE, SHORTEST),
+        associator=FalseTrackRejection(
+            stages.associator, FalseAlarmRatio(clutter, seen, births), SURE, SHORTEST
+        ),
     )
 
 
 def own_births(tracks: Tracks, case: Case, rate: float) -> Training | None:
-    """Births from the tracks that the tracker itself makes [M09 §IV]; None where there are too few."""
-    return as_lesson(births_in(tracks, case.info.fps, rate), case.info.frames / case.info.fps * rate, case)
+    """Births from the tracks that the tracker itself makes [M09 §IV]; None where there are too
+    few.
+    """
+    return as_lesson(
+        births_in(tracks, case.info.fps, rate), case.info.frames / case.info.fps * rate, case
+    )
 
 
 def learned_alarms(case: Case, marks: Marks) -> Training:
@@ -111,12 +135,18 @@ def learned_alarms(case: Case, marks: Marks) -> Training:
 
 def false_alarms(boxes: F8, frames: int, case: Case) -> Training:
     """False alarms from boxes (4, n) that were marked on so many frames."""
-    return with_sizes(learn_boxes(boxes, frames, (float(case.info.width), float(case.info.height)), FALSE_BOXES), case)
+    return with_sizes(
+        learn_boxes(boxes, frames, (float(case.info.width), float(case.info.height)), FALSE_BOXES),
+        case,
+    )
 
 
 def learned_followed(tracks: Tracks, case: Case, marks: Marks) -> TrackedObjects | None:
-    """What the tracker follows of what was marked and of what was not; None where too little was not."""
-    size, frames = (float(case.info.width), float(case.info.height)), len(marks.looked_at)
+    """What the tracker follows of what was marked and of what was not; None where too little was
+    not.
+    """
+    size = (float(case.info.width), float(case.info.height))
+    frames = len(marks.looked_at)
     try:
         objects = learn_boxes(marks.object_boxes, frames, size, OBJECT_BOXES)
     except InputError:
@@ -135,20 +165,28 @@ def as_lesson(states: F8, time_units: float, case: Case) -> Training | None:
 
 def with_sizes(lesson: Training, case: Case) -> Training:
     """The lesson with the shrinkage prior over the sizes that are detected."""
-    return replace(lesson, learned=with_prior(lesson.learned, to_cxcywh(case.table.detections.xyxy)[2:]))
+    return replace(
+        lesson, learned=with_prior(lesson.learned, to_cxcywh(case.table.detections.xyxy)[2:])
+    )
 
 
 def marked_false(case: Case, path: Path, seed: int, count: int = MARKED) -> LabelStore:
-    """Labels in which every detection without an object is marked as false, on ``count`` frames drawn at random."""
+    """Labels in which every detection without an object is marked as false, on ``count`` frames
+    drawn at random.
+    """
     store = LabelStore.open(path, case.name, "truth", shuffled(case.info.frames, seed)[:count])
     store.mark_false(case.table, case.truth)
     return store
 
 
 def marked_births(case: Case, path: Path) -> LabelStore:
-    """Labels in which the first detection of everybody is marked as a birth, on clips that cover all frames."""
+    """Labels in which the first detection of everybody is marked as a birth, on clips that cover
+    all frames.
+    """
     last = case.info.frames
-    store = LabelStore.open(path, case.name, "truth", list(range(1 + REACH, last + REACH, 2 * REACH)))
+    store = LabelStore.open(
+        path, case.name, "truth", list(range(1 + REACH, last + REACH, 2 * REACH))
+    )
     number, box = first_boxes(case)
     for frame, index in zip(number.tolist(), box.tolist(), strict=True):
         store.mark(frame, [Label(frame, index, "birth")])
@@ -162,7 +200,9 @@ def first_boxes(case: Case) -> tuple[I8, I8]:
     found = first_output_delays(case.truth, Tracks.empty(), case.table, OBJECT)
     seen = found.detected > 0
     boxes = []
-    for identity, frame in zip(found.identity[seen].tolist(), found.detected[seen].tolist(), strict=True):
+    for identity, frame in zip(
+        found.identity[seen].tolist(), found.detected[seen].tolist(), strict=True
+    ):
         own = case.truth.xyxy[(case.truth.frame == frame) & (case.truth.identity == identity)]
         boxes.append(int(np.argmax(iou(own, case.table.at(frame).xyxy)[0])))
     return found.detected[seen], np.array(boxes, np.int64)

@@ -1,4 +1,6 @@
-"""M09's runs: uniform, learned, and in between, on the second half of a scene; the sweep of the uniform rates."""
+"""M09's runs: uniform, learned, and in between, on the second half of a scene; the sweep of the
+uniform rates.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ from phdtrack.models.clutter import BoxClutter
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.types import F8, Tracks, Truth
 
-UM, GM = "UM", "GM"
+UM = "UM"
+GM = "GM"
 ABLATIONS = ("A1", "A2", "A3", "A4", "A5", "A6")
 # Births a second and false alarms a frame in the neighbourhood of a box; their ratio counts most.
 SWEEP = tuple((0.01, rate) for rate in (0.1, 1.0, 3.0, 10.0, 30.0))
@@ -29,8 +32,8 @@ BLOCKS = 4
 
 @dataclass(frozen=True, slots=True)
 class SceneRun:
-    """One run on the first ``frames`` of the second half of a scene, 0: all; ``filter``: another than the experiment's own;
-    ``rates`` (births, clutter) of a sweep of the uniform model."""
+    """One run on the first ``frames`` of the second half of a scene, 0: all; ``filter``: another
+    than the experiment's own; ``rates`` (births, clutter) of a sweep of the uniform model."""
 
     scene: str
     seed: int
@@ -48,8 +51,9 @@ class SceneScores:
     ----------
     scores : of the corrected tracks.     blocks : of the same in a quarter of the stretch each.
     live : scores of the confirmed online rows.
-    inside, outside : delay of each object found, by its identity: frames from its first detection to its first confirmed
-        online row; of those first detected where people enter, and elsewhere.
+    inside, outside : delay of each object found, by its identity: frames from its first detection
+        to its first confirmed online row; of those first detected where people enter, and
+        elsewhere.
     """
 
     scores: Scores
@@ -71,7 +75,9 @@ def score(one: SceneRun, halved: Halves, stages: AnyStages) -> SceneScores:
     run = followed(stages, case, one.seed)
     online = run.online.take(np.flatnonzero(run.online.confirmed))
     inside, outside = delays(case, online, halved.entries)
-    scores, live = (evaluate(case.truth, tracks, frames=case.info.frames) for tracks in (run.corrected, online))
+    scores, live = (
+        evaluate(case.truth, tracks, frames=case.info.frames) for tracks in (run.corrected, online)
+    )
     return SceneScores(scores, blocks(case, run.corrected), live, inside, outside)
 
 
@@ -83,16 +89,23 @@ def blocks(case: Case, tracks: Tracks) -> tuple[Scores, ...]:
         part = stretch(case, begin + 1, end)
         rows = np.flatnonzero((tracks.frame > begin) & (tracks.frame <= end))
         some = tracks.take(rows)
-        found.append(evaluate(part.truth, replace(some, frame=some.frame - begin), frames=part.info.frames))
+        found.append(
+            evaluate(part.truth, replace(some, frame=some.frame - begin), frames=part.info.frames)
+        )
     return tuple(found)
 
 
 def stages_of(one: SceneRun, halved: Halves, scene: LearnedScene) -> AnyStages:
-    """The preset ``mot15``, which knows of no scores, with the births and the clutter of the run."""
+    """The preset ``mot15``, which knows of no scores, with the births and the clutter of the
+    run.
+    """
     info = halved.test.info
     if one.rates is not None:
         births, clutter = one.rates
-        sets = (f"birth.births_per_detection={25 * births}", f"clutter.clutter_per_detection={clutter}")
+        sets = (
+            f"birth.births_per_detection={25 * births}",
+            f"clutter.clutter_per_detection={clutter}",
+        )
         return config.build(config.load(None, sets, "mot15"), info)
     stages = config.build(config.load(preset="mot15"), info)
     if one.run == UM:
@@ -105,8 +118,11 @@ def stages_of(one: SceneRun, halved: Halves, scene: LearnedScene) -> AnyStages:
 
 
 def estimated(run: str, model: Model, scene: LearnedScene, train: Case) -> Model:
-    """Births and clutter that are the same at every scale, with the rates that were learned [M09 §V]."""
-    birth, clutter = model.birth, model.clutter
+    """Births and clutter that are the same at every scale, with the rates that were learned [M09
+    §V].
+    """
+    birth = model.birth
+    clutter = model.clutter
     assert isinstance(birth, MeasurementBirth)
     assert isinstance(clutter, BoxClutter)
     # So many of each detection that they are as many as were learned.
@@ -119,11 +135,15 @@ def estimated(run: str, model: Model, scene: LearnedScene, train: Case) -> Model
 
 
 def delays(case: Case, tracks: Tracks, entries: F8) -> tuple[dict[int, float], dict[int, float]]:
-    """Frames from first detection to first row of the objects first detected inside and outside of ``entries`` (n, 4)."""
+    """Frames from first detection to first row of the objects first detected inside and outside of
+    ``entries`` (n, 4).
+    """
     found = first_output_delays(case.truth, tracks, case.table)
     inside: dict[int, float] = {}
     outside: dict[int, float] = {}
-    for identity, frame, delay in zip(found.identity.tolist(), found.detected.tolist(), found.delay, strict=True):
+    for identity, frame, delay in zip(
+        found.identity.tolist(), found.detected.tolist(), found.delay, strict=True
+    ):
         if np.isfinite(delay):
             within = entered(case.truth, identity, frame, entries)
             (inside if within else outside)[identity] = float(delay)
@@ -133,15 +153,24 @@ def delays(case: Case, tracks: Tracks, entries: F8) -> tuple[dict[int, float], d
 def entered(truth: Truth, identity: int, frame: int, entries: F8) -> bool:
     """Whether the centre of an object's box lies in one of the ``entries`` in a frame."""
     box = truth.xyxy[(truth.frame == frame) & (truth.identity == identity)][0]
-    x, y = (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
-    return bool(((entries[:, 0] <= x) & (x <= entries[:, 2]) & (entries[:, 1] <= y) & (y <= entries[:, 3])).any())
+    x = (box[0] + box[2]) / 2
+    y = (box[1] + box[3]) / 2
+    return bool(
+        (
+            (entries[:, 0] <= x)
+            & (x <= entries[:, 2])
+            & (entries[:, 1] <= y)
+            & (y <= entries[:, 3])
+        ).any()
+    )
 
 
 TURN = 50
 
 
 def seconds_per_frame(both: Sequence[AnyStages], case: Case, frames: int) -> tuple[float, float]:
-    """Median seconds that a frame takes with the one and with the other stages, without the detector.
+    """Median seconds that a frame takes with the one and with the other stages, without the
+    detector.
 
     Both run block by block in turn on the same frames, so that what else a machine does slows both.
     """
@@ -154,7 +183,9 @@ def seconds_per_frame(both: Sequence[AnyStages], case: Case, frames: int) -> tup
             for number in range(first, min(first + TURN, case.info.frames + 1)):
                 time = (number - 1) / case.info.fps
                 z = case.table.at(number)
-                states[which], step = pipeline.advance(stages, states[which], z, number, time, rngs[which])
+                states[which], step = pipeline.advance(
+                    stages, states[which], z, number, time, rngs[which]
+                )
                 seconds.append(sum(step.seconds))
             spent[which].append(float(np.mean(seconds)))
     # The first blocks compile, and load what is compiled.

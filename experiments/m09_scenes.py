@@ -1,4 +1,6 @@
-"""The scenes that M09's experiment learns: rendered and real ones, their first half to learn, the second to test."""
+"""The scenes that M09's experiment learns: rendered and real ones, their first half to learn, the
+second to test.
+"""
 
 from __future__ import annotations
 
@@ -19,19 +21,25 @@ from phdtrack.video import open_source
 RENDERED = ("yard", "garden", "arcade")
 PETS = "PETS09-S2L1"
 REAL = (f"{PETS} change", f"{PETS} frcnn", f"{PETS} public")
-# What learning does was not chosen on these. The filter's own values were chosen on MOT15, ADL-Rundle-6 among it.
+# What learning does was not chosen on these. The filter's own values were chosen on MOT15,
+# ADL-Rundle-6 among it.
 HELD_OUT = ("ADL-Rundle-6 frcnn", "KITTI-17 frcnn", "KITTI-17 public")
-FRAMES, SHORT = 20_000, 1_000
-# How far from a place where people enter an object may begin that counts as entering there: mean body widths.
+FRAMES = 20_000
+SHORT = 1_000
+# How far from a place where people enter an object may begin that counts as entering there: mean
+# body widths.
 _ENTRY_MARGIN = 1.0
 SEED = 1
 # The frame that pictures show, and how many the detector is timed on.
-SHOWN, LOOKS = 100, 200
+SHOWN = 100
+LOOKS = 200
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Halves:
-    """A scene to learn from and to test on; ``entries`` (n, 4): boxes around the places where people enter."""
+    """A scene to learn from and to test on; ``entries`` (n, 4): boxes around the places where
+    people enter.
+    """
 
     name: str
     train: Case
@@ -45,11 +53,15 @@ class Halves:
 
 
 def halves(job: tuple[str, int]) -> Halves:
-    """What is detected in the scene of that name, parted in the middle; of rendered ones so many frames."""
+    """What is detected in the scene of that name, parted in the middle; of rendered ones so many
+    frames.
+    """
     name, frames = job
     case, entries = rendered(name, frames) if name in RENDERED else filmed(name)
     middle = case.info.frames // 2
-    return Halves(name, stretch(case, 1, middle), stretch(case, middle + 1, case.info.frames), entries)
+    return Halves(
+        name, stretch(case, 1, middle), stretch(case, middle + 1, case.info.frames), entries
+    )
 
 
 def simulated(name: str, frames: int) -> Scene:
@@ -61,7 +73,8 @@ def simulated(name: str, frames: int) -> Scene:
 def rendered(name: str, frames: int) -> tuple[Case, F8]:
     """A named scene, painted frame by frame, and what the change detector finds; the entries."""
     scene = simulated(name, frames)
-    width, height = float(scene.info.width), float(scene.info.height)
+    width = float(scene.info.width)
+    height = float(scene.info.height)
     margin = _ENTRY_MARGIN * float((scene.truth.xyxy[:, 2] - scene.truth.xyxy[:, 0]).mean())
     sides = np.array([[-np.inf, 0, margin, height], [width - margin, 0, np.inf, height]])
     doors = scene.doors + np.array([-margin, -margin, margin, margin])
@@ -70,7 +83,9 @@ def rendered(name: str, frames: int) -> tuple[Case, F8]:
 
 
 def filmed(name: str) -> tuple[Case, F8]:
-    """A real sequence with its ``public`` or ``frcnn`` detections, or with those of the change detector on the video."""
+    """A real sequence with its ``public`` or ``frcnn`` detections, or with those of the change
+    detector on the video.
+    """
     sequence, _, kind = name.rpartition(" ")
     case = replace(mot15(sequence, "frcnn" if kind == "change" else kind), name=name)
     if kind == "change":
@@ -79,36 +94,51 @@ def filmed(name: str) -> tuple[Case, F8]:
 
 
 def border(info: SequenceInfo, truth: Truth) -> F8:
-    """(4, 4) the strips along the frame's borders in which a box's centre lies when a person of usual size comes in."""
+    """(4, 4) the strips along the frame's borders in which a box's centre lies when a person of
+    usual size comes in.
+    """
     size = truth.xyxy[~truth.distractor]
     across = _ENTRY_MARGIN * float((size[:, 2] - size[:, 0]).mean())
     down = _ENTRY_MARGIN * float((size[:, 3] - size[:, 1]).mean())
-    width, height, far = float(info.width), float(info.height), np.inf
+    width = float(info.width)
+    height = float(info.height)
+    far = np.inf
     sides = [[-far, -far, across, far], [width - across, -far, far, far]]
     return np.array([*sides, [-far, -far, far, down], [-far, height - down, far, far]])
 
 
 def stretch(case: Case, first: int, last: int) -> Case:
     """The frames ``first`` … ``last`` of a case, numbered from 1."""
-    truth, table = case.truth, case.table
+    truth = case.truth
+    table = case.table
     rows = np.flatnonzero((truth.frame >= first) & (truth.frame <= last))
     seen = np.arange(*np.searchsorted(table.frame, [first, last + 1]))
     return Case(
         case.name,
         replace(case.info, frames=last - first + 1),
-        Truth(truth.frame[rows] - first + 1, truth.identity[rows], truth.xyxy[rows], truth.distractor[rows]),
+        Truth(
+            truth.frame[rows] - first + 1,
+            truth.identity[rows],
+            truth.xyxy[rows],
+            truth.distractor[rows],
+        ),
         DetectionTable(table.frame[seen] - first + 1, table.detections.take(seen)),
     )
 
 
 def picture(scene: Halves) -> Image:
     """(H, W, 3) a frame of a rendered scene, BGR."""
-    return next(frame.image for frame in frames_of(scene.name, scene.frames) if frame.number == SHOWN)
+    return next(
+        frame.image for frame in frames_of(scene.name, scene.frames) if frame.number == SHOWN
+    )
 
 
 def detector_seconds(scene: Halves) -> float:
-    """Median seconds that the change detector takes for a frame of a scene, over the first of them."""
-    detector, seconds = make_detector("change"), []
+    """Median seconds that the change detector takes for a frame of a scene, over the first of
+    them.
+    """
+    detector = make_detector("change")
+    seconds = []
     for frame in itertools.islice(frames_of(scene.name, scene.frames), LOOKS):
         began = time.perf_counter()
         detector(frame)

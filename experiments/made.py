@@ -1,9 +1,11 @@
-"""What each page of results was made by: command, commit, settings and code; and which pages are older than what they show.
+"""What each page of results was made by: command, commit, settings and code; and which pages are
+older than what they show.
 
-``docs/results/made.json`` has an entry for each page: the command, the commit that was checked out (with a + where files had
-changed since), and a fingerprint of every module of phdtrack and of the experiments that the command loaded, in its own
-process or in its workers, and of the files that hold settings. A fingerprint is of what a file says to Python: comments,
-docstrings and layout do not count. It is taken when the command begins: what is edited while it runs makes the page old.
+``docs/results/made.json`` has an entry for each page: the command, the commit that was checked out
+(with a + where files had changed since), and a fingerprint of every module of phdtrack and of the
+experiments that the command loaded, in its own process or in its workers, and of the files that
+hold settings. A fingerprint is of what a file says to Python: comments, docstrings and layout do
+not count. It is taken when the command begins: what is edited while it runs makes the page old.
 """
 
 from __future__ import annotations
@@ -24,7 +26,10 @@ SETTINGS = ("src/phdtrack/config/presets.toml", "src/phdtrack/config/kinds.toml"
 # Not part of what a page shows.
 APART = ("experiments/made.py", "experiments/__main__.py")
 # Pages whose words and figures are put together by hand, from what a command prints.
-BY_HAND = {"speed": "python -m benchmarks", "reliability": "python -m experiments.fuzz and the like"}
+BY_HAND = {
+    "speed": "python -m benchmarks",
+    "reliability": "python -m experiments.fuzz and the like",
+}
 
 
 def fingerprint(path: Path) -> str:
@@ -36,7 +41,12 @@ def fingerprint(path: Path) -> str:
         tree = ast.parse(text)
         for node in ast.walk(tree):
             body = getattr(node, "body", None)
-            if isinstance(body, list) and body and isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant):
+            if (
+                isinstance(body, list)
+                and body
+                and isinstance(body[0], ast.Expr)
+                and isinstance(body[0].value, ast.Constant)
+            ):
                 body[0] = ast.Pass()
         said = ast.dump(tree)
     return hashlib.sha256(said.encode()).hexdigest()[:12]
@@ -52,9 +62,15 @@ def at_start() -> Mapping[str, str]:
 
 def loaded() -> set[str]:
     """Paths of the modules of phdtrack and of the experiments that this process has loaded."""
-    files = (getattr(module, "__file__", None) for name, module in list(sys.modules.items()) if _ours(name))
+    files = (
+        getattr(module, "__file__", None)
+        for name, module in list(sys.modules.items())
+        if _ours(name)
+    )
     paths = (Path(file).resolve() for file in files if file)
-    return {path.relative_to(ROOT).as_posix() for path in paths if path.is_relative_to(ROOT)} - set(APART)
+    return {path.relative_to(ROOT).as_posix() for path in paths if path.is_relative_to(ROOT)} - set(
+        APART
+    )
 
 
 def _ours(name: str) -> bool:
@@ -62,11 +78,18 @@ def _ours(name: str) -> bool:
 
 
 def commit() -> str:
-    """The commit that is checked out, with a + where files have changed since; ``unknown`` outside of a repository."""
+    """The commit that is checked out, with a + where files have changed since; ``unknown`` outside
+    of a repository.
+    """
     try:
         run = [
-            subprocess.run(["git", *what], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
-            for what in (["rev-parse", "--short=10", "HEAD"], ["status", "--porcelain", "--", "src", "experiments"])
+            subprocess.run(
+                ["git", *what], cwd=ROOT, capture_output=True, text=True, check=True
+            ).stdout.strip()
+            for what in (
+                ["rev-parse", "--short=10", "HEAD"],
+                ["status", "--porcelain", "--", "src", "experiments"],
+            )
         ]
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
@@ -85,25 +108,39 @@ def record(folder: Path, page: str, command: str, modules: Iterable[str]) -> str
 
 
 def stale(folder: Path) -> dict[str, list[str]]:
-    """The pages of ``folder`` older than what they show, and the modules that have changed since; none: never recorded."""
-    entries, found = _read(folder / "made.json"), dict[str, list[str]]()
+    """The pages of ``folder`` older than what they show, and the modules that have changed since;
+    none: never recorded.
+    """
+    entries = _read(folder / "made.json")
+    found = dict[str, list[str]]()
     for page in sorted(path.stem for path in folder.glob("*.md") if path.stem not in BY_HAND):
         known = entries.get(page)
-        changed = [path for path, value in known["code"].items() if at_start().get(path) != value] if known else []
+        changed = (
+            [path for path, value in known["code"].items() if at_start().get(path) != value]
+            if known
+            else []
+        )
         if changed or not known:
             found[page] = changed
     return found
 
 
 def check(folder: Path) -> int:
-    """Say which pages are old, why, and what makes them anew; the exit status: 0, or 1 where there are any."""
-    old, entries = stale(folder), _read(folder / "made.json")
+    """Say which pages are old, why, and what makes them anew; the exit status: 0, or 1 where there
+    are any.
+    """
+    old = stale(folder)
+    entries = _read(folder / "made.json")
     for page, changed in old.items():
         if changed:
-            few = ", ".join(changed[:3]) + (f" and {len(changed) - 3} more" if len(changed) > 3 else "")
+            few = ", ".join(changed[:3]) + (
+                f" and {len(changed) - 3} more" if len(changed) > 3 else ""
+            )
             print(f"{page}.md is older than {few}: {entries[page]['command']}")
         else:
-            print(f"{page}.md does not say what it was made by: python -m experiments --list has the commands")
+            print(
+                f"{page}.md does not say what it was made by: python -m experiments --list has the commands"
+            )
     for page, command in BY_HAND.items():
         print(f"{page}.md is written by hand from what {command} prints, and not checked")
     if not old:

@@ -1,4 +1,6 @@
-"""Two people who meet, walk as one blob for a while and part, and with which identities they leave."""
+"""Two people who meet, walk as one blob for a while and part, and with which identities they
+leave.
+"""
 
 from __future__ import annotations
 
@@ -15,18 +17,26 @@ from phdtrack.types import F8, I8, Detections, DetectionTable, SequenceInfo, Tra
 
 Parting = Literal["crossing", "turning back"]
 PARTINGS: tuple[Parting, ...] = ("crossing", "turning back")
-WIDTH, HEIGHT, FPS = 384, 288, 25.0
+WIDTH = 384
+HEIGHT = 288
+FPS = 25.0
 # Body heights (pixels), width over height, body heights per second.
-TALL, ASPECT, SPEED = 84.0, 0.38, 0.75
+TALL = 84.0
+ASPECT = 0.38
+SPEED = 0.75
 # How long they walk as one, seconds; how far they are then from each other, in widths.
-TOGETHER, APART = (1.0, 3.0), (0.25, 0.8)
+TOGETHER = (1.0, 3.0)
+APART = (0.25, 0.8)
 # The part of a figure that must be in the frame to be in the truth.
 _VISIBLE = 0.3
 Leave = Literal["right", "swapped", "new", "lost"]
 # Their axes are this far apart, in widths, when they begin to touch as a detector sees it.
 _TOUCH = 1.3
-# Frames before and after in which identities are read; how many around the touch itself are left out.
-_BEFORE, _AFTER, _AROUND = 10, 17, 3
+# Frames before and after in which identities are read; how many around the touch itself are left
+# out.
+_BEFORE = 10
+_AFTER = 17
+_AROUND = 3
 _MATCH = 0.4
 
 
@@ -36,9 +46,11 @@ class Meeting:
 
     Attributes
     ----------
-    parting : ``crossing``, each passes the other slowly and goes on, or ``turning back``, each stays on its side.
+    parting : ``crossing``, each passes the other slowly and goes on, or ``turning back``, each
+        stays on its side.
     together : seconds for which they walk as one.
-    apart : distance of their axes while they do (of those who cross: when they meet and when they part), in widths.
+    apart : distance of their axes while they do (of those who cross: when they meet and when they
+        part), in widths.
     drift : common velocity while they do, along the picture, pixels per second.
     behind : by how many pixels the second's foot is higher in the picture.
     """
@@ -52,11 +64,15 @@ class Meeting:
     @property
     def info(self) -> SequenceInfo:
         """Size, rate and number of frames."""
-        return SequenceInfo(WIDTH, HEIGHT, FPS, int(self._times[1] * FPS + 2.2 * FPS), f"meeting-{self.parting}")
+        return SequenceInfo(
+            WIDTH, HEIGHT, FPS, int(self._times[1] * FPS + 2.2 * FPS), f"meeting-{self.parting}"
+        )
 
     @property
     def _times(self) -> tuple[float, float]:
-        """Seconds at which they meet and part. Before, each walks from outside the frame; they come in after a second."""
+        """Seconds at which they meet and part. Before, each walks from outside the frame; they come
+        in after a second.
+        """
         way = WIDTH / 2 + ASPECT * TALL
         meets = 1.0 + way / (SPEED * TALL)
         return meets, meets + self.together
@@ -65,17 +81,22 @@ class Meeting:
         """Both of them; nothing is drawn by chance."""
         time = np.arange(self.info.frames) / FPS
         meets, parts = self._times
-        pace, wide = SPEED * TALL, ASPECT * TALL
+        pace = SPEED * TALL
+        wide = ASPECT * TALL
         walked = self.drift * (np.clip(time, meets, parts) - meets)
         onward = 1.0 if self.parting == "crossing" else -1.0
         far = self.apart * wide / 2
         passed = np.interp(time, [meets, parts], [far, -onward * far])
-        half = passed - pace * (np.minimum(time - meets, 0.0) + onward * np.maximum(time - parts, 0.0))
+        half = passed - pace * (
+            np.minimum(time - meets, 0.0) + onward * np.maximum(time - parts, 0.0)
+        )
         boxes = []
         for side, foot in ((-1.0, 0.82 * HEIGHT), (1.0, 0.82 * HEIGHT - self.behind)):
             centre = WIDTH / 2 + _smooth(walked + side * half)
             feet = np.full(len(time), foot)
-            boxes.append(np.stack([centre - wide / 2, feet - TALL, centre + wide / 2, feet], axis=1))
+            boxes.append(
+                np.stack([centre - wide / 2, feet - TALL, centre + wide / 2, feet], axis=1)
+            )
         frame = np.tile(np.arange(1, len(time) + 1), 2)
         xyxy = np.concatenate(boxes)
         inside = _visible(xyxy, self.info) > 0
@@ -99,21 +120,31 @@ def _smooth(way: F8) -> F8:
 def meeting(parting: Parting, seed: int) -> Meeting:
     """A meeting drawn by chance."""
     rng = np.random.default_rng([seed, PARTINGS.index(parting)])
-    together, apart = rng.uniform(*TOGETHER), rng.uniform(*APART)
-    return Meeting(parting, float(together), float(apart), float(rng.uniform(-15, 15)), float(rng.uniform(-6, 6)))
+    together = rng.uniform(*TOGETHER)
+    apart = rng.uniform(*APART)
+    return Meeting(
+        parting,
+        float(together),
+        float(apart),
+        float(rng.uniform(-15, 15)),
+        float(rng.uniform(-6, 6)),
+    )
 
 
 def met(parting: Parting, seed: int) -> Scene:
     """The scene of a meeting."""
     world = meeting(parting, seed)
     figures = world.figures(np.random.default_rng(seed))
-    truth, none = world.truth(figures), np.zeros((0, 4))
+    truth = world.truth(figures)
+    none = np.zeros((0, 4))
     found = detect(truth, world.info, np.random.default_rng(seed), DetectorModel())
     return Scene(world.info, truth, figures, found.table, found.source, none, none, none)
 
 
 def filmed(job: tuple[Parting, int], *, detector: bool = True) -> Case:
-    """A meeting rendered, and what the change detector, as shipped, finds in it; without it no detections."""
+    """A meeting rendered, and what the change detector, as shipped, finds in it; without it no
+    detections.
+    """
     parting, seed = job
     scene = met(parting, seed)
     table = DetectionTable(np.zeros(0, np.int64), Detections.empty())
@@ -123,10 +154,18 @@ def filmed(job: tuple[Parting, int], *, detector: bool = True) -> Case:
 
 
 def leaving(case: Case, tracks: Tracks) -> Leave:
-    """What became of the two identities: ``right``, ``swapped``, ``new`` for one or both, ``lost``: one not followed."""
+    """What became of the two identities: ``right``, ``swapped``, ``new`` for one or both, ``lost``:
+    one not followed.
+    """
     first, last = touching(case.truth)
-    before = [_identity(case, tracks, one, np.arange(first - _AROUND - _BEFORE, first - _AROUND)) for one in (1, 2)]
-    after = [_identity(case, tracks, one, np.arange(last + _AROUND, last + _AROUND + _AFTER)) for one in (1, 2)]
+    before = [
+        _identity(case, tracks, one, np.arange(first - _AROUND - _BEFORE, first - _AROUND))
+        for one in (1, 2)
+    ]
+    after = [
+        _identity(case, tracks, one, np.arange(last + _AROUND, last + _AROUND + _AFTER))
+        for one in (1, 2)
+    ]
     if 0 in before + after or before[0] == before[1] or after[0] == after[1]:
         return "lost"
     if before == after:
@@ -139,8 +178,11 @@ def touching(truth: Truth) -> tuple[int, int]:
     boxes = {one: truth.xyxy[truth.identity == one] for one in (1, 2)}
     frames = {one: truth.frame[truth.identity == one] for one in (1, 2)}
     both, one, two = np.intersect1d(frames[1], frames[2], return_indices=True)
-    a, b = boxes[1][one], boxes[2][two]
-    near = np.abs(a[:, [0, 2]].mean(axis=1) - b[:, [0, 2]].mean(axis=1)) < _TOUCH * (a[:, 2] - a[:, 0])
+    a = boxes[1][one]
+    b = boxes[2][two]
+    near = np.abs(a[:, [0, 2]].mean(axis=1) - b[:, [0, 2]].mean(axis=1)) < _TOUCH * (
+        a[:, 2] - a[:, 0]
+    )
     return int(both[near][0]), int(both[near][-1])
 
 
@@ -168,6 +210,7 @@ def _clip(xyxy: F8, info: SequenceInfo) -> F8:
 
 def _visible(xyxy: F8, info: SequenceInfo) -> F8:
     """(n,) part of each box's area that lies in the frame."""
-    size, inside = xyxy[:, 2:] - xyxy[:, :2], _clip(xyxy, info)
+    size = xyxy[:, 2:] - xyxy[:, :2]
+    inside = _clip(xyxy, info)
     part: F8 = (inside[:, 2:] - inside[:, :2]).prod(axis=1) / size.prod(axis=1)
     return part

@@ -1,7 +1,9 @@
-"""The standard nonlinear scenario, targets that turn: OSPA of the particle filters and of the Gaussian ones by sigma points.
+"""The standard nonlinear scenario, targets that turn: OSPA of the particle filters and of the
+Gaussian ones by sigma points.
 
-The scenario is `standard_scenes.turning`: ten targets over 100 scans, seen by bearing and range, with the noises that the
-literature uses. Every filter is given the scenario's model. A section of vo.md.
+The scenario is `standard_scenes.turning`: ten targets over 100 scans, seen by bearing and range,
+with the noises that the literature uses. Every filter is given the scenario's model. A section of
+vo.md.
 """
 
 from __future__ import annotations
@@ -14,25 +16,57 @@ import numpy as np
 
 from experiments.bearing import BearingSensor, TurningMotion
 from experiments.common import Options, filled, pyplot
-from experiments.scans import FilterRun, Realisation, SetErrors, Stages, compared, curves, followed, measured, tables
-from experiments.standard_scenes import DEGREE, TURNING_LAST, TURNING_START, Turning, turning, turning_states
-from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, PMBM, BestBernoullis, BestHypothesis, ParticleCPHD, ParticlePHD
+from experiments.scans import (
+    FilterRun,
+    Realisation,
+    SetErrors,
+    Stages,
+    compared,
+    curves,
+    followed,
+    measured,
+    tables,
+)
+from experiments.standard_scenes import (
+    DEGREE,
+    TURNING_LAST,
+    TURNING_START,
+    Turning,
+    turning,
+    turning_states,
+)
+from phdtrack.filters import (
+    GMCPHD,
+    GMPHD,
+    MHT,
+    PMB,
+    PMBM,
+    BestBernoullis,
+    BestHypothesis,
+    ParticleCPHD,
+    ParticlePHD,
+)
 from phdtrack.filters.extract import Components, KMeans, Mixture
 from phdtrack.models import FixedBirth, UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.types import F8, GaussianMixture
 
 # Runs of the first case, of the others, and in the short form.
-RUNS, SIDE, FEW = 100, 50, 2
+RUNS = 100
+SIDE = 50
+FEW = 2
 # The noises that the literature gives this scene, see `standard_scenes`.
 CASES = {
     "σ_w 5, σ_θ 2°, σ_r 10, λ 20": Turning(),
     "σ_w 15, σ_θ 2°, σ_r 20, λ 20": Turning(sd_acceleration=15.0, sd_range=20.0),
-    "σ_w 15, σ_θ 1°, σ_r 5, λ 10": Turning(sd_acceleration=15.0, sd_bearing=DEGREE, sd_range=5.0, clutter_rate=10.0),
+    "σ_w 15, σ_θ 1°, σ_r 5, λ 10": Turning(
+        sd_acceleration=15.0, sd_bearing=DEGREE, sd_range=5.0, clutter_rate=10.0
+    ),
     "as the first, p_D falling": Turning(fade=2000.0),
 }
 FIRST_CASE = next(iter(CASES))
-PER_TARGET, NEWBORN = 1500, 500
+PER_TARGET = 1500
+NEWBORN = 500
 FILTERS: dict[str, Stages] = {
     "gm-phd": (GMPHD(1e-5, 2.0, 100, transform="unscented"), Components(repeat=True)),
     "gm-cphd": (GMCPHD(1e-5, 2.0, 100, transform="unscented"), Components(merge_iou=1.0)),
@@ -40,19 +74,33 @@ FILTERS: dict[str, Stages] = {
     "particle-cphd": (ParticleCPHD(PER_TARGET), Mixture(merge_iou=1.0)),
     "mht": (MHT(transform="unscented"), BestHypothesis()),
     "pmbm": (PMBM(transform="unscented"), BestHypothesis(smoothed=True)),
-    "pmb": (PMB(mean_visible_time=0.0, static_clutter_prior=0.0, transform="unscented"), BestBernoullis()),
+    "pmb": (
+        PMB(mean_visible_time=0.0, static_clutter_prior=0.0, transform="unscented"),
+        BestBernoullis(),
+    ),
 }
 
 
 def world(given: Turning) -> Model:
     """The scenario's parameters as a model; metres, radians, seconds."""
-    mean, sd = given.birth_mean, np.array(given.birth_sd)
+    mean = given.birth_mean
+    sd = np.array(given.birth_sd)
     spread = np.tile(np.diag(sd**2), (mean.shape[1], 1, 1))
     sensor = BearingSensor(
-        given.sd_bearing, given.sd_range, given.p_detect, given.fade, birth_speed=2**0.5 * float(sd[2]), turn=float(sd[4])
+        given.sd_bearing,
+        given.sd_range,
+        given.p_detect,
+        given.fade,
+        birth_speed=2**0.5 * float(sd[2]),
+        turn=float(sd[4]),
     )
     return Model(
-        TurningMotion(given.sd_acceleration, given.sd_turn, given.p_survive ** (1 / given.interval), "piecewise"),
+        TurningMotion(
+            given.sd_acceleration,
+            given.sd_turn,
+            given.p_survive ** (1 / given.interval),
+            "piecewise",
+        ),
         sensor,
         FixedBirth(GaussianMixture(np.array(given.birth_weight), mean, spread), NEWBORN),
         UniformClutter(given.clutter_rate, given.clutter_volume),
@@ -64,7 +112,14 @@ def realisation(case: str, seed: int) -> Realisation:
     """The scans of one seed."""
     scene = turning(np.random.default_rng(seed), CASES[case])
     given = scene.model
-    return Realisation(world(given), scene.measurement, scene.state, scene.identity, given.interval, given.ospa_cutoff)
+    return Realisation(
+        world(given),
+        scene.measurement,
+        scene.state,
+        scene.identity,
+        given.interval,
+        given.ospa_cutoff,
+    )
 
 
 def run(job: FilterRun) -> SetErrors:
@@ -74,11 +129,15 @@ def run(job: FilterRun) -> SetErrors:
 
 
 def picture(path: Path, seed: int = 0) -> None:
-    """Draw one realisation on the targets' ways: all that is measured, and the states that each filter makes of it."""
+    """Draw one realisation on the targets' ways: all that is measured, and the states that each
+    filter makes of it.
+    """
     plt = pyplot()
     given = realisation(FIRST_CASE, seed)
     rows = math.ceil((1 + len(FILTERS)) / 2)
-    figure, grid = plt.subplots(rows, 2, figsize=(11, 3.1 * rows), layout="constrained", squeeze=False)
+    figure, grid = plt.subplots(
+        rows, 2, figsize=(11, 3.1 * rows), layout="constrained", squeeze=False
+    )
     axes = grid.ravel()
     places = {"measured": [given.model.sensor.states(z)[0][:2] for z in given.scans]}
     for name, stages in FILTERS.items():
@@ -86,7 +145,11 @@ def picture(path: Path, seed: int = 0) -> None:
     for axis, (name, each) in zip(axes, places.items(), strict=False):
         _ways(axis)
         axis.plot(
-            *np.hstack(each), ".", ms=2.5, color="C3" if name in FILTERS else "0.6", zorder=3 if name in FILTERS else 1
+            *np.hstack(each),
+            ".",
+            ms=2.5,
+            color="C3" if name in FILTERS else "0.6",
+            zorder=3 if name in FILTERS else 1,
         )
         axis.set(title=name, aspect="equal", xlim=(-2050, 2050), ylim=(-50, 2100))
     for axis in axes[len(places) :]:
@@ -119,6 +182,10 @@ def section(options: Options) -> str:
     runs = {case: options.number(RUNS if case == FIRST_CASE else SIDE, FEW) for case in CASES}
     found = compared(run, runs, tuple(FILTERS), "turning", options)
     number = np.array([truth.shape[1] for truth in realisation(FIRST_CASE, 0).truth])
-    curves({name: found[FIRST_CASE, name] for name in FILTERS}, number, options.folder / "vo-turning-ospa.png")
+    curves(
+        {name: found[FIRST_CASE, name] for name in FILTERS},
+        number,
+        options.folder / "vo-turning-ospa.png",
+    )
     picture(options.folder / "vo-turning-states.png")
     return filled("nonlinear", **tables(found, {}))

@@ -1,10 +1,13 @@
-"""Our filters and widely used trackers: same detections, no score threshold, one parameter set, TrackEval's scores.
+"""Our filters and widely used trackers: same detections, no score threshold, one parameter set,
+TrackEval's scores.
 
-Writes two pages: peers.md, and defaults.md, which compares the filters and the parts of the default one.
+Writes two pages: peers.md, and defaults.md, which compares the filters and the parts of the default
+one.
 
-Peers' scores come from `bench/peers.csv` next to the real sequences, and so do the clutter cases (`bench/make_clutter.py`,
-run as it is): nothing of a peer is measured here. Every filter has the shipped defaults. Truth that the benchmark marks as
-not to be counted is left out, as TrackEval does for MOT15, so that scores compare.
+Peers' scores come from `bench/peers.csv` next to the real sequences, and so do the clutter cases
+(`bench/make_clutter.py`, run as it is): nothing of a peer is measured here. Every filter has the
+shipped defaults. Truth that the benchmark marks as not to be counted is left out, as TrackEval does
+for MOT15, so that scores compare.
 """
 
 from __future__ import annotations
@@ -79,14 +82,18 @@ NUMBERS: Mapping[str, tuple[str, ...]] = {
     "false alarms twice (0.84)": ("clutter.clutter_per_detection=0.84",),
     "births twice (0.001 a frame)": ("birth.births_per_detection=0.025",),
     "hidden twice as long (0.6 s)": ("filter.mean_occluded_time=0.6",),
-    "static clutter detected more often (0.5)": ("filter.static_clutter_detection_probability=0.5",),
+    "static clutter detected more often (0.5)": (
+        "filter.static_clutter_detection_probability=0.5",
+    ),
 }
 ABLATED = "pmb"
 
 
 @dataclass(frozen=True, slots=True)
 class PeerRun:
-    """One run on one sequence; ``case``: frcnn, public, or a clutter case with its seed, as peers.csv names them."""
+    """One run on one sequence; ``case``: frcnn, public, or a clutter case with its seed, as
+    peers.csv names them.
+    """
 
     case: str
     sequence: str
@@ -97,7 +104,9 @@ class PeerRun:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PeerScores:
-    """Scores of what was given online, at once and for good, and of the corrected tracks; milliseconds a frame."""
+    """Scores of what was given online, at once and for good, and of the corrected tracks;
+    milliseconds a frame.
+    """
 
     online: Scores
     offline: Scores
@@ -109,7 +118,9 @@ def bench() -> Path:
     folder = need_data().parent / "bench"
     if not (folder / "peers.csv").is_file():
         raise InputError(
-            "the peers' scores are missing", where=folder, cure="Put bench/ with peers.csv and make_clutter.py there"
+            "the peers' scores are missing",
+            where=folder,
+            cure="Put bench/ with peers.csv and make_clutter.py there",
         )
     return folder
 
@@ -119,21 +130,29 @@ def _made() -> tempfile.TemporaryDirectory[str]:
     """The clutter cases, made once a process; they go with it."""
     folder = tempfile.TemporaryDirectory()
     given = (bench() / "make_clutter.py", "--gt-root", need_data() / "mot15", "--out", folder.name)
-    rates, seeds = map(str, RATES), map(str, range(1, SEEDS + 1))
+    rates = map(str, RATES)
+    seeds = map(str, range(1, SEEDS + 1))
     wanted = ("--seqs", *MADE, "--lambdas", *rates, "--seeds", *seeds)
-    subprocess.run([sys.executable, *map(str, given), *wanted], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(
+        [sys.executable, *map(str, given), *wanted], check=True, stdout=subprocess.DEVNULL
+    )
     return folder
 
 
 def work(job: PeerRun) -> PeerScores:
     """One run, scored."""
     folder = need_data() / "mot15" / job.sequence
-    info, truth = read_seqinfo(folder), counted(read_truth(folder / "gt" / "gt.txt"))
+    info = read_seqinfo(folder)
+    truth = counted(read_truth(folder / "gt" / "gt.txt"))
     if job.case in SEQUENCES:
         found = folder / f"det_{job.case}" / "det.txt"
     else:
         found = Path(_made().name) / job.case / job.sequence / "det" / "det.txt"
-    run = followed(built(info, job.method, job.sets), Case(job.sequence, info, truth, read_detections(found)), job.seed)
+    run = followed(
+        built(info, job.method, job.sets),
+        Case(job.sequence, info, truth, read_detections(found)),
+        job.seed,
+    )
     online = evaluate(truth, run.online.take(run.online.confirmed), frames=info.frames)
     return PeerScores(online, evaluate(truth, run.corrected, frames=info.frames), 1e3 * run.seconds)
 
@@ -146,7 +165,9 @@ def counted(truth: Truth) -> Truth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparedRuns:
-    """All runs; the peers' rows by case and sequence; ``sequences`` of each case, ``trackers`` and number of ``seeds``."""
+    """All runs; the peers' rows by case and sequence; ``sequences`` of each case, ``trackers`` and
+    number of ``seeds``.
+    """
 
     results: Mapping[PeerRun, PeerScores]
     peers: Mapping[tuple[str, str], Sequence[Mapping[str, str]]]
@@ -154,19 +175,33 @@ class ComparedRuns:
     trackers: tuple[str, ...]
     seeds: int
 
-    def runs(self, case: str, sequence: str, method: str, sets: tuple[str, ...] = ()) -> list[PeerScores]:
+    def runs(
+        self, case: str, sequence: str, method: str, sets: tuple[str, ...] = ()
+    ) -> list[PeerScores]:
         """One outcome for each seed."""
-        return [self.results[_job(case, sequence, method, seed, sets)] for seed in range(1, self.seeds + 1)]
+        return [
+            self.results[_job(case, sequence, method, seed, sets)]
+            for seed in range(1, self.seeds + 1)
+        ]
 
-    def mean(self, case: str, method: str, kind: str, score: str, sets: tuple[str, ...] = ()) -> float:
+    def mean(
+        self, case: str, method: str, kind: str, score: str, sets: tuple[str, ...] = ()
+    ) -> float:
         """A score pooled over all sequences of a case, its mean over the seeds, in points."""
-        runs = zip(*(self.runs(case, sequence, method, sets) for sequence in self.sequences[case]), strict=True)
+        runs = zip(
+            *(self.runs(case, sequence, method, sets) for sequence in self.sequences[case]),
+            strict=True,
+        )
         pooled = (pool([getattr(run, kind) for run in each]) for each in runs)
         return float(np.mean([100 * getattr(one, score) for one in pooled]))
 
     def best(self, case: str, sequence: str, score: str) -> tuple[float, str]:
         """The best peer's score in points, and its name; NaN where none was scored."""
-        rows = [row for row in self.peers.get((_peers_case(case), sequence), ()) if row["name"] != "oracle"]
+        rows = [
+            row
+            for row in self.peers.get((_peers_case(case), sequence), ())
+            if row["name"] != "oracle"
+        ]
         return max(((float(row[score]), row["name"]) for row in rows), default=(float("nan"), "–"))
 
 
@@ -175,9 +210,13 @@ def _peers_case(case: str) -> str:
 
 
 def _job(case: str, sequence: str, method: str, seed: int, sets: tuple[str, ...] = ()) -> PeerRun:
-    """The run that stands for a seed: real detections and filters that draw nothing need one only."""
+    """The run that stands for a seed: real detections and filters that draw nothing need one
+    only.
+    """
     if case not in SEQUENCES:
-        return PeerRun(f"{case}-s{seed}", sequence, method, seed if method == "particle-phd" else 1, sets)
+        return PeerRun(
+            f"{case}-s{seed}", sequence, method, seed if method == "particle-phd" else 1, sets
+        )
     return PeerRun(case, sequence, method, seed if method == "particle-phd" else 1, sets)
 
 
@@ -186,7 +225,8 @@ def main(options: Options) -> Path:
     quick = options.quick
     sequences = dict.fromkeys(SEQUENCES, ("TUD-Campus",)) if quick else dict(SEQUENCES)
     sequences |= dict.fromkeys(CLUTTER[:1] if quick else CLUTTER, MADE[1:] if quick else MADE)
-    trackers, seeds = (tuple(TRACKERS)[:2] if quick else tuple(TRACKERS)), 1 if quick else SEEDS
+    trackers = tuple(TRACKERS)[:2] if quick else tuple(TRACKERS)
+    seeds = 1 if quick else SEEDS
     changes = [*PARTS.values(), *([] if quick else NUMBERS.values())]
     wanted = [TRACKERS[name] for name in trackers] + [(ABLATED, sets) for sets in changes]
     every = (
@@ -202,7 +242,14 @@ def main(options: Options) -> Path:
     real = [case for case in sequences if case in SEQUENCES]
     clutter = [case for case in sequences if case not in SEQUENCES]
     numbers = _parts_table(found, {} if quick else NUMBERS)
-    write("defaults", options, seeds=seeds, filters=_filters_table(found), parts=_parts_table(found, PARTS), numbers=numbers)
+    write(
+        "defaults",
+        options,
+        seeds=seeds,
+        filters=_filters_table(found),
+        parts=_parts_table(found, PARTS),
+        numbers=numbers,
+    )
     tables = {"real": _pooled_table(found, real), "clutter": _pooled_table(found, clutter)}
     return write("peers", options, seeds=seeds, sequences=_sequence_table(found, real), **tables)
 
@@ -217,10 +264,18 @@ def read_peers() -> dict[tuple[str, str], list[Mapping[str, str]]]:
 
 
 def _pooled_table(found: ComparedRuns, cases: Sequence[str]) -> str:
-    header = ("case", "tracker", *(f"{score} {kind}" for kind in ("online", "corrected") for score in SHOWN), "ms")
+    header = (
+        "case",
+        "tracker",
+        *(f"{score} {kind}" for kind in ("online", "corrected") for score in SHOWN),
+        "ms",
+    )
     rows: list[tuple[object, ...]] = []
     for case in cases:
-        best = (f"{value:.1f} {name}" for value, name in (found.best(case, "ALL", score) for score in SHOWN))
+        best = (
+            f"{value:.1f} {name}"
+            for value, name in (found.best(case, "ALL", score) for score in SHOWN)
+        )
         rows.append((case, "best peer in each", *best, "", "", "", ""))
         for name in found.trackers:
             method, sets = TRACKERS[name]
@@ -231,13 +286,22 @@ def _pooled_table(found: ComparedRuns, cases: Sequence[str]) -> str:
 
 
 def _ms(found: ComparedRuns, case: str, method: str, sets: tuple[str, ...]) -> float:
-    runs = (run for sequence in found.sequences[case] for run in found.runs(case, sequence, method, sets))
+    runs = (
+        run
+        for sequence in found.sequences[case]
+        for run in found.runs(case, sequence, method, sets)
+    )
     return float(np.median([run.ms for run in runs]))
 
 
 def _sequence_table(found: ComparedRuns, cases: Sequence[str]) -> str:
     """Corrected tracks less the best peer in each score, sequence by sequence."""
-    header = ("case", "sequence", "tracker", *(f"{score} (less the best peer's)" for score in SHOWN))
+    header = (
+        "case",
+        "sequence",
+        "tracker",
+        *(f"{score} (less the best peer's)" for score in SHOWN),
+    )
     rows = []
     for case in cases:
         for sequence in found.sequences[case]:
@@ -259,17 +323,27 @@ def _filters_table(found: ComparedRuns) -> str:
     cases = {
         "real": [case for case in found.sequences if case in SEQUENCES],
         "uniform clutter": [case for case in found.sequences if case.startswith("u")],
-        "places": [case for case in found.sequences if case.startswith("p") and case not in SEQUENCES],
+        "places": [
+            case for case in found.sequences if case.startswith("p") and case not in SEQUENCES
+        ],
     }
     kinds = {name: group for name, group in cases.items() if group}
-    header = ("filter", *(f"{name} {score}" for name in kinds for score in SHOWN), "online, real IDF1", "ms")
+    header = (
+        "filter",
+        *(f"{name} {score}" for name in kinds for score in SHOWN),
+        "online, real IDF1",
+        "ms",
+    )
     rows = []
     for name in found.trackers:
         method, sets = TRACKERS[name]
         if sets:
             continue
         means = ((group, "offline", score) for group in kinds.values() for score in SHOWN)
-        cells = [np.mean([found.mean(case, method, kind, score) for case in group]) for group, kind, score in means]
+        cells = [
+            np.mean([found.mean(case, method, kind, score) for case in group])
+            for group, kind, score in means
+        ]
         online = np.mean([found.mean(case, method, "online", "IDF1") for case in kinds["real"]])
         ms = np.median([_ms(found, case, method, ()) for case in found.sequences])
         rows.append((name, *(f"{cell:.1f}" for cell in (*cells, online)), f"{ms:.2f}"))
@@ -292,28 +366,39 @@ def _parts_table(found: ComparedRuns, parts: Mapping[str, tuple[str, ...]]) -> s
     return table(header, rows)
 
 
-def _gain(found: ComparedRuns, cases: Sequence[str], score: str, sets: tuple[str, ...]) -> tuple[float, float]:
-    """What a change gains over the defaults, pooled, in points, and half the width of its 95 % interval over the runs.
+def _gain(
+    found: ComparedRuns, cases: Sequence[str], score: str, sets: tuple[str, ...]
+) -> tuple[float, float]:
+    """What a change gains over the defaults, pooled, in points, and half the width of its 95 %
+    interval over the runs.
 
-    By the jackknife: how far the difference moves when one sequence (with drawn clutter: in one seed) is left out (Efron and
-    Tibshirani 1993, 11.5). Of the defaults themselves the score.
+    By the jackknife: how far the difference moves when one sequence (with drawn clutter: in one
+    seed) is left out (Efron and Tibshirani 1993, 11.5). Of the defaults themselves the score.
     """
     given = {
         which: [
             run.offline
             for case in cases
             for sequence in found.sequences[case]
-            for run in found.runs(case, sequence, ABLATED, which)[: 1 if case in SEQUENCES else found.seeds]
+            for run in found.runs(case, sequence, ABLATED, which)[
+                : 1 if case in SEQUENCES else found.seeds
+            ]
         ]
         for which in {(), sets}
     }
 
     def pooled(which: tuple[str, ...], out: int = -1) -> float:
-        return 100 * float(getattr(pool([one for k, one in enumerate(given[which]) if k != out]), score))
+        return 100 * float(
+            getattr(pool([one for k, one in enumerate(given[which]) if k != out]), score)
+        )
 
     if not sets:
         return pooled(()), 0.0
     n = len(given[sets])
-    without = np.array([pooled(sets, out) - pooled((), out) for out in range(n)]) if n > 1 else np.full(1, np.nan)
+    without = (
+        np.array([pooled(sets, out) - pooled((), out) for out in range(n)])
+        if n > 1
+        else np.full(1, np.nan)
+    )
     deviation = float(np.sqrt((n - 1) / n * ((without - without.mean()) ** 2).sum()))
     return pooled(sets) - pooled(()), float(stats.t.ppf(0.975, max(n - 1, 1))) * deviation

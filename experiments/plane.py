@@ -1,8 +1,9 @@
 """Tracks on the ground plane: PETS09-S2L1 with its real detections and its camera.
 
-World-plane tracks of the Gaussian-mixture filters and of the particle filter, with and without occlusion in p_D, next to the
-tracker in the image as shipped. Foot points are led to the ground by the camera and compared with the truth's own columns
-X, Y (metres). Settings are the shipped ones, ``motion.kind=plane`` and the camera aside.
+World-plane tracks of the Gaussian-mixture filters and of the particle filter, with and without
+occlusion in p_D, next to the tracker in the image as shipped. Foot points are led to the ground by
+the camera and compared with the truth's own columns X, Y (metres). Settings are the shipped ones,
+``motion.kind=plane`` and the camera aside.
 """
 
 from __future__ import annotations
@@ -15,7 +16,17 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.common import Case, Options, built, in_parallel, mot15, need_data, table, with_error, write
+from experiments.common import (
+    Case,
+    Options,
+    built,
+    in_parallel,
+    mot15,
+    need_data,
+    table,
+    with_error,
+    write,
+)
 from experiments.group_scores import nearest
 from phdtrack import pipeline
 from phdtrack.ground import CountedFrom, read_camera
@@ -25,10 +36,12 @@ from phdtrack.metrics.matching import FramePair, Scene
 from phdtrack.metrics.scores import scores_of
 from phdtrack.types import F8, I8, DetectionTable, Tracks
 
-SEQUENCE, KINDS = "PETS09-S2L1", ("public", "frcnn")
+SEQUENCE = "PETS09-S2L1"
+KINDS = ("public", "frcnn")
 SEEDS = 3
 # Metres: how near is a match, and up to where errors of matched rows are looked at.
-NEAR, FAR = 1.0, 2.0
+NEAR = 1.0
+FAR = 2.0
 # The overlap above which the shipped tracker takes two states for one.
 JOINED = 0.4
 # MOTChallenge counts pixels from 1.
@@ -39,7 +52,8 @@ FIRST_PIXEL = 1.0
 class Variant:
     """A way to track: a filter, on the ground or in the image, with or without occlusion in p_D.
 
-    ``joined``: states whose boxes overlap by more than `JOINED` are one; without, no states are. ``random``: it has seeds.
+    ``joined``: states whose boxes overlap by more than `JOINED` are one; without, no states are.
+    ``random``: it has seeds.
     """
 
     name: str
@@ -78,8 +92,9 @@ class GroundRun:
 
 @dataclass(frozen=True, slots=True)
 class GroundScores:
-    """How near rows are to the truth's places: MOTA and IDF1 with matches within `NEAR`; of the rows matched one to one
-    within `FAR`, the root of the mean squared distance, the median, and the share of all annotated rows within `NEAR`."""
+    """How near rows are to the truth's places: MOTA and IDF1 with matches within `NEAR`; of the
+    rows matched one to one within `FAR`, the root of the mean squared distance, the median, and the
+    share of all annotated rows within `NEAR`."""
 
     mota: float
     idf1: float
@@ -90,9 +105,9 @@ class GroundScores:
 
 @dataclass(frozen=True, slots=True)
 class GroundErrors:
-    """One run: in the image with the tracks' boxes (``own``) and with the detections' boxes where a row rests on one
-    (``taken``), each MOTA, IDF1; on the ground; mean absolute errors of the mass, of the number of states, and the bias of
-    the mass."""
+    """One run: in the image with the tracks' boxes (``own``) and with the detections' boxes where a
+    row rests on one (``taken``), each MOTA, IDF1; on the ground; mean absolute errors of the mass,
+    of the number of states, and the bias of the mass."""
 
     own: tuple[float, float]
     taken: tuple[float, float]
@@ -104,12 +119,25 @@ class GroundErrors:
     def numbers(self) -> tuple[float, ...]:
         """In the order of the tables: image, ground, counts."""
         g = self.ground
-        return (*self.own, *self.taken, g.mota, g.idf1, g.rmse, g.median, g.within, self.mass, self.states, self.bias)
+        return (
+            *self.own,
+            *self.taken,
+            g.mota,
+            g.idf1,
+            g.rmse,
+            g.median,
+            g.within,
+            self.mass,
+            self.states,
+            self.bias,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Places:
-    """People on the ground: ``frame`` (M,), ``identity`` (M,), ``point`` (2, M) metres, NaN where the ground is not met."""
+    """People on the ground: ``frame`` (M,), ``identity`` (M,), ``point`` (2, M) metres, NaN where
+    the ground is not met.
+    """
 
     frame: I8
     identity: I8
@@ -138,7 +166,11 @@ def true_places() -> Places:
     """The columns X, Y of the annotation, of the rows that count."""
     rows = np.loadtxt(need_data() / "mot15" / SEQUENCE / "gt" / "gt.txt", delimiter=",")
     rows = rows[rows[:, 6] != 0]
-    return Places(rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64), np.ascontiguousarray(rows[:, 7:9].T))
+    return Places(
+        rows[:, 0].astype(np.int64),
+        rows[:, 1].astype(np.int64),
+        np.ascontiguousarray(rows[:, 7:9].T),
+    )
 
 
 def feet(xyxy: F8) -> F8:
@@ -152,13 +184,14 @@ def places_of(rows: Tracks) -> Places:
 
 
 def ground_scene(truth: Places, found: Places, frames: int, near: float) -> Scene:
-    """Truth and output side by side as for boxes, with 1 − d/(2 near) of the distance d in place of the overlap (not below
-    0): an overlap of a half is a distance of ``near``."""
+    """Truth and output side by side as for boxes, with 1 − d/(2 near) of the distance d in place of
+    the overlap (not below 0): an overlap of a half is a distance of ``near``."""
     names, who = np.unique(truth.identity, return_inverse=True)
     outputs, which = np.unique(found.identity, return_inverse=True)
     pairs = []
     for number in np.union1d(truth.frame, found.frame).tolist():
-        t, o = np.flatnonzero(truth.frame == number), np.flatnonzero(found.frame == number)
+        t = np.flatnonzero(truth.frame == number)
+        o = np.flatnonzero(found.frame == number)
         apart = np.hypot(*(truth.point[:, t, None] - found.point[:, None, o]))
         closeness = np.maximum(1 - np.nan_to_num(apart, nan=np.inf) / (2 * near), 0.0)
         pairs.append(FramePair(number, who[t], which[o], closeness, t, o))
@@ -166,10 +199,13 @@ def ground_scene(truth: Places, found: Places, frames: int, near: float) -> Scen
 
 
 def errors(truth: Places, found: Places, far: float) -> F8:
-    """(K,) distances of the pairs matched one to one within ``far`` metres, each frame for itself."""
+    """(K,) distances of the pairs matched one to one within ``far`` metres, each frame for
+    itself.
+    """
     out = []
     for number in np.intersect1d(truth.frame, found.frame).tolist():
-        a, b = truth.point[:, truth.frame == number], found.point[:, found.frame == number]
+        a = truth.point[:, truth.frame == number]
+        b = found.point[:, found.frame == number]
         b = b[:, np.isfinite(b).all(axis=0)]
         rows, columns = nearest(a, b, far)
         out.append(np.hypot(*(a[:, rows] - b[:, columns])))
@@ -204,19 +240,30 @@ def sets_of(variant: Variant) -> tuple[str, ...]:
     if not variant.plane:
         return (joined,)
     occlusion = f"sensor.occlusion={str(variant.occlusion).lower()}"
-    return ("motion.kind=plane", f"camera.file={camera_file()}", f"camera.first_pixel={FIRST_PIXEL}", occlusion, joined)
+    return (
+        "motion.kind=plane",
+        f"camera.file={camera_file()}",
+        f"camera.first_pixel={FIRST_PIXEL}",
+        occlusion,
+        joined,
+    )
 
 
 def work(job: GroundRun) -> GroundErrors:
     """One run over the sequence."""
-    given, variant = case(job.kind), VARIANTS[job.variant]
+    given = case(job.kind)
+    variant = VARIANTS[job.variant]
     stages = built(given.info, variant.filter, sets_of(variant))
     rng = np.random.default_rng(job.seed)
     state = pipeline.start(stages, rng)
-    mass, states = np.zeros(given.info.frames), np.zeros(given.info.frames)
+    mass = np.zeros(given.info.frames)
+    states = np.zeros(given.info.frames)
     for k in range(given.info.frames):
-        state, step = pipeline.advance(stages, state, given.table.at(k + 1), k + 1, k / given.info.fps, rng)
-        mass[k], states[k] = step.info.mass, len(step.estimates)
+        state, step = pipeline.advance(
+            stages, state, given.table.at(k + 1), k + 1, k / given.info.fps, rng
+        )
+        mass[k] = step.info.mass
+        states[k] = len(step.estimates)
     tracks = pipeline.finish(stages, state)
     people = numbers(given.truth.frame, given.info.frames)
     return GroundErrors(
@@ -245,7 +292,9 @@ def main(options: Options) -> Path:
     seeds = options.number(SEEDS, 1)
     kinds, variants = (KINDS[:1], VARIANTS[:2]) if options.quick else (KINDS, VARIANTS)
     ways = [(kind, i, v) for kind in kinds for i, v in enumerate(variants)]
-    jobs = [GroundRun(kind, i, seed) for kind, i, v in ways for seed in range(seeds if v.random else 1)]
+    jobs = [
+        GroundRun(kind, i, seed) for kind, i, v in ways for seed in range(seeds if v.random else 1)
+    ]
     outcomes = dict(zip(jobs, in_parallel(work, jobs, "plane", options), strict=True))
     return write("plane", options, **figures(outcomes, seeds))
 
@@ -253,7 +302,10 @@ def main(options: Options) -> Path:
 def figures(outcomes: dict[GroundRun, GroundErrors], seeds: int) -> dict[str, object]:
     """What is filled into the page."""
     ways = dict.fromkeys((run.kind, run.variant) for run in outcomes)
-    each = {way: [one for run, one in outcomes.items() if (run.kind, run.variant) == way] for way in ways}
+    each = {
+        way: [one for run, one in outcomes.items() if (run.kind, run.variant) == way]
+        for way in ways
+    }
     rows = [(_head(kind, VARIANTS[i]), _means(those)) for (kind, i), those in each.items()]
     image = [(*head, *cells[:4]) for head, cells in rows]
     ground = [*_references(), *((*head, *cells[4:9]) for head, cells in rows)]
@@ -263,8 +315,12 @@ def figures(outcomes: dict[GroundRun, GroundErrors], seeds: int) -> dict[str, ob
         "joined": JOINED,
         "near": NEAR,
         "far": FAR,
-        "image": table((*_HEAD, "MOTA", "IDF1", "MOTA, detections' boxes", "IDF1, detections' boxes"), image),
-        "ground": table((*_HEAD, "MOTA", "IDF1", "RMSE, m", "median, m", f"within {NEAR:g} m"), ground),
+        "image": table(
+            (*_HEAD, "MOTA", "IDF1", "MOTA, detections' boxes", "IDF1, detections' boxes"), image
+        ),
+        "ground": table(
+            (*_HEAD, "MOTA", "IDF1", "RMSE, m", "median, m", f"within {NEAR:g} m"), ground
+        ),
         "counts": table((*_HEAD, "mass", "states", "bias of the mass"), counts),
     }
 
@@ -274,20 +330,34 @@ _HEAD = ("detections", "world", "filter", "occlusion")
 
 def _head(kind: str, variant: Variant) -> tuple[str, ...]:
     """The first cells of a row."""
-    return (kind, "ground" if variant.plane else "image", variant.name, "on" if variant.occlusion else "off")
+    return (
+        kind,
+        "ground" if variant.plane else "image",
+        variant.name,
+        "on" if variant.occlusion else "off",
+    )
 
 
 def _means(outcomes: Sequence[GroundErrors]) -> list[str]:
     """Means over the seeds, with their standard errors."""
-    return [with_error(column) for column in zip(*(outcome.numbers() for outcome in outcomes), strict=True)]
+    return [
+        with_error(column)
+        for column in zip(*(outcome.numbers() for outcome in outcomes), strict=True)
+    ]
 
 
 def _references() -> list[tuple[str, ...]]:
-    """What is in the truth's boxes and in the detections before anything is tracked: places without identities."""
-    truth, out = true_places(), []
+    """What is in the truth's boxes and in the detections before anything is tracked: places without
+    identities.
+    """
+    truth = true_places()
+    out = []
     given = case(KINDS[0]).truth
     boxes = Places(given.frame, given.identity, feet(given.xyxy))
-    for name, found in (("annotated boxes", boxes), *((f"{kind}, all", _seen(kind)) for kind in KINDS)):
+    for name, found in (
+        ("annotated boxes", boxes),
+        *((f"{kind}, all", _seen(kind)) for kind in KINDS),
+    ):
         off = errors(truth, found, FAR)
         near = np.count_nonzero(off <= NEAR) / len(truth.frame)
         numbers_ = (math.sqrt(float((off**2).mean())), float(np.median(off)), float(near))
@@ -306,6 +376,18 @@ def _raw() -> list[tuple[str, ...]]:
     out: list[tuple[str, ...]] = []
     for kind in KINDS:
         given = case(kind)
-        off = numbers(given.table.frame, given.info.frames) - numbers(given.truth.frame, given.info.frames)
-        out.append((kind, "", "number of detections", "", "", f"{np.abs(off).mean():.3f}", f"{off.mean():.3f}"))
+        off = numbers(given.table.frame, given.info.frames) - numbers(
+            given.truth.frame, given.info.frames
+        )
+        out.append(
+            (
+                kind,
+                "",
+                "number of detections",
+                "",
+                "",
+                f"{np.abs(off).mean():.3f}",
+                f"{off.mean():.3f}",
+            )
+        )
     return out

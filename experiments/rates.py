@@ -1,13 +1,15 @@
-"""Frame rates: the same settings from a picture in five minutes to a hundred a second, and with lost frames.
+"""Frame rates: the same settings from a picture in five minutes to a hundred a second, and with
+lost frames.
 
-Sequences of 25 and 30 pictures a second are thinned, truth and detections alike, and the tracker is told the rate. Peers had
-the same detections and, where they know such a setting, the rate (`rates_peers.csv`: SORT, ByteTrack, OC-SORT, BoT-SORT and
-C-BIoU of the package `trackers` 2.6.1 with their defaults, without pictures, and norfair 2.4.3 with its IoU distance up to
-0.7).
+Sequences of 25 and 30 pictures a second are thinned, truth and detections alike, and the tracker is
+told the rate. Peers had the same detections and, where they know such a setting, the rate
+(`rates_peers.csv`: SORT, ByteTrack, OC-SORT, BoT-SORT and C-BIoU of the package `trackers` 2.6.1
+with their defaults, without pictures, and norfair 2.4.3 with its IoU distance up to 0.7).
 
-For rates above those of the data, truth is interpolated to four times the rate; its detections are drawn: 90 % of the boxes,
-5 % jitter. Beside it stands every fourth frame of the same detections. Where frames are lost, a fifth, the tracker is told
-the numbers of the others; without loss it had all, and both are scored on the frames that were left."""
+For rates above those of the data, truth is interpolated to four times the rate; its detections are
+drawn: 90 % of the boxes, 5 % jitter. Beside it stands every fourth frame of the same detections.
+Where frames are lost, a fifth, the tracker is told the numbers of the others; without loss it had
+all, and both are scored on the frames that were left."""
 
 from __future__ import annotations
 
@@ -32,8 +34,10 @@ from phdtrack.types import F8, SequenceInfo
 RATES = ("full", "15", "10", "5")
 OUTPUTS = ("online", "corrected")
 # The sequences whose truth is interpolated, and of how many of their frames.
-FAST, FAST_FRAMES = ("basketball-1", "football-1", "MDMT-57-1"), 250
-CELLS, CELLS_RATE = ("GOWT1-01", "threshold"), 1 / 300
+FAST = ("basketball-1", "football-1", "MDMT-57-1")
+FAST_FRAMES = 250
+CELLS = ("GOWT1-01", "threshold")
+CELLS_RATE = 1 / 300
 # What is done to a sequence, its name, its detections.
 RateRun = tuple[str, str, str]
 
@@ -41,17 +45,23 @@ RateRun = tuple[str, str, str]
 def rows_of(path: Path) -> F8:
     """The rows of a MOT file; (0, 9) where it is missing or empty."""
     lines = path.read_text(encoding="utf-8").split() if path.is_file() else []
-    return np.array([[float(cell) for cell in line.split(",")[:9]] for line in lines]).reshape(len(lines), 9)
+    return np.array([[float(cell) for cell in line.split(",")[:9]] for line in lines]).reshape(
+        len(lines), 9
+    )
 
 
 def renumbered(rows: F8, kept: F8) -> F8:
     """The rows of the frames ``kept``, which are numbered from 1."""
     out = rows[np.isin(rows[:, 0], kept)] if len(rows) else rows
-    return np.column_stack([np.searchsorted(kept, out[:, 0]) + 1.0, out[:, 1:]]) if len(out) else out
+    return (
+        np.column_stack([np.searchsorted(kept, out[:, 0]) + 1.0, out[:, 1:]]) if len(out) else out
+    )
 
 
 def interpolated(truth: F8, times: int) -> F8:
-    """Truth with ``times`` as many frames: boxes between those of an identity in two frames in a row are in between."""
+    """Truth with ``times`` as many frames: boxes between those of an identity in two frames in a
+    row are in between.
+    """
     parts = []
     for identity in np.unique(truth[:, 1]):
         rows = truth[truth[:, 1] == identity]
@@ -65,7 +75,9 @@ def interpolated(truth: F8, times: int) -> F8:
 
 
 def drawn(truth: F8) -> F8:
-    """Detections of truth: 90 % of the boxes, each coordinate off by 5 % of the size, all of score 1."""
+    """Detections of truth: 90 % of the boxes, each coordinate off by 5 % of the size, all of score
+    1.
+    """
     rng = np.random.default_rng(1)
     out = truth[rng.random(len(truth)) < 0.9].copy()
     out[:, 2:6] += 0.05 * out[:, [4, 5, 4, 5]] * rng.standard_normal((len(out), 4))
@@ -77,7 +89,10 @@ def tracked(info: SequenceInfo, rows: F8, numbers: F8) -> tuple[Tracks, Tracks]:
     boxes = np.column_stack([rows[:, 2:4], rows[:, 2:4] + rows[:, 4:6], rows[:, 6]])
     whole = (rows[:, 4:6] > 0).all(axis=1)
     tracker = Tracker((info.width, info.height), fps=info.fps, preset="default")
-    online = [tracker.update(boxes[whole & (rows[:, 0] == number)], frame=int(number)) for number in numbers]
+    online = [
+        tracker.update(boxes[whole & (rows[:, 0] == number)], frame=int(number))
+        for number in numbers
+    ]
     return Tracks.concatenate([*online, tracker.flush()]), tracker.tracks()
 
 
@@ -87,15 +102,19 @@ def hota(job: RateRun) -> tuple[float, float]:
     folder = folder_of(sequence)
     info = read_seqinfo(folder)
     truth, ignored = (rows_of(folder / "gt" / name) for name in ("gt.txt", "ignore.txt"))
-    given, fps = rows_of(folder / f"det_{detector}" / "det.txt"), CELLS_RATE if sequence == CELLS[0] else info.fps
+    given = rows_of(folder / f"det_{detector}" / "det.txt")
+    fps = CELLS_RATE if sequence == CELLS[0] else info.fps
     kept = every = np.arange(1.0, info.frames + 1)
     if what in ("fast", "every fourth"):
-        truth, ignored = interpolated(truth[truth[:, 0] <= FAST_FRAMES], 4), truth[:0]
+        ignored = truth[:0]
+        truth = interpolated(truth[truth[:, 0] <= FAST_FRAMES], 4)
         kept = every = np.arange(1.0, 4 * FAST_FRAMES - 2)
-        given, fps = drawn(truth), 4 * fps
+        given = drawn(truth)
+        fps = 4 * fps
     if what in RATES[1:] or what == "every fourth":
         step = 4 if what == "every fourth" else math.ceil(info.fps / float(what) - 1e-9)
-        kept, fps = every[::step], fps / step
+        kept = every[::step]
+        fps = fps / step
         truth, ignored, given = (renumbered(rows, kept) for rows in (truth, ignored, given))
         kept = every = np.arange(1.0, len(kept) + 1)
     if what in ("lost", "none lost"):
@@ -118,7 +137,9 @@ def hota(job: RateRun) -> tuple[float, float]:
             left = tracks.take(np.isin(tracks.frame, kept))
             numbered = replace(left, frame=np.searchsorted(kept, left.frame) + 1)
             write_tracks(Path(place) / "tracks.txt", numbered)
-            found.append(float(scorer.row(scorer.sequence(sequence, Path(place) / "tracks.txt"))["HOTA"]))
+            found.append(
+                float(scorer.row(scorer.sequence(sequence, Path(place) / "tracks.txt"))["HOTA"])
+            )
     return found[0], found[1]
 
 
@@ -160,10 +181,15 @@ def main(options: Options) -> Path:
     }  # fmt: skip
     jobs = [(what, *case) for what, those in kinds.items() for case in those]
     found = dict(zip(jobs, in_parallel(hota, jobs, "rates", options), strict=True))
-    theirs, lines, means = peers(), [], []
+    theirs = peers()
+    lines = []
+    means = []
     for group, those in groups.items():
         best = [float(np.mean([theirs[what, *case] for case in those])) for what in RATES]
-        ours = [[float(np.mean([found[what, *case][k] for case in those])) for what in RATES] for k in range(2)]
+        ours = [
+            [float(np.mean([found[what, *case][k] for case in those])) for what in RATES]
+            for k in range(2)
+        ]
         means.append([best, *ours])
         lines.append([f"{group} ({len(those)})", *(fall(values) for values in means[-1])])
     lines.append(["mean of groups", *(fall(values) for values in np.mean(means, axis=0))])
@@ -174,7 +200,9 @@ def main(options: Options) -> Path:
     more = []
     for name, (before, after, those) in pairs.items():
         if those:
-            values = np.array([[found[what, *case] for what in (before, after)] for case in those]).mean(axis=0)
+            values = np.array(
+                [[found[what, *case] for what in (before, after)] for case in those]
+            ).mean(axis=0)
             more.append([name, len(those), *(f"{a:.1f} → {b:.1f}" for a, b in values.T)])
     return write(
         "rates",
@@ -182,5 +210,8 @@ def main(options: Options) -> Path:
         rates=table(["group (cases)", "best peer", "online", "corrected"], lines),
         falls=fall([values[0] - values[-1] for values in np.mean(means, axis=0)]),
         more=table(["what", "cases", "online", "corrected"], more),
-        cells=" and ".join(f"{value:.1f} {output}" for value, output in zip(found["cells", *CELLS], OUTPUTS, strict=True)),
+        cells=" and ".join(
+            f"{value:.1f} {output}"
+            for value, output in zip(found["cells", *CELLS], OUTPUTS, strict=True)
+        ),
     )

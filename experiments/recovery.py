@@ -1,9 +1,11 @@
-"""What live does when cameras fail: ``python -m experiments.recovery [servers|latency|kills] [--quick]``.
+"""What live does when cameras fail: ``python -m experiments.recovery [servers|latency|kills]
+[--quick]``.
 
-``servers``: `phdtrack live` on an RTSP, an MJPEG and an HLS server of this machine, which is killed and started again,
-freezes, accepts and says nothing, slows down, and changes its size. A square moves to and fro by the clock, so that times,
-speeds and identities in the rows can be checked. ``latency``: from a picture's arrival to its events on disk. ``kills``:
-`phdtrack live` itself is killed at random times and started again. Figures go to runs/reliability, as JSON.
+``servers``: `phdtrack live` on an RTSP, an MJPEG and an HLS server of this machine, which is killed
+and started again, freezes, accepts and says nothing, slows down, and changes its size. A square
+moves to and fro by the clock, so that times, speeds and identities in the rows can be checked.
+``latency``: from a picture's arrival to its events on disk. ``kills``: `phdtrack live` itself is
+killed at random times and started again. Figures go to runs/reliability, as JSON.
 """
 
 from __future__ import annotations
@@ -46,9 +48,13 @@ class Mjpeg:
 
     def __init__(self) -> None:
         self._server = CameraServer()
-        self._server.rate, self._server.size, self.url = 25.0, (640, 480), self._server.url
+        self._server.rate = 25.0
+        self._server.size = (640, 480)
+        self.url = self._server.url
         self._server.draw = lambda wall: square(wall, *self._server.size)
-        self.port, self.kill, self.restart = self._server.port, self._server.kill, self._server.restart
+        self.port = self._server.port
+        self.kill = self._server.kill
+        self.restart = self._server.restart
 
     def end(self) -> None: ...
 
@@ -87,7 +93,9 @@ class Rows:
     """The rows of detected tracks that `phdtrack live` writes, as they come."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder, self._read, self.rows = folder, Counter[str](), list[tuple[float, int, float]]()
+        self._folder = folder
+        self._read = Counter[str]()
+        self.rows = list[tuple[float, int, float]]()
 
     def newest(self) -> float:
         """Read on; the time of the newest row, 0 where there is none."""
@@ -102,7 +110,9 @@ class Rows:
                 # Confirmed, and seen in the picture.
                 if row[0] != "time" and row[10] == "1" and row[9] != "-1":
                     middle = float(row[4]) + float(row[6]) / 2
-                    self.rows.append((datetime.fromisoformat(row[0]).timestamp(), int(row[2]), middle))
+                    self.rows.append(
+                        (datetime.fromisoformat(row[0]).timestamp(), int(row[2]), middle)
+                    )
         return self.rows[-1][0] if self.rows else 0.0
 
     def between(self, start: float, end: float) -> np.ndarray:
@@ -112,7 +122,9 @@ class Rows:
 
 
 @contextmanager
-def running(words: Sequence[str], stdout: Any = subprocess.DEVNULL) -> Iterator[subprocess.Popen[bytes]]:
+def running(
+    words: Sequence[str], stdout: Any = subprocess.DEVNULL
+) -> Iterator[subprocess.Popen[bytes]]:
     with subprocess.Popen([*LIVE, *words], stdout=stdout, stderr=subprocess.DEVNULL) as child:
         try:
             yield child
@@ -123,7 +135,11 @@ def running(words: Sequence[str], stdout: Any = subprocess.DEVNULL) -> Iterator[
 
 def resident(pid: int) -> float:
     """Megabytes."""
-    (line,) = (line for line in Path(f"/proc/{pid}/status").read_text().splitlines() if line.startswith("VmRSS"))
+    (line,) = (
+        line
+        for line in Path(f"/proc/{pid}/status").read_text().splitlines()
+        if line.startswith("VmRSS")
+    )
     return int(line.split()[1]) / 1000
 
 
@@ -136,7 +152,8 @@ def steady(seconds: float) -> None:
 def mute(server: Any) -> Iterator[None]:
     """Something else listens at the server's port, accepts, and says nothing."""
     server.kill()
-    listening, held = socket.create_server(("127.0.0.1", server.port)), list[socket.socket]()
+    listening = socket.create_server(("127.0.0.1", server.port))
+    held = list[socket.socket]()
 
     def accept() -> None:
         with suppress(OSError):
@@ -171,20 +188,33 @@ def trial(server: Any, what: str, seconds: float) -> None:
 
 def plan(quick: bool) -> list[tuple[str, float]]:
     """What is done to each server, and for how many seconds."""
-    short = [("killed", 0.8)] * 20 + [("frozen", 1.5)] * 5 + [("mute", 1.0)] * 5 + [("size", 2.0)] * 4 + [("slow", 5.0)] * 2
-    return [("killed", 0.5), ("size", 1.0)] if quick else [*short, ("killed", 12.0), ("frozen", 12.0), ("mute", 15.0)]
+    short = (
+        [("killed", 0.8)] * 20
+        + [("frozen", 1.5)] * 5
+        + [("mute", 1.0)] * 5
+        + [("size", 2.0)] * 4
+        + [("slow", 5.0)] * 2
+    )
+    return (
+        [("killed", 0.5), ("size", 1.0)]
+        if quick
+        else [*short, ("killed", 12.0), ("frozen", 12.0), ("mute", 15.0)]
+    )
 
 
 def measured(rows: Rows, what: str, seconds: float, begun: float, back: float) -> dict[str, object]:
     """What the rows say about a failure from ``begun`` to ``back`` (seconds since 1970)."""
-    before, after = rows.between(begun - 1, begun), rows.between(back, back + 60)
+    before = rows.between(begun - 1, begun)
+    after = rows.between(back, back + 60)
     found: dict[str, object] = {"what": what, "seconds": seconds, "gap": round(back - begun, 2)}
     found["recovered"] = round(float(after[0, 0]) - back, 3)
     found["kept"] = bool(len(before) and after[0, 1] == before[-1, 1])
     # The first half second may hold pictures that were sent before.
     still = after[(after[:, 0] > after[0, 0] + 0.5) & (after[:, 0] // 8 == after[0, 0] // 8)]
     if len(still) > 10 and np.ptp(still[:, 0]) > 1:
-        found["speed"] = round(abs(float(np.polyfit(still[:, 0] - still[0, 0], still[:, 2], 1)[0])) / SPEED, 4)
+        found["speed"] = round(
+            abs(float(np.polyfit(still[:, 0] - still[0, 0], still[:, 2], 1)[0])) / SPEED, 4
+        )
     if what == "slow":
         during = np.diff(np.unique(rows.between(begun + 1.5, back)[:, 0]))
         found["interval"] = round(float(np.median(during)), 3) if len(during) else None
@@ -193,8 +223,11 @@ def measured(rows: Rows, what: str, seconds: float, begun: float, back: float) -
 
 def on_server(name: str, quick: bool) -> dict[str, object]:
     """All failures of a server, one after the other, under one `phdtrack live`."""
-    server, out = SERVERS[name](), Path(tempfile.mkdtemp())
-    rows, found, memory = Rows(out / "cam"), list[dict[str, object]](), list[float]()
+    server = SERVERS[name]()
+    out = Path(tempfile.mkdtemp())
+    rows = Rows(out / "cam")
+    found = list[dict[str, object]]()
+    memory = list[float]()
     with running([f"cam={server.url}", "--out", str(out), "--no-page"]) as child:
         until(lambda: rows.newest())
         time.sleep(5)
@@ -214,11 +247,19 @@ def on_server(name: str, quick: bool) -> dict[str, object]:
         ended = time.monotonic() - asked
     server.kill()
     server.end()
-    times = {what: [one["recovered"] for one in found if one["what"] == what] for what in dict(plan(quick))}
+    times = {
+        what: [one["recovered"] for one in found if one["what"] == what]
+        for what in dict(plan(quick))
+    }
     speeds = [one["speed"] for one in found if "speed" in one]
     return {
-        "recovered_median_worst": {what: (float(np.median(each)), max(each)) for what, each in times.items()},
-        "kept_short_gaps": [sum(bool(one["kept"]) for one in found if one["gap"] < 3), sum(one["gap"] < 3 for one in found)],
+        "recovered_median_worst": {
+            what: (float(np.median(each)), max(each)) for what, each in times.items()
+        },
+        "kept_short_gaps": [
+            sum(bool(one["kept"]) for one in found if one["gap"] < 3),
+            sum(one["gap"] < 3 for one in found),
+        ],
         "speed_to_truth_least_most": (min(speeds), max(speeds)),
         "resident_mb": memory,
         "exit_status_and_seconds": (status, round(ended, 2)),
@@ -230,7 +271,8 @@ def latency(quick: bool) -> dict[str, object]:
     """Median and 99 % in milliseconds of one camera, and of four."""
     found = dict[str, object]()
     for cameras in (1, 4):
-        servers, out = [Mjpeg() for _ in range(cameras)], Path(tempfile.mkdtemp())
+        servers = [Mjpeg() for _ in range(cameras)]
+        out = Path(tempfile.mkdtemp())
         with socket.create_server(("127.0.0.1", 0)) as one:
             port = one.getsockname()[1]
         words = [f"cam{k}={server.url}" for k, server in enumerate(servers)]
@@ -240,7 +282,9 @@ def latency(quick: bool) -> dict[str, object]:
             time.sleep(5 if quick else 90)
 
             def asked(k: int, port: int = port) -> dict[str, Any]:
-                with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/camera/cam{k}", timeout=60) as answer:
+                with urllib.request.urlopen(
+                    f"http://127.0.0.1:{port}/api/camera/cam{k}", timeout=60
+                ) as answer:
                     said: dict[str, Any] = json.load(answer)
                     return said
 
@@ -272,17 +316,33 @@ class Hook(BaseHTTPRequestHandler):
 
 
 def kills(quick: bool) -> dict[str, object]:
-    """Kill `phdtrack live` again and again on one folder, and look at all that it wrote and sent."""
-    camera, hook = CameraServer(), ThreadingHTTPServer(("127.0.0.1", 0), Hook)
-    camera.draw, hook.taken = walker, []  # type: ignore[attr-defined]
+    """Kill `phdtrack live` again and again on one folder, and look at all that it wrote and
+    sent.
+    """
+    camera = CameraServer()
+    hook = ThreadingHTTPServer(("127.0.0.1", 0), Hook)
+    camera.draw = walker
+    hook.taken = []  # type: ignore[attr-defined]
     threading.Thread(target=hook.serve_forever, daemon=True).start()
-    out, generator, said = Path(tempfile.mkdtemp()), random.Random(20), list[dict[str, Any]]()
-    folder, found = out / "cam", Counter[str]()
+    out = Path(tempfile.mkdtemp())
+    generator = random.Random(20)
+    said = list[dict[str, Any]]()
+    folder = out / "cam"
+    found = Counter[str]()
     (out / "places.toml").write_text(
         '[[line]]\nname = "door"\npoints = [[80, 119], [80, 0]]\n\n'
         '[[zone]]\nname = "room"\npoints = [[0, 0], [60, 0], [60, 119], [0, 119]]\n'
     )
-    words = [f"cam={camera.url}", "--out", str(out), "--no-page", "--places", str(out / "places.toml"), "--leave-after", "1"]
+    words = [
+        f"cam={camera.url}",
+        "--out",
+        str(out),
+        "--no-page",
+        "--places",
+        str(out / "places.toml"),
+        "--leave-after",
+        "1",
+    ]
     words += ["--webhook", f"http://127.0.0.1:{hook.server_port}/", "--allow-private"]
     names = ["SIGKILL", "SIGTERM"] if quick else ["SIGKILL"] * 50 + ["SIGTERM"] * 15
     generator.shuffle(names)
@@ -298,8 +358,12 @@ def kills(quick: bool) -> dict[str, object]:
             status = child.wait(60)
             found[f"{name} {status}"] += 1
             if name == "SIGTERM":
-                found["slowest SIGTERM, ms"] = max(found["slowest SIGTERM, ms"], round(1000 * (time.monotonic() - begun)))
-                found["left .part after SIGTERM with status 0"] += len(list(out.rglob("*.part"))) if status == 0 else 0
+                found["slowest SIGTERM, ms"] = max(
+                    found["slowest SIGTERM, ms"], round(1000 * (time.monotonic() - begun))
+                )
+                found["left .part after SIGTERM with status 0"] += (
+                    len(list(out.rglob("*.part"))) if status == 0 else 0
+                )
             text = (out / "said").read_bytes()
         said += [json.loads(line) for line in text[: text.rfind(b"\n") + 1].splitlines()]
         if folder.exists():
@@ -307,7 +371,12 @@ def kills(quick: bool) -> dict[str, object]:
         print(k, name, len(said) - had, dict(found), flush=True)
     camera.kill()
     hook.shutdown()
-    return {"folder": str(out), "runs": len(names) + 1, **checked(folder, said, hook.taken), **found}  # type: ignore[attr-defined]
+    return {
+        "folder": str(out),
+        "runs": len(names) + 1,
+        **checked(folder, said, hook.taken),
+        **found,
+    }  # type: ignore[attr-defined]
 
 
 def look(folder: Path, found: Counter[str]) -> None:
@@ -319,7 +388,9 @@ def look(folder: Path, found: Counter[str]) -> None:
     for path in sorted(folder.rglob("*.*")):
         if path.suffix == ".csv":
             text = path.read_text()
-            found["cut rows"] += not text.endswith("\n") or any(line.count(",") != 10 for line in text.splitlines())
+            found["cut rows"] += not text.endswith("\n") or any(
+                line.count(",") != 10 for line in text.splitlines()
+            )
         elif path.suffix == ".parquet":
             found["unreadable parquet"] += parquet.read_table(path).num_rows < 1
         elif path.suffix == ".mp4":
@@ -328,25 +399,36 @@ def look(folder: Path, found: Counter[str]) -> None:
                 found["videos with a problem"] += not list(source) or bool(source.problem)
             except Exception:
                 found["unreadable videos"] += 1
-    lines = (folder / "events.jsonl").read_text().split("\n") if (folder / "events.jsonl").exists() else [""]
+    lines = (
+        (folder / "events.jsonl").read_text().split("\n")
+        if (folder / "events.jsonl").exists()
+        else [""]
+    )
     found["events.jsonl ended in a cut line before the next start"] += bool(lines[-1])
     for line in lines[:-1]:
         json.loads(line)
 
 
-def checked(folder: Path, said: list[dict[str, Any]], taken: list[tuple[str, dict[str, Any]]]) -> dict[str, object]:
+def checked(
+    folder: Path, said: list[dict[str, Any]], taken: list[tuple[str, dict[str, Any]]]
+) -> dict[str, object]:
     """Whether files, table, lines on stdout and the webhook agree."""
     import sqlite3
 
     kept = [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
     base = sqlite3.connect(folder / "events.sqlite")
-    table = [json.loads(text) for (text,) in base.execute("SELECT event FROM events ORDER BY rowid")]
+    table = [
+        json.loads(text) for (text,) in base.execute("SELECT event FROM events ORDER BY rowid")
+    ]
     base.close()
     told = [event for event in said if event["kind"] != "source"]
-    names, received = {event["id"] for event in kept}, Counter(name for name, _ in taken)
+    names = {event["id"] for event in kept}
+    received = Counter(name for name, _ in taken)
 
     def content(event: dict[str, Any]) -> str:
-        return json.dumps({key: value for key, value in event.items() if key != "id"}, sort_keys=True)
+        return json.dumps(
+            {key: value for key, value in event.items() if key != "id"}, sort_keys=True
+        )
 
     twice = Counter(content(event) for event in kept)
     return {
@@ -359,17 +441,26 @@ def checked(folder: Path, said: list[dict[str, Any]], taken: list[tuple[str, dic
         "said on stdout": len(told),
         "delivered and not in the file": sum(name not in names for name in received),
         "in the file and never delivered": sum(name not in received for name in names),
-        "delivered more than once, under the same identifier": sum(number > 1 for number in received.values()),
-        "order of deliveries differs": list(dict.fromkeys(name for name, _ in taken)) != [event["id"] for event in kept],
+        "delivered more than once, under the same identifier": sum(
+            number > 1 for number in received.values()
+        ),
+        "order of deliveries differs": list(dict.fromkeys(name for name, _ in taken))
+        != [event["id"] for event in kept],
         "in order": [event["time"] for event in kept] == sorted(event["time"] for event in kept),
     }
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("part", nargs="*", default=["servers", "latency", "kills"])
-    parser.add_argument("--quick", action="store_true", help="a short form that shows that everything works")
-    parser.add_argument("--server", action="append", choices=tuple(SERVERS), help="only this one; repeatable")
+    parser.add_argument(
+        "--quick", action="store_true", help="a short form that shows that everything works"
+    )
+    parser.add_argument(
+        "--server", action="append", choices=tuple(SERVERS), help="only this one; repeatable"
+    )
     given = parser.parse_args(words)
     OUT.mkdir(parents=True, exist_ok=True)
     for part in given.part:

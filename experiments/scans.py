@@ -1,16 +1,20 @@
-"""What the simulated scenarios of points share: one filter over one realisation, many runs, what they come to.
+"""What the simulated scenarios of points share: one filter over one realisation, many runs, what
+they come to.
 
-OSPA is one distance between two sets of points, for where they are and how many (Schuhmacher, Vo, Vo 2008):
+OSPA is one distance between two sets of points, for where they are and how many (Schuhmacher, Vo,
+Vo 2008):
 
     OSPA(x, y) = [ 1/max(n, m) ( min_π Σ min(d(x_i, y_π(i)), c)^p + c^p |n − m| ) ]^(1/p)
 
-where π maps the smaller set into the larger; c is the price of a point too many. Two empty sets are at distance 0. (Stone
-Soup maps for the least Σ min(d, c) whatever p is, and so gives more than the least for p > 1 at times.) With order 1 it has
-two parts: the cut-off distances of the pairs, and c for each state too many or too few, both over the larger number.
+where π maps the smaller set into the larger; c is the price of a point too many. Two empty sets are
+at distance 0. (Stone Soup maps for the least Σ min(d, c) whatever p is, and so gives more than the
+least for p > 1 at times.) With order 1 it has two parts: the cut-off distances of the pairs, and c
+for each state too many or too few, both over the larger number.
 
-GOSPA (α = 2, order 1) is a sum instead: the distances of the pairs, and c/2 for each target missed and each state too many.
-T-GOSPA is the same of whole trajectories, with γ/2 for each mapping that begins or ends (`metrics.trajectories`), here per
-scan. Filters with labels have trajectories: each one's states by its label, the last word about every scan.
+GOSPA (α = 2, order 1) is a sum instead: the distances of the pairs, and c/2 for each target missed
+and each state too many. T-GOSPA is the same of whole trajectories, with γ/2 for each mapping that
+begins or ends (`metrics.trajectories`), here per scan. Filters with labels have trajectories: each
+one's states by its label, the last word about every scan.
 """
 
 from __future__ import annotations
@@ -36,7 +40,9 @@ Stages = tuple[Filter[Any], Extractor[Any]]
 
 @dataclass(frozen=True, slots=True)
 class FilterRun:
-    """One run of one ``filter`` in one ``case`` of a scenario; ``seed`` decides the scans, whatever the filter."""
+    """One run of one ``filter`` in one ``case`` of a scenario; ``seed`` decides the scans, whatever
+    the filter.
+    """
 
     filter: str
     case: str
@@ -45,9 +51,11 @@ class FilterRun:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Realisation:
-    """Scans of a scenario: (m, N) measurements and (d, n) true states of each, and the model that filters are given.
+    """Scans of a scenario: (m, N) measurements and (d, n) true states of each, and the model that
+    filters are given.
 
-    ``identity`` (n,) of the true states of each; ``interval`` seconds between scans, ``cutoff`` metres of the OSPA distance.
+    ``identity`` (n,) of the true states of each; ``interval`` seconds between scans, ``cutoff``
+    metres of the OSPA distance.
     """
 
     model: Model
@@ -60,10 +68,11 @@ class Realisation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetErrors:
-    """Per scan: ``ospa`` and its part ``number`` in metres, ``error`` the number of states less that of targets, ``gospa``.
+    """Per scan: ``ospa`` and its part ``number`` in metres, ``error`` the number of states less
+    that of targets, ``gospa``.
 
-    ``seconds`` of processor time that filter and extraction took for a scan. ``trajectories``: the T-GOSPA of a filter with
-    labels in metres and a scan, and its parts.
+    ``seconds`` of processor time that filter and extraction took for a scan. ``trajectories``: the
+    T-GOSPA of a filter with labels in metres and a scan, and its parts.
     """
 
     ospa: F8
@@ -75,7 +84,9 @@ class SetErrors:
 
 
 def ospa(x: F8, y: F8, c: float, p: float = 1.0) -> float:
-    """The OSPA distance of order p, cut off at c, between points under the Euclidean distance: columns (d, n) and (d, m)."""
+    """The OSPA distance of order p, cut off at c, between points under the Euclidean distance:
+    columns (d, n) and (d, m).
+    """
     cost = np.minimum(np.sqrt(((x[:, :, None] - y[:, None, :]) ** 2).sum(axis=0)), c) ** p
     n, m = cost.shape
     return float(((cost[cheapest(cost)].sum() + c**p * abs(n - m)) / max(n, m, 1)) ** (1 / p))
@@ -95,34 +106,46 @@ def followed(given: Realisation, stages: Stages, seed: int) -> Iterator[tuple[Es
 
 def measured(given: Realisation, reports: Iterable[tuple[Estimates, float]]) -> SetErrors:
     """What the ``reports`` of the scans, as `followed` gives them, come to."""
-    scans, told = len(given.scans), list[Estimates]()
+    scans = len(given.scans)
+    told = list[Estimates]()
     distance, number, error, sums, seconds = (np.zeros(scans) for _ in range(5))
     for k, (found, spent) in enumerate(reports):
         truth = given.truth[k]
-        n, m = truth.shape[1], found.state.shape[1]
+        n = truth.shape[1]
+        m = found.state.shape[1]
         distance[k] = ospa(found.state[:2], truth[:2], given.cutoff)
         number[k] = given.cutoff * abs(n - m) / max(n, m, 1)
         # Order 1, one c of the number for each too many or too few, of which a half is GOSPA's.
         sums[k] = distance[k] * max(n, m, 1) - 0.5 * given.cutoff * abs(n - m)
-        error[k], seconds[k] = m - n, spent
+        error[k] = m - n
+        seconds[k] = spent
         # The first layer of a past is the one before the first scan.
         for back, then in enumerate(reversed(found.past[-k:] if k else ()), start=1):
             told[k - back] = told[k - back] if then is None else then
         told.append(found)
-    trajectories = _trajectories(given, told) if all(len(one.tag) == one.state.shape[1] for one in told) else None
+    trajectories = (
+        _trajectories(given, told)
+        if all(len(one.tag) == one.state.shape[1] for one in told)
+        else None
+    )
     # The first scans compile.
     return SetErrors(distance, number, error, sums, float(np.median(seconds)), trajectories)
 
 
 def _trajectories(given: Realisation, told: Sequence[Estimates]) -> TGospaParts:
-    """The T-GOSPA of what was told of the scans in the end, in metres and a scan; γ is as large as c."""
+    """The T-GOSPA of what was told of the scans in the end, in metres and a scan; γ is as large as
+    c.
+    """
     labels = np.unique(np.concatenate([one.tag for one in told]))
     people = np.unique(np.concatenate(given.identity))
-    there, reported = np.zeros((len(told), len(people)), np.bool_), np.zeros((len(told), len(labels)), np.bool_)
+    there = np.zeros((len(told), len(people)), np.bool_)
+    reported = np.zeros((len(told), len(labels)), np.bool_)
     distance = np.ones((len(told), len(people), len(labels)))
     for k, (one, truth, identity) in enumerate(zip(told, given.truth, given.identity, strict=True)):
-        i, j = np.searchsorted(people, identity), np.searchsorted(labels, one.tag)
-        there[k, i], reported[k, j] = True, True
+        i = np.searchsorted(people, identity)
+        j = np.searchsorted(labels, one.tag)
+        there[k, i] = True
+        reported[k, j] = True
         apart = np.hypot(*(truth[:2, :, None] - one.state[:2, None, :]))
         distance[k][np.ix_(i, j)] = apart / given.cutoff
     parts = tgospa(distance, there, reported, 1.0)
@@ -135,20 +158,32 @@ RunErrors = dict[tuple[str, str], list[SetErrors]]
 
 
 def measure(
-    run: Callable[[FilterRun], SetErrors], runs: Mapping[tuple[str, str], int], label: str, options: Options
+    run: Callable[[FilterRun], SetErrors],
+    runs: Mapping[tuple[str, str], int],
+    label: str,
+    options: Options,
 ) -> RunErrors:
     """So many ``runs`` of every pair of a case and a filter, from seed 0."""
-    # Seed by seed: several processes then begin with different filters, and each kernel is compiled once.
+    # Seed by seed: several processes then begin with different filters, and each kernel is compiled
+    # once.
     jobs = [
-        FilterRun(name, case, seed) for seed in range(max(runs.values())) for case, name in runs if seed < runs[case, name]
+        FilterRun(name, case, seed)
+        for seed in range(max(runs.values()))
+        for case, name in runs
+        if seed < runs[case, name]
     ]
     outcomes = dict(zip(jobs, in_parallel(run, jobs, label, options), strict=True))
-    return {(case, name): [outcomes[FilterRun(name, case, seed)] for seed in range(n)] for (case, name), n in runs.items()}
+    return {
+        (case, name): [outcomes[FilterRun(name, case, seed)] for seed in range(n)]
+        for (case, name), n in runs.items()
+    }
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """Over ``runs``: mean OSPA with half the width of its 95 % interval, its parts, GOSPA, count errors, ms a scan."""
+    """Over ``runs``: mean OSPA with half the width of its 95 % interval, its parts, GOSPA, count
+    errors, ms a scan.
+    """
 
     runs: int
     ospa: float
@@ -203,16 +238,24 @@ COMPARED = (("gm-cphd", "gm-phd"), *PARTICLES, ("mht", "gm-cphd"), ("pmb", "mht"
 
 
 def apart(ours: Sequence[SetErrors], theirs: Sequence[SetErrors]) -> Interval:
-    """Mean difference of the OSPA, run by run where both have one on the same scans, and its 95 % interval."""
+    """Mean difference of the OSPA, run by run where both have one on the same scans, and its 95 %
+    interval.
+    """
     return interval([a.ospa.mean() - b.ospa.mean() for a, b in zip(ours, theirs, strict=False)])
 
 
-def differences(outcomes: dict[str, list[SetErrors]], pairs: Sequence[tuple[str, str]]) -> Iterator[tuple[str, str, str]]:
-    """Of each pair of filters that ran: which less which, how far apart in metres, and as a share."""
+def differences(
+    outcomes: dict[str, list[SetErrors]], pairs: Sequence[tuple[str, str]]
+) -> Iterator[tuple[str, str, str]]:
+    """Of each pair of filters that ran: which less which, how far apart in metres, and as a
+    share.
+    """
     for ours, theirs in pairs:
         if ours in outcomes and theirs in outcomes:
             difference = apart(outcomes[ours], outcomes[theirs])
-            level = np.mean([outcome.ospa.mean() for outcome in outcomes[theirs][: len(outcomes[ours])]])
+            level = np.mean(
+                [outcome.ospa.mean() for outcome in outcomes[theirs][: len(outcomes[ours])]]
+            )
             yield (
                 f"{ours} less {theirs}",
                 f"{difference.mean:+.2f} ± {difference.half:.2f}",
@@ -221,20 +264,37 @@ def differences(outcomes: dict[str, list[SetErrors]], pairs: Sequence[tuple[str,
 
 
 def compared(
-    run: Callable[[FilterRun], SetErrors], runs: Mapping[str, int], filters: Sequence[str], label: str, options: Options
+    run: Callable[[FilterRun], SetErrors],
+    runs: Mapping[str, int],
+    filters: Sequence[str],
+    label: str,
+    options: Options,
 ) -> RunErrors:
-    """So many ``runs`` of every case with every filter; in the short form of the first case only."""
+    """So many ``runs`` of every case with every filter; in the short form of the first case
+    only.
+    """
     cases = dict(list(runs.items())[: 1 if options.quick else None])
-    return measure(run, {(case, name): n for case, n in cases.items() for name in filters}, label, options)
+    return measure(
+        run, {(case, name): n for case, n in cases.items() for name in filters}, label, options
+    )
 
 
 def tables(found: RunErrors, elsewhere: Mapping[tuple[str, str], str]) -> dict[str, str]:
-    """Errors of every filter in every case beside those of other implementations, of trajectories, differences of pairs."""
-    rows, claims, lives = [], [], []
+    """Errors of every filter in every case beside those of other implementations, of trajectories,
+    differences of pairs.
+    """
+    rows = []
+    claims = []
+    lives = []
     for case in dict.fromkeys(case for case, _ in found):
         outcomes = {name: each for (which, name), each in found.items() if which == case}
-        rows += [(case, name, elsewhere.get((case, name), ""), *Summary.of(each).cells()) for name, each in outcomes.items()]
-        lives += [(case, name, *_life(each)) for name, each in outcomes.items() if each[0].trajectories]
+        rows += [
+            (case, name, elsewhere.get((case, name), ""), *Summary.of(each).cells())
+            for name, each in outcomes.items()
+        ]
+        lives += [
+            (case, name, *_life(each)) for name, each in outcomes.items() if each[0].trajectories
+        ]
         claims += [(case, *cells) for cells in differences(outcomes, COMPARED)]
     return {
         "rows": table(("", "filter", "elsewhere", *HEADER), rows),
@@ -247,11 +307,15 @@ def _life(outcomes: Sequence[SetErrors]) -> tuple[str, ...]:
     """The T-GOSPA of the runs with half the width of its 95 % interval, and its parts."""
     parts = np.array([dataclasses.astuple(o.trajectories) for o in outcomes if o.trajectories])
     whole = interval(parts[:, 0].tolist())
-    return f"{whole.mean:.1f} ± {whole.half:.1f}", *(f"{value:.2f}" for value in parts[:, 1:].mean(axis=0))
+    return f"{whole.mean:.1f} ± {whole.half:.1f}", *(
+        f"{value:.2f}" for value in parts[:, 1:].mean(axis=0)
+    )
 
 
 def curves(outcomes: dict[str, list[SetErrors]], number: I8, path: Path) -> None:
-    """Draw OSPA and number of states over the scans, means over runs, with the true ``number`` (scans,)."""
+    """Draw OSPA and number of states over the scans, means over runs, with the true ``number``
+    (scans,).
+    """
     plt = pyplot()
     figure, axes = plt.subplots(2, 1, figsize=(9, 6), sharex=True, layout="constrained")
     scans = np.arange(1, len(number) + 1)

@@ -1,4 +1,5 @@
-"""Learned scenes with the default filter: what births and false alarms laid over the usual ones bring, part by part.
+"""Learned scenes with the default filter: what births and false alarms laid over the usual ones
+bring, part by part.
 
 Scenes of 20 000 rendered frames and real sequences; the first half teaches, the second tests.
 """
@@ -14,13 +15,34 @@ import numpy as np
 from experiments import m09_pictures
 from experiments.common import Options, in_parallel, table, with_interval, write
 from experiments.m09_lessons import LearnedScene, learn
-from experiments.m09_runs import ABLATIONS, GM, SWEEP, UM, SceneRun, SceneScores, seconds_per_frame, stages_of, work
-from experiments.m09_scenes import FRAMES, HELD_OUT, REAL, RENDERED, SHORT, Halves, detector_seconds, halves, picture
+from experiments.m09_runs import (
+    ABLATIONS,
+    GM,
+    SWEEP,
+    UM,
+    SceneRun,
+    SceneScores,
+    seconds_per_frame,
+    stages_of,
+    work,
+)
+from experiments.m09_scenes import (
+    FRAMES,
+    HELD_OUT,
+    REAL,
+    RENDERED,
+    SHORT,
+    Halves,
+    detector_seconds,
+    halves,
+    picture,
+)
 from phdtrack.compare.statistics import Interval, interval
 from phdtrack.metrics import Scores, pool
 
 # Rendered scenes are long: one seed, whose intervals are over quarters of the stretch.
-SEEDS, LONG_SEEDS = 3, 1
+SEEDS = 3
+LONG_SEEDS = 1
 # Of the second half of a rendered scene, for the sweep and for other filters.
 QUARTER = 2500
 RUNS = (UM, GM, *ABLATIONS)
@@ -31,7 +53,9 @@ FINDINGS = (("A2", "A1"), ("A5", "A4"), (GM, "A2"), ("A6", GM))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneResults:
-    """All runs; ``scenes`` by name, what was ``learned`` of each at each seed, seconds a frame by scene."""
+    """All runs; ``scenes`` by name, what was ``learned`` of each at each seed, seconds a frame by
+    scene.
+    """
 
     scenes: Mapping[str, Halves]
     runs_: Mapping[SceneRun, SceneScores]
@@ -51,7 +75,9 @@ class SceneResults:
         return self.runs_[SceneRun(scene, 1, run, frames=short_of(self.scenes[scene]))]
 
     def pooled(self, scenes: Sequence[str], run: str) -> list[Scores]:
-        """The scores over all ``scenes``: for each seed, or for each quarter of the stretch where there is one seed."""
+        """The scores over all ``scenes``: for each seed, or for each quarter of the stretch where
+        there is one seed.
+        """
         each = [self._parts(scene, run) for scene in scenes]
         return [pool(some) for some in zip(*each, strict=True)]
 
@@ -64,9 +90,18 @@ class SceneResults:
 
         The mean is that of all frames; the interval is over seeds, or quarters of the stretch.
         """
-        ours, theirs = self.pooled(scenes, run), self.pooled(scenes, UM)
-        spread = interval([float(getattr(a, score) - getattr(b, score)) for a, b in zip(ours, theirs, strict=True)])
-        whole = [pool([one.scores for scene in scenes for one in self.runs(scene, name)]) for name in (run, UM)]
+        ours = self.pooled(scenes, run)
+        theirs = self.pooled(scenes, UM)
+        spread = interval(
+            [
+                float(getattr(a, score) - getattr(b, score))
+                for a, b in zip(ours, theirs, strict=True)
+            ]
+        )
+        whole = [
+            pool([one.scores for scene in scenes for one in self.runs(scene, name)])
+            for name in (run, UM)
+        ]
         seeds = self.seeds(scenes[0]) if score == "false_tracks" else 1
         difference = float(getattr(whole[0], score) - getattr(whole[1], score)) / seeds
         return Interval(difference, spread.half, spread.seeds)
@@ -76,7 +111,9 @@ class SceneResults:
         return float(np.mean([getattr(one.scores, score) for one in self.runs(scene, run)]))
 
     def delay(self, scene: str, run: str, where: str) -> float:
-        """Mean delay over all objects and seeds, ``inside`` or ``outside`` where people enter; NaN without any."""
+        """Mean delay over all objects and seeds, ``inside`` or ``outside`` where people enter; NaN
+        without any.
+        """
         each = [delay for one in self.runs(scene, run) for delay in getattr(one, where).values()]
         return float(np.mean(each)) if each else float("nan")
 
@@ -86,7 +123,9 @@ class SceneResults:
         return {one.rates: self.runs_[one].scores for one in swept if one.rates is not None}
 
     def groups(self) -> dict[str, tuple[str, ...]]:
-        """The scenes one by one, then the rendered ones together, PETS09-S2L1, and the other three."""
+        """The scenes one by one, then the rendered ones together, PETS09-S2L1, and the other
+        three.
+        """
         single: dict[str, tuple[str, ...]] = {name: (name,) for name in self.scenes}
         both = {"all rendered": RENDERED, "all PETS09-S2L1": REAL, "the other three": HELD_OUT}
         return single | {name: some for name, some in both.items() if set(some) <= set(self.scenes)}
@@ -99,31 +138,53 @@ def short_of(scene: Halves) -> int:
 
 def runs_of(scenes: Mapping[str, Halves], seeds: Mapping[str, int], quick: bool) -> list[SceneRun]:
     """All runs, each once."""
-    runs = [SceneRun(name, seed, run) for name in scenes for seed in range(1, seeds[name] + 1) for run in RUNS]
+    runs = [
+        SceneRun(name, seed, run)
+        for name in scenes
+        for seed in range(1, seeds[name] + 1)
+        for run in RUNS
+    ]
     for name, scene in scenes.items():
         few = short_of(scene)
         runs += [SceneRun(name, 1, run, frames=few) for run in (UM, GM)]
-        runs += [SceneRun(name, 1, UM, rates=rates, frames=few) for rates in SWEEP[: 2 if quick else len(SWEEP)]]
+        runs += [
+            SceneRun(name, 1, UM, rates=rates, frames=few)
+            for rates in SWEEP[: 2 if quick else len(SWEEP)]
+        ]
     return list(dict.fromkeys(runs))
 
 
 def main(options: Options) -> Path:
     """Run everything and write scenes.md and its pictures."""
-    quick, names = options.quick, RENDERED[:1] if options.quick else (*RENDERED, *REAL, *HELD_OUT)
+    names = RENDERED[:1] if options.quick else (*RENDERED, *REAL, *HELD_OUT)
+    quick = options.quick
     wanted = [(name, SHORT if quick else FRAMES) for name in names]
-    scenes = dict(zip(names, in_parallel(halves, wanted, "scenes, rendering and detecting", options), strict=True))
+    scenes = dict(
+        zip(
+            names,
+            in_parallel(halves, wanted, "scenes, rendering and detecting", options),
+            strict=True,
+        )
+    )
     seeds = {name: options.number(LONG_SEEDS if name in RENDERED else SEEDS, 1) for name in names}
     lessons = [(name, seed) for name in names for seed in range(1, seeds[name] + 1)]
     given = [(scenes[name], seed) for name, seed in lessons]
-    learned = dict(zip(lessons, in_parallel(learn, given, "scenes, learning", options), strict=True))
+    learned = dict(
+        zip(lessons, in_parallel(learn, given, "scenes, learning", options), strict=True)
+    )
     runs = runs_of(scenes, seeds, quick)
     jobs = [(run, scenes[run.scene], learned[run.scene, run.seed]) for run in runs]
     scored = dict(zip(runs, in_parallel(work, jobs, "scenes", options), strict=True))
     # One at a time, without other runs next to them as far as this command goes.
     timings = {}
     for name in (name for name in (RENDERED[0], REAL[0]) if name in names):
-        both = [stages_of(SceneRun(name, 1, run), scenes[name], learned[name, 1]) for run in (UM, GM)]
-        timings[name] = (*seconds_per_frame(both, scenes[name].test, 400 if quick else 1000), detector_seconds(scenes[name]))
+        both = [
+            stages_of(SceneRun(name, 1, run), scenes[name], learned[name, 1]) for run in (UM, GM)
+        ]
+        timings[name] = (
+            *seconds_per_frame(both, scenes[name].test, 400 if quick else 1000),
+            detector_seconds(scenes[name]),
+        )
     found = SceneResults(scenes, scored, learned, timings)
     draw(found, options.folder)
     return write("scenes", options, **figures(found))
@@ -136,12 +197,18 @@ def draw(found: SceneResults, out: Path) -> None:
     m09_pictures.maps(maps, out / "scenes-maps.png")
     runs = (GM, *ABLATIONS)
     gains = {
-        scene: {run: {score: found.gain([scene], run, score) for score in ("MODA", "MOTA")} for run in runs}
+        scene: {
+            run: {score: found.gain([scene], run, score) for score in ("MODA", "MOTA")}
+            for run in runs
+        }
         for scene in found.scenes
     }
     m09_pictures.bars(gains, out / "scenes-gains.png")
     sweeps = {
-        scene: ({rates: one.MOTA for rates, one in found.sweep(scene, UM).items()}, found.short_run(scene, GM).scores.MOTA)
+        scene: (
+            {rates: one.MOTA for rates, one in found.sweep(scene, UM).items()},
+            found.short_run(scene, GM).scores.MOTA,
+        )
         for scene in found.scenes
     }
     m09_pictures.sweeps(sweeps, out / "scenes-sweep.png")
@@ -169,7 +236,13 @@ def number(value: float) -> str:
 def _findings(found: SceneResults) -> str:
     """MOTA of one run less that of another, scene by scene."""
     rows = [
-        (scene, *(f"{found.mean(scene, a, 'MOTA') - found.mean(scene, b, 'MOTA'):+.3f}" for a, b in FINDINGS))
+        (
+            scene,
+            *(
+                f"{found.mean(scene, a, 'MOTA') - found.mean(scene, b, 'MOTA'):+.3f}"
+                for a, b in FINDINGS
+            ),
+        )
         for scene in found.scenes
     ]
     return table(("scene", *(f"{a} less {b}" for a, b in FINDINGS)), rows)
@@ -187,7 +260,9 @@ def _gains(found: SceneResults) -> str:
         for run in RUNS
         if run != UM
     ]
-    return table(("scene", "run", *(f"{score}, less UM" for score in SCORES), "false tracks, less UM"), rows)
+    return table(
+        ("scene", "run", *(f"{score}, less UM" for score in SCORES), "false tracks, less UM"), rows
+    )
 
 
 def _scores(found: SceneResults) -> str:
@@ -206,11 +281,26 @@ def _delays(found: SceneResults) -> str:
     for scene in found.scenes:
         for run in RUNS:
             each = found.runs(scene, run)
-            counts = (round(float(np.mean([len(getattr(one, where)) for one in each]))) for where in ("inside", "outside"))
+            counts = (
+                round(float(np.mean([len(getattr(one, where)) for one in each])))
+                for where in ("inside", "outside")
+            )
             late = (number(found.delay(scene, run, where)) for where in ("inside", "outside"))
-            live = (float(np.mean([getattr(one.live, score) for one in each])) for score in ("MOTA", "false_positives"))
+            live = (
+                float(np.mean([getattr(one.live, score) for one in each]))
+                for score in ("MOTA", "false_positives")
+            )
             rows.append((scene, run, *late, *counts, next(live), round(next(live))))
-    header = ("scene", "run", "delay inside", "outside", "people found, inside", "outside", "live MOTA", "live false boxes")
+    header = (
+        "scene",
+        "run",
+        "delay inside",
+        "outside",
+        "people found, inside",
+        "outside",
+        "live MOTA",
+        "live false boxes",
+    )
     return table(header, rows)
 
 
@@ -222,7 +312,16 @@ def _sweep(found: SceneResults) -> str:
         missed = (one.misses / one.truth_boxes for one in (best, learned))
         gap = f"{learned.MOTA - best.MOTA:+.3f}"
         rows.append((scene, f"{births:g}", f"{clutter:g}", best.MOTA, learned.MOTA, gap, *missed))
-    header = ("scene", "births", "clutter", "best MOTA", "GM", "GM less best", "best misses", "GM misses")
+    header = (
+        "scene",
+        "births",
+        "clutter",
+        "best MOTA",
+        "GM",
+        "GM less best",
+        "best misses",
+        "GM misses",
+    )
     return table(header, rows)
 
 
@@ -233,7 +332,14 @@ def times(timings: Mapping[str, tuple[float, float, float]]) -> str:
         cells = (f"{1e3 * each:.2f}" for each in (uniform, learned, detector))
         whole = (detector + learned) / (detector + uniform)
         rows.append((scene, *cells, f"{learned / uniform:.2f}", f"{whole:.3f}"))
-    header = ("scene", "UM, ms a frame", "GM, ms a frame", "the detector", "GM over UM", "with the detector")
+    header = (
+        "scene",
+        "UM, ms a frame",
+        "GM, ms a frame",
+        "the detector",
+        "GM over UM",
+        "with the detector",
+    )
     return table(header, rows)
 
 

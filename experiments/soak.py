@@ -1,16 +1,19 @@
-"""A day of video time, as fast as it goes: memory and speed of ``phdtrack track`` on a pipe and of a live camera.
+"""A day of video time, as fast as it goes: memory and speed of ``phdtrack track`` on a pipe and of
+a live camera.
 
     python -m experiments.soak track --hours 24
     python -m experiments.soak live --hours 24
     python -m experiments.soak pause
 
-Ten targets that come back all the time, one detection in ten missing, and false alarms whose rate goes up and down between
-none and six a frame within five minutes, at 25 frames a second. After each hour of video time its resident memory and its
-processor time are noted. Processor time on a shared machine says little by itself: beside it stands that of a fresh tracker
-on the same frames in the same minutes, and what must not grow is the ratio.
+Ten targets that come back all the time, one detection in ten missing, and false alarms whose rate
+goes up and down between none and six a frame within five minutes, at 25 frames a second. After each
+hour of video time its resident memory and its processor time are noted. Processor time on a shared
+machine says little by itself: beside it stands that of a fresh tracker on the same frames in the
+same minutes, and what must not grow is the ratio.
 
-`pause` says for how long a checkpoint keeps `phdtrack track` and a camera waiting, and how large it is, after 1 000 and
-after 20 000 frames with ten targets: milliseconds, the median and the longest of the last hundred, and MB.
+`pause` says for how long a checkpoint keeps `phdtrack track` and a camera waiting, and how large it
+is, after 1 000 and after 20 000 frames with ten targets: milliseconds, the median and the longest
+of the last hundred, and MB.
 """
 
 from __future__ import annotations
@@ -44,10 +47,14 @@ from phdtrack.tracker import Tracker
 from phdtrack.types import Detections, Frame, SequenceInfo
 from phdtrack.video import VideoSource
 
-FPS, WIDTH, HEIGHT, TARGETS = 25, 640, 360, 10
+FPS = 25
+WIDTH = 640
+HEIGHT = 360
+TARGETS = 10
 SIZE = np.array([16.0, 36.0])
 # Frames between two measurements of a fresh tracker, and frames of each.
-_EVERY, _FRESH = 7500, 250
+_EVERY = 7500
+_FRESH = 250
 ROW = "{},-1,{:.2f},{:.2f},{:.2f},{:.2f},{:.2f}\n"
 _WALL = 1_700_000_000.0
 
@@ -56,7 +63,8 @@ def boxes(seed: int = 0) -> Iterator[np.ndarray]:
     """(N, 5) boxes with scores of each frame, without end."""
     rng = np.random.default_rng(seed)
     room = np.array([WIDTH, HEIGHT]) - SIZE
-    at, speed = rng.uniform(0, room, (TARGETS, 2)), rng.uniform(-2, 2, (TARGETS, 2))
+    at = rng.uniform(0, room, (TARGETS, 2))
+    speed = rng.uniform(-2, 2, (TARGETS, 2))
     number = 0
     while True:
         number += 1
@@ -73,8 +81,9 @@ def boxes(seed: int = 0) -> Iterator[np.ndarray]:
 
 @dataclass(slots=True)
 class Hour:
-    """After so many hours of video time: seconds that the last one took, on the clock and of the processor; what a fresh
-    tracker would have taken in the same minutes; and resident memory in MB."""
+    """After so many hours of video time: seconds that the last one took, on the clock and of the
+    processor; what a fresh tracker would have taken in the same minutes; and resident memory in
+    MB."""
 
     hour: float
     wall: float
@@ -104,14 +113,19 @@ class Watching:
             self._own += 0.0 if self.process else time.thread_time() - began
         if number % self.per_hour == 0:
             now = time.monotonic(), self._cpu()
-            wall, cpu = now[0] - self._before[0], now[1] - self._before[1] - self._own
+            wall = now[0] - self._before[0]
+            cpu = now[1] - self._before[1] - self._own
             fresh = float(np.median(self._fresh)) * self.per_hour
-            self.hours.append(Hour(number / self.per_hour, wall, cpu, fresh, resident(self.process)))
-            self._before, self._own = now, 0.0
+            self.hours.append(
+                Hour(number / self.per_hour, wall, cpu, fresh, resident(self.process))
+            )
+            self._before = now
+            self._own = 0.0
             self._fresh.clear()
             last = self.hours[-1]
             print(
-                f"hour {last.hour:g}: {last.memory:.1f} MB, {cpu / fresh:.2f} of a fresh tracker, {wall:.0f} s", flush=True
+                f"hour {last.hour:g}: {last.memory:.1f} MB, {cpu / fresh:.2f} of a fresh tracker, {wall:.0f} s",
+                flush=True,
             )
 
     def _cpu(self) -> float:
@@ -128,8 +142,11 @@ def resident(process: int = 0) -> float:
 
 
 def fresh_tracker() -> float:
-    """Processor seconds of this thread for the frames 51 … 50 + `_FRESH` of a tracker that has just begun."""
-    tracker, given = Tracker((WIDTH, HEIGHT), fps=FPS), boxes(1)
+    """Processor seconds of this thread for the frames 51 … 50 + `_FRESH` of a tracker that has just
+    begun.
+    """
+    tracker = Tracker((WIDTH, HEIGHT), fps=FPS)
+    given = boxes(1)
     for _ in range(50):
         tracker.update(next(given))
     frames = [next(given) for _ in range(_FRESH)]
@@ -142,12 +159,28 @@ def fresh_tracker() -> float:
 def track(hours: float, per_hour: int, folder: Path) -> list[Hour]:
     """The command line, given rows on its standard input."""
     size = f"{WIDTH}x{HEIGHT}"
-    command = [sys.executable, "-m", "phdtrack", "track", "--detections", "-", "--fps", str(FPS), "--frame-size", size]
-    with subprocess.Popen([*command, "--out", str(folder / "run"), "--overwrite"], stdin=subprocess.PIPE) as process:
+    command = [
+        sys.executable,
+        "-m",
+        "phdtrack",
+        "track",
+        "--detections",
+        "-",
+        "--fps",
+        str(FPS),
+        "--frame-size",
+        size,
+    ]
+    with subprocess.Popen(
+        [*command, "--out", str(folder / "run"), "--overwrite"], stdin=subprocess.PIPE
+    ) as process:
         assert process.stdin is not None
-        watching, given = Watching(process.pid, per_hour), boxes()
+        watching = Watching(process.pid, per_hour)
+        given = boxes()
         for number in range(1, round(hours * per_hour) + 1):
-            rows = [(number, x, y, r - x, b - y, score) for x, y, r, b, score in next(given).tolist()]
+            rows = [
+                (number, x, y, r - x, b - y, score) for x, y, r, b, score in next(given).tolist()
+            ]
             process.stdin.write("".join(ROW.format(*row) for row in rows).encode())
             watching.frame(number)
         process.stdin.close()
@@ -160,7 +193,9 @@ class _Replayed:
     """A source whose pictures come when the one before is through, at the times of 25 a second."""
 
     def __init__(self, last: int, through: Callable[[int], None]) -> None:
-        self.last, self.number, self._through = last, 0, through
+        self.last = last
+        self.number = 0
+        self._through = through
         self._image = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
 
     def start(self) -> None: ...
@@ -180,7 +215,9 @@ class _Replayed:
 
     def status(self) -> SourceStatus:
         """Always at work."""
-        return SourceStatus("live", frames=max(100, self.number), fps=FPS, width=WIDTH, height=HEIGHT)
+        return SourceStatus(
+            "live", frames=max(100, self.number), fps=FPS, width=WIDTH, height=HEIGHT
+        )
 
 
 class _Given:
@@ -199,7 +236,11 @@ class _Given:
 def live(hours: float, per_hour: int, folder: Path) -> list[Hour]:
     """A camera with a line and a zone, video, files by the hour and a quota, in this process."""
     middle = Place("middle", ((WIDTH / 2, HEIGHT), (WIDTH / 2, 0.0)), closed=False)
-    corner = Place("corner", ((0.0, 0.0), (WIDTH / 2, 0.0), (WIDTH / 2, HEIGHT / 2), (0.0, HEIGHT / 2)), closed=True)
+    corner = Place(
+        "corner",
+        ((0.0, 0.0), (WIDTH / 2, 0.0), (WIDTH / 2, HEIGHT / 2), (0.0, HEIGHT / 2)),
+        closed=True,
+    )
 
     def make(info: SequenceInfo) -> Making:
         return Making(_Given(), build_kinds(load(None, ["associate.history=60"]), info), info)
@@ -238,25 +279,36 @@ class _Timed(Checkpoint):
     waits: tuple[float, ...] = ()
 
     def _save(self, inputs: Inputs, number: int, log: BinaryIO) -> None:
-        due, began = self._due, time.perf_counter()
+        due = self._due
+        began = time.perf_counter()
         super()._save(inputs, number, log)
         if self._due != due:
             self.waits = (*self.waits[-99:], time.perf_counter() - began)
 
 
 def pause(frames: int, folder: Path) -> dict[str, float]:
-    """Of a video's detector and of a camera's tracker, which remembers 60 s, after so many frames."""
-    source, directory = _pictures(frames), claim(folder / f"run{frames}", overwrite=False, name="soak")
-    inputs = Inputs(source.info, source, make_detector("change"), "soak", "change", pictures=True, again=True)
+    """Of a video's detector and of a camera's tracker, which remembers 60 s, after so many
+    frames.
+    """
+    source = _pictures(frames)
+    directory = claim(folder / f"run{frames}", overwrite=False, name="soak")
+    inputs = Inputs(
+        source.info, source, make_detector("change"), "soak", "change", pictures=True, again=True
+    )
     checkpoint = _Timed(directory, {"frames": frames}, {}, 0.05, resume=False)
     for _ in checkpoint.detected(inputs, source, None):
         pass
-    track = {"ms": 1000 * float(np.median(checkpoint.waits)), "longest": 1000 * max(checkpoint.waits)}
+    track = {
+        "ms": 1000 * float(np.median(checkpoint.waits)),
+        "longest": 1000 * max(checkpoint.waits),
+    }
     size = {
         "MB": directory.file(KNOWN).stat().st_size / 1e6,
         "log, bytes a frame": directory.file(LOG).stat().st_size / frames,
     }
-    tracker, given, began = Tracker((WIDTH, HEIGHT), fps=FPS, associate={"history": 60}), boxes(), list[float]()
+    tracker = Tracker((WIDTH, HEIGHT), fps=FPS, associate={"history": 60})
+    given = boxes()
+    began = list[float]()
     for number in range(1, frames + 1):
         tracker.update(next(given))
         if number > frames - 100:
@@ -272,7 +324,9 @@ def main() -> None:
     out = argparse.ArgumentParser(prog="python -m experiments.soak", description=__doc__)
     out.add_argument("part", choices=("track", "live", "pause"))
     out.add_argument("--hours", type=int, default=24)
-    out.add_argument("--minutes", type=float, default=60.0, help="of video time in what counts as an hour")
+    out.add_argument(
+        "--minutes", type=float, default=60.0, help="of video time in what counts as an hour"
+    )
     out.add_argument("--out", type=Path, default=Path("runs/reliability"))
     given = out.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
@@ -282,8 +336,12 @@ def main() -> None:
         (given.out / "soak-pause.json").write_text(json.dumps(pauses, indent=1) + "\n")
         print(json.dumps(pauses, indent=1))
         return
-    with tempfile.TemporaryDirectory(dir=given.out.parent if given.out.parent.is_dir() else None) as folder:
-        hours = {"track": track, "live": live}[given.part](given.hours, round(given.minutes * 60 * FPS), Path(folder))
+    with tempfile.TemporaryDirectory(
+        dir=given.out.parent if given.out.parent.is_dir() else None
+    ) as folder:
+        hours = {"track": track, "live": live}[given.part](
+            given.hours, round(given.minutes * 60 * FPS), Path(folder)
+        )
     result = {"minutes": given.minutes, "hours": [asdict(one) for one in hours]}
     (given.out / f"soak-{given.part}.json").write_text(json.dumps(result, indent=1) + "\n")
 

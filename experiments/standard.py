@@ -1,7 +1,8 @@
-"""The standard linear-Gaussian scenario: OSPA of the PHD and the cardinalised PHD filters, by Gaussians and by particles.
+"""The standard linear-Gaussian scenario: OSPA of the PHD and the cardinalised PHD filters, by
+Gaussians and by particles.
 
-The scenario is `standard_scenes.linear_gaussian`: twelve targets over 100 scans, clutter uniform over the region. Every
-filter is given its true parameters. A section of vo.md.
+The scenario is `standard_scenes.linear_gaussian`: twelve targets over 100 scans, clutter uniform
+over the region. Every filter is given its true parameters. A section of vo.md.
 """
 
 from __future__ import annotations
@@ -11,18 +12,44 @@ from dataclasses import replace
 import numpy as np
 
 from experiments.common import Options, filled
-from experiments.scans import FilterRun, Realisation, SetErrors, Stages, compared, curves, followed, measured, tables
+from experiments.scans import (
+    FilterRun,
+    Realisation,
+    SetErrors,
+    Stages,
+    compared,
+    curves,
+    followed,
+    measured,
+    tables,
+)
 from experiments.standard_scenes import LinearGaussian, linear_gaussian
-from phdtrack.filters import GMCPHD, GMPHD, MHT, PMB, PMBM, BestBernoullis, BestHypothesis, ParticleCPHD, ParticlePHD
+from phdtrack.filters import (
+    GMCPHD,
+    GMPHD,
+    MHT,
+    PMB,
+    PMBM,
+    BestBernoullis,
+    BestHypothesis,
+    ParticleCPHD,
+    ParticlePHD,
+)
 from phdtrack.filters.extract import Components, KMeans, Mixture
 from phdtrack.models import FixedBirth, PlaneBirth, PlaneMotion, PlaneSensor, UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.types import GaussianMixture
 
 # Runs of the first case, of the others, and in the short form.
-RUNS, SIDE, FEW = 100, 50, 2
+RUNS = 100
+SIDE = 50
+FEW = 2
 # Clutter points per scan, and p_D.
-CASES = {"λ 30, p_D 0.98": (30.0, 0.98), "λ 60, p_D 0.98": (60.0, 0.98), "λ 30, p_D 0.7": (30.0, 0.7)}
+CASES = {
+    "λ 30, p_D 0.98": (30.0, 0.98),
+    "λ 60, p_D 0.98": (60.0, 0.98),
+    "λ 30, p_D 0.7": (30.0, 0.7),
+}
 EASY, CLUTTERED, HIDDEN = CASES
 # The mean OSPA of other implementations.
 ELSEWHERE = {
@@ -31,9 +58,11 @@ ELSEWHERE = {
     (HIDDEN, "gm-phd"): "41.7",
     (EASY, "gm-cphd"): "about 16.2",
 }
-PER_TARGET, NEWBORN = 1500, 500
+PER_TARGET = 1500
+NEWBORN = 500
 AGILITY = "pmb, agility found"
-# Targets that start together lie in one place: without a number a peak counts as often as its mass says.
+# Targets that start together lie in one place: without a number a peak counts as often as its mass
+# says.
 FILTERS: dict[str, Stages] = {
     "gm-phd": (GMPHD(1e-5, 2.0, 100), Components(repeat=True)),
     "gm-cphd": (GMCPHD(1e-5, 2.0, 100), Components()),
@@ -44,7 +73,10 @@ FILTERS: dict[str, Stages] = {
     # Of points p_D is constant, and nothing fires in one place.
     "pmb": (PMB(mean_visible_time=0.0, static_clutter_prior=0.0), BestBernoullis()),
     "gm-phd, anywhere": (GMPHD(1e-5, 2.0, 100), Components(repeat=True)),
-    AGILITY: (PMB(mean_visible_time=0.0, static_clutter_prior=0.0, acceleration_factors=(1.0, 0.3, 0.1)), BestBernoullis()),
+    AGILITY: (
+        PMB(mean_visible_time=0.0, static_clutter_prior=0.0, acceleration_factors=(1.0, 0.3, 0.1)),
+        BestBernoullis(),
+    ),
 }
 
 
@@ -55,7 +87,9 @@ def world(given: LinearGaussian) -> Model:
     birth = GaussianMixture(np.full(mean.shape[1], given.birth_weight), mean, spread)
     return Model(
         PlaneMotion(given.sd_acceleration, given.p_survive ** (1 / given.interval), "piecewise"),
-        PlaneSensor(given.p_detect, "fixed", given.sd_position, birth_speed=2**0.5 * given.birth_sd),
+        PlaneSensor(
+            given.p_detect, "fixed", given.sd_position, birth_speed=2**0.5 * given.birth_sd
+        ),
         FixedBirth(birth, NEWBORN),
         UniformClutter(given.clutter_rate, (2 * given.half_width) ** 2),
         rate=1.0,
@@ -63,16 +97,24 @@ def world(given: LinearGaussian) -> Model:
 
 
 def realisation(case: str, seed: int) -> Realisation:
-    """The scans of one seed, each measurement with its covariance as the plane's sensor takes it."""
+    """The scans of one seed, each measurement with its covariance as the plane's sensor takes
+    it.
+    """
     scene = linear_gaussian(np.random.default_rng(seed), *CASES[case])
     given = scene.model
     variance = np.array([[given.sd_position**2], [0.0], [given.sd_position**2]])
-    scans = tuple(np.vstack([place, np.tile(variance, place.shape[1])]) for place in scene.measurement)
-    return Realisation(world(given), scans, scene.state, scene.identity, given.interval, given.ospa_cutoff)
+    scans = tuple(
+        np.vstack([place, np.tile(variance, place.shape[1])]) for place in scene.measurement
+    )
+    return Realisation(
+        world(given), scans, scene.state, scene.identity, given.interval, given.ospa_cutoff
+    )
 
 
 def anywhere(model: Model) -> PlaneBirth:
-    """As many births a second as the scenario has, uniform over the region, around the measurements."""
+    """As many births a second as the scenario has, uniform over the region, around the
+    measurements.
+    """
     assert isinstance(model.birth, FixedBirth)
     side = LinearGaussian().half_width
     return PlaneBirth(model.birth.places.mass, 0.0, NEWBORN, (-side, -side, side, side))

@@ -1,18 +1,23 @@
-"""The standard scenarios of the random-finite-set literature: points with clutter, at constant velocity and turning.
+"""The standard scenarios of the random-finite-set literature: points with clutter, at constant
+velocity and turning.
 
-Both are after Vo and Ma, *The Gaussian mixture probability hypothesis density filter*, IEEE Trans. Signal Processing 54
-(2006). *Linear*, in the form with twelve targets: 100 scans of 1 s over [−1000, 1000]² m, targets at constant velocity (the
-truth has no process noise), position measurements with 10 m of noise, Poisson clutter uniform over the region. State
-x = (px, py, vx, vy) in m and m/s, measurement z = (px, py).
+Both are after Vo and Ma, *The Gaussian mixture probability hypothesis density filter*, IEEE Trans.
+Signal Processing 54 (2006). *Linear*, in the form with twelve targets: 100 scans of 1 s over
+[−1000, 1000]² m, targets at constant velocity (the truth has no process noise), position
+measurements with 10 m of noise, Poisson clutter uniform over the region. State x = (px, py, vx, vy)
+in m and m/s, measurement z = (px, py).
 
-*Turning*, in the form with ten targets that came into use with later filters of its authors: 100 scans of 1 s, a sensor at
-the origin that looks at the half disc y ≥ 0 of radius 2000 m, Poisson clutter uniform in bearing and range. State
-x = (px, py, vx, vy, ω) in m, m/s and rad/s, anticlockwise; measurement z = (θ, r), θ from the y axis towards the x axis.
-Targets turn at constant rate and speed: the truth has no process noise, the filters' model has. The literature runs this
-scene with several noises. The defaults are those that go with the ten targets (σ_w = 5 m/s², σ_θ = 2°, σ_r = 10 m, λ = 20);
-Vo and Ma's are σ_w = 15 m/s² and σ_r = 20 m, others have σ_θ = 1°, σ_r = 5 m and λ = 10. p_D is 0.98 everywhere; some let it
-fall with the range, over 2000 m (`Turning.fade`). A target is at its start in its first scan; published scripts move it by
-one step before. One target is up to 82 m out of the half disc for a while, and is detected there all the same.
+*Turning*, in the form with ten targets that came into use with later filters of its authors: 100
+scans of 1 s, a sensor at the origin that looks at the half disc y ≥ 0 of radius 2000 m, Poisson
+clutter uniform in bearing and range. State x = (px, py, vx, vy, ω) in m, m/s and rad/s,
+anticlockwise; measurement z = (θ, r), θ from the y axis towards the x axis. Targets turn at
+constant rate and speed: the truth has no process noise, the filters' model has. The literature runs
+this scene with several noises. The defaults are those that go with the ten targets (σ_w = 5 m/s²,
+σ_θ = 2°, σ_r = 10 m, λ = 20); Vo and Ma's are σ_w = 15 m/s² and σ_r = 20 m, others have σ_θ = 1°,
+σ_r = 5 m and λ = 10. p_D is 0.98 everywhere; some let it fall with the range, over 2000 m
+(`Turning.fade`). A target is at its start in its first scan; published scripts move it by one step
+before. One target is up to 82 m out of the half disc for a while, and is detected there all the
+same.
 """
 
 from __future__ import annotations
@@ -75,7 +80,8 @@ class LinearGaussian:
     sd_acceleration : σ_v in m/s²: Q = σ_v² B Bᵀ with B = (T²/2, T) per axis.
     sd_position : σ_ε of the measurements, metres.
     p_survive, p_detect, clutter_rate : p_S, p_D and expected clutter points per scan.
-    birth_weight, birth_sd : weight of each birth Gaussian, standard deviation of each of its components.
+    birth_weight, birth_sd : weight of each birth Gaussian, standard deviation of each of its
+        components.
     ospa_cutoff, ospa_order : c in metres and p of the OSPA distance.
     """
 
@@ -95,7 +101,9 @@ class LinearGaussian:
     @property
     def birth_mean(self) -> F8:
         """(4, 4) means of the birth Gaussians, one a column."""
-        return np.array([[0.1, 400, -800, -200], [0.1, -600, -200, 800], [0, 0, 0, 0], [0, 0, 0, 0]])
+        return np.array(
+            [[0.1, 400, -800, -200], [0.1, -600, -200, 800], [0, 0, 0, 0], [0, 0, 0, 0]]
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,11 +126,13 @@ class PointScene(Generic[M]):
     source: tuple[I8, ...]
 
 
-def linear_gaussian(rng: np.random.Generator, clutter_rate: float = 30.0, p_d: float = 0.98) -> PointScene[LinearGaussian]:
+def linear_gaussian(
+    rng: np.random.Generator, clutter_rate: float = 30.0, p_d: float = 0.98
+) -> PointScene[LinearGaussian]:
     """One realisation of the scenario; the truth is the same in all.
 
-    Detections, clutter and order draw from streams of their own, spawned from ``rng``: the targets' measurements do not
-    depend on ``clutter_rate``.
+    Detections, clutter and order draw from streams of their own, spawned from ``rng``: the targets'
+    measurements do not depend on ``clutter_rate``.
 
     Raises
     ------
@@ -150,13 +160,15 @@ def realised(
     rate: float,
     rng: np.random.Generator,
 ) -> PointScene[M]:
-    """Scans of targets at (d, n) states with (n,) identities: what is seen of them, among what is not of them.
+    """Scans of targets at (d, n) states with (n,) identities: what is seen of them, among what is
+    not of them.
 
     Parameters
     ----------
     model : the settings, kept with the scene.
     truth : per scan (d, n) states and (n,) identities.
-    measure : of states (d, n) and independent standard normal draws (2, n), the measurements (2, n).
+    measure : of states (d, n) and independent standard normal draws (2, n), the measurements (2,
+        n).
     p_detect : (n,) probabilities that they are seen.
     clutter : that many false measurements, (2, count); ``rate`` are expected in a scan.
     rng : streams for targets, clutter and order are spawned from it.
@@ -165,10 +177,16 @@ def realised(
     ------
     InputError : ``rate`` is no rate, or a probability is none.
     """
-    if not 0 <= rate < np.inf or not all(((p := p_detect(state)) >= 0).all() and (p <= 1).all() for state, _ in truth):
-        raise InputError("expected a probability of detection and a clutter rate of 0 or more", where="simulated scans")
+    if not 0 <= rate < np.inf or not all(
+        ((p := p_detect(state)) >= 0).all() and (p <= 1).all() for state, _ in truth
+    ):
+        raise InputError(
+            "expected a probability of detection and a clutter rate of 0 or more",
+            where="simulated scans",
+        )
     targets_rng, clutter_rng, order_rng = rng.spawn(3)
-    measurements, sources = [], []
+    measurements = []
+    sources = []
     for state, identity in truth:
         seen = targets_rng.random(len(identity)) < p_detect(state)
         noisy = measure(state, targets_rng.normal(size=(2, len(identity))))
@@ -206,7 +224,8 @@ class Turning:
     sd_acceleration : σ_w in m/s²: Q = σ_w² B Bᵀ with B = (T²/2, T) per axis.
     sd_turn : σ_u in rad/s, of the change of the turn rate over a second.
     sd_bearing, sd_range : σ_θ in radians and σ_r in metres of the measurements.
-    p_survive, p_detect, clutter_rate : p_S, p_D at the sensor's place, and expected clutter points per scan.
+    p_survive, p_detect, clutter_rate : p_S, p_D at the sensor's place, and expected clutter points
+        per scan.
     fade : metres over which p_D falls, as exp(−r²/2 fade²); 0: it does not.
     birth_weight : of each birth Gaussian, at `birth_mean`.
     birth_sd : standard deviations of the components of each of them.
@@ -242,10 +261,11 @@ class Turning:
 
 
 def turning(rng: np.random.Generator, model: Turning | None = None) -> PointScene[Turning]:
-    """One realisation of the scenario, by its defaults or the ``model``; the truth is the same in all.
+    """One realisation of the scenario, by its defaults or the ``model``; the truth is the same in
+    all.
 
-    Detections, clutter and order draw from streams of their own, spawned from ``rng``: the targets' measurements do not
-    depend on the clutter.
+    Detections, clutter and order draw from streams of their own, spawned from ``rng``: the targets'
+    measurements do not depend on the clutter.
 
     Raises
     ------
@@ -258,7 +278,10 @@ def turning(rng: np.random.Generator, model: Turning | None = None) -> PointScen
     return realised(
         model,
         [turning_states(scan, model.interval) for scan in range(1, model.scans + 1)],
-        lambda state, draws: np.stack([np.arctan2(state[0], state[1]), np.hypot(state[0], state[1])]) + draws * spread,
+        lambda state, draws: (
+            np.stack([np.arctan2(state[0], state[1]), np.hypot(state[0], state[1])])
+            + draws * spread
+        ),
         lambda state: _seen(state, model),
         lambda count, clutter: corner + extent * clutter.random((2, count)),
         model.clutter_rate,
@@ -268,20 +291,30 @@ def turning(rng: np.random.Generator, model: Turning | None = None) -> PointScen
 
 def _seen(state: F8, model: Turning) -> F8:
     """(n,) probabilities that targets are detected."""
-    weaker = 0.5 * (np.hypot(state[0], state[1]) / model.fade) ** 2 if model.fade else np.zeros(state.shape[1])
+    weaker = (
+        0.5 * (np.hypot(state[0], state[1]) / model.fade) ** 2
+        if model.fade
+        else np.zeros(state.shape[1])
+    )
     out: F8 = model.p_detect * np.exp(-weaker)
     return out
 
 
 def turning_states(scan: int, interval: float = 1.0) -> tuple[F8, I8]:
-    """States (5, n) and identities (n,) of the targets that are there in ``scan``, from 1: on their circles and lines."""
+    """States (5, n) and identities (n,) of the targets that are there in ``scan``, from 1: on their
+    circles and lines.
+    """
     there = present(scan, TURNING_FIRST, TURNING_LAST)
     start = TURNING_START[there].T
     time = (scan - TURNING_FIRST[there]) * interval
-    place, velocity, rate = start[0] + 1j * start[1], start[2] + 1j * start[3], start[4]
+    place = start[0] + 1j * start[1]
+    velocity = start[2] + 1j * start[3]
+    rate = start[4]
     round_ = rate != 0
-    # With the plane's points as complex numbers the velocity turns by exp(iωt), and the way is its integral.
+    # With the plane's points as complex numbers the velocity turns by exp(iωt), and the way is its
+    # integral.
     turn = np.exp(1j * rate * time)
     way = np.where(round_, (turn - 1) / np.where(round_, 1j * rate, 1), time)
-    place, velocity = place + way * velocity, velocity * turn
+    place = place + way * velocity
+    velocity = velocity * turn
     return np.stack([place.real, place.imag, velocity.real, velocity.imag, rate]), there + 1

@@ -1,7 +1,8 @@
-"""The standard linear-Gaussian scenario with p_D and λ unknown, or λ wrong by a factor of three: a section of vo.md.
+"""The standard linear-Gaussian scenario with p_D and λ unknown, or λ wrong by a factor of three: a
+section of vo.md.
 
-The filter begins with wrong rates and learns them from the scans (`learned_rates`), or keeps them. p_D is learned from the
-tracks: those of the association, or the MHT's own.
+The filter begins with wrong rates and learns them from the scans (`learned_rates`), or keeps them.
+p_D is learned from the tracks: those of the association, or the MHT's own.
 """
 
 from __future__ import annotations
@@ -16,7 +17,13 @@ import numpy as np
 
 from experiments import standard
 from experiments.common import Options, filled, table
-from experiments.learned_rates import RateLearning, RatesLearning, RatesSettings, priors_of, with_rate
+from experiments.learned_rates import (
+    RateLearning,
+    RatesLearning,
+    RatesSettings,
+    priors_of,
+    with_rate,
+)
 from experiments.scans import FilterRun, Realisation, SetErrors, Stages, apart, measure, measured
 from phdtrack import pipeline
 from phdtrack.associate.graph import GraphMatching
@@ -26,22 +33,32 @@ from phdtrack.protocols import AnyStages, Learning, Model
 from phdtrack.protocols import Stages as Whole
 from phdtrack.types import Detections, Estimates
 
-RUNS, FEW = 8, 2
-# What an image-based tracker begins with without further knowledge: the package's own p_D, ten false alarms a scan.
-P_DETECT, CLUTTER = 0.8, 10.0
+RUNS = 8
+FEW = 2
+# What an image-based tracker begins with without further knowledge: the package's own p_D, ten
+# false alarms a scan.
+P_DETECT = 0.8
+CLUTTER = 10.0
 FILTERS = ("gm-phd", "gm-cphd", "particle-phd", "mht", "pmb")
 LABELLED = ("mht", "pmb")
-# Scans until a detection is judged and after which one counts for 37 %; over which tracks are linked, and the probability
-# that a target goes on for another scan without a state.
-WAIT, MEMORY, SPAN, MISS = 3.0, 600.0, 5.0, 0.5
-RATES = RatesSettings(detection=True, clutter=True, cautious=False, memory=MEMORY, update_interval=0.0)
+# Scans until a detection is judged and after which one counts for 37 %; over which tracks are
+# linked, and the probability that a target goes on for another scan without a state.
+WAIT = 3.0
+MEMORY = 600.0
+SPAN = 5.0
+MISS = 0.5
+RATES = RatesSettings(
+    detection=True, clutter=True, cautious=False, memory=MEMORY, update_interval=0.0
+)
 # Half the side of a target's box, metres: any.
 _HALF = 0.3
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """What the filter begins with: p_D (0: the true one), λ (0: a multiple of the true one); whether it learns."""
+    """What the filter begins with: p_D (0: the true one), λ (0: a multiple of the true one);
+    whether it learns.
+    """
 
     p_detect: float
     clutter: float
@@ -58,7 +75,8 @@ STARTS = {
     "λ three times, learned": Start(0.0, 0.0, 3.0, True),
     "λ three times, kept": Start(0.0, 0.0, 3.0, False),
 }
-KNOWN, UNKNOWN = "known", "unknown, learned"
+KNOWN = "known"
+UNKNOWN = "unknown, learned"
 
 
 def begun(model: Model, start: Start) -> Model:
@@ -76,7 +94,11 @@ def whole(model: Model, stages: Stages, learns: bool, labelled: bool) -> AnyStag
     learning: Learning[Any] | None = None
     if learns:
         learning = RateLearning(RatesLearning(RATES, priors_of(model), WAIT))
-    associator = Labelled() if labelled else GraphMatching(window=SPAN, gap_cost=-model.rate * math.log(MISS))
+    associator = (
+        Labelled()
+        if labelled
+        else GraphMatching(window=SPAN, gap_cost=-model.rate * math.log(MISS))
+    )
     return Whole(model, *stages, associator, learning)
 
 
@@ -97,14 +119,23 @@ def run(job: FilterRun) -> SetErrors:
     case, start = job.case.split(" | ")
     given = standard.realisation(case, job.seed)
     wanted = STARTS[start]
-    stages = whole(begun(given.model, wanted), standard.FILTERS[job.filter], wanted.learns, job.filter in LABELLED)
+    stages = whole(
+        begun(given.model, wanted),
+        standard.FILTERS[job.filter],
+        wanted.learns,
+        job.filter in LABELLED,
+    )
     return measured(given, followed(given, stages, job.seed))
 
 
 def section(options: Options) -> str:
     """Measure; the section of the page."""
     number = options.number(RUNS, FEW)
-    cases, filters = (tuple(standard.CASES)[:1], FILTERS[:1]) if options.quick else (tuple(standard.CASES), FILTERS)
+    cases, filters = (
+        (tuple(standard.CASES)[:1], FILTERS[:1])
+        if options.quick
+        else (tuple(standard.CASES), FILTERS)
+    )
     pairs = [(case, name, start) for case in cases for name in filters for start in STARTS]
     found = measure(run, {(f"{c} | {s}", f): number for c, f, s in pairs}, "rates unknown", options)
     rows = []

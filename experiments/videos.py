@@ -1,10 +1,11 @@
 """From a video to tracks: `phdtrack track` on real video, with and without the filter.
 
-PETS09-S2L1 with three detectors, TUD-Campus and CAVIAR's shop corridor with two, rendered scenes with leaves and light with
-the change detector; shipped defaults for all. And three videos whose truth is a mask of what moves, with whose scorer
-(`bench/score_masks.py` next to the real sequences) the boxes of the tracks are compared. Last, what each part of the change
-detector is worth: the same without that part. The run directories are kept under runs/videos/, to be looked at. They are
-made anew each time, but for what was detected.
+PETS09-S2L1 with three detectors, TUD-Campus and CAVIAR's shop corridor with two, rendered scenes
+with leaves and light with the change detector; shipped defaults for all. And three videos whose
+truth is a mask of what moves, with whose scorer (`bench/score_masks.py` next to the real sequences)
+the boxes of the tracks are compared. Last, what each part of the change detector is worth: the same
+without that part. The run directories are kept under runs/videos/, to be looked at. They are made
+anew each time, but for what was detected.
 """
 
 from __future__ import annotations
@@ -49,9 +50,15 @@ class Video:
 
 
 VIDEOS = (
-    Video("PETS09-S2L1", "mot15/PETS09-S2L1/PETS09-S2L1.mp4", "mot15/PETS09-S2L1/gt/gt.txt", "change"),
-    Video("PETS09-S2L1", "mot15/PETS09-S2L1/PETS09-S2L1.mp4", "mot15/PETS09-S2L1/gt/gt.txt", "mog2"),
-    Video("PETS09-S2L1", "mot15/PETS09-S2L1/PETS09-S2L1.mp4", "mot15/PETS09-S2L1/gt/gt.txt", "person"),
+    Video(
+        "PETS09-S2L1", "mot15/PETS09-S2L1/PETS09-S2L1.mp4", "mot15/PETS09-S2L1/gt/gt.txt", "change"
+    ),
+    Video(
+        "PETS09-S2L1", "mot15/PETS09-S2L1/PETS09-S2L1.mp4", "mot15/PETS09-S2L1/gt/gt.txt", "mog2"
+    ),
+    Video(
+        "PETS09-S2L1", "mot15/PETS09-S2L1/PETS09-S2L1.mp4", "mot15/PETS09-S2L1/gt/gt.txt", "person"
+    ),
     Video("TUD-Campus", "mot15/TUD-Campus/TUD-Campus.mp4", "mot15/TUD-Campus/gt/gt.txt", "change"),
     Video("TUD-Campus", "mot15/TUD-Campus/TUD-Campus.mp4", "mot15/TUD-Campus/gt/gt.txt", "person"),
     Video("OneLeaveShop1cor", "caviar/OneLeaveShop1cor.mpg", "caviar/cols1gt.xml", "change"),
@@ -60,9 +67,11 @@ VIDEOS = (
 )
 MASKS = ("cdnet-highway", "cdnet-traffic-jitter")
 # In the first frames of this one nothing moves but a tree.
-TREE, EMPTY = "wallflower-WavingTrees", 242
+TREE = "wallflower-WavingTrees"
+EMPTY = 242
 # Videos that are shaken by so many pixels (one deviation), as a camera is in the wind.
-SHAKEN, PIXELS = ("PETS09-S2L1", "TUD-Campus"), (1, 3, 6)
+SHAKEN = ("PETS09-S2L1", "TUD-Campus")
+PIXELS = (1, 3, 6)
 # The command line with a change detector that takes every camera to stand still.
 _STANDING = """from phdtrack.cli.app import main
 from phdtrack.detect.change import ChangeDetector
@@ -101,7 +110,8 @@ class VideoRun:
 
 def detect(job: VideoRun) -> None:
     """Detect once per video and detector; what is there already is used again."""
-    video, out = job.video, job.found
+    video = job.video
+    out = job.found
     if video.name in RENDERED and not Path(job.path(video.source)).exists():
         _phdtrack("simulate", video.name, "--out", str(job.runs / video.name))
     if (out / "detections.csv").exists():
@@ -120,7 +130,9 @@ def detect(job: VideoRun) -> None:
 def lacking(part: str, source: VideoSource) -> Detector:
     """The change detector as `phdtrack track` has it for a file, without one of the `PARTS`."""
     blobs = {part: 0.0} if part in ("join", "split") else {}
-    detector = make_detector("change", max_width=working_width("change", None, source.info), **blobs)
+    detector = make_detector(
+        "change", max_width=working_width("change", None, source.info), **blobs
+    )
     inner = detector.detector if isinstance(detector, Rescaled) else detector
     assert isinstance(inner, ChangeDetector)
     if part == "hidden":
@@ -129,7 +141,9 @@ def lacking(part: str, source: VideoSource) -> Detector:
     if part != "file":
         study(detector, source, source.sample)
     if part == "modes":
-        inner._past = inner._past._replace(samples=np.zeros((len(inner._past.samples), 0), np.uint8))
+        inner._past = inner._past._replace(
+            samples=np.zeros((len(inner._past.samples), 0), np.uint8)
+        )
     elif part == "heights":
         inner._usual = None
     return detector
@@ -137,31 +151,55 @@ def lacking(part: str, source: VideoSource) -> Detector:
 
 def work(job: VideoRun) -> dict[str, object]:
     """One run of the command line on the video and its detections; its JSON."""
-    video, filter_name, found = job.video, job.filter, job.found
-    given: tuple[str, ...] = ("--detections", str(found / "detections.csv"), "--filter", filter_name)
+    video = job.video
+    filter_name = job.filter
+    found = job.found
+    given: tuple[str, ...] = (
+        "--detections",
+        str(found / "detections.csv"),
+        "--filter",
+        filter_name,
+    )
     given = (*given, "--truth", job.path(video.truth)) if video.truth else given
     if filter_name != "none":
         # What `phdtrack track` sets for the detector; of a file it does not know what made it.
         chosen = config.for_detector(config.load(), video.detector).given
-        values = (f"{section}.{name}={value}" for section, one in chosen.items() for name, value in one.items())
+        values = (
+            f"{section}.{name}={value}"
+            for section, one in chosen.items()
+            for name, value in one.items()
+        )
         given = (*given, *(word for value in values for word in ("--set", value)))
     if filter_name == "pmb":
         given = (*given, "--preset", "mot15")
-    text = _phdtrack("track", job.path(video.source), *given, "--out", str(found / filter_name), "--overwrite", "--json")
+    text = _phdtrack(
+        "track",
+        job.path(video.source),
+        *given,
+        "--out",
+        str(found / filter_name),
+        "--overwrite",
+        "--json",
+    )
     document: dict[str, object] = json.loads(text)
     return document
 
 
 def masked(job: tuple[str, Path]) -> list[object]:
-    """A video with masks: found, false boxes a frame, tracks, and those of which most boxes are false; not known is "–"."""
-    name, out = job[0], job[1] / job[0]
+    """A video with masks: found, false boxes a frame, tracks, and those of which most boxes are
+    false; not known is "–".
+    """
+    name = job[0]
+    out = job[1] / job[0]
     video = need_data() / "video" / name / f"{name}.mp4"
     _phdtrack("track", str(video), "--no-video", "--out", str(out), "--overwrite", "--detect-again")
     return _by_masks(name, out)
 
 
 def worth(job: VideoRun) -> str:
-    """Of the change detector, whole or without a part: MOTA, or share found and false boxes a frame."""
+    """Of the change detector, whole or without a part: MOTA, or share found and false boxes a
+    frame.
+    """
     detect(job)
     document = work(job)
     if job.video.truth:
@@ -173,15 +211,29 @@ def worth(job: VideoRun) -> str:
 
 
 def shaken(job: tuple[str, int, Path]) -> list[object]:
-    """A video that is shaken by so many pixels: MOTA and IDF1 as shipped, and without the look at how it shakes."""
+    """A video that is shaken by so many pixels: MOTA and IDF1 as shipped, and without the look at
+    how it shakes.
+    """
     name, pixels, runs = job
     video = next(one for one in VIDEOS if one.name == name)
-    folder, paths = runs / f"{name}-shaken-{pixels}", VideoRun(video, "pmb", runs)
+    folder = runs / f"{name}-shaken-{pixels}"
+    paths = VideoRun(video, "pmb", runs)
     _shake(paths.path(video.source), paths.path(video.truth), pixels, folder)
-    given = ["track", str(folder / "video.mp4"), "--truth", str(folder / "gt.txt"), "--no-video", "--overwrite", "--json"]
-    out, row = ["--detect-again", "--out", str(folder / "run")], list[object]([f"{name}, {pixels} pixels"])
+    given = [
+        "track",
+        str(folder / "video.mp4"),
+        "--truth",
+        str(folder / "gt.txt"),
+        "--no-video",
+        "--overwrite",
+        "--json",
+    ]
+    out = ["--detect-again", "--out", str(folder / "run")]
+    row = list[object]([f"{name}, {pixels} pixels"])
     for command in (["-m", "phdtrack"], ["-c", _STANDING]):
-        done = subprocess.run([sys.executable, *command, *given, *out], capture_output=True, text=True, check=True)
+        done = subprocess.run(
+            [sys.executable, *command, *given, *out], capture_output=True, text=True, check=True
+        )
         scores = json.loads(done.stdout)["scores"]
         row += [float(scores[key] or 0.0) for key in ("MOTA", "IDF1")]
     return row
@@ -190,8 +242,12 @@ def shaken(job: tuple[str, int, Path]) -> list[object]:
 def _shake(source: str, truth: str, pixels: float, folder: Path) -> None:
     """Write video.mp4 and gt.txt of a sequence with each frame shifted, much as the one before."""
     folder.mkdir(parents=True, exist_ok=True)
-    frames, rows, rng = open_source(source), np.loadtxt(truth, delimiter=","), np.random.default_rng(0)
-    size, shift, shifts = (frames.info.width, frames.info.height), np.zeros(2), np.zeros((int(rows[:, 0].max()) + 1, 2))
+    frames = open_source(source)
+    rows = np.loadtxt(truth, delimiter=",")
+    rng = np.random.default_rng(0)
+    size = (frames.info.width, frames.info.height)
+    shift = np.zeros(2)
+    shifts = np.zeros((int(rows[:, 0].max()) + 1, 2))
     with VideoWriter(folder / "video.mp4", *size, frames.info.fps, quality=20) as out:
         for frame in frames:
             shift = 0.7 * shift + (1 - 0.7**2) ** 0.5 * pixels * rng.standard_normal(2)
@@ -209,7 +265,13 @@ def _by_masks(name: str, out: Path) -> list[object]:
     if name == TREE:
         rows = read_tracks(out / "tracks.csv")
         early = rows.take(rows.frame <= EMPTY)
-        return [name, "–", len(early) / EMPTY, len(np.unique(early.identity)), len(np.unique(early.identity))]
+        return [
+            name,
+            "–",
+            len(early) / EMPTY,
+            len(np.unique(early.identity)),
+            len(np.unique(early.identity)),
+        ]
     scorer = need_data().parent / "bench" / "score_masks.py"
     command = [sys.executable, str(scorer), str(folder), str(out / "tracks.csv")]
     said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
@@ -224,7 +286,9 @@ def _phdtrack(*arguments: str) -> str:
     command = [sys.executable, "-m", "phdtrack", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
-        raise RuntimeError(f"{' '.join(command)} ended with status {done.returncode}:\n{done.stderr}")
+        raise RuntimeError(
+            f"{' '.join(command)} ended with status {done.returncode}:\n{done.stderr}"
+        )
     return done.stdout
 
 
@@ -233,20 +297,33 @@ def main(options: Options) -> Path:
     runs = ROOT / "runs" / ("videos-quick" if options.quick else "videos")
     runs.mkdir(parents=True, exist_ok=True)
     videos = [video for video in VIDEOS if video.name == SHORT] if options.quick else VIDEOS
-    in_parallel(detect, [VideoRun(video, FILTERS[0], runs) for video in videos], "detecting", options)
+    in_parallel(
+        detect, [VideoRun(video, FILTERS[0], runs) for video in videos], "detecting", options
+    )
     jobs = [VideoRun(video, name, runs) for video in videos for name in FILTERS]
-    rows = [_row(job, document) for job, document in zip(jobs, in_parallel(work, jobs, "videos", options), strict=True)]
+    rows = [
+        _row(job, document)
+        for job, document in zip(jobs, in_parallel(work, jobs, "videos", options), strict=True)
+    ]
     header = ("video", "detector", "filter", *SCORES, "switches", "delay", "false tracks")
     masks = [] if options.quick else [(name, runs) for name in (*MASKS, TREE)]
     moving = table(
-        ("video", "found", "false boxes a frame", "tracks", "false"), in_parallel(masked, masks, "masks", options)
+        ("video", "found", "false boxes a frame", "tracks", "false"),
+        in_parallel(masked, masks, "masks", options),
     )
-    jolts = [(name, pixels, runs) for name in SHAKEN for pixels in PIXELS] if not options.quick else [(SHORT, 3, runs)]
+    jolts = (
+        [(name, pixels, runs) for name in SHAKEN for pixels in PIXELS]
+        if not options.quick
+        else [(SHORT, 3, runs)]
+    )
     shaking = table(
-        ("video", "MOTA", "IDF1", "MOTA, unsteadied", "IDF1, unsteadied"), in_parallel(shaken, jolts, "shaken", options)
+        ("video", "MOTA", "IDF1", "MOTA, unsteadied", "IDF1, unsteadied"),
+        in_parallel(shaken, jolts, "shaken", options),
     )
     parts = _parts(videos, options, runs)
-    return write("videos", options, table=table(header, rows), masks=moving, shaking=shaking, parts=parts)
+    return write(
+        "videos", options, table=table(header, rows), masks=moving, shaking=shaking, parts=parts
+    )
 
 
 def _parts(videos: Sequence[Video], options: Options, runs: Path) -> str:
@@ -256,15 +333,27 @@ def _parts(videos: Sequence[Video], options: Options, runs: Path) -> str:
         seen += [Video(name, f"video/{name}/{name}.mp4", "", "change") for name in (*MASKS, TREE)]
     jobs = [VideoRun(video, "pmb", runs, part) for part in ("", *PARTS) for video in seen]
     cells = in_parallel(worth, jobs, "parts", options)
-    rows = [[PARTS.get(part, "nothing"), *cells[k * len(seen) : (k + 1) * len(seen)]] for k, part in enumerate(("", *PARTS))]
+    rows = [
+        [PARTS.get(part, "nothing"), *cells[k * len(seen) : (k + 1) * len(seen)]]
+        for k, part in enumerate(("", *PARTS))
+    ]
     return table(("without", *(video.name for video in seen)), rows)
 
 
 def _row(job: VideoRun, document: dict[str, object]) -> list[object]:
-    video, name = job.video, job.filter
+    video = job.video
+    name = job.filter
     scores = document["scores"]
     assert isinstance(scores, dict)
     numbers = [float(scores[key]) for key in SCORES]
     delay = scores["delay_mean"]
     late = "–" if delay is None else f"{delay:.1f}"
-    return [video.name, video.detector, name, *numbers, scores["id_switches"], late, scores["false_tracks"]]
+    return [
+        video.name,
+        video.detector,
+        name,
+        *numbers,
+        scores["id_switches"],
+        late,
+        scores["false_tracks"],
+    ]

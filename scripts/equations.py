@@ -1,9 +1,10 @@
 """Write docs/equations.md: where each equation of the papers stands in the code.
 
-A docstring that implements an equation carries its tag: the paper, then the place in it, between square brackets, as in
-``[M07 §3]``, ``[M09 (22)]``, ``[D14 Alg. 2]``. The paper alone stands for the whole of it; ``[M07 §3; S05]`` is two tags.
-This script reads the docstrings under src/phdtrack without importing anything and lists them by paper. ``--check`` writes
-nothing and fails when the page is not what it would write.
+A docstring that implements an equation carries its tag: the paper, then the place in it, between
+square brackets, as in ``[M07 §3]``, ``[M09 (22)]``, ``[D14 Alg. 2]``. The paper alone stands for
+the whole of it; ``[M07 §3; S05]`` is two tags. This script reads the docstrings under src/phdtrack
+without importing anything and lists them by paper. ``--check`` writes nothing and fails when the
+page is not what it would write.
 """
 
 from __future__ import annotations
@@ -71,7 +72,9 @@ the main equations themselves, [notation](notation.md) the symbols.
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One tag in one docstring: ``paper`` and ``place`` in it, the ``owner`` that carries it, its file and first line."""
+    """One tag in one docstring: ``paper`` and ``place`` in it, the ``owner`` that carries it, its
+    file and first line.
+    """
 
     paper: str
     place: str
@@ -96,7 +99,9 @@ def docstrings(tree: ast.Module, module: str) -> Iterator[tuple[str, int, str]]:
 
 
 def tags(text: str) -> Iterator[tuple[str, str]]:
-    """Paper and place of each tag in a docstring; a semicolon or comma separates several in one pair of brackets."""
+    """Paper and place of each tag in a docstring; a semicolon or comma separates several in one
+    pair of brackets.
+    """
     for inside in BRACKET.findall(" ".join(text.split())):
         for part in BETWEEN.split(inside):
             if match := PART.fullmatch(part.strip()):
@@ -106,11 +111,15 @@ def tags(text: str) -> Iterator[tuple[str, str]]:
 def summary(text: str) -> str:
     """The first paragraph of a docstring as one line, tags left out, fit for a table cell."""
     first = " ".join(text.split("\n\n")[0].split())
-    return re.sub(r"\s+([.,;:])", r"\1", " ".join(BRACKET.sub("", first).split())).replace("|", "\\|")
+    return re.sub(r"\s+([.,;:])", r"\1", " ".join(BRACKET.sub("", first).split())).replace(
+        "|", "\\|"
+    )
 
 
 def entries(sources: Path) -> Iterator[Entry]:
-    """Every tag in every docstring under ``sources``, in the order of files and lines; a tag counts once a docstring."""
+    """Every tag in every docstring under ``sources``, in the order of files and lines; a tag counts
+    once a docstring.
+    """
     for path in sorted(sources.rglob("*.py")):
         parts = path.relative_to(sources.parent).with_suffix("").parts
         module = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
@@ -166,7 +175,10 @@ def main(arguments: list[str]) -> int:
         return 0
     if PAGE.exists() and PAGE.read_text(encoding="utf-8") == text:
         return 0
-    print("docs/equations.md is not what the docstrings say: run `make docs` and commit the page", file=sys.stderr)
+    print(
+        "docs/equations.md is not what the docstrings say: run `make docs` and commit the page",
+        file=sys.stderr,
+    )
     return 1
 
 

@@ -1,8 +1,9 @@
 """Fill in the hashes of a constraints file: ``python scripts/hashes.py constraints.txt``.
 
-Each line ``name==version`` gets a ``--hash=sha256:…`` for the source archive and for every wheel that CPython 3.11 or later
-can install on Linux (glibc; x86-64, ARM), macOS and Windows. After a version was changed by hand, run it again: all hashes
-are asked anew of the index that this machine's pip is configured with, through pip's own session. No address is kept.
+Each line ``name==version`` gets a ``--hash=sha256:…`` for the source archive and for every wheel
+that CPython 3.11 or later can install on Linux (glibc; x86-64, ARM), macOS and Windows. After a
+version was changed by hand, run it again: all hashes are asked anew of the index that this
+machine's pip is configured with, through pip's own session. No address is kept.
 """
 
 from __future__ import annotations
@@ -15,7 +16,11 @@ from pathlib import Path
 from pip._internal.commands import create_command
 from pip._internal.index.collector import LinkCollector, parse_links
 from pip._internal.models.link import Link
-from pip._vendor.packaging.utils import canonicalize_name, parse_sdist_filename, parse_wheel_filename
+from pip._vendor.packaging.utils import (
+    canonicalize_name,
+    parse_sdist_filename,
+    parse_wheel_filename,
+)
 from pip._vendor.packaging.version import Version
 
 OLDEST = 11
@@ -24,7 +29,9 @@ INTERPRETER = re.compile(r"(?:py2|py3|cp3)(\d*)")
 
 
 def wanted(file: str, version: Version) -> bool:
-    """Whether a file is the source archive of this version, or a wheel of it that can be installed."""
+    """Whether a file is the source archive of this version, or a wheel of it that can be
+    installed.
+    """
     try:
         if not file.endswith(".whl"):
             return parse_sdist_filename(file)[1] == version
@@ -33,7 +40,12 @@ def wanted(file: str, version: Version) -> bool:
         return False
     for tag in tags:
         match = INTERPRETER.fullmatch(tag.interpreter)
-        if found != version or not match or tag.interpreter.startswith("py2") or not PLATFORM.fullmatch(tag.platform):
+        if (
+            found != version
+            or not match
+            or tag.interpreter.startswith("py2")
+            or not PLATFORM.fullmatch(tag.platform)
+        ):
             continue
         exact = tag.interpreter.startswith("cp") and tag.abi not in ("abi3", "none")
         if not exact or (int(match[1]) >= OLDEST and not tag.abi.endswith("t")):
@@ -42,7 +54,9 @@ def wanted(file: str, version: Version) -> bool:
 
 
 def links(collector: LinkCollector, name: str) -> Iterator[Link]:
-    """What the index has under this name; indexes on this machine's disk are no source for others."""
+    """What the index has under this name; indexes on this machine's disk are no source for
+    others.
+    """
     for source in collector.collect_sources(name, lambda _: None).index_urls:
         if source is None or source.link is None or source.link.scheme == "file":
             continue
@@ -62,7 +76,9 @@ def main(paths: list[str]) -> None:
                 name, _, version = pinned.partition("==")
                 found = links(collector, canonicalize_name(name))
                 good = {
-                    link.hash for link in found if link.hash_name == "sha256" and wanted(link.filename, Version(version))
+                    link.hash
+                    for link in found
+                    if link.hash_name == "sha256" and wanted(link.filename, Version(version))
                 }
                 if not good:
                     raise SystemExit(f"{pinned}: the index has no such release, or no hashes of it")

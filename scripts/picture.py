@@ -1,7 +1,8 @@
 """The pictures of the documentation, all of rendered scenes.
 
-python scripts/picture.py            docs/picture.jpg: detections with clutter, the filter's intensity, the tracks
-python scripts/picture.py gallery    docs/gallery/: the first command on each scene, and what teaching a scene changes
+python scripts/picture.py            docs/picture.jpg: detections with clutter, the filter's
+intensity, the tracks python scripts/picture.py gallery    docs/gallery/: the first command on each
+scene, and what teaching a scene changes
 """
 
 from __future__ import annotations
@@ -29,27 +30,37 @@ from phdtrack.simulate import DetectorModel, Look, Rendered, make_scene
 from phdtrack.video import open_source
 
 OUT = Path(__file__).resolve().parent.parent / "docs" / "picture.jpg"
-FRAME, SEED, CLUTTER = 280, 7, 8.0
+FRAME = 280
+SEED = 7
+CLUTTER = 8.0
 # Scenes of the gallery, and the frame of each that is shown.
-SCENES, SHOWN, MARKED = ("yard", "garden", "arcade", "crowd"), 400, 40
+SCENES = ("yard", "garden", "arcade", "crowd")
+SHOWN = 400
+MARKED = 40
 WHITE = (255, 255, 255)
 
 
 def main() -> None:
     """Track the scene up to one frame and draw it three times."""
-    scene = make_scene("street", SEED, DetectorModel(p_detect=0.9, clutter_rate=CLUTTER), frames=FRAME + 20)
+    scene = make_scene(
+        "street", SEED, DetectorModel(p_detect=0.9, clutter_rate=CLUTTER), frames=FRAME + 20
+    )
     info = scene.info
     tracker = Tracker((info.width, info.height), fps=info.fps, seed=SEED, filter="particle-phd")
-    annotate, none = Annotator(info), Tracks.empty()
+    annotate = Annotator(info)
+    none = Tracks.empty()
     heat = np.zeros((1, 1))
     pictures = []
     for frame in Rendered(scene, np.random.default_rng(SEED), Look(lamps=0)):
         tracker.update(scene.detections.at(frame.number), frame=frame.number, timestamp=frame.time)
         pictures.append(frame.image)
         if frame.number == FRAME:
-            particles, edges = tracker.state.intensity, ((0, info.height), (0, info.width))
+            particles = tracker.state.intensity
+            edges = ((0, info.height), (0, info.width))
             cells = (info.height // 4, info.width // 4)
-            heat, _, _ = np.histogram2d(*particles.state[1::-1], cells, edges, weights=particles.weight)
+            heat, _, _ = np.histogram2d(
+                *particles.state[1::-1], cells, edges, weights=particles.weight
+            )
             heat = cv2.GaussianBlur(heat, (5, 5), 1.0)
     tracks = tracker.tracks()
     for number in range(FRAME - 60, FRAME + 1):
@@ -73,29 +84,38 @@ def gallery() -> None:
         for scene in SCENES:
             _phdtrack(at, "simulate", scene, "--frames", str(SHOWN + 100), "--out", scene)
             _phdtrack(at, "track", f"{scene}/scene.mp4", "--out", f"runs/{scene}")
-            _write(out / f"{scene}.jpg", [_seen(at, scene, "runs/" + scene), _tracked(at, scene, "runs/" + scene, "tracks")])
+            _write(
+                out / f"{scene}.jpg",
+                [_seen(at, scene, "runs/" + scene), _tracked(at, scene, "runs/" + scene, "tracks")],
+            )
         _learned(at, out)
 
 
 def _learned(at: Path, out: Path) -> None:
     """The yard's detections, tracked before and after 40 frames of them were marked."""
-    detections, labels = at / "yard" / "det" / "det.txt", at / "yard.labels.sqlite"
-    found, truth = (
-        to_label(SourceOptions(detections=detections), {}, labels, Output()),
-        read_truth(at / "yard" / "gt" / "gt.txt"),
+    detections = at / "yard" / "det" / "det.txt"
+    labels = at / "yard.labels.sqlite"
+    found = to_label(SourceOptions(detections=detections), {}, labels, Output())
+    truth = read_truth(at / "yard" / "gt" / "gt.txt")
+    store = LabelStore.open(
+        labels, str(detections), found.digest, shuffled(found.info.frames, seed=0)[:MARKED]
     )
-    store = LabelStore.open(labels, str(detections), found.digest, shuffled(found.info.frames, seed=0)[:MARKED])
     store.mark_false(found.table, truth)
     given = ("--detections", "yard/det/det.txt")
     _phdtrack(at, "learn", *given, "--labels", labels.name, "--out", "yard.scene.json")
     _phdtrack(at, "track", *given, "--out", "runs/before", "--no-video")
-    _phdtrack(at, "track", *given, "--out", "runs/after", "--no-video", "--scene", "yard.scene.json")
+    _phdtrack(
+        at, "track", *given, "--out", "runs/after", "--no-video", "--scene", "yard.scene.json"
+    )
     image = _frame(at, "yard")
     density = read_scene(at / "yard.scene.json").clutter.density
     heat = place_map(density, (image.shape[0] // 4, image.shape[1] // 4), 4.0)
     places = _named(_glow(image, heat), "where false alarms are expected")
     _write(out / "detections-and-places.jpg", [_seen(at, "yard", "runs/before"), places])
-    both = [_tracked(at, "yard", "runs/before", "tracks, untaught"), _tracked(at, "yard", "runs/after", "tracks, taught")]
+    both = [
+        _tracked(at, "yard", "runs/before", "tracks, untaught"),
+        _tracked(at, "yard", "runs/after", "tracks, taught"),
+    ]
     _write(out / "before-and-after.jpg", both)
 
 
@@ -118,7 +138,8 @@ def _seen(at: Path, scene: str, run: str) -> np.ndarray:
 
 def _tracked(at: Path, scene: str, run: str, text: str) -> np.ndarray:
     """The frame with the corrected tracks of a run, and where they were in the last seconds."""
-    annotate, tracks = Annotator(find_seqinfo(at / scene)), read_tracks(at / run / "tracks.csv")
+    annotate = Annotator(find_seqinfo(at / scene))
+    tracks = read_tracks(at / run / "tracks.csv")
     for frame in islice(open_source(str(at / scene / "scene.mp4")), SHOWN):
         if frame.number > SHOWN - 60:
             drawn = annotate(frame.image, frame.number, tracks, Detections.empty())
@@ -134,7 +155,11 @@ def _write(path: Path, panels: list[np.ndarray]) -> None:
 
 def _glow(image: np.ndarray, heat: np.ndarray) -> np.ndarray:
     """The intensity over the darkened frame."""
-    level = cv2.resize(heat / max(heat.max(), 1e-9), (image.shape[1], image.shape[0]), interpolation=cv2.INTER_LINEAR)
+    level = cv2.resize(
+        heat / max(heat.max(), 1e-9),
+        (image.shape[1], image.shape[0]),
+        interpolation=cv2.INTER_LINEAR,
+    )
     colour = cv2.applyColorMap((255 * level**0.5).astype(np.uint8), cv2.COLORMAP_INFERNO)
     return cv2.addWeighted(image, 0.35, colour, 0.9, 0)
 
@@ -143,7 +168,9 @@ def _named(image: np.ndarray, text: str) -> np.ndarray:
     """The panel with its name at the foot."""
     out = image.copy()
     cv2.rectangle(out, (0, out.shape[0] - 30), (out.shape[1], out.shape[0]), (40, 40, 40), -1)
-    cv2.putText(out, text, (10, out.shape[0] - 9), cv2.FONT_HERSHEY_SIMPLEX, 0.65, WHITE, 1, cv2.LINE_AA)
+    cv2.putText(
+        out, text, (10, out.shape[0] - 9), cv2.FONT_HERSHEY_SIMPLEX, 0.65, WHITE, 1, cv2.LINE_AA
+    )
     return out
 
 

@@ -23,8 +23,8 @@ ROOT = Path(__file__).resolve().parent.parent
 settings.register_profile("phdtrack", deadline=None)
 settings.load_profile("phdtrack")
 
-# A shell starts what it puts in the background with Ctrl-C ignored, and so would be every process that a test starts to
-# see what Ctrl-C does to it.
+# A shell starts what it puts in the background with Ctrl-C ignored, and so would be every process
+# that a test starts to see what Ctrl-C does to it.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 # The same of nohup and the end of a terminal.
@@ -45,7 +45,9 @@ def data() -> Path:
     """The folder of real sequences: ../shared/data beside the project, or $PHDTRACK_DATA."""
     folder = Path(os.environ.get("PHDTRACK_DATA", ROOT.parent / "shared" / "data"))
     if not (folder / "mot15").is_dir():
-        pytest.skip(f"the real sequences are not at {folder}; set PHDTRACK_DATA to the folder that holds mot15/")
+        pytest.skip(
+            f"the real sequences are not at {folder}; set PHDTRACK_DATA to the folder that holds mot15/"
+        )
     return folder
 
 

@@ -1,4 +1,6 @@
-"""Kernels that only kernels call, made callable from Python: they are compiled without the wrapper that this needs."""
+"""Kernels that only kernels call, made callable from Python: they are compiled without the wrapper
+that this needs.
+"""
 
 from __future__ import annotations
 

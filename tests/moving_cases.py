@@ -1,4 +1,6 @@
-"""Simulated scenes as a camera sees them that moves: boxes, truth and pictures carried along a known path."""
+"""Simulated scenes as a camera sees them that moves: boxes, truth and pictures carried along a
+known path.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +18,17 @@ MIDDLE = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
 
 
 def handheld(count: int, rng: np.random.Generator, shake: float = 8.0) -> np.ndarray:
-    """(count + 1, 3, 3) maps from the still scene to frame k, from 1: a slow pan, hands that tremble, turn and zoom."""
+    """(count + 1, 3, 3) maps from the still scene to frame k, from 1: a slow pan, hands that
+    tremble, turn and zoom.
+    """
     out = np.empty((count + 1, 3, 3))
     for k in range(count + 1):
-        angle, scale = rng.normal(0, 0.006), np.exp(0.06 * np.sin(k / 15))
-        c, s = scale * np.cos(angle), scale * np.sin(angle)
-        x, y = 50 * np.sin(k / 9) + rng.normal(0, shake), 15 * np.sin(k / 6) + rng.normal(0, shake / 2)
+        angle = rng.normal(0, 0.006)
+        scale = np.exp(0.06 * np.sin(k / 15))
+        c = scale * np.cos(angle)
+        s = scale * np.sin(angle)
+        x = 50 * np.sin(k / 9) + rng.normal(0, shake)
+        y = 15 * np.sin(k / 6) + rng.normal(0, shake / 2)
         out[k] = [[c, -s, x], [s, c, y], [0, 0, 1]]
     return out
 
@@ -49,7 +56,8 @@ def points(warp: np.ndarray, p: np.ndarray) -> np.ndarray:
 
 def moving(scene: Scene, path: np.ndarray) -> Scene:
     """The scene's detections and truth in the pixels of the camera that moves."""
-    truth, table = scene.truth, scene.detections
+    truth = scene.truth
+    table = scene.detections
     found = replace(table.detections, xyxy=seen(path, table.frame, table.detections.xyxy))
     return replace(
         scene,
@@ -61,5 +69,7 @@ def moving(scene: Scene, path: np.ndarray) -> Scene:
 def filmed(frame: Frame, path: np.ndarray, size: tuple[int, int]) -> Frame:
     """What of the still picture the camera shows, (width, height)."""
     by_middles = warp_of.back(MIDDLE) @ path[frame.number] @ MIDDLE
-    picture = cv2.warpPerspective(frame.image, by_middles, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+    picture = cv2.warpPerspective(
+        frame.image, by_middles, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT
+    )
     return replace(frame, picture=picture)

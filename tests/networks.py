@@ -1,4 +1,6 @@
-"""Small networks that find a red, a green and a blue blob in a picture, with the inputs and outputs of usual detectors."""
+"""Small networks that find a red, a green and a blue blob in a picture, with the inputs and outputs
+of usual detectors.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +15,23 @@ from onnx import TensorProto, helper, numpy_helper
 
 from phdtrack.types import F8, Frame
 
-TYPES = {"float": TensorProto.FLOAT, "float16": TensorProto.FLOAT16, "uint8": TensorProto.UINT8, "int64": TensorProto.INT64}
-LAYOUTS = ("yolov8", "yolov5", "end2end", "queries", "torchvision", "rtdetr", "detr", "rfdetr", "tensorflow")
+TYPES = {
+    "float": TensorProto.FLOAT,
+    "float16": TensorProto.FLOAT16,
+    "uint8": TensorProto.UINT8,
+    "int64": TensorProto.INT64,
+}
+LAYOUTS = (
+    "yolov8",
+    "yolov5",
+    "end2end",
+    "queries",
+    "torchvision",
+    "rtdetr",
+    "detr",
+    "rfdetr",
+    "tensorflow",
+)
 # Rows that say nothing, after those of blobs.
 PADDING = 18
 
@@ -23,7 +40,8 @@ class Graph:
     """Nodes one after the other; what is no name is a constant."""
 
     def __init__(self) -> None:
-        self.nodes, self.constants = list[onnx.NodeProto](), list[onnx.TensorProto]()
+        self.nodes = list[onnx.NodeProto]()
+        self.constants = list[onnx.TensorProto]()
 
     def __call__(self, op: str, *inputs: Any, outputs: int = 1, **attributes: Any) -> Any:
         names = [self.named(one) for one in inputs]
@@ -40,14 +58,20 @@ class Graph:
 
 
 def found(g: Graph, x: str) -> dict[str, str]:
-    """Of (B, 3, H, W) from 0 to 1: corners and centred boxes (B, 3, 4), shares of both, and whether there is one (B, 3, 1).
+    """Of (B, 3, H, W) from 0 to 1: corners and centred boxes (B, 3, 4), shares of both, and whether
+    there is one (B, 3, 1).
 
     A pixel belongs to a colour that leads by half.
     """
     colours = g("Split", x, axis=1, outputs=3)
     rivals = [g("Max", *(one for one in colours if one != colour)) for colour in colours]
-    mask = g("Cast", g("Greater", g("Sub", x, g("Concat", *rivals, axis=1)), 0.5), to=TensorProto.FLOAT)
-    low, high, most, there = list[str](), list[str](), list[str](), ""
+    mask = g(
+        "Cast", g("Greater", g("Sub", x, g("Concat", *rivals, axis=1)), 0.5), to=TensorProto.FLOAT
+    )
+    low = list[str]()
+    high = list[str]()
+    most = list[str]()
+    there = ""
     for other in (2, 3):
         line = g("ReduceMax", mask, axes=[other], keepdims=0)
         there = g("ReduceMax", line, axes=[2])
@@ -58,7 +82,8 @@ def found(g: Graph, x: str) -> dict[str, str]:
         low.append(g("Mul", there, g("Sub", 1e5 - 1, nearest)))
     middle = [g("Mul", g("Add", a, b), 0.5) for a, b in zip(low, high, strict=True)]
     size = [g("Sub", b, a) for a, b in zip(low, high, strict=True)]
-    corners, centred = g("Concat", *low, *high, axis=2), g("Concat", *middle, *size, axis=2)
+    corners = g("Concat", *low, *high, axis=2)
+    centred = g("Concat", *middle, *size, axis=2)
     again = g("Concat", *middle, *(g("Mul", one, 0.9) for one in size), axis=2)
     whole = g("Concat", *most, *most, axis=0)
     shares = {"corners share": g("Div", corners, whole), "centred share": g("Div", centred, whole)}
@@ -71,8 +96,10 @@ def heads(g: Graph, layout: str, x: str) -> dict[str, tuple[str, str, int]]:
     """Name, node, type and number of axes of each output."""
     f = found(g, x)
     score = g("Mul", f["there"], np.array([[[0.9], [0.8], [0.7]]]))
-    table, kind = g("Mul", score, np.eye(3)[None]), g("Add", g("Mul", score, 0.0), np.array([[[0.0], [1.0], [2.0]]]))
-    flat, label = g("Squeeze", score, [2]), g("Cast", g("Squeeze", kind, [2]), to=TensorProto.INT64)
+    table = g("Mul", score, np.eye(3)[None])
+    kind = g("Add", g("Mul", score, 0.0), np.array([[[0.0], [1.0], [2.0]]]))
+    flat = g("Squeeze", score, [2])
+    label = g("Cast", g("Squeeze", kind, [2]), to=TensorProto.INT64)
     if layout in ("yolov8", "yolov5"):
         more = [f["there"]] if layout == "yolov5" else []
         first = g("Concat", f["centred"], *more, table, axis=2)
@@ -85,11 +112,21 @@ def heads(g: Graph, layout: str, x: str) -> dict[str, tuple[str, str, int]]:
         return {"output0": (g("Concat", f["centred share"], table, axis=2), "float", 3)}
     if layout == "torchvision":
         boxes, scores, labels = (g("Squeeze", one, [0]) for one in (f["corners"], flat, label))
-        return {"boxes": (boxes, "float", 2), "labels": (labels, "int64", 1), "scores": (scores, "float", 1)}
+        return {
+            "boxes": (boxes, "float", 2),
+            "labels": (labels, "int64", 1),
+            "scores": (scores, "float", 1),
+        }
     if layout == "rtdetr":
         wanted = g("Cast", "orig_target_sizes", to=TensorProto.FLOAT)
-        boxes = g("Mul", f["corners share"], g("Unsqueeze", g("Concat", wanted, wanted, axis=1), [1]))
-        return {"labels": (label, "int64", 2), "boxes": (boxes, "float", 3), "scores": (flat, "float", 2)}
+        boxes = g(
+            "Mul", f["corners share"], g("Unsqueeze", g("Concat", wanted, wanted, axis=1), [1])
+        )
+        return {
+            "labels": (label, "int64", 2),
+            "boxes": (boxes, "float", 3),
+            "scores": (flat, "float", 2),
+        }
     if layout == "detr":
         logits = g("Mul", g("Concat", table, g("Sub", 1.0, f["there"]), axis=2), 10.0)
         return {"logits": (logits, "float", 3), "pred_boxes": (f["centred share"], "float", 3)}
@@ -97,8 +134,14 @@ def heads(g: Graph, layout: str, x: str) -> dict[str, tuple[str, str, int]]:
         logits = g("Sub", g("Mul", table, 10.0), 5.0)
         return {"dets": (f["centred share"], "float", 3), "labels": (logits, "float", 3)}
     count = g("ReduceSum", f["there"], [1, 2], keepdims=0)
-    given = {"num_detections": (count, "float", 1), "detection_boxes": (f["flipped share"], "float", 3)}
-    return given | {"detection_scores": (flat, "float", 2), "detection_classes": (g("Squeeze", kind, [2]), "float", 2)}
+    given = {
+        "num_detections": (count, "float", 1),
+        "detection_boxes": (f["flipped share"], "float", 3),
+    }
+    return given | {
+        "detection_scores": (flat, "float", 2),
+        "detection_classes": (g("Squeeze", kind, [2]), "float", 2),
+    }
 
 
 def write(
@@ -110,21 +153,28 @@ def write(
     outputs: str = "",
 ) -> Path:
     """A network file; ``outputs`` is the type of the outputs, where it is not float."""
-    g, x = Graph(), "images"
+    g = Graph()
+    x = "images"
     x = g("Cast", x, to=TensorProto.FLOAT) if kind != "float" else x
     x = g("Mul", x, 1 / 255) if kind == "uint8" else x
     x = g("Unsqueeze", x, [0]) if len(shape) == 3 else x
     x = g("Transpose", x, perm=[0, 3, 1, 2]) if shape[-1] == 3 else x
     if layout in ("detr", "rfdetr"):
-        deviation, mean = np.array([0.229, 0.224, 0.225]), np.array([0.485, 0.456, 0.406])
+        deviation = np.array([0.229, 0.224, 0.225])
+        mean = np.array([0.485, 0.456, 0.406])
         x = g("Add", g("Mul", x, deviation[None, :, None, None]), mean[None, :, None, None])
-    made, given = [], [helper.make_tensor_value_info("images", TYPES[kind], shape)]
+    made = []
+    given = [helper.make_tensor_value_info("images", TYPES[kind], shape)]
     for name, (node, what, axes) in heads(g, layout, x).items():
         what = outputs if outputs and what == "float" else what
         g.nodes.append(helper.make_node("Cast", [node], [name], to=TYPES[what]))
-        made.append(helper.make_tensor_value_info(name, TYPES[what], [f"{name}{k}" for k in range(axes)]))
+        made.append(
+            helper.make_tensor_value_info(name, TYPES[what], [f"{name}{k}" for k in range(axes)])
+        )
     if layout == "rtdetr":
-        given.append(helper.make_tensor_value_info("orig_target_sizes", TYPES["int64"], [shape[0], 2]))
+        given.append(
+            helper.make_tensor_value_info("orig_target_sizes", TYPES["int64"], [shape[0], 2])
+        )
     graph = helper.make_graph(g.nodes, "blobs", given, made, g.constants)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     helper.set_model_props(model, dict(metadata or {}))
@@ -133,7 +183,9 @@ def write(
     return path
 
 
-def scene(width: int, height: int, boxes: Mapping[int, tuple[int, int, int, int]], number: int = 1) -> Frame:
+def scene(
+    width: int, height: int, boxes: Mapping[int, tuple[int, int, int, int]], number: int = 1
+) -> Frame:
     """Grey, with a blob of each class (0 red, 1 green, 2 blue) in its box."""
     image = np.full((height, width, 3), 90, np.uint8)
     for code, (left, top, right, bottom) in boxes.items():

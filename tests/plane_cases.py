@@ -1,4 +1,6 @@
-"""A level camera over the ground, written down anew for tests, and people who walk in front of it."""
+"""A level camera over the ground, written down anew for tests, and people who walk in front of
+it.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ FRAME = (640.0, 480.0)
 
 @dataclass(frozen=True)
 class LevelCamera:
-    """At ``height`` metres, looking along Y; foot points lie ``focal``·height/Y pixels below the ``horizon`` row."""
+    """At ``height`` metres, looking along Y; foot points lie ``focal``·height/Y pixels below the
+    ``horizon`` row.
+    """
 
     focal: float = 500.0
     height: float = 5.0
@@ -28,13 +32,19 @@ class LevelCamera:
     def pixels(self, world):
         y = np.where(world[1] > 0, world[1], np.nan)
         up = world[2] if len(world) == 3 else 0.0
-        return np.stack([self.centre + self.focal * world[0] / y, self.horizon + self.focal * (self.height - up) / y])
+        return np.stack(
+            [
+                self.centre + self.focal * world[0] / y,
+                self.horizon + self.focal * (self.height - up) / y,
+            ]
+        )
 
     def jacobian(self, pixel):
         x, y = self.ground(pixel)
         row = y / (self.focal * self.height)
         out = np.zeros((pixel.shape[1], 2, 2))
-        out[:, 0, 0], out[:, 0, 1] = y / self.focal, -x * row
+        out[:, 0, 0] = y / self.focal
+        out[:, 0, 1] = -x * row
         out[:, 1, 1] = -y * row
         return out
 

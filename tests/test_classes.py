@@ -1,4 +1,6 @@
-"""Several classes: no track goes from one to another, each is tracked as if it were alone, and groups vote."""
+"""Several classes: no track goes from one to another, each is tracked as if it were alone, and
+groups vote.
+"""
 
 from __future__ import annotations
 
@@ -13,32 +15,46 @@ from phdtrack.simulate import DetectorModel, make_scene
 from phdtrack.types import Detections, Tracks
 from tracker_cases import SIZE, equal
 
-CAR, PERSON = 2, 7
+CAR = 2
+PERSON = 7
 
 
 @cache
 def crossing(late: int = 1) -> tuple[Detections, ...]:
     """Two streets laid over each other, one of each class; the cars begin at frame ``late``."""
-    both = [make_scene("street", seed, DetectorModel(clutter_rate=1), frames=90, lead_in=-4.0) for seed in (3, 4)]
+    both = [
+        make_scene("street", seed, DetectorModel(clutter_rate=1), frames=90, lead_in=-4.0)
+        for seed in (3, 4)
+    ]
     frames = []
     for k in range(1, 91):
         cars, people = (one.detections.at(k) for one in both)
         cars = cars if k >= late else Detections.empty()
         label = np.repeat([CAR, PERSON], [len(cars), len(people)])
-        boxes, score = np.vstack([cars.xyxy, people.xyxy]), np.concatenate([cars.confidence, people.confidence])
-        frames.append(Detections(boxes, score, label).take(np.random.default_rng(k).permutation(len(label))))
+        boxes = np.vstack([cars.xyxy, people.xyxy])
+        score = np.concatenate([cars.confidence, people.confidence])
+        frames.append(
+            Detections(boxes, score, label).take(np.random.default_rng(k).permutation(len(label)))
+        )
     return tuple(frames)
 
 
 def run(frames, **settings) -> tuple[Tracker, Tracks]:
     tracker = Tracker(SIZE, **settings)
-    return tracker, Tracks.concatenate([*(tracker.update(found) for found in frames), tracker.flush()])
+    return tracker, Tracks.concatenate(
+        [*(tracker.update(found) for found in frames), tracker.flush()]
+    )
 
 
 def rows_of(rows: Tracks, label: int, frames) -> np.ndarray:
-    """Frame, box and confidence of a class, and the box of its detection, in an order that identities do not decide."""
+    """Frame, box and confidence of a class, and the box of its detection, in an order that
+    identities do not decide.
+    """
     rows = rows.take(rows.class_id == label)
-    used = [frames[f - 1].xyxy[d] if d >= 0 else np.zeros(4) for f, d in zip(rows.frame, rows.detection, strict=True)]
+    used = [
+        frames[f - 1].xyxy[d] if d >= 0 else np.zeros(4)
+        for f, d in zip(rows.frame, rows.detection, strict=True)
+    ]
     table = np.column_stack([rows.frame, rows.xyxy, rows.confidence, np.reshape(used, (-1, 4))])
     return table[np.lexsort(table.T[::-1])]
 
@@ -48,8 +64,12 @@ def classes_of(rows: Tracks) -> list[set[int]]:
 
 
 @pytest.mark.parametrize("late", [1, 30])
-@pytest.mark.parametrize("settings", [{}, {"preset": "default"}, {"associate": {"output_delay": 3}}], ids=str)
-def test_each_class_is_tracked_as_if_it_were_alone_and_no_identity_changes_class(late: int, settings) -> None:
+@pytest.mark.parametrize(
+    "settings", [{}, {"preset": "default"}, {"associate": {"output_delay": 3}}], ids=str
+)
+def test_each_class_is_tracked_as_if_it_were_alone_and_no_identity_changes_class(
+    late: int, settings
+) -> None:
     frames = crossing(late)
     tracker, online = run(frames, **settings)
     corrected = tracker.tracks()
@@ -64,11 +84,17 @@ def test_each_class_is_tracked_as_if_it_were_alone_and_no_identity_changes_class
 
 def test_without_classes_tracks_go_from_one_object_to_another_and_one_class_is_as_none() -> None:
     frames = crossing()
-    rows = run([Detections.of(found.xyxy, found.confidence) for found in frames], preset="mot15")[0].tracks()
+    rows = run([Detections.of(found.xyxy, found.confidence) for found in frames], preset="mot15")[
+        0
+    ].tracks()
     rows = rows.take(rows.detection >= 0)
-    label = np.array([frames[f - 1].class_id[d] for f, d in zip(rows.frame, rows.detection, strict=True)])
+    label = np.array(
+        [frames[f - 1].class_id[d] for f, d in zip(rows.frame, rows.detection, strict=True)]
+    )
     assert max(map(len, classes_of(replace(rows, class_id=label)))) == 2
-    one, none = (run([replace(found, class_id=0 * found.class_id + k) for found in frames]) for k in (CAR, 0))
+    one, none = (
+        run([replace(found, class_id=0 * found.class_id + k) for found in frames]) for k in (CAR, 0)
+    )
     for a, b in ((one[1], none[1]), (one[0].tracks(), none[0].tracks())):
         assert (set(a.class_id.tolist()), set(b.class_id.tolist())) == ({CAR}, {0})
         assert equal(replace(a, class_id=b.class_id), b)
@@ -80,8 +106,12 @@ def walking(k: int, label: int, score: float = 0.9, x: float = 0.0) -> list[floa
 
 def test_classes_tracked_together_vote_with_their_scores() -> None:
     """A truck is called a car in every other frame, but with low scores; a car stays one."""
-    tracker = Tracker(SIZE, classes={"names": ["person", "car", "truck"], "together": [["car", "truck"]]})
-    frames = [[walking(k, *((1, 0.5) if k % 2 else (2, 0.9))), walking(k, 1, x=300.0)] for k in range(40)]
+    tracker = Tracker(
+        SIZE, classes={"names": ["person", "car", "truck"], "together": [["car", "truck"]]}
+    )
+    frames = [
+        [walking(k, *((1, 0.5) if k % 2 else (2, 0.9))), walking(k, 1, x=300.0)] for k in range(40)
+    ]
     rows = [tracker.update(found) for found in frames]
     assert sorted(map(sorted, classes_of(tracker.tracks()))) == [[1], [2]]
     assert sorted(rows[-1].class_id.tolist()) == [1, 2]
@@ -89,7 +119,11 @@ def test_classes_tracked_together_vote_with_their_scores() -> None:
 
 
 def test_what_is_not_asked_for_is_left_out_and_rows_count_detections_as_given() -> None:
-    own = {"1": {"min_score": 0.5}, "2": {"min_size": 101.0}, "3": {"associate": {"min_track_length": 30}}}
+    own = {
+        "1": {"min_score": 0.5},
+        "2": {"min_size": 101.0},
+        "3": {"associate": {"min_track_length": 30}},
+    }
     tracker = Tracker(SIZE, classes={"only": [1, 2, 3], **own})
     for k in range(20):
         seen = (0,), (2, 0.9, 200.0), (1, 0.4, 300.0), (1, 0.6, 400.0), (3, 0.9, 100.0)
@@ -123,7 +157,8 @@ def test_a_saved_state_goes_on_and_a_step_holds_all_classes(settings) -> None:
     for found in frames[50:]:
         assert equal(first.update(found), again.update(found))
     assert equal(first.tracks(), again.tracks())
-    step, seen = first.step, first.step.estimates.detection
+    seen = first.step.estimates.detection
+    step = first.step
     assert len(step.info.evidence) == len(step.info.clutter) == len(found) == len(step.detections)
     assert np.abs(step.estimates.xyxy - found.xyxy[seen])[seen >= 0].max() < 60
     assert len(set(step.estimates.tag.tolist())) == len(step.estimates)

@@ -1,4 +1,6 @@
-"""Settings from TOML, options and presets: every name can be reached, every mistake names its place and the nearest name."""
+"""Settings from TOML, options and presets: every name can be reached, every mistake names its place
+and the nearest name.
+"""
 
 from __future__ import annotations
 
@@ -94,17 +96,31 @@ OTHER_RATE = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("section", "kind"), dict.fromkeys((section, kind) for section, kind, _ in EVERY))
+@pytest.mark.parametrize(
+    ("section", "kind"), dict.fromkeys((section, kind) for section, kind, _ in EVERY)
+)
 def test_every_setting_is_reached(section: str, kind: str, tmp_path):
     """Each alone by an option, all together by a file; and what is asked for is built."""
     options = chosen(section, kind)
     before = config.load(sets=options).as_dict()[section]
-    values = {name: another(before[name], kind) for where, of, name in EVERY if (where, of) == (section, kind)}
+    values = {
+        name: another(before[name], kind)
+        for where, of, name in EVERY
+        if (where, of) == (section, kind)
+    }
     for name, value in values.items():
-        after = config.load(sets=[*options, f"{section}.{name}={toml_value(value)}"]).as_dict()[section]
-        assert after == before | {name: value} | ({OTHER_RATE[name]: 0.0} if OTHER_RATE.get(name) in before else {})
+        after = config.load(sets=[*options, f"{section}.{name}={toml_value(value)}"]).as_dict()[
+            section
+        ]
+        assert after == before | {name: value} | (
+            {OTHER_RATE[name]: 0.0} if OTHER_RATE.get(name) in before else {}
+        )
     config.build(config.load(sets=options), INFO, moving=True)
-    values |= {name: 0.0 for name in ("births_per_second", "clutter_per_frame") if OTHER_RATE[name] in values}
+    values |= {
+        name: 0.0
+        for name in ("births_per_second", "clutter_per_frame")
+        if OTHER_RATE[name] in values
+    }
     path = tmp_path / "settings.toml"
     lines = [f"[{section}]", *(f"{name} = {toml_value(value)}" for name, value in values.items())]
     path.write_text("\n".join([*lines, f'kind = "{kind}"' if kind else ""]), encoding="utf-8")
@@ -114,7 +130,9 @@ def test_every_setting_is_reached(section: str, kind: str, tmp_path):
         assert config.load(path).as_dict()[section] == before | values
 
 
-@pytest.mark.parametrize(("typed", "meant"), [(".1", 0.1), ("+.25", 0.25), (" .1 ", 0.1), ("1e-1", 0.1)])
+@pytest.mark.parametrize(
+    ("typed", "meant"), [(".1", 0.1), ("+.25", 0.25), (" .1 ", 0.1), ("1e-1", 0.1)]
+)
 def test_numbers_may_begin_with_the_point(typed: str, meant: float):
     assert config.load(sets=[f"sensor.box_noise={typed}"]).as_dict()["sensor"]["box_noise"] == meant
 
@@ -152,9 +170,13 @@ def unfit(preset: str, filter_name: str) -> bool:
     return preset == "d14" and filter_name in ("pmb", "pmbm", "gm-phd", "gm-cphd", "mht")
 
 
-@pytest.mark.parametrize(("preset", "filter_name"), [p for p in product(PRESETS, SECTIONS["filter"]) if not unfit(*p)])
+@pytest.mark.parametrize(
+    ("preset", "filter_name"), [p for p in product(PRESETS, SECTIONS["filter"]) if not unfit(*p)]
+)
 def test_what_settings_prints_is_read_back_to_the_same(preset: str, filter_name: str, tmp_path):
-    """`phdtrack settings`, the dozen and everything, of every preset with every filter that fits it."""
+    """`phdtrack settings`, the dozen and everything, of every preset with every filter that fits
+    it.
+    """
     settings = config.load(preset=preset, filter_name=filter_name)
     for everything in (False, True):
         path = tmp_path / f"{everything}.toml"
@@ -177,9 +199,15 @@ def test_every_setting_has_a_meaning(section: str):
 
 def test_the_last_named_wins(tmp_path):
     path = tmp_path / "mine.toml"
-    path.write_text('preset = "m07"\n[sensor]\ndetection_probability = 0.8\nbox_noise = 0.3\n', encoding="utf-8")
+    path.write_text(
+        'preset = "m07"\n[sensor]\ndetection_probability = 0.8\nbox_noise = 0.3\n', encoding="utf-8"
+    )
     sensor = config.load(path, ["sensor.box_noise=0.4", "sensor.box_noise=0.5"]).as_dict()["sensor"]
-    assert (sensor["scaling"], sensor["detection_probability"], sensor["box_noise"]) == ("detection", 0.8, 0.5)
+    assert (sensor["scaling"], sensor["detection_probability"], sensor["box_noise"]) == (
+        "detection",
+        0.8,
+        0.5,
+    )
     assert config.load(path, preset="m09").as_dict()["sensor"]["scaling"] == "particle"
     assert config.load(path, preset="m09").preset == "m09"
     over = config.overlay(config.load(path), {"sensor": {"detection_probability": 0.6}})
@@ -193,7 +221,9 @@ def test_the_last_named_wins(tmp_path):
 
 @pytest.mark.parametrize("kind", SECTIONS["filter"])
 def test_the_default_has_values_of_its_own_with_each_filter(kind: str):
-    """Built as printed, whatever the filter was before; not in a paper's preset, and never over what was asked for."""
+    """Built as printed, whatever the filter was before; not in a paper's preset, and never over
+    what was asked for.
+    """
     usual = (0.14, 0.6) if kind == "pmb" else (0.15, 0.43)
     model = config.build(config.load(), INFO, kind).model
     assert (model.sensor.box_noise, model.clutter.clutter_per_detection) == usual
@@ -203,15 +233,21 @@ def test_the_default_has_values_of_its_own_with_each_filter(kind: str):
         return found["sensor"]["box_noise"], found["clutter"]["clutter_per_detection"]
 
     assert said(f"filter.kind={kind}") == usual
-    assert said("sensor.box_noise=0.7", f"filter.kind={kind}", "clutter.clutter_per_detection=0.01") == (0.7, 0.01)
+    assert said(
+        "sensor.box_noise=0.7", f"filter.kind={kind}", "clutter.clutter_per_detection=0.01"
+    ) == (0.7, 0.01)
     assert said(f"filter.kind={kind}", preset="m07") == (0.15, 1.0)
 
 
 def test_of_two_rates_the_one_that_is_named_last_holds():
-    """``births_per_second`` are anywhere, ``births_per_detection`` around each detection; so it is with clutter."""
+    """``births_per_second`` are anywhere, ``births_per_detection`` around each detection; so it is
+    with clutter.
+    """
 
     def rates(*sets: str) -> tuple[float, ...]:
-        found = config.load(sets=[f"clutter.clutter_per_{one}" for one in sets]).as_dict()["clutter"]
+        found = config.load(sets=[f"clutter.clutter_per_{one}" for one in sets]).as_dict()[
+            "clutter"
+        ]
         return found["clutter_per_frame"], found["clutter_per_detection"]
 
     assert rates() == (0.0, 0.6)

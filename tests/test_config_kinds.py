@@ -1,4 +1,6 @@
-"""Kinds of filters and extractions: which one wins, what it brings along, and what does not go together."""
+"""Kinds of filters and extractions: which one wins, what it brings along, and what does not go
+together.
+"""
 
 from __future__ import annotations
 
@@ -27,10 +29,22 @@ def test_a_filter_brings_an_extraction_that_fits_it(preset: str, tmp_path):
     for settings, overlap in (
         (config.load(sets=["extract.merge_iou=0.3", "filter.kind=gm-phd"], preset=preset), 0.3),
         (config.load(path, preset=preset), 0.7),
-        (config.overlay(config.load(preset=preset), {"extract": {"merge_iou": 0.6}, "filter": {"kind": "gm-phd"}}), 0.6),
+        (
+            config.overlay(
+                config.load(preset=preset),
+                {"extract": {"merge_iou": 0.6}, "filter": {"kind": "gm-phd"}},
+            ),
+            0.6,
+        ),
     ):
-        assert settings.as_dict()["extract"] == {**settings.as_dict()["extract"], "kind": "components", "merge_iou": overlap}
-    assert isinstance(config.build(config.load(preset=preset), INFO, "gm-phd").extractor, Components)
+        assert settings.as_dict()["extract"] == {
+            **settings.as_dict()["extract"],
+            "kind": "components",
+            "merge_iou": overlap,
+        }
+    assert isinstance(
+        config.build(config.load(preset=preset), INFO, "gm-phd").extractor, Components
+    )
 
 
 @pytest.mark.parametrize(("sets", "says"), [
@@ -52,24 +66,40 @@ def test_kinds_that_do_not_go_together(sets: list[str], says: str):
         config.load(sets=sets)
 
 
-@pytest.mark.parametrize("filter_", ["pmb", "particle-phd", "gm-phd", "particle-cphd", "gm-cphd", "none"])
+@pytest.mark.parametrize(
+    "filter_", ["pmb", "particle-phd", "gm-phd", "particle-cphd", "gm-cphd", "none"]
+)
 @pytest.mark.parametrize("order", [1, -1])
 def test_the_ground_plane_brings_what_fits_it(filter_: str, order: int):
     """Its parts, seconds, in whatever order it is asked for."""
-    sets = ["motion.kind=plane", "camera.region=[-10, 0, 10, 40]", f"filter.kind={filter_}"][::order]
+    sets = ["motion.kind=plane", "camera.region=[-10, 0, 10, 40]", f"filter.kind={filter_}"][
+        ::order
+    ]
     settings = config.load(sets=sets)
     stages = config.build(settings, SequenceInfo(640, 480, 10.0))
     model = stages.model
-    assert (type(model.motion), type(model.sensor), type(model.birth)) == (PlaneMotion, PlaneSensor, PlaneBirth)
+    assert (type(model.motion), type(model.sensor), type(model.birth)) == (
+        PlaneMotion,
+        PlaneSensor,
+        PlaneBirth,
+    )
     assert (model.rate, model.first) == (1.0, 0.1)
-    assert model.motion.borders == model.sensor.borders == model.birth.borders == (-10.0, 0.0, 10.0, 40.0)
+    assert (
+        model.motion.borders
+        == model.sensor.borders
+        == model.birth.borders
+        == (-10.0, 0.0, 10.0, 40.0)
+    )
     assert type(model.clutter) is PlaneClutter
     if filter_ != "pmb":
         assert settings.as_dict()["associate"]["gap_cost"] == 1.609
     # What was asked for stays, also over a filter named later.
     linked = [*sets, "associate.kind=graph", "time.units_per_second=2", "associate.gap_cost=0.3"]
     mine = config.overlay(config.load(sets=linked), {"filter": {"kind": "gm-phd"}})
-    assert (mine.as_dict()["time"]["units_per_second"], mine.as_dict()["associate"]["gap_cost"]) == (2.0, 0.3)
+    assert (
+        mine.as_dict()["time"]["units_per_second"],
+        mine.as_dict()["associate"]["gap_cost"],
+    ) == (2.0, 0.3)
 
 
 def test_on_the_ground_a_uniform_density_needs_a_region():
@@ -83,14 +113,18 @@ def test_on_the_ground_a_uniform_density_needs_a_region():
         births.birth.gaussians(np.ones((5, 1)), births.sensor, 1.0)
     clutter = model("camera.region=[-10, 0, 10, 40]", "clutter.clutter_per_frame=0.3").clutter
     np.testing.assert_allclose(clutter.intensity(np.zeros((5, 1))), 0.3 / 800)
-    np.testing.assert_array_equal(model("clutter.density=1e-4").clutter.intensity(np.zeros((5, 3))), 1e-4)
+    np.testing.assert_array_equal(
+        model("clutter.density=1e-4").clutter.intensity(np.zeros((5, 3))), 1e-4
+    )
 
 
 @pytest.mark.parametrize("place", ["[1, 2, -1, 1, 1]", "[1, 2, 1, 0, 1]", "[1, 2, 1, 1, nan]"])
 def test_places_that_are_none_are_told(place: str):
     for where in ("birth.kind=places", f"birth.places=[{place}]"), (f"filter.initial=[{place}]",):
         with pytest.raises(InputError, match="places"):
-            config.build(config.load(sets=["motion.kind=plane", "clutter.density=0.1", *where]), INFO)
+            config.build(
+                config.load(sets=["motion.kind=plane", "clutter.density=0.1", *where]), INFO
+            )
 
 
 def test_the_region_is_what_the_camera_shows(data):
@@ -98,7 +132,9 @@ def test_the_region_is_what_the_camera_shows(data):
 
     def model(*sets: str):
         camera = f"camera.file='{data / 'pets2009' / 'View_001.xml'}'"
-        return config.build(config.load(sets=[camera, *sets], preset="e13"), SequenceInfo(768, 576, 7.0)).model
+        return config.build(
+            config.load(sets=[camera, *sets], preset="e13"), SequenceInfo(768, 576, 7.0)
+        ).model
 
     assert model().motion.borders == (0.0, 0.0, 0.0, 0.0), "E13's targets survive everywhere alike"
     left, low, right, high = model().sensor.borders
@@ -121,8 +157,11 @@ def test_a_filter_that_labels_targets_brings_their_identities():
 
 def test_m09s_rival_has_its_printed_parameters():
     stages = config.build(config.load(preset="m09-mht"), SequenceInfo(360, 288, 25.0))
-    model, z = stages.model, np.array([[100.0], [80], [20], [40]])
-    np.testing.assert_allclose(np.diag(model.sensor.covariance(z, model.sensor.states(z)[0])[0]), [3, 3, 6, 6])
+    model = stages.model
+    z = np.array([[100.0], [80], [20], [40]])
+    np.testing.assert_allclose(
+        np.diag(model.sensor.covariance(z, model.sensor.states(z)[0])[0]), [3, 3, 6, 6]
+    )
     state, info = stages.filter.step(stages.filter.start(model, None), z, model, 1.0, None)
     # Of 0.0025 new targets and 0.00007 false alarms.
     assert info.clutter_probability[0] == pytest.approx(0.00007 / 0.00257)

@@ -53,7 +53,16 @@ def test_mistakes_in_options(option: str, says: str):
 
 
 @pytest.mark.parametrize(
-    "option", ["sensor.detection_probability", "sensor=3", "detection=0.9", "sensor.=1", "", "=", "preset=m09"]
+    "option",
+    [
+        "sensor.detection_probability",
+        "sensor=3",
+        "detection=0.9",
+        "sensor.=1",
+        "",
+        "=",
+        "preset=m09",
+    ],
 )
 def test_options_have_a_section_a_name_and_a_value(option: str):
     with pytest.raises(InputError, match=r"section\.name=value"):
@@ -103,5 +112,8 @@ def test_settings_of_the_detector_go_through_unchecked(tmp_path):
     """They depend on the detector, which checks them itself."""
     path = tmp_path / "settings.toml"
     path.write_text("[detector]\nthreshold = 12\n", encoding="utf-8")
-    assert config.load(path, ["detector.mask=a.png"]).values("detector") == {"threshold": 12, "mask": "a.png"}
+    assert config.load(path, ["detector.mask=a.png"]).values("detector") == {
+        "threshold": 12,
+        "mask": "a.png",
+    }
     assert config.load().values("detector") == {}

@@ -11,7 +11,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from phdtrack.config.kinds import SECTIONS, record
-from phdtrack.errors import Count, InputError, NonNegative, Positive, PositiveCount, Probability, Share, bounds, check
+from phdtrack.errors import (
+    Count,
+    InputError,
+    NonNegative,
+    Positive,
+    PositiveCount,
+    Probability,
+    Share,
+    bounds,
+    check,
+)
 
 
 @dataclass(frozen=True)
@@ -44,24 +54,41 @@ def test_what_is_out_of_bounds_is_told(name: str, value: float):
 
 
 @pytest.mark.parametrize("name", [name for name, _ in bounds(Bounded)])
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, "1", None, True, [1.0], np.array([0.5])], ids=repr)
+@pytest.mark.parametrize(
+    "value", [math.nan, math.inf, -math.inf, "1", None, True, [1.0], np.array([0.5])], ids=repr
+)
 def test_what_is_no_number_is_told(name: str, value: object):
     with pytest.raises(InputError, match=f"Bounded.{name}: expected a number"):
         Bounded(**{name: value})
 
 
-@given(st.floats(0, 1, exclude_min=True), st.floats(0, 1e300, exclude_min=True), st.integers(1, 10**9))
+@given(
+    st.floats(0, 1, exclude_min=True), st.floats(0, 1e300, exclude_min=True), st.integers(1, 10**9)
+)
 def test_what_is_within_bounds_passes(share: float, positive: float, count: int):
     for number in (float, np.float64):
-        Bounded(number(share), number(share), number(positive), number(positive), count, np.int64(count))
+        Bounded(
+            number(share), number(share), number(positive), number(positive), count, np.int64(count)
+        )
     Bounded(0, 1, 1, 0, 0, 1, free="anything")
 
 
 def test_every_record_of_settings_keeps_its_bounds():
-    """Also where it is made by hand, without configuration: NaN is refused in every field that has bounds."""
-    needed = {"frame_size": (640.0, 480.0), "boxes": [(0.0, 0.0, 1.0, 1.0)], "places": [], "file": "births.json"}
-    for settings in {record(section, kind) for section, kinds in SECTIONS.items() for kind in kinds}:
-        given_ = {key: value for key, value in needed.items() if key in settings.__dataclass_fields__}
+    """Also where it is made by hand, without configuration: NaN is refused in every field that has
+    bounds.
+    """
+    needed = {
+        "frame_size": (640.0, 480.0),
+        "boxes": [(0.0, 0.0, 1.0, 1.0)],
+        "places": [],
+        "file": "births.json",
+    }
+    for settings in {
+        record(section, kind) for section, kinds in SECTIONS.items() for kind in kinds
+    }:
+        given_ = {
+            key: value for key, value in needed.items() if key in settings.__dataclass_fields__
+        }
         settings(**given_)
         for name, _ in bounds(settings):
             with pytest.raises(InputError, match=f"{name}: expected a number"):
@@ -76,7 +103,16 @@ def test_what_is_wrong_with_millions_of_characters_is_said_in_a_few_and_without_
     assert "word" not in said
     assert "abc" not in said
     assert said.endswith("rtsp://…@host/?quality=1&Token=…&n=2")
-    for user in ("me:word", "me:12/word", "me:a?word", "me:a#word", "me:/a?word", "me:" + 200 * "word"):
-        assert str(InputError(f"no answer of RTSP://{user}@host/1")) == "no answer of RTSP://…@host/1"
+    for user in (
+        "me:word",
+        "me:12/word",
+        "me:a?word",
+        "me:a#word",
+        "me:/a?word",
+        "me:" + 200 * "word",
+    ):
+        assert (
+            str(InputError(f"no answer of RTSP://{user}@host/1")) == "no answer of RTSP://…@host/1"
+        )
     for address in ("rtsp://cam.lan/stream@1", "rtsp://10.0.0.5:554/user=admin@ch1"):
         assert str(InputError(address)) == address

@@ -1,4 +1,6 @@
-"""Files that are too large, have no text in them, numbers without end, or brackets within brackets; nothing is unpickled."""
+"""Files that are too large, have no text in them, numbers without end, or brackets within brackets;
+nothing is unpickled.
+"""
 
 import os
 import re
@@ -43,7 +45,12 @@ def xml_of(path: Path) -> object:
         (read_toml, b"a = 1\nb = " + b"9" * 5000, ", line 2", "hundreds of digits"),
         (read_toml, b"a = 0x" + b"f" * 5000, ", line 1", "hundreds of digits"),
         (json_of, b"[" * 100_000, "", "nested without end"),
-        (read_toml, b"b = 1\n" + b"a." * 20_000 + b"a = 1", ", line 2", "a name, came one of a hundred parts"),
+        (
+            read_toml,
+            b"b = 1\n" + b"a." * 20_000 + b"a = 1",
+            ", line 2",
+            "a name, came one of a hundred parts",
+        ),
         (read_toml, b"a = " + b"[" * 100_000, "", "nested without end"),
         (read_toml, b"a = " + b"{a=" * 100_000, "", "nested without end"),
         (read_toml, b"a = 1\nb = [3\n", ", line 2", "not TOML"),
@@ -51,27 +58,72 @@ def xml_of(path: Path) -> object:
         (xml_of, b'<?xml version="1.0" encoding="utf-7"?><a/>', ", line 1", "UTF-8"),
         (xml_of, b'<?xml version="1.0" encoding="big5"?><a/>', ", line 1", "UTF-8"),
         (xml_of, b"<a>\0</a>", ", line 1", "XML, which breaks here"),
-        (read_scene, b'{"format": 1, "width": 1e400, "height": 1, "rate": 1, "source": ""}', "", "no learned scene"),
+        (
+            read_scene,
+            b'{"format": 1, "width": 1e400, "height": 1, "rate": 1, "source": ""}',
+            "",
+            "no learned scene",
+        ),
         (
             read_scene,
             b'{"format": 1, "width": 1, "height": 1, "rate": ' + b"9" * 400 + b"}",
             ", line 1",
             "hundreds of digits",
         ),
-        (read_scene, b'{"format": ' + b"[" * 500 + b"]" * 500 + b"}", "", "a learned scene of format 1"),
-        (load_settings, b"[sensor]\ndetection_probability = " + b"9" * 400, ", line 2", "hundreds of digits"),
-        (read_places, b'[[line]]\nname = "a"\npoints = [[0, 1e400], [1, 1]]', ", [[line]] number 1", "finite"),
-        (read_camera, b"homography = [[1e308, 0, 0], [0, 1e308, 0], [0, 0, 1]]\nunit = 'mm'", "", "can be inverted"),
-        (read_camera, b'{"camera_matrix": [[1e400]], "dist": [], "rvec": [1], "tvec": [1]}', "", "not finite|3 x 3"),
+        (
+            read_scene,
+            b'{"format": ' + b"[" * 500 + b"]" * 500 + b"}",
+            "",
+            "a learned scene of format 1",
+        ),
+        (
+            load_settings,
+            b"[sensor]\ndetection_probability = " + b"9" * 400,
+            ", line 2",
+            "hundreds of digits",
+        ),
+        (
+            read_places,
+            b'[[line]]\nname = "a"\npoints = [[0, 1e400], [1, 1]]',
+            ", [[line]] number 1",
+            "finite",
+        ),
+        (
+            read_camera,
+            b"homography = [[1e308, 0, 0], [0, 1e308, 0], [0, 0, 1]]\nunit = 'mm'",
+            "",
+            "can be inverted",
+        ),
+        (
+            read_camera,
+            b'{"camera_matrix": [[1e400]], "dist": [], "rvec": [1], "tvec": [1]}',
+            "",
+            "not finite|3 x 3",
+        ),
         (read_camera, b'file = "a\\u0000b"', ", '", "NUL"),
         (read_detections, b"[{" * 300, ", line 1", "JSON, which breaks here"),
-        (read_detections, b'{"annotations": [], "categories": [{"id": 1e400}]}', ", category 1", "whole number"),
+        (
+            read_detections,
+            b'{"annotations": [], "categories": [{"id": 1e400}]}',
+            ", category 1",
+            "whole number",
+        ),
         (read_detections, b"1 2 Car" + b" 3" * 14 + b"\n1 2\n", ", line 2", "expected 17 columns"),
-        (read_detections, b"frame,id,left,top,width,height,class\n1,2\n", ", line 2", "expected 7 values"),
+        (
+            read_detections,
+            b"frame,id,left,top,width,height,class\n1,2\n",
+            ", line 2",
+            "expected 7 values",
+        ),
         (read_detections, b"1,-1,1,2,3\0,4\n", ", line 1", "no UTF-8 text"),
         (read_truth, b"1,1,1e400,2,3,4,1\n", ", line 1", "finite numbers"),
         (read_tracks, b"frame,id,left,top,width,height,class\n", "", ""),
-        (lambda path: ignoring(read_truth(path), path), b"1,1e300,1,2,3,4\n", ", line 1", "identity"),
+        (
+            lambda path: ignoring(read_truth(path), path),
+            b"1,1e300,1,2,3,4\n",
+            ", line 1",
+            "identity",
+        ),
         (read_terrain, b"PK\x03\x04" + bytes(100), "", "ASCII grid"),
     ],
 )
@@ -90,9 +142,7 @@ def test_a_sentence_with_the_place(
 @pytest.mark.parametrize("distortion", [1e300, 4.9e-324])
 def test_lenses_beyond_all_numbers(tmp_path: Path, distortion: float) -> None:
     """What is next to nothing bends nothing."""
-    text = (
-        f"camera_matrix = [[800, 0, 320], [0, 800, 240], [0, 0, 1]]\ndistortion_coefficients = [{distortion}, 0.1, 0, 0]\n"
-    )
+    text = f"camera_matrix = [[800, 0, 320], [0, 800, 240], [0, 0, 1]]\ndistortion_coefficients = [{distortion}, 0.1, 0, 0]\n"
     path = put(tmp_path, (text + "rvec = [1.9, 0.1, 0.2]\ntvec = [0, 0, 9]\n").encode())
     if distortion < 1:
         read_camera(path)
@@ -112,7 +162,9 @@ def test_names_with_nul() -> None:
         load("a\0b")
 
 
-def test_the_largest_file_is_stated_and_can_be_chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_largest_file_is_stated_and_can_be_chosen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = put(tmp_path, b"1,-1,10,20,30,60,0.5\n")
     assert MAX_SIZE == 4_000_000_000
     monkeypatch.setenv(SIZE_LIMIT, "21")
@@ -136,7 +188,8 @@ def test_a_sparse_file_of_terabytes_is_not_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"\0" * 5000, b"RIFF\x10\0\0\0AVI LIST" + b"\xff" * 200, b"\x1aE\xdf\xa3" + bytes(99)]
+    "content",
+    [b"", b"\0" * 5000, b"RIFF\x10\0\0\0AVI LIST" + b"\xff" * 200, b"\x1aE\xdf\xa3" + bytes(99)],
 )
 def test_what_is_no_video(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a.mp4"
@@ -146,8 +199,8 @@ def test_what_is_no_video(tmp_path: Path, content: bytes) -> None:
 
 
 def test_nothing_that_is_read_can_run() -> None:
-    """No unpickling, nothing of `marshal`, no `eval` of texts. SciPy's readers, which die of broken files, run
-    only in the process that reads a MATLAB file (`ground.read._MATLAB`)."""
+    """No unpickling, nothing of `marshal`, no `eval` of texts. SciPy's readers, which die of broken
+    files, run only in the process that reads a MATLAB file (`ground.read._MATLAB`)."""
     root = Path(phdtrack.__file__).parent
     pattern = re.compile(
         r"\b(pickle|cPickle|dill|marshal|shelve|scipy\.io|allow_pickle=True|loadmat)\b|(?<![\w.])(eval|exec)\("
@@ -156,7 +209,11 @@ def test_nothing_that_is_read_can_run() -> None:
     for path in root.rglob("*.py"):
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
             code = line.partition("#")[0]
-            if pattern.search(code) and not re.search(r"can be pickled", code) and line not in _MATLAB.splitlines():
+            if (
+                pattern.search(code)
+                and not re.search(r"can be pickled", code)
+                and line not in _MATLAB.splitlines()
+            ):
                 found.append(f"{path.relative_to(root)}:{number} {line.strip()}")
     assert found == []
     assert all(

@@ -38,12 +38,16 @@ def test_one_update_loads_what_the_defaults_use(loaded):
 
 
 def test_public_names_are_there_and_told():
-    assert {"Tracker", "Detections", "Tracks", "InputError", "CameraMotion", "evaluate"} <= set(dir(phdtrack))
+    assert {"Tracker", "Detections", "Tracks", "InputError", "CameraMotion", "evaluate"} <= set(
+        dir(phdtrack)
+    )
     with pytest.raises(AttributeError, match="no attribute 'Tracer'"):
         phdtrack.Tracer  # noqa: B018
 
 
-@pytest.mark.parametrize("package", ["phdtrack", "phdtrack.filters", "phdtrack.models", "phdtrack.detect"])
+@pytest.mark.parametrize(
+    "package", ["phdtrack", "phdtrack.filters", "phdtrack.models", "phdtrack.detect"]
+)
 def test_every_public_name_can_be_loaded(package: str):
     module = importlib.import_module(package)
     for name in module.__all__:

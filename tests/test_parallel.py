@@ -47,7 +47,12 @@ def test_results_and_reasons_are_those_of_each_piece(jobs: int) -> None:
 
 
 def test_a_process_that_dies_is_told_and_the_others_go_on() -> None:
-    work = [Piece(1, "death"), *(Piece(number) for number in range(2, 6)), Piece(6, "death"), Piece(7)]
+    work = [
+        Piece(1, "death"),
+        *(Piece(number) for number in range(2, 6)),
+        Piece(6, "death"),
+        Piece(7),
+    ]
     found = dict(outcomes(work, 2))
     assert sorted(found) == list(range(7))
     assert [found[number] for number in (1, 2, 3, 4, 6)] == [4, 9, 16, 25, 49]

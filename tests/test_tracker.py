@@ -1,4 +1,6 @@
-"""The tracker as people use it: what it takes, what it gives, how it goes on after a pause, what it says when it cannot."""
+"""The tracker as people use it: what it takes, what it gives, how it goes on after a pause, what it
+says when it cannot.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,8 @@ def scene():
 
 def forms(found: np.ndarray) -> dict[str, object]:
     n = len(found)
-    score, label = np.linspace(0.5, 0.9, n), np.arange(n)
+    score = np.linspace(0.5, 0.9, n)
+    label = np.arange(n)
     return {
         "four columns": found,
         "five columns": np.column_stack([found, score]),
@@ -54,27 +57,41 @@ def forms(found: np.ndarray) -> dict[str, object]:
 
 @pytest.mark.parametrize("form", forms(boxes(0)))
 def test_all_forms_of_boxes_give_the_same_tracks(form: str):
-    plain, other = tracker_of(), tracker_of()
-    score = np.linspace(0.5, 0.9, 2) if form in ("five columns", "six columns", "an object with scores") else np.ones(2)
-    label = np.arange(2) if form in ("six columns", "an object with scores") else np.zeros(2, np.int64)
+    plain = tracker_of()
+    other = tracker_of()
+    score = (
+        np.linspace(0.5, 0.9, 2)
+        if form in ("five columns", "six columns", "an object with scores")
+        else np.ones(2)
+    )
+    label = (
+        np.arange(2) if form in ("six columns", "an object with scores") else np.zeros(2, np.int64)
+    )
     for k in range(12):
-        assert equal(plain.update(Detections(boxes(k), score, label)), other.update(forms(boxes(k))[form]))
+        assert equal(
+            plain.update(Detections(boxes(k), score, label)), other.update(forms(boxes(k))[form])
+        )
     assert equal(plain.tracks(), other.tracks())
     assert set(plain.tracks().identity) == {1, 2}
 
 
-FLAT, REVERSED = [50, 60, 50, 90], [300, 60, 290, 90]
+FLAT = [50, 60, 50, 90]
+REVERSED = [300, 60, 290, 90]
 
 
 @KINDS
 def test_boxes_without_size_are_left_out_counted_and_said_once(kind: str, caplog):
-    """The rows are those of a tracker that is not given such boxes, and count detections as they were given."""
+    """The rows are those of a tracker that is not given such boxes, and count detections as they
+    were given.
+    """
     made = {"seed": 2, "filter": PARTICLES if kind == "particle-phd" else {"kind": kind}}
-    plain, other = tracker_of(**made), tracker_of(**made)
+    plain = tracker_of(**made)
+    other = tracker_of(**made)
     for k in range(12):
         found = boxes(k)
         more = np.array([FLAT, found[0], REVERSED, found[1]]) if k % 3 == 1 else found
-        mine, yours = plain.update(found), other.update(more)
+        mine = plain.update(found)
+        yours = other.update(more)
         assert np.array_equal(mine.xyxy, yours.xyxy)
         if k == 7:
             again = tracker_of(**made)
@@ -82,10 +99,11 @@ def test_boxes_without_size_are_left_out_counted_and_said_once(kind: str, caplog
             other = again
     assert other.left_out.empty == 8
     assert plain.left_out.empty == 0
-    assert [record.getMessage() for record in caplog.records if record.name == "phdtrack.tracker"] == [
-        "frame 2: 2 boxes left out: their width or height is not above 0"
-    ]
-    one, two = plain.tracks(), other.tracks()
+    assert [
+        record.getMessage() for record in caplog.records if record.name == "phdtrack.tracker"
+    ] == ["frame 2: 2 boxes left out: their width or height is not above 0"]
+    one = plain.tracks()
+    two = other.tracks()
     moved = one.frame % 3 == 2
     assert moved.sum() == 8
     assert np.array_equal(np.where(moved, 2 * one.detection + 1, one.detection), two.detection)
@@ -107,7 +125,8 @@ def test_a_frame_of_boxes_without_size_has_no_detections():
     (SimpleNamespace(xyxy=np.zeros((2, 5))), "xyxy"),
 ])  # fmt: skip
 def test_bad_boxes_name_the_frame_and_change_nothing(bad, says: str):
-    spoilt, plain = tracker_of(), tracker_of()
+    spoilt = tracker_of()
+    plain = tracker_of()
     for k in range(11):
         spoilt.update(boxes(k))
         plain.update(boxes(k))
@@ -128,13 +147,16 @@ def test_bad_boxes_name_the_frame_and_change_nothing(bad, says: str):
     ({"frame": 9, "timestamp": 0.01}, "must grow"),
 ])  # fmt: skip
 def test_frames_come_in_order(arguments, says: str):
-    tracker, plain = tracker_of(), tracker_of()
+    tracker = tracker_of()
+    plain = tracker_of()
     for k in range(3):
         tracker.update(boxes(k))
         plain.update(boxes(k))
     with pytest.raises(InputError, match=says):
         tracker.update(boxes(3), **arguments)
-    assert equal(tracker.update(boxes(3)), plain.update(boxes(3))), "the refused frame left no trace"
+    assert equal(tracker.update(boxes(3)), plain.update(boxes(3))), (
+        "the refused frame left no trace"
+    )
 
 
 @pytest.mark.parametrize(("arguments", "says"), [
@@ -166,7 +188,10 @@ def test_whole_numbers_may_be_floats():
     assert tracker.update(boxes(0), frame=3.0).frame.tolist() == [3, 3]
     with pytest.raises(InputError, match="expected a frame number from 1 to 10,000,000,000"):
         tracker.update(boxes(1), frame=2**63)
-    assert tracker.update(boxes(1), frame=np.int64(4), timestamp=np.float64(1)).frame.tolist() == [4, 4]
+    assert tracker.update(boxes(1), frame=np.int64(4), timestamp=np.float64(1)).frame.tolist() == [
+        4,
+        4,
+    ]
 
 
 # What it gives
@@ -175,9 +200,12 @@ def test_whole_numbers_may_be_floats():
 def settled(count: int, kind: str) -> float:
     """The mass of targets that are always detected.
 
-    Of a PHD filter 1/(1 − p_M p_S) of each, as what a miss would leave adds up; of one with labels one of each.
+    Of a PHD filter 1/(1 − p_M p_S) of each, as what a miss would leave adds up; of one with labels
+    one of each.
     """
-    missed = 1 - PRESETS["default"]["sensor"]["detection_probability"] if kind == "particle-phd" else 0.0
+    missed = (
+        1 - PRESETS["default"]["sensor"]["detection_probability"] if kind == "particle-phd" else 0.0
+    )
     return count / (1 - missed * PRESETS["default"]["motion"]["survival_probability"] ** (1 / 25))
 
 
@@ -198,7 +226,9 @@ def test_rows_name_frame_identity_box_and_detection(kind: str):
 
 @pytest.mark.parametrize("filter_name", ["pmb", "particle-phd", "none"])
 def test_frames_that_were_dropped_count_as_time(filter_name: str):
-    """A target at constant speed, every third frame: intervals are three units, and the track holds."""
+    """A target at constant speed, every third frame: intervals are three units, and the track
+    holds.
+    """
     tracker = tracker_of(filter={"kind": filter_name})
     for k in range(0, 45, 3):
         tracker.update(boxes(k), frame=k + 1)
@@ -210,7 +240,8 @@ def test_frames_that_were_dropped_count_as_time(filter_name: str):
 
 
 def test_timestamps_rule_over_frame_numbers():
-    by_number, by_time = tracker_of(fps=32.0), tracker_of(fps=5.0)
+    by_number = tracker_of(fps=32.0)
+    by_time = tracker_of(fps=5.0)
     for k in range(12):
         assert equal(by_number.update(boxes(k)), by_time.update(boxes(k), timestamp=k / 32))
     by_time.update(boxes(12))
@@ -232,7 +263,8 @@ def test_a_frame_that_nobody_looked_at_keeps_the_targets(kind: str):
 
 @KINDS
 def test_tracks_can_be_asked_for_at_any_time(kind: str, scene):
-    asked, plain = tracker_of(filter={"kind": kind}), tracker_of(filter={"kind": kind})
+    asked = tracker_of(filter={"kind": kind})
+    plain = tracker_of(filter={"kind": kind})
     assert len(asked.tracks()) == len(asked.flush()) == 0
     assert asked.step is None
     for found in scene[:30]:
@@ -276,7 +308,8 @@ def test_reset_begins_again(kind: str, scene):
 @KINDS
 def test_two_trackers_share_nothing(kind: str, scene):
     alone = feed(tracker_of(filter={"kind": kind}), scene[:15])
-    a, b = tracker_of(filter={"kind": kind}), tracker_of(filter={"kind": kind}, seed=5)
+    a = tracker_of(filter={"kind": kind})
+    b = tracker_of(filter={"kind": kind}, seed=5)
     for found, wanted in zip(scene[:15], alone, strict=True):
         assert equal(a.update(found), wanted)
         b.update(boxes(3))
@@ -298,9 +331,12 @@ def test_nothing_is_followed_in_a_long_empty_sequence_and_targets_are_found_afte
 @given(st.lists(st.lists(st.tuples(st.floats(-50, 650), st.floats(-50, 500), st.floats(1, 300), st.floats(1, 300)),
                          max_size=4), max_size=6), st.sampled_from(["pmb", "particle-phd", "none"]))  # fmt: skip
 def test_any_boxes_are_survived(frames, filter_name: str):
-    """Tiny, huge and outside of the picture: rows are finite, identities unique, confidence a share."""
+    """Tiny, huge and outside of the picture: rows are finite, identities unique, confidence a
+    share.
+    """
     tracker = tracker_of(
-        filter={"kind": filter_name} | ({"particles_per_target": 50} if filter_name == "particle-phd" else {})
+        filter={"kind": filter_name}
+        | ({"particles_per_target": 50} if filter_name == "particle-phd" else {})
     )
     for found in frames:
         xywh = np.array(found).reshape(-1, 4)
@@ -315,7 +351,8 @@ def test_any_boxes_are_survived(frames, filter_name: str):
 @KINDS
 def test_what_is_done_to_rows_and_boxes_afterwards_has_no_effect(kind: str, scene):
     """Rows are scaled in place, and a detector may use one buffer for all frames."""
-    plain, abused = tracker_of(filter={"kind": kind}), tracker_of(filter={"kind": kind})
+    plain = tracker_of(filter={"kind": kind})
+    abused = tracker_of(filter={"kind": kind})
     wanted = feed(plain, scene[:20])
     buffer = np.zeros((200, 4))
     for found, expected in zip(scene[:20], wanted, strict=True):
@@ -344,17 +381,31 @@ def test_without_filter_detections_are_the_states():
 
 
 FEW = {"filter": {"particles_per_target": 500}, "birth": {"particles": 500}}
-GIVEN = {"m07": FEW, "m09": FEW, "fv": FEW, "particle-phd": {"filter": PARTICLES}, "mht": {"filter": {"kind": "mht"}}}
-GIVEN |= {"gm-phd": {"filter": {"kind": "gm-phd"}}, "mcmc": {"filter": {"kind": "mcmc", "samples": 400}}}
-GIVEN["d14"] = {"filter": {"particles_per_target": 500, "max_particles": 500}, "sensor": {"size": (40.0, 100.0)}}
+GIVEN = {
+    "m07": FEW,
+    "m09": FEW,
+    "fv": FEW,
+    "particle-phd": {"filter": PARTICLES},
+    "mht": {"filter": {"kind": "mht"}},
+}
+GIVEN |= {
+    "gm-phd": {"filter": {"kind": "gm-phd"}},
+    "mcmc": {"filter": {"kind": "mcmc", "samples": 400}},
+}
+GIVEN["d14"] = {
+    "filter": {"particles_per_target": 500, "max_particles": 500},
+    "sensor": {"size": (40.0, 100.0)},
+}
 
 
 # That of the ground plane is tested where there is a camera.
 @pytest.mark.parametrize("preset", sorted({*PRESETS, *GIVEN} - {"e13"}))
 def test_every_preset_finds_two_people(preset: str):
-    """And the default's with other filters. D14's newborn are anywhere: it takes a while until one is near enough.
+    """And the default's with other filters. D14's newborn are anywhere: it takes a while until one
+    is near enough.
 
-    M07 as printed splits the mass at whole numbers, so that the rows of a target whose mass is a little less are left out.
+    M07 as printed splits the mass at whole numbers, so that the rows of a target whose mass is a
+    little less are left out.
     """
     given = GIVEN.get(preset, {})
     tracker = Tracker(SIZE, preset=preset, **given) if preset in PRESETS else tracker_of(**given)
@@ -375,14 +426,21 @@ def test_every_preset_finds_two_people(preset: str):
 def test_settings_come_from_file_preset_and_sections(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text("[sensor]\ndetection_probability = 0.7\nbox_noise = 0.2\n", encoding="utf-8")
-    sensor = Tracker(SIZE, preset="m07", settings=path, sensor={"box_noise": 0.3}).stages.model.sensor
-    assert (sensor.detection_probability, sensor.box_noise, sensor.scaling) == (0.7, 0.3, "detection")
+    sensor = Tracker(
+        SIZE, preset="m07", settings=path, sensor={"box_noise": 0.3}
+    ).stages.model.sensor
+    assert (sensor.detection_probability, sensor.box_noise, sensor.scaling) == (
+        0.7,
+        0.3,
+        "detection",
+    )
 
 
 def test_stages_of_ones_own():
     made = config.build(config.load(sets=["filter.kind=particle-phd"]), SequenceInfo(*SIZE, 25.0))
     own = replace(made, filter=NoFilter(), extractor=Raw())
-    tracker, plain = Tracker(stages=own), Tracker(SIZE, filter="none")
+    tracker = Tracker(stages=own)
+    plain = Tracker(SIZE, filter="none")
     for k in range(8):
         assert equal(tracker.update(boxes(k)), plain.update(boxes(k)))
     for beside in ({"filter": "none"}, {"preset": "m07"}, {"sensor": {}}, {"settings": "a.toml"}):
@@ -391,8 +449,11 @@ def test_stages_of_ones_own():
 
 
 def test_ctrl_c_comes_after_the_frame(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Within compiled code it would crash the process; a handler of one's own is called at once, and stays."""
-    real, tracker = pipeline.advance, Tracker(frame_size=(320, 240))
+    """Within compiled code it would crash the process; a handler of one's own is called at once,
+    and stays.
+    """
+    real = pipeline.advance
+    tracker = Tracker(frame_size=(320, 240))
 
     def interrupted(*args: Any) -> Any:
         signal.raise_signal(signal.SIGINT)
@@ -405,7 +466,8 @@ def test_ctrl_c_comes_after_the_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     called: list[int] = []
     monkeypatch.setattr(
-        "phdtrack.classes.pipeline.advance", lambda *args: (signal.raise_signal(signal.SIGINT), real(*args))[1]
+        "phdtrack.classes.pipeline.advance",
+        lambda *args: (signal.raise_signal(signal.SIGINT), real(*args))[1],
     )
     before = signal.signal(signal.SIGINT, lambda number, _: called.append(number))
     try:
@@ -416,9 +478,13 @@ def test_ctrl_c_comes_after_the_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     assert tracker.state.number == 2
 
 
-@pytest.mark.parametrize("made", [{}, {"filter": PARTICLES}, {"associate": {"output_delay": 3}}, {"classes": {"only": [0]}}])
+@pytest.mark.parametrize(
+    "made",
+    [{}, {"filter": PARTICLES}, {"associate": {"output_delay": 3}}, {"classes": {"only": [0]}}],
+)
 def test_to_warm_up_changes_nothing(made: dict[str, Any], scene: list[Detections]):
-    plain, warm = tracker_of(seed=2, **made), tracker_of(seed=2, **made)
+    plain = tracker_of(seed=2, **made)
+    warm = tracker_of(seed=2, **made)
     for k, found in enumerate(scene[:30]):
         if k in (0, 17):
             warm.warm_up()
@@ -450,12 +516,20 @@ print(len(taken.buffer))
 FEWER = ("gm-phd", "particle-phd", "gm-cphd", "particle-cphd", "mht", "pmbm", "mcmc", "none")
 
 
-@pytest.mark.parametrize("kind", ["pmb", *(pytest.param(kind, marks=pytest.mark.slow) for kind in FEWER)])
+@pytest.mark.parametrize(
+    "kind", ["pmb", *(pytest.param(kind, marks=pytest.mark.slow) for kind in FEWER)]
+)
 def test_after_it_no_kernel_is_compiled_or_loaded(kind: str):
     def loads(how: str) -> int:
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(os.path.abspath, filter(None, sys.path)))}
+        environment = os.environ | {
+            "PYTHONPATH": os.pathsep.join(map(os.path.abspath, filter(None, sys.path)))
+        }
         command = [sys.executable, "-c", LOADED, kind, how]
-        return int(subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stdout)
+        return int(
+            subprocess.run(
+                command, capture_output=True, text=True, check=True, env=environment
+            ).stdout
+        )
 
     assert loads("cold") > 20
     assert loads("warm") == 0

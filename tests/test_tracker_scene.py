@@ -1,4 +1,6 @@
-"""The tracker with a learned scene: tracks that stay where false alarms are learned are not reported."""
+"""The tracker with a learned scene: tracks that stay where false alarms are learned are not
+reported.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +19,17 @@ from phdtrack.scene import LearnedDensity, SceneDensity, TrackedObjects
 from phdtrack.types import Detections, SequenceInfo, Tracks
 from tracker_cases import PARTICLES, SIZE, equal, feed
 
-LOW, HIGH = np.array([0.0, 0, -30, -30, 0, 0]), np.array([640.0, 480, 30, 30, 640, 480])
+LOW = np.array([0.0, 0, -30, -30, 0, 0])
+HIGH = np.array([640.0, 480, 30, 30, 640, 480])
 SHOWN = [0, 1, 4, 5]
-FLAG, WALK = np.array([[520.0, 100, 40, 70]]).T, np.array([[300.0, 320, 40, 100]]).T
+FLAG = np.array([[520.0, 100, 40, 70]]).T
+WALK = np.array([[300.0, 320, 40, 100]]).T
 
 
 def place(at: np.ndarray, deviation: np.ndarray, uniform: float) -> SceneDensity:
-    return SceneDensity(LOW[SHOWN], HIGH[SHOWN], uniform, np.ones(1), at, np.diag(np.square(deviation))[None])
+    return SceneDensity(
+        LOW[SHOWN], HIGH[SHOWN], uniform, np.ones(1), at, np.diag(np.square(deviation))[None]
+    )
 
 
 CLUTTER = LearnedDensity(2.0, place(FLAG, np.array([6.0, 6, 4, 6]), 0.2))
@@ -35,25 +41,36 @@ BIRTHS = LearnedDensity(0.01, SceneDensity(LOW, HIGH, 0.2, np.ones(1), *ENTRY))
 
 def tracker_of(held_back: bool = True, sure: float = 0.0, **sections) -> Tracker:
     values = (
-        {"filter": PARTICLES | {"particles_per_target": 400}, "birth": {"particles": 300}} if "particles" in sections else {}
+        {"filter": PARTICLES | {"particles_per_target": 400}, "birth": {"particles": 300}}
+        if "particles" in sections
+        else {}
     )
     delay = {"associate": {"output_delay": sections.get("delay", 0)}}
-    stages = config.build(config.overlay(config.load(), values | delay, "a test"), SequenceInfo(*SIZE, 25.0))
+    stages = config.build(
+        config.overlay(config.load(), values | delay, "a test"), SequenceInfo(*SIZE, 25.0)
+    )
     if held_back:
         model = with_scene(stages.model, BIRTHS, CLUTTER, OBJECTS, 300)
         stages = replace(
             stages,
             model=model,
-            associator=FalseTrackRejection(stages.associator, FalseAlarmRatio(CLUTTER, OBJECTS, BIRTHS), sure),
+            associator=FalseTrackRejection(
+                stages.associator, FalseAlarmRatio(CLUTTER, OBJECTS, BIRTHS), sure
+            ),
         )
     return Tracker(stages=stages, seed=3)
 
 
 def scans(count: int = 60) -> list[Detections]:
     """A flag in the wind, detected four times in five, and somebody who walks past below."""
-    rng, out = np.random.default_rng(7), []
+    rng = np.random.default_rng(7)
+    out = []
     for k in range(count):
-        flag = FLAG[:, 0] + np.array([8 * np.sin(k / 3), 4 * np.cos(k / 4), 0, 0]) + rng.normal(0, 1, 4)
+        flag = (
+            FLAG[:, 0]
+            + np.array([8 * np.sin(k / 3), 4 * np.cos(k / 4), 0, 0])
+            + rng.normal(0, 1, 4)
+        )
         walker = np.array([80.0 + 6 * k, 320, 40, 100]) + rng.normal(0, 1, 4)
         seen = np.array([flag, walker])[[rng.random() < 0.8, rng.random() < 0.95]]
         out.append(Detections.of(to_xyxy(seen.T).reshape(-1, 4)))
@@ -65,10 +82,16 @@ def near(tracks: Tracks, at: np.ndarray) -> np.ndarray:
     return np.abs(tracks.xyxy[:, [1, 3]].mean(axis=1) - at[1, 0]) < 40
 
 
-@pytest.mark.parametrize("section", [{}, {"delay": 3}, {"particles": True}], ids=["default", "delay", "particles"])
+@pytest.mark.parametrize(
+    "section", [{}, {"delay": 3}, {"particles": True}], ids=["default", "delay", "particles"]
+)
 def test_a_flag_is_rejected_and_a_walker_is_not(section):
-    plain, learned = tracker_of(False, **section), tracker_of(**section)
-    rows = [Tracks.concatenate([*feed(tracker, scans()), tracker.flush()]) for tracker in (plain, learned)]
+    plain = tracker_of(False, **section)
+    learned = tracker_of(**section)
+    rows = [
+        Tracks.concatenate([*feed(tracker, scans()), tracker.flush()])
+        for tracker in (plain, learned)
+    ]
     without, held = (r.take(r.confirmed) for r in rows)
     assert np.count_nonzero(near(without, FLAG)) > 20, "without the scene the flag becomes a track"
     assert not near(held, FLAG).any()
@@ -82,9 +105,13 @@ def test_a_flag_is_rejected_and_a_walker_is_not(section):
 
 @pytest.mark.parametrize("section", [{}, {"particles": True}], ids=["default", "particles"])
 def test_a_walker_who_enters_where_no_false_alarms_are_is_reported_at_once(section):
-    """The walker from the first state on; the flag is rejected all the same, and corrected tracks are the same."""
+    """The walker from the first state on; the flag is rejected all the same, and corrected tracks
+    are the same.
+    """
     trackers = [tracker_of(sure=odds, **section) for odds in (0.0, 0.1)]
-    slow, early = (Tracks.concatenate([*feed(tracker, scans()), tracker.flush()]) for tracker in trackers)
+    slow, early = (
+        Tracks.concatenate([*feed(tracker, scans()), tracker.flush()]) for tracker in trackers
+    )
     first = [int(rows.frame[rows.confirmed & near(rows, WALK)].min()) for rows in (slow, early)]
     assert first[1] == slow.frame[near(slow, WALK)].min() < first[0]
     assert not near(early.take(early.confirmed), FLAG).any()

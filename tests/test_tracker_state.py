@@ -69,7 +69,9 @@ def overwrite(value) -> None:
     """Every array within set to 0."""
     if isinstance(value, np.ndarray):
         value[...] = 0
-    for item in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+    for item in (
+        value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    ):
         overwrite(item)
 
 
@@ -87,13 +89,22 @@ def test_a_saved_state_holds_plain_values_only(kind: str, scene):
             for item in value:
                 check(item)
         else:
-            assert value is None or type(value) in (bool, int, float, str, np.ndarray, np.float64), type(value)
+            assert value is None or type(value) in (
+                bool,
+                int,
+                float,
+                str,
+                np.ndarray,
+                np.float64,
+            ), type(value)
 
     check(tracker.state_dict())
 
 
 def test_the_state_of_an_earlier_version_is_told():
-    with pytest.raises(InputError, match=r"^load_state_dict: this state is of format 1, .* reads format 21"):
+    with pytest.raises(
+        InputError, match=r"^load_state_dict: this state is of format 1, .* reads format 21"
+    ):
         tracker_of().load_state_dict(tracker_of().state_dict() | {"format": 1})
 
 
@@ -108,14 +119,18 @@ def state(**changed) -> dict:
     state(fields=[]), state(fields={"number": 3}),
 ], ids=str)  # fmt: skip
 def test_what_is_no_saved_state_is_told_and_changes_nothing(changed):
-    tracker, plain = tracker_of(), tracker_of()
+    tracker = tracker_of()
+    plain = tracker_of()
     for k in range(10):
         tracker.update(boxes(k))
         plain.update(boxes(k))
     with pytest.raises(InputError, match="load_state_dict"):
         tracker.load_state_dict(tracker.state_dict() | changed if changed else changed)
     saved = tracker.state_dict()
-    saved["lanes"][0]["fields"]["state"]["fields"]["intensity"] = {"record": "Mystery", "fields": {}}
+    saved["lanes"][0]["fields"]["state"]["fields"]["intensity"] = {
+        "record": "Mystery",
+        "fields": {},
+    }
     with pytest.raises(InputError, match="load_state_dict"):
         tracker.load_state_dict(saved)
     assert equal(tracker.update(boxes(10)), plain.update(boxes(10)))
@@ -123,7 +138,9 @@ def test_what_is_no_saved_state_is_told_and_changes_nothing(changed):
 
 @pytest.mark.parametrize("filter_", ["pmb", "particle-phd", "gm-phd", "gm-cphd", "mht", "mcmc"])
 def test_a_state_of_other_settings_is_told(filter_: str):
-    saved, other = (tracker_of(filter={"kind": filter_}, motion={"kind": kind}) for kind in ("point", "box"))
+    saved, other = (
+        tracker_of(filter={"kind": filter_}, motion={"kind": kind}) for kind in ("point", "box")
+    )
     saved.update(boxes(0))
     with pytest.raises(InputError, match=r"expected states of 6 components, got 4"):
         other.load_state_dict(saved.state_dict())
@@ -147,7 +164,17 @@ def test_a_state_of_ones_own_that_cannot_be_saved_is_told():
 # What is damaged
 
 
-FILTERS = ("pmb", "pmbm", "mht", "gm-phd", "gm-cphd", "particle-phd", "particle-cphd", "mcmc", "none")
+FILTERS = (
+    "pmb",
+    "pmbm",
+    "mht",
+    "gm-phd",
+    "gm-cphd",
+    "particle-phd",
+    "particle-cphd",
+    "mcmc",
+    "none",
+)
 
 
 def arrays(value, way: tuple = ()):
@@ -156,7 +183,13 @@ def arrays(value, way: tuple = ()):
         if value.size:
             yield way
         return
-    for key, one in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+    for key, one in (
+        value.items()
+        if isinstance(value, dict)
+        else enumerate(value)
+        if isinstance(value, list)
+        else ()
+    ):
         yield from arrays(one, (*way, key))
 
 
@@ -282,7 +315,9 @@ def test_a_whole_number_is_a_number(scene):
     feed(tracker, scene[6:8])
 
 
-@pytest.mark.parametrize("value", [{"array": []}, {"array": [[], [3]]}, {"tuple": 3}, {"dict": []}, {}])
+@pytest.mark.parametrize(
+    "value", [{"array": []}, {"array": [[], [3]]}, {"tuple": 3}, {"dict": []}, {}]
+)
 def test_a_block_of_which_nothing_can_be_made_is_refused(value):
     head = json.dumps(value).encode()
     content = struct.pack("<I", len(head)) + head
@@ -303,7 +338,8 @@ def test_a_block_holds_arrays_of_numbers_only(kind):
 
 def test_a_state_as_bytes_is_the_same(scene):
     for kind in ("pmb", "mht"):
-        tracker, other = tracker_of(filter={"kind": kind}), tracker_of(filter={"kind": kind})
+        tracker = tracker_of(filter={"kind": kind})
+        other = tracker_of(filter={"kind": kind})
         feed(tracker, scene[:8])
         other.load_state_dict(from_bytes(to_bytes(tracker.state_dict())))
         assert equal(tracker.update(scene[8]), other.update(scene[8]))

@@ -24,7 +24,9 @@ def tracker_of(*, seed: int = 0, fps: float = 25.0, **sections) -> Tracker:
 
 def boxes(k: int) -> np.ndarray:
     """Two people who walk towards each other, at frame k from 0."""
-    return np.array([[100.0 + 3 * k, 100, 140 + 3 * k, 200], [400.0 - 3 * k, 250, 440 - 3 * k, 350]])
+    return np.array(
+        [[100.0 + 3 * k, 100, 140 + 3 * k, 200], [400.0 - 3 * k, 250, 440 - 3 * k, 350]]
+    )
 
 
 def equal(a: Tracks, b: Tracks) -> bool:
@@ -46,8 +48,12 @@ def two_people(count: int) -> list[np.ndarray]:
     rng = np.random.default_rng(5)
     out = []
     for k in range(count):
-        boxes = np.array([[100 + 4.0 * k, 100, 140 + 4.0 * k, 200], [500 - 3.0 * k, 220, 545 - 3.0 * k, 330]])
+        boxes = np.array(
+            [[100 + 4.0 * k, 100, 140 + 4.0 * k, 200], [500 - 3.0 * k, 220, 545 - 3.0 * k, 330]]
+        )
         seen = (boxes + rng.normal(0, 1.5, (2, 4)))[rng.random(2) < 0.9]
         corner = rng.uniform([0, 0], [580, 380], (rng.poisson(0.5), 2))
-        out.append(np.vstack([seen, np.hstack([corner, corner + rng.uniform(30, 60, corner.shape)])]))
+        out.append(
+            np.vstack([seen, np.hstack([corner, corner + rng.uniform(30, 60, corner.shape)])])
+        )
     return out

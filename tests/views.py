@@ -18,7 +18,9 @@ def drawn_of(p: SceneDensity, count: int, rng: np.random.Generator) -> F8:
     missing = np.flatnonzero(part >= 0)
     while len(missing):
         which = part[missing]
-        drawn = p.mean[:, which] + np.einsum("jrs,sj->rj", root[which], rng.standard_normal((p.dim, len(missing))))
+        drawn = p.mean[:, which] + np.einsum(
+            "jrs,sj->rj", root[which], rng.standard_normal((p.dim, len(missing)))
+        )
         fits = p.contains(drawn)
         x[:, missing[fits]] = drawn[:, fits]
         missing = missing[~fits]
@@ -26,10 +28,16 @@ def drawn_of(p: SceneDensity, count: int, rng: np.random.Generator) -> F8:
 
 
 def mixture_of(state: Bernoullis) -> GaussianMixture:
-    """The intensity of the targets: hypotheses with the probability that the target exists and is as they say."""
+    """The intensity of the targets: hypotheses with the probability that the target exists and is
+    as they say.
+    """
     targets, hypotheses, means, covariances = state.present
     target = hypotheses["target"]
     genuine = 1 / (1 + np.exp(-hypotheses["genuine"]))
-    weight = np.where(hypotheses["static"], 0.0, targets["r"][target] * hypotheses["weight"] * genuine)
+    weight = np.where(
+        hypotheses["static"], 0.0, targets["r"][target] * hypotheses["weight"] * genuine
+    )
     there = np.flatnonzero(weight > 0)
-    return GaussianMixture(weight[there], np.ascontiguousarray(means[there].T), scaled(covariances, hypotheses, there))
+    return GaussianMixture(
+        weight[there], np.ascontiguousarray(means[there].T), scaled(covariances, hypotheses, there)
+    )

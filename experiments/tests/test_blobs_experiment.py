@@ -6,7 +6,18 @@ import numpy as np
 import pytest
 
 from experiments.common import Case
-from experiments.meetings import APART, ASPECT, PARTINGS, TALL, Leave, Parting, filmed, leaving, meeting, touching
+from experiments.meetings import (
+    APART,
+    ASPECT,
+    PARTINGS,
+    TALL,
+    Leave,
+    Parting,
+    filmed,
+    leaving,
+    meeting,
+    touching,
+)
 from phdtrack.types import I8, Tracks
 
 
@@ -27,7 +38,8 @@ def centres(case: Case) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("seed", range(3))
 def test_two_meet_walk_as_one_and_part(parting: Parting, seed: int) -> None:
     one, two = centres(filmed((parting, seed), detector=False))
-    distance, wide = two - one, ASPECT * TALL
+    distance = two - one
+    wide = ASPECT * TALL
     assert distance[0] > 3 * wide
     assert abs(distance[-1]) > 3 * wide
     # Who crosses leaves on the other side.
@@ -46,12 +58,16 @@ def test_the_detector_sees_two_then_one_then_two(case: Case) -> None:
 
 def named(case: Case, identity: I8) -> Tracks:
     """Tracks where the truth is, of other names."""
-    truth, n = case.truth, len(case.truth)
-    return Tracks(truth.frame, identity, truth.xyxy, np.ones(n), np.full(n, -1), np.ones(n, np.bool_))
+    n = len(case.truth)
+    truth = case.truth
+    return Tracks(
+        truth.frame, identity, truth.xyxy, np.ones(n), np.full(n, -1), np.ones(n, np.bool_)
+    )
 
 
 def test_identities_after_a_blob_are_kept_apart(case: Case) -> None:
-    true, frame = case.truth.identity, case.truth.frame
+    true = case.truth.identity
+    frame = case.truth.frame
     late = frame > touching(case.truth)[1] - 5
     expected: dict[Leave, I8] = {
         "right": true + 4,

@@ -1,4 +1,6 @@
-"""The table of new cameras: how a best peer is chosen and how pairs are counted; the short form on the real sequences."""
+"""The table of new cameras: how a best peer is chosen and how pairs are counted; the short form on
+the real sequences.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,14 @@ from experiments.common import Options
 PEERS = [
     {"sequence": "a", "detector": "x", "name": "sort", "HOTA": "40", "MOTA": "60", "IDF1": "50"},
     {"sequence": "a", "detector": "x", "name": "ocsort", "HOTA": "45", "MOTA": "55", "IDF1": "50"},
-    {"sequence": "a", "detector": "x", "name": "pmb-online", "HOTA": "99", "MOTA": "99", "IDF1": "99"},
+    {
+        "sequence": "a",
+        "detector": "x",
+        "name": "pmb-online",
+        "HOTA": "99",
+        "MOTA": "99",
+        "IDF1": "99",
+    },
 ]
 
 
@@ -41,8 +50,11 @@ def test_distances_are_means_over_cases_and_scores() -> None:
 
 
 def test_the_error_of_a_difference_is_that_of_a_mean_of_groups() -> None:
-    """The jackknife of a mean over groups is its standard error, s/√n; of one group there is none."""
-    one, other = {"a": 3.0, "b": 1.0, "c": 5.0, "d": 1.0}, {"a": 1.0, "b": 1.0, "c": 1.0, "d": 1.0}
+    """The jackknife of a mean over groups is its standard error, s/√n; of one group there is
+    none.
+    """
+    one = {"a": 3.0, "b": 1.0, "c": 5.0, "d": 1.0}
+    other = {"a": 1.0, "b": 1.0, "c": 1.0, "d": 1.0}
     mean, error = cameras.difference(one, other)
     assert (mean, error) == pytest.approx((1.5, np.std([2, 0, 4, 0], ddof=1) / 2))
     assert cameras.difference({"a": 2.0}, {"a": 1.0}) == (1.0, 0.0)
@@ -60,7 +72,9 @@ def test_what_is_far_behind_is_listed_by_distance() -> None:
 
 
 @pytest.mark.data
-def test_the_short_form_writes_a_page(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_short_form_writes_a_page(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     if not (data / "more").is_dir() or not (data.parent / "bench" / "score_more.py").is_file():
         pytest.skip("the sequences of new cameras are not beside the data")
     monkeypatch.setattr(cameras, "SHORT", ("KITTI-0014-car",))

@@ -13,7 +13,9 @@ from experiments.__main__ import EXPERIMENTS, main
 from experiments.common import Options, in_parallel
 
 
-def test_the_list_names_every_experiment_and_what_it_answers(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_list_names_every_experiment_and_what_it_answers(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     for arguments in (["--list"], []):
         assert main(arguments) == 0
         lines = capsys.readouterr().out.splitlines()
@@ -30,14 +32,18 @@ def test_every_experiment_is_a_module_with_a_page() -> None:
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """The shortest form of the counting experiment, in this process."""
-    monkeypatch.setattr(count, "in_parallel", lambda work, jobs, label, options: [work(job) for job in jobs])
+    monkeypatch.setattr(
+        count, "in_parallel", lambda work, jobs, label, options: [work(job) for job in jobs]
+    )
     monkeypatch.setattr(count, "P_DETECT", (0.9,))
     monkeypatch.setattr(count, "CLUTTER", (5.0,))
     monkeypatch.setattr(count, "FEW", (300,))
 
 
 @pytest.mark.usefixtures("small")
-def test_the_page_is_written_where_it_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_page_is_written_where_it_is_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["count", "--runs", "2", "--out", str(tmp_path)]) == 0
     text = (tmp_path / "count.md").read_text(encoding="utf-8")
     assert "2 seeds of" in text
@@ -47,7 +53,9 @@ def test_the_page_is_written_where_it_is_asked_for(tmp_path: Path, capsys: pytes
 
 
 @pytest.mark.usefixtures("small")
-def test_a_short_form_leaves_the_committed_pages_as_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_short_form_leaves_the_committed_pages_as_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(common, "QUICK_RESULTS", tmp_path / "quick")
     before = (common.RESULTS / "count.md").read_bytes()
     assert main(["count", "--quick"]) == 0
@@ -74,7 +82,9 @@ def halved(job: int) -> float:
     return job / 2 if job else 1 / job
 
 
-def test_work_in_processes_keeps_the_order_and_says_what_it_does(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_work_in_processes_keeps_the_order_and_says_what_it_does(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     said = io.StringIO()
     monkeypatch.setattr(sys, "stderr", said)
     assert in_parallel(halved, [4, 2, 8], "halving", Options(jobs=2)) == [2, 1, 4]
@@ -88,7 +98,11 @@ def test_work_in_processes_keeps_the_order_and_says_what_it_does(monkeypatch: py
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(k, marks=[pytest.mark.data] * bool(one.data)) for k, one in EXPERIMENTS.items() if k != "videos"],
+    [
+        pytest.param(k, marks=[pytest.mark.data] * bool(one.data))
+        for k, one in EXPERIMENTS.items()
+        if k != "videos"
+    ],
 )
 def test_every_short_form_runs(name: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     """The pages have all their figures; the pictures that they show are there."""
@@ -97,5 +111,7 @@ def test_every_short_form_runs(name: str, tmp_path: Path, request: pytest.Fixtur
     assert main([name, "--quick", "--runs", "1", "--jobs", "1", "--out", str(tmp_path)]) == 0
     text = (tmp_path / f"{name}.md").read_text(encoding="utf-8")
     assert "no results" in text
-    pictures = [line.split("](")[1].rstrip(")") for line in text.splitlines() if line.startswith("![")]
+    pictures = [
+        line.split("](")[1].rstrip(")") for line in text.splitlines() if line.startswith("![")
+    ]
     assert all((tmp_path / picture).stat().st_size > 5000 for picture in pictures)

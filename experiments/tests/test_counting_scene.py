@@ -18,7 +18,9 @@ def counts(truth: Truth, frames: int) -> np.ndarray:
 
 def test_noise_of_the_motion() -> None:
     """One step from equal states: mean, standard deviations and correlations as M09 (11) says."""
-    n, w, h = 40000, 30.0, 80.0
+    n = 40000
+    w = 30.0
+    h = 80.0
     x = np.tile(np.array([[100.0], [200], [3], [-2], [w], [h]]), n)
     y = Counting(5).step(x, np.random.default_rng(0))
     mean = np.array([103, 198, 3, -2, w, h])
@@ -31,7 +33,9 @@ def test_noise_of_the_motion() -> None:
 
 
 def test_second_differences_of_the_truth() -> None:
-    """c(k+1) − 2c(k) + c(k−1) = (w(k−1) n(k−1) + w(k) n(k)) / 2: its scaled values have the standard deviation 0.03."""
+    """c(k+1) − 2c(k) + c(k−1) = (w(k−1) n(k−1) + w(k) n(k)) / 2: its scaled values have the
+    standard deviation 0.03.
+    """
     truth = Counting(40, sd_size=0.02).figures(np.random.default_rng(2))
     scaled = []
     for identity in np.unique(truth.identity):
@@ -41,14 +45,21 @@ def test_second_differences_of_the_truth() -> None:
             scaled.append(np.diff(box[axis], 2) / (0.5 * np.hypot(size[:-2], size[1:-1])))
     values = np.concatenate(scaled)
     assert len(values) > 5000
-    # neighbours share a noise term (correlation 1/2): the standard error of the variance grows by √(1 + 2/4)
+    # neighbours share a noise term (correlation 1/2): the standard error of the variance grows by
+    # √(1 + 2/4)
     assert abs(values.std() / 0.03 - 1) < 4 * np.sqrt(1.5 / (2 * len(values)))
 
 
 def test_expected_number_stays() -> None:
-    """The number is n in every frame on average: 60 runs, with the variance of survivors and Poisson births."""
-    world, n, runs = Counting(10, frames=100), 10, 60
-    number = np.array([counts(world.figures(np.random.default_rng(seed)), 100) for seed in range(runs)])
+    """The number is n in every frame on average: 60 runs, with the variance of survivors and
+    Poisson births.
+    """
+    world = Counting(10, frames=100)
+    n = 10
+    runs = 60
+    number = np.array(
+        [counts(world.figures(np.random.default_rng(seed)), 100) for seed in range(runs)]
+    )
     assert (number[:, 0] == n).all()
     for frame in (49, 99):
         kept = 0.99**frame
@@ -66,7 +77,9 @@ def test_leaving_targets_are_gone_and_others_go_on() -> None:
         assert (h > 0).all()
 
 
-@pytest.mark.parametrize("bad", [{"n": -1}, {"p_survive": 1.1}, {"frames": 0}, {"birth_height": (0.0, 10.0)}])
+@pytest.mark.parametrize(
+    "bad", [{"n": -1}, {"p_survive": 1.1}, {"frames": 0}, {"birth_height": (0.0, 10.0)}]
+)
 def test_impossible_settings_are_refused(bad: dict[str, object]) -> None:
     with pytest.raises(InputError, match="counting scene"):
         Counting(**bad)  # type: ignore[arg-type]

@@ -1,4 +1,6 @@
-"""The D14 experiment: the bound that it claims, what its filters are given, and the page in short."""
+"""The D14 experiment: the bound that it claims, what its filters are given, and the page in
+short.
+"""
 
 from __future__ import annotations
 
@@ -27,13 +29,19 @@ from experiments.d14_runs import (
 
 
 def test_the_models_posterior_deviation_is_the_papers():
-    np.testing.assert_allclose([posterior_deviation(v) for v in VARIANCES], [0.68, 0.94, 1.28], atol=0.005)
+    np.testing.assert_allclose(
+        [posterior_deviation(v) for v in VARIANCES], [0.68, 0.94, 1.28], atol=0.005
+    )
 
 
 @pytest.mark.parametrize("variance", VARIANCES)
-def test_where_the_model_is_true_the_kalman_filters_error_is_its_posterior_deviation(variance: float):
+def test_where_the_model_is_true_the_kalman_filters_error_is_its_posterior_deviation(
+    variance: float,
+):
     """Four points over 1048 frames in all, five seeds: within 4 %."""
-    squares = [work(CorridorRun("model", KALMAN, 0, variance, seed)).overall ** 2 for seed in range(5)]
+    squares = [
+        work(CorridorRun("model", KALMAN, 0, variance, seed)).overall ** 2 for seed in range(5)
+    ]
     assert math.sqrt(np.mean(squares)) == pytest.approx(posterior_deviation(variance), rel=0.04)
 
 
@@ -48,24 +56,42 @@ def test_the_kalman_filters_are_those_of_single_targets():
         for number in np.unique(found.frame[found.identity == one]):
             z = scans[number - 1][:2, scans[number - 1][2] == one][:, 0]
             if mean is None:
-                mean, cov = np.array([*z, 0, 0]), 2.0 * np.eye(4)
+                mean = np.array([*z, 0, 0])
+                cov = 2.0 * np.eye(4)
             else:
-                mean, cov = f @ mean, f @ cov @ f.T + 2.0 * np.eye(4)
+                mean = f @ mean
+                cov = f @ cov @ f.T + 2.0 * np.eye(4)
                 gain = cov[:, :2] @ np.linalg.inv(cov[:2, :2] + 2.0 * np.eye(2))
-                mean, cov = mean + gain @ (z - mean[:2]), cov - gain @ cov[:2]
+                mean = mean + gain @ (z - mean[:2])
+                cov = cov - gain @ cov[:2]
             mine = (found.frame == number) & (found.identity == one)
             np.testing.assert_allclose(found.point[:, mine][:, 0], mean[:2], rtol=1e-9)
 
 
 def test_all_filters_are_given_the_same_measurements_and_only_some_the_names():
-    """N is the number of samples, or of all particles; the sensor's variance is that of the measurements."""
-    scans = [scans_of(CorridorRun("corridor", name, n, 0.5, 4)) for name in FILTERS for n in (100, 500)]
+    """N is the number of samples, or of all particles; the sensor's variance is that of the
+    measurements.
+    """
+    scans = [
+        scans_of(CorridorRun("corridor", name, n, 0.5, 4)) for name in FILTERS for n in (100, 500)
+    ]
     for other in scans[1:]:
         for a, b in zip(scans[0], other, strict=True):
             np.testing.assert_array_equal(a, b)
-    phd, joint, true, greedy = (stages_of(CorridorRun("corridor", name, 300, 0.5, 4)) for name in FILTERS)
-    assert (phd.filter.particles_per_target, phd.filter.max_particles, phd.filter.skip_empty_frames) == (300, 300, True)
-    assert (true.filter.samples, true.filter.burn_in, true.filter.thin, true.filter.greedy) == (300, 50, 1, False)
+    phd, joint, true, greedy = (
+        stages_of(CorridorRun("corridor", name, 300, 0.5, 4)) for name in FILTERS
+    )
+    assert (
+        phd.filter.particles_per_target,
+        phd.filter.max_particles,
+        phd.filter.skip_empty_frames,
+    ) == (300, 300, True)
+    assert (true.filter.samples, true.filter.burn_in, true.filter.thin, true.filter.greedy) == (
+        300,
+        50,
+        1,
+        False,
+    )
     assert greedy.filter.greedy
     assert (true.filter.ancestors, joint.filter.ancestors) == ("each", "joint")
     assert all(stages.model.sensor.noise_variance == 0.5 for stages in (phd, true, greedy, joint))
@@ -85,7 +111,9 @@ def test_a_state_far_from_everybody_is_nobodys_error():
 
 @pytest.mark.slow
 def test_the_sampler_nears_the_posterior_mean_and_the_greedy_chain_does_not():
-    """Where the model is true: root mean squared distances per axis from the exact mean, two seeds."""
+    """Where the model is true: root mean squared distances per axis from the exact mean, two
+    seeds.
+    """
     far = {
         (name, n): np.mean([work(CorridorRun("model", name, n, 2.0, seed)).to_posterior for seed in range(2)])
         for name in d14.CHAINS for n in (500, 4000)
@@ -97,7 +125,10 @@ def test_the_sampler_nears_the_posterior_mean_and_the_greedy_chain_does_not():
 
 
 def test_the_phd_filter_locates_who_is_there_and_is_near_the_bound():
-    phd, bound = (work(CorridorRun("corridor", name, n, 1.0, 0)) for name, n in (("SMC PHD", 1000), (KALMAN, 0)))
+    phd, bound = (
+        work(CorridorRun("corridor", name, n, 1.0, 0))
+        for name, n in (("SMC PHD", 1000), (KALMAN, 0))
+    )
     assert phd.located.min() > 0.9
     assert bound.located.min() > 0.999
     assert bound.settled <= phd.settled < 1.15 * bound.settled
@@ -106,11 +137,16 @@ def test_the_phd_filter_locates_who_is_there_and_is_near_the_bound():
 
 def outcome(truth, located) -> RunErrors:
     """Errors and located shares of two targets; nothing else is asked for."""
-    return RunErrors(np.array(truth), np.array(truth), np.array(located), 1.0, 1.0, 1.0, 1.0, 0.0, 0.1)
+    return RunErrors(
+        np.array(truth), np.array(truth), np.array(located), 1.0, 1.0, 1.0, 1.0, 0.0, 0.1
+    )
 
 
 def test_with_misses_who_is_not_located_is_the_gate_away():
     assert d14.with_misses(outcome([1.5, 1.5], [1.0, 1.0])) == pytest.approx(1.5)
-    assert d14.with_misses(outcome([math.nan, math.nan], [0.0, 0.0])) == pytest.approx(GATE / math.sqrt(2))
-    # Half of one target's frames at 2 px, the other half and all of the other target's missed: (½·4 + ½·50 + 50) / 2.
+    assert d14.with_misses(outcome([math.nan, math.nan], [0.0, 0.0])) == pytest.approx(
+        GATE / math.sqrt(2)
+    )
+    # Half of one target's frames at 2 px, the other half and all of the other target's missed: (½·4
+    # + ½·50 + 50) / 2.
     assert d14.with_misses(outcome([2.0, math.nan], [0.5, 0.0])) == pytest.approx(math.sqrt(38.5))

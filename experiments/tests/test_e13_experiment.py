@@ -1,4 +1,6 @@
-"""The made detections of the E13 experiment: who is covered, how often a person is detected, where clutter stands."""
+"""The made detections of the E13 experiment: who is covered, how often a person is detected, where
+clutter stands.
+"""
 
 from __future__ import annotations
 
@@ -43,6 +45,8 @@ def test_every_filter_of_the_table_counts_and_groups(sequence, monkeypatch):
     monkeypatch.setattr(e13, "INFO", e13.SequenceInfo(768, 576, 7.0, 5, e13.INFO.name))
     for name in e13.FILTERS:
         counts = e13.work(e13.CrowdRun(name, 1.0, 0))
-        assert all(each.shape == (5,) for each in (counts.mass, counts.states, counts.raw, counts.groups))
+        assert all(
+            each.shape == (5,) for each in (counts.mass, counts.states, counts.raw, counts.groups)
+        )
         assert (counts.mass > 0).all()
         assert (counts.groups <= np.maximum(counts.mass, 1) * 2).all()

@@ -19,7 +19,9 @@ WHOLE = fuzz.Limits(seconds=60.0)
 def test_every_family_in_its_short_form(tmp_path: Path) -> None:
     """In a process without threads, because it is forked."""
     words = [sys.executable, "-m", "experiments.fuzz", "all", "--inputs", "80", "--seconds", "60"]
-    done = subprocess.run([*words, "--out", tmp_path], cwd=fuzz.ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [*words, "--out", tmp_path], cwd=fuzz.ROOT, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     lines = done.stdout.splitlines()
     assert [line.partition(":")[0] for line in lines] == list(fuzz.FAMILIES)
@@ -94,6 +96,8 @@ def test_what_a_child_tells_is_never_there_in_part() -> None:
 @pytest.mark.parametrize("family", ["detections", "cameras"])
 def test_the_same_seed_makes_the_same_inputs(family: str) -> None:
     samples, _ = fuzz.FAMILIES[family]()
-    one, other = ([fuzz.mutated(samples, fuzz.random_of(7, k)) for k in range(50)] for _ in range(2))
+    one, other = (
+        [fuzz.mutated(samples, fuzz.random_of(7, k)) for k in range(50)] for _ in range(2)
+    )
     assert one == other
     assert len(set(one)) > 40

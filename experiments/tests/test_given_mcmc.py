@@ -10,22 +10,39 @@ from experiments.given_mcmc import GivenMCMC
 from phdtrack.errors import InputError
 from phdtrack.filters.mcmc import JointSamples
 from phdtrack.kernels.particle_models import BLOCK, move
-from phdtrack.models import PlaneMotion, PlaneSensor, PointBirth, PointMotion, PointSensor, UniformClutter
+from phdtrack.models import (
+    PlaneMotion,
+    PlaneSensor,
+    PointBirth,
+    PointMotion,
+    PointSensor,
+    UniformClutter,
+)
 from phdtrack.protocols import Model
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_the_greedy_chain_is_the_papers(seed: int):
-    """Draw by draw: the same generator gives the proposals, D14's Alg. 1 in its own words decides about them."""
+    """Draw by draw: the same generator gives the proposals, D14's Alg. 1 in its own words decides
+    about them.
+    """
     model = gaussian_worlds()["point"]
     origin, z = gaussian_scan(np.random.default_rng(seed))
-    n, many, steps, burn = 2, 5, 300, 20
+    n = 2
+    many = 5
+    steps = 300
+    burn = 20
     running = np.tile(np.arange(1.0, many + 1), (n, 1)) / many
     ancestors = Ancestors(origin, running, np.full((n, many), -np.log(many)))
-    motion, sensor = model.motion.particle_model(1.0, 1.0), model.sensor.particle_model(z)
-    kept, chain = np.empty((4, n * steps)), Chain(burn, 1, steps, 0.25, False, True)
-    counts = given_chain(motion, sensor.model, sensor.table, ancestors, chain, np.random.default_rng([seed, 1]), kept)
-    rng, scratch = np.random.default_rng([seed, 1]), np.zeros(16 * BLOCK)
+    motion = model.motion.particle_model(1.0, 1.0)
+    sensor = model.sensor.particle_model(z)
+    kept = np.empty((4, n * steps))
+    chain = Chain(burn, 1, steps, 0.25, False, True)
+    counts = given_chain(
+        motion, sensor.model, sensor.table, ancestors, chain, np.random.default_rng([seed, 1]), kept
+    )
+    rng = np.random.default_rng([seed, 1])
+    scratch = np.zeros(16 * BLOCK)
 
     def proposal(t: int) -> np.ndarray:
         scratch[: 4 * BLOCK : BLOCK] = origin[:, t * many + int(rng.random() * many)]
@@ -37,18 +54,23 @@ def test_the_greedy_chain_is_the_papers(seed: int):
         return float(np.exp(-0.5 * ((z[:2, t] - state[:2]) ** 2).sum()) / (2 * np.pi))
 
     current = [proposal(t) for t in range(n)]
-    cached, accepted = [likelihood(t, current[t]) for t in range(n)], 0
+    cached = [likelihood(t, current[t]) for t in range(n)]
+    accepted = 0
     for s in range(burn + steps):
         t = int(rng.random() * n)
         new = proposal(t)
         weight = likelihood(t, new)
         ratio = weight / cached[t]
         if ratio >= 1:
-            current[t], cached[t], accepted = new, weight, accepted + 1
+            current[t] = new
+            cached[t] = weight
+            accepted = accepted + 1
         else:
             cached[t] = ratio
         if s >= burn:
-            np.testing.assert_allclose(kept.reshape(4, n, steps)[:, :, s - burn], np.stack(current, axis=1), atol=1e-12)
+            np.testing.assert_allclose(
+                kept.reshape(4, n, steps)[:, :, s - burn], np.stack(current, axis=1), atol=1e-12
+            )
     assert counts[0].tolist() == [burn + steps, accepted]
     assert 0 < accepted < steps
 
@@ -57,7 +79,8 @@ def gaussian_worlds() -> dict[str, Model]:
     rest = PointBirth(), UniformClutter(0.0, 1.0)
     return {
         "point": Model(PointMotion(), PointSensor(noise_variance=1.0), *rest),
-        # One noise drives position and velocity, and the measurement's noise is no multiple of the identity.
+        # One noise drives position and velocity, and the measurement's noise is no multiple of the
+        # identity.
         "plane": Model(PlaneMotion(form="piecewise"), PlaneSensor(scaling="given"), *rest),
     }
 
@@ -69,15 +92,22 @@ def gaussian_scan(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return origin, np.array([[1.5, 9.0], [0.2, 6.5], [1, 1.2], [0.3, -0.2], [0.8, 1], [0, 1]])
 
 
-def exact_moments(origin: np.ndarray, z: np.ndarray, model: Model) -> list[tuple[np.ndarray, np.ndarray]]:
-    """(8,) mean and (8, 8) covariance of both targets, with a joint ancestor and with ancestors of their own.
+def exact_moments(
+    origin: np.ndarray, z: np.ndarray, model: Model
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(8,) mean and (8, 8) covariance of both targets, with a joint ancestor and with ancestors of
+    their own.
 
     Under the posterior of the mixture, by Kalman updates of the 25 pairs of ancestors.
     """
-    weights, means, covs = [], [], []
+    weights = []
+    means = []
+    covs = []
     spread = model.sensor.covariance(z, origin[:, :2])
     for r in np.ndindex(5, 5):
-        mean, cov, log_weight = np.zeros(8), np.zeros((8, 8)), 0.0
+        mean = np.zeros(8)
+        cov = np.zeros((8, 8))
+        log_weight = 0.0
         for t in range(2):
             m, _, q = (part[..., 0] if k == 0 else part[0] for k, part in
                        enumerate(model.motion.transition(origin[:, [5 * t + r[t]]], 1.0)))  # fmt: skip
@@ -96,11 +126,19 @@ def exact_moments(origin: np.ndarray, z: np.ndarray, model: Model) -> list[tuple
         w /= w.sum()
         mean = w @ np.array(means)[pairs]
         apart = np.array(means)[pairs] - mean
-        found.append((mean, np.einsum("r,rij->ij", w, np.array(covs)[pairs]) + np.einsum("r,ri,rj->ij", w, apart, apart)))
+        found.append(
+            (
+                mean,
+                np.einsum("r,rij->ij", w, np.array(covs)[pairs])
+                + np.einsum("r,ri,rj->ij", w, apart, apart),
+            )
+        )
     return found
 
 
-def sampled(filter_: GivenMCMC, origin: np.ndarray, z: np.ndarray, model: Model, rng: np.random.Generator):
+def sampled(
+    filter_: GivenMCMC, origin: np.ndarray, z: np.ndarray, model: Model, rng: np.random.Generator
+):
     """(8, N) samples of both targets after one scan."""
     state = JointSamples(origin, np.ones((2, 5)), np.array([0, 1]), 2)
     after, _ = filter_.step(state, z, model, 1.0, rng)
@@ -110,7 +148,9 @@ def sampled(filter_: GivenMCMC, origin: np.ndarray, z: np.ndarray, model: Model,
 @pytest.mark.parametrize("world", gaussian_worlds())
 @pytest.mark.parametrize("ancestors", ["joint", "each"])
 def test_the_chain_samples_the_exact_mixture(world: str, ancestors: str, rng):
-    """Mean and covariance of both targets together, correlation through the common ancestor included."""
+    """Mean and covariance of both targets together, correlation through the common ancestor
+    included.
+    """
     model = gaussian_worlds()[world]
     origin, z = gaussian_scan(rng)
     joint, each = exact_moments(origin, z, model)
@@ -133,7 +173,8 @@ def test_greedy_acceptance_does_not_sample(rng):
 
 
 def test_targets_come_and_go_with_their_labels(rng):
-    model, filter_ = gaussian_worlds()["point"], GivenMCMC(samples=300)
+    model = gaussian_worlds()["point"]
+    filter_ = GivenMCMC(samples=300)
     state = filter_.start(model, rng)
 
     def scan(**seen: float) -> np.ndarray:
@@ -154,7 +195,8 @@ def test_targets_come_and_go_with_their_labels(rng):
 
 @pytest.mark.parametrize("labels", [[0, 0], [0.5, 1], [-1, 2]])
 def test_what_is_no_label(labels, rng):
-    model, filter_ = gaussian_worlds()["point"], GivenMCMC()
+    model = gaussian_worlds()["point"]
+    filter_ = GivenMCMC()
     z = np.array([[0.0, 1], [0, 1], labels])
     with pytest.raises(InputError, match="one target's label each"):
         filter_.step(filter_.start(model, rng), z, model, 1.0, rng)

@@ -28,7 +28,9 @@ def two_walks() -> WalkedScene:
     """Two frames: 1 and 2 walk together, 3 stands beside them, 4 is far away."""
     state = np.array([[0.0, 1.0, 1.0, 40.0], [0, 0, 1, 0], [1.2, 1.2, 0.0, 1.2], [0, 0, 0, 0]])
     people = Positions(np.repeat([10, 16], 4), np.tile([1, 2, 3, 4], 2), np.tile(state, 2))
-    return WalkedScene(people, membership(people.identity, [(1, 2)]), np.array([10, 16]), np.array([0.0, 0.4]))
+    return WalkedScene(
+        people, membership(people.identity, [(1, 2)]), np.array([10, 16]), np.array([0.0, 0.4])
+    )
 
 
 def test_lines_of_identities_that_share_people_are_one_group(tmp_path: Path) -> None:
@@ -38,7 +40,8 @@ def test_lines_of_identities_that_share_people_are_one_group(tmp_path: Path) -> 
 
 
 def test_the_detector_has_the_stated_rates_and_noise() -> None:
-    rng, place = np.random.default_rng(0), np.tile([[100.0], [100.0]], 20)
+    rng = np.random.default_rng(0)
+    place = np.tile([[100.0], [100.0]], 20)
     frames = [detected(place, (0.0, 0.0, 10.0, 10.0), rng) for _ in range(500)]
     middle = np.concatenate([(found.xyxy[:, :2] + found.xyxy[:, 2:]) / 2 for found in frames])
     true = middle[:, 0] > 50
@@ -55,7 +58,8 @@ def test_true_positions_are_grouped_by_place_and_velocity() -> None:
     scene = two_walks()
     frames = known(scene)
     assert by_frame(scene, frames, Grouping(2.0, 1.0)).f1() == 1.0
-    # Who stands beside them belongs to them once his velocity does not count: two of three pairs are false.
+    # Who stands beside them belongs to them once his velocity does not count: two of three pairs
+    # are false.
     loose = by_frame(scene, frames, Grouping(2.0, 5.0))
     assert (loose.true_positives, loose.false_positives) == (2, 4)
     assert by_frame(scene, frames, Grouping(0.5, 1.0)).recall() == 0.0

@@ -18,19 +18,31 @@ def boxes(place, n, rng, jitter=0.1):
 
 
 def row(frame, identity, box, detection=0, confirmed=True):
-    one = np.array([frame]), np.array([identity]), to_xyxy(box[:, None]), np.ones(1), np.array([detection])
+    one = (
+        np.array([frame]),
+        np.array([identity]),
+        to_xyxy(box[:, None]),
+        np.ones(1),
+        np.array([detection]),
+    )
     return Tracks(*one, np.array([confirmed]))
 
 
 def street(rng):
-    """100 frames at 25 a second: somebody walks in from frame 10 on and is tracked from 14, confirmed from 18; a place fires
-    every second frame, with a track from frame 20 on; a box is anywhere once a frame."""
-    out, truth = [], []
+    """100 frames at 25 a second: somebody walks in from frame 10 on and is tracked from 14,
+    confirmed from 18; a place fires every second frame, with a track from frame 20 on; a box is
+    anywhere once a frame."""
+    out = []
+    truth = []
     for frame in range(1, 101):
-        walker = np.array([5.0 + 4 * (frame - 10), 200, 30, 80]) + np.append(rng.normal(size=2), [0, 0])
+        walker = np.array([5.0 + 4 * (frame - 10), 200, 30, 80]) + np.append(
+            rng.normal(size=2), [0, 0]
+        )
         place = boxes(PLACES[1], 1, rng)[:, 0]
         stray = np.array([*rng.uniform(0, 1, 2) * [300, 80] + [300, 250], 30, 80])
-        parts, rows, source = [], [], []
+        parts = []
+        rows = []
+        source = []
         if frame >= 10:
             parts.append(walker)
             source.append(1)
@@ -46,7 +58,11 @@ def street(rng):
         parts.append(stray)
         source.append(0)
         box = to_xyxy(np.array(parts).T)
-        out.append(ObservedFrame(frame, (frame - 1) / 25, box, np.full(len(parts), 0.8), Tracks.concatenate(rows)))
+        out.append(
+            ObservedFrame(
+                frame, (frame - 1) / 25, box, np.full(len(parts), 0.8), Tracks.concatenate(rows)
+            )
+        )
         truth.append(np.array(source))
     return tuple(out), truth
 
@@ -68,7 +84,8 @@ def test_labels_wait_for_what_became_of_a_detection():
 def test_labels_do_not_depend_on_how_frames_are_divided():
     given, _ = street(np.random.default_rng(9))
     _, whole = label(PendingFrames(given), 3.0, 0.9)
-    pending, parts = PendingFrames(), []
+    pending = PendingFrames()
+    parts = []
     for k, frame in enumerate(given):
         pending = replace(pending, frames=(*pending.frames, frame))
         if k + 1 in (60, 80, 100):

@@ -18,12 +18,23 @@ PRIORS = Priors(0.8, 5.0, False)
 
 
 def walk(identity, frames, speed, confirmed=True):
-    """Rows of a track that was detected in these frames, in a box of 20 × 50 that goes ``speed`` pixels a frame."""
+    """Rows of a track that was detected in these frames, in a box of 20 × 50 that goes ``speed``
+    pixels a frame.
+    """
     frames = np.asarray(frames)
     left = 100.0 + speed * frames
-    boxes = np.stack([left, np.full(len(frames), 50.0), left + 20, np.full(len(frames), 100.0)], axis=1)
+    boxes = np.stack(
+        [left, np.full(len(frames), 50.0), left + 20, np.full(len(frames), 100.0)], axis=1
+    )
     n = len(frames)
-    return Tracks(frames, np.full(n, identity), boxes, np.ones(n), np.zeros(n, np.int64), np.full(n, confirmed))
+    return Tracks(
+        frames,
+        np.full(n, identity),
+        boxes,
+        np.ones(n),
+        np.zeros(n, np.int64),
+        np.full(n, confirmed),
+    )
 
 
 def evidence(*tracks):
@@ -47,7 +58,8 @@ def test_estimates_are_posterior_means():
 
 def test_much_evidence_outweighs_any_setting_and_limits_are_named():
     assert RateSums(hits=5e5, span=1e6).rates(PRIORS).detection == pytest.approx(0.5, abs=1e-4)
-    low, high = RateSums(hits=1, span=1e6).rates(PRIORS), RateSums(hits=1e6, span=1e6).rates(PRIORS)
+    low = RateSums(hits=1, span=1e6).rates(PRIORS)
+    high = RateSums(hits=1e6, span=1e6).rates(PRIORS)
     assert (low.detection, high.detection) == DETECTION_LIMITS
     assert low.limited == high.limited == ("detection",)
     assert "clutter" in RateSums(false=1e9, frames=10).rates(PRIORS).limited
@@ -65,5 +77,6 @@ def test_frames_between_first_and_last_detection_teach():
 
 
 def test_what_stays_in_its_place_and_what_was_not_confirmed_teaches_nothing():
-    standing, doubtful = walk(1, [1, 4, 9, 20], 0), walk(2, np.arange(1, 30, 3), 5, confirmed=False)
+    standing = walk(1, [1, 4, 9, 20], 0)
+    doubtful = walk(2, np.arange(1, 30, 3), 5, confirmed=False)
     assert CountedTracks().updated(evidence(standing, doubtful))[1] == RateSums()

@@ -38,8 +38,15 @@ def test_nothing_known_leaves_the_model_as_it_is():
     built = stages()
     state = built.learning.start()
     model = built.learning.model(state, built.model)
-    assert (model.sensor, model.birth, model.clutter) == (built.model.sensor, built.model.birth, built.model.clutter)
-    assert built.learning.with_scores(state, model, Detections.of(boxes(3, np.random.default_rng(0)))) is model
+    assert (model.sensor, model.birth, model.clutter) == (
+        built.model.sensor,
+        built.model.birth,
+        built.model.clutter,
+    )
+    assert (
+        built.learning.with_scores(state, model, Detections.of(boxes(3, np.random.default_rng(0))))
+        is model
+    )
 
 
 def test_rates_replace_those_of_the_model_in_steps():
@@ -53,10 +60,13 @@ def test_rates_replace_those_of_the_model_in_steps():
 
 
 def test_frames_that_nobody_saw_teach_nothing():
-    built, rng = stages(), np.random.default_rng(6)
+    built = stages()
+    rng = np.random.default_rng(6)
     state = pipeline.start(built, rng)
     for number in range(1, 60):
-        state, _ = pipeline.advance(built, state, Detections.empty(observed=False), number, number / 25, rng)
+        state, _ = pipeline.advance(
+            built, state, Detections.empty(observed=False), number, number / 25, rng
+        )
     learned = state.learned
     assert learned.sums.frames == 0
     assert not learned.pending.frames
@@ -65,8 +75,10 @@ def test_frames_that_nobody_saw_teach_nothing():
 
 def test_cautious_estimates_are_used_where_nothing_else_explains_them():
     built = stages(cautious=True)
-    set_to, rates = built.model, built.learning.start().rates
-    higher, lower = {"detection": 0.95, "clutter": 0.05}, {"detection": 0.6, "clutter": 0.9}
+    set_to = built.model
+    rates = built.learning.start().rates
+    higher = {"detection": 0.95, "clutter": 0.05}
+    lower = {"detection": 0.6, "clutter": 0.9}
     model = built.learning.model(knowing(built, **higher), set_to)
     found = model.sensor.detection_probability, model.clutter.clutter_per_detection
     assert found == pytest.approx((rates.detection, rates.clutter))
@@ -80,12 +92,21 @@ def test_there_are_no_more_false_alarms_than_detections():
     state = built.learning.start()
     model = built.learning.model(state, built.model)
     assert model.clutter.clutter_per_frame == 90
-    seven = built.learning.with_scores(state, model, Detections.of(boxes(7, np.random.default_rng(9))))
+    seven = built.learning.with_scores(
+        state, model, Detections.of(boxes(7, np.random.default_rng(9)))
+    )
     assert seven.clutter.clutter_per_frame == pytest.approx(7, rel=0.03)
-    many = built.learning.with_scores(state, model, Detections.of(boxes(200, np.random.default_rng(9))))
+    many = built.learning.with_scores(
+        state, model, Detections.of(boxes(200, np.random.default_rng(9)))
+    )
     assert many.clutter.clutter_per_frame == 90
     cautious = stages("clutter.clutter_per_frame=90.0", cautious=True)
-    assert cautious.learning.with_scores(state, model, Detections.of(boxes(7, np.random.default_rng(9)))) is model
+    assert (
+        cautious.learning.with_scores(
+            state, model, Detections.of(boxes(7, np.random.default_rng(9)))
+        )
+        is model
+    )
 
 
 # Learned on simulated truth, from the defaults on
@@ -93,14 +114,19 @@ def test_there_are_no_more_false_alarms_than_detections():
 
 def course(filter_name, seed, sets=(), frames=FRAMES, interval=1.0, **detector):
     """The rates frame by frame, detections a frame, and the state at the end."""
-    scene = Counting(10, frames=frames, sd_velocity=0.01, sd_size=0.03, p_survive=0.997, leaving=True)
+    scene = Counting(
+        10, frames=frames, sd_velocity=0.01, sd_size=0.03, p_survive=0.997, leaving=True
+    )
     rng = np.random.default_rng(seed)
     truth = scene.figures(rng)
     found = detect(truth, scene.info, rng, DetectorModel(**detector)).table
     built = stages(*sets, filter_name=filter_name, info=scene.info, update_interval=interval)
-    state, rates = pipeline.start(built, rng), []
+    state = pipeline.start(built, rng)
+    rates = []
     for number in range(1, frames + 1):
-        state, _ = pipeline.advance(built, state, found.at(number), number, (number - 1) / scene.fps, rng)
+        state, _ = pipeline.advance(
+            built, state, found.at(number), number, (number - 1) / scene.fps, rng
+        )
         rates.append(state.learned.rates)
     return rates, len(found) / frames, state.learned
 
@@ -108,7 +134,8 @@ def course(filter_name, seed, sets=(), frames=FRAMES, interval=1.0, **detector):
 @pytest.mark.parametrize("p_detect", [0.5, 0.7, 0.9, 0.98])
 @pytest.mark.parametrize("clutter", [0.0, 20.0])
 def test_detection_and_clutter_converge_from_the_defaults(p_detect, clutter):
-    ends, alarms = [], []
+    ends = []
+    alarms = []
     for seed in (1, 2, 3):
         rates, detected, _ = course("gm-phd", seed, p_detect=p_detect, clutter_rate=clutter)
         ends.append(rates[-1].detection)
@@ -121,14 +148,20 @@ def test_detection_and_clutter_converge_from_the_defaults(p_detect, clutter):
 
 @pytest.mark.parametrize("filter_name", ["particle-phd", "mht"])
 def test_other_filters_learn_the_same(filter_name):
-    found = [course(filter_name, seed, frames=200, p_detect=0.65, clutter_rate=5.0) for seed in (1, 2)]
+    found = [
+        course(filter_name, seed, frames=200, p_detect=0.65, clutter_rate=5.0) for seed in (1, 2)
+    ]
     assert np.mean([rates[-1].detection for rates, _, _ in found]) == pytest.approx(0.65, abs=0.05)
-    assert np.mean([rates[-1].clutter * detected for rates, detected, _ in found]) == pytest.approx(5, abs=0.8)
+    assert np.mean([rates[-1].clutter * detected for rates, detected, _ in found]) == pytest.approx(
+        5, abs=0.8
+    )
 
 
 @pytest.mark.parametrize("wrong", [0.5, 40.0])
 def test_a_rate_that_is_far_off_is_mended_within_two_seconds(wrong):
     sets = ("birth.births_per_second=0.125", f"clutter.clutter_per_frame={wrong}")
     for seed in (1, 2):
-        rates, _, _ = course("gm-phd", seed, sets, frames=60, interval=0.4, p_detect=0.9, clutter_rate=5.0)
+        rates, _, _ = course(
+            "gm-phd", seed, sets, frames=60, interval=0.4, p_detect=0.9, clutter_rate=5.0
+        )
         assert rates[50].clutter == pytest.approx(5, rel=0.35)

@@ -15,12 +15,15 @@ FRAMES = 10
 
 
 def truth() -> Truth:
-    frame, identity = np.repeat(np.arange(1, FRAMES + 1), 2), np.tile([1, 2], FRAMES)
+    frame = np.repeat(np.arange(1, FRAMES + 1), 2)
+    identity = np.tile([1, 2], FRAMES)
     return Truth(frame, identity, np.tile(BOXES, (FRAMES, 1)), np.zeros(2 * FRAMES, np.bool_))
 
 
 def result(misses: int, false: int, switches: int) -> ScoredCase:
-    """Scores of tracks with so many misses (of the second object), false boxes, and switches of the first object."""
+    """Scores of tracks with so many misses (of the second object), false boxes, and switches of the
+    first object.
+    """
     rows = truth()
     kept = ~((rows.identity == 2) & (rows.frame <= misses))
     name = np.where(rows.identity == 1, 10 + np.minimum(rows.frame - 1, switches), 2)
@@ -32,7 +35,8 @@ def result(misses: int, false: int, switches: int) -> ScoredCase:
     return ScoredCase(evaluate(rows, tracks, frames=FRAMES), 0.0, (1e-3, 0.0, 0.0))
 
 
-A, B = ("KITTI-17", "public"), ("street", "scene")
+A = ("KITTI-17", "public")
+B = ("street", "scene")
 ERRORS = {
     "none": {A: (2, 4, 1), B: (1, 0, 0)},
     "mht": {A: (3, 0, 2), B: (3, 1, 0)},
@@ -46,14 +50,18 @@ ERRORS = {
 def found() -> m07.MethodScores:
     groups = {"real detections": (A,), "simulated scenes": (B,)}
     jobs = m07.jobs_of(groups, (0, 5), 2)
-    return m07.MethodScores({job: result(*ERRORS[job.method][job.case]) for job in jobs}, groups, (0, 5), 2)
+    return m07.MethodScores(
+        {job: result(*ERRORS[job.method][job.case]) for job in jobs}, groups, (0, 5), 2
+    )
 
 
 def test_nothing_is_run_twice_that_draws_nothing() -> None:
     jobs = m07.jobs_of({"real detections": (A,), "simulated scenes": (B,)}, (0, 5), 3)
     assert len(set(jobs)) == len(jobs)
     natural = [job for job in jobs if job.case == A and job.rate == 0]
-    seeds = {method: [job.seed for job in natural if job.method == method] for method in m07.METHODS}
+    seeds = {
+        method: [job.seed for job in natural if job.method == method] for method in m07.METHODS
+    }
     assert seeds == {method: [1, 2, 3] if method in m07.RANDOM else [1] for method in m07.METHODS}
     assert sum(job.case == B and job.rate == 0 for job in jobs) == 3 * len(m07.METHODS)
 
@@ -67,10 +75,45 @@ def test_the_page_counts_cases_and_names_the_error_that_decides(found: m07.Metho
     # Ahead of mht in both, of none where that has two misses, four false boxes and a switch.
     assert ["gm-phd", "all", "0", "2", "1", "2", "2", "1", "0"] in lines
     # Three more misses on twenty boxes; against mht one more miss and one false box less.
-    assert ["particle-phd", "street scene", "0", "none", "-0.150", "-0.150", "+0.150", "+0.000", "+0.000", "misses"] in lines
-    assert ["particle-phd", "street scene", "0", "mht", "+0.000", "+0.000", "+0.050", "-0.050", "+0.000", "misses"] in lines
-    assert ["gm-phd", "street scene", "0", "none", "-0.050", "-0.100", "+0.000", "+0.050", "+0.050", "false boxes"] in lines
-    assert not any(line[:2] == ["particle-phd", "KITTI-17 public"] and line[3:4] == ["none"] for line in lines)
+    assert [
+        "particle-phd",
+        "street scene",
+        "0",
+        "none",
+        "-0.150",
+        "-0.150",
+        "+0.150",
+        "+0.000",
+        "+0.000",
+        "misses",
+    ] in lines
+    assert [
+        "particle-phd",
+        "street scene",
+        "0",
+        "mht",
+        "+0.000",
+        "+0.000",
+        "+0.050",
+        "-0.050",
+        "+0.000",
+        "misses",
+    ] in lines
+    assert [
+        "gm-phd",
+        "street scene",
+        "0",
+        "none",
+        "-0.050",
+        "-0.100",
+        "+0.000",
+        "+0.050",
+        "+0.050",
+        "false boxes",
+    ] in lines
+    assert not any(
+        line[:2] == ["particle-phd", "KITTI-17 public"] and line[3:4] == ["none"] for line in lines
+    )
 
 
 @pytest.mark.data
@@ -81,4 +124,6 @@ def test_detections_made_of_real_truth(data, monkeypatch, name) -> None:
     assert case.truth.frame.max() <= case.info.frames
     # Of boxes that nothing covers nine of ten, fewer of the others, and two false alarms a frame.
     number = len(case.table) - 2 * case.info.frames
-    assert number < 0.9 * len(case.truth) + 4 * (0.9 * len(case.truth) + 2 * case.info.frames) ** 0.5
+    assert (
+        number < 0.9 * len(case.truth) + 4 * (0.9 * len(case.truth) + 2 * case.info.frames) ** 0.5
+    )

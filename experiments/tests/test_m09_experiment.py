@@ -24,7 +24,9 @@ from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks, Tru
 @pytest.fixture(scope="module")
 def street() -> tuple[Case, np.ndarray, np.ndarray]:
     """A street with two places that fire always, where its detections came from, and the places."""
-    model = DetectorModel(p_detect=1.0, clutter_rate=0.0, places=2, place_fire=1.0, jitter=0.02, jitter_size=0.02)
+    model = DetectorModel(
+        p_detect=1.0, clutter_rate=0.0, places=2, place_fire=1.0, jitter=0.02, jitter_size=0.02
+    )
     scene = make_scene("street", 3, model, frames=600, arrivals=1.0)
     return Case("street", scene.info, scene.truth, scene.detections), scene.source, scene.places
 
@@ -48,20 +50,29 @@ def test_births_are_marked_where_somebody_is_first_detected(street, tmp_path) ->
     case, source, _ = street
     number, box = m09_lessons.first_boxes(case)
     starts = np.searchsorted(case.table.frame, np.arange(1, case.info.frames + 2))
-    first = {int(one): int(case.table.frame[source == one].min()) for one in np.unique(source[source > 0])}
-    # Everybody is detected with p_D 1; who overlaps somebody else may have been seen under his name.
+    first = {
+        int(one): int(case.table.frame[source == one].min())
+        for one in np.unique(source[source > 0])
+    }
+    # Everybody is detected with p_D 1; who overlaps somebody else may have been seen under his
+    # name.
     assert len(number) == len(first)
     right = [
-        first[int(source[starts[n - 1] + b])] == n for n, b in zip(number, box, strict=True) if source[starts[n - 1] + b] > 0
+        first[int(source[starts[n - 1] + b])] == n
+        for n, b in zip(number, box, strict=True)
+        if source[starts[n - 1] + b] > 0
     ]
     assert np.mean(right) > 0.9
     store = m09_lessons.marked_births(case, tmp_path / "births.sqlite")
     states = Marks(store, case.table, case.info).birth_states(25.0)
     # Every frame but the first of the first clip is searched.
     assert states.shape[1] == (number > 1).sum()
-    assert {frame for frame, done in store.frames() if done} == set(range(1 + REACH, case.info.frames + REACH, 2 * REACH))
+    assert {frame for frame, done in store.frames() if done} == set(
+        range(1 + REACH, case.info.frames + REACH, 2 * REACH)
+    )
     # Those who come in from a side walk into the frame.
-    centre, velocity = states[0], states[2]
+    centre = states[0]
+    velocity = states[2]
     left = np.isfinite(velocity) & (centre < 40)
     right_side = np.isfinite(velocity) & (centre > case.info.width - 40)
     assert left.sum() + right_side.sum() >= 5
@@ -72,41 +83,59 @@ def test_births_are_marked_where_somebody_is_first_detected(street, tmp_path) ->
 def test_every_run_has_its_births_and_its_clutter(street) -> None:
     case = street[0]
     train = m09_scenes.stretch(case, 1, 300)
-    scene, halved = learned_scene(train), m09_scenes.Halves("street", train, case, np.zeros((0, 4)))
-    stages = {run: m09_runs.stages_of(SceneRun("street", 1, run), halved, scene) for run in scenes.RUNS}
+    scene = learned_scene(train)
+    halved = m09_scenes.Halves("street", train, case, np.zeros((0, 4)))
+    stages = {
+        run: m09_runs.stages_of(SceneRun("street", 1, run), halved, scene) for run in scenes.RUNS
+    }
     births = {run: rate_and_kind(one.model.birth) for run, one in stages.items()}
     # So many a frame as were learned, over the detections of a frame.
     each = train.info.frames / len(train.table.frame)
-    shipped, estimated = (MeasurementBirth, 0.125, "local"), (MeasurementBirth, 0.5 * each, "local")
-    learned, by_hand = (SceneBirth, 0.5, 0.125), (SceneBirth, 1.25, 0.125)
+    shipped = (MeasurementBirth, 0.125, "local")
+    estimated = (MeasurementBirth, 0.5 * each, "local")
+    learned = (SceneBirth, 0.5, 0.125)
+    by_hand = (SceneBirth, 1.25, 0.125)
     assert births == {
         UM: shipped, GM: learned, "A1": learned, "A2": shipped, "A3": estimated, "A4": learned, "A5": estimated,
         "A6": by_hand,
     }  # fmt: skip
     clutter = {run: rate_and_kind(one.model.clutter) for run, one in stages.items()}
-    usual, rated, false = (BoxClutter, 1.5, None), (BoxClutter, 2.5 * each, None), (SceneClutter, 2.5, 1.5)
+    usual = (BoxClutter, 1.5, None)
+    rated = (BoxClutter, 2.5 * each, None)
+    false = (SceneClutter, 2.5, 1.5)
     assert clutter == {
         UM: usual, GM: false, "A1": usual, "A2": false, "A3": rated, "A4": rated, "A5": false, "A6": false,
     }  # fmt: skip
     # Tracks are held back where false alarms are known.
-    assert {run for run, one in stages.items() if isinstance(one.associator, FalseTrackRejection)} == {GM, "A2", "A5", "A6"}
+    assert {
+        run for run, one in stages.items() if isinstance(one.associator, FalseTrackRejection)
+    } == {GM, "A2", "A5", "A6"}
 
 
 def paper_scene(train: Case, share: float) -> m09.PaperScene:
     one = learned_scene(train)
     assert one.births is not None
-    alarms = {count: m09.Alarms(replace(one.clutter, rate=count / 10), count, 40, share) for count in (10, 25)}
+    alarms = {
+        count: m09.Alarms(replace(one.clutter, rate=count / 10), count, 40, share)
+        for count in (10, 25)
+    }
     return m09.PaperScene(one.births, 30, one.hand, alarms)
 
 
 def test_the_papers_runs_have_densities_over_the_image(street) -> None:
     case = street[0]
     train = m09_scenes.stretch(case, 1, 300)
-    halved, z = m09_scenes.Halves("street", train, case, np.zeros((0, 4))), np.array([[300.0], [200], [40], [90]])
+    halved = m09_scenes.Halves("street", train, case, np.zeros((0, 4)))
+    z = np.array([[300.0], [200], [40], [90]])
     scene = paper_scene(train, 1.0)
-    models = {run: m09.stages_of(SceneRun("street", 1, run), scene, halved).model for run in (*m09.RUNS, "GM 10")}
+    models = {
+        run: m09.stages_of(SceneRun("street", 1, run), scene, halved).model
+        for run in (*m09.RUNS, "GM 10")
+    }
     births = {run: rate_and_kind(one.birth) for run, one in models.items()}
-    usual, learned, flat = (MeasurementBirth, 0.25, "image"), (SceneBirth, 0.5, 0.0), (SceneBirth, 0.5, 0.0)
+    usual = (MeasurementBirth, 0.25, "image")
+    learned = (SceneBirth, 0.5, 0.0)
+    flat = (SceneBirth, 0.5, 0.0)
     assert births == {
         UM: usual, GM: learned, m09.WHOLE: learned, "A1": learned, "A2": usual, "A3": flat, "A4": learned, "A5": flat,
         "A6": (SceneBirth, 1.25, 0.0), "GM 10": learned,
@@ -116,21 +145,27 @@ def test_the_papers_runs_have_densities_over_the_image(street) -> None:
     assert clutter == dict.fromkeys(models, false) | {
         UM: (BoxClutter, 1.0), "A1": (BoxClutter, 1.0), "GM 10": (SceneClutter, 1.0),
     }  # fmt: skip
-    # Beside learned false alarms births have the volume of the sizes that are detected, and not that of the frame.
+    # Beside learned false alarms births have the volume of the sizes that are detected, and not
+    # that of the frame.
     ratio = models["A2"].birth.density(z) / models[UM].birth.density(z)
     boxes = scene.alarms[25].clutter.density
     assert ratio[0] == pytest.approx((640 * 360) ** 2 / boxes.volume)
-    assert m09.stages_of(SceneRun("street", 1, GM), paper_scene(train, 0.0), halved) == m09.uniform(case.info)
+    assert m09.stages_of(SceneRun("street", 1, GM), paper_scene(train, 0.0), halved) == m09.uniform(
+        case.info
+    )
 
 
 def test_a_share_of_what_was_learned_leaves_the_rest_uniform(street) -> None:
     case = street[0]
-    scene, stages = paper_scene(case, 1.0), m09.uniform(case.info)
+    scene = paper_scene(case, 1.0)
+    stages = m09.uniform(case.info)
     learned = scene.at(1800).clutter
     model = m09.mixed(stages, scene.births, learned, 0.1).model
     assert model.clutter.clutter_per_frame == pytest.approx(0.9 * 1.0 + 0.1 * 2.5)
     assert model.birth.births_per_second == pytest.approx(0.9 * 0.25 + 0.1 * 0.5)
-    inside = learned.density.low[:, None] + 0.5 * (learned.density.high - learned.density.low)[:, None]
+    inside = (
+        learned.density.low[:, None] + 0.5 * (learned.density.high - learned.density.low)[:, None]
+    )
     want = 0.9 / learned.density.volume + 0.1 * 2.5 * learned.density(inside)
     np.testing.assert_allclose(model.clutter.intensity(inside), want, rtol=1e-12)
     assert m09.mixed(stages, scene.births, learned, 0.0) is stages
@@ -143,7 +178,9 @@ def garden() -> m09_scenes.Halves:
 
 @pytest.mark.slow
 def test_the_paper_learns_from_a_few_marks_where_false_alarms_last(garden, monkeypatch) -> None:
-    """In the garden a few hundred marks are enough, and the filter is better with what they teach."""
+    """In the garden a few hundred marks are enough, and the filter is better with what they
+    teach.
+    """
     monkeypatch.setattr(m09, "MARKS", (10, 300))
     monkeypatch.setattr(m09, "PAPER_MARKS", 300)
     monkeypatch.setattr(m09, "JUDGED", 10)
@@ -152,17 +189,26 @@ def test_the_paper_learns_from_a_few_marks_where_false_alarms_last(garden, monke
     assert scene.alarms[10].frames <= scene.alarms[300].frames
     assert scene.at(299) is scene.alarms[10]
     assert scene.alarms[300].share > 0
-    uniform, learned = (m09.work((SceneRun("garden", 1, run), halved, scene)) for run in (UM, "GM 300"))
+    uniform, learned = (
+        m09.work((SceneRun("garden", 1, run), halved, scene)) for run in (UM, "GM 300")
+    )
     assert learned.scores.MOTA > uniform.scores.MOTA + 0.5
 
 
 def test_marks_that_forbid_people_are_not_used(street) -> None:
-    """False alarms that are learned where everybody walks, a thousand a frame: with them nobody is found."""
+    """False alarms that are learned where everybody walks, a thousand a frame: with them nobody is
+    found.
+    """
     case = m09_scenes.stretch(street[0], 1, 150)
     false = m09.false_detections(case)
-    judge, scene = m09.Judge(case, m09.uniform(case.info), false, 1), paper_scene(case, 1.0)
+    judge = m09.Judge(case, m09.uniform(case.info), false, 1)
+    scene = paper_scene(case, 1.0)
     looked = m09.frames_until(false, 30, 1)
-    assert sum(int(false[k - 1].sum()) for k in looked[:-1]) < 30 <= sum(int(false[k - 1].sum()) for k in looked)
+    assert (
+        sum(int(false[k - 1].sum()) for k in looked[:-1])
+        < 30
+        <= sum(int(false[k - 1].sum()) for k in looked)
+    )
     flooded = replace(scene.alarms[25].clutter, rate=1e5)
     assert judge.followed(m09.mixed(judge.stages, scene.births, flooded, 1.0), looked).sum() <= 0
     assert judge.share(scene.births, flooded, looked) < 1
@@ -170,7 +216,12 @@ def test_marks_that_forbid_people_are_not_used(street) -> None:
 
 def _rate(part: Birth | Clutter) -> float:
     """Births a second, or false alarms a frame: everywhere, or around each detection."""
-    names = ("births_per_second", "births_per_detection", "clutter_per_frame", "clutter_per_detection")
+    names = (
+        "births_per_second",
+        "births_per_detection",
+        "clutter_per_frame",
+        "clutter_per_detection",
+    )
     return next(rate for rate in (getattr(part, name, 0.0) for name in names) if rate)
 
 
@@ -180,19 +231,31 @@ def rate_and_kind(part: Birth | Clutter) -> tuple[type, float, object]:
         return (
             type(part),
             _rate(part),
-            part.births_per_detection if isinstance(part, SceneBirth) else part.clutter_per_detection,
+            part.births_per_detection
+            if isinstance(part, SceneBirth)
+            else part.clutter_per_detection,
         )
-    around = "local" if isinstance(part, MeasurementBirth) and part.births_per_detection else "image"
+    around = (
+        "local" if isinstance(part, MeasurementBirth) and part.births_per_detection else "image"
+    )
     return type(part), _rate(part), around if isinstance(part, MeasurementBirth) else None
 
 
 def learned_scene(train: Case) -> m09_lessons.LearnedScene:
     """A scene in which everything was learned, the rates unlike each other."""
-    width, height = float(train.info.width), float(train.info.height)
-    density = uniform_density(np.array([0.0, 0, -9, -9, 5, 5]), np.array([width, height, 9, 9, 90, 180]))
+    width = float(train.info.width)
+    height = float(train.info.height)
+    density = uniform_density(
+        np.array([0.0, 0, -9, -9, 5, 5]), np.array([width, height, 9, 9, 90, 180])
+    )
     boxes = marginal(density, (0, 1, 4, 5))
     seen = TrackedObjects(0.1, LearnedDensity(3.0, boxes, 50))
-    parts = LearnedDensity(2.5, boxes, 9), seen, LearnedDensity(0.02, density, 9), LearnedDensity(0.05, density, 9)
+    parts = (
+        LearnedDensity(2.5, boxes, 9),
+        seen,
+        LearnedDensity(0.02, density, 9),
+        LearnedDensity(0.05, density, 9),
+    )
     return m09_lessons.LearnedScene(*parts, (1.0, 2.0, 3.0), 9)
 
 
@@ -200,7 +263,9 @@ def learned_scene(train: Case) -> m09_lessons.LearnedScene:
 def test_a_scene_is_learned_and_tracked_better(garden) -> None:
     """The whole way, on a rendered scene too short for births but not for false alarms."""
     scene = m09_lessons.learn((garden, 1))
-    uniform, learned = (m09_runs.work((SceneRun("garden", 1, run), garden, scene)) for run in (UM, "A2"))
+    uniform, learned = (
+        m09_runs.work((SceneRun("garden", 1, run), garden, scene)) for run in (UM, "A2")
+    )
     assert learned.scores.MOTA > uniform.scores.MOTA + 0.5
     assert learned.scores.false_tracks < 0.7 * uniform.scores.false_tracks
     assert len(learned.blocks) == m09_runs.BLOCKS
@@ -209,11 +274,24 @@ def test_a_scene_is_learned_and_tracked_better(garden) -> None:
 
 def test_delays_are_parted_by_where_somebody_is_first_detected() -> None:
     boxes = np.array([[0.0, 0, 10, 20], [100, 0, 110, 20]])
-    frame, identity = np.repeat(np.arange(1, 11), 2), np.tile([1, 2], 10)
+    frame = np.repeat(np.arange(1, 11), 2)
+    identity = np.tile([1, 2], 10)
     truth = Truth(frame, identity, np.tile(boxes, (10, 1)), np.zeros(20, np.bool_))
-    case = Case("two", SequenceInfo(640, 360, 25.0, 10, "two"), truth, DetectionTable(frame, Detections.of(truth.xyxy)))
+    case = Case(
+        "two",
+        SequenceInfo(640, 360, 25.0, 10, "two"),
+        truth,
+        DetectionTable(frame, Detections.of(truth.xyxy)),
+    )
     rows = np.flatnonzero((identity == 1) & (frame >= 4) | (identity == 2) & (frame >= 2))
     n = len(rows)
-    tracks = Tracks(frame[rows], identity[rows], truth.xyxy[rows], np.ones(n), np.full(n, -1), np.ones(n, np.bool_))
+    tracks = Tracks(
+        frame[rows],
+        identity[rows],
+        truth.xyxy[rows],
+        np.ones(n),
+        np.full(n, -1),
+        np.ones(n, np.bool_),
+    )
     assert m09_runs.delays(case, tracks, np.array([[-np.inf, 0, 20, 360]])) == ({1: 3.0}, {2: 1.0})
     assert m09_runs.delays(case, tracks, np.zeros((0, 4))) == ({}, {1: 3.0, 2: 1.0})

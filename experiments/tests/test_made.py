@@ -11,7 +11,9 @@ from experiments import made
 
 
 def test_a_fingerprint_is_of_what_a_file_says(tmp_path: Path) -> None:
-    """Comments, docstrings and layout do not count; a constant does, and a value in a settings file."""
+    """Comments, docstrings and layout do not count; a constant does, and a value in a settings
+    file.
+    """
     file = tmp_path / "one.py"
     found = []
     for text in (
@@ -42,11 +44,18 @@ def test_a_page_is_old_when_a_module_that_it_loaded_has_changed(
     assert "python -m experiments new" in line
     assert json.loads((tmp_path / "made.json").read_text(encoding="utf-8"))["new"]["commit"] in line
     assert made.check(tmp_path) == 0
-    now = {**made.at_start(), "src/phdtrack/errors.py": "changed", "src/phdtrack/not_loaded.py": "changed"}
+    now = {
+        **made.at_start(),
+        "src/phdtrack/errors.py": "changed",
+        "src/phdtrack/not_loaded.py": "changed",
+    }
     monkeypatch.setattr(made, "at_start", lambda: now)
     assert made.stale(tmp_path) == {"new": ["src/phdtrack/errors.py"]}
     assert made.check(tmp_path) == 1
-    assert "new.md is older than src/phdtrack/errors.py: python -m experiments new" in capsys.readouterr().out
+    assert (
+        "new.md is older than src/phdtrack/errors.py: python -m experiments new"
+        in capsys.readouterr().out
+    )
 
 
 def test_what_is_recorded_is_a_page_of_results() -> None:

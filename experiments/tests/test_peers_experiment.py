@@ -1,4 +1,6 @@
-"""What the page beside the peers counts and says, from made-up scores; and that the harness is asked as it is."""
+"""What the page beside the peers counts and says, from made-up scores; and that the harness is
+asked as it is.
+"""
 
 from __future__ import annotations
 
@@ -27,15 +29,29 @@ PEERS = {
 
 def truth(frames: int) -> Truth:
     number = np.arange(1, frames + 1)
-    return Truth(number, np.ones(frames, np.int64), np.repeat(BOX, frames, axis=0), np.zeros(frames, np.bool_))
+    return Truth(
+        number,
+        np.ones(frames, np.int64),
+        np.repeat(BOX, frames, axis=0),
+        np.zeros(frames, np.bool_),
+    )
 
 
 def outcome(found: int, frames: int = 10) -> peers.PeerScores:
-    """Corrected tracks that have the object in ``found`` of the frames, and online in half as many."""
+    """Corrected tracks that have the object in ``found`` of the frames, and online in half as
+    many.
+    """
 
     def scores(n: int):
         rows = truth(n)
-        tracks = Tracks(rows.frame, rows.identity, rows.xyxy, np.ones(n), np.zeros(n, np.int64), np.ones(n, np.bool_))
+        tracks = Tracks(
+            rows.frame,
+            rows.identity,
+            rows.xyxy,
+            np.ones(n),
+            np.zeros(n, np.int64),
+            np.ones(n, np.bool_),
+        )
         return evaluate(truth(frames), tracks, frames=frames)
 
     return peers.PeerScores(scores(found // 2), scores(found), 0.5)
@@ -64,8 +80,14 @@ def test_the_page_has_scores_distances_and_what_a_change_makes(found: peers.Comp
     assert found.mean("public", "pmb", "offline", "MOTA") == pytest.approx(80)
     assert found.mean("public", "pmb", "online", "MOTA") == pytest.approx(40)
     assert "80.0 (+20.0)" in peers._sequence_table(found, ["public"])
-    changed = next(line for line in peers._parts_table(found, peers.PARTS).splitlines() if "not smoothed" in line)
-    assert changed.count("-20.0 ± 0.0") == 2, "both sequences lose as much: the jackknife says that it is sure"
+    changed = next(
+        line
+        for line in peers._parts_table(found, peers.PARTS).splitlines()
+        if "not smoothed" in line
+    )
+    assert changed.count("-20.0 ± 0.0") == 2, (
+        "both sequences lose as much: the jackknife says that it is sure"
+    )
 
 
 def test_rows_that_do_not_count_are_left_out():

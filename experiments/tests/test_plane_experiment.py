@@ -37,6 +37,17 @@ def test_rows_take_the_boxes_of_their_detections() -> None:
     boxes = np.array([[0, 0, 1, 1], [5, 5, 6, 6], [8, 8, 9, 9]], np.float64)
     found = DetectionTable(np.array([1, 2, 2]), Detections.of(boxes))
     own = np.full((3, 4), 3.0)
-    tracks = Tracks(np.array([1, 2, 3]), np.array([1, 1, 1]), own, np.ones(3), np.array([0, 1, -1]), np.ones(3, np.bool_))
-    assert with_detections(tracks, found).xyxy.tolist() == [boxes[0].tolist(), boxes[2].tolist(), own[2].tolist()]
+    tracks = Tracks(
+        np.array([1, 2, 3]),
+        np.array([1, 1, 1]),
+        own,
+        np.ones(3),
+        np.array([0, 1, -1]),
+        np.ones(3, np.bool_),
+    )
+    assert with_detections(tracks, found).xyxy.tolist() == [
+        boxes[0].tolist(),
+        boxes[2].tolist(),
+        own[2].tolist(),
+    ]
     assert (own == 3.0).all()

@@ -25,7 +25,9 @@ def test_frames_that_are_left_are_numbered_from_one():
 
 
 def test_truth_between_two_frames_is_in_between_and_gaps_stay():
-    """Four times as many frames: 1 … 5 from the first two, 17 from the last; none in the gap between frames 2 and 5."""
+    """Four times as many frames: 1 … 5 from the first two, 17 from the last; none in the gap
+    between frames 2 and 5.
+    """
     rows = interpolated(TRUTH, 4)
     one = rows[rows[:, 1] == 7]
     np.testing.assert_array_equal(one[:, 0], [1, 2, 3, 4, 5, 17])

@@ -35,7 +35,9 @@ def test_truth_equals_the_table(scene: PointScene) -> None:
             for who, (x, vx, y, vy, b, d) in enumerate(TABLE, 1)
             if b <= scan <= min(d, 100)
         }
-        got = dict(zip(scene.identity[scan - 1].tolist(), scene.state[scan - 1].T.tolist(), strict=True))
+        got = dict(
+            zip(scene.identity[scan - 1].tolist(), scene.state[scan - 1].T.tolist(), strict=True)
+        )
         assert got.keys() == expected.keys()
         for who, state in expected.items():
             assert got[who] == pytest.approx(state)
@@ -46,14 +48,19 @@ def test_truth_equals_the_table(scene: PointScene) -> None:
 @pytest.mark.parametrize(("clutter_rate", "p_d"), [(30.0, 0.98), (60.0, 0.7), (0.0, 1.0)])
 def test_measurements(clutter_rate: float, p_d: float) -> None:
     scene = linear_gaussian(np.random.default_rng(5), clutter_rate, p_d)
-    errors, seen, there, false = [], 0, 0, []
+    errors = []
+    seen = 0
+    there = 0
+    false = []
     for k in range(100):
-        z, source = scene.measurement[k], scene.source[k]
+        z = scene.measurement[k]
+        source = scene.source[k]
         assert z.shape == (2, len(source))
         order = np.searchsorted(scene.identity[k], source[source > 0])
         assert (scene.identity[k][order] == source[source > 0]).all()
         errors.append(z[:, source > 0] - scene.state[k][:2, order])
-        seen, there = seen + int((source > 0).sum()), there + len(scene.identity[k])
+        seen = seen + int((source > 0).sum())
+        there = there + len(scene.identity[k])
         false.append(z[:, source == 0])
     assert abs(seen / there - p_d) <= 4 * np.sqrt(p_d * (1 - p_d) / there)
     error = np.concatenate(errors, axis=1)

@@ -1,4 +1,6 @@
-"""The standard nonlinear scenario: its truth is the model's without noise, its measurements are what it says."""
+"""The standard nonlinear scenario: its truth is the model's without noise, its measurements are
+what it says.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,14 @@ import numpy as np
 import pytest
 
 from experiments.bearing import BearingSensor, TurningMotion
-from experiments.standard_scenes import TURNING_FIRST, TURNING_LAST, TURNING_START, Turning, turning, turning_states
+from experiments.standard_scenes import (
+    TURNING_FIRST,
+    TURNING_LAST,
+    TURNING_START,
+    Turning,
+    turning,
+    turning_states,
+)
 from phdtrack.errors import InputError
 
 
@@ -24,11 +33,15 @@ def test_targets_follow_the_model_without_its_noise():
         for who, x in zip(identity.tolist(), state.T, strict=True):
             expected = moved[:, list(known).index(who)] if who in known else TURNING_START[who - 1]
             np.testing.assert_allclose(x, expected, rtol=1e-9, atol=1e-9)
-        before, known = state, identity
+        before = state
+        known = identity
 
 
 def test_number_of_targets_and_where_they_are():
-    number = {scan: turning_states(scan)[0].shape[1] for scan in (1, 9, 10, 20, 40, 60, 66, 67, 80, 81, 100)}
+    number = {
+        scan: turning_states(scan)[0].shape[1]
+        for scan in (1, 9, 10, 20, 40, 60, 66, 67, 80, 81, 100)
+    }
     assert number == {1: 1, 9: 1, 10: 4, 20: 5, 40: 8, 60: 10, 66: 10, 67: 9, 80: 9, 81: 7, 100: 7}
     assert ((TURNING_FIRST >= 1) & (TURNING_LAST <= 100)).all()
     for scan in range(1, 101):
@@ -38,19 +51,27 @@ def test_number_of_targets_and_where_they_are():
 
 
 def test_measurements_scatter_as_the_sensor_says():
-    """Over 20 realisations: bearings and ranges, the share that is seen, the number and extent of false ones."""
+    """Over 20 realisations: bearings and ranges, the share that is seen, the number and extent of
+    false ones.
+    """
     model = replace(Turning(), p_detect=0.9, clutter_rate=7.0)
     sensor = BearingSensor(bearing=model.sd_bearing, reach=model.sd_range)
-    steps, seen, there, false = [], 0, 0, []
+    steps = []
+    seen = 0
+    there = 0
+    false = []
     for seed in range(20):
         scene = turning(np.random.default_rng(seed), model)
         assert scene.model == model
-        for state, identity, z, source in zip(scene.state, scene.identity, scene.measurement, scene.source, strict=True):
+        for state, identity, z, source in zip(
+            scene.state, scene.identity, scene.measurement, scene.source, strict=True
+        ):
             own = source > 0
             x = state[:, np.searchsorted(identity, source[own])]
             steps.append(sensor.innovation(z[:, own], sensor.expected(x)))
             false.append(z[:, ~own])
-            seen, there = seen + int(own.sum()), there + len(identity)
+            seen = seen + int(own.sum())
+            there = there + len(identity)
     step = np.concatenate(steps, axis=1) / np.array([[model.sd_bearing], [model.sd_range]])
     assert (np.abs(step.mean(axis=1)) < 4 / math.sqrt(seen)).all()
     assert (np.abs(step.std(axis=1) - 1) < 4 / math.sqrt(2 * seen)).all()
@@ -68,7 +89,9 @@ def test_far_targets_are_seen_less_where_the_detection_fades():
     """Share of those that are seen beyond and below 1500 m, against the sensor's own p_D."""
     model = replace(Turning(), fade=2000.0, clutter_rate=0.0)
     sensor = BearingSensor(detection_probability=model.p_detect, fade=2000.0)
-    seen, expected, far = [], [], []
+    seen = []
+    expected = []
+    far = []
     for seed in range(20):
         scene = turning(np.random.default_rng(seed), model)
         for state, identity, source in zip(scene.state, scene.identity, scene.source, strict=True):
@@ -84,7 +107,9 @@ def test_far_targets_are_seen_less_where_the_detection_fades():
 def test_same_seed_same_measurements_whatever_the_clutter():
     one, again = (turning(np.random.default_rng(3)) for _ in range(2))
     clear = turning(np.random.default_rng(3), replace(Turning(), clutter_rate=0.0))
-    for a, b, c, source in zip(one.measurement, again.measurement, clear.measurement, one.source, strict=True):
+    for a, b, c, source in zip(
+        one.measurement, again.measurement, clear.measurement, one.source, strict=True
+    ):
         np.testing.assert_array_equal(a, b)
         np.testing.assert_array_equal(np.sort(a[:, source > 0]), np.sort(c))
 

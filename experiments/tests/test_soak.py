@@ -1,6 +1,8 @@
-"""Memory of runs without end, in a few thousand frames: the blocks that Python's allocator has given.
+"""Memory of runs without end, in a few thousand frames: the blocks that Python's allocator has
+given.
 
-That does not depend on the machine. An array that is kept is one block or more. To trace bytes would take ten times as long.
+That does not depend on the machine. An array that is kept is one block or more. To trace bytes
+would take ten times as long.
 """
 
 from __future__ import annotations
@@ -24,11 +26,18 @@ from phdtrack.live.engine import Camera, CameraSettings, Making
 from phdtrack.types import Detections, Frame, SequenceInfo
 from phdtrack.video import VideoSource
 
-# The same frames come again after so many. All memories are full at `BEGUN`; from `LEAKING` on something leaks.
-ROUND, BEGUN, LEAKING, ENDED = 300, 900, 1500, 2100
-# Blocks a frame: `track` keeps a tuple of numbers for its report of the last 100 000 frames (measured: 8.9 to 9.3, with the
-# leak 10.9 to 11.4), `live` nothing (0.1 to 0.2, on a busy machine up to 0.8, and 1.6 to 1.7).
-REPORTED, NOTHING, SLACK = 9.5, 0.0, 1.0
+# The same frames come again after so many. All memories are full at `BEGUN`; from `LEAKING` on
+# something leaks.
+ROUND = 300
+BEGUN = 900
+LEAKING = 1500
+ENDED = 2100
+# Blocks a frame: `track` keeps a tuple of numbers for its report of the last 100 000 frames
+# (measured: 8.9 to 9.3, with the leak 10.9 to 11.4), `live` nothing (0.1 to 0.2, on a busy machine
+# up to 0.8, and 1.6 to 1.7).
+REPORTED = 9.5
+NOTHING = 0.0
+SLACK = 1.0
 
 
 class Given:
@@ -36,7 +45,8 @@ class Given:
 
     def __init__(self) -> None:
         given = boxes()
-        self._round, self._kept = [next(given) for _ in range(ROUND)], list[np.ndarray]()
+        self._round = [next(given) for _ in range(ROUND)]
+        self._kept = list[np.ndarray]()
 
     def __call__(self, frame: Frame) -> Detections:
         found = self._round[frame.number % ROUND]
@@ -64,7 +74,9 @@ class Traced:
 
 
 def tracked(folder: Path, given: Given, traced: Callable[[int], None]) -> None:
-    """`phdtrack track` on rows without an end, two frames a second, of which it remembers 120 seconds."""
+    """`phdtrack track` on rows without an end, two frames a second, of which it remembers 120
+    seconds.
+    """
     info = SequenceInfo(WIDTH, HEIGHT, 2.0, 0, "soak")
 
     def read(source: VideoSource) -> Iterator[tuple[int, float, np.ndarray, str]]:
@@ -72,7 +84,9 @@ def tracked(folder: Path, given: Given, traced: Callable[[int], None]) -> None:
             traced(number)
             yield number, (number - 1) / info.fps, NO_PICTURE, ""
 
-    inputs = Inputs(info, VideoSource(info, read), given, "soak", "soak", pictures=False, again=False)
+    inputs = Inputs(
+        info, VideoSource(info, read), given, "soak", "soak", pictures=False, again=False
+    )
     kinds = build_kinds(load(None, ["associate.history=120"]), info)
     job = Job(inputs, kinds, {}, {"source": "soak"}, replace(about("soak"), versions=()))
     assert run(job, claim(folder / "run", overwrite=False, name="soak")).stop is None
@@ -90,7 +104,9 @@ def watched(folder: Path, given: Given, traced: Callable[[int], None]) -> None:
     def make(info: SequenceInfo) -> Making:
         return Making(given, build_kinds(load(None, ["associate.history=10"]), info), info)
 
-    camera = Camera("soak", _Replayed(ENDED, through), make, CameraSettings(folder / "camera", video=0.0))  # type: ignore[arg-type]
+    camera = Camera(
+        "soak", _Replayed(ENDED, through), make, CameraSettings(folder / "camera", video=0.0)
+    )  # type: ignore[arg-type]
     camera.start()
     assert done.wait(300.0)
     assert camera.stop(60.0)
@@ -100,7 +116,10 @@ def watched(folder: Path, given: Given, traced: Callable[[int], None]) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("part", "usual"), [(tracked, REPORTED), (watched, NOTHING)])
 def test_memory_of_a_frame_is_given_back(
-    part: Callable[[Path, Given, Callable[[int], None]], None], usual: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    part: Callable[[Path, Given, Callable[[int], None]], None],
+    usual: float,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ):
     # What is kept of some thousand frames at most is full sooner.
     monkeypatch.setattr("phdtrack.cli.job._SAMPLE", 100)

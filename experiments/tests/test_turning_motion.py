@@ -1,4 +1,6 @@
-"""Turning targets: circles, the straight limit, Jacobians against differences, draws against what `transition` states."""
+"""Turning targets: circles, the straight limit, Jacobians against differences, draws against what
+`transition` states.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ from phdtrack.models import PlaneMotion
 
 
 def states(rng: np.random.Generator, n: int) -> np.ndarray:
-    return np.vstack([rng.uniform(-500, 500, (2, n)), rng.normal(0, 20, (2, n)), rng.normal(0, 0.2, (1, n))])
+    return np.vstack(
+        [rng.uniform(-500, 500, (2, n)), rng.normal(0, 20, (2, n)), rng.normal(0, 0.2, (1, n))]
+    )
 
 
 def test_targets_go_round_their_circle(rng):
@@ -24,14 +28,18 @@ def test_targets_go_round_their_circle(rng):
     centre = [place[:2] + np.stack([-place[3], place[2]]) / place[4] for place in (x, after)]
     np.testing.assert_allclose(centre[1], centre[0])
     for one in x.T:
-        np.testing.assert_allclose(turned(one[:, None], 2 * math.pi / one[4])[:, 0], one, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(
+            turned(one[:, None], 2 * math.pi / one[4])[:, 0], one, rtol=1e-9, atol=1e-9
+        )
 
 
 @settings(max_examples=50, deadline=None)
 @given(st.floats(-3, 3), st.floats(0.1, 5), st.floats(0.1, 5))
 def test_two_intervals_are_one(turn: float, one: float, other: float):
     x = np.array([[1.0], [2.0], [3.0], [-4.0], [turn]])
-    np.testing.assert_allclose(turned(turned(x, one), other), turned(x, one + other), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        turned(turned(x, one), other), turned(x, one + other), rtol=1e-9, atol=1e-9
+    )
 
 
 def test_without_a_turn_it_is_constant_velocity(rng):
@@ -57,7 +65,8 @@ def test_jacobians_are_derivatives(rng):
     for dt in (0.3, 1.0, 4.0):
         jacobian = slopes(x, dt)
         for row, step in enumerate((1e-3, 1e-3, 1e-3, 1e-3, 1e-5)):
-            ahead, behind = x.copy(), x.copy()
+            ahead = x.copy()
+            behind = x.copy()
             ahead[row] += step
             behind[row] -= step
             slope = (turned(ahead, dt) - turned(behind, dt)) / (2 * step)

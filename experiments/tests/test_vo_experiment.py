@@ -8,15 +8,18 @@ import pytest
 from experiments import nonlinear, standard, unknown
 from experiments.scans import FilterRun, SetErrors, Summary, apart
 
-# Mean OSPA over three runs may be this far above what is claimed of a hundred: 4 standard errors of one run's mean, which
-# scatters by 1.2, over √3.
+# Mean OSPA over three runs may be this far above what is claimed of a hundred: 4 standard errors of
+# one run's mean, which scatters by 1.2, over √3.
 SLACK = 2.8
 
 
 @pytest.fixture(scope="module")
 def outcomes() -> dict[str, list[SetErrors]]:
     names = ("gm-phd", "gm-cphd", "mht")
-    return {name: [standard.run(FilterRun(name, standard.EASY, seed)) for seed in range(3)] for name in names}
+    return {
+        name: [standard.run(FilterRun(name, standard.EASY, seed)) for seed in range(3)]
+        for name in names
+    }
 
 
 def mean(found: list[SetErrors]) -> float:
@@ -29,15 +32,21 @@ def test_the_gaussian_filters_are_as_close_as_claimed(outcomes):
 
 
 def test_the_number_helps(outcomes):
-    """On the same scans the cardinalised filter is closer in every run, and its count is nearer to the truth."""
+    """On the same scans the cardinalised filter is closer in every run, and its count is nearer to
+    the truth.
+    """
     difference = apart(outcomes["gm-cphd"], outcomes["gm-phd"])
     assert difference.mean < 0
-    errors = {name: np.mean([np.abs(o.error).mean() for o in found]) for name, found in outcomes.items()}
+    errors = {
+        name: np.mean([np.abs(o.error).mean() for o in found]) for name, found in outcomes.items()
+    }
     assert errors["gm-cphd"] < 0.8 * errors["gm-phd"]
 
 
 def test_hypotheses_that_look_back_help_more(outcomes):
-    """Multiple hypotheses take several scans to tell false alarms from targets, and are closer in every run."""
+    """Multiple hypotheses take several scans to tell false alarms from targets, and are closer in
+    every run.
+    """
     for ours, theirs in zip(outcomes["mht"], outcomes["gm-cphd"], strict=True):
         assert ours.ospa.mean() < theirs.ospa.mean() - 1
 
@@ -58,12 +67,15 @@ def test_the_parts_of_the_distance_are_where_and_how_many(outcomes):
 @pytest.fixture(scope="module")
 def turns() -> dict[str, list[SetErrors]]:
     return {
-        name: [nonlinear.run(FilterRun(name, nonlinear.FIRST_CASE, seed)) for seed in range(2)] for name in nonlinear.FILTERS
+        name: [nonlinear.run(FilterRun(name, nonlinear.FIRST_CASE, seed)) for seed in range(2)]
+        for name in nonlinear.FILTERS
     }
 
 
 def test_targets_that_turn_are_followed(turns):
-    """Nearly all of them are found by every filter, at the sensor's own accuracy: 2° at a kilometre are 35 m."""
+    """Nearly all of them are found by every filter, at the sensor's own accuracy: 2° at a kilometre
+    are 35 m.
+    """
     for found in turns.values():
         summary = Summary.of(found)
         assert abs(summary.bias) < 0.6
@@ -74,16 +86,26 @@ def test_targets_that_turn_are_followed(turns):
 @pytest.mark.slow
 @pytest.mark.parametrize("case", standard.CASES)
 def test_particles_come_near_the_gaussians(case: str):
-    """Eight runs each; 5 %, at p_D = 0.7 the 15 % that were measured, and 4 standard errors of the paired difference."""
-    found = {name: [standard.run(FilterRun(name, case, seed)) for seed in range(8)] for name in standard.FILTERS}
+    """Eight runs each; 5 %, at p_D = 0.7 the 15 % that were measured, and 4 standard errors of the
+    paired difference.
+    """
+    found = {
+        name: [standard.run(FilterRun(name, case, seed)) for seed in range(8)]
+        for name in standard.FILTERS
+    }
     for ours, theirs in (("particle-phd", "gm-phd"), ("particle-cphd", "gm-cphd")):
         difference = apart(found[ours], found[theirs])
-        assert difference.mean < (0.15 if case == standard.HIDDEN else 0.05) * mean(found[theirs]) + 2 * difference.half
+        assert (
+            difference.mean
+            < (0.15 if case == standard.HIDDEN else 0.05) * mean(found[theirs])
+            + 2 * difference.half
+        )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("start", "most"), [(unknown.UNKNOWN, 0.05), ("λ a third, learned", 0.1), ("λ three times, learned", 0.1)]
+    ("start", "most"),
+    [(unknown.UNKNOWN, 0.05), ("λ a third, learned", 0.1), ("λ three times, learned", 0.1)],
 )
 def test_rates_that_nobody_knows_are_learned(start, most):
     """What is asked for, and 4 standard errors of the paired difference; eight runs each."""
@@ -93,5 +115,7 @@ def test_rates_that_nobody_knows_are_learned(start, most):
             for which in (unknown.KNOWN, start)
         )
         level = np.mean([outcome.ospa.mean() for outcome in known])
-        apart = np.array([a.ospa.mean() - b.ospa.mean() for a, b in zip(learned, known, strict=True)])
+        apart = np.array(
+            [a.ospa.mean() - b.ospa.mean() for a, b in zip(learned, known, strict=True)]
+        )
         assert apart.mean() <= most * level + 4 * apart.std(ddof=1) / len(apart) ** 0.5

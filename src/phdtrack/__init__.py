@@ -1,7 +1,8 @@
 """phdtrack: multi-target tracking in video with random finite sets.
 
-`Tracker` is the everyday name; filters, models and the other parts are one package for each step of the method (see
-docs/architecture.md). Names are loaded when they are first used, so that importing phdtrack costs nothing.
+`Tracker` is the everyday name; filters, models and the other parts are one package for each step of
+the method (see docs/architecture.md). Names are loaded when they are first used, so that importing
+phdtrack costs nothing.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Small array operations that several packages share: sums by index, boxes, draws from mixtures.
 
-Boxes are written in two ways. ``xyxy`` is (N, 4): left, top, right, bottom. ``cxcywh`` is (4, N): centre x, centre y, width,
-height as columns, the measurement vector z = (px, py, w, h) of M07 and M09.
+Boxes are written in two ways. ``xyxy`` is (N, 4): left, top, right, bottom. ``cxcywh`` is (4, N):
+centre x, centre y, width, height as columns, the measurement vector z = (px, py, w, h) of M07 and
+M09.
 """
 
 from __future__ import annotations
@@ -24,16 +25,22 @@ GATE = 0.99995
 
 @lru_cache(maxsize=64)
 def chi2_quantile(dof: int, probability: float) -> float:
-    """The squared radius that holds this part of a standard Gaussian in ``dof`` dimensions; 1e8, farther than any, for 1."""
+    """The squared radius that holds this part of a standard Gaussian in ``dof`` dimensions; 1e8,
+    farther than any, for 1.
+    """
     if probability >= 1:
         return 1e8
-    low, high = 0.0, 1500.0
+    low = 0.0
+    high = 1500.0
     for _ in range(80):
         middle = (low + high) / 2
-        half, odd = middle / 2, 0.5 * (dof % 2)
+        half = middle / 2
+        odd = 0.5 * (dof % 2)
         # 1 − F, in closed form for whole and half degrees.
         outside = math.erfc(math.sqrt(half)) if dof % 2 else 0.0
-        outside += sum(math.exp(-half) * half ** (k + odd) / math.gamma(k + odd + 1) for k in range(dof // 2))
+        outside += sum(
+            math.exp(-half) * half ** (k + odd) / math.gamma(k + odd + 1) for k in range(dof // 2)
+        )
         low, high = (middle, high) if outside > 1 - probability else (low, middle)
     return (low + high) / 2
 
@@ -43,9 +50,12 @@ def _references(memories: list[NDArray[np.uint8]]) -> list[int]:
     return [sys.getrefcount(memory) for memory in memories]
 
 
-# Memory of large arrays, from how many bytes on an array is large, and the references to memory that no array uses.
+# Memory of large arrays, from how many bytes on an array is large, and the references to memory
+# that no array uses.
 _MEMORY: list[NDArray[np.uint8]] = []
-_LARGE, _MOST, _LOCK = 2**20, 12, Lock()
+_LARGE = 2**20
+_MOST = 12
+_LOCK = Lock()
 _UNUSED = _references([np.empty(0, np.uint8)])[0]
 
 
@@ -79,8 +89,11 @@ def sum_by(index: I8, value: F8, count: int) -> F8:
 
 def to_cxcywh(xyxy: F8) -> F8:
     """(4, N) centre x, centre y, width, height of the (N, 4) boxes."""
-    first, last, out = xyxy[:, :2].T, xyxy[:, 2:].T, np.empty((4, len(xyxy)))
-    out[:2], out[2:] = (first + last) / 2, last - first
+    first = xyxy[:, :2].T
+    last = xyxy[:, 2:].T
+    out = np.empty((4, len(xyxy)))
+    out[:2] = (first + last) / 2
+    out[2:] = last - first
     return out
 
 
@@ -104,15 +117,21 @@ def intersection(a: F8, b: F8) -> F8:
 
 
 def iou(a: F8, b: F8) -> F8:
-    """(N, M) intersection over union of the boxes ``a`` (N, 4) and ``b`` (M, 4); 0 where both have no area."""
+    """(N, M) intersection over union of the boxes ``a`` (N, 4) and ``b`` (M, 4); 0 where both have
+    no area.
+    """
     shared = intersection(a, b)
     union = area(a)[:, None] + area(b)[None, :] - shared
     return np.divide(shared, union, out=np.zeros_like(shared), where=union > 0)
 
 
 def iou_of_pairs(a: F8, b: F8) -> F8:
-    """(P,) intersection over union of the boxes ``a`` and ``b`` (P, 4), pair by pair; 0 where both have no area."""
-    shared: F8 = np.clip(np.minimum(a[:, 2:], b[:, 2:]) - np.maximum(a[:, :2], b[:, :2]), 0, None).prod(axis=1)
+    """(P,) intersection over union of the boxes ``a`` and ``b`` (P, 4), pair by pair; 0 where both
+    have no area.
+    """
+    shared: F8 = np.clip(
+        np.minimum(a[:, 2:], b[:, 2:]) - np.maximum(a[:, :2], b[:, :2]), 0, None
+    ).prod(axis=1)
     union = area(a) + area(b) - shared
     return np.divide(shared, union, out=np.zeros_like(shared), where=union > 0)
 
@@ -144,16 +163,20 @@ def draw(mixture: GaussianMixture, count: int, scale: float, rng: np.random.Gene
 
 
 BLURS = ("boxes", "faces")
-# A blurred region has at most so many cells along its longer side, none smaller than so many pixels, and each side is a
-# tenth longer than the box.
-_CELLS, _CELL, _MARGIN = 6, 8, 0.1
+# A blurred region has at most so many cells along its longer side, none smaller than so many
+# pixels, and each side is a tenth longer than the box.
+_CELLS = 6
+_CELL = 8
+_MARGIN = 0.1
 
 
 def pixelated(image: Image, xyxy: F8, blur: str) -> Image:
-    """A copy of a picture in which boxes, or the upper third of them, are a few cells of one colour each.
+    """A copy of a picture in which boxes, or the upper third of them, are a few cells of one colour
+    each.
 
-    A cell is the mean of what it covers; docs/security.md says what can still be seen. No network looks for faces: the
-    upper third of a standing person's box holds the head. Raises `InputError` where ``blur`` is none of these.
+    A cell is the mean of what it covers; docs/security.md says what can still be seen. No network
+    looks for faces: the upper third of a standing person's box holds the head. Raises `InputError`
+    where ``blur`` is none of these.
 
     Parameters
     ----------
@@ -165,14 +188,17 @@ def pixelated(image: Image, xyxy: F8, blur: str) -> Image:
         return image
     if blur not in BLURS:
         raise InputError(f"expected {' or '.join(BLURS)}, got {blur!r}", where="--blur")
-    out, (height, width) = image.copy(), image.shape[:2]
+    out = image.copy()
+    height, width = image.shape[:2]
     boxes = xyxy[np.isfinite(xyxy).all(axis=1)]
     margin = _MARGIN / 2 * (boxes[:, 2:] - boxes[:, :2])
     part = np.hstack([boxes[:, :2] - margin, boxes[:, 2:] + margin])
     if blur == "faces":
         part[:, 3] = boxes[:, 1] + (boxes[:, 3] - boxes[:, 1]) / 3 + margin[:, 1]
     limit = np.array([width, height, width, height])
-    for left, top, right, bottom in np.clip(np.hstack([np.floor(part[:, :2]), np.ceil(part[:, 2:])]), 0, limit).astype(int):
+    for left, top, right, bottom in np.clip(
+        np.hstack([np.floor(part[:, :2]), np.ceil(part[:, 2:])]), 0, limit
+    ).astype(int):
         side = max(_CELL, -(-max(right - left, bottom - top) // _CELLS))
         for y in range(top, bottom, side):
             for x in range(left, right, side):

@@ -1,12 +1,15 @@
-"""Objects of several classes: each class, or several that are tracked together, is followed by a pipeline of its own.
+"""Objects of several classes: each class, or several that are tracked together, is followed by a
+pipeline of its own.
 
-A detection is given to its class only, so that no track goes from one class to another. A class is followed from the frame
-in which it is first seen, with the state that it would have had if it had been tracked alone: the empty frames before (the
-last `_REPLAYED`) are gone through again. Where all detections are of one class, this is `pipeline.advance`.
+A detection is given to its class only, so that no track goes from one class to another. A class is
+followed from the frame in which it is first seen, with the state that it would have had if it had
+been tracked alone: the empty frames before (the last `_REPLAYED`) are gone through again. Where all
+detections are of one class, this is `pipeline.advance`.
 
-Detectors confuse some classes, as car and truck. Those are tracked together, and the class of a track is the one with the
-largest likelihood: a detection counts by its score, and is of another class with a probability that is the same for all, so
-that it is the class with the largest sum of scores. A corrected track has one class, an online row the best one by then.
+Detectors confuse some classes, as car and truck. Those are tracked together, and the class of a
+track is the one with the largest likelihood: a detection counts by its score, and is of another
+class with a probability that is the same for all, so that it is the class with the largest sum of
+scores. A corrected track has one class, an online row the best one by then.
 """
 
 from __future__ import annotations
@@ -27,7 +30,8 @@ from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages
 from phdtrack.types import F8, I8, STILL, Bool, Detections, Step, Tracks
 
-# Empty frames that a class seen for the first time has been through: what is learned of them is the same with more.
+# Empty frames that a class seen for the first time has been through: what is learned of them is the
+# same with more.
 _REPLAYED = 250
 # Frames of which is remembered whose detections they were; a loop may be endless.
 _MOST_KEPT = 100_000
@@ -49,12 +53,20 @@ class Seed(NamedTuple):
     def of(cls, rng: np.random.Generator) -> Seed:
         """Of a generator."""
         held: Any = rng.bit_generator.state
-        return cls(held["state"]["state"], held["state"]["inc"], held["has_uint32"], held["uinteger"])
+        return cls(
+            held["state"]["state"], held["state"]["inc"], held["has_uint32"], held["uinteger"]
+        )
 
     def generator(self) -> np.random.Generator:
         """A generator that goes on from here."""
-        rng, inside = np.random.default_rng(0), {"state": self.state, "inc": self.increment}
-        held = {"bit_generator": "PCG64", "state": inside, "has_uint32": self.has_word, "uinteger": self.word}
+        rng = np.random.default_rng(0)
+        inside = {"state": self.state, "inc": self.increment}
+        held = {
+            "bit_generator": "PCG64",
+            "state": inside,
+            "has_uint32": self.has_word,
+            "uinteger": self.word,
+        }
         rng.bit_generator.state = held
         return rng
 
@@ -90,7 +102,8 @@ class Kinds:
     own : the stages of the others, by class; of classes that are tracked together by the first.
     first : the first class of those that each class is tracked together with.
     only : the classes that are tracked; empty: all.
-    least : by class the least score, and the least length of a box's longer side in pixels, that are tracked.
+    least : by class the least score, and the least length of a box's longer side in pixels, that
+        are tracked.
     apart : False: classes are not looked at.
     names : what they are called.
     limits : how many detections a frame may have.
@@ -110,7 +123,9 @@ class Kinds:
         return self.own.get(kind, self.usual)
 
     def of(self, detections: Detections) -> I8:
-        """(N,) the class that each detection is tracked as: of those that are tracked together the first."""
+        """(N,) the class that each detection is tracked as: of those that are tracked together the
+        first.
+        """
         label = detections.class_id if self.apart else np.zeros_like(detections.class_id)
         for one, other in self.first.items() if self.apart else ():
             label = np.where(detections.class_id == one, other, label)
@@ -118,7 +133,8 @@ class Kinds:
 
     def wanted(self, detections: Detections) -> Bool:
         """(N,) whether each detection is tracked."""
-        label, good = detections.class_id, np.ones(len(detections), np.bool_)
+        label = detections.class_id
+        good = np.ones(len(detections), np.bool_)
         if self.only:
             good &= np.isin(label, self.only)
         for one, (score, side) in self.least.items():
@@ -127,17 +143,22 @@ class Kinds:
         return good
 
     def taken(self, found: Detections, seen: Collection[int] = ()) -> tuple[I8, LeftOut]:
-        """(k,) which detections are tracked, and how many others there are; ``seen`` are the classes of earlier frames."""
+        """(k,) which detections are tracked, and how many others there are; ``seen`` are the
+        classes of earlier frames.
+        """
         rows, out = self.limits.plausible(found)
         wanted = rows[self.wanted(found.take(rows))]
         known = wanted[self._among_classes(found.take(wanted), seen)]
-        out, wanted = out._replace(unwanted=len(rows) - len(wanted), classes=len(wanted) - len(known)), known
+        out = out._replace(unwanted=len(rows) - len(wanted), classes=len(wanted) - len(known))
+        wanted = known
         apart = wanted[self._uncrowded(found.take(wanted))]
         best = apart[self.limits.best(found.confidence[apart])]
         return best, out._replace(crowded=len(wanted) - len(apart), surplus=len(apart) - len(best))
 
     def _among_classes(self, found: Detections, seen: Collection[int]) -> Bool:
-        """(N,) whether the class of each detection is seen already, or one of those that there is room for."""
+        """(N,) whether the class of each detection is seen already, or one of those that there is
+        room for.
+        """
         label = self.of(found)
         best = dict.fromkeys(label[np.argsort(-found.confidence, kind="stable")].tolist())
         known = [*seen, *(kind for kind in best if kind not in seen)]
@@ -147,7 +168,8 @@ class Kinds:
 
     def _uncrowded(self, found: Detections) -> Bool:
         """(N,) whether each detection is one of the best in its place, of those of its class."""
-        most, kept = self.limits.max_in_one_place, np.ones(len(found), np.bool_)
+        most = self.limits.max_in_one_place
+        kept = np.ones(len(found), np.bool_)
         if len(found) <= most:
             return kept
         label = self.of(found)
@@ -159,7 +181,8 @@ class Kinds:
             reach = np.subtract(*sensor.gate(z)[::-1]) / 2
             # A foot above the horizon is in no place.
             known = np.isfinite(z).all(axis=0) & np.isfinite(reach).all(axis=0)
-            at, half = np.ascontiguousarray(z[:2, known]), np.ascontiguousarray(reach[:, known])
+            at = np.ascontiguousarray(z[:2, known])
+            half = np.ascontiguousarray(reach[:, known])
             kept[order[known]] = uncrowded(at, half, most)
         return kept
 
@@ -168,8 +191,8 @@ class Kinds:
 class _Lane:
     """What is held of a class, or of those that are tracked together.
 
-    ``rows``: in frames with other detections, which of them were its; ``labels``: classes and scores in a frame, of several
-    classes only; ``sums``: of scores, by online identity and class.
+    ``rows``: in frames with other detections, which of them were its; ``labels``: classes and
+    scores in a frame, of several classes only; ``sums``: of scores, by online identity and class.
     """
 
     stages: AnyStages
@@ -188,9 +211,13 @@ class _Lane:
 
     def advance(self, found: Detections, number: int, time: float, warp: F8) -> Step:
         """What a frame brought."""
-        self.state, step = pipeline.advance(self.stages, self.state, found, number, time, self.rng, warp)
+        self.state, step = pipeline.advance(
+            self.stages, self.state, found, number, time, self.rng, warp
+        )
         if self.together and len(found):
-            remember(self.labels, number, (found.class_id, np.clip(found.confidence, _LEAST_SCORE, 1.0)))
+            remember(
+                self.labels, number, (found.class_id, np.clip(found.confidence, _LEAST_SCORE, 1.0))
+            )
         return step
 
     @property
@@ -200,9 +227,15 @@ class _Lane:
 
         return next((moment.number for moment in held_moments(self.state.association)), 0)
 
-    def votes(self, rows: Tracks, sums: dict[tuple[int, int], float]) -> dict[tuple[int, int], float]:
-        """``sums`` of scores by identity and class, with those of the detections that the rows rest on."""
-        places = zip(rows.frame.tolist(), rows.identity.tolist(), rows.detection.tolist(), strict=True)
+    def votes(
+        self, rows: Tracks, sums: dict[tuple[int, int], float]
+    ) -> dict[tuple[int, int], float]:
+        """``sums`` of scores by identity and class, with those of the detections that the rows rest
+        on.
+        """
+        places = zip(
+            rows.frame.tolist(), rows.identity.tolist(), rows.detection.tolist(), strict=True
+        )
         for frame, identity, detection in places:
             if detection >= 0 and frame in self.labels:
                 label, score = self.labels[frame]
@@ -231,12 +264,14 @@ class Lanes:
     """
 
     def __init__(self, kinds: Kinds, seed: int) -> None:
-        self.kinds, self._seed = kinds, seed
+        self.kinds = kinds
+        self._seed = seed
         self._lanes: dict[int, _Lane] = {}
         # Follows the frames before the first detection.
         self._blank = _Lane.begin(kinds.usual, seed)
         self._past: deque[tuple[int, float, F8, bool]] = deque(maxlen=_REPLAYED)
-        # Identities of a class in terms of those of all. Up to `_alone` the first class had them for itself.
+        # Identities of a class in terms of those of all. Up to `_alone` the first class had them
+        # for itself.
         self._names: dict[tuple[int, int], int] = {}
         self._alone = self.highest = 0  # the highest that was given online
 
@@ -268,16 +303,21 @@ class Lanes:
         fresh = np.random.default_rng(self._seed).bit_generator
         used = [lane.rng.bit_generator for lane in (*self._lanes.values(), self._blank)]
         # What a generator has drawn moves its state on; what it has spawned it counts.
-        return any(one.state != fresh.state or getattr(one.seed_seq, "n_children_spawned", 0) > 0 for one in used)
+        return any(
+            one.state != fresh.state or getattr(one.seed_seq, "n_children_spawned", 0) > 0
+            for one in used
+        )
 
     def advance(self, detections: Detections, number: int, time: float, warp: F8 = STILL) -> Step:
-        """Everything that a frame brought, of all classes; identities are one's own among all of them.
+        """Everything that a frame brought, of all classes; identities are one's own among all of
+        them.
 
         Parameters
         ----------
         detections, number, time, warp : as `pipeline.advance` has them, which says what is raised.
         """
-        label, gone_through = self.kinds.of(detections), dict[int, _Lane]()
+        label = self.kinds.of(detections)
+        gone_through = dict[int, _Lane]()
         for kind in np.unique(label).tolist():
             if kind not in self._lanes:
                 self._open(kind, gone_through)
@@ -288,10 +328,15 @@ class Lanes:
             tracks = self._given(kind, lane, step.tracks)
         else:
             index = {kind: np.flatnonzero(label == kind) for kind in lanes}
-            steps = {k: lane.advance(detections.take(index[k]), number, time, warp) for k, lane in lanes.items()}
+            steps = {
+                k: lane.advance(detections.take(index[k]), number, time, warp)
+                for k, lane in lanes.items()
+            }
             for kind, lane in lanes.items():
                 remember(lane.rows, number, index[kind])
-            tracks = Tracks.concatenate([self._given(kind, lanes[kind], one.tracks) for kind, one in steps.items()])
+            tracks = Tracks.concatenate(
+                [self._given(kind, lanes[kind], one.tracks) for kind, one in steps.items()]
+            )
             step = pipeline.merged(list(steps.values()), list(index.values()), detections)
         for lane in lanes.values():
             if lane.rows or lane.labels:
@@ -304,12 +349,19 @@ class Lanes:
         """The online rows that the output delay holds back."""
         lanes = self._lanes or {0: self._blank}
         return Tracks.concatenate(
-            [self._given(k, lane, pipeline.flush(lane.stages, lane.state)) for k, lane in lanes.items()]
+            [
+                self._given(k, lane, pipeline.flush(lane.stages, lane.state))
+                for k, lane in lanes.items()
+            ]
         )
 
     def finish(self) -> Tracks:
-        """The corrected tracks of all classes, with identities from 1 in the order of their first rows."""
-        lanes, parts, used = self._lanes or {0: self._blank}, list[Tracks](), 0
+        """The corrected tracks of all classes, with identities from 1 in the order of their first
+        rows.
+        """
+        lanes = self._lanes or {0: self._blank}
+        parts = list[Tracks]()
+        used = 0
         for kind, lane in lanes.items():
             rows = pipeline.finish(lane.stages, lane.state)
             label = lane.classed(rows, kind, lane.votes(rows, {}) if lane.together else {})
@@ -326,11 +378,15 @@ class Lanes:
 
     def saved(self) -> tuple[SavedLanes, tuple[SavedLane, ...]]:
         """Everything that decides what comes next: values that no later frame changes."""
-        whole = SavedLanes(tuple(self._lanes), tuple(self._past), dict(self._names), self._alone, self.highest)
+        whole = SavedLanes(
+            tuple(self._lanes), tuple(self._past), dict(self._names), self._alone, self.highest
+        )
         return whole, tuple(_saved(lane) for lane in self._lanes.values() or (self._blank,))
 
     def restore(self, whole: Any, lanes: Any) -> None:
-        """Go on from what was `saved` and packed. Raises `InputError` where it is damaged, or of other settings."""
+        """Go on from what was `saved` and packed. Raises `InputError` where it is damaged, or of
+        other settings.
+        """
         from phdtrack.state import World, restored
 
         found = restored(whole, SavedLanes, None, World.of(self.kinds.usual), "state")
@@ -339,7 +395,8 @@ class Lanes:
             raise InputError(f"expected states of {max(len(kinds), 1)} classes", where="lanes")
         made = [_restored(self.kinds.stages(k) if kinds else self.kinds.usual, one, f"lanes[{k}]")
                 for k, one in zip(kinds or (0,), lanes, strict=True)]  # fmt: skip
-        self._blank, self._lanes = made[0], dict(zip(kinds, made, strict=False))
+        self._blank = made[0]
+        self._lanes = dict(zip(kinds, made, strict=False))
         self._past = deque(past, maxlen=_REPLAYED)
 
     def counts(self) -> dict[int, int]:
@@ -347,7 +404,9 @@ class Lanes:
         from phdtrack.state import held_moments
 
         lanes = self._lanes.values() or (self._blank,)
-        found = {m.number: m.z.shape[1] for lane in lanes for m in held_moments(lane.state.association)}
+        found = {
+            m.number: m.z.shape[1] for lane in lanes for m in held_moments(lane.state.association)
+        }
         for lane in lanes:
             found |= {number: int(rows.max(initial=-1)) + 1 for number, rows in lane.rows.items()}
         return found
@@ -355,11 +414,14 @@ class Lanes:
     def _open(self, kind: int, gone_through: dict[int, _Lane]) -> None:
         """Follow a class from now on: the empty frames so far lie behind it.
 
-        They are gone through once in a frame for classes of the same stages; ``gone_through`` is added to.
+        They are gone through once in a frame for classes of the same stages; ``gone_through`` is
+        added to.
         """
-        stages, together = self.kinds.stages(kind), kind in self.kinds.first.values() and self.kinds.apart
+        stages = self.kinds.stages(kind)
+        together = kind in self.kinds.first.values() and self.kinds.apart
         if not self._lanes and stages is self.kinds.usual:
-            self._blank.together, self._lanes[kind] = together, self._blank
+            self._blank.together = together
+            self._lanes[kind] = self._blank
             return
         before = gone_through.get(id(stages))
         if before is None:
@@ -371,10 +433,13 @@ class Lanes:
         self._lanes[kind] = lane
 
     def _given(self, kind: int, lane: _Lane, rows: Tracks) -> Tracks:
-        """Online rows with the class, with detections as they were given, and with identities among all classes."""
+        """Online rows with the class, with detections as they were given, and with identities among
+        all classes.
+        """
         if lane.together:
             newest(lane.votes(rows, lane.sums))
-        label, identity = lane.classed(rows, kind, lane.sums), rows.identity
+        label = lane.classed(rows, kind, lane.sums)
+        identity = rows.identity
         if len(self._lanes) <= 1:
             self.highest = max(self.highest, int(identity.max(initial=0)))
             return replace(rows, class_id=label)
@@ -420,7 +485,9 @@ def _skipped(association: Any, count: int) -> Any:
         case "RejectionState":
             return replace(association, inner=_skipped(association.inner, count))
         case "GraphState":
-            return replace(association, given=replace(association.given, used=association.given.used + count))
+            return replace(
+                association, given=replace(association.given, used=association.given.used + count)
+            )
         case "LabelledState":
             return replace(association, used=association.used + count)
     return association
@@ -440,11 +507,20 @@ def newest(kept: dict[tuple[int, int], Any]) -> None:
 
 def _saved(lane: _Lane) -> SavedLane:
     """What `_restored` makes the lane of."""
-    return SavedLane(Seed.of(lane.rng), lane.state, lane.together, dict(lane.rows), dict(lane.labels), dict(lane.sums))
+    return SavedLane(
+        Seed.of(lane.rng),
+        lane.state,
+        lane.together,
+        dict(lane.rows),
+        dict(lane.labels),
+        dict(lane.sums),
+    )
 
 
 def _restored(stages: AnyStages, packed: Any, where: str) -> _Lane:
-    """The lane with these stages. Raises `InputError` where what was packed is damaged, or of others."""
+    """The lane with these stages. Raises `InputError` where what was packed is damaged, or of
+    others.
+    """
     from phdtrack.state import World, restored
 
     like = _saved(_Lane.begin(stages, 0))

@@ -12,21 +12,25 @@ from phdtrack.types import F8, Detections, Frame, Image
 class Camera(Protocol):
     """Between the pixels of one camera and the ground, metres in a world of its own.
 
-    A ray that does not meet the ground in front of the camera, and a point that no pixel shows, give columns of NaN: they
-    are faults of single points and never errors of the call.
+    A ray that does not meet the ground in front of the camera, and a point that no pixel shows,
+    give columns of NaN: they are faults of single points and never errors of the call.
     """
 
     def ground(self, pixel: F8) -> F8:
         """(2, N) points of the ground, metres, that the pixels (2, N) show."""
 
     def pixels(self, world: F8) -> F8:
-        """(2, N) pixels that show the world points (3, N), or points (2, N) of the ground, metres."""
+        """(2, N) pixels that show the world points (3, N), or points (2, N) of the ground,
+        metres.
+        """
 
     def jacobian(self, pixel: F8) -> F8:
         """(N, 2, 2) derivatives of `ground` at the pixels (2, N), metres per pixel; rows X, Y."""
 
     def depth(self, world: F8) -> F8:
-        """(N,) distance along the viewing direction, metres, of points (3, N), or (2, N) of the ground; negative behind."""
+        """(N,) distance along the viewing direction, metres, of points (3, N), or (2, N) of the
+        ground; negative behind.
+        """
 
 
 class Picture(Protocol):
@@ -40,8 +44,9 @@ class Picture(Protocol):
         """(H, W, 3) BGR uint8 of this width and height, or of its own: that is made once."""
 
     def planes(self, size: tuple[int, int] | None = None) -> Image:
-        """(n,) uint8, YUV 4:2:0 (black is 16) of this width and height, or its own: brightness, H·W numbers, then blue and
-        red colour differences, as the source defines them, of half width and height, rounded up. May be written into."""
+        """(n,) uint8, YUV 4:2:0 (black is 16) of this width and height, or its own: brightness, H·W
+        numbers, then blue and red colour differences, as the source defines them, of half width and
+        height, rounded up. May be written into."""
 
     def prepare(self, size: tuple[int, int]) -> None:
         """Make the planes of this width and height now, for the next one who asks for them."""
@@ -51,7 +56,8 @@ class Planar:
     """A picture kept as ``planes`` of this ``size``, as `Picture.planes` gives them."""
 
     def __init__(self, size: tuple[int, int], planes: Image) -> None:
-        self.size, self._planes = size, planes
+        self.size = size
+        self._planes = planes
         self._image: Image | None = None
 
     def bgr(self, size: tuple[int, int] | None = None) -> Image:
@@ -60,8 +66,14 @@ class Planar:
 
         if self._image is None:
             width, height = self.size
-            grey = np.pad(self._planes[: height * width].reshape(height, width), ((0, height % 2), (0, width % 2)), "edge")
-            whole = np.concatenate([grey.ravel(), self._planes[height * width :]]).reshape(-1, grey.shape[1])
+            grey = np.pad(
+                self._planes[: height * width].reshape(height, width),
+                ((0, height % 2), (0, width % 2)),
+                "edge",
+            )
+            whole = np.concatenate([grey.ravel(), self._planes[height * width :]]).reshape(
+                -1, grey.shape[1]
+            )
             bgr = cv2.cvtColor(whole, cv2.COLOR_YUV2BGR_I420)[:height, :width]
             self._image = np.ascontiguousarray(bgr, np.uint8)
         return self._image if size is None else np.asarray(cv2.resize(self._image, size), np.uint8)
@@ -81,7 +93,11 @@ def bgr_of(picture: Image | Picture, size: tuple[int, int] | None = None) -> Ima
     if not isinstance(picture, np.ndarray):
         return picture.bgr(size)
     same = size is None or size == picture.shape[1::-1]
-    return picture if same else np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return (
+        picture
+        if same
+        else np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
+    )
 
 
 def planes_of(picture: Image | Picture, size: tuple[int, int] | None = None) -> Image:
@@ -106,7 +122,9 @@ def size_of(frame: Frame) -> tuple[int, int]:
 
 
 class Detector(Protocol):
-    """From a frame to detections. Background models keep what they have learned of the scene inside: `reset` forgets it."""
+    """From a frame to detections. Background models keep what they have learned of the scene
+    inside: `reset` forgets it.
+    """
 
     def __call__(self, frame: Frame) -> Detections:
         """The boxes found in the frame, in its own pixel coordinates."""

@@ -1,9 +1,11 @@
 """Errors that a user can mend, and bounds on settings that raise them.
 
-Every message says what was expected, what was found, where (file, line, frame or option) and the likely cure, in one or two
-sentences. The command line prints it without a traceback and exits with status 2.
+Every message says what was expected, what was found, where (file, line, frame or option) and the
+likely cure, in one or two sentences. The command line prints it without a traceback and exits with
+status 2.
 
-Bounds are stated once, in the annotation of a field, and checked wherever a record of settings is made:
+Bounds are stated once, in the annotation of a field, and checked wherever a record of settings is
+made:
 
     @dataclass(frozen=True)
     class Sensor(Checked):
@@ -49,8 +51,8 @@ EXTRAS = {
 }
 """What installs the packages that `Tracker` does without, by the names of their modules."""
 
-# Each place is looked at once, whatever stands there: a damaged file may be one long name. A password may hold a /, but
-# what follows a host and its port is no password.
+# Each place is looked at once, whatever stands there: a damaged file may be one long name. A
+# password may hold a /, but what follows a host and its port is no password.
 _PASSWORD = r"(?![^\s/:@]*[.\]][^\s/:@]*:\d+/)[^\s/:@]*:[^\s@]{1,100}"
 _USER = re.compile(rf"(?i)([a-z0-9+.-]{{1,30}}://)(?:[^/\s]+|{_PASSWORD})@")
 _PARAMETER = re.compile(r"([?&][^=&?]*=)[^&#\s]*")
@@ -60,9 +62,13 @@ _LONGEST = 4000
 
 
 def shown(text: str) -> str:
-    """The text, an address or a sentence, without user names, passwords and tokens of the addresses in it."""
+    """The text, an address or a sentence, without user names, passwords and tokens of the addresses
+    in it.
+    """
     text = _USER.sub(r"\1…@", text)
-    return _PARAMETER.sub(lambda found: f"{found[1]}…" if _SECRET.search(found[1]) else found[0], text)
+    return _PARAMETER.sub(
+        lambda found: f"{found[1]}…" if _SECRET.search(found[1]) else found[0], text
+    )
 
 
 def _sentence(text: str) -> str:
@@ -72,7 +78,8 @@ def _sentence(text: str) -> str:
 
 
 class InputError(ValueError):
-    """The input is not what it should be, and the user can mend it. User names and passwords of addresses are not shown.
+    """The input is not what it should be, and the user can mend it. User names and passwords of
+    addresses are not shown.
 
     Parameters
     ----------
@@ -82,7 +89,9 @@ class InputError(ValueError):
     """
 
     def __init__(self, problem: str, *, where: str | Path = "", cure: str = "") -> None:
-        self.problem, self.where, self.cure = _sentence(problem), _sentence(str(where)), _sentence(cure)
+        self.problem = _sentence(problem)
+        self.where = _sentence(str(where))
+        self.cure = _sentence(cure)
         text = f"{self.where}: {self.problem}" if self.where else self.problem
         super().__init__(f"{text.rstrip('.')}. {self.cure}" if cure else text)
 
@@ -95,7 +104,9 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 
 def needed(module: str) -> Any:
-    """The module, of a package that need not be installed with this one; `InputError` says what to install."""
+    """The module, of a package that need not be installed with this one; `InputError` says what to
+    install.
+    """
     try:
         return import_module(module)
     except ImportError as error:
@@ -103,7 +114,9 @@ def needed(module: str) -> Any:
 
 
 def absent(error: ImportError, module: str = "") -> InputError:
-    """What to install where a ``module``, or one that it needs, is missing. Raises ``error`` where that is not known."""
+    """What to install where a ``module``, or one that it needs, is missing. Raises ``error`` where
+    that is not known.
+    """
     name = (error.name or module).partition(".")[0]
     package = EXTRAS.get((module or name).partition(".")[0]) or EXTRAS.get(name)
     if not (package or module):
@@ -125,7 +138,9 @@ def later(number: int, frame: object) -> None:
 
 
 def interrupted(error: BaseException) -> bool:
-    """Whether ``error`` is Ctrl-C, or what compiled code has made of it: some of Numba's turns it into a SystemError."""
+    """Whether ``error`` is Ctrl-C, or what compiled code has made of it: some of Numba's turns it
+    into a SystemError.
+    """
     seen: BaseException | None = error
     while seen is not None:
         if isinstance(seen, KeyboardInterrupt):
@@ -158,7 +173,9 @@ class Checked:
 
 
 def check(settings: Any) -> None:
-    """Raise `InputError` where a field of the dataclass ``settings`` breaks its annotation's bounds or is not finite."""
+    """Raise `InputError` where a field of the dataclass ``settings`` breaks its annotation's bounds
+    or is not finite.
+    """
     kind: Any = type(settings)
     for name, limits in bounds(kind):
         given = getattr(settings, name)

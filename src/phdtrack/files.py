@@ -1,5 +1,5 @@
-"""Files that a user named, with errors that say what is wrong, and files that are whole or not there; modules that are
-loaded when they are first used; values for JSON."""
+"""Files that a user named, with errors that say what is wrong, and files that are whole or not
+there; modules that are loaded when they are first used; values for JSON."""
 
 from __future__ import annotations
 
@@ -27,16 +27,20 @@ _USUAL = ("gt/gt.txt", "det/det.txt", "gt.txt", "det.txt", "tracks.csv", "detect
 PART = ".part"
 
 # Bytes of a file that is read whole, where this variable of the environment does not say otherwise.
-SIZE_LIMIT, MAX_SIZE = "PHDTRACK_MAX_FILE_SIZE", 4_000_000_000
+SIZE_LIMIT = "PHDTRACK_MAX_FILE_SIZE"
+MAX_SIZE = 4_000_000_000
 # Digits of a whole number: it is none that a float has.
 _LONG_NUMBER = re.compile(rb"\d[\d_]{299}|0x[\da-fA-F_]{250}")
 # A name of a hundred parts in TOML, whose parser takes minutes for ten thousand.
 _LONG_NAME = re.compile(rb"(?<![\w\"'-])(?:[\w\"'-]++\s*+\.\s*+){100}")
 # Elements within each other: each one knows those around it.
 _DEEPEST = 100
-# Parameters of mallopt: the number of heaps, and from how many bytes on memory comes from the system and goes back to it.
-# Of itself that grows to the largest that was freed, and then pictures lie between small things and are never given back.
-_M_ARENA_MAX, _M_MMAP_THRESHOLD, _LARGE = -8, -3, 4_000_000
+# Parameters of mallopt: the number of heaps, and from how many bytes on memory comes from the
+# system and goes back to it. Of itself that grows to the largest that was freed, and then pictures
+# lie between small things and are never given back.
+_M_ARENA_MAX = -8
+_M_MMAP_THRESHOLD = -3
+_LARGE = 4_000_000
 
 
 def part_of(path: Path) -> Path:
@@ -52,7 +56,9 @@ def refuse_part(path: AnyPath) -> None:
 
 
 def publish(path: Path) -> None:
-    """Give a file that grew in `part_of` its name, when it is on disk. Raises ``OSError`` where that fails."""
+    """Give a file that grew in `part_of` its name, when it is on disk. Raises ``OSError`` where
+    that fails.
+    """
     with part_of(path).open("rb+") as file:
         os.fsync(file.fileno())
     part_of(path).replace(path)
@@ -66,29 +72,40 @@ def publish(path: Path) -> None:
 
 
 def cannot_write(path: AnyPath, error: Any) -> InputError:
-    """The error of a file that cannot be written, in a sentence; ``error`` is an ``OSError``, or FFmpeg's."""
+    """The error of a file that cannot be written, in a sentence; ``error`` is an ``OSError``, or
+    FFmpeg's.
+    """
     cure = "Choose another place for the output."
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         cure = "Free some space; a run goes on with --resume."
     elif error.errno == errno.ENOENT:
         cure = "Was the folder removed meanwhile?"
-    return InputError(f"the file cannot be written: {error.strerror or error}", where=Path(path), cure=cure)
+    return InputError(
+        f"the file cannot be written: {error.strerror or error}", where=Path(path), cure=cure
+    )
 
 
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
     """A file that has its name when it is complete, and not before.
 
-    Gives the path to write to, which lies beside it. When the block is left the file is flushed to disk and gets its name;
-    after an error there is no new file, and one that was there before is as it was. Raises `InputError` where it cannot be
-    written, or is a device, a pipe or a folder, which are not replaced.
+    Gives the path to write to, which lies beside it. When the block is left the file is flushed to
+    disk and gets its name; after an error there is no new file, and one that was there before is as
+    it was. Raises `InputError` where it cannot be written, or is a device, a pipe or a folder,
+    which are not replaced.
     """
     part = part_of(path)
     try:
         # Under /dev and /proc a name stands for something else, as /dev/stdout does.
         folder = path.parent.resolve().parts
-        if folder == ("/", "dev") or folder[:2] == ("/", "proc") or (path.exists() and not path.is_file()):
-            raise InputError("expected the name of a file, and this is none", where=path, cure="Choose another.")
+        if (
+            folder == ("/", "dev")
+            or folder[:2] == ("/", "proc")
+            or (path.exists() and not path.is_file())
+        ):
+            raise InputError(
+                "expected the name of a file, and this is none", where=path, cure="Choose another."
+            )
         path.parent.mkdir(parents=True, exist_ok=True)
         yield part
         publish(path)
@@ -101,19 +118,23 @@ def whole(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write UTF-8, whole or not at all, and make the folder. Raises `InputError` where that cannot be done."""
+    """Write UTF-8, whole or not at all, and make the folder. Raises `InputError` where that cannot
+    be done.
+    """
     with whole(path) as part:
         # File names may hold bytes that are no text; their escape is also how JSON spells them.
         part.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
 
 
 def load(path: AnyPath) -> bytes:
-    """The bytes of the file. Raises `InputError` where there is none, it is a folder, not complete, too large, or may not be
-    read."""
+    """The bytes of the file. Raises `InputError` where there is none, it is a folder, not complete,
+    too large, or may not be read."""
     path = Path(path)
     refuse_part(path)
     if "\0" in str(path):
-        raise InputError("expected the name of a file, which has no NUL in it", where=repr(str(path)))
+        raise InputError(
+            "expected the name of a file, which has no NUL in it", where=repr(str(path))
+        )
     try:
         with path.open("rb") as file:
             _check_size(path, os.fstat(file.fileno()).st_size)
@@ -123,7 +144,9 @@ def load(path: AnyPath) -> bytes:
     except IsADirectoryError:
         raise InputError("expected a file, came a folder", where=path, cure=_inside(path)) from None
     except OSError as error:
-        raise InputError(f"the file cannot be read: {error.strerror or error}", where=path) from None
+        raise InputError(
+            f"the file cannot be read: {error.strerror or error}", where=path
+        ) from None
 
 
 def _check_size(path: AnyPath, size: int) -> None:
@@ -133,7 +156,9 @@ def _check_size(path: AnyPath, size: int) -> None:
         raise InputError(f"expected a number of bytes, came {given[:40]!r}", where=SIZE_LIMIT)
     if size > int(given):
         problem = f"expected a file of at most {int(given):,} bytes, came {size:,}"
-        raise InputError(problem, where=Path(path), cure="Is it the right file? If so, say --max-file-size SIZE.")
+        raise InputError(
+            problem, where=Path(path), cure="Is it the right file? If so, say --max-file-size SIZE."
+        )
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -148,7 +173,9 @@ def parse_toml(path: Path, content: bytes) -> dict[str, Any]:
     _refuse_long_numbers(path, content)
     if found := _LONG_NAME.search(content):
         line = content.count(b"\n", 0, found.start()) + 1
-        raise InputError("expected a name, came one of a hundred parts", where=f"{path}, line {line}")
+        raise InputError(
+            "expected a name, came one of a hundred parts", where=f"{path}, line {line}"
+        )
     try:
         return tomllib.loads(content.decode("utf-8-sig"))
     except UnicodeDecodeError:
@@ -164,13 +191,19 @@ def parse_toml(path: Path, content: bytes) -> dict[str, Any]:
 
 
 def _refuse_long_numbers(path: Path, content: bytes) -> None:
-    """Raise `InputError` for a whole number of hundreds of digits, which has its place nowhere, and breaks what reads it."""
+    """Raise `InputError` for a whole number of hundreds of digits, which has its place nowhere, and
+    breaks what reads it.
+    """
     if found := _LONG_NUMBER.search(content):
         line = content.count(b"\n", 0, found.start()) + 1
-        raise InputError("expected numbers, came one of hundreds of digits", where=f"{path}, line {line}")
+        raise InputError(
+            "expected numbers, came one of hundreds of digits", where=f"{path}, line {line}"
+        )
 
 
-def lazy(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+def lazy(
+    package: str, homes: Mapping[str, str]
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """`__getattr__` and `__dir__` of a package whose names are loaded when they are first used.
 
     Parameters
@@ -190,7 +223,11 @@ def lazy(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], Any], 
 def _nearest(path: Path) -> str:
     """The deepest folder of ``path`` that does exist: it shows which part of the name is wrong."""
     folder = next((p for p in path.absolute().parents if p.is_dir()), Path("/"))
-    return "" if folder == path.absolute().parent else f"The last folder on the way that exists is {folder}."
+    return (
+        ""
+        if folder == path.absolute().parent
+        else f"The last folder on the way that exists is {folder}."
+    )
 
 
 def _inside(path: Path) -> str:
@@ -199,7 +236,9 @@ def _inside(path: Path) -> str:
 
 
 def json_value(value: object) -> Any:
-    """``value`` in the types that JSON knows: NaN is None, what is unknown its text; ``repr=False`` leaves fields out."""
+    """``value`` in the types that JSON knows: NaN is None, what is unknown its text; ``repr=False``
+    leaves fields out.
+    """
     match value:
         case None | bool() | str() | int():
             return value
@@ -214,7 +253,11 @@ def json_value(value: object) -> Any:
         case _:
             import numpy as np
 
-            return json_value(value.tolist()) if isinstance(value, np.generic | np.ndarray) else str(value)
+            return (
+                json_value(value.tolist())
+                if isinstance(value, np.generic | np.ndarray)
+                else str(value)
+            )
 
 
 def read_json(path: Path, content: bytes) -> Any:
@@ -228,15 +271,17 @@ def read_json(path: Path, content: bytes) -> Any:
         raise InputError("expected JSON, came bytes that are no UTF-8 text", where=path) from None
     except json.JSONDecodeError as error:
         where = f"{path}, line {error.lineno}"
-        raise InputError(f"expected JSON, which breaks here: {error.msg}", where=where, cure="Is it complete?") from None
+        raise InputError(
+            f"expected JSON, which breaks here: {error.msg}", where=where, cure="Is it complete?"
+        ) from None
     except RecursionError:
         raise InputError("expected JSON, came brackets nested without end", where=path) from None
 
 
 @dataclass(frozen=True, slots=True)
 class Element:
-    """An element of an XML file: its name, its attributes, where it stands, and the elements around it, outermost first;
-    the parts of the text that it holds itself."""
+    """An element of an XML file: its name, its attributes, where it stands, and the elements around
+    it, outermost first; the parts of the text that it holds itself."""
 
     name: str
     attributes: Mapping[str, str]
@@ -251,7 +296,9 @@ class Element:
         return f"{self.path}, line {self.line}"
 
     def number(self, *names: str) -> float:
-        """The value of the first of these attributes that there is; `InputError` where there is none, or it is no number."""
+        """The value of the first of these attributes that there is; `InputError` where there is
+        none, or it is no number.
+        """
         name = next((name for name in names if name in self.attributes), "")
         problem = f"expected <{self.name}> with a value for {' or '.join(names)}, came one without"
         if name:
@@ -266,17 +313,21 @@ class Element:
 def read_xml(path: Path, content: bytes) -> list[Element]:
     """The elements of an XML file in the order in which they begin.
 
-    A document type or an entity is refused, because that is how a small file is made to expand without bound. `InputError`
-    names the line, also where the file is not well-formed.
+    A document type or an entity is refused, because that is how a small file is made to expand
+    without bound. `InputError` names the line, also where the file is not well-formed.
     """
     from xml.parsers import expat
 
-    parser, found, open_ = expat.ParserCreate(), list[Element](), list[Element]()
+    parser = expat.ParserCreate()
+    found = list[Element]()
+    open_ = list[Element]()
 
     def start(name: str, attributes: dict[str, str]) -> None:
         if len(open_) >= _DEEPEST:
             where = f"{path}, line {parser.CurrentLineNumber}"
-            raise InputError(f"expected XML of at most {_DEEPEST} elements within each other", where=where)
+            raise InputError(
+                f"expected XML of at most {_DEEPEST} elements within each other", where=where
+            )
         found.append(Element(name, attributes, path, parser.CurrentLineNumber, tuple(open_)))
         open_.append(found[-1])
 
@@ -296,8 +347,11 @@ def read_xml(path: Path, content: bytes) -> list[Element]:
     try:
         parser.Parse(content, True)
     except expat.ExpatError as error:
-        reason, where = expat.ErrorString(error.code), f"{path}, line {error.lineno}"
-        raise InputError(f"expected XML, which breaks here: {reason}", where=where, cure="Is it complete?") from None
+        reason = expat.ErrorString(error.code)
+        where = f"{path}, line {error.lineno}"
+        raise InputError(
+            f"expected XML, which breaks here: {reason}", where=where, cure="Is it complete?"
+        ) from None
     except (LookupError, ValueError) as error:
         if isinstance(error, InputError):
             raise
@@ -306,8 +360,8 @@ def read_xml(path: Path, content: bytes) -> list[Element]:
 
 
 def return_memory() -> None:
-    """Give memory that was freed back to the system, and let threads share two heaps: glibc has up to eight for each core,
-    and keeps in each the pictures that were freed there."""
+    """Give memory that was freed back to the system, and let threads share two heaps: glibc has up
+    to eight for each core, and keeps in each the pictures that were freed there."""
     library = ctypes.CDLL(None) if sys.platform == "linux" else None
     if library is not None and getattr(library, "malloc_trim", None) is not None:
         library.mallopt(_M_ARENA_MAX, 2)

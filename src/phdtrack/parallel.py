@@ -1,4 +1,5 @@
-"""Pieces of work shared out to processes of this machine, or to a cluster by Ray: what fails takes no other piece along.
+"""Pieces of work shared out to processes of this machine, or to a cluster by Ray: what fails takes
+no other piece along.
 
 Work and results must be of classes and functions that a fresh interpreter can import.
 """
@@ -29,10 +30,13 @@ class Failed:
     reason: str
 
 
-def outcomes(work: Sequence[Callable[[], T]], jobs: int, *, apart: bool = False) -> Iterator[tuple[int, T | Failed]]:
+def outcomes(
+    work: Sequence[Callable[[], T]], jobs: int, *, apart: bool = False
+) -> Iterator[tuple[int, T | Failed]]:
     """The number (from 0) and the result of each piece of work, as they come.
 
-    Each process has a pool of its own: one that dies fails its own piece, and another takes its place.
+    Each process has a pool of its own: one that dies fails its own piece, and another takes its
+    place.
 
     Parameters
     ----------
@@ -44,19 +48,24 @@ def outcomes(work: Sequence[Callable[[], T]], jobs: int, *, apart: bool = False)
         yield from enumerate(map(_tried, work))
         return
     context = multiprocessing.get_context("spawn")
-    before, left = set(multiprocessing.active_children()), list(enumerate(work))[::-1]
+    before = set(multiprocessing.active_children())
+    left = list(enumerate(work))[::-1]
     idle = [ProcessPoolExecutor(1, context, _begin) for _ in range(min(jobs, len(work)))]
     running: dict[Future[Any], tuple[int, ProcessPoolExecutor]] = {}
     try:
         while left or running:
             while left and idle:
-                (number, piece), pool = left.pop(), idle.pop()
+                number, piece = left.pop()
+                pool = idle.pop()
                 running[pool.submit(_tried, piece)] = number, pool
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 number, pool = running.pop(future)
                 died = isinstance(future.exception(), BrokenProcessPool)
                 idle.append(ProcessPoolExecutor(1, context, _begin) if died else pool)
-                yield number, Failed("its process died (out of memory?)") if died else future.result()
+                yield (
+                    number,
+                    Failed("its process died (out of memory?)") if died else future.result(),
+                )
     finally:
         # None of them has anything to do any more, but after Ctrl-C.
         for process in set(multiprocessing.active_children()) - before:
@@ -65,15 +74,19 @@ def outcomes(work: Sequence[Callable[[], T]], jobs: int, *, apart: bool = False)
             pool.shutdown(cancel_futures=True)
 
 
-def on_ray(work: Sequence[Callable[[], T]], jobs: int, address: str) -> Iterator[tuple[int, T | Failed]]:
-    """As `outcomes`, by the machines of a Ray cluster. A piece whose machine or process died is tried again, three times.
-    Raises `InputError` where Ray is not installed, or there is no cluster.
+def on_ray(
+    work: Sequence[Callable[[], T]], jobs: int, address: str
+) -> Iterator[tuple[int, T | Failed]]:
+    """As `outcomes`, by the machines of a Ray cluster. A piece whose machine or process died is
+    tried again, three times. Raises `InputError` where Ray is not installed, or there is no
+    cluster.
 
     Parameters
     ----------
     work : what is to be done; each piece is given a CPU.
     jobs : pieces that are under way at once, at most; 0: as many as the cluster has CPUs for.
-    address : of the cluster, as Ray has it: ``auto``, ``HOST:PORT``, ``ray://HOST:PORT``; ``local`` begins one here.
+    address : of the cluster, as Ray has it: ``auto``, ``HOST:PORT``, ``ray://HOST:PORT``; ``local``
+        begins one here.
     """
     ray = needed("ray")
     try:
@@ -81,9 +94,13 @@ def on_ray(work: Sequence[Callable[[], T]], jobs: int, address: str) -> Iterator
     except (ConnectionError, OSError, RuntimeError, ValueError) as error:
         first = str(error).partition("\n")[0]
         cure = "Start one (`ray start --head`), or say --address HOST:PORT, or local for one on this machine."
-        raise InputError(f"no Ray cluster can be reached ({first})", where=f"--address {address}", cure=cure) from error
+        raise InputError(
+            f"no Ray cluster can be reached ({first})", where=f"--address {address}", cure=cure
+        ) from error
     try:
-        tried, left, running = ray.remote(_tried), list(enumerate(work))[::-1], dict[Any, int]()
+        tried = ray.remote(_tried)
+        left = list(enumerate(work))[::-1]
+        running = dict[Any, int]()
         while left or running:
             while left and len(running) < (jobs or _WINDOW):
                 number, piece = left.pop()
@@ -114,7 +131,9 @@ def _begin() -> None:
 
 
 def _tried(piece: Callable[[], T]) -> T | Failed:
-    """The result, or why there is none. Ctrl-C goes through, also where compiled code has turned it into another error."""
+    """The result, or why there is none. Ctrl-C goes through, also where compiled code has turned it
+    into another error.
+    """
     try:
         return piece()
     except Exception as error:

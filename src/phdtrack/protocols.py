@@ -1,13 +1,15 @@
-"""One protocol for each symbol of the papers and each stage of the pipeline. The pipeline knows these and nothing else.
+"""One protocol for each symbol of the papers and each stage of the pipeline. The pipeline knows
+these and nothing else.
 
-A model is a value of four parts: motion f, p_S; sensor g, p_D; birth γ; clutter κ. Filters, extractors,
-associators and smoothers are frozen settings with pure methods: state goes in, state comes out. A model answers with arrays
-for all targets at once.
+A model is a value of four parts: motion f, p_S; sensor g, p_D; birth γ; clutter κ. Filters,
+extractors, associators and smoothers are frozen settings with pure methods: state goes in, state
+comes out. A model answers with arrays for all targets at once.
 
-Shapes: states x are (d, L), measurements z are (m, N); both are columns, so that each component is contiguous. Functions
-of (z, x) work elementwise and broadcast over everything behind the first axis: ``z[:, pair_z], x[:, pair_x]`` gives one
-value per pair, ``z[:, :, None], x[:, None, :]`` the dense table. ``dt`` is in the model's time unit. What goes in and out of
-a method is described here, in its docstring or in that of the class; what implements it says only what is its own.
+Shapes: states x are (d, L), measurements z are (m, N); both are columns, so that each component is
+contiguous. Functions of (z, x) work elementwise and broadcast over everything behind the first
+axis: ``z[:, pair_z], x[:, pair_x]`` gives one value per pair, ``z[:, :, None], x[:, None, :]`` the
+dense table. ``dt`` is in the model's time unit. What goes in and out of a method is described here,
+in its docstring or in that of the class; what implements it says only what is its own.
 """
 
 from __future__ import annotations
@@ -46,16 +48,21 @@ class Motion(Protocol):
         """Probability p_S that a target is still there after one second, wherever it is."""
 
     def particle_model(self, dt: float, seconds: float) -> Any:
-        """The numbers of f over ``dt`` and p_S over ``seconds``: a record of `kernels.particle_models`."""
+        """The numbers of f over ``dt`` and p_S over ``seconds``: a record of
+        `kernels.particle_models`.
+        """
 
     def p_survive(self, x: F8, seconds: float) -> F8:
         """(L,) probability that a target at ``x`` is still there after so many seconds."""
 
     def transition(self, x: F8, dt: float) -> tuple[F8, F8, F8]:
-        """Mean (d, n), Jacobian F (n, d, d) and noise covariance Q (n, d, d) of f(·|x) for the columns of ``x`` (d, n)."""
+        """Mean (d, n), Jacobian F (n, d, d) and noise covariance Q (n, d, d) of f(·|x) for the
+        columns of ``x`` (d, n).
+        """
 
     def warp_states(self, x: F8, warp: F8) -> F8:
-        """(d, L) the states ``x`` (d, L) in the pixels of the next frame; ``warp`` (3, 3) is the homography to it.
+        """(d, L) the states ``x`` (d, L) in the pixels of the next frame; ``warp`` (3, 3) is the
+        homography to it.
 
         Raises `InputError` where states do not lie in the image.
         """
@@ -69,39 +76,56 @@ class Sensor(Protocol):
 
     @property
     def observed(self) -> tuple[int, ...]:
-        """The rows of the state that a measurement shows; of a linear sensor in the order of its first components."""
+        """The rows of the state that a measurement shows; of a linear sensor in the order of its
+        first components.
+        """
 
     @property
     def linear(self) -> bool:
-        """Whether `expected` is the ``observed`` rows of the state. Of others Gaussians need sigma points."""
+        """Whether `expected` is the ``observed`` rows of the state. Of others Gaussians need sigma
+        points.
+        """
 
     def measure(self, detections: Detections) -> F8:
-        """(m, N) the measurement vectors of the detections; a column of NaN for one that shows no possible state."""
+        """(m, N) the measurement vectors of the detections; a column of NaN for one that shows no
+        possible state.
+        """
 
     def expected(self, x: F8) -> F8:
-        """(r, L) the first components of z that targets at ``x`` (d, L) give, noise aside; of a linear sensor rows of x."""
+        """(r, L) the first components of z that targets at ``x`` (d, L) give, noise aside; of a
+        linear sensor rows of x.
+        """
 
     def innovation(self, z: F8, seen: F8) -> F8:
-        """(r, …) differences of measurements from what was expected, z − ``seen``, elementwise; angles the short way round.
+        """(r, …) differences of measurements from what was expected, z − ``seen``, elementwise;
+        angles the short way round.
 
         Of the rows of ``z`` the first r count: it may be something expected, too.
         """
 
     def covariance(self, z: F8, x: F8) -> F8:
-        """(P, r, r) noise covariance R of what `expected` gives, for pairs of columns of ``z`` (m, P) and ``x`` (d, P).
+        """(P, r, r) noise covariance R of what `expected` gives, for pairs of columns of ``z`` (m,
+        P) and ``x`` (d, P).
 
-        With `innovation` it is the Gaussian view of g: d² = εᵀR⁻¹ε. It is the sum of `target_noise` and `measurement_noise`.
+        With `innovation` it is the Gaussian view of g: d² = εᵀR⁻¹ε. It is the sum of `target_noise`
+        and `measurement_noise`.
         """
 
     @property
     def angles(self) -> tuple[bool, ...]:
-        """(r,) which components of `expected` are angles in radians, compared the short way round."""
+        """(r,) which components of `expected` are angles in radians, compared the short way
+        round.
+        """
 
     def target_noise(self, x: F8) -> F8:
-        """(L, r, r) part of R that belongs to targets at ``x`` (d, L); (0, r, r) where none does."""
+        """(L, r, r) part of R that belongs to targets at ``x`` (d, L); (0, r, r) where none
+        does.
+        """
 
     def measurement_noise(self, z: F8) -> F8:
-        """(N, r, r) part of R that belongs to the measurements ``z`` (m, N); (0, r, r) where none does."""
+        """(N, r, r) part of R that belongs to the measurements ``z`` (m, N); (0, r, r) where none
+        does.
+        """
 
     def p_detect(self, x: F8) -> F8:
         """(L,) detection probability of targets at ``x`` (d, L)."""
@@ -111,19 +135,29 @@ class Sensor(Protocol):
         """Whether p_D falls where targets hide each other: what `watching` is for."""
 
     def watching(self, targets: F8) -> Sensor:
-        """The sensor while targets are expected at these states (d, n), of which the nearer hide those behind them."""
+        """The sensor while targets are expected at these states (d, n), of which the nearer hide
+        those behind them.
+        """
 
     def particle_model(self, z: F8) -> SensorNumbers:
-        """The numbers of g and p_D, and a column for each measurement of ``z`` (m, N), for `kernels.particle_models`."""
+        """The numbers of g and p_D, and a column for each measurement of ``z`` (m, N), for
+        `kernels.particle_models`.
+        """
 
     def gate(self, z: F8) -> tuple[F8, F8]:
-        """Rectangles in the position plane outside which g(z|·) is negligible: lower and upper corners, each (2, N)."""
+        """Rectangles in the position plane outside which g(z|·) is negligible: lower and upper
+        corners, each (2, N).
+        """
 
     def states(self, z: F8) -> tuple[F8, F8]:
-        """States at rest (d, N) that would give ``z``, and their covariance (N, d, d) when z is all that is known."""
+        """States at rest (d, N) that would give ``z``, and their covariance (N, d, d) when z is all
+        that is known.
+        """
 
     def noise(self, x: F8) -> F8:
-        """(d, n) standard deviations by which state components at ``x`` are resolved: the scale for distances."""
+        """(d, n) standard deviations by which state components at ``x`` are resolved: the scale for
+        distances.
+        """
 
     def boxes(self, x: F8) -> F8:
         """(n, 4) the xyxy box that each state predicts in the image."""
@@ -138,14 +172,20 @@ class Birth(Protocol):
     sensor, seconds, rng : that gave them; the interval T; of the draws.
     """
 
-    def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
+    def sample(
+        self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator
+    ) -> Particles:
         """Newborn particles of total mass ∫γT."""
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
-        """γT around each measurement, and as Gaussians. Raises `InputError` where γ has no such form."""
+        """γT around each measurement, and as Gaussians. Raises `InputError` where γ has no such
+        form.
+        """
 
     def expected(self, z: F8, seconds: float) -> float:
-        """∫γT over everything: the expected number of births, those that no measurement of ``z`` (m, N) shows included."""
+        """∫γT over everything: the expected number of births, those that no measurement of ``z``
+        (m, N) shows included.
+        """
 
 
 class Clutter(Protocol):
@@ -159,12 +199,14 @@ class Clutter(Protocol):
 class Model:
     """The four parts of a model of the world, and ``rate``: its time units per second.
 
-    The papers state their noises per frame at 25 Hz; with ``rate`` 25 a frame of such a video has dt = 1, one of a
-    7 Hz video dt = 25/7, and a gap of three frames three times as much. ``first`` is the interval before the first frame,
-    in time units: what happens in it is predicted and born then.
+    The papers state their noises per frame at 25 Hz; with ``rate`` 25 a frame of such a video has
+    dt = 1, one of a 7 Hz video dt = 25/7, and a gap of three frames three times as much. ``first``
+    is the interval before the first frame, in time units: what happens in it is predicted and born
+    then.
 
-    ``warp`` (3, 3) is how the camera has moved since the frame before: the homography that takes pixels of that frame to
-    this one's; `types.STILL` where it stands still. States are warped before they are predicted.
+    ``warp`` (3, 3) is how the camera has moved since the frame before: the homography that takes
+    pixels of that frame to this one's; `types.STILL` where it stands still. States are warped
+    before they are predicted.
     """
 
     motion: Motion
@@ -176,7 +218,9 @@ class Model:
     warp: F8 = field(default_factory=lambda: STILL, compare=False)
 
     def birth_seconds(self, dt: float) -> float:
-        """Seconds whose births are still there after ``dt``: ∫ p_S(t) dt, with p_S = 1 in the last second."""
+        """Seconds whose births are still there after ``dt``: ∫ p_S(t) dt, with p_S = 1 in the last
+        second.
+        """
         seconds = dt / self.rate
         if seconds <= 1.0:
             return seconds
@@ -188,11 +232,15 @@ class Model:
         return self.motion.warp_states(x, self.warp) if len(self.warp) else x
 
     def warp_gaussians(self, mean: F8, covariance: F8) -> tuple[F8, F8]:
-        """Gaussians (d, L), (L, d, d) of the frame before, in the pixels of this one: to first order, J P Jᵀ."""
+        """Gaussians (d, L), (L, d, d) of the frame before, in the pixels of this one: to first
+        order, J P Jᵀ.
+        """
         if len(self.warp) == 0:
             return mean, covariance
         slope = self.motion.warp_jacobian(mean, self.warp)
-        return self.motion.warp_states(mean, self.warp), slope @ covariance @ slope.transpose(0, 2, 1)
+        return self.motion.warp_states(mean, self.warp), slope @ covariance @ slope.transpose(
+            0, 2, 1
+        )
 
 
 S = TypeVar("S")
@@ -206,7 +254,8 @@ class Filter(Protocol[S]):
     ----------
     state : after the frame before; of `update` the predicted one.
     z : (m, N) measurements.
-    model : of the present frame; where the camera has moved (`Model.warp`), states are carried into its pixels first.
+    model : of the present frame; where the camera has moved (`Model.warp`), states are carried into
+        its pixels first.
     dt : interval since the frame before, in the model's time unit.
     rng : the filter's randomness.
     """
@@ -215,17 +264,27 @@ class Filter(Protocol[S]):
         """The state before the first frame."""
 
     def predict(self, state: S, model: Model, dt: float, rng: np.random.Generator) -> S:
-        """The predicted state, ``dt`` later, without births: these are made in the update, from its measurements."""
+        """The predicted state, ``dt`` later, without births: these are made in the update, from its
+        measurements.
+        """
 
-    def update(self, state: S, z: F8, model: Model, dt: float, rng: np.random.Generator) -> tuple[S, UpdateInfo]:
+    def update(
+        self, state: S, z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> tuple[S, UpdateInfo]:
         """The state after the births of the interval and the measurements."""
 
     def reduce(self, state: S, rng: np.random.Generator) -> S:
-        """The same density with fewer particles or components: unless the filter has another form, as it is."""
+        """The same density with fewer particles or components: unless the filter has another form,
+        as it is.
+        """
         return state
 
-    def step(self, state: S, z: F8, model: Model, dt: float, rng: np.random.Generator) -> tuple[S, UpdateInfo]:
-        """Predict, update and reduce, for a frame that was observed: their composition, or a faster form of it."""
+    def step(
+        self, state: S, z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> tuple[S, UpdateInfo]:
+        """Predict, update and reduce, for a frame that was observed: their composition, or a faster
+        form of it.
+        """
         updated, info = self.update(self.predict(state, model, dt, rng), z, model, dt, rng)
         return self.reduce(updated, rng), info
 
@@ -255,14 +314,17 @@ class Associator(Protocol[A]):
     def start(self) -> A:
         """The state before the first frame."""
 
-    def extend(self, state: A, estimates: Estimates, z: F8, number: int, dt: float, model: Model) -> tuple[A, Tracks]:
+    def extend(
+        self, state: A, estimates: Estimates, z: F8, number: int, dt: float, model: Model
+    ) -> tuple[A, Tracks]:
         """The state with those of frame ``number``, and the online rows that are now final.
 
         Parameters
         ----------
         state, dt : of the frame before, and the model time since then.
         estimates, z, number : the extracted states, the (m, N) measurements and the frame number.
-        model : of this frame; states of earlier frames are warped where the camera has moved (`Model.warp`).
+        model : of this frame; states of earlier frames are warped where the camera has moved
+            (`Model.warp`).
         """
 
     def flush(self, state: A, model: Model) -> Tracks:
@@ -272,7 +334,9 @@ class Associator(Protocol[A]):
         """The corrected, bridged and cleaned tracks of everything taken in so far."""
 
     def measurements(self, state: A) -> MeasurementHistory:
-        """The measurements of everything that is remembered, with every frame of the corrected tracks."""
+        """The measurements of everything that is remembered, with every frame of the corrected
+        tracks.
+        """
 
 
 class Smoother(Protocol):
@@ -283,7 +347,8 @@ class Smoother(Protocol):
 
         Parameters
         ----------
-        tracks, measurements, model : corrected tracks, what their rows rest on, and the model of the last frame.
+        tracks, measurements, model : corrected tracks, what their rows rest on, and the model of
+            the last frame.
         """
 
 
@@ -294,17 +359,22 @@ class Explainer(Protocol[C]):
     ----------
     state : after the frame before; for `advance` the one that `explain` gave.
     explanation : of this frame.
-    detections, model, dt : of the frame, and the interval since the one before in the model's time unit.
+    detections, model, dt : of the frame, and the interval since the one before in the model's time
+        unit.
     estimates : the states, whose numbers of detections are the explanation's.
     """
 
     def start(self) -> C:
         """The state before the first frame."""
 
-    def explain(self, state: C, detections: Detections, model: Model, dt: float) -> tuple[C, Explanation]:
+    def explain(
+        self, state: C, detections: Detections, model: Model, dt: float
+    ) -> tuple[C, Explanation]:
         """The state for `advance`, and the detections that the filter is to be given of a frame."""
 
-    def advance(self, state: C, explanation: Explanation, estimates: Estimates, model: Model, dt: float) -> C:
+    def advance(
+        self, state: C, explanation: Explanation, estimates: Estimates, model: Model, dt: float
+    ) -> C:
         """The state after a frame, with what the filter made of it."""
 
 
@@ -314,8 +384,11 @@ class CameraEstimator(Protocol[C]):
     def start(self) -> C:
         """The state before the first frame."""
 
-    def between(self, state: C, detections: Detections, model: Model, dt: float, given: F8) -> tuple[C, F8]:
-        """The state for `with_targets`, and the homography since the last frame; `types.STILL` where it stands still.
+    def between(
+        self, state: C, detections: Detections, model: Model, dt: float, given: F8
+    ) -> tuple[C, F8]:
+        """The state for `with_targets`, and the homography since the last frame; `types.STILL`
+        where it stands still.
 
         Parameters
         ----------
@@ -339,11 +412,13 @@ class Learning(Protocol[C]):
         return model
 
     def with_scores(self, state: C, model: Model, detections: Detections) -> Model:
-        """A model with what the scores of a frame's detections say; the same where they are not learned.
+        """A model with what the scores of a frame's detections say; the same where they are not
+        learned.
 
         Parameters
         ----------
-        state, model, detections : what was learned, the model as `model` gave it, and the frame's detections.
+        state, model, detections : what was learned, the model as `model` gave it, and the frame's
+            detections.
         """
         return model
 
@@ -357,13 +432,16 @@ class OnlineBoxes(Protocol):
     def start(self) -> Any:
         """The state before the first frame."""
 
-    def advance(self, state: Any, tracks: Tracks, detections: Detections, number: int, time: float) -> tuple[Any, Tracks]:
+    def advance(
+        self, state: Any, tracks: Tracks, detections: Detections, number: int, time: float
+    ) -> tuple[Any, Tracks]:
         """The state after the frame, and the rows with the boxes that are shown.
 
         Parameters
         ----------
         state : after the frame before.
-        tracks, detections : online rows, of this frame or with an output delay of earlier ones; detections of this frame.
+        tracks, detections : online rows, of this frame or with an output delay of earlier ones;
+            detections of this frame.
         number, time : of this frame; seconds.
         """
 
@@ -380,7 +458,8 @@ class Stages(Generic[S, A]):
     learning : what is learned while tracking.      explainer : the merged-measurement model.
     smoother : of corrected tracks.      online : boxes of online rows.
     camera : what finds the camera's motion in the detections.
-    longest_interval : seconds between pictures up to which targets move as in videos; 0: however long it is.
+    longest_interval : seconds between pictures up to which targets move as in videos; 0: however
+        long it is.
     """
 
     model: Model

@@ -49,24 +49,26 @@ class SavedBoxes(NamedTuple):
 class Tracker:
     """Detections in, tracks with identities out; one call per frame.
 
-    Memory is bounded: the last ten minutes are remembered, some 100 MB with ten targets at 25 fps, and `tracks` goes back so
-    far and a little more. `FinalTracks` gives the corrected rows of a loop without end. ``associate={"history": S}``
-    remembers S seconds, and 0 everything, as do ``stages`` of one's own that do not say otherwise.
+    Memory is bounded: the last ten minutes are remembered, some 100 MB with ten targets at 25 fps,
+    and `tracks` goes back so far and a little more. `FinalTracks` gives the corrected rows of a
+    loop without end. ``associate={"history": S}`` remembers S seconds, and 0 everything, as do
+    ``stages`` of one's own that do not say otherwise.
 
     Parameters
     ----------
     frame_size : width and height of the images in pixels.
     fps : frames per second, used where `update` is given no timestamp.
-    seed : seed of the particle filter's randomness; the same seed and detections give the same tracks.
-    filter : ``pmb``, ``gm-phd``, ``particle-phd``, ``gm-cphd``, ``particle-cphd``, ``mht``, ``mcmc``, or ``none`` for the
-        association alone; or the settings of that section.
-    preset : ``default``, ``mot15`` (the default of earlier versions), ``m07``, ``m09``, ``fv``, ``m09-mht``, ``d14``, or on
-        the ground plane ``e13``.
+    seed : seed of the particle filter's randomness; the same seed and detections give the same
+        tracks.
+    filter : ``pmb``, ``gm-phd``, ``particle-phd``, ``gm-cphd``, ``particle-cphd``, ``mht``,
+        ``mcmc``, or ``none`` for the association alone; or the settings of that section.
+    preset : ``default``, ``mot15`` (the default of earlier versions), ``m07``, ``m09``, ``fv``,
+        ``m09-mht``, ``d14``, or on the ground plane ``e13``.
     settings : a TOML file with settings.
-    stages : one's own model, filter, extractor and associator, instead of all of the above but fps and seed; `Kinds` where
-        classes have stages of their own.
-    **sections : settings by section, as ``sensor={"detection_probability": 0.9}``; ``classes={"together": [[2, 7]]}`` for a
-        detector's classes, which are tracked apart.
+    stages : one's own model, filter, extractor and associator, instead of all of the above but fps
+        and seed; `Kinds` where classes have stages of their own.
+    **sections : settings by section, as ``sensor={"detection_probability": 0.9}``;
+        ``classes={"together": [[2, 7]]}`` for a detector's classes, which are tracked apart.
 
     Raises
     ------
@@ -86,11 +88,15 @@ class Tracker:
         **sections: Mapping[str, Any],
     ) -> None:
         if not 0 < _number(fps, "Tracker(fps=…)") < math.inf:
-            raise InputError(f"expected frames per second above 0, got {fps!r}", where="Tracker(fps=…)")
+            raise InputError(
+                f"expected frames per second above 0, got {fps!r}", where="Tracker(fps=…)"
+            )
         if _whole(seed, "Tracker(seed=…)") < 0:
             raise InputError(f"expected a seed from 0, got {seed}", where="Tracker(seed=…)")
-        # Whether it is to be said that something was forgotten; the size of the frames where the settings are for one.
-        self._forgets, self._frame_size = False, ""
+        # Whether it is to be said that something was forgotten; the size of the frames where the
+        # settings are for one.
+        self._forgets = False
+        self._frame_size = ""
         if stages is None:
             if frame_size is None:
                 cure = "Give frame_size=(width, height)"
@@ -106,17 +112,26 @@ class Tracker:
             self._frame_size = f"{width}x{height}"
             stages = config.build_kinds(loaded, SequenceInfo(width, height, float(fps)))
         elif sections or settings is not None or preset or filter:
-            raise InputError("stages are complete; settings beside them would be ignored", where="Tracker")
+            raise InputError(
+                "stages are complete; settings beside them would be ignored", where="Tracker"
+            )
         self.kinds = stages if isinstance(stages, Kinds) else Kinds(stages)
-        self.stages, self.fps, self.seed = self.kinds.usual, float(fps), int(seed)
+        self.stages = self.kinds.usual
+        self.fps = float(fps)
+        self.seed = int(seed)
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything: the next frame is the first of a new sequence, and identities start at 1 again."""
+        """Forget everything: the next frame is the first of a new sequence, and identities start at
+        1 again.
+        """
         self._lanes = Lanes(self.kinds, self.seed)
         self._step: Step | None = None
-        self._left_out, self._kept = LeftOut(), dict[int, I8]()
-        self._begun, self._first, self._doubted = math.nan, 0, False
+        self._left_out = LeftOut()
+        self._kept = dict[int, I8]()
+        self._begun = math.nan
+        self._first = 0
+        self._doubted = False
 
     def update(
         self,
@@ -125,30 +140,36 @@ class Tracker:
         timestamp: float | None = None,
         warp: ArrayLike | None = None,
     ) -> Tracks:
-        """Take in one frame's detections; give the online rows that became final, which will not change: of this frame, or
-        with an output delay of an earlier one.
+        """Take in one frame's detections; give the online rows that became final, which will not
+        change: of this frame, or with an output delay of an earlier one.
 
         Parameters
         ----------
-        detections : (N, 4…6) array of left, top, right, bottom[, confidence[, class]] in pixels, or an object with
-            ``.xyxy`` (and ``.confidence``, ``.class_id``); empty for a frame in which nothing was detected;
-            `Detections.empty(observed=False)` for a frame without detection. Boxes that no picture shows, and those that are
-            too many (``limits``), are left out and counted in `left_out`.
-        frame : its number from 1; default one more than the last. Numbers left out are frames that were dropped.
+        detections : (N, 4…6) array of left, top, right, bottom[, confidence[, class]] in pixels, or
+            an object with ``.xyxy`` (and ``.confidence``, ``.class_id``); empty for a frame in
+            which nothing was detected; `Detections.empty(observed=False)` for a frame without
+            detection. Boxes that no picture shows, and those that are too many (``limits``), are
+            left out and counted in `left_out`.
+        frame : its number from 1; default one more than the last. Numbers left out are frames that
+            were dropped.
         timestamp : its time in seconds; default from the number and ``fps``.
-        warp : how the camera moved since the last update: the (3, 3) homography, or (2, 3) affine map, that takes pixels of
-            that frame to this one's, as `CameraMotion` measures it; default: it stands still.
+        warp : how the camera moved since the last update: the (3, 3) homography, or (2, 3) affine
+            map, that takes pixels of that frame to this one's, as `CameraMotion` measures it;
+            default: it stands still.
 
         Raises
         ------
-        InputError : boxes that are none, a frame that does not come after the last, a warp that is none, or one for a model
-            that lies at fixed pixels or on the ground.
+        InputError : boxes that are none, a frame that does not come after the last, a warp that is
+            none, or one for a model that lies at fixed pixels or on the ground.
         KeyboardInterrupt : after Ctrl-C, when the frame is done; a second Ctrl-C ends at once.
         """
         last = self._lanes.state
         number = last.number + 1 if frame is None else _whole(frame, "update(frame=…)")
         if not 1 <= number <= LAST_FRAME:
-            raise InputError(f"expected a frame number from 1 to {LAST_FRAME:,}, got {number}", where="update(frame=…)")
+            raise InputError(
+                f"expected a frame number from 1 to {LAST_FRAME:,}, got {number}",
+                where="update(frame=…)",
+            )
         time = last.time + (number - (last.number or 1)) / self.fps
         if timestamp is not None:
             time = _number(timestamp, f"frame {number}, update(timestamp=…)")
@@ -176,16 +197,26 @@ class Tracker:
         return given_rows(self._step.tracks, self._kept)
 
     def warm_up(self) -> None:
-        """Compile the kernels that these settings use, or load those that are kept, now and not in the first updates.
+        """Compile the kernels that these settings use, or load those that are kept, now and not in
+        the first updates.
 
-        Another tracker of the same settings is given frames of boxes that are made up; what this one gives is the same to
-        the bit. Without it the first update of a new installation takes some ten seconds, which the logger ``phdtrack``
-        says, and that of each later process one or two.
+        Another tracker of the same settings is given frames of boxes that are made up; what this
+        one gives is the same to the bit. Without it the first update of a new installation takes
+        some ten seconds, which the logger ``phdtrack`` says, and that of each later process one or
+        two.
         """
-        lanes, rng, n = Lanes(self.kinds, self.seed), np.random.default_rng(0), 8
-        size = np.array(self.kinds.limits.frame_size if min(self.kinds.limits.frame_size) > 0 else (1920.0, 1080.0))
-        # Side by side, so that some compete for detections, and through the lower half, where a camera sees the ground.
-        start, step = np.linspace([0.2, 0.55], [0.7, 0.9], n), np.array([0.004, 0.001])
+        lanes = Lanes(self.kinds, self.seed)
+        rng = np.random.default_rng(0)
+        n = 8
+        size = np.array(
+            self.kinds.limits.frame_size
+            if min(self.kinds.limits.frame_size) > 0
+            else (1920.0, 1080.0)
+        )
+        # Side by side, so that some compete for detections, and through the lower half, where a
+        # camera sees the ground.
+        start = np.linspace([0.2, 0.55], [0.7, 0.9], n)
+        step = np.array([0.004, 0.001])
         for k in range(1, 26):
             seen = start[rng.random(n) < 0.8] if k % 8 else start[:0]
             corner = np.vstack([seen + k * step, rng.random((k % 3, 2))]) * size
@@ -196,7 +227,12 @@ class Tracker:
                 lanes.advance(found.take(self.kinds.taken(found)[0]), k, k / self.fps)
         # A camera that moves; models on the ground take no warp.
         with uninterrupted(), suppress(InputError):
-            lanes.advance(found, 26, 26 / self.fps, np.array([[1.0, 0.0, 4.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]))
+            lanes.advance(
+                found,
+                26,
+                26 / self.fps,
+                np.array([[1.0, 0.0, 4.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]),
+            )
         lanes.flush()
         lanes.finish()
         # More than may be in one place.
@@ -205,7 +241,8 @@ class Tracker:
     def _say_what_is_forgotten(self, number: int, time: float) -> None:
         """Once, where nobody has asked for it."""
         if math.isnan(self._begun):
-            self._begun, self._first = time, number
+            self._begun = time
+            self._first = number
         # A slow stream's history is longer: it goes by the filter's time.
         if self._forgets and time - self._begun > HISTORY and self._lanes.oldest > self._first:
             self._forgets = False
@@ -221,11 +258,15 @@ class Tracker:
         return self._left_out
 
     def flush(self) -> Tracks:
-        """At the end, the online rows that the output delay holds back: a later `update` gives them again."""
+        """At the end, the online rows that the output delay holds back: a later `update` gives them
+        again.
+        """
         return given_rows(self._lanes.flush(), self._kept)
 
     def tracks(self) -> Tracks:
-        """The corrected tracks of everything so far: short ones left out, gaps bridged, identities of their own."""
+        """The corrected tracks of everything so far: short ones left out, gaps bridged, identities
+        of their own.
+        """
         return given_rows(self._lanes.finish(), self._kept)
 
     @property
@@ -239,12 +280,16 @@ class Tracker:
 
     @property
     def step(self) -> Step | None:
-        """Everything the last update brought: detections but those left out, info, states, rows, times. None at first."""
+        """Everything the last update brought: detections but those left out, info, states, rows,
+        times. None at first.
+        """
         return self._step
 
     @property
     def state(self) -> pipeline.TrackingState:
-        """The filter's and the associator's state, and what was learned; of several classes that of the first seen."""
+        """The filter's and the associator's state, and what was learned; of several classes that of
+        the first seen.
+        """
         return self._lanes.state
 
     @property
@@ -253,20 +298,32 @@ class Tracker:
         return self._lanes.states
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that decides what comes next, as plain dictionaries, lists, numbers and arrays (it can be pickled)."""
+        """Everything that decides what comes next, as plain dictionaries, lists, numbers and arrays
+        (it can be pickled).
+        """
         return self.snapshot()()
 
     def snapshot(self) -> Callable[[], dict[str, Any]]:
-        """What gives the `state_dict` of now, also later and in another thread: to ask for it costs next to nothing."""
+        """What gives the `state_dict` of now, also later and in another thread: to ask for it costs
+        next to nothing.
+        """
         from phdtrack.state import pack
 
-        (whole, lanes), left_out = self._lanes.saved(), SavedBoxes(self._left_out, dict(self._kept))
-        about = {"format": FORMAT, "dim": self.stages.model.motion.dim, "frame_size": self._frame_size}
-        return lambda: about | {"state": pack(whole), "lanes": pack(lanes), "left_out": pack(left_out)}
+        whole, lanes = self._lanes.saved()
+        left_out = SavedBoxes(self._left_out, dict(self._kept))
+        about = {
+            "format": FORMAT,
+            "dim": self.stages.model.motion.dim,
+            "frame_size": self._frame_size,
+        }
+        return lambda: (
+            about | {"state": pack(whole), "lanes": pack(lanes), "left_out": pack(left_out)}
+        )
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on from a `state_dict` of a tracker with the same settings. Raises `InputError` where it is no such state, or
-        one of another version, of states of other components or of frames of another size."""
+        """Go on from a `state_dict` of a tracker with the same settings. Raises `InputError` where
+        it is no such state, or one of another version, of states of other components or of frames
+        of another size."""
         from phdtrack.state import World, restored
 
         form = saved.get("format", FORMAT) if isinstance(saved, dict) else FORMAT
@@ -276,8 +333,10 @@ class Tracker:
             raise InputError(problem, where="load_state_dict", cure=cure)
         if not (isinstance(saved, dict) and isinstance(form, int)) or saved.keys() != _SAVED:
             raise InputError("this is no state of a tracker", where="load_state_dict")
-        dim, lanes = self.stages.model.motion.dim, Lanes(self.kinds, self.seed)
-        size, problem = saved["frame_size"], ""
+        dim = self.stages.model.motion.dim
+        lanes = Lanes(self.kinds, self.seed)
+        size = saved["frame_size"]
+        problem = ""
         if not isinstance(saved["dim"], int) or saved["dim"] != dim:
             problem = f"expected states of {dim} components, got {saved['dim']!r}"
         elif not isinstance(size, str) or (size and self._frame_size and size != self._frame_size):
@@ -287,23 +346,35 @@ class Tracker:
             raise InputError(problem, where="load_state_dict", cure=cure)
         try:
             lanes.restore(saved["state"], saved["lanes"])
-            left: SavedBoxes = restored(saved["left_out"], SavedBoxes, None, World(self.stages, {}), "left_out")
+            left: SavedBoxes = restored(
+                saved["left_out"], SavedBoxes, None, World(self.stages, {}), "left_out"
+            )
             counts = lanes.counts()
-            if any(rows.ndim != 1 or len(rows) < counts.get(number, 0) for number, rows in left.kept.items()):
+            if any(
+                rows.ndim != 1 or len(rows) < counts.get(number, 0)
+                for number, rows in left.kept.items()
+            ):
                 raise InputError("fewer rows than a frame has detections", where="left_out.kept")
         except InputError as error:
-            raise InputError(error.problem, where=f"load_state_dict, {error.where}", cure=error.cure) from None
+            raise InputError(
+                error.problem, where=f"load_state_dict, {error.where}", cure=error.cure
+            ) from None
         except (OverflowError, RecursionError) as error:
-            raise InputError(f"this is no state of a tracker ({error})", where="load_state_dict") from None
-        self._lanes, self._step, (self._left_out, self._kept) = lanes, None, left
+            raise InputError(
+                f"this is no state of a tracker ({error})", where="load_state_dict"
+            ) from None
+        self._lanes = lanes
+        self._step = None
+        self._left_out, self._kept = left
 
 
 class FinalTracks:
     """The corrected rows of a loop without end, each given once, when it is final.
 
-    A row is final ``lag`` seconds after its frame. A track that lasts longer than the tracker remembers keeps its identity
-    (``associate={"history": S}``: the lag, ``every``, and what comes before the rows, 30 s or more). Take `rest` before the
-    tracker is reset. What was given is no part of a tracker's state: after `Tracker.load_state_dict` rows come again.
+    A row is final ``lag`` seconds after its frame. A track that lasts longer than the tracker
+    remembers keeps its identity (``associate={"history": S}``: the lag, ``every``, and what comes
+    before the rows, 30 s or more). Take `rest` before the tracker is reset. What was given is no
+    part of a tracker's state: after `Tracker.load_state_dict` rows come again.
 
     Parameters
     ----------
@@ -312,7 +383,9 @@ class FinalTracks:
     """
 
     def __init__(self, tracker: Tracker, lag: float = 30.0, every: float = 30.0) -> None:
-        self._tracker, self._lag, self._every = tracker, lag, every
+        self._tracker = tracker
+        self._lag = lag
+        self._every = every
         self._lanes: Lanes | None = None
         self._follow()
 
@@ -323,11 +396,15 @@ class FinalTracks:
         self._lanes = self._tracker._lanes
         self._last = self._used = 0
         self._next = math.nan
-        # When each frame was, of those that are not final; identities of rows that were given, by frame and detection.
-        self._times, self._given = dict[int, float](), dict[tuple[int, int], int]()
+        # When each frame was, of those that are not final; identities of rows that were given, by
+        # frame and detection.
+        self._times = dict[int, float]()
+        self._given = dict[tuple[int, int], int]()
 
     def due(self) -> Tracks:
-        """The rows that are final now; none but every so many seconds. Call it after each update."""
+        """The rows that are final now; none but every so many seconds. Call it after each
+        update.
+        """
         self._follow()
         step = self._tracker.step
         if step is None:
@@ -337,7 +414,9 @@ class FinalTracks:
         if step.time < self._next:
             return Tracks.empty()
         self._next = step.time + self._every
-        return self._up_to(max((k for k, time in self._times.items() if time <= step.time - self._lag), default=0))
+        return self._up_to(
+            max((k for k, time in self._times.items() if time <= step.time - self._lag), default=0)
+        )
 
     def rest(self) -> Tracks:
         """All other rows, at the end."""
@@ -348,7 +427,9 @@ class FinalTracks:
         """The rows after those that were given, up to a frame, with lasting identities."""
         rows = self._tracker.tracks()
         fresh = rows.take((rows.frame > self._last) & (rows.frame <= frame))
-        votes: dict[int, Counter[int]] = {one: Counter() for one in np.unique(fresh.identity).tolist()}
+        votes: dict[int, Counter[int]] = {
+            one: Counter() for one in np.unique(fresh.identity).tolist()
+        }
         for number, identity, detection in _places(rows):
             if identity in votes and (number, detection) in self._given:
                 votes[identity][self._given[number, detection]] += 1
@@ -359,10 +440,14 @@ class FinalTracks:
             names[one] = known[0] if known else self._used
         first = int(rows.frame.min(initial=frame))
         self._given = {place: name for place, name in self._given.items() if place[0] >= first}
-        self._given |= {(number, detection): names[identity] for number, identity, detection in _places(fresh)}
+        self._given |= {
+            (number, detection): names[identity] for number, identity, detection in _places(fresh)
+        }
         self._times = {number: time for number, time in self._times.items() if number > frame}
         self._last = max(self._last, frame)
-        return replace(fresh, identity=np.array([names[one] for one in fresh.identity.tolist()], np.int64))
+        return replace(
+            fresh, identity=np.array([names[one] for one in fresh.identity.tolist()], np.int64)
+        )
 
 
 def _places(rows: Tracks) -> Iterator[tuple[int, int, int]]:
@@ -375,10 +460,12 @@ def _places(rows: Tracks) -> Iterator[tuple[int, int, int]]:
 def uninterrupted() -> Iterator[None]:
     """Ctrl-C that comes within the block is raised at its end, a second one at once.
 
-    Numba makes Python objects of what compiled code gives back, and crashes where that is interrupted. This is for the main
-    thread, where Ctrl-C comes, and where it raises KeyboardInterrupt (`INTERRUPTING`); other handlers are left alone.
+    Numba makes Python objects of what compiled code gives back, and crashes where that is
+    interrupted. This is for the main thread, where Ctrl-C comes, and where it raises
+    KeyboardInterrupt (`INTERRUPTING`); other handlers are left alone.
     """
-    main, handler = threading.current_thread() is threading.main_thread(), signal.getsignal(signal.SIGINT)
+    main = threading.current_thread() is threading.main_thread()
+    handler = signal.getsignal(signal.SIGINT)
     if not main or handler not in INTERRUPTING:
         yield
         return
@@ -402,7 +489,9 @@ def _number(value: Any, where: str) -> float:
 
 
 def _whole(value: Any, where: str) -> int:
-    """``value`` as an integer, where it is a whole number (OpenCV tells frame numbers as floats)."""
+    """``value`` as an integer, where it is a whole number (OpenCV tells frame numbers as
+    floats).
+    """
     if not _number(value, where).is_integer():
         raise InputError(f"expected a whole number, got {value!r}", where=where)
     return int(value)
@@ -415,7 +504,9 @@ def _size(frame_size: Any) -> tuple[int, int]:
         raise InputError(f"expected (width, height) in pixels, got {frame_size!r}", where=where)
     width, height = (_whole(side, where) for side in frame_size)
     if width < 1 or height < 1:
-        raise InputError(f"expected a width and height of at least one pixel, got {width}x{height}", where=where)
+        raise InputError(
+            f"expected a width and height of at least one pixel, got {width}x{height}", where=where
+        )
     return width, height
 
 

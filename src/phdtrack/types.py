@@ -1,14 +1,17 @@
-"""The records that flow through phdtrack: one type at each arrow of the pipeline, frozen, arrays inside.
+"""The records that flow through phdtrack: one type at each arrow of the pipeline, frozen, arrays
+inside.
 
-    frame ─detect→ Detections ─predict, update→ (Particles, UpdateInfo) ─extract→ Estimates ─associate→ Tracks
+    frame ─detect→ Detections ─predict, update→ (Particles, UpdateInfo) ─extract→ Estimates
+    ─associate→ Tracks
 
 Conventions, stated once:
 
 * Boxes in records are ``xyxy`` (left, top, right, bottom) in pixels of the original video.
 * Frame numbers are 1-based, as MOTChallenge writes them.
-* Times are seconds. A model's interval ``dt`` is in the model's own time unit (`protocols.Model.rate` units a second).
-* States are columns: an array of L states of dimension d has shape (d, L), so that each component is contiguous.
-  Rows 0 and 1 of every state are its position.
+* Times are seconds. A model's interval ``dt`` is in the model's own time unit
+  (`protocols.Model.rate` units a second).
+* States are columns: an array of L states of dimension d has shape (d, L), so that each component
+  is contiguous. Rows 0 and 1 of every state are its position.
 * Nothing is None where an empty array will do; no function writes into an array that it received.
 """
 
@@ -31,14 +34,19 @@ I8 = NDArray[np.int64]
 Bool = NDArray[np.bool_]
 Ints = I8 | int
 Image = NDArray[np.uint8]
-STILL: F8 = np.zeros((0, 3))  # stands for a (3, 3) homography between the pixels of two frames: there is none
-# The highest frame number: three years at a hundred a second. Products of it with a picture's size are exact.
+STILL: F8 = np.zeros(
+    (0, 3)
+)  # stands for a (3, 3) homography between the pixels of two frames: there is none
+# The highest frame number: three years at a hundred a second. Products of it with a picture's size
+# are exact.
 LAST_FRAME = 10_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class SequenceInfo:
-    """What is known about a sequence before its frames are read; ``frames`` is 0 where their number is not (headers lie)."""
+    """What is known about a sequence before its frames are read; ``frames`` is 0 where their number
+    is not (headers lie).
+    """
 
     width: int
     height: int
@@ -49,8 +57,8 @@ class SequenceInfo:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """One picture of a video: ``number`` from 1, ``time`` in seconds from the stream, ``picture``: its ``image``, or a
-    `devices.Picture`, of which that is made when it is asked for."""
+    """One picture of a video: ``number`` from 1, ``time`` in seconds from the stream, ``picture``:
+    its ``image``, or a `devices.Picture`, of which that is made when it is asked for."""
 
     number: int
     time: float
@@ -70,8 +78,10 @@ class Detections:
     ----------
     xyxy : (N, 4) float64, pixels.
     confidence, class_id : (N,) float64, int64; 1 and 0 where the detector gives none.
-    covariance : (N, 4, 4) of (centre x, centre y, width, height) in pixels², or None where the detector states none.
-    observed : False for a frame without detection (predict only), which is not the same as an empty frame.
+    covariance : (N, 4, 4) of (centre x, centre y, width, height) in pixels², or None where the
+        detector states none.
+    observed : False for a frame without detection (predict only), which is not the same as an empty
+        frame.
     """
 
     xyxy: F8
@@ -86,7 +96,9 @@ class Detections:
         return cls(np.zeros((0, 4)), np.zeros(0), np.zeros(0, np.int64), observed=observed)
 
     @classmethod
-    def of(cls, xyxy: ArrayLike, confidence: ArrayLike | None = None, class_id: ArrayLike | None = None) -> Detections:
+    def of(
+        cls, xyxy: ArrayLike, confidence: ArrayLike | None = None, class_id: ArrayLike | None = None
+    ) -> Detections:
         """Detections of boxes: copies, in the types of this record; values are not checked.
 
         Parameters
@@ -95,8 +107,14 @@ class Detections:
         """
         boxes = np.array(xyxy, dtype=np.float64).reshape(-1, 4)
         n = len(boxes)
-        score = np.ones(n) if confidence is None else np.array(confidence, dtype=np.float64).reshape(n)
-        label = np.zeros(n, np.int64) if class_id is None else np.array(class_id, dtype=np.int64).reshape(n)
+        score = (
+            np.ones(n) if confidence is None else np.array(confidence, dtype=np.float64).reshape(n)
+        )
+        label = (
+            np.zeros(n, np.int64)
+            if class_id is None
+            else np.array(class_id, dtype=np.int64).reshape(n)
+        )
         return cls(boxes, score, label)
 
     def __len__(self) -> int:
@@ -105,14 +123,18 @@ class Detections:
     def take(self, index: I8 | Bool) -> Detections:
         """The detections at ``index`` (integers or a mask), in that order."""
         cov = None if self.covariance is None else self.covariance[index]
-        return Detections(self.xyxy[index], self.confidence[index], self.class_id[index], cov, self.observed)
+        return Detections(
+            self.xyxy[index], self.confidence[index], self.class_id[index], cov, self.observed
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectionTable:
-    """The detections of a whole sequence: ``frame`` (M,) int64 from 1, ascending, beside ``detections`` with M rows.
+    """The detections of a whole sequence: ``frame`` (M,) int64 from 1, ascending, beside
+    ``detections`` with M rows.
 
-    ``empty`` counts the boxes of width or height 0 that the file has besides, ``names`` are those that it gives classes.
+    ``empty`` counts the boxes of width or height 0 that the file has besides, ``names`` are those
+    that it gives classes.
     """
 
     frame: I8
@@ -138,9 +160,10 @@ class DetectionTable:
 class Truth:
     """Annotated objects: ``frame`` (M,) from 1, ``identity`` (M,), ``xyxy`` (M, 4) pixels.
 
-    ``distractor`` (M,) marks rows that do not count, and whose matched output does not count either (MOT16 and later).
-    Output that matches no row does not count where more than half of it lies in one of ``regions`` (R, 5): frame (0: all),
-    left, top, right, bottom; nor where it is at most ``least_height`` pixels high, if that is above 0 (KITTI).
+    ``distractor`` (M,) marks rows that do not count, and whose matched output does not count either
+    (MOT16 and later). Output that matches no row does not count where more than half of it lies in
+    one of ``regions`` (R, 5): frame (0: all), left, top, right, bottom; nor where it is at most
+    ``least_height`` pixels high, if that is above 0 (KITTI).
     """
 
     frame: I8
@@ -160,8 +183,10 @@ class Particles:
 
     Attributes
     ----------
-    state : (d, L) float64.      weight : (L,) float64 ≥ 0, whose sum is the expected number of targets.
-    start : (R + 1,) where runs of neighbouring particles begin, 0 … L; (0,) where the order says nothing.
+    state : (d, L) float64.      weight : (L,) float64 ≥ 0, whose sum is the expected number of
+        targets.
+    start : (R + 1,) where runs of neighbouring particles begin, 0 … L; (0,) where the order says
+        nothing.
     """
 
     state: F8
@@ -181,12 +206,14 @@ class Particles:
 class ParticleBlocks:
     """Particles in blocks of neighbours: what the particle filters carry from frame to frame.
 
-    A block is a run of at most 256 particles that lie close together: what is near one of them is found once for all.
+    A block is a run of at most 256 particles that lie close together: what is near one of them is
+    found once for all.
 
     Attributes
     ----------
     state : (d, L) C-contiguous; float32 for boxes, 24 bytes a particle, float64 for others.
-    start : (B + 1,) int64 ascending from 0 to L: block b holds the columns start[b] … start[b + 1] − 1.
+    start : (B + 1,) int64 ascending from 0 to L: block b holds the columns start[b] … start[b + 1]
+        − 1.
     unit : weight of a particle whose share is 1.
     share : (L,) of the state's type, weights in units; (0,) where all are 1, as after resampling.
     """
@@ -207,13 +234,19 @@ class ParticleBlocks:
     @property
     def weight(self) -> F8:
         """(L,) weights."""
-        weight: F8 = self.unit * self.share.astype(np.float64) if len(self.share) else np.full(len(self), self.unit)
+        weight: F8 = (
+            self.unit * self.share.astype(np.float64)
+            if len(self.share)
+            else np.full(len(self), self.unit)
+        )
         return weight
 
     @property
     def mass(self) -> float:
         """The integral of the intensity: the expected number of targets."""
-        return self.unit * (float(self.share.sum(dtype=np.float64)) if len(self.share) else len(self))
+        return self.unit * (
+            float(self.share.sum(dtype=np.float64)) if len(self.share) else len(self)
+        )
 
     def particles(self) -> Particles:
         """The same intensity as plain particles; a copy in float64."""
@@ -253,11 +286,15 @@ class UpdateInfo:
 
     Attributes
     ----------
-    mass_predicted, mass_born, mass : before the update with the newborn, of the newborn, and after the update.
-    evidence, clutter : (N,) C(z_j) = ∫ p_D g(z_j|x) D⁺(x) dx and κ(z_j), per unit of measurement volume.
+    mass_predicted, mass_born, mass : before the update with the newborn, of the newborn, and after
+        the update.
+    evidence, clutter : (N,) C(z_j) = ∫ p_D g(z_j|x) D⁺(x) dx and κ(z_j), per unit of measurement
+        volume.
     vanished : number of detections with κ + C = 0, whose term is 0 by definition.
-    cardinality : probabilities of 0, 1, 2, … targets after the update; (0,) from filters that carry none.
-    detected : ∫ p_D D⁺, the number of detections of targets that was expected; NaN from filters that do not say.
+    cardinality : probabilities of 0, 1, 2, … targets after the update; (0,) from filters that carry
+        none.
+    detected : ∫ p_D D⁺, the number of detections of targets that was expected; NaN from filters
+        that do not say.
     """
 
     mass_predicted: float
@@ -271,20 +308,25 @@ class UpdateInfo:
 
     @property
     def log_evidence(self) -> float:
-        """Σ log(κ + C) − ∫ p_D D⁺, without terms of 0: of a PHD filter log p(Z) of the frame, but for ∫ κ."""
+        """Σ log(κ + C) − ∫ p_D D⁺, without terms of 0: of a PHD filter log p(Z) of the frame, but
+        for ∫ κ.
+        """
         total = self.clutter + self.evidence
         return float(np.log(total[total > 0]).sum()) - self.detected
 
     @property
     def clutter_probability(self) -> F8:
-        """(N,) posterior probability κ/(κ+C) that each detection is a false alarm; 1 where κ + C = 0."""
+        """(N,) posterior probability κ/(κ+C) that each detection is a false alarm; 1 where κ + C =
+        0.
+        """
         total = self.clutter + self.evidence
         return np.divide(self.clutter, total, out=np.ones_like(total), where=total > 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Explanation:
-    """The detections that the filter is given in place of a frame's N: merged measurements divided, fragments united.
+    """The detections that the filter is given in place of a frame's N: merged measurements divided,
+    fragments united.
 
     Attributes
     ----------
@@ -317,12 +359,14 @@ class Estimates:
     state : (d, n) float64.      covariance : (n, d, d) float64.
     weight : (n,) mass of the intensity behind each state.
     xyxy : (n, 4) the box that each state predicts in the image, pixels.
-    detection : (n,) index of the detection that each state rests on in this frame, −1 where it is predicted only.
-    tag : (n,) the label of the target that each state is of, its own for life, of filters that follow targets one by one;
-        (0,) of others.
-    past : the states of the frames before this one, oldest first, ending with the frame just before, as this frame sees
-        them, None where that is as the frame before saw them: for filters that revise the past. Empty: the past stands. One
-        frame's reaches no further back than the last one's did.
+    detection : (n,) index of the detection that each state rests on in this frame, −1 where it is
+        predicted only.
+    tag : (n,) the label of the target that each state is of, its own for life, of filters that
+        follow targets one by one; (0,) of others.
+    past : the states of the frames before this one, oldest first, ending with the frame just
+        before, as this frame sees them, None where that is as the frame before saw them: for
+        filters that revise the past. Empty: the past stands. One frame's reaches no further back
+        than the last one's did.
     """
 
     state: F8
@@ -336,16 +380,26 @@ class Estimates:
     @classmethod
     def empty(cls, dim: int) -> Estimates:
         """No states of dimension ``dim``."""
-        return cls(np.zeros((dim, 0)), np.zeros((0, dim, dim)), np.zeros(0), np.zeros((0, 4)), np.zeros(0, np.int64))
+        return cls(
+            np.zeros((dim, 0)),
+            np.zeros((0, dim, dim)),
+            np.zeros(0),
+            np.zeros((0, 4)),
+            np.zeros(0, np.int64),
+        )
 
     def __len__(self) -> int:
         return len(self.weight)
 
     def take(self, index: I8 | Bool) -> Estimates:
         """The states at ``index`` (integers or a mask), in that order."""
-        state, tag = np.ascontiguousarray(self.state[:, index]), self.tag[index] if len(self.tag) else self.tag
-        boxes, found = self.xyxy[index], self.detection[index]
-        return Estimates(state, self.covariance[index], self.weight[index], boxes, found, tag, self.past)
+        state = np.ascontiguousarray(self.state[:, index])
+        tag = self.tag[index] if len(self.tag) else self.tag
+        boxes = self.xyxy[index]
+        found = self.detection[index]
+        return Estimates(
+            state, self.covariance[index], self.weight[index], boxes, found, tag, self.past
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -355,7 +409,8 @@ class MeasurementHistory:
     Attributes
     ----------
     number, time : (F,) frame numbers, ascending, and times in the model's time units.
-    start : (F + 1,) frame f has the columns start[f] … start[f + 1] − 1 of ``z``, in the order of its detections.
+    start : (F + 1,) frame f has the columns start[f] … start[f + 1] − 1 of ``z``, in the order of
+        its detections.
     z : (m, Z) measurements.
     warp : (F, 3, 3) the camera's motion since the frame before; (0, 3, 3) where it stood still.
     """
@@ -369,11 +424,13 @@ class MeasurementHistory:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracks:
-    """Rows of tracks, of one frame (online) or of a whole sequence (offline, sorted by frame, then identity).
+    """Rows of tracks, of one frame (online) or of a whole sequence (offline, sorted by frame, then
+    identity).
 
     Attributes
     ----------
-    frame : (M,) int64 from 1.        identity : (M,) int64 from 1.        xyxy : (M, 4) float64, pixels.
+    frame : (M,) int64 from 1.        identity : (M,) int64 from 1.        xyxy : (M, 4) float64,
+        pixels.
     confidence : (M,) float64 in [0, 1].
     detection : (M,) index among that frame's detections, −1: predicted or bridged.
     confirmed : (M,) bool; False for rows given before the track was long enough to be confirmed.
@@ -400,7 +457,13 @@ class Tracks:
 
     @classmethod
     def of(
-        cls, frame: Ints, identity: Ints, xyxy: F8, confidence: F8 | float, detection: Ints, confirmed: Bool | bool = True
+        cls,
+        frame: Ints,
+        identity: Ints,
+        xyxy: F8,
+        confidence: F8 | float,
+        detection: Ints,
+        confirmed: Bool | bool = True,
     ) -> Tracks:
         """Rows in the order of ``xyxy``; of the other columns a number stands for all.
 
@@ -410,14 +473,25 @@ class Tracks:
         confidence : more than 1 counts as 1.
         """
         n = len(xyxy)
-        number, name, found = (np.full(n, column, np.int64) for column in (frame, identity, detection))
-        return cls(number, name, xyxy, np.minimum(1.0, np.full(n, confidence)), found, np.full(n, confirmed))
+        number, name, found = (
+            np.full(n, column, np.int64) for column in (frame, identity, detection)
+        )
+        return cls(
+            number,
+            name,
+            xyxy,
+            np.minimum(1.0, np.full(n, confidence)),
+            found,
+            np.full(n, confirmed),
+        )
 
     @classmethod
     def concatenate(cls, parts: list[Tracks]) -> Tracks:
         """All rows, sorted by frame, then identity."""
         parts = parts or [cls.empty()]
-        columns = [np.concatenate([getattr(part, name) for part in parts]) for name in cls.__slots__]
+        columns = [
+            np.concatenate([getattr(part, name) for part in parts]) for name in cls.__slots__
+        ]
         order = np.lexsort((columns[1], columns[0]))
         return cls(*(column[order] for column in columns))
 
@@ -433,14 +507,24 @@ class Tracks:
         return self.take(np.atleast_1d(np.arange(len(self))[index]))
 
     def to_dataframe(self) -> Any:
-        """A pandas DataFrame, a row each, with left, top, right, bottom for boxes. `InputError` without pandas."""
+        """A pandas DataFrame, a row each, with left, top, right, bottom for boxes. `InputError`
+        without pandas.
+        """
         boxes = dict(zip(("left", "top", "right", "bottom"), self.xyxy.T, strict=True))
-        return needed("pandas").DataFrame({name: getattr(self, name) for name in self.__slots__ if name != "xyxy"} | boxes)
+        return needed("pandas").DataFrame(
+            {name: getattr(self, name) for name in self.__slots__ if name != "xyxy"} | boxes
+        )
 
     def to_supervision(self) -> Any:
-        """supervision's Detections: identities are ``tracker_id``, the rest ``data``. `InputError` without supervision."""
+        """supervision's Detections: identities are ``tracker_id``, the rest ``data``. `InputError`
+        without supervision.
+        """
         data = {name: getattr(self, name) for name in ("frame", "detection", "confirmed")}
-        known = {"confidence": self.confidence, "class_id": self.class_id, "tracker_id": self.identity}
+        known = {
+            "confidence": self.confidence,
+            "class_id": self.class_id,
+            "tracker_id": self.identity,
+        }
         return needed("supervision").Detections(self.xyxy.astype(np.float32), data=data, **known)
 
     @property
@@ -457,9 +541,10 @@ class Tracks:
 class Step:
     """Everything that one frame brought: what a pipeline yields and what sinks and reports read.
 
-    ``tracks`` are the online rows that became final with this frame: with an output delay they belong to an earlier one.
-    ``seconds`` (filter, extract, associate) is the time each stage took. ``unusable`` counts the detections that tell
-    nothing of any state, as one whose foot is above the horizon: no row rests on them. ``warp`` is as in `protocols.Model`.
+    ``tracks`` are the online rows that became final with this frame: with an output delay they
+    belong to an earlier one. ``seconds`` (filter, extract, associate) is the time each stage took.
+    ``unusable`` counts the detections that tell nothing of any state, as one whose foot is above
+    the horizon: no row rests on them. ``warp`` is as in `protocols.Model`.
     """
 
     number: int

@@ -13,19 +13,39 @@ from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutt
 from phdtrack.protocols import Model
 from phdtrack.types import Estimates, Tracks
 
-WIDTH, HEIGHT = 640.0, 480.0
+WIDTH = 640.0
+HEIGHT = 480.0
 FIELDS = ("frame", "identity", "xyxy", "confidence", "detection", "confirmed")
 
 
 def model_of(*, rate: float = 25.0, detection: float = 0.95, **motion) -> Model:
     size = (WIDTH, HEIGHT)
-    settings = {"acceleration": 0.03, "size_noise": 0.05, "survival_probability": 0.99**25, "frame_size": size} | motion
-    sensor = BoxSensor(detection_probability=detection, box_noise=0.15, min_noise=1.0, scaling="particle", birth_speed=0.06)
-    return Model(BoxMotion(**settings), sensor, MeasurementBirth(0.25, frame_size=size), UniformClutter(1.0, 1e10), rate)
+    settings = {
+        "acceleration": 0.03,
+        "size_noise": 0.05,
+        "survival_probability": 0.99**25,
+        "frame_size": size,
+    } | motion
+    sensor = BoxSensor(
+        detection_probability=detection,
+        box_noise=0.15,
+        min_noise=1.0,
+        scaling="particle",
+        birth_speed=0.06,
+    )
+    return Model(
+        BoxMotion(**settings),
+        sensor,
+        MeasurementBirth(0.25, frame_size=size),
+        UniformClutter(1.0, 1e10),
+        rate,
+    )
 
 
 def matching_of(*, miss: float = 0.3, **settings) -> GraphMatching:
-    """Settings other than the defaults; ``miss`` is the probability of one more time unit (1/25 s) without a state."""
+    """Settings other than the defaults; ``miss`` is the probability of one more time unit (1/25 s)
+    without a state.
+    """
     plain = {
         "window": 2.0,
         "min_track_length": 5,
@@ -40,8 +60,12 @@ def matching_of(*, miss: float = 0.3, **settings) -> GraphMatching:
     return GraphMatching(**(plain | settings))
 
 
-def states(points, *, velocity=None, size: float = 40.0, sure: float = 0.3, model: Model | None = None) -> Estimates:
-    """States at ``points`` (n, 2): at rest, or with a ``velocity`` (n, 2) known to ``sure`` pixels."""
+def states(
+    points, *, velocity=None, size: float = 40.0, sure: float = 0.3, model: Model | None = None
+) -> Estimates:
+    """States at ``points`` (n, 2): at rest, or with a ``velocity`` (n, 2) known to ``sure``
+    pixels.
+    """
     sensor = (model or model_of()).sensor
     xy = np.asarray(points, np.float64).reshape(-1, 2).T
     n = xy.shape[1]
@@ -54,7 +78,9 @@ def states(points, *, velocity=None, size: float = 40.0, sure: float = 0.3, mode
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What a run gave: the state after each frame, the rows given with each, the rows of the end, the corrected tracks."""
+    """What a run gave: the state after each frame, the rows given with each, the rows of the end,
+    the corrected tracks.
+    """
 
     states: list[GraphState]
     given: list[Tracks]
@@ -67,13 +93,20 @@ class Result:
 
 
 def run(matching, frames, model: Model | None = None, intervals=None, measured=None) -> Result:
-    """Association of a sequence of `Estimates` whose detections they are themselves, or those in ``measured``."""
+    """Association of a sequence of `Estimates` whose detections they are themselves, or those in
+    ``measured``.
+    """
     model = model or model_of()
     state = matching.start()
-    after, given = [], []
+    after = []
+    given = []
     for number, estimates in enumerate(frames, start=1):
         dt = 1.0 if intervals is None else intervals[number - 1]
-        z = estimates.state[list(model.sensor.observed)] if measured is None else measured[number - 1]
+        z = (
+            estimates.state[list(model.sensor.observed)]
+            if measured is None
+            else measured[number - 1]
+        )
         state, rows = matching.extend(state, estimates, z, number, dt, model)
         after.append(state)
         given.append(rows)
@@ -83,40 +116,57 @@ def run(matching, frames, model: Model | None = None, intervals=None, measured=N
 def links(state: GraphState) -> set[tuple[int, int]]:
     """All links (later, earlier), open ones and those that can no longer change."""
     parts = [open_links(state.window), *(m.final for m in state.history)]
-    return {pair for part in parts for pair in zip(part.later.tolist(), part.earlier.tolist(), strict=True)}
+    return {
+        pair
+        for part in parts
+        for pair in zip(part.later.tolist(), part.earlier.tolist(), strict=True)
+    }
 
 
 def open_edges(window: Window) -> dict[tuple[int, int], float]:
     """{(later, earlier): gain} of all edges between open rows and columns."""
     found = {}
     for row, (low, high) in enumerate(itertools.pairwise(window.start.tolist())):
-        for earlier, gain in zip(window.target[low:high].tolist(), window.edge_gain[low:high].tolist(), strict=True):
+        for earlier, gain in zip(
+            window.target[low:high].tolist(), window.edge_gain[low:high].tolist(), strict=True
+        ):
             if earlier >= window.column and window.next[earlier - window.column] > -2:
                 found[window.row + row, earlier] = gain
     return found
 
 
-def scattered(rng: np.random.Generator, frames: int, most: int, side: float = 20.0) -> list[Estimates]:
-    """Up to ``most`` states a frame, so close that nearly all could be linked, half with a known velocity."""
+def scattered(
+    rng: np.random.Generator, frames: int, most: int, side: float = 20.0
+) -> list[Estimates]:
+    """Up to ``most`` states a frame, so close that nearly all could be linked, half with a known
+    velocity.
+    """
     out = []
     for _ in range(frames):
         n = int(rng.integers(0, most + 1))
         points = 100 + rng.uniform(0, side, (n, 2))
         velocity = rng.normal(0, 4, (n, 2)) if rng.random() < 0.5 else None
-        out.append(states(points, velocity=velocity, size=rng.uniform(36, 44), sure=rng.uniform(0.5, 4)))
+        out.append(
+            states(points, velocity=velocity, size=rng.uniform(36, 44), sure=rng.uniform(0.5, 4))
+        )
     return out
 
 
-def walkers(rng: np.random.Generator, frames: int, *, p_seen: float = 0.9, clutter: float = 1.0, n: int = 3):
-    """Targets at nearly constant velocity that meet in the middle; states with noise, misses and clutter.
+def walkers(
+    rng: np.random.Generator, frames: int, *, p_seen: float = 0.9, clutter: float = 1.0, n: int = 3
+):
+    """Targets at nearly constant velocity that meet in the middle; states with noise, misses and
+    clutter.
 
-    Returns the frames and, for each, who each state is (−1: clutter), in the random order of the states.
+    Returns the frames and, for each, who each state is (−1: clutter), in the random order of the
+    states.
     """
     model = model_of()
     middle = np.array([WIDTH / 2, HEIGHT / 2]) + rng.normal(0, 8, (n, 2))
     angle = rng.uniform(0, 2 * np.pi, n)
     velocity = 3.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    out, who = [], []
+    out = []
+    who = []
     for k in range(frames):
         here = middle + (k - frames / 2) * velocity + rng.normal(0, 1.5, (n, 2))
         seen = np.flatnonzero(rng.random(n) < p_seen)
@@ -131,9 +181,13 @@ def walkers(rng: np.random.Generator, frames: int, *, p_seen: float = 0.9, clutt
 
 def same(a: Tracks, b: Tracks, *but: str) -> bool:
     """Equal to the last bit, but for some fields."""
-    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in FIELDS if name not in but)
+    return all(
+        np.array_equal(getattr(a, name), getattr(b, name)) for name in FIELDS if name not in but
+    )
 
 
 def table(tracks: Tracks) -> list[tuple[int, int, int]]:
     """Frame, identity and detection of each row."""
-    return list(zip(tracks.frame.tolist(), tracks.identity.tolist(), tracks.detection.tolist(), strict=True))
+    return list(
+        zip(tracks.frame.tolist(), tracks.identity.tolist(), tracks.detection.tolist(), strict=True)
+    )

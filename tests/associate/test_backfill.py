@@ -24,7 +24,9 @@ def tracked(frames, model=MODEL, **settings) -> Tracks:
 
 
 def walker(begin: int, frames: int = 20, *, stray=()) -> list[tuple[Estimates, np.ndarray]]:
-    """One target at 3 pixels a frame, detected always, a state from frame ``begin`` (from 0) on; strays first."""
+    """One target at 3 pixels a frame, detected always, a state from frame ``begin`` (from 0) on;
+    strays first.
+    """
     out = []
     for k in range(frames):
         z = measured(*stray, (100 + 3 * k, 200))
@@ -34,7 +36,9 @@ def walker(begin: int, frames: int = 20, *, stray=()) -> list[tuple[Estimates, n
     return out
 
 
-@pytest.mark.parametrize(("late", "most", "rows"), [(3, 5, 3), (5, 5, 5), (8, 5, 5), (3, 0, 0), (3, 2, 2)])
+@pytest.mark.parametrize(
+    ("late", "most", "rows"), [(3, 5, 3), (5, 5, 5), (8, 5, 5), (3, 0, 0), (3, 2, 2)]
+)
 def test_a_track_begins_at_the_detections_that_started_it(late: int, most: int, rows: int):
     tracks = tracked(walker(late), back_dating=most)
     assert set(tracks.identity) == {1}
@@ -85,5 +89,7 @@ def test_rows_are_the_conditional_means():
     first = frames[4][0]
     tracks = tracked(frames, model, back_dating=5)
     assert tracks.frame.tolist() == list(range(1, 21))
-    wanted = twin.led_back(model.motion, model.sensor, first.state[:, 0], first.covariance[0], noisy, 1.0)
+    wanted = twin.led_back(
+        model.motion, model.sensor, first.state[:, 0], first.covariance[0], noisy, 1.0
+    )
     np.testing.assert_allclose(tracks.xyxy[:4], model.sensor.boxes(wanted), atol=1e-8)

@@ -2,7 +2,16 @@
 
 import numpy as np
 import pytest
-from association_cases import links, matching_of, model_of, open_edges, run, scattered, states, walkers
+from association_cases import (
+    links,
+    matching_of,
+    model_of,
+    open_edges,
+    run,
+    scattered,
+    states,
+    walkers,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -18,13 +27,20 @@ def total(state, edges) -> float:
 
 
 def is_cover(pairs) -> bool:
-    later, earlier = [b for b, _ in pairs], [a for _, a in pairs]
-    return len(set(later)) == len(later) and len(set(earlier)) == len(earlier) and all(a < b for b, a in pairs)
+    later = [b for b, _ in pairs]
+    earlier = [a for _, a in pairs]
+    return (
+        len(set(later)) == len(later)
+        and len(set(earlier)) == len(earlier)
+        and all(a < b for b, a in pairs)
+    )
 
 
 @given(seeds, st.integers(2, 4), st.floats(0.05, 1.0), st.floats(1.5, 6.0))
 @settings(max_examples=40, deadline=None)
-def test_total_gain_is_that_of_the_best_of_all_covers(seed: int, count: int, miss: float, gate: float):
+def test_total_gain_is_that_of_the_best_of_all_covers(
+    seed: int, count: int, miss: float, gate: float
+):
     frames = scattered(np.random.default_rng(seed), count, 3)
     matching = matching_of(miss=miss, loose_end_distance=gate)
     edges = twin.gains(frames, [1.0] * count, matching, model_of())
@@ -35,9 +51,12 @@ def test_total_gain_is_that_of_the_best_of_all_covers(seed: int, count: int, mis
 
 @given(seeds, st.lists(st.floats(0.2, 3.0), min_size=12, max_size=12))
 @settings(max_examples=15, deadline=None)
-def test_window_is_optimal_after_every_frame_while_nothing_is_closed(seed: int, intervals: list[float]):
+def test_window_is_optimal_after_every_frame_while_nothing_is_closed(
+    seed: int, intervals: list[float]
+):
     frames = scattered(np.random.default_rng(seed), 12, 4, side=120)
-    matching, model = matching_of(window=100.0), model_of()
+    matching = matching_of(window=100.0)
+    model = model_of()
     edges = twin.gains(frames, intervals, matching, model)
     first = np.cumsum([len(f) for f in frames])
     for state, end in zip(run(matching, frames, model, intervals).states, first, strict=True):
@@ -52,10 +71,14 @@ def test_open_part_is_optimal_after_links_are_closed():
         edges = open_edges(state.window)
         taken = open_links(state.window)
         chosen = list(zip(taken.later.tolist(), taken.earlier.tolist(), strict=True))
-        assert sum(edges[link] for link in chosen) == pytest.approx(twin.best_assignment(edges), abs=1e-8)
+        assert sum(edges[link] for link in chosen) == pytest.approx(
+            twin.best_assignment(edges), abs=1e-8
+        )
         assert taken.gain.tolist() == [edges[link] for link in chosen]
         onward = np.flatnonzero(state.window.next >= 0)
-        assert {(int(state.window.next[s]), int(s) + state.window.column) for s in onward} == set(chosen)
+        assert {(int(state.window.next[s]), int(s) + state.window.column) for s in onward} == set(
+            chosen
+        )
 
 
 @given(seeds)
@@ -63,12 +86,15 @@ def test_open_part_is_optimal_after_links_are_closed():
 def test_edges_are_all_that_are_worth_taking(seed: int):
     """The search by position leaves none out, and gains are the formula's."""
     rng = np.random.default_rng(seed)
-    matching, model = matching_of(), model_of()
+    matching = matching_of()
+    model = model_of()
     past = scattered(rng, 3, 4, side=200)
     last = run(matching, past).states[-1]
     new = states(100 + rng.uniform(0, 200, (5, 2)), velocity=rng.normal(0, 3, (5, 2)))
     after, _ = matching.extend(last, new, np.zeros((4, 0)), 4, 1.0, model)
-    ours = {link: gain for link, gain in open_edges(after.window).items() if link[0] >= last.vertices}
+    ours = {
+        link: gain for link, gain in open_edges(after.window).items() if link[0] >= last.vertices
+    }
     theirs = twin.gains([*past, new], [1.0] * 4, matching, model)
     theirs = {link: gain for link, gain in theirs.items() if link[0] >= last.vertices}
     assert ours == pytest.approx(theirs, abs=1e-9)

@@ -1,4 +1,6 @@
-"""Identities by the filter's labels: what is given online, what is revised, what the corrected tracks are."""
+"""Identities by the filter's labels: what is given online, what is revised, what the corrected
+tracks are.
+"""
 
 import pickle
 from dataclasses import replace
@@ -20,10 +22,17 @@ PLAIN = Labelled(min_track_length=3, output_delay=0, max_coast=0.2, bridge_gaps=
 def seen(*targets: tuple[int, float] | tuple[int, float, int], weight=None) -> Estimates:
     """States (label, x[, detection]) at y = 100, the i-th on detection i unless said otherwise."""
     x = [target[1] for target in targets]
-    found = states(np.column_stack([x, np.full(len(x), 100.0)]), velocity=np.tile([5.0, 0.0], (len(x), 1)))
+    found = states(
+        np.column_stack([x, np.full(len(x), 100.0)]), velocity=np.tile([5.0, 0.0], (len(x), 1))
+    )
     rests = [target[2] if len(target) == 3 else i for i, target in enumerate(targets)]
     mass = np.ones(len(x)) if weight is None else np.asarray(weight, np.float64)
-    return replace(found, tag=np.array([t[0] for t in targets], np.int64), detection=np.array(rests, np.int64), weight=mass)
+    return replace(
+        found,
+        tag=np.array([t[0] for t in targets], np.int64),
+        detection=np.array(rests, np.int64),
+        weight=mass,
+    )
 
 
 def with_past(frames: list[Estimates], depth: int) -> list[Estimates]:
@@ -31,12 +40,16 @@ def with_past(frames: list[Estimates], depth: int) -> list[Estimates]:
 
 
 def test_a_label_is_an_identity_from_one_in_order_of_appearance():
-    frames = [seen((70, 10.0 + 5 * k), (12, 300.0), *([(5, 500.0)] if k > 1 else [])) for k in range(6)]
+    frames = [
+        seen((70, 10.0 + 5 * k), (12, 300.0), *([(5, 500.0)] if k > 1 else [])) for k in range(6)
+    ]
     result = run(PLAIN, frames)
     assert [rows.identity.tolist() for rows in result.given] == [[1, 2]] * 2 + [[1, 2, 3]] * 4
     assert result.online.confirmed[result.online.identity == 1].tolist() == [False] * 2 + [True] * 4
     assert result.online.confirmed[result.online.identity == 3].tolist() == [False] * 2 + [True] * 2
-    assert table(result.tracks) == [(k + 1, i + 1, i) for k in range(6) for i in range(3 if k > 1 else 2)]
+    assert table(result.tracks) == [
+        (k + 1, i + 1, i) for k in range(6) for i in range(3 if k > 1 else 2)
+    ]
     np.testing.assert_array_equal(result.tracks.xyxy[0], frames[0].xyxy[0])
 
 
@@ -66,13 +79,19 @@ def test_gaps_are_filled_between_their_ends_even_where_the_filter_showed_nothing
 
 
 def test_corrected_tracks_and_delayed_rows_show_the_revised_past():
-    """The filter changes its mind in the fifth frame: since the third, target 1 was what it had called 2."""
-    first = [seen((1, 10.0 + 5 * k)) for k in range(2)] + [seen((1, 90.0), (2, 20.0 + 5 * k, 1)) for k in range(2)]
+    """The filter changes its mind in the fifth frame: since the third, target 1 was what it had
+    called 2.
+    """
+    first = [seen((1, 10.0 + 5 * k)) for k in range(2)] + [
+        seen((1, 90.0), (2, 20.0 + 5 * k, 1)) for k in range(2)
+    ]
     second = [*first[:2], *(seen((1, 20.0 + 5 * k, 1)) for k in range(2))]
     last = seen((1, 30.0))
     frames = [*with_past(first, 3), replace(last, past=tuple(second[1:]))]
     result = run(PLAIN, frames)
-    assert [rows.identity.tolist() for rows in result.given] == [[1], [1], [1, 2], [1, 2], [1]], "what was given stays"
+    assert [rows.identity.tolist() for rows in result.given] == [[1], [1], [1, 2], [1, 2], [1]], (
+        "what was given stays"
+    )
     assert table(result.tracks) == [(1, 1, 0), (2, 1, 0), (3, 1, 1), (4, 1, 1), (5, 1, 0)]
     np.testing.assert_array_equal(result.tracks.xyxy[2:4], np.vstack([e.xyxy for e in second[2:]]))
     held = run(replace(PLAIN, output_delay=2), frames)
@@ -86,7 +105,9 @@ def test_what_no_revision_reaches_any_more_stands():
     frames[5] = replace(frames[5], past=(seen((1, 31.0)), seen((1, 41.0))))
     frames[6:] = [replace(e, past=()) for e in frames[6:]]
     corrected = run(PLAIN, frames).tracks
-    np.testing.assert_allclose(corrected.xyxy[:, [0, 2]].mean(axis=1), [0, 10, 20, 31, 41, 50, 60, 70])
+    np.testing.assert_allclose(
+        corrected.xyxy[:, [0, 2]].mean(axis=1), [0, 10, 20, 31, 41, 50, 60, 70]
+    )
 
 
 def test_confirmed_online_as_soon_as_what_follows_shows_it():
@@ -94,7 +115,10 @@ def test_confirmed_online_as_soon_as_what_follows_shows_it():
     given = run(replace(PLAIN, output_delay=2), frames).given
     assert [rows.confirmed.tolist() for rows in given] == [[], [], [True], [True], [True], [True]]
     # Once confirmed, always: the filter takes two of three detections back.
-    taken = [*with_past(frames[:3], 3), replace(seen((1, 25.0, -1)), past=(frames[0],) + (seen((1, 20.0, -1)),) * 2)]
+    taken = [
+        *with_past(frames[:3], 3),
+        replace(seen((1, 25.0, -1)), past=(frames[0],) + (seen((1, 20.0, -1)),) * 2),
+    ]
     assert run(PLAIN, taken).given[3].confirmed.tolist() == [True]
 
 
@@ -107,14 +131,19 @@ def test_of_states_with_one_label_the_heaviest_stands():
 
 
 def test_states_without_labels_are_an_error():
-    with pytest.raises(InputError, match=r"^associate\.kind=labelled: 2 states bring no labels .* associate\.kind=graph"):
+    with pytest.raises(
+        InputError,
+        match=r"^associate\.kind=labelled: 2 states bring no labels .* associate\.kind=graph",
+    ):
         run(PLAIN, [states([[1.0, 2.0], [30.0, 4.0]])])
 
 
 @pytest.mark.parametrize("depth", [0, 4])
 def test_a_saved_state_goes_on_as_if_nothing_had_happened(depth: int):
     """Enough frames for the history to be packed into chunks."""
-    frames = with_past([seen((7, 10.0 + k), *([(k, 300.0)] if k % 9 == 0 else [])) for k in range(100)], depth)
+    frames = with_past(
+        [seen((7, 10.0 + k), *([(k, 300.0)] if k % 9 == 0 else [])) for k in range(100)], depth
+    )
     held = replace(PLAIN, output_delay=3)
     whole = run(held, frames)
     half = restored(pack(whole.states[69]), LabelledState, None, World(None, {"delay": 3}), "state")
@@ -127,10 +156,16 @@ def test_a_saved_state_goes_on_as_if_nothing_had_happened(depth: int):
 
 
 def test_a_camera_that_runs_for_days_forgets():
-    """One target for ever and a new label in every frame: with ``history`` the state stops growing and identities stay."""
+    """One target for ever and a new label in every frame: with ``history`` the state stops growing
+    and identities stay.
+    """
     frames = with_past([seen((1, 10.0), (k + 2, 300.0)) for k in range(608)], 5)
-    ours, theirs = run(replace(PLAIN, history=2.0), frames), run(PLAIN, frames)
-    sizes = [len(pickle.dumps(pack(state))) for state in (ours.states[319], ours.states[447], ours.states[-1])]
+    ours = run(replace(PLAIN, history=2.0), frames)
+    theirs = run(PLAIN, frames)
+    sizes = [
+        len(pickle.dumps(pack(state)))
+        for state in (ours.states[319], ours.states[447], ours.states[-1])
+    ]
     assert max(sizes) < 1.3 * min(sizes)
     assert len(pickle.dumps(pack(theirs.states[-1]))) > 4 * sizes[0]
     assert table(ours.online) == table(theirs.online)
@@ -139,9 +174,15 @@ def test_a_camera_that_runs_for_days_forgets():
 
 @pytest.mark.parametrize("settled", [False, True])
 def test_a_target_not_seen_for_a_while_keeps_its_identity_where_little_is_remembered(settled: bool):
-    """Its states are in frames that may still be revised, and none is settled yet; the past stands, or comes again."""
+    """Its states are in frames that may still be revised, and none is settled yet; the past stands,
+    or comes again.
+    """
     frames = [seen((1, 10.0), *([(2, 300.0)] if k % 4 == 0 else [])) for k in range(20)]
-    given = with_past(frames, 5) if not settled else [replace(e, past=(None,) * min(k, 5)) for k, e in enumerate(frames)]
+    given = (
+        with_past(frames, 5)
+        if not settled
+        else [replace(e, past=(None,) * min(k, 5)) for k, e in enumerate(frames)]
+    )
     rows = run(replace(PLAIN, history=2.0, max_coast=0.0), given).given
     assert {tuple(r.identity.tolist()) for r in rows[::4]} == {(1, 2)}
     assert {tuple(r.identity.tolist()) for k, r in enumerate(rows) if k % 4} == {(1,)}

@@ -18,7 +18,9 @@ MODEL = model_of()
 
 @dataclass(frozen=True)
 class Strip:
-    """Those that are followed are left of ``end``, the surer the further; of any there are twenty times as many."""
+    """Those that are followed are left of ``end``, the surer the further; of any there are twenty
+    times as many.
+    """
 
     end: float = 200.0
 
@@ -37,7 +39,9 @@ each = pytest.mark.parametrize("inner", INNER.values(), ids=INNER)
 
 
 def frame(*targets: tuple[int, float] | tuple[int, float, float]) -> Estimates:
-    """States of targets (label, x[, velocity]), at rest unless said otherwise, each label on its own height."""
+    """States of targets (label, x[, velocity]), at rest unless said otherwise, each label on its
+    own height.
+    """
     label = np.array([t[0] for t in targets], np.int64)
     points = np.column_stack([[t[1] for t in targets], 60.0 * label])
     velocity = [(t[2] if len(t) == 3 else 0.0, 0.0) for t in targets]
@@ -51,18 +55,28 @@ def centre(tracks: Tracks) -> np.ndarray:
 def furthest(rows: Tracks, plain: Tracks) -> np.ndarray:
     """How far right the target of each row has been up to its frame."""
     pairs = zip(rows.identity, rows.frame, strict=True)
-    return np.array([centre(plain.take((plain.identity == i) & (plain.frame <= k))).max() for i, k in pairs])
+    return np.array(
+        [centre(plain.take((plain.identity == i) & (plain.frame <= k))).max() for i, k in pairs]
+    )
 
 
 # 1 trembles where alarms are, 2 walks out of there, 3 walks beside it, 4 walks in from the right.
 STREET = [
-    frame((1, 100.0 + k % 2), (2, 150.0 + 5 * k, 5.0), (3, 400.0 + 5 * k, 5.0), (4, 280.0 - 5 * k, -5.0)) for k in range(25)
+    frame(
+        (1, 100.0 + k % 2),
+        (2, 150.0 + 5 * k, 5.0),
+        (3, 400.0 + 5 * k, 5.0),
+        (4, 280.0 - 5 * k, -5.0),
+    )
+    for k in range(25)
 ]
 
 
 @each
 def test_online_rows_are_those_of_the_associator_and_confirmed_where_both_say_so(inner):
-    plain, rows = (run(associator, STREET).online for associator in (inner, FalseTrackRejection(inner, STRIP)))
+    plain, rows = (
+        run(associator, STREET).online for associator in (inner, FalseTrackRejection(inner, STRIP))
+    )
     assert same(rows, plain, "confirmed")
     np.testing.assert_array_equal(rows.confirmed, plain.confirmed & (furthest(rows, plain) > 200))
     assert 0 < rows.confirmed.sum() < plain.confirmed.sum()
@@ -70,11 +84,16 @@ def test_online_rows_are_those_of_the_associator_and_confirmed_where_both_say_so
 
 @each
 def test_who_is_surely_an_object_is_confirmed_at_once(inner):
-    """As soon as it has been there, and from then on; the others as before, and so are corrected tracks."""
+    """As soon as it has been there, and from then on; the others as before, and so are corrected
+    tracks.
+    """
     slow = run(FalseTrackRejection(inner, STRIP), STREET)
     fast = run(FalseTrackRejection(inner, STRIP, immediate_confirmation=20 * np.exp(-15.0)), STREET)
-    rows, before = fast.online, slow.online.confirmed
-    np.testing.assert_array_equal(rows.confirmed, before | (furthest(rows, run(inner, STREET).online) > 350))
+    rows = fast.online
+    before = slow.online.confirmed
+    np.testing.assert_array_equal(
+        rows.confirmed, before | (furthest(rows, run(inner, STREET).online) > 350)
+    )
     assert (rows.confirmed & ~before).any() == (inner.output_delay == 0)
     assert same(fast.tracks, slow.tracks)
 
@@ -83,10 +102,12 @@ def test_who_is_surely_an_object_is_confirmed_at_once(inner):
 def test_corrected_tracks_begin_where_they_are_believed(inner):
     associator = FalseTrackRejection(inner, STRIP)
     result = run(associator, STREET)
-    tracks, plain = result.tracks, run(inner, STREET).tracks
+    plain = run(inner, STREET).tracks
+    tracks = result.tracks
     assert set(plain.identity) == {1, 2, 3, 4}
     assert set(tracks.identity) == {1, 2, 3}, "identities from 1"
-    # A track that leaves is reported from the first box on at which an object is likelier, one that enters to its end.
+    # A track that leaves is reported from the first box on at which an object is likelier, one that
+    # enters to its end.
     assert np.count_nonzero(tracks.frame == 1) == 2
     assert centre(tracks).min() == pytest.approx(280 - 5 * 24, abs=2)
     out = tracks.take(tracks.identity == 1)
@@ -95,33 +116,49 @@ def test_corrected_tracks_begin_where_they_are_believed(inner):
     assert associator.measurements(result.states[-1]).z.shape == (4, 100)
 
 
-row = st.tuples(st.integers(1, 9), st.integers(1, 4), st.sampled_from([100.0, 190.0, 210.0, 400.0]), st.booleans())
+row = st.tuples(
+    st.integers(1, 9),
+    st.integers(1, 4),
+    st.sampled_from([100.0, 190.0, 210.0, 400.0]),
+    st.booleans(),
+)
 tables = st.lists(row, max_size=25, unique_by=lambda r: r[:2])
 
 
 def table(rows) -> Tracks:
     """Rows (frame, identity, x, whether detected); identities are 3 apart."""
-    frames, identity, x, seen = (np.array(column) for column in zip(*rows, strict=True)) if rows else [np.zeros(0)] * 4
+    frames, identity, x, seen = (
+        (np.array(column) for column in zip(*rows, strict=True)) if rows else [np.zeros(0)] * 4
+    )
     n = len(rows)
     xyxy = to_xyxy(np.stack([x, np.full(n, 90.0), np.full(n, 40.0), np.full(n, 80.0)]))
     detection = np.where(seen, np.arange(n), -1).astype(np.int64)
-    frames, identity = frames.astype(np.int64), 3 * identity.astype(np.int64)
+    frames = frames.astype(np.int64)
+    identity = 3 * identity.astype(np.int64)
     return Tracks(frames, identity, xyxy, np.full(n, 0.9), detection, np.ones(n, np.bool_))
 
 
 @given(rows=tables, shortest=st.integers(1, 3), order=st.randoms())
-def test_each_is_believed_from_the_first_detection_on_that_is_more_likely_an_objects(rows, shortest, order):
-    """Against the definition, row by row; the order of the rows says nothing, rows without detections decide nothing."""
+def test_each_is_believed_from_the_first_detection_on_that_is_more_likely_an_objects(
+    rows, shortest, order
+):
+    """Against the definition, row by row; the order of the rows says nothing, rows without
+    detections decide nothing.
+    """
     wanted = []
     for k, (number, who, _, _) in enumerate(rows):
-        way = sorted((r for r in rows if r[1] == who and r[0] <= number and r[3]), key=lambda r: r[0])
+        way = sorted(
+            (r for r in rows if r[1] == who and r[0] <= number and r[3]), key=lambda r: r[0]
+        )
         if any(x > 200 for _, _, x, _ in way):
             wanted.append(k)
     left = [rows[k][1] for k in wanted if rows[k][3]]
     wanted = [k for k in wanted if left.count(rows[k][1]) >= shortest]
     names = {who: name for name, who in enumerate(sorted({rows[k][1] for k in wanted}), start=1)}
     found = without_false_tracks(table(rows), STRIP, shortest)
-    assert same(found, replace(table(rows).take(np.array(wanted, np.int64)), identity=found.identity))
+    assert same(
+        found, replace(table(rows).take(np.array(wanted, np.int64)), identity=found.identity)
+    )
     assert found.identity.tolist() == [names[rows[k][1]] for k in wanted]
     mixed = [*range(len(rows))]
     order.shuffle(mixed)
@@ -131,7 +168,9 @@ def test_each_is_believed_from_the_first_detection_on_that_is_more_likely_an_obj
 
 @dataclass(frozen=True)
 class Given:
-    """An associator that gives the rows of a table, each ``delay`` frames late; its state is the frame's number."""
+    """An associator that gives the rows of a table, each ``delay`` frames late; its state is the
+    frame's number.
+    """
 
     rows: Tracks
     delay: int
@@ -157,4 +196,6 @@ def test_online_the_same_rows_are_believed(rows, delay):
     result = run(associator, [states([])] * 9)
     found = result.online
     assert same(found, tracks, "confirmed")
-    assert same(replace(found.take(found.confirmed), identity=result.tracks.identity), result.tracks)
+    assert same(
+        replace(found.take(found.confirmed), identity=result.tracks.identity), result.tracks
+    )

@@ -1,4 +1,6 @@
-"""The benchmark's runner: what it writes, and that a part which fails or is skipped does not stop the others."""
+"""The benchmark's runner: what it writes, and that a part which fails or is skipped does not stop
+the others.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,11 @@ def test_a_part_that_fails_leaves_its_reason_and_the_others_go_on(tmp_path: Path
         raise Skipped("no compiler")
 
     def fine(scale: object, say: object) -> Outcome:
-        rows = (Row("slow", 2.0, "ms", most=1.0), Row("fast", 2.0, "×", least=1.0), Row("free", float("nan"), ""))
+        rows = (
+            Row("slow", 2.0, "ms", most=1.0),
+            Row("fast", 2.0, "×", least=1.0),
+            Row("free", float("nan"), ""),
+        )
         return Outcome(rows, {"answer": float("nan"), "array": np.float64(3)})
 
     parts = [
@@ -81,13 +87,25 @@ def test_a_part_that_fails_leaves_its_reason_and_the_others_go_on(tmp_path: Path
 
 def test_the_table_has_every_part_and_its_reason() -> None:
     sheet, console = paper()
-    sheet.part("Some part", (Row("a value", 12.5, "ms", Spread.of([12.0, 12.5, 13.0]), most=20.0, note="n [b]"),))
+    sheet.part(
+        "Some part",
+        (Row("a value", 12.5, "ms", Spread.of([12.0, 12.5, 13.0]), most=20.0, note="n [b]"),),
+    )
     sheet.part("Other part", (), "skipped: no compiler [cc]")
     console.quiet = False
     with console.capture() as caught:
         sheet.show()
     text = caught.get()
-    for word in ("Some part", "12.5 ms", "12.2 … 12.8", "≤ 20", "yes", "n [b]", "Other part", "no compiler [cc]"):
+    for word in (
+        "Some part",
+        "12.5 ms",
+        "12.2 … 12.8",
+        "≤ 20",
+        "yes",
+        "n [b]",
+        "Other part",
+        "no compiler [cc]",
+    ):
         assert word in text
 
 
@@ -114,7 +132,8 @@ def test_multiple_hypotheses_are_timed_and_counted() -> None:
     assert [row.most for row in outcome.rows] == [None, 50.0, 3.0, 12.0]
     assert all(row.cpu is not None and row.cpu > 0 for row in outcome.rows)
     for kind in ("mht", "pmbm"):
-        few, many = outcome.entries[kind]["10"], outcome.entries[kind]["50"]
+        few = outcome.entries[kind]["10"]
+        many = outcome.entries[kind]["50"]
         assert all(0 < few[name] < many[name] for name in ("leaves", "nodes", "hypotheses"))
 
 
@@ -124,7 +143,8 @@ def test_c_and_numba_agree_on_the_kernel() -> None:
     except Skipped as reason:
         pytest.skip(str(reason))
     assert outcome.entries["c_kernel"]["ratio"] > 0
-    # A library linked with -ffast-math would have switched denormal numbers off for everything that comes after.
+    # A library linked with -ffast-math would have switched denormal numbers off for everything that
+    # comes after.
     assert np.float64(5e-324) * np.float64(1.0) > 0
 
 

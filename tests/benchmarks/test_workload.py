@@ -1,4 +1,6 @@
-"""The workload's scenes, the twins in NumPy that the tracker is compared on, and the benchmark of a learned scene."""
+"""The workload's scenes, the twins in NumPy that the tracker is compared on, and the benchmark of a
+learned scene.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ def test_lives_end_and_others_begin() -> None:
     assert (np.bincount(stream.truth.frame)[1:] == 30).all()
 
 
-def test_the_standard_error_sees_that_neighbours_depend_on_each_other(rng: np.random.Generator) -> None:
+def test_the_standard_error_sees_that_neighbours_depend_on_each_other(
+    rng: np.random.Generator,
+) -> None:
     alone = rng.standard_normal(2000)
     assert batch_error(alone, 10) == pytest.approx(1 / np.sqrt(2000), rel=0.25)
     assert batch_error(np.repeat(alone[:200], 10), 10) == pytest.approx(1 / np.sqrt(200), rel=0.25)
@@ -46,7 +50,11 @@ def test_the_twins_find_what_phdtrack_finds() -> None:
     crowd = Crowd(6, 24)
     size = (float(crowd.info.width), float(crowd.info.height))
     world = World.of(crowd, image_volume(size) / (size[0] * size[1]))
-    loops = [Ours(stages(crowd, worst=True), 1), Twin(world, 1, gated=True), Twin(world, 2, gated=False)]
+    loops = [
+        Ours(stages(crowd, worst=True), 1),
+        Twin(world, 1, gated=True),
+        Twin(world, 2, gated=False),
+    ]
     laps = race(loops, draw(crowd, 2), 8)
     for lap in laps:
         assert len(lap.total) == 16
@@ -56,7 +64,11 @@ def test_the_twins_find_what_phdtrack_finds() -> None:
     ours, gated, dense = (lap.ospa.mean() for lap in laps)
     assert abs(gated - ours) < 5.0
     assert abs(dense - ours) < 5.0
-    masses = [loops[0].state.mass, loops[1].unit * loops[1].state.shape[1], loops[2].unit * loops[2].state.shape[1]]
+    masses = [
+        loops[0].state.mass,
+        loops[1].unit * loops[1].state.shape[1],
+        loops[2].unit * loops[2].state.shape[1],
+    ]
     assert np.ptp(masses) < 0.6
 
 

@@ -1,4 +1,6 @@
-"""Runs the command line in this process, as a terminal would: arguments in; status, stdout and stderr out."""
+"""Runs the command line in this process, as a terminal would: arguments in; status, stdout and
+stderr out.
+"""
 
 from __future__ import annotations
 
@@ -51,22 +53,34 @@ def refused(*arguments: object) -> str:
 
 
 def walkers(folder: Path, frames: int = 40, *, clutter: int = 0, seqinfo: bool = True) -> Path:
-    """A small sequence in MOTChallenge's layout: two people crossing a frame of 320x240 at 25 Hz; gives ``folder``."""
+    """A small sequence in MOTChallenge's layout: two people crossing a frame of 320x240 at 25 Hz;
+    gives ``folder``.
+    """
     rng = np.random.default_rng(3)
-    truth, found = [], []
+    truth = []
+    found = []
     for k in range(1, frames + 1):
         for identity, x, y in ((1, 20 + 5 * k, 60), (2, 270 - 5 * k, 150)):
             truth.append(f"{k},{identity},{x},{y},24,60,1,-1,-1,-1")
             dx, dy = rng.normal(0, 1, 2)
             found.append(f"{k},-1,{x + dx:.2f},{y + dy:.2f},24,60,1,-1,-1,-1")
         for _ in range(clutter):
-            x, y = rng.uniform(0, 290), rng.uniform(0, 180)
+            x = rng.uniform(0, 290)
+            y = rng.uniform(0, 180)
             found.append(f"{k},-1,{x:.2f},{y:.2f},24,60,1,-1,-1,-1")
     (folder / "gt").mkdir(parents=True)
     (folder / "det").mkdir()
     (folder / "gt" / "gt.txt").write_text("\n".join(truth) + "\n")
     (folder / "det" / "det.txt").write_text("\n".join(found) + "\n")
     if seqinfo:
-        lines = ["[Sequence]", "name=walkers", "frameRate=25", f"seqLength={frames}", "imWidth=320", "imHeight=240", ""]
+        lines = [
+            "[Sequence]",
+            "name=walkers",
+            "frameRate=25",
+            f"seqLength={frames}",
+            "imWidth=320",
+            "imHeight=240",
+            "",
+        ]
         (folder / "seqinfo.ini").write_text("\n".join(lines))
     return folder

@@ -1,4 +1,6 @@
-"""Stages in threads: order, values and errors of the plain loop, a bounded number of items, nothing left behind."""
+"""Stages in threads: order, values and errors of the plain loop, a bounded number of items, nothing
+left behind.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ def test_the_same_items_in_the_same_order(depth: int) -> None:
 
 
 def test_nothing_is_made_before_it_is_asked_for() -> None:
-    made, before = list[int](), threading.active_count()
+    made = list[int]()
+    before = threading.active_count()
     with ahead(map(made.append, range(9))):
         time.sleep(0.05)
         assert made == []
@@ -44,7 +47,11 @@ def test_nothing_is_made_before_it_is_asked_for() -> None:
 @pytest.mark.parametrize("error", [ValueError("broken"), KeyboardInterrupt(), SystemExit(3)])
 def test_an_error_comes_after_what_was_made_before_it(error: BaseException) -> None:
     got: list[int] = []
-    with ahead(failing(5, error)) as numbers, ahead(doubled(numbers)) as twice, pytest.raises(type(error)) as raised:
+    with (
+        ahead(failing(5, error)) as numbers,
+        ahead(doubled(numbers)) as twice,
+        pytest.raises(type(error)) as raised,
+    ):
         got.extend(twice)
     assert raised.value is error
     assert got == [0, 2, 4, 6, 8]
@@ -68,15 +75,19 @@ def test_an_error_in_the_loop_ends_all_stages() -> None:
     before = threading.active_count()
     with pytest.raises(RuntimeError, match="mine"):
         loop()
-    # The file that a stage has open is closed, by the thread that used it, when the block has been left.
+    # The file that a stage has open is closed, by the thread that used it, when the block has been
+    # left.
     assert len(closed) == 1
     assert closed[0] != threading.main_thread().name
     assert threading.active_count() == before
 
 
 def test_stages_really_overlap() -> None:
-    """The first stage makes item 2 only after the loop has begun with item 1, and the loop waits for it there."""
-    begun, made = threading.Event(), threading.Event()
+    """The first stage makes item 2 only after the loop has begun with item 1, and the loop waits
+    for it there.
+    """
+    begun = threading.Event()
+    made = threading.Event()
 
     def source() -> Iterator[int]:
         yield 1
@@ -107,5 +118,6 @@ def test_the_number_of_living_frames_is_bounded() -> None:
         for _ in found:
             time.sleep(0.001)
             most = max(most, len(living))
-    # Two under way on each of two belts, one held by each of the two takers, one being made by the source.
+    # Two under way on each of two belts, one held by each of the two takers, one being made by the
+    # source.
     assert most <= 2 * 2 + 2 + 1

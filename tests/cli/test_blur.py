@@ -1,4 +1,6 @@
-"""``--blur``: of every picture that a command writes or serves, what is inside boxes is a few cells of one colour each."""
+"""``--blur``: of every picture that a command writes or serves, what is inside boxes is a few cells
+of one colour each.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,10 @@ from phdtrack.label import Label, LabelStore
 from phdtrack.types import Image
 from phdtrack.video import VideoWriter, open_source
 
-WIDE, HIGH, SIDE, FRAMES = 320, 240, 64, 30
+WIDE = 320
+HIGH = 240
+SIDE = 64
+FRAMES = 30
 
 
 def chequered(side: int) -> Image:
@@ -40,7 +45,9 @@ def where(number: int) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A chequered square that goes to the right on grey, its detections, missing in some frames, and truth."""
+    """A chequered square that goes to the right on grey, its detections, missing in some frames,
+    and truth.
+    """
     folder = tmp_path_factory.mktemp("scene")
     with VideoWriter(folder / "walk.mp4", WIDE, HIGH, 25.0) as video:
         for number in range(1, FRAMES + 1):
@@ -48,17 +55,27 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
             left, top, right, bottom = where(number).astype(int)
             image[top:bottom, left:right] = chequered(SIDE)
             video.write(image)
-    lines = [f"{k},-1,{where(k)[0]},{where(k)[1]},{SIDE},{SIDE},0.9" for k in range(1, FRAMES + 1) if not 12 < k < 20]
+    lines = [
+        f"{k},-1,{where(k)[0]},{where(k)[1]},{SIDE},{SIDE},0.9"
+        for k in range(1, FRAMES + 1)
+        if not 12 < k < 20
+    ]
     lines += [f"{k},-1,250,10,30,40,0.9" for k in range(3, 13)]
     (folder / "det.txt").write_text("\n".join(lines) + "\n")
     (folder / "gt.txt").write_text(
-        "".join(f"{k},1,{where(k)[0]},{where(k)[1]},{SIDE},{SIDE},1,1,1\n" for k in range(1, FRAMES + 1))
+        "".join(
+            f"{k},1,{where(k)[0]},{where(k)[1]},{SIDE},{SIDE},1,1,1\n" for k in range(1, FRAMES + 1)
+        )
     )
     (folder / "camera.txt").write_text("0.02 0 0\n0 0.02 0\n0 0 1\n")
     # What stays where the square begins, marked as false, is something to be learned.
     left, top, *_ = where(1)
-    (folder / "still.txt").write_text("".join(f"{k},-1,{left},{top},{SIDE},{SIDE},0.9\n" for k in range(1, FRAMES + 1)))
-    digest = to_label(SourceOptions(str(folder / "walk.mp4"), folder / "still.txt"), {}, folder / "x", Output()).digest
+    (folder / "still.txt").write_text(
+        "".join(f"{k},-1,{left},{top},{SIDE},{SIDE},0.9\n" for k in range(1, FRAMES + 1))
+    )
+    digest = to_label(
+        SourceOptions(str(folder / "walk.mp4"), folder / "still.txt"), {}, folder / "x", Output()
+    ).digest
     store = LabelStore.open(folder / "walk.labels.sqlite", "walk", digest, range(1, FRAMES + 1))
     for k in range(1, FRAMES + 1):
         store.mark(k, [Label(k, 0, "false")])
@@ -78,8 +95,14 @@ def pictures(folder: Path) -> Iterator[tuple[str, Image]]:
         if path.suffix == ".mp4":
             for frame in open_source(path):
                 yield f"{path.name} {frame.number}", frame.image
-        found = re.findall(rb"data:image/(?:jpeg|png);base64,([A-Za-z0-9+/=]+)", data) if path.suffix == ".html" else ()
-        for k, one in enumerate([*map(base64.b64decode, found), *([data] if path.suffix in (".png", ".jpg") else [])]):
+        found = (
+            re.findall(rb"data:image/(?:jpeg|png);base64,([A-Za-z0-9+/=]+)", data)
+            if path.suffix == ".html"
+            else ()
+        )
+        for k, one in enumerate(
+            [*map(base64.b64decode, found), *([data] if path.suffix in (".png", ".jpg") else [])]
+        ):
             image = cv2.imdecode(np.frombuffer(one, np.uint8), cv2.IMREAD_COLOR)
             assert image is not None
             yield f"{path.name}, picture {k}", image
@@ -91,7 +114,9 @@ def roughest(image: Image, name: str = "") -> float:
     """The share of the picture that is chequered finely. Pages darken and enlarge it."""
     grey = image.mean(axis=2).astype(np.float32)
     deviation = np.sqrt(np.maximum(cv2.blur(grey * grey, (8, 8)) - cv2.blur(grey, (8, 8)) ** 2, 0))
-    strong = cv2.erode((deviation > (33 if ".html" in name else 60)).astype(np.uint8), np.ones((12, 12), np.uint8))
+    strong = cv2.erode(
+        (deviation > (33 if ".html" in name else 60)).astype(np.uint8), np.ones((12, 12), np.uint8)
+    )
     return float(strong.mean())
 
 
@@ -108,7 +133,9 @@ COMMANDS = {
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_no_picture_shows_what_is_in_boxes(scene: Path, tmp_path: Path, monkeypatch, command: str) -> None:
+def test_no_picture_shows_what_is_in_boxes(
+    scene: Path, tmp_path: Path, monkeypatch, command: str
+) -> None:
     monkeypatch.chdir(scene)
     target = tmp_path / "scene.json" if command == "learn" else tmp_path
     run(*COMMANDS[command], "--out", target, "--overwrite", "--blur", "boxes")
@@ -119,7 +146,11 @@ def test_no_picture_shows_what_is_in_boxes(scene: Path, tmp_path: Path, monkeypa
     assert [(name, share) for name, _, share in found if share > 0.003] == []
     if command == "track":
         run(*COMMANDS[command], "--out", tmp_path, "--overwrite")
-        plain = {name.split()[0].strip(",") for name, image in pictures(tmp_path) if roughest(image, name) > 0.01}
+        plain = {
+            name.split()[0].strip(",")
+            for name, image in pictures(tmp_path)
+            if roughest(image, name) > 0.01
+        }
         assert plain == WRITTEN[command]
         assert "are hidden" not in (tmp_path / "report.html").read_text()
 
@@ -127,7 +158,9 @@ def test_no_picture_shows_what_is_in_boxes(scene: Path, tmp_path: Path, monkeypa
 def test_pictures_of_the_labelling_page_can_be_blurred(scene: Path) -> None:
     table = read_detections(scene / "det.txt")
     for blur in ("", "boxes"):
-        stills = _stills(SourceOptions(str(scene / "walk.mp4")), [3], {2, 3, 4}, partial(_shown, table, blur))
+        stills = _stills(
+            SourceOptions(str(scene / "walk.mp4")), [3], {2, 3, 4}, partial(_shown, table, blur)
+        )
         assert sorted(stills) == [2, 3, 4]
         for data in stills.values():
             image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
@@ -141,10 +174,17 @@ def test_inside_a_box_are_means_of_cells_only(blur: str) -> None:
     image = rng.integers(0, 256, (HIGH, WIDE, 3), np.uint8)
     # Of all sizes, at the edges, beyond them, huge, inverted and not finite.
     boxes = np.array(
-        [[40, 30, 100, 210], [150, 100, 153, 104], [-20, -30, 25, 40], [300, 200, 400, 400], [200, 50, 190, 40]]
+        [
+            [40, 30, 100, 210],
+            [150, 100, 153, 104],
+            [-20, -30, 25, 40],
+            [300, 200, 400, 400],
+            [200, 50, 190, 40],
+        ]
     )
     boxes = np.vstack([boxes, [[np.nan, 0, 10, 10], [1e300, 0, 2e300, 5]]])
-    out, changed = pixelated(image, boxes, blur), np.zeros((HIGH, WIDE), bool)
+    out = pixelated(image, boxes, blur)
+    changed = np.zeros((HIGH, WIDE), bool)
     for left, top, right, bottom in boxes[:4].astype(int):
         if blur == "faces":
             bottom = top + (bottom - top) // 3

@@ -1,4 +1,6 @@
-"""`phdtrack batch`: the same by processes and by shards; what dies, fails or is stopped loses nothing; the data set."""
+"""`phdtrack batch`: the same by processes and by shards; what dies, fails or is stopped loses
+nothing; the data set.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,8 @@ OPTIONS = ("--", "--no-video", "--filter", "gm-phd", "--fps", "25", "--checkpoin
 def clip(path: Path, seed: int, frames: int = 30) -> None:
     """A dark box that crosses a noisy grey."""
     rng = np.random.default_rng(seed)
-    ground, top = rng.integers(120, 136, (96, 160, 3)), 5 + seed % 40
+    ground = rng.integers(120, 136, (96, 160, 3))
+    top = 5 + seed % 40
     with VideoWriter(path, 160, 96, 25.0) as writer:
         for k in range(frames):
             image = (ground + rng.integers(-2, 3, ground.shape)).astype(np.uint8)
@@ -69,13 +72,17 @@ def whole(clips: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def same(out: Path, whole: Path) -> None:
     """Every video once, with the same rows, and nothing half done."""
     for folder in ("runs", "tracks"):
-        assert {path.name for path in (out / folder).iterdir()} == {path.name for path in (whole / folder).iterdir()}
+        assert {path.name for path in (out / folder).iterdir()} == {
+            path.name for path in (whole / folder).iterdir()
+        }
     for table in (whole / "tracks").iterdir():
         assert (out / "tracks" / table.name).read_bytes() == table.read_bytes()
         run = Path("runs") / table.stem
         for name in ("tracks.csv", "tracks_online.csv", "states.csv", "detections.csv"):
             assert (out / run / name).read_bytes() == (whole / run / name).read_bytes()
-        assert not [path for path in (out / run).iterdir() if path.suffix in (".part", ".log", ".detector")]
+        assert not [
+            path for path in (out / run).iterdir() if path.suffix in (".part", ".log", ".detector")
+        ]
     rows = parquet.read_table(out / "tracks").select(["video", "frame", "identity"]).to_pylist()
     assert len(rows) == len({tuple(row.values()) for row in rows})
 
@@ -93,10 +100,8 @@ def test_the_data_set_has_the_rows_of_all_runs(clips: Path, whole: Path) -> None
     table = parquet.read_table(whole / "tracks")
     assert table["video"].unique().to_pylist() == [f"clip{k:02d}" for k in range(count(clips))]
     for name in ("clip00", "clip03"):
-        rows, tracks = (
-            table.filter(np.equal(table["video"].to_numpy(), name)),
-            read_tracks(whole / "runs" / name / "tracks.csv"),
-        )
+        rows = table.filter(np.equal(table["video"].to_numpy(), name))
+        tracks = read_tracks(whole / "runs" / name / "tracks.csv")
         assert len(tracks) > 10
         assert rows["identity"].to_pylist() == tracks.identity.tolist()
         np.testing.assert_allclose(rows["time"].to_numpy(), (tracks.frame - 1) / 25, atol=1e-6)
@@ -108,11 +113,29 @@ def test_the_data_set_has_the_rows_of_all_runs(clips: Path, whole: Path) -> None
     assert sum(one["track_rows"] for one in found["videos"]) == table.num_rows
 
 
-def test_shards_do_the_same_and_a_last_call_sums_up(clips: Path, whole: Path, tmp_path: Path) -> None:
+def test_shards_do_the_same_and_a_last_call_sums_up(
+    clips: Path, whole: Path, tmp_path: Path
+) -> None:
     for k in (1, 2, 3):
-        assert phdtrack("batch", clips, "--out", tmp_path / "all", "--jobs", 1, "--shard", f"{k}/3", *OPTIONS).status == 0
+        assert (
+            phdtrack(
+                "batch",
+                clips,
+                "--out",
+                tmp_path / "all",
+                "--jobs",
+                1,
+                "--shard",
+                f"{k}/3",
+                *OPTIONS,
+            ).status
+            == 0
+        )
     same(tmp_path / "all", whole)
-    shares = [json.loads(path.read_text())["videos"] for path in sorted((tmp_path / "all").glob("batch-*-of-3.json"))]
+    shares = [
+        json.loads(path.read_text())["videos"]
+        for path in sorted((tmp_path / "all").glob("batch-*-of-3.json"))
+    ]
     assert sorted(one["video"] for share in shares for one in share) == sorted(states(whole))
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "all").rglob("*.csv")}
     said = phdtrack("batch", clips, "--out", tmp_path / "all", "--json", *OPTIONS)
@@ -125,7 +148,9 @@ def test_shards_do_the_same_and_a_last_call_sums_up(clips: Path, whole: Path, tm
 def started(*words: object) -> Iterator[subprocess.Popen[str]]:
     """The command in a process of its own."""
     command = [sys.executable, "-m", "phdtrack", *map(str, words)]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as child:
+    with subprocess.Popen(
+        command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as child:
         try:
             yield child
         finally:
@@ -176,7 +201,8 @@ def test_a_worker_that_is_killed_loses_its_own_video_only_and_the_next_call_does
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
 @pytest.mark.parametrize(
-    ("name", "status"), [("SIGINT", 130), pytest.param("SIGKILL", -signal.SIGKILL, marks=pytest.mark.slow)]
+    ("name", "status"),
+    [("SIGINT", 130), pytest.param("SIGKILL", -signal.SIGKILL, marks=pytest.mark.slow)],
 )
 def test_a_batch_that_is_stopped_leaves_no_process_and_goes_on(
     name: str, status: int, clips: Path, whole: Path, tmp_path: Path
@@ -200,21 +226,28 @@ def test_a_batch_that_is_stopped_leaves_no_process_and_goes_on(
 
 @pytest.fixture
 def two(tmp_path: Path) -> Path:
-    """Two sequences of detections, a/det.txt and b/det.txt with a seqinfo.ini, in the folder that is given."""
+    """Two sequences of detections, a/det.txt and b/det.txt with a seqinfo.ini, in the folder that
+    is given.
+    """
     for name in "ab":
         shutil.move(walkers(tmp_path / name) / "det" / "det.txt", tmp_path / name / "det.txt")
     return tmp_path
 
 
 def test_a_video_that_fails_does_not_stop_the_others_and_is_tried_again(two: Path) -> None:
-    out, bad = two / "all", two / "bad.mp4"
+    out = two / "all"
+    bad = two / "bad.mp4"
     bad.write_text("no video")
     words = ("batch", two / "a/det.txt", bad, two / "absent.mp4", "--out", out, "--jobs", 2)
     said = phdtrack(*words)
     assert said.status == 1
     assert "1 now, 0 before, 2 failed" in said.out
     reasons = {one["video"]: one["error"] for one in summary(out)["videos"]}
-    assert (reasons["det"], states(out)["det"], summary(out)["failed"]) == (None, "done", ["bad", "absent"])
+    assert (reasons["det"], states(out)["det"], summary(out)["failed"]) == (
+        None,
+        "done",
+        ["bad", "absent"],
+    )
     assert "cannot be read as a video" in reasons["bad"]
     assert "there is no such file" in reasons["absent"]
     assert reasons["bad"] in said.err.replace("phdtrack: warning: ", "")
@@ -223,7 +256,9 @@ def test_a_video_that_fails_does_not_stop_the_others_and_is_tried_again(two: Pat
     assert "2 now, 1 before, 0 failed" in phdtrack(*words).out
 
 
-def test_options_of_track_follow_and_are_a_part_of_what_decides(two: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_options_of_track_follow_and_are_a_part_of_what_decides(
+    two: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(two)
     for name in "ab":
         clip(two / f"{name}.mp4", 3)
@@ -235,7 +270,10 @@ def test_options_of_track_follow_and_are_a_part_of_what_decides(two: Path, monke
     about = json.loads(Path("all/runs/b/run.json").read_text())
     assert (about["input"]["detections"], about["seed"]) == (str(two / "b.txt"), 3)
     words_of_it = " ".join(given).replace("{}", "b")
-    assert about["command"] == f"phdtrack track {two / 'b.mp4'} --out {two / 'all/runs/b'} {words_of_it}"
+    assert (
+        about["command"]
+        == f"phdtrack track {two / 'b.mp4'} --out {two / 'all/runs/b'} {words_of_it}"
+    )
     assert phdtrack(*words, *given).object["reused"] == 2
     assert "2 runs there (a, …) had other options" in refused(*words, *given, "--filter", "none")
     # A file among the options that has changed counts, too: of one video.
@@ -252,7 +290,8 @@ def test_options_of_track_follow_and_are_a_part_of_what_decides(two: Path, monke
 
 
 def test_what_cannot_be_is_refused_before_anything_runs(two: Path) -> None:
-    out, table = two / "all", two / "a/det.txt"
+    out = two / "all"
+    table = two / "a/det.txt"
     for words, sentence in (
         ((table, "--", "--filtr", "none"), "after --: No such option: --filtr"),
         ((table, "--", "other.mp4"), "got other.mp4"),
@@ -289,14 +328,20 @@ def test_lists_folders_and_patterns(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert list(expanded("@list.txt")) == ["in/b.mp4", "in/notes.txt", "img"]
     for one in ("img", "img/*.png", "absent.mp4"):
         assert list(expanded(one)) == [one]
-    assert names([f"{tmp_path}/img/*.png", f"{tmp_path}/MOT-02/img1", f"{tmp_path}/v1.2.mp4"]) == ["img", "MOT-02", "v1.2"]
+    assert names([f"{tmp_path}/img/*.png", f"{tmp_path}/MOT-02/img1", f"{tmp_path}/v1.2.mp4"]) == [
+        "img",
+        "MOT-02",
+        "v1.2",
+    ]
     assert names(["/data/n/1.mp4", "/data/s/1.mp4", "/data/s/_2.mp4"]) == ["n-1", "s-1", "s-_2"]
     with pytest.raises(InputError, match=r"would both be called data-s-1"):
         names(["/data/s/1.mp4", "/data/s/1.avi"])
 
 
 def test_places_classes_and_times_are_in_the_rows(tmp_path: Path) -> None:
-    video = Video("yard", "yard.mp4", (), tmp_path, tmp_path / "run", tmp_path / "rows" / "yard.parquet", "")
+    video = Video(
+        "yard", "yard.mp4", (), tmp_path, tmp_path / "run", tmp_path / "rows" / "yard.parquet", ""
+    )
     video.folder.mkdir(parents=True)
     boxes = np.array([[10, 10, 20, 40.5], [12, 10, 22, 40], [90, 9, 95, 30], [14, 10, 24, 40]])
     tracks = Tracks.of([1, 3, 3, 6], [1, 1, 2, 1], boxes, 0.5, [0, 0, 1, -1])
@@ -309,7 +354,11 @@ def test_places_classes_and_times_are_in_the_rows(tmp_path: Path) -> None:
     np.testing.assert_allclose(rows["time"], [0.0, 0.3, 0.3, 0.7])
     assert (rows["x"], rows["y"]) == ([0.5, 0.0, None, 2.5], [7.0, -1.0, None, 1.0])
     assert rows["class"] == ["0", "0", "big car", "0"]
-    assert (rows["video"], rows["height"], rows["frame"]) == (["yard"] * 4, [30.5, 30.0, 21.0, 30.0], [1, 3, 3, 6])
+    assert (rows["video"], rows["height"], rows["frame"]) == (
+        ["yard"] * 4,
+        [30.5, 30.0, 21.0, 30.0],
+        [1, 3, 3, 6],
+    )
     kinds = parquet.read_schema(video.rows)
     (video.folder / "tracks.csv").write_text("")
     (video.folder / "states.csv").write_text("frame,time,weight\n")
@@ -318,11 +367,16 @@ def test_places_classes_and_times_are_in_the_rows(tmp_path: Path) -> None:
     assert parquet.read_schema(video.rows).equals(kinds)
 
 
-def test_the_queries_of_the_page_answer_right(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_queries_of_the_page_answer_right(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Somebody who goes right over the turn of the hour, and somebody who leaves and comes back."""
     monkeypatch.chdir(tmp_path)
     one = [(1, float(t), 300.0 + 2 * (t - 3590)) for t in range(3590, 3611)]
-    other = [(2, float(t), x) for t, x in ((10, 200), (11, 200), (12, 200), (13, 500), (20, 200), (21, 200))]
+    other = [
+        (2, float(t), x)
+        for t, x in ((10, 200), (11, 200), (12, 200), (13, 500), (20, 200), (21, 200))
+    ]
     rows = [
         {"video": "gate-2026-11-24T05", "frame": int(t) + 1, "time": t, "identity": who}
         | {"left": x - 10.0, "top": 150.0, "width": 20.0, "height": 50.0}
@@ -330,15 +384,22 @@ def test_the_queries_of_the_page_answer_right(tmp_path: Path, monkeypatch: pytes
     ]
     Path("all/tracks").mkdir(parents=True)
     parquet.write_table(pyarrow.Table.from_pylist(rows), "all/tracks/gate.parquet")
-    videos = [{"video": "gate", "state": "done", "error": None}, {"video": "door", "state": "failed", "error": "no video"}]
+    videos = [
+        {"video": "gate", "state": "done", "error": None},
+        {"video": "door", "state": "failed", "error": "no video"},
+    ]
     Path("all/batch.json").write_text(json.dumps({"videos": videos}))
     page = (Path(__file__).parents[2] / "docs/how-to/batch.md").read_text(encoding="utf-8")
     hours, clock, visits, line, flows, failed = (
-        duckdb.sql(text).fetchall() for text in re.findall(r"^```sql\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+        duckdb.sql(text).fetchall()
+        for text in re.findall(r"^```sql\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
     )
     gate = rows[0]["video"]
     assert hours == [(gate, 0, 2), (gate, 1, 1)]
-    assert [(str(hour), objects) for hour, objects in clock] == [("2026-11-24 05:00:00", 2), ("2026-11-24 06:00:00", 1)]
+    assert [(str(hour), objects) for hour, objects in clock] == [
+        ("2026-11-24 05:00:00", 2),
+        ("2026-11-24 06:00:00", 1),
+    ]
     assert visits == [(gate, 1, 3590.0, 20.0), (gate, 2, 10.0, 2.0), (gate, 2, 20.0, 1.0)]
     assert line == [(gate, 0, 1, 1), (gate, 1, 1, 0)]
     assert flows == [(gate, [1, 1], [1, 1], 1), (gate, [1, 1], [2, 1], 1)]
@@ -347,13 +408,19 @@ def test_the_queries_of_the_page_answer_right(tmp_path: Path, monkeypatch: pytes
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-def test_a_ray_cluster_does_the_same_also_where_a_machine_dies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Three nodes, groups of processes with one CPU each; 64 videos, six of them so long that all are busy at once."""
+def test_a_ray_cluster_does_the_same_also_where_a_machine_dies(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three nodes, groups of processes with one CPU each; 64 videos, six of them so long that all
+    are busy at once.
+    """
     pytest.importorskip("ray", reason="Ray is not installed (pip install 'phdtrack[ray]')")
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
     from ray.cluster_utils import Cluster
 
-    clips, whole, out = tmp_path / "clips", tmp_path / "whole", tmp_path / "all"
+    clips = tmp_path / "clips"
+    whole = tmp_path / "whole"
+    out = tmp_path / "all"
     clips.mkdir()
     for k in range(64):
         clip(clips / f"clip{k:02d}.mp4", k, 1200 if k < 6 else 30)
@@ -361,7 +428,9 @@ def test_a_ray_cluster_does_the_same_also_where_a_machine_dies(tmp_path: Path, m
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
     try:
         nodes = [cluster.add_node(num_cpus=1) for _ in range(2)]
-        with started("batch", clips, "--out", out, "--engine", "ray", "--address", cluster.address, *OPTIONS) as child:
+        with started(
+            "batch", clips, "--out", out, "--engine", "ray", "--address", cluster.address, *OPTIONS
+        ) as child:
             until(lambda: len(under_way(out)) >= 3)
             cluster.remove_node(nodes[0], allow_graceful=False)
             said, errors = child.communicate(timeout=900)
@@ -373,7 +442,9 @@ def test_a_ray_cluster_does_the_same_also_where_a_machine_dies(tmp_path: Path, m
 
 
 @pytest.mark.slow
-def test_that_kernels_are_compiled_is_said_at_once(two: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_that_kernels_are_compiled_is_said_at_once(
+    two: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels"))
     with started("batch", two / "a/det.txt", "--out", two / "all", *OPTIONS) as child:
         assert child.stderr is not None
@@ -390,7 +461,9 @@ def test_without_a_cluster_the_command_that_starts_one_is_named(tmp_path: Path) 
     assert "ray start --head" in said
 
 
-def test_without_ray_the_line_that_installs_it_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_ray_the_line_that_installs_it_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     clip(tmp_path / "a.mp4", 1)
     said = refused("batch", tmp_path / "a.mp4", "--out", tmp_path / "all", "--engine", "ray")
@@ -404,7 +477,8 @@ def test_overwrite_begins_anew_what_cannot_go_on(clips: Path, whole: Path, tmp_p
     words = ("batch", clips / "clip01.mp4", "--out", out)
     with started(*words, *OPTIONS) as child:
         until(lambda: list(out.glob("runs/*/checkpoint.detector")))
-        # The worker itself: one that outlives the command may complete the run, or write the checkpoint anew.
+        # The worker itself: one that outlives the command may complete the run, or write the
+        # checkpoint anew.
         os.kill(workers(child)[0], signal.SIGKILL)
         child.communicate(timeout=600)
     (out / "runs" / "clip01" / "checkpoint.detector").write_bytes(b"damaged")

@@ -15,21 +15,30 @@ SIZE = ("--frame-size", "320x240", "--fps", 25)
 @pytest.fixture
 def crossing(tmp_path: Path) -> Path:
     """A car and a person who cross, as detections and truth in one file."""
-    rows = [f"{k},1,car,{20 + 6 * k},100,40,40,0.9\n{k},2,person,{260 - 6 * k},100,40,40,0.8" for k in range(1, 41)]
+    rows = [
+        f"{k},1,car,{20 + 6 * k},100,40,40,0.9\n{k},2,person,{260 - 6 * k},100,40,40,0.8"
+        for k in range(1, 41)
+    ]
     path = tmp_path / "both.csv"
     path.write_text("\n".join(["frame,identity,class,left,top,width,height,confidence", *rows]))
     return path
 
 
-def test_a_run_names_the_classes_and_tracks_those_that_are_asked_for(crossing: Path, tmp_path: Path) -> None:
-    run, out = ("track", "--detections", crossing, *SIZE, "--out"), tmp_path / "run"
+def test_a_run_names_the_classes_and_tracks_those_that_are_asked_for(
+    crossing: Path, tmp_path: Path
+) -> None:
+    run = ("track", "--detections", crossing, *SIZE, "--out")
+    out = tmp_path / "run"
     assert "2 objects (car 1, person 1) in 40 frames" in phdtrack(*run, out).out
     for name in ("tracks.csv", "tracks_online.csv"):
         rows, names = read_tracks_named(out / name)
         assert {(i, names[c]) for i, c in zip(*map(list, (rows.identity, rows.class_id)), strict=True)} == {
             (1, "car"), (2, "person")
         }  # fmt: skip
-    assert {line.split(",")[10] for line in (out / "detections.csv").read_text().splitlines()} == {"car", "person"}
+    assert {line.split(",")[10] for line in (out / "detections.csv").read_text().splitlines()} == {
+        "car",
+        "person",
+    }
     assert "car 1, person 1" in (out / "report.html").read_text()
     said = phdtrack(*run, tmp_path / "person", "--classes", "Person")
     assert "1 object (person 1)" in said.out
@@ -39,23 +48,44 @@ def test_a_run_names_the_classes_and_tracks_those_that_are_asked_for(crossing: P
 
 
 def test_settings_of_one_class_are_printed_and_read_back(crossing: Path, tmp_path: Path) -> None:
-    run, file, printed = ("track", "--detections", crossing, *SIZE, "--out"), tmp_path / "mine.toml", tmp_path / "all.toml"
-    assert "1 object (person 1)" in phdtrack(*run, tmp_path / "a", "--set", "classes.car.min_score=0.95").out
-    file.write_text('[classes]\nonly = ["car"]\n[classes.car]\nmin_size = 41\n[classes.truck.sensor]\nbox_noise = 0.1\n')
+    run = ("track", "--detections", crossing, *SIZE, "--out")
+    file = tmp_path / "mine.toml"
+    printed = tmp_path / "all.toml"
+    assert (
+        "1 object (person 1)"
+        in phdtrack(*run, tmp_path / "a", "--set", "classes.car.min_score=0.95").out
+    )
+    file.write_text(
+        '[classes]\nonly = ["car"]\n[classes.car]\nmin_size = 41\n[classes.truck.sensor]\nbox_noise = 0.1\n'
+    )
     printed.write_text(phdtrack("settings", "--config", file, "--all").out)
     for one in (file, printed):
         assert "0 objects in 40 frames" in phdtrack(*run, tmp_path / one.stem, "--config", one).out
 
 
 def test_scores_of_each_class(crossing: Path, tmp_path: Path) -> None:
-    swapped, kitti = tmp_path / "swapped.csv", tmp_path / "0001.txt"
-    swapped.write_text(crossing.read_text().replace("car", "PERSON").replace("person", "car").replace("PERSON", "person"))
+    swapped = tmp_path / "swapped.csv"
+    kitti = tmp_path / "0001.txt"
+    swapped.write_text(
+        crossing.read_text()
+        .replace("car", "PERSON")
+        .replace("person", "car")
+        .replace("PERSON", "person")
+    )
     row = "{0} {1} {2} 0 0 -10 {3} 100 {3}9 150 -1 -1 -1 -1000 -1000 -1000 -10\n"
-    kitti.write_text("".join(row.format(k, *one) for k in range(10) for one in ((1, "Car", 10), (2, "Pedestrian", 20))))
+    kitti.write_text(
+        "".join(
+            row.format(k, *one)
+            for k in range(10)
+            for one in ((1, "Car", 10), (2, "Pedestrian", 20))
+        )
+    )
     for truth, tracks, scores in (
         (crossing, crossing, {"car": 1, "person": 1}), (kitti, kitti, {"Car": 1, "Pedestrian": 1})
     ):  # fmt: skip
-        found = phdtrack("evaluate", "--truth", truth, "--tracks", tracks, "--per-class", "--json").object["classes"]
+        found = phdtrack(
+            "evaluate", "--truth", truth, "--tracks", tracks, "--per-class", "--json"
+        ).object["classes"]
         assert {name: one["MOTA"] for name, one in found.items()} == scores
     ask = ("evaluate", "--truth", crossing, "--tracks", swapped, "--json")
     assert all(one["MOTA"] < 0 for one in phdtrack(*ask, "--per-class").object["classes"].values())

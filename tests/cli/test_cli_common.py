@@ -1,4 +1,6 @@
-"""What holds for the command line as a whole: start-up, entry points, usage errors, exit statuses."""
+"""What holds for the command line as a whole: start-up, entry points, usage errors, exit
+statuses.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +24,13 @@ from phdtrack.cli.settings import chosen
 from phdtrack.errors import InputError
 
 
-def run(*command: str, environment: Mapping[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+def run(
+    *command: str, environment: Mapping[str, str] | None = None
+) -> subprocess.CompletedProcess[str]:
     known = os.environ | (environment or {})
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, env=known)
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=60, check=False, env=known
+    )
 
 
 def test_help_names_every_command_and_starts_quickly() -> None:
@@ -40,11 +46,23 @@ def test_help_names_every_command_and_starts_quickly() -> None:
 
 
 def test_settings_are_printed_as_a_file_that_config_reads(tmp_path: Path) -> None:
-    said = phdtrack("settings", "--preset", "m09", "--filter", "gm-phd", "--set", "sensor.detection_probability=0.7")
+    said = phdtrack(
+        "settings",
+        "--preset",
+        "m09",
+        "--filter",
+        "gm-phd",
+        "--set",
+        "sensor.detection_probability=0.7",
+    )
     assert "detection_probability = 0.7  # probability p_D that a target is detected" in said.out
     (tmp_path / "mine.toml").write_text(said.out, encoding="utf-8")
     again = phdtrack("settings", "--config", tmp_path / "mine.toml", "--all", "--json").object
-    assert (again["preset"], again["filter"]["kind"], again["sensor"]["detection_probability"]) == ("m09", "gm-phd", 0.7)
+    assert (again["preset"], again["filter"]["kind"], again["sensor"]["detection_probability"]) == (
+        "m09",
+        "gm-phd",
+        0.7,
+    )
     assert len(said.out.splitlines()) < 40
 
 
@@ -70,7 +88,11 @@ def test_both_entry_points_are_the_same() -> None:
     ],
 )
 def test_a_shell_completes_commands_their_options_and_names(line: str, found: list[str]) -> None:
-    asked = {"_PHDTRACK_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))}
+    asked = {
+        "_PHDTRACK_COMPLETE": "complete_bash",
+        "COMP_WORDS": line,
+        "COMP_CWORD": str(line.count(" ")),
+    }
     done = run(sys.executable, "-m", "phdtrack", environment=asked)
     assert (done.returncode, done.stdout.split()) == (0, found)
     asked = {"_PHDTRACK_COMPLETE": "complete_zsh", "_TYPER_COMPLETE_ARGS": line}
@@ -89,7 +111,17 @@ def test_the_lines_that_a_shell_needs_are_printed() -> None:
 def test_quiet_says_warnings_only(tmp_path: Path) -> None:
     detections = walkers(tmp_path / "walkers", seqinfo=False) / "det" / "det.txt"
     detections.write_text(detections.read_text() + "3,-1,5000,60,24,60,1,-1,-1,-1\n")
-    words = ("track", "--detections", detections, "--frame-size", "320x240", "--fps", 25, "--out", tmp_path / "run")
+    words = (
+        "track",
+        "--detections",
+        detections,
+        "--frame-size",
+        "320x240",
+        "--fps",
+        25,
+        "--out",
+        tmp_path / "run",
+    )
     said = phdtrack(*words, "--quiet")
     assert (said.status, said.out) == (0, "")
     assert said.err.count("\n") == said.err.count("phdtrack: warning: ") > 0
@@ -119,7 +151,13 @@ def test_every_command_says_what_it_does(command: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "arguments", [["trak"], ["track", "--detektor", "x"], ["track", "v.mp4", "--seed", "-1"], ["evaluate", "--iou", "x"]]
+    "arguments",
+    [
+        ["trak"],
+        ["track", "--detektor", "x"],
+        ["track", "v.mp4", "--seed", "-1"],
+        ["evaluate", "--iou", "x"],
+    ],
 )
 def test_usage_errors_are_status_2_without_a_traceback(arguments: list[str]) -> None:
     done = run(sys.executable, "-m", "phdtrack", *arguments)
@@ -134,9 +172,17 @@ def test_usage_errors_are_status_2_without_a_traceback(arguments: list[str]) -> 
 @pytest.mark.parametrize(
     ("error", "status", "words"),
     [
-        (InputError("expected this, got that", where="det.txt, line 3"), 2, "det.txt, line 3: expected this, got that"),
+        (
+            InputError("expected this, got that", where="det.txt, line 3"),
+            2,
+            "det.txt, line 3: expected this, got that",
+        ),
         (KeyboardInterrupt(), 130, "stopped"),
-        (FileNotFoundError(2, "No such file or directory", "a.mp4"), 1, "a.mp4: No such file or directory"),
+        (
+            FileNotFoundError(2, "No such file or directory", "a.mp4"),
+            1,
+            "a.mp4: No such file or directory",
+        ),
         (OSError(28, "No space left on device"), 1, "No space left on device"),
     ],
 )
@@ -163,7 +209,17 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
 # Not pydantic: newer versions of typer load it themselves.
 HEAVY = {"numpy", "scipy", "numba", "cv2", "av", "matplotlib", "rich", "pyarrow"}
 # What nobody needs for tracking, whoever brought it along.
-NEVER = {"scipy.optimize", "scipy.stats", "scipy.spatial", "scipy.ndimage", "sklearn", "torch", "pandas", "stonesoup", "PIL"}
+NEVER = {
+    "scipy.optimize",
+    "scipy.stats",
+    "scipy.spatial",
+    "scipy.ndimage",
+    "sklearn",
+    "torch",
+    "pandas",
+    "stonesoup",
+    "PIL",
+}
 
 
 def modules(program: str, *arguments: object) -> list[str]:
@@ -182,14 +238,17 @@ def test_nothing_heavy_is_imported_before_a_command_runs() -> None:
 
 def test_tracking_detections_loads_what_it_needs(tmp_path: Path) -> None:
     begun = modules("import phdtrack.cli.track\nprint(*sys.modules, sep='\\n')")
-    # Pictures come with the report, and scores where there is truth; neither is waited for before the first frame.
+    # Pictures come with the report, and scores where there is truth; neither is waited for before
+    # the first frame.
     assert {"matplotlib", "av", "rich", "phdtrack.metrics", "pyarrow", *NEVER}.isdisjoint(begun)
     table = walkers(tmp_path / "walkers", frames=8) / "det" / "det.txt"
     program = "from phdtrack.cli.app import main\ntry:\n    main()\nfinally:\n    print(*sys.modules, sep='\\n')"
     done = modules(program, "track", "--detections", table, "--out", tmp_path / "run", "--json")
     assert {"phdtrack.filters", "phdtrack.report.pages"} <= set(done)
     # What the report and the joining of tracks need is loaded beside the tracking.
-    late = modules("import scipy.optimize, scipy.sparse.csgraph, matplotlib.figure\nprint(*sys.modules, sep='\\n')")
+    late = modules(
+        "import scipy.optimize, scipy.sparse.csgraph, matplotlib.figure\nprint(*sys.modules, sep='\\n')"
+    )
     assert {"phdtrack.metrics", *(NEVER - {*late})}.isdisjoint(done)
 
 
@@ -206,5 +265,7 @@ def test_tracking_detections_loads_what_it_needs(tmp_path: Path) -> None:
         (TrackingOptions(sets=["sensor.box_noise=0.2"]), "change", "mot15"),
     ],
 )
-def test_own_detectors_have_the_preset_for_noisy_boxes(options: TrackingOptions, detector: str, preset: str) -> None:
+def test_own_detectors_have_the_preset_for_noisy_boxes(
+    options: TrackingOptions, detector: str, preset: str
+) -> None:
     assert chosen(options, detector=detector).preset == preset

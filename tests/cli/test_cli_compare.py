@@ -1,4 +1,6 @@
-"""`phdtrack compare` as a stranger uses it: files, JSON, what is taken up again, and what is refused."""
+"""`phdtrack compare` as a stranger uses it: files, JSON, what is taken up again, and what is
+refused.
+"""
 
 from __future__ import annotations
 
@@ -39,11 +41,19 @@ def test_a_comparison_leaves_tables_report_and_every_run(folder: Path, tmp_path:
     said = phdtrack("compare", folder, *QUICK, "--clutter", "0,4", "--out", out)
     assert said.status == 0
     assert {path.name for path in out.iterdir() if path.is_file()} == FILES
-    assert said.out.splitlines()[0].split()[:6] == ["sequence", "detections", "clutter", "filter", "MODA", "MOTA"]
+    assert said.out.splitlines()[0].split()[:6] == [
+        "sequence",
+        "detections",
+        "clutter",
+        "filter",
+        "MODA",
+        "MOTA",
+    ]
     assert "6 runs" in said.out
     assert "* The best on the same input" in said.out
     assert "one run stands for all seeds" in said.out
-    cells, runs = rows(out / "compare.csv"), rows(out / "runs.csv")
+    cells = rows(out / "compare.csv")
+    runs = rows(out / "runs.csv")
     assert [(row["clutter"], row["filter"], row["seeds"]) for row in cells] == [
         ("0", "gm-phd", "1"),
         ("0", "none", "1"),
@@ -56,7 +66,10 @@ def test_a_comparison_leaves_tables_report_and_every_run(folder: Path, tmp_path:
         assert float(row["MOTA"]) == pytest.approx(kept["scores"]["MOTA"], rel=1e-6)
         assert (out / row["folder"] / "tracks.csv").is_file()
     for row in runs:
-        causes = [sum(float(row[name]) for name in SUMS if name.startswith(start)) for start in ("miss_", "false_")]
+        causes = [
+            sum(float(row[name]) for name in SUMS if name.startswith(start))
+            for start in ("miss_", "false_")
+        ]
         # Once by cause, once by place.
         assert causes == [2 * float(row["misses"]), float(row["false_positives"])]
         assert (row["log_evidence"] != "") == (row["filter"] == "gm-phd")
@@ -64,7 +77,9 @@ def test_a_comparison_leaves_tables_report_and_every_run(folder: Path, tmp_path:
     pair = [float(row["MOTA"]) for row in runs if row["clutter"] == "4" and row["filter"] == "none"]
     assert float(cells[3]["MOTA"]) == pytest.approx(sum(pair) / 2, rel=1e-6)
     assert cells[0]["MOTA_half"] == cells[0]["MOTA_ahead"] == ""
-    assert float(cells[3]["MOTA_ahead"]) == pytest.approx(float(cells[3]["MOTA"]) - float(cells[2]["MOTA"]), rel=1e-6)
+    assert float(cells[3]["MOTA_ahead"]) == pytest.approx(
+        float(cells[3]["MOTA"]) - float(cells[2]["MOTA"]), rel=1e-6
+    )
     page = (out / "report.html").read_text()
     assert "<td><b>" in page
     assert "Errors by cause" in page
@@ -78,8 +93,14 @@ def test_again_and_with_another_setting(folder: Path, tmp_path: Path) -> None:
     again = phdtrack("compare", folder, *QUICK, "--out", out, "--json")
     assert again.object["reused"] == 2
     assert again.object["rows"] == first.object["rows"]
-    other = phdtrack("compare", folder, *QUICK, "--out", out, "--json", "--set", "filter.max_components=9")
-    assert (other.object["runs"], other.object["reused"], other.object["outdated"]) == (2, 1, ["settings"])
+    other = phdtrack(
+        "compare", folder, *QUICK, "--out", out, "--json", "--set", "filter.max_components=9"
+    )
+    assert (other.object["runs"], other.object["reused"], other.object["outdated"]) == (
+        2,
+        1,
+        ["settings"],
+    )
     assert "1 of them kept from before, others run again because of other settings" in other.err
     anew = phdtrack("compare", folder, *QUICK, "--out", out, "--json", "--overwrite")
     assert anew.object["reused"] == 0
@@ -87,9 +108,25 @@ def test_again_and_with_another_setting(folder: Path, tmp_path: Path) -> None:
 
 def test_a_detector_looks_once_and_its_runs_are_what_track_does(tmp_path: Path) -> None:
     scene = tmp_path / "street"
-    assert phdtrack("simulate", "street", "--seed", 1, "--frames", 25, "--set", "lead_in=-6", "--out", scene).status == 0
+    assert (
+        phdtrack(
+            "simulate", "street", "--seed", 1, "--frames", 25, "--set", "lead_in=-6", "--out", scene
+        ).status
+        == 0
+    )
     out = tmp_path / "out"
-    said = phdtrack("compare", scene, "--detectors", "change", *QUICK, "--max-width", 320, "--out", out, "--json")
+    said = phdtrack(
+        "compare",
+        scene,
+        "--detectors",
+        "change",
+        *QUICK,
+        "--max-width",
+        320,
+        "--out",
+        out,
+        "--json",
+    )
     assert said.status == 0
     (looked,) = (out / "detections").rglob("detections.csv")
     before = looked.stat().st_mtime_ns
@@ -125,11 +162,17 @@ def test_a_run_that_fails_is_told_and_the_others_go_on(
 
 
 def stopped(out: Path, runs: int, *words: object) -> tuple[int, str, str]:
-    """Ctrl-C when so many runs are kept in ``out``; the comparison's status and what it said and printed."""
+    """Ctrl-C when so many runs are kept in ``out``; the comparison's status and what it said and
+    printed.
+    """
     command = [sys.executable, "-m", "phdtrack", "compare", *map(str, words), "--out", str(out)]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     end = time.monotonic() + 240
-    while len(list(out.rglob("seed-*/run.json"))) < runs and process.poll() is None and time.monotonic() < end:
+    while (
+        len(list(out.rglob("seed-*/run.json"))) < runs
+        and process.poll() is None
+        and time.monotonic() < end
+    ):
         time.sleep(0.1)
     time.sleep(0.3)
     process.send_signal(signal.SIGINT)
@@ -162,7 +205,8 @@ def test_mistakes_are_one_sentence_and_leave_nothing(folder: Path, tmp_path: Pat
 
 def test_a_learned_scene_is_every_methods(folder: Path, tmp_path: Path) -> None:
     scene = tmp_path / "my scene.json"
-    low, high = np.zeros(4), np.array([320.0, 240, 320, 240])
+    low = np.zeros(4)
+    high = np.array([320.0, 240, 320, 240])
     learned = LearnedDensity(3.0, uniform_density(low, high), 20)
     write_scene(scene, Scene(320, 240, 25.0, "yard", clutter=learned))
     out = tmp_path / "out"
@@ -170,7 +214,10 @@ def test_a_learned_scene_is_every_methods(folder: Path, tmp_path: Path) -> None:
     assert said.status == 0, said.err
     for row in rows(out / "runs.csv"):
         configuration = json.loads((out / row["folder"] / "run.json").read_text())["configuration"]
-        assert (configuration["clutter"]["kind"], configuration["clutter"]["file"]) == ("scene", str(scene))
+        assert (configuration["clutter"]["kind"], configuration["clutter"]["file"]) == (
+            "scene",
+            str(scene),
+        )
     # What is learned anew makes runs anew.
     write_scene(scene, Scene(320, 240, 25.0, "yard", clutter=replace(learned, rate=4.0)))
     again = phdtrack("compare", folder, *QUICK, "--clutter", "4", "--scene", scene, "--out", out)

@@ -1,4 +1,6 @@
-"""``phdtrack count`` and ``phdtrack export``: in a video, in a run, among tracks in a file; and what is refused."""
+"""``phdtrack count`` and ``phdtrack export``: in a video, in a run, among tracks in a file; and
+what is refused.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +16,15 @@ from phdtrack.formats import EXPORTS, read_tracks
 from phdtrack.live.zones import Place
 from phdtrack.video import VideoWriter
 
-LINE, ZONE = "middle=160,0,160,240", "left=0,0,100,0,100,240,0,240"
+LINE = "middle=160,0,160,240"
+ZONE = "left=0,0,100,0,100,240,0,240"
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two people who cross the middle of a video of 40 frames of 320x240, each once, in opposite directions."""
+    """Two people who cross the middle of a video of 40 frames of 320x240, each once, in opposite
+    directions.
+    """
     folder = walkers(tmp_path_factory.mktemp("walkers"))
     with VideoWriter(folder / "w.mp4", 320, 240, 25) as video:
         for k in range(1, 41):
@@ -28,7 +33,16 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 image[y : y + 60, x : x + 24] = (40, 60, 200)
             video.write(image)
     said = phdtrack(
-        *("count", folder / "w.mp4", "--detections", folder / "det" / "det.txt", "--line", LINE, "--zone", ZONE),
+        *(
+            "count",
+            folder / "w.mp4",
+            "--detections",
+            folder / "det" / "det.txt",
+            "--line",
+            LINE,
+            "--zone",
+            ZONE,
+        ),
         *("--video", "--out", folder / "out", "--json"),
     )
     assert said.status == 0, said.err
@@ -42,7 +56,10 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_run_has_events_a_picture_a_video_and_a_section(run: Path) -> None:
     rows = [line.split(",") for line in (run / "out" / "counts.csv").read_text().splitlines()]
     assert rows[0][:6] == ["time", "frame", "kind", "place", "direction", "identity"]
-    assert sorted((row[2], row[4]) for row in rows[1:] if row[3] == "middle") == [("cross", "in"), ("cross", "out")]
+    assert sorted((row[2], row[4]) for row in rows[1:] if row[3] == "middle") == [
+        ("cross", "in"),
+        ("cross", "out"),
+    ]
     picture = cv2.imread(str(run / "out" / "counts.png"))
     assert picture is not None
     assert picture.shape == (240, 320, 3)
@@ -71,7 +88,9 @@ def test_zones_that_share_a_corner_are_both_filled_and_named():
 def test_other_lines_are_counted_among_the_tracks_that_are_there(run: Path, tmp_path: Path) -> None:
     before = (run / "out" / "run.json").read_bytes()
     assert "--overwrite" in refused("count", run / "out", "--line", LINE)
-    said = phdtrack("count", run / "out", "--line", "door=150,0,150,240", "--out", tmp_path / "more")
+    said = phdtrack(
+        "count", run / "out", "--line", "door=150,0,150,240", "--out", tmp_path / "more"
+    )
     assert said.status == 0
     assert said.out.split("\n\n")[1].splitlines()[1].split()[:4] == ["door", "all", "1", "1"]
     assert ">door<" in (tmp_path / "more" / "counts.html").read_text()
@@ -85,24 +104,43 @@ def test_tracks_in_a_file_with_the_video_or_without(run: Path, tmp_path: Path) -
     truth = run / "gt" / "gt.txt"
     said = phdtrack("count", truth, "--line", LINE, "--out", tmp_path / "a", "--json")
     assert (said.object["fps"], said.object["counts"][0]["out"]) == (25, 1)
-    said = phdtrack("count", run / "w.mp4", "--tracks", truth, "--line", LINE, "--out", tmp_path / "b", "--blur", "boxes")
+    said = phdtrack(
+        "count",
+        run / "w.mp4",
+        "--tracks",
+        truth,
+        "--line",
+        LINE,
+        "--out",
+        tmp_path / "b",
+        "--blur",
+        "boxes",
+    )
     assert said.status == 0
     assert (tmp_path / "b" / "counts.png").exists()
     (tmp_path / "t.txt").write_bytes(truth.read_bytes())
-    assert "the rate of the frames is not known" in refused("count", tmp_path / "t.txt", "--line", LINE)
+    assert "the rate of the frames is not known" in refused(
+        "count", tmp_path / "t.txt", "--line", LINE
+    )
 
 
 def test_places_in_a_file_and_what_looks_like_a_mistake(run: Path, tmp_path: Path) -> None:
     places = tmp_path / "places.toml"
-    places.write_text('[[line]]\nname = "far"\npoints = [[900, 900], [950, 900]]\nclasses = ["car"]\n')
-    said = phdtrack("count", run / "out", "--places", places, "--zone", ZONE, "--out", tmp_path / "c", "--video")
+    places.write_text(
+        '[[line]]\nname = "far"\npoints = [[900, 900], [950, 900]]\nclasses = ["car"]\n'
+    )
+    said = phdtrack(
+        "count", run / "out", "--places", places, "--zone", ZONE, "--out", tmp_path / "c", "--video"
+    )
     assert "far lies outside of the frame of 320x240 pixels" in said.err
     assert "far counts car, and the tracks have the classes 0" in said.err
     assert (tmp_path / "c" / "counts.mp4").exists()
     assert said.out.count("counts.mp4") == 1
 
 
-def test_counts_that_are_there_are_not_taken_for_pictures_and_deleted(run: Path, tmp_path: Path) -> None:
+def test_counts_that_are_there_are_not_taken_for_pictures_and_deleted(
+    run: Path, tmp_path: Path
+) -> None:
     counted = tmp_path / "counted"
     assert phdtrack("count", run / "gt" / "gt.txt", "--line", LINE, "--out", counted).status == 0
     before = {file: file.read_bytes() for file in counted.iterdir()}
@@ -139,14 +177,30 @@ def test_a_run_is_exported_in_every_format(run: Path, tmp_path: Path, kind: str)
     assert (said.object["rows"], said.object["identities"]) == (len(rows), 2)
     again = read_tracks(path, kitti="object" if kind == "kitti" else "")
     assert again.identity.tolist() == rows.identity.tolist()
-    assert "expected the name of a file, got -" in refused("export", run / "out", "--to", kind, "--out", "-")
+    assert "expected the name of a file, got -" in refused(
+        "export", run / "out", "--to", kind, "--out", "-"
+    )
     assert "there already" in refused("export", run / "out", "--to", kind, "--out", path)
-    assert phdtrack("export", run / "out" / "tracks.csv", "--to", kind, "--out", path, "--overwrite").status == 0
+    assert (
+        phdtrack(
+            "export", run / "out" / "tracks.csv", "--to", kind, "--out", path, "--overwrite"
+        ).status
+        == 0
+    )
 
 
 def test_a_run_of_a_part_is_counted_exported_and_scored_as_one(run: Path, tmp_path: Path) -> None:
-    part, truth = tmp_path / "part", run / "gt" / "gt.txt"
-    given = ("track", run / "w.mp4", "--detections", run / "det" / "det.txt", "--frames", "21-40", "--out")
+    part = tmp_path / "part"
+    truth = run / "gt" / "gt.txt"
+    given = (
+        "track",
+        run / "w.mp4",
+        "--detections",
+        run / "det" / "det.txt",
+        "--frames",
+        "21-40",
+        "--out",
+    )
     assert phdtrack(*given, part).status == 0
     everywhere = "all=-9,-9,999,-9,999,999,-9,999"
     said = phdtrack("count", part, "--zone", everywhere, "--out", tmp_path / "counts", "--json")
@@ -159,7 +213,9 @@ def test_a_run_of_a_part_is_counted_exported_and_scored_as_one(run: Path, tmp_pa
         assert read_tracks(path).frame.tolist() == rows.frame.tolist()
     said = phdtrack("evaluate", "--truth", truth, "--tracks", part / "tracks.csv")
     assert "the run tracked the frames 21-40 alone" in said.err
-    assert "there is no frame 50: the last one is 40" in refused(*given[:-3], "--frames", "50-", "--out", tmp_path / "none")
+    assert "there is no frame 50: the last one is 40" in refused(
+        *given[:-3], "--frames", "50-", "--out", tmp_path / "none"
+    )
     assert "differs in input.frames" in refused(*given[:-3], "--out", part, "--resume")
     assert "Say one of them" in refused(*given, part, "--resume", "--overwrite")
 

@@ -8,7 +8,21 @@ from pathlib import Path
 import pytest
 from cli_runner import phdtrack, refused, walkers
 
-KEYS = ["MODA", "N_MODA", "MODP", "MOTA", "MOTA_log", "MOTP", "IDF1", "HOTA", "OSPA", "GOSPA", "OSPA2", "SFDA", "ATA"]
+KEYS = [
+    "MODA",
+    "N_MODA",
+    "MODP",
+    "MOTA",
+    "MOTA_log",
+    "MOTP",
+    "IDF1",
+    "HOTA",
+    "OSPA",
+    "GOSPA",
+    "OSPA2",
+    "SFDA",
+    "ATA",
+]
 KEYS += ["id_switches", "misses", "false_positives", "fragments", "frames"]
 
 
@@ -21,7 +35,12 @@ def test_json_is_one_object_with_all_keys(truth: Path) -> None:
     said = phdtrack("evaluate", "--truth", truth, "--tracks", truth, "--json")
     assert said.status == 0
     assert list(said.object)[: len(KEYS)] == KEYS
-    assert (said.object["MOTA"], said.object["OSPA"], said.object["misses"], said.object["frames"]) == (1, 0, 0, 40)
+    assert (
+        said.object["MOTA"],
+        said.object["OSPA"],
+        said.object["misses"],
+        said.object["frames"],
+    ) == (1, 0, 0, 40)
     # Without --json a table for people.
     table = phdtrack("evaluate", "--truth", truth, "--tracks", truth).out
     lines = {line.split()[0]: line.split()[1] for line in table.splitlines() if line[:1].isalpha()}
@@ -43,7 +62,15 @@ def moved(row: list[str], right: float, down: float = 0.0) -> list[str]:
 
 def test_the_threshold_is_used(truth: Path) -> None:
     # 6 of 24 pixels: an overlap of 18 / 30 = 0.6.
-    asked = ("evaluate", "--truth", truth, "--tracks", changed(truth, lambda row: moved(row, 6)), "--json", "--iou")
+    asked = (
+        "evaluate",
+        "--truth",
+        truth,
+        "--tracks",
+        changed(truth, lambda row: moved(row, 6)),
+        "--json",
+        "--iou",
+    )
     low, high = (phdtrack(*asked, iou).object for iou in (0.5, 0.7))
     assert (low["MOTA"], low["MOTP"]) == (1, pytest.approx(0.6))
     assert (high["MOTA"], high["MOTP"]) == (-1, None)
@@ -62,9 +89,13 @@ def test_t_gospa_is_asked_for(truth: Path) -> None:
     assert (found["TGOSPA_localisation"], found["TGOSPA_false"]) == pytest.approx((0, 0), abs=1e-9)
     assert found["TGOSPA"] == pytest.approx(found["GOSPA"] + 1 / 40)
     said = phdtrack("evaluate", "--truth", truth, "--tracks", tracks, "--t-gospa")
-    lines = {line.split()[0]: line.split()[1] for line in said.out.splitlines() if line[:1].isalpha()}
+    lines = {
+        line.split()[0]: line.split()[1] for line in said.out.splitlines() if line[:1].isalpha()
+    }
     assert lines["TGOSPA"] == f"{found['TGOSPA']:.3f}"
-    assert "TGOSPA" not in phdtrack("evaluate", "--truth", truth, "--tracks", tracks, "--json").object
+    assert (
+        "TGOSPA" not in phdtrack("evaluate", "--truth", truth, "--tracks", tracks, "--json").object
+    )
 
 
 def test_rmse_per_object(truth: Path) -> None:
@@ -86,11 +117,20 @@ def test_rmse_per_object(truth: Path) -> None:
 def test_frames_without_any_box_count_where_seqinfo_names_them(truth: Path) -> None:
     info = truth.parents[1] / "seqinfo.ini"
     info.write_text(info.read_text().replace("seqLength=40", "seqLength=50"))
-    assert phdtrack("evaluate", "--truth", truth, "--tracks", truth, "--json").object["frames"] == 50
-    assert phdtrack("evaluate", "--truth", truth, "--tracks", truth, "--frames", 45, "--json").object["frames"] == 45
+    assert (
+        phdtrack("evaluate", "--truth", truth, "--tracks", truth, "--json").object["frames"] == 50
+    )
+    assert (
+        phdtrack("evaluate", "--truth", truth, "--tracks", truth, "--frames", 45, "--json").object[
+            "frames"
+        ]
+        == 45
+    )
     empty = truth.with_name("empty.txt")
     empty.write_text("")
-    assert "the truth holds no object" in phdtrack("evaluate", "--truth", empty, "--tracks", truth).err
+    assert (
+        "the truth holds no object" in phdtrack("evaluate", "--truth", empty, "--tracks", truth).err
+    )
 
 
 @pytest.mark.parametrize("iou", [0, -1, 1.5, "nan"])
@@ -100,7 +140,9 @@ def test_impossible_threshold(truth: Path, iou: object) -> None:
 
 def test_what_does_not_count(truth: Path) -> None:
     """A false track in a corner that is ignored, or in a DontCare region of KITTI's label file."""
-    tracks, listed, labels = (truth.with_name(name) for name in ("tracks.txt", "ignore.csv", "labels.txt"))
+    tracks, listed, labels = (
+        truth.with_name(name) for name in ("tracks.txt", "ignore.csv", "labels.txt")
+    )
     corner = [f"{k},77,300,200,9,9,1,-1,-1,-1" for k in range(1, 6)]
     tracks.write_text("\n".join([truth.read_text().strip(), *corner]))
     listed.write_text("frame,x,y,w,h\n,290,190,30,30\n")
@@ -108,7 +150,10 @@ def test_what_does_not_count(truth: Path) -> None:
     assert phdtrack(*asked, truth).object["false_positives"] == 5
     assert phdtrack(*asked, truth, "--ignore", listed, "--errors").object["errors"]["ignored"] == 5
     rows = [[float(cell) for cell in line.split(",")[:6]] for line in truth.read_text().split()]
-    lines = [f"{k - 1:.0f} {i:.0f} Car 0 0 0 {x} {y} {x + w} {y + h} 1 1 1 0 0 0 0" for k, i, x, y, w, h in rows]
+    lines = [
+        f"{k - 1:.0f} {i:.0f} Car 0 0 0 {x} {y} {x + w} {y + h} 1 1 1 0 0 0 0"
+        for k, i, x, y, w, h in rows
+    ]
     lines += [f"{k} -1 DontCare -1 -1 -10 290 190 320 220 1 1 1 0 0 0 0" for k in range(4)]
     labels.write_text("\n".join(lines))
     found = phdtrack(*asked, labels, "--kitti", "Car").object
@@ -121,12 +166,17 @@ def test_what_does_not_count(truth: Path) -> None:
 
 
 def test_errors_by_cause(truth: Path) -> None:
-    """The second walker is missed, detected in half of the frames; a false track stands in the corner."""
+    """The second walker is missed, detected in half of the frames; a false track stands in the
+    corner.
+    """
     rows = [line.split(",") for line in truth.read_text().split()]
-    tracks, seen = truth.with_name("tracks.txt"), truth.with_name("seen.txt")
+    tracks = truth.with_name("tracks.txt")
+    seen = truth.with_name("seen.txt")
     corner = [f"{k},77,300,200,9,9,1,-1,-1,-1" for k in range(1, 6)]
     tracks.write_text("\n".join([",".join(row) for row in rows if row[1] == "1"] + corner))
-    seen.write_text("\n".join(f"{row[0]},-1,{','.join(row[2:6])},1" for row in rows if int(row[0]) <= 20))
+    seen.write_text(
+        "\n".join(f"{row[0]},-1,{','.join(row[2:6])},1" for row in rows if int(row[0]) <= 20)
+    )
     asked = ("evaluate", "--truth", truth, "--tracks", tracks, "--errors", "--detections", seen)
     found = phdtrack(*asked, "--json").object
     errors = found["errors"]

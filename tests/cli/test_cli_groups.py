@@ -19,12 +19,17 @@ from phdtrack.video import VideoWriter, open_source
 
 # Ten pixels are a metre, x to the right and y up, the origin in the lower left corner.
 CAMERA = 'homography = [[0.1, 0.0, 0.0], [0.0, -0.1, 24.0], [0.0, 0.0, 1.0]]\nmaps = "pixel-to-ground"\nunit = "m"\n'
-FRAMES, RATE = 40, 10.0
-FILES = {name for name in rundir.RUN_FILES if not name.startswith("counts.")} - {rundir.CAMERA_MOTION}
+FRAMES = 40
+RATE = 10.0
+FILES = {name for name in rundir.RUN_FILES if not name.startswith("counts.")} - {
+    rundir.CAMERA_MOTION
+}
 
 
 def walking(k: int) -> np.ndarray:
-    """(3, 2) feet in metres at frame k: two side by side to the right, one who comes towards them."""
+    """(3, 2) feet in metres at frame k: two side by side to the right, one who comes towards
+    them.
+    """
     t = k / RATE
     return np.array([[4 + 1.2 * t, 10], [4 + 1.2 * t, 11], [24 - 1.2 * t, 10.5]])
 
@@ -32,7 +37,8 @@ def walking(k: int) -> np.ndarray:
 @pytest.fixture(scope="module")
 def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """camera.toml, det.txt, edges.txt, and a video of grey with dark people."""
-    folder, rng = tmp_path_factory.mktemp("street"), np.random.default_rng(1)
+    folder = tmp_path_factory.mktemp("street")
+    rng = np.random.default_rng(1)
     (folder / "camera.toml").write_text(CAMERA)
     (folder / "edges.txt").write_text("# road\n0 8\n30,8\n\n0 13\n30 13\n")
     lines = []
@@ -40,7 +46,8 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for k in range(1, FRAMES + 1):
             image = np.full((240, 320, 3), 150, np.uint8)
             for x, y in walking(k):
-                u, v = 10 * x, 240 - 10 * y
+                u = 10 * x
+                v = 240 - 10 * y
                 image[int(v) - 18 : int(v), int(u) - 3 : int(u) + 3] = 30
                 du, dv = rng.normal(0, 0.5, 2)
                 if not (k == 20 and y == 10):
@@ -69,14 +76,17 @@ def test_a_video_with_detections(street: Path, tmp_path: Path) -> None:
     assert document["groups"]["people_mean"] == pytest.approx(3, abs=0.3)
     assert document["configuration"]["filter"]["kind"] == "pmb"
     assert document["configuration"]["groups"]["kind"] == "pairs"
-    counts, groups = defaultdict(float), table(out / rundir.GROUPS)
+    counts = defaultdict(float)
+    groups = table(out / rundir.GROUPS)
     for row in groups:
         counts[int(row["frame"])] += float(row["count"])
     # One who was missed once stays among the people.
     assert counts[20] > 2.05
     pair = [row for row in groups if row["frame"] == "15" and float(row["count"]) > 1.5]
     assert len(pair) == 1
-    assert [float(pair[0][name]) for name in ("x", "y", "vx", "vy")] == pytest.approx([5.8, 10.5, 1.2, 0], abs=0.25)
+    assert [float(pair[0][name]) for name in ("x", "y", "vx", "vy")] == pytest.approx(
+        [5.8, 10.5, 1.2, 0], abs=0.25
+    )
     assert pair[0]["contours"].startswith("MULTIPOLYGON (((")
     corner = pair[0]["contours_image"].removeprefix("MULTIPOLYGON (((").split(",")[0].split()
     assert abs(float(corner[0]) - 58) < 20
@@ -118,15 +128,20 @@ def test_tracks_have_their_place(street: Path, tmp_path: Path) -> None:
 
 
 def test_members_are_the_identities_of_the_corrected_tracks(street: Path, tmp_path: Path) -> None:
-    """Whatever followed them: in the image or on the ground, by labels or by links; and of one who was missed, too."""
+    """Whatever followed them: in the image or on the ground, by labels or by links; and of one who
+    was missed, too.
+    """
     for name in ("pmb", "gm-phd", "none"):
         for world in ("box", "plane"):
-            out, kind = tmp_path / f"{name}-{world}", ("--filter", name, "--set", f"motion.kind={world}")
+            out = tmp_path / f"{name}-{world}"
+            kind = ("--filter", name, "--set", f"motion.kind={world}")
             said = phdtrack("groups", *detected(street), "--out", out, "--no-video", *kind)
             assert said.status == 0, said.err
             tracks = read_tracks(out / rundir.TRACKS)
             known = set(zip(tracks.frame.tolist(), tracks.identity.tolist(), strict=True))
-            members = {(int(row["frame"]), int(row["member"])) for row in table(out / rundir.MEMBERS)}
+            members = {
+                (int(row["frame"]), int(row["member"])) for row in table(out / rundir.MEMBERS)
+            }
             assert members <= known
             assert len(members) > 0.9 * len(known)
             groups = {(row["frame"], row["group"]) for row in table(out / rundir.MEMBERS)}
@@ -134,7 +149,9 @@ def test_members_are_the_identities_of_the_corrected_tracks(street: Path, tmp_pa
 
 
 def test_detections_that_are_left_out_move_nobody(street: Path, tmp_path: Path) -> None:
-    """Rows count all detections of a frame, also those of classes that are not tracked; places must be of the same."""
+    """Rows count all detections of a frame, also those of classes that are not tracked; places must
+    be of the same.
+    """
     rows = [line.split(",") for line in (street / "det.txt").read_text().splitlines()]
     lines = ["frame,left,top,width,height,confidence,class"]
     for k in range(1, FRAMES + 1):
@@ -146,14 +163,19 @@ def test_detections_that_are_left_out_move_nobody(street: Path, tmp_path: Path) 
         options = ("--detections", file, *detected(street)[2:], "--no-video", *more)
         said = phdtrack("groups", *options, "--out", tmp_path / file.stem, "--overwrite")
         assert said.status == 0, said.err
-        found.append([row | {"contours_image": ""} for row in table(tmp_path / file.stem / rundir.GROUPS)])
+        found.append(
+            [row | {"contours_image": ""} for row in table(tmp_path / file.stem / rundir.GROUPS)]
+        )
     assert found[0] == found[1]
 
 
-def test_members_of_an_intensity_are_the_identities_of_the_corrected_tracks(street: Path, tmp_path: Path) -> None:
+def test_members_of_an_intensity_are_the_identities_of_the_corrected_tracks(
+    street: Path, tmp_path: Path
+) -> None:
     """Those of an output delay, too, and of a filter of particles."""
     for name, more in (("gm-phd", ("--set", "associate.output_delay=4")), ("particle-phd", ())):
-        out, kind = tmp_path / name, ("--filter", name, "--set", "groups.kind=intensity", *more)
+        out = tmp_path / name
+        kind = ("--filter", name, "--set", "groups.kind=intensity", *more)
         assert phdtrack("groups", *detected(street), "--out", out, "--no-video", *kind).status == 0
         tracks = read_tracks(out / rundir.TRACKS)
         known = set(zip(tracks.frame.tolist(), tracks.identity.tolist(), strict=True))
@@ -165,13 +187,23 @@ def test_members_of_an_intensity_are_the_identities_of_the_corrected_tracks(stre
 
 
 def test_a_learned_scene_is_used(street: Path, tmp_path: Path) -> None:
-    """False alarms that were learned where people walk, ten thousand a frame: hardly anybody is found."""
-    low, high = np.zeros(4), np.array([320.0, 240, 320, 240])
+    """False alarms that were learned where people walk, ten thousand a frame: hardly anybody is
+    found.
+    """
+    low = np.zeros(4)
+    high = np.array([320.0, 240, 320, 240])
     mean = np.array([[140.0], [126], [6], [18]])
     density = SceneDensity(low, high, 1e-3, np.ones(1), mean, np.diag([60.0, 10, 2, 4])[None] ** 2)
     path = tmp_path / "there.json"
     write_scene(path, Scene(320, 240, 25.0, "street", clutter=LearnedDensity(1e4, density, 500)))
-    given = ("groups", street / "street.mp4", "--detections", street / "det.txt", "--camera", street / "camera.toml")
+    given = (
+        "groups",
+        street / "street.mp4",
+        "--detections",
+        street / "det.txt",
+        "--camera",
+        street / "camera.toml",
+    )
     for name, more in (("with", ("--scene", path)), ("without", ())):
         phdtrack(*given, "--no-video", *more, "--out", tmp_path / name)
     found = {name: read_tracks(tmp_path / name / rundir.TRACKS) for name in ("with", "without")}
@@ -183,8 +215,14 @@ def test_a_learned_scene_is_used(street: Path, tmp_path: Path) -> None:
     ("more", "says"),
     [
         ([], "--camera"),
-        (["--camera", "CAMERA", "--set", "groups.kind=intensity", "--filter", "none"], "no intensity"),
-        (["--camera", "CAMERA", "--set", "groups.kind=intensity", "--set", "motion.kind=box"], "on the ground"),
+        (
+            ["--camera", "CAMERA", "--set", "groups.kind=intensity", "--filter", "none"],
+            "no intensity",
+        ),
+        (
+            ["--camera", "CAMERA", "--set", "groups.kind=intensity", "--set", "motion.kind=box"],
+            "on the ground",
+        ),
         (["--camera", "CAMERA", "--set", "motion.kind=point"], "motion.kind=box"),
         (["--camera", "CAMERA", "--set", "groups.distanc=1"], "distance"),
         (["--camera", "CAMERA", "--edges", "EDGES"], "expected a point of an edge"),
@@ -193,13 +231,28 @@ def test_a_learned_scene_is_used(street: Path, tmp_path: Path) -> None:
 )
 def test_what_cannot_be_done(street: Path, tmp_path: Path, more: list[str], says: str) -> None:
     (tmp_path / "edges.txt").write_text("1 2\n3 x\n")
-    put = {"CAMERA": street / "camera.toml", "EDGES": tmp_path / "edges.txt", "det.txt": street / "det.txt"}
-    given = ["--detections", street / "det.txt", "--frame-size", "320x240", "--fps", RATE, "--out", tmp_path / "run"]
+    put = {
+        "CAMERA": street / "camera.toml",
+        "EDGES": tmp_path / "edges.txt",
+        "det.txt": street / "det.txt",
+    }
+    given = [
+        "--detections",
+        street / "det.txt",
+        "--frame-size",
+        "320x240",
+        "--fps",
+        RATE,
+        "--out",
+        tmp_path / "run",
+    ]
     assert says in refused("groups", *given, *(put.get(word, word) for word in more))
     assert not (tmp_path / "run").exists()
 
 
-def test_ctrl_c_leaves_the_groups_up_to_there(street: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_leaves_the_groups_up_to_there(
+    street: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from phdtrack.cli.groups import GroupObserver
 
     whole = GroupObserver.take

@@ -1,4 +1,6 @@
-"""Rows that are wrong, files that are too large, and a row a billion frames away, from the command line."""
+"""Rows that are wrong, files that are too large, and a row a billion frames away, from the command
+line.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ SIZE = ("--frame-size", "640x480", "--fps", "1")
 
 @pytest.fixture
 def far(tmp_path: Path) -> Path:
-    """Detections, truth and a seqinfo.ini; one walker at the beginning, and one a billion frames later."""
+    """Detections, truth and a seqinfo.ini; one walker at the beginning, and one a billion frames
+    later.
+    """
     frames = [*range(1, 20), *range(FAR, FAR + 19)]
     rows = [(frame, 100 + 5 * (frame % FAR), 100, 40, 80) for frame in frames]
     folder = tmp_path / "far"
@@ -40,17 +44,29 @@ def limit(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def test_a_row_a_billion_frames_away_takes_no_time(far: Path, tmp_path: Path) -> None:
     """In the loop, the report, the scores and their causes."""
-    truth, out = far / "gt" / "gt.txt", tmp_path / "run"
+    truth = far / "gt" / "gt.txt"
+    out = tmp_path / "run"
     given = ("--detections", far / "det" / "det.txt", "--truth", truth)
     document = phdtrack("track", *given, "--out", out, "--json").object
     assert document["complete"]
-    # 19 with a detection, 250 empty ones, and the same again but for the end, which is the last detection.
+    # 19 with a detection, 250 empty ones, and the same again but for the end, which is the last
+    # detection.
     assert document["frames"] == 19 + 250 + 19
     assert document["scores"]["frames"] == FAR + 18
     tracks = read_tracks(out / "tracks.csv")
     assert set(tracks.frame.tolist()) >= {*range(3, 20), *range(FAR + 2, FAR + 19)}
     assert ((tracks.frame < 300) | (tracks.frame >= FAR)).all()
-    scored = ("--truth", truth, "--tracks", out / "tracks.csv", "--errors", "--t-gospa", "--rmse", "20", "--json")
+    scored = (
+        "--truth",
+        truth,
+        "--tracks",
+        out / "tracks.csv",
+        "--errors",
+        "--t-gospa",
+        "--rmse",
+        "20",
+        "--json",
+    )
     assert phdtrack("evaluate", *scored).object["frames"] == FAR + 18
 
 
@@ -70,11 +86,32 @@ def test_so_it_is_in_groups_and_comparisons(far: Path, tmp_path: Path) -> None:
     document = phdtrack("groups", *given).object
     assert (document["complete"], document["frames"]) == (True, 288)
     compared = phdtrack(
-        "compare", far, "--filters", "none", "--seeds", "1", "--jobs", "1", "--out", tmp_path / "all", "--json"
+        "compare",
+        far,
+        "--filters",
+        "none",
+        "--seeds",
+        "1",
+        "--jobs",
+        "1",
+        "--out",
+        tmp_path / "all",
+        "--json",
     )
     assert compared.status == 0, compared.err
     clutter = phdtrack(
-        "compare", far, "--filters", "none", "--clutter", "5", "--seeds", "1", "--jobs", "1", "--out", tmp_path / "b"
+        "compare",
+        far,
+        "--filters",
+        "none",
+        "--clutter",
+        "5",
+        "--seeds",
+        "1",
+        "--jobs",
+        "1",
+        "--out",
+        tmp_path / "b",
     )
     assert clutter.status == 1
     assert "frames to add clutter to, at most 10,000,000" in clutter.out + clutter.err
@@ -84,17 +121,27 @@ def test_so_it_is_in_groups_and_comparisons(far: Path, tmp_path: Path) -> None:
 def test_no_frames_are_drawn_from_a_billion(command: str, far: Path) -> None:
     said = phdtrack(command, "--detections", far / "det" / "det.txt")
     assert said.status == 2
-    assert "at most 10,000,000 frames to draw from, came one that ends with frame 1000000018" in said.err
+    assert (
+        "at most 10,000,000 frames to draw from, came one that ends with frame 1000000018"
+        in said.err
+    )
 
 
-def test_rows_that_are_wrong_are_left_out_where_that_is_asked_for(far: Path, tmp_path: Path) -> None:
-    path, out = tmp_path / "det.txt", tmp_path / "run"
+def test_rows_that_are_wrong_are_left_out_where_that_is_asked_for(
+    far: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "det.txt"
+    out = tmp_path / "run"
     rows = (far / "det" / "det.txt").read_text(encoding="ascii").splitlines()[:19]
-    path.write_text("\n".join([*rows[:4], "5,-1,nan,1,1,1,0.5", *rows[5:18], "19,-1,1"]), encoding="ascii")
+    path.write_text(
+        "\n".join([*rows[:4], "5,-1,nan,1,1,1,0.5", *rows[5:18], "19,-1,1"]), encoding="ascii"
+    )
     stopped = phdtrack("track", "--detections", path, *SIZE, "--out", out)
     assert stopped.status == 2
     assert f"{path}, line 19: expected 7 values" in stopped.err
-    said = phdtrack("track", "--detections", path, *SIZE, "--on-error", "skip", "--out", out, "--json")
+    said = phdtrack(
+        "track", "--detections", path, *SIZE, "--on-error", "skip", "--out", out, "--json"
+    )
     assert said.status == 0, said.err
     first = f"{path}, line 5: expected finite numbers for the box"
     assert f"2 rows that are wrong are left out, the first: {first}" in said.err
@@ -109,7 +156,9 @@ def test_rows_that_are_wrong_are_left_out_where_that_is_asked_for(far: Path, tmp
 
 def test_the_largest_file_can_be_chosen(far: Path, tmp_path: Path) -> None:
     path = far / "det" / "det.txt"
-    said = phdtrack("track", "--detections", path, "--max-file-size", "1kB", "--out", tmp_path / "run")
+    said = phdtrack(
+        "track", "--detections", path, "--max-file-size", "1kB", "--out", tmp_path / "run"
+    )
     assert said.status == 2
     assert f"{path}: expected a file of at most 1,000 bytes" in said.err
     said = phdtrack("evaluate", "--truth", path, "--tracks", path, "--max-file-size", "500")
@@ -127,5 +176,7 @@ def test_the_largest_file_can_be_chosen(far: Path, tmp_path: Path) -> None:
         (["--frame-size", "64x48", "--fps", "25", "--detector", "mog2"], "--detector"),
     ],
 )
-def test_what_a_pipe_needs_and_what_it_leaves_nothing_to_do_for_is_said(words: list[str], said: str, tmp_path: Path) -> None:
+def test_what_a_pipe_needs_and_what_it_leaves_nothing_to_do_for_is_said(
+    words: list[str], said: str, tmp_path: Path
+) -> None:
     assert said in refused("track", "--detections", "-", "--out", str(tmp_path / "run"), *words)

@@ -1,4 +1,6 @@
-"""Runs that are killed, stopped, or cannot write: what is there is whole, and a resumed run writes the same files."""
+"""Runs that are killed, stopped, or cannot write: what is there is whole, and a resumed run writes
+the same files.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,8 @@ main()
 @pytest.fixture(scope="module")
 def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A video of 60 frames in which a dark box crosses a noisy grey."""
-    path, rng = tmp_path_factory.mktemp("clip") / "clip.mp4", np.random.default_rng(5)
+    path = tmp_path_factory.mktemp("clip") / "clip.mp4"
+    rng = np.random.default_rng(5)
     ground = rng.integers(120, 136, (96, 160, 3))
     with VideoWriter(path, 160, 96, 25.0) as writer:
         for k in range(60):
@@ -57,7 +60,17 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def given(clip: Path, out: Path, *more: str) -> list[str]:
-    return ["track", str(clip), "--out", str(out), "--checkpoint-every", "0.001", "--fps", "25", *more]
+    return [
+        "track",
+        str(clip),
+        "--out",
+        str(out),
+        "--checkpoint-every",
+        "0.001",
+        "--fps",
+        "25",
+        *more,
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -65,20 +78,35 @@ def whole(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The run that nothing stopped."""
     out = tmp_path_factory.mktemp("whole") / "run"
     assert phdtrack(*given(clip, out)).status == 0
-    assert sorted(path.name for path in out.iterdir() if path.suffix in (".part", ".log", ".detector")) == []
+    assert (
+        sorted(path.name for path in out.iterdir() if path.suffix in (".part", ".log", ".detector"))
+        == []
+    )
     return out
 
 
-def ended(words: list[str], at: tuple[str, str, str, int], name: str, limit: int = 0) -> subprocess.CompletedProcess[str]:
-    """A run in a process of its own that a signal comes to, in a call of ``module``'s ``kind.method``."""
+def ended(
+    words: list[str], at: tuple[str, str, str, int], name: str, limit: int = 0
+) -> subprocess.CompletedProcess[str]:
+    """A run in a process of its own that a signal comes to, in a call of ``module``'s
+    ``kind.method``.
+    """
     module, kind, method, after = at
-    code = KILLED.format(module=module, kind=kind, method=method, after=after, name=name, words=words)
+    code = KILLED.format(
+        module=module, kind=kind, method=method, after=after, name=name, words=words
+    )
 
     def bounded() -> None:
         if limit:
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600, preexec_fn=bounded)
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=600,
+        preexec_fn=bounded,
+    )
 
 
 NEVER = ("phdtrack.formats", "StatesWriter", "append", 10**9)
@@ -132,7 +160,11 @@ def test_a_signal_finishes_what_was_done_and_the_rest_can_follow(
     name: str, status: int, clip: Path, whole: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "run"
-    done = ended(given(clip, out, "--checkpoint-every", "60"), ("phdtrack.formats", "StatesWriter", "append", 40), name)
+    done = ended(
+        given(clip, out, "--checkpoint-every", "60"),
+        ("phdtrack.formats", "StatesWriter", "append", 40),
+        name,
+    )
     assert done.returncode == status, done.stderr
     assert "stopped after frame 40" in done.stderr
     document = json.loads((out / rundir.RUN).read_text())
@@ -145,7 +177,9 @@ def test_a_signal_finishes_what_was_done_and_the_rest_can_follow(
 
 
 def test_the_status_names_the_signal_also_where_python_takes_it_for_another(tmp_path: Path) -> None:
-    """After an interrupt in a text that is executed, Python ends a module that is run with the status of SIGINT."""
+    """After an interrupt in a text that is executed, Python ends a module that is run with the
+    status of SIGINT.
+    """
     (tmp_path / "ended.py").write_text(
         "import os, signal\n"
         "from phdtrack.cli import signals\n"
@@ -187,7 +221,9 @@ def test_a_signal_is_not_lost_where_python_drops_what_is_raised() -> None:
         "except KeyboardInterrupt:\n"
         "    signals.leave(signals.status())\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=30, check=False
+    )
     assert (done.returncode, done.stderr) == (143, "")
 
 
@@ -197,12 +233,22 @@ def test_a_signal_that_comes_as_soon_as_it_is_listened_for_ends_the_command() ->
 
 
 def test_a_second_signal_ends_at_once(clip: Path, tmp_path: Path) -> None:
-    """It comes while the video is drawn, after the first one in the loop: nothing is finished any more."""
+    """It comes while the video is drawn, after the first one in the loop: nothing is finished any
+    more.
+    """
     words = given(clip, tmp_path / "run")
     code = KILLED.format(
-        module="phdtrack.formats", kind="StatesWriter", method="append", after=9, name="SIGTERM", words=words
+        module="phdtrack.formats",
+        kind="StatesWriter",
+        method="append",
+        after=9,
+        name="SIGTERM",
+        words=words,
     )
-    code = code.replace("main()", "import phdtrack.cli.job as job, time\njob._draw = lambda *a: time.sleep(600)\nmain()")
+    code = code.replace(
+        "main()",
+        "import phdtrack.cli.job as job, time\njob._draw = lambda *a: time.sleep(600)\nmain()",
+    )
     with subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, text=True) as child:
         assert child.stderr is not None
         assert "again: end at once" in next(line for line in child.stderr if "stopped" in line)
@@ -213,8 +259,8 @@ def test_a_second_signal_ends_at_once(clip: Path, tmp_path: Path) -> None:
         assert time.monotonic() - begun < 60
 
 
-# In the place of a method: a kernel that does not end, one that is compiled for ever, and FFmpeg that writes into a pipe
-# that nobody reads. None of them lets Python's own handlers run.
+# In the place of a method: a kernel that does not end, one that is compiled for ever, and FFmpeg
+# that writes into a pipe that nobody reads. None of them lets Python's own handlers run.
 HANGING = {
     "kernel": """
 import numba
@@ -257,14 +303,23 @@ def hang():
 )
 def test_a_signal_ends_a_run_that_hangs(what: str, name: str, clip: Path, tmp_path: Path) -> None:
     """And says so; nothing has a name that says that it is complete."""
-    out, number = tmp_path / "run", getattr(signal, name)
+    out = tmp_path / "run"
+    number = getattr(signal, name)
     code = KILLED.format(
-        module="phdtrack.formats", kind="StatesWriter", method="append", after=9, name="SIGCONT", words=given(clip, out)
+        module="phdtrack.formats",
+        kind="StatesWriter",
+        method="append",
+        after=9,
+        name="SIGCONT",
+        words=given(clip, out),
     )
     code = code.replace("os.kill(os.getpid(), signal.SIGCONT)", "print('here', flush=True), hang()")
     code = HANGING[what].format(pipe=str(tmp_path / "pipe")) + code
     with subprocess.Popen(
-        [sys.executable, "-c", "import os\n" + code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", "import os\n" + code],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     ) as child:
         assert child.stdout is not None
         assert "here" in child.stdout.readline()
@@ -288,16 +343,24 @@ def test_a_signal_ends_a_run_that_hangs(what: str, name: str, clip: Path, tmp_pa
         pytest.param(60_000, rundir.REPORT, marks=pytest.mark.slow),
     ],
 )
-def test_a_full_disk_leaves_no_cut_file_and_is_said(limit: int, lost: str, clip: Path, whole: Path, tmp_path: Path) -> None:
+def test_a_full_disk_leaves_no_cut_file_and_is_said(
+    limit: int, lost: str, clip: Path, whole: Path, tmp_path: Path
+) -> None:
     """A file cannot grow beyond a limit, which hits one after the other."""
     out = tmp_path / "run"
-    sizes = {name: (whole / name).stat().st_size for name in (rundir.STATES, rundir.VIDEO, rundir.REPORT)}
+    sizes = {
+        name: (whole / name).stat().st_size for name in (rundir.STATES, rundir.VIDEO, rundir.REPORT)
+    }
     assert sizes[lost] > limit, sizes
     done = ended(given(clip, out), NEVER, "SIGKILL", limit)
     assert done.returncode == 2, done.stderr
     assert f"{lost}: the file cannot be written: File too large" in done.stderr
     assert "Traceback" not in done.stderr
-    for path in (path for path in out.iterdir() if path.name in rundir.RUN_FILES and path.name not in (rundir.RUN, lost)):
+    for path in (
+        path
+        for path in out.iterdir()
+        if path.name in rundir.RUN_FILES and path.name not in (rundir.RUN, lost)
+    ):
         text = path.read_bytes()
         assert path.suffix != ".csv" or text.endswith(b"\n") or not text
         assert path.suffix != ".html" or text.rstrip().endswith(b"</html>")
@@ -306,10 +369,13 @@ def test_a_full_disk_leaves_no_cut_file_and_is_said(limit: int, lost: str, clip:
     same(out, whole)
 
 
-def test_a_folder_that_is_gone_is_no_success(clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_is_gone_is_no_success(
+    clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import phdtrack.cli.job as job
 
-    real, out = job._draw, tmp_path / "run"
+    real = job._draw
+    out = tmp_path / "run"
 
     def removed(*arguments: object) -> None:
         shutil.rmtree(out)
@@ -325,7 +391,12 @@ def test_two_runs_do_not_write_into_one_folder(clip: Path, tmp_path: Path) -> No
     out = tmp_path / "run"
     words = given(clip, out)
     code = KILLED.format(
-        module="phdtrack.formats", kind="StatesWriter", method="append", after=3, name="SIGSTOP", words=words
+        module="phdtrack.formats",
+        kind="StatesWriter",
+        method="append",
+        after=3,
+        name="SIGSTOP",
+        words=words,
     )
     with subprocess.Popen([sys.executable, "-c", code]) as child:
         os.waitid(os.P_PID, child.pid, os.WSTOPPED)
@@ -336,7 +407,8 @@ def test_two_runs_do_not_write_into_one_folder(clip: Path, tmp_path: Path) -> No
 
 
 def test_a_complete_run_is_not_gone_on_with(clip: Path, whole: Path, tmp_path: Path) -> None:
-    out, words = tmp_path / "run", ["track", str(clip), "--fps", "25"]
+    out = tmp_path / "run"
+    words = ["track", str(clip), "--fps", "25"]
     before = {file.name: file.read_bytes() for file in shutil.copytree(whole, out).iterdir()}
     said = phdtrack(*given(clip, out, "--resume"))
     assert (said.status, "nothing to go on with" in said.out) == (0, True)
@@ -355,13 +427,21 @@ def test_a_checkpoint_of_another_run_is_refused(clip: Path, tmp_path: Path) -> N
     out = tmp_path / "run"
     ended(given(clip, out), ("phdtrack.formats", "StatesWriter", "append", 50), "SIGKILL")
     assert "differs in: seed" in refused(*given(clip, out, "--resume", "--seed", "3"))
-    assert "of a run that differs in: settings" in refused(*given(clip, out, "--resume", "--filter", "gm-phd"))
+    assert "of a run that differs in: settings" in refused(
+        *given(clip, out, "--resume", "--filter", "gm-phd")
+    )
 
     def other(**more: object) -> Callable[[bytes], bytes]:
         return lambda held: zlib.compress(to_bytes({**from_bytes(zlib.decompress(held)), **more}))
 
     knew = from_bytes(zlib.decompress((out / rundir.KNOWN).read_bytes()))["detector"]
-    damaged = ({"key": "{"}, {"key": "[1]"}, {"key": np.zeros(3)}, {"number": math.inf}, {"size": []})
+    damaged = (
+        {"key": "{"},
+        {"key": "[1]"},
+        {"key": np.zeros(3)},
+        {"number": math.inf},
+        {"size": []},
+    )
     for change, words in (
         (lambda held: held[: len(held) // 2], "no checkpoint can be read"),
         (lambda held: zlib.compress(to_bytes(np.ones(3))), "no checkpoint can be read"),
@@ -387,7 +467,9 @@ def test_nothing_that_grows_is_read(clip: Path, tmp_path: Path) -> None:
     for name, words in (("clip.mp4", ["track"]), ("tracks.csv", ["track", "--detections"])):
         grown = part_of(tmp_path / name)
         shutil.copy(clip, grown)
-        assert "this file is not complete" in refused(*words, str(grown), "--out", str(tmp_path / "run"))
+        assert "this file is not complete" in refused(
+            *words, str(grown), "--out", str(tmp_path / "run")
+        )
 
 
 def test_a_write_that_takes_a_part_is_gone_on_with(tmp_path: Path) -> None:
@@ -400,7 +482,8 @@ def test_a_write_that_takes_a_part_is_gone_on_with(tmp_path: Path) -> None:
             self.taken += bytes(content[:7])
             return min(7, len(content))
 
-    file, block = Nearly(), {"looked": "at all", "array": np.arange(9)}
+    file = Nearly()
+    block = {"looked": "at all", "array": np.arange(9)}
     checkpoint = Checkpoint(rundir.claim(tmp_path / "run", False, {}), {}, {}, 10.0, resume=False)
     checkpoint._add(None, block, file)  # type: ignore[arg-type]
     assert file.taken == to_bytes(block)

@@ -39,7 +39,9 @@ class Started:
 
     def __init__(self, *arguments, cwd):
         program = [sys.executable, "-m", "phdtrack", "label", *arguments, "--no-browser"]
-        self.process = subprocess.Popen(program, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        self.process = subprocess.Popen(
+            program, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
         self.told = ""
         while "the page: " not in self.told:
             line = self.process.stdout.readline()
@@ -62,7 +64,10 @@ class Started:
 def test_label_leave_and_go_on(sequence):
     arguments = ("street", "--detections", "det.txt", "--frames", "8", "--seed", "3")
     page = Started(*arguments, cwd=sequence)
-    assert "8 frames, 0 of them looked at; the marks are kept in runs/street.labels.sqlite" in page.told
+    assert (
+        "8 frames, 0 of them looked at; the marks are kept in runs/street.labels.sqlite"
+        in page.told
+    )
     overview = json.loads(page.ask("api/overview"))
     assert (overview["width"], overview["height"], len(overview["frames"])) == (160, 120, 8)
     first = overview["frames"][0]["number"]
@@ -79,7 +84,8 @@ def test_label_leave_and_go_on(sequence):
     # Nothing is written beside the video.
     assert sorted(path.name for path in sequence.iterdir()) == ["det.txt", "runs", "street"]
 
-    # What a browser has kept for the page is found again: it is at the same address, unless that is taken.
+    # What a browser has kept for the page is found again: it is at the same address, unless that is
+    # taken.
     again = Started(*arguments, cwd=sequence)
     assert again.url == page.url
     third = Started(*arguments, cwd=sequence)
@@ -88,8 +94,12 @@ def test_label_leave_and_go_on(sequence):
     assert "8 frames, 1 of them looked at" in again.told
     overview_again = json.loads(again.ask("api/overview"))
     again.leave()
-    assert [frame["number"] for frame in overview_again["frames"]] == [frame["number"] for frame in overview["frames"]]
-    assert [(label.frame, label.box) for label in LabelStore(sequence / kept).labels()] == [(first, 0)]
+    assert [frame["number"] for frame in overview_again["frames"]] == [
+        frame["number"] for frame in overview["frames"]
+    ]
+    assert [(label.frame, label.box) for label in LabelStore(sequence / kept).labels()] == [
+        (first, 0)
+    ]
 
 
 def test_a_detector_runs_once(sequence):
@@ -114,17 +124,31 @@ def test_a_detector_runs_once(sequence):
 
 
 def test_what_comes_next_is_said_with_the_options_of_then(sequence, monkeypatch):
-    """The command at the end finds the marks, and the detections that they are of: it learns from them."""
+    """The command at the end finds the marks, and the detections that they are of: it learns from
+    them.
+    """
     monkeypatch.chdir(sequence)
     cv2.imwrite("mask.png", np.full((120, 160), 255, np.uint8))
-    given = ("street", "--frames", "20", "--mask", "mask.png", "--set", "detector.min_area=0.001", "--no-suggest")
+    given = (
+        "street",
+        "--frames",
+        "20",
+        "--mask",
+        "mask.png",
+        "--set",
+        "detector.min_area=0.001",
+        "--no-suggest",
+    )
     page = Started(*given, "--labels", "my marks.sqlite", cwd=sequence)
     for frame in json.loads(page.ask("api/overview"))["frames"]:
         answer = json.loads(page.ask(f"api/frame/{frame['number']}/done", {}))
     _, out, _ = page.leave()
     command = re.search(r"^now run: (.*)$", out, re.MULTILINE)[1]
     assert command == answer["progress"]["next"]
-    assert command == "phdtrack learn street --mask mask.png --labels 'my marks.sqlite' --set detector.min_area=0.001"
+    assert (
+        command
+        == "phdtrack learn street --mask mask.png --labels 'my marks.sqlite' --set detector.min_area=0.001"
+    )
     done = phdtrack(*shlex.split(command)[1:])
     assert "the detections are those of my marks." in done.err
     assert "false alarms stay as shipped: " in done.out
@@ -137,17 +161,35 @@ def test_marks_go_to_other_tools_and_come_back(sequence, monkeypatch):
     boxes = '<image id="{0}">{1}<box label="person" xtl="{2}" ytl="50" xbr="{3}" ybr="80"/></image>'
     images = "".join(boxes.format(k, missed * (k == 4), 11 + 4 * k, 31 + 4 * k) for k in range(40))
     Path("theirs.xml").write_text(f"<annotations>{images}</annotations>")
-    done = phdtrack(*given, "--import", "theirs.xml", "--labeller", "eve", "--frames", "30", "--export", "marks.json")
+    done = phdtrack(
+        *given,
+        "--import",
+        "theirs.xml",
+        "--labeller",
+        "eve",
+        "--frames",
+        "30",
+        "--export",
+        "marks.json",
+    )
     assert done.status == 0, done.err
-    assert "taken: no false alarms, 30 objects with a detection, 1 without; no frames done" in done.out
+    assert (
+        "taken: no false alarms, 30 objects with a detection, 1 without; no frames done" in done.out
+    )
     assert "warning: 10 boxes left out: on frames that are not drawn, see --frames" in done.err
     store = LabelStore(Path("runs/det.labels.sqlite"))
     assert {label.who for label in store.labels()} == {"eve"}
-    # What is written goes on with the same frames elsewhere; it leaves those of the file as they are.
+    # What is written goes on with the same frames elsewhere; it leaves those of the file as they
+    # are.
     again = phdtrack(*given, "--labels", "other.sqlite", "--import", "marks.json")
     assert (again.status, again.err) == (0, "")
     assert LabelStore(Path("other.sqlite")).labels() == store.labels()
-    assert phdtrack(*given, "--labels", "other.sqlite", "--seed", "5", "--frames", "3", "--export", "m.xml").status == 0
+    assert (
+        phdtrack(
+            *given, "--labels", "other.sqlite", "--seed", "5", "--frames", "3", "--export", "m.xml"
+        ).status
+        == 0
+    )
     assert LabelStore(Path("other.sqlite")).frames() == store.frames()
     assert Path("m.xml").read_text().count("<box") == len(store.labels())
     for options, words in (
@@ -162,7 +204,15 @@ def test_marks_go_to_other_tools_and_come_back(sequence, monkeypatch):
 
 
 def test_labels_beside_the_video_are_gone_on_with(sequence):
-    page = Started("street", "--detections", "det.txt", "--labels", "street.labels.sqlite", "--no-suggest", cwd=sequence)
+    page = Started(
+        "street",
+        "--detections",
+        "det.txt",
+        "--labels",
+        "street.labels.sqlite",
+        "--no-suggest",
+        cwd=sequence,
+    )
     page.leave()
     again = Started("street", "--detections", "det.txt", "--no-suggest", cwd=sequence)
     again.leave()
@@ -176,8 +226,14 @@ def test_labels_beside_the_video_are_gone_on_with(sequence):
         ((), "nothing to label"),
         (("nowhere.mp4",), "nowhere.mp4"),
         (("street", "--detections", "none.txt"), "none.txt"),
-        (("street", "--detections", "det.txt", "--labels", "nowhere/labels"), "cannot be used as a file of labels"),
-        (("street", "--detections", "det.txt", "--labels", "det.txt"), "cannot be used as a file of labels"),
+        (
+            ("street", "--detections", "det.txt", "--labels", "nowhere/labels"),
+            "cannot be used as a file of labels",
+        ),
+        (
+            ("street", "--detections", "det.txt", "--labels", "det.txt"),
+            "cannot be used as a file of labels",
+        ),
         (("0",), "a camera"),
     ],
 )
@@ -202,14 +258,27 @@ def suggested(*arguments, cwd):
 
 
 def test_suggestions_come_while_the_page_is_open(tmp_path):
-    """A place that fires, and somebody who walks by: the page answers at once, and is told of the place a little later."""
+    """A place that fires, and somebody who walks by: the page answers at once, and is told of the
+    place a little later.
+    """
     rng = np.random.default_rng(0)
     rows = [f"{k},-1,{20 + 0.5 * k},60,20,40,1,-1,-1,-1" for k in range(1, 401)]
     for k in np.flatnonzero(rng.random(400) < 0.5) + 1:
         left, top = np.array([200.0, 20]) + rng.normal(0, 1.5, 2)
         rows.append(f"{k},-1,{left:.1f},{top:.1f},24,24,1,-1,-1,-1")
-    (tmp_path / "det.txt").write_text("\n".join(sorted(rows, key=lambda row: int(row.split(",")[0]))) + "\n")
-    arguments = ("--detections", "det.txt", "--frame-size", "320x240", "--fps", "25", "--frames", "10")
+    (tmp_path / "det.txt").write_text(
+        "\n".join(sorted(rows, key=lambda row: int(row.split(",")[0]))) + "\n"
+    )
+    arguments = (
+        "--detections",
+        "det.txt",
+        "--frame-size",
+        "320x240",
+        "--fps",
+        "25",
+        "--frames",
+        "10",
+    )
     told = suggested(*arguments, cwd=tmp_path)
     assert told["problem"] == ""
     ticked = [item for item in told["items"] if item[3] >= told["ticked"]]

@@ -21,7 +21,8 @@ def street(tmp_path_factory):
 
     On the first 200 frames every flag is marked, and whoever is new.
     """
-    folder, rng = tmp_path_factory.mktemp("street"), np.random.default_rng(0)
+    folder = tmp_path_factory.mktemp("street")
+    rng = np.random.default_rng(0)
     rows = []
     for begin in range(5, FRAMES - 40, 12):
         start = np.array([60.0, 200]) + rng.normal(0, 4, 2)
@@ -32,9 +33,14 @@ def street(tmp_path_factory):
         if rng.random() < 0.4:
             x, y = np.array([600.0, 40]) + rng.normal(0, 3, 2)
             rows.append((k, x, y, 24, 24))
-    lines = [f"{k},-1,{x:.2f},{y:.2f},{w:.2f},{h:.2f},1,-1,-1,-1" for k, x, y, w, h in sorted(rows, key=lambda row: row[0])]
+    lines = [
+        f"{k},-1,{x:.2f},{y:.2f},{w:.2f},{h:.2f},1,-1,-1,-1"
+        for k, x, y, w, h in sorted(rows, key=lambda row: row[0])
+    ]
     (folder / "det.txt").write_text("\n".join(lines) + "\n")
-    found = to_label(SourceOptions("", folder / "det.txt", "", "720x480", 25.0), {}, folder / "labels", Output())
+    found = to_label(
+        SourceOptions("", folder / "det.txt", "", "720x480", 25.0), {}, folder / "labels", Output()
+    )
     store = LabelStore.open(folder / "labels", str(folder / "det.txt"), found.digest, range(1, 201))
     for number in range(1, 201):
         flags = [k for k, box in enumerate(found.table.at(number).xyxy) if box[0] > 500]
@@ -42,14 +48,25 @@ def street(tmp_path_factory):
             store.mark(number, [Label(number, k, "false") for k in flags])
         # Whoever begins is the leftmost of those at the door.
         if (number - 5) % 12 == 0:
-            people = [(box[0], k) for k, box in enumerate(found.table.at(number).xyxy) if box[0] < 500]
+            people = [
+                (box[0], k) for k, box in enumerate(found.table.at(number).xyxy) if box[0] < 500
+            ]
             store.mark(number, [Label(number, min(people)[1], "birth")])
         store.finish(number)
     return folder
 
 
 def options(street):
-    given = ("--detections", street / "det.txt", "--frame-size", "720x480", "--fps", "25", "--labels", street / "labels")
+    given = (
+        "--detections",
+        street / "det.txt",
+        "--frame-size",
+        "720x480",
+        "--fps",
+        "25",
+        "--labels",
+        street / "labels",
+    )
     return ("learn", *given)
 
 
@@ -58,7 +75,8 @@ def test_a_door_and_a_flag_are_learned(street, tmp_path):
     said = phdtrack(*options(street), "--out", target, "--json")
     assert said.status == 0, said.err
     scene = read_scene(target)
-    births, clutter = scene.births, scene.clutter
+    births = scene.births
+    clutter = scene.clutter
     # One every twelve frames.
     assert births.rate == pytest.approx(1 / 12, rel=0.1)
     door = births.density.mean[:, np.argmax(births.density.weight)]
@@ -79,7 +97,9 @@ def test_missed_objects_teach_where_objects_are(street, tmp_path):
     """On 40 frames somebody is drawn who stands where the detector never sees anybody."""
     shutil.copy(street / "labels", tmp_path / "labels")
     for number in range(1, 41):
-        LabelStore(tmp_path / "labels").mark(number, [Label(number, DRAWN, "true", (300.0, 50.0, 330.0, 130.0))])
+        LabelStore(tmp_path / "labels").mark(
+            number, [Label(number, DRAWN, "true", (300.0, 50.0, 330.0, 130.0))]
+        )
     scenes = []
     for labels in (street / "labels", tmp_path / "labels"):
         said = phdtrack(*options(street)[:-1], labels, "--out", tmp_path / f"{len(scenes)}.json")
@@ -99,7 +119,8 @@ def test_births_by_hand(street, tmp_path):
     target = tmp_path / "scene.json"
     said = phdtrack(*options(street), "--births", "hand", "--out", target)
     assert said.status == 0, said.err
-    # 5, 17, …, 197, seen on the clips about the frames 1 … 200, which begin to count with the second.
+    # 5, 17, …, 197, seen on the clips about the frames 1 … 200, which begin to count with the
+    # second.
     assert "births: 17 births marked by a person on 209 frames" in said.out
     scene = read_scene(target)
     assert scene.births.rate == pytest.approx(17 / 209)
@@ -109,13 +130,25 @@ def test_births_by_hand(street, tmp_path):
     assert (scene.notes["births from"], scene.notes["clutter from"]) == ("hand", "labels")
     assert "marked by a person on 209 frames" in (tmp_path / "scene.html").read_text()
     # Of a part of the frames only what lies there.
-    said = phdtrack(*options(street), "--births", "hand", "--first", "30", "--out", tmp_path / "later.json")
+    said = phdtrack(
+        *options(street), "--births", "hand", "--first", "30", "--out", tmp_path / "later.json"
+    )
     assert "births: 14 births marked by a person on 180 frames" in said.out
 
 
 def test_false_alarms_unattended(street, tmp_path):
     target = tmp_path / "scene.json"
-    said = phdtrack(*options(street)[:-2], "--clutter", "unattended", "--first", "100", "--last", "899", "--out", target)
+    said = phdtrack(
+        *options(street)[:-2],
+        "--clutter",
+        "unattended",
+        "--first",
+        "100",
+        "--last",
+        "899",
+        "--out",
+        target,
+    )
     assert said.status == 0, said.err
     assert "No person has checked them" in said.out
     assert "at 1 place that fire too often" in said.out
@@ -123,10 +156,22 @@ def test_false_alarms_unattended(street, tmp_path):
     assert scene.clutter.rate == pytest.approx(0.4, abs=0.1)
     flag = scene.clutter.density.mean[:, np.argmax(scene.clutter.density.weight)]
     assert flag == pytest.approx([612, 52, 24, 24], abs=3)
-    assert (scene.notes["first"], scene.notes["last"], scene.notes["clutter from"]) == (100, 899, "unattended")
+    assert (scene.notes["first"], scene.notes["last"], scene.notes["clutter from"]) == (
+        100,
+        899,
+        "unattended",
+    )
     assert "No person has checked them" in (tmp_path / "scene.html").read_text()
     # Half a second of a flag is no evidence.
-    said = phdtrack(*options(street)[:-2], "--clutter", "unattended", "--last", "12", "--out", tmp_path / "short.json")
+    said = phdtrack(
+        *options(street)[:-2],
+        "--clutter",
+        "unattended",
+        "--last",
+        "12",
+        "--out",
+        tmp_path / "short.json",
+    )
     assert said.status == 2
     assert "false alarms stay as shipped: learning: expected at least 10 detections" in said.out
     assert "Look yourself" in said.out
@@ -138,9 +183,13 @@ def test_mistakes_are_told(street, tmp_path):
     assert "there already" in refused(*options(street), "--out", tmp_path / "scene.json")
     assert (tmp_path / "scene.json").read_text() == "mine"
     assert "expected tracks or hand, got 'feet'" in refused(*options(street), "--births", "feet")
-    assert "for boxes in the image only" in refused(*options(street), "--set", "motion.kind=point", "--out", tmp_path / "p")
+    assert "for boxes in the image only" in refused(
+        *options(street), "--set", "motion.kind=point", "--out", tmp_path / "p"
+    )
     assert "expected labels or unattended" in refused(*options(street), "--clutter", "none")
-    assert "no frames from 950 to 899" in refused(*options(street), "--first", "950", "--out", tmp_path / "s.json")
+    assert "no frames from 950 to 899" in refused(
+        *options(street), "--first", "950", "--out", tmp_path / "s.json"
+    )
     short = (*options(street)[:-2], "--out", tmp_path / "s.json", "--last", "8")
     done = phdtrack(*short)
     assert done.status == 2
@@ -151,7 +200,9 @@ def test_mistakes_are_told(street, tmp_path):
 def test_labels_of_other_detections_are_refused(street, tmp_path):
     changed = (street / "det.txt").read_text().splitlines()[:-3]
     (tmp_path / "det.txt").write_text("\n".join(changed) + "\n")
-    said = refused(*options(street), "--detections", tmp_path / "det.txt", "--out", tmp_path / "s.json")
+    said = refused(
+        *options(street), "--detections", tmp_path / "det.txt", "--out", tmp_path / "s.json"
+    )
     assert "other detections" in said
 
 
@@ -159,7 +210,8 @@ def test_marks_that_lie_anywhere_teach_nothing_of_where(tmp_path):
     rng = np.random.default_rng(0)
     lines = []
     for k in range(1, 31):
-        (x, y), (w, h) = rng.uniform(0, (720, 480)), rng.uniform(4, 300, 2)
+        x, y = rng.uniform(0, (720, 480))
+        w, h = rng.uniform(4, 300, 2)
         lines.append(f"{k},-1,{x - w / 2:.1f},{y - h / 2:.1f},{w:.1f},{h:.1f},1,-1,-1,-1")
     (tmp_path / "det.txt").write_text("\n".join(lines) + "\n")
     given = SourceOptions("", tmp_path / "det.txt", "", "720x480", 25.0)
@@ -170,7 +222,10 @@ def test_marks_that_lie_anywhere_teach_nothing_of_where(tmp_path):
         store.finish(number)
     said = phdtrack(*options(tmp_path), "--out", tmp_path / "scene.json")
     assert said.status == 0, said.err
-    assert "false alarms: 30 boxes marked by a person on 30 frames; nothing was learned of where, as no place" in said.out
+    assert (
+        "false alarms: 30 boxes marked by a person on 30 frames; nothing was learned of where, as no place"
+        in said.out
+    )
     page = (tmp_path / "scene.html").read_text()
     assert "False alarms: nothing learned of where from 30 samples." in page
     assert "Map of false alarms" not in page

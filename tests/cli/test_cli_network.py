@@ -1,4 +1,6 @@
-"""A network as the detector of each command, and runs that take the detections of an earlier one."""
+"""A network as the detector of each command, and runs that take the detections of an earlier
+one.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ ROWS = (rundir.TRACKS, rundir.ONLINE, rundir.STATES, rundir.DETECTIONS)
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with clip.mp4, in which a red and a blue blob move, and net.onnx, which finds them."""
+    """A folder with clip.mp4, in which a red and a blue blob move, and net.onnx, which finds
+    them.
+    """
     folder = tmp_path_factory.mktemp("made")
     with VideoWriter(folder / "clip.mp4", 200, 120, 25.0) as writer:
         for k in range(30):
@@ -52,10 +56,14 @@ def work(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def track(*more: object, detector: str = "onnx:net.onnx") -> dict[str, object]:
     """What the run in `run` says of itself."""
-    said = phdtrack("track", "clip.mp4", "--detector", detector, "--out", "run", "--no-video", "--json", *more)
+    said = phdtrack(
+        "track", "clip.mp4", "--detector", detector, "--out", "run", "--no-video", "--json", *more
+    )
     assert said.status == 0, said.err
     document = json.loads(Path("run/run.json").read_text())
-    assert ("detections are those of an earlier run" in said.err) == document.get("detections_reused", False)
+    assert ("detections are those of an earlier run" in said.err) == document.get(
+        "detections_reused", False
+    )
     return document
 
 
@@ -63,7 +71,9 @@ def rows(folder: str = "run") -> list[bytes]:
     return [(Path(folder) / name).read_bytes() for name in ROWS]
 
 
-def test_a_network_is_tracked_with_the_usual_settings_and_its_classes(work: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_network_is_tracked_with_the_usual_settings_and_its_classes(
+    work: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     document = track()
     assert document["configuration"]["preset"] == "default"  # type: ignore[index]
     assert document["input"]["network"][1] == (work / "net.onnx").stat().st_size  # type: ignore[index]
@@ -76,7 +86,9 @@ def test_a_network_is_tracked_with_the_usual_settings_and_its_classes(work: Path
     with monkeypatch.context() as during:
         during.setattr(OnnxDetector, "many", never)
         assert track("--overwrite", "--classes", "bus")["detections_reused"] is True
-    assert {line.split(",")[12] for line in Path("run/tracks.csv").read_text().splitlines()} == {"bus"}
+    assert {line.split(",")[12] for line in Path("run/tracks.csv").read_text().splitlines()} == {
+        "bus"
+    }
     assert "There are person, car, bus" in refused(
         "track", "clip.mp4", "--detector", "onnx:net.onnx", "--out", "x", "--classes", "tram"
     )
@@ -84,36 +96,61 @@ def test_a_network_is_tracked_with_the_usual_settings_and_its_classes(work: Path
 
 def test_every_command_takes_a_network(work: Path) -> None:
     network = ("clip.mp4", "--detector", "onnx:net.onnx")
-    assert phdtrack("detect", *network, "--out", "found", "--classes", "bus", "--set", "detector.batch=4").status == 0
+    assert (
+        phdtrack(
+            "detect", *network, "--out", "found", "--classes", "bus", "--set", "detector.batch=4"
+        ).status
+        == 0
+    )
     found = read_detections(work / "found" / "detections.csv")
     assert (len(found), set(found.names.values())) == (30, {"bus"})
-    assert "has no parameter 'classes'" in refused("detect", "clip.mp4", "--out", "x", "--classes", "bus")
+    assert "has no parameter 'classes'" in refused(
+        "detect", "clip.mp4", "--out", "x", "--classes", "bus"
+    )
     for _ in range(2):
-        learned = phdtrack("learn", *network, "--clutter", "unattended", "--set", "detector.classes=person", "--overwrite")
+        learned = phdtrack(
+            "learn",
+            *network,
+            "--clutter",
+            "unattended",
+            "--set",
+            "detector.classes=person",
+            "--overwrite",
+        )
         assert "nothing could be learned" in learned.err or learned.status == 0, learned.err
     kept = next((work / "runs").glob("clip.labels.onnx-*.detections.csv"))
     assert f"those of {kept.relative_to(work)}" in learned.err
     quick = ("--filters", "none", "--seeds", 1, "--jobs", 1)
-    assert phdtrack("compare", "clip.mp4", "--detectors", "onnx:net.onnx", *quick, "--out", "compared").status == 0
+    assert (
+        phdtrack(
+            "compare", "clip.mp4", "--detectors", "onnx:net.onnx", *quick, "--out", "compared"
+        ).status
+        == 0
+    )
 
 
 def test_live_knows_the_classes_of_a_network_before_the_first_picture(work: Path) -> None:
     make = Maker(TrackingOptions(classes="bus"), (), "onnx:net.onnx", 100, None)
     made = make(SequenceInfo(200, 120, 25.0))
     assert (made.kinds.only, dict(made.kinds.names)) == ((2,), {0: "person", 1: "car", 2: "bus"})
-    assert made.detector(networks.scene(200, 120, {0: (10, 10, 60, 60), 2: (90, 10, 140, 60)})).class_id.tolist() == [2]
+    assert made.detector(
+        networks.scene(200, 120, {0: (10, 10, 60, 60), 2: (90, 10, 140, 60)})
+    ).class_id.tolist() == [2]
     wrong = Maker(TrackingOptions(classes="bud"), (), "onnx:net.onnx", 0, None)
     with pytest.raises(InputError, match=r"no class bud\. Did you mean bus"):
         wrong.looking(wrong.settings(), 0)
 
 
 @pytest.mark.parametrize(
-    "detector", ["onnx:net.onnx", *(pytest.param(name, marks=pytest.mark.slow) for name in ("change", "mog2"))]
+    "detector",
+    ["onnx:net.onnx", *(pytest.param(name, marks=pytest.mark.slow) for name in ("change", "mog2"))],
 )
 def test_what_was_detected_is_used_again_and_gives_the_same(detector: str, work: Path) -> None:
-    moving, other = ("--set", "camera_motion.kind=flow"), ("--overwrite", "--set", "motion.acceleration=2")
+    moving = ("--set", "camera_motion.kind=flow")
+    other = ("--overwrite", "--set", "motion.acceleration=2")
     assert "detections_reused" not in track(*moving, detector=detector)
-    first, motion = rows(), Path("run/camera_motion.csv").read_bytes()
+    first = rows()
+    motion = Path("run/camera_motion.csv").read_bytes()
     # Another tracker, of a camera that stands; and the first run again.
     assert track(*other, detector=detector)["detections_reused"] is True
     again = rows()
@@ -131,13 +168,24 @@ def test_another_video_detector_or_setting_is_detected_anew(work: Path) -> None:
     shutil.copy("clip.mp4", "later.mp4")
 
     def looked(*sets: str, **more: object) -> object:
-        source = SourceOptions(**{"source": "clip.mp4", "detector": "onnx:net.onnx", "mask": Path("roi.png"), **more})  # type: ignore[arg-type]
-        return prepare(source, TrackingOptions(), load(None, sets), RunOptions(), video=False).looked
+        source = SourceOptions(
+            **{"source": "clip.mp4", "detector": "onnx:net.onnx", "mask": Path("roi.png"), **more}
+        )  # type: ignore[arg-type]
+        return prepare(
+            source, TrackingOptions(), load(None, sets), RunOptions(), video=False
+        ).looked
 
     first = looked()
     assert first
-    assert looked("motion.acceleration=2", source=str(work / "clip.mp4"), detect_again=True) == first
-    given: list[dict[str, object]] = [{"max_width": 100}, {"fps": 12.0}, {"mask": None}, {"detector": "change"}]
+    assert (
+        looked("motion.acceleration=2", source=str(work / "clip.mp4"), detect_again=True) == first
+    )
+    given: list[dict[str, object]] = [
+        {"max_width": 100},
+        {"fps": 12.0},
+        {"mask": None},
+        {"detector": "change"},
+    ]
     assert all(looked(**one) != first for one in (*given, {"source": "later.mp4"}))
     assert looked("detector.confidence=0.5") != first
     for change in (
@@ -157,7 +205,8 @@ def test_another_video_detector_or_setting_is_detected_anew(work: Path) -> None:
 def test_an_interrupted_run_leaves_nothing_to_use_and_a_broken_file_is_said(
     work: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real, calls = ChangeDetector.__call__, list[int]()
+    real = ChangeDetector.__call__
+    calls = list[int]()
 
     def stopped(self: ChangeDetector, frame: object) -> object:
         calls.append(1)
@@ -171,7 +220,8 @@ def test_an_interrupted_run_leaves_nothing_to_use_and_a_broken_file_is_said(
         assert "it stops here" in phdtrack(*words).err
     assert not Path("run", rundir.DETECTED).exists()
     assert "detections_reused" not in track("--resume", detector="change")
-    kept, whole = Path("run", rundir.DETECTED), rows()
+    kept = Path("run", rundir.DETECTED)
+    whole = rows()
     assert track("--overwrite", detector="change")["detections_reused"] is True
     assert rows() == whole
     with kept.open("rb") as log:

@@ -1,4 +1,6 @@
-"""What learning a scene buys, through the commands: simulate, mark on 40 frames as the truth says, learn, track."""
+"""What learning a scene buys, through the commands: simulate, mark on 40 frames as the truth says,
+learn, track.
+"""
 
 from pathlib import Path
 
@@ -14,25 +16,48 @@ from phdtrack.label.samples import shuffled
 
 
 def marked(folder: Path, detections: Path, last: int) -> Path:
-    """Labels of what is on no annotated person, on 40 of the first ``last`` frames drawn at random."""
-    labels, wanted = folder / "labels.sqlite", SourceOptions(detections=detections)
-    found, truth = to_label(wanted, {}, labels, Output()), read_truth(folder / "gt" / "gt.txt")
+    """Labels of what is on no annotated person, on 40 of the first ``last`` frames drawn at
+    random.
+    """
+    labels = folder / "labels.sqlite"
+    wanted = SourceOptions(detections=detections)
+    found = to_label(wanted, {}, labels, Output())
+    truth = read_truth(folder / "gt" / "gt.txt")
     store = LabelStore.open(labels, str(detections), found.digest, shuffled(last, seed=0)[:40])
     store.mark_false(found.table, truth)
     return labels
 
 
-@pytest.mark.parametrize(("name", "clutter"), [("particle-phd", "labels"), ("gm-phd", "labels"), ("pmb", "unattended")])
+@pytest.mark.parametrize(
+    ("name", "clutter"), [("particle-phd", "labels"), ("gm-phd", "labels"), ("pmb", "unattended")]
+)
 def test_places_that_fire_are_unlearned(tmp_path: Path, name: str, clutter: str):
-    """Five places where something is reported in every other frame, marked on 40 frames or found without marks on the first
-    half. The scene's people are not lost by it."""
+    """Five places where something is reported in every other frame, marked on 40 frames or found
+    without marks on the first half. The scene's people are not lost by it."""
     yard = tmp_path / "yard"
-    assert phdtrack("simulate", "street", "--out", yard, "--frames", 600, "--seed", 1, "--no-video").status == 0
-    detections, scene = yard / "det" / "det.txt", tmp_path / "scene.json"
+    assert (
+        phdtrack(
+            "simulate", "street", "--out", yard, "--frames", 600, "--seed", 1, "--no-video"
+        ).status
+        == 0
+    )
+    detections = yard / "det" / "det.txt"
+    scene = tmp_path / "scene.json"
     more = ("--labels", marked(yard, detections, 600)) if clutter == "labels" else ("--last", 300)
-    learned = phdtrack("learn", "--detections", detections, "--clutter", clutter, *more, "--out", scene)
+    learned = phdtrack(
+        "learn", "--detections", detections, "--clutter", clutter, *more, "--out", scene
+    )
     assert learned.status == 0, learned.err
-    given = ("--detections", detections, "--truth", yard / "gt" / "gt.txt", "--filter", name, "--no-video", "--json")
+    given = (
+        "--detections",
+        detections,
+        "--truth",
+        yard / "gt" / "gt.txt",
+        "--filter",
+        name,
+        "--no-video",
+        "--json",
+    )
     common = ("track", *given)
     plain = phdtrack(*common, "--out", tmp_path / "plain").object["scores"]
     taught = phdtrack(*common, "--out", tmp_path / "taught", "--scene", scene).object["scores"]
@@ -44,19 +69,39 @@ def test_places_that_fire_are_unlearned(tmp_path: Path, name: str, clutter: str)
 
 @pytest.mark.slow
 def test_who_stays_among_lights_that_tremble_is_held_back(tmp_path: Path):
-    """A yard with trees in the wind and eight lights that tremble, 20 s, learned on the first half. Such light moves as a
-    person does who stands: to know its places does not keep it from being followed."""
+    """A yard with trees in the wind and eight lights that tremble, 20 s, learned on the first half.
+    Such light moves as a person does who stands: to know its places does not keep it from being
+    followed."""
     yard = tmp_path / "yard"
     look = ("--frames", 500, "--seed", 1, "--look", "lamps=8")
     assert phdtrack("simulate", "yard", "--out", yard, *look).status == 0
     # The change detector knows such lights from its samples of the file.
-    assert phdtrack("detect", yard / "scene.mp4", "--detector", "knn", "--out", tmp_path / "found").status == 0
+    assert (
+        phdtrack(
+            "detect", yard / "scene.mp4", "--detector", "knn", "--out", tmp_path / "found"
+        ).status
+        == 0
+    )
     # These boxes where those of the simulated detector were, with the same frame size and rate.
     detections = (tmp_path / "found" / "detections.csv").replace(yard / "det" / "det.txt")
-    scene, given = tmp_path / "scene.json", ("--detections", detections)
-    said = phdtrack("learn", *given, "--labels", marked(yard, detections, 250), "--last", 250, "--out", scene, "--json")
+    scene = tmp_path / "scene.json"
+    given = ("--detections", detections)
+    said = phdtrack(
+        "learn",
+        *given,
+        "--labels",
+        marked(yard, detections, 250),
+        "--last",
+        250,
+        "--out",
+        scene,
+        "--json",
+    )
     assert said.status == 0, said.err
-    assert "% of the false alarms although it knows them; tracks that stay among them are held back" in said.err
+    assert (
+        "% of the false alarms although it knows them; tracks that stay among them are held back"
+        in said.err
+    )
     assert 0.05 < said.object["followed"] < 0.6
     assert f"{100 * said.object['followed']:.2g} %" in scene.with_suffix(".html").read_text()
     # Not those whom the lights make.
@@ -64,9 +109,12 @@ def test_who_stays_among_lights_that_tremble_is_held_back(tmp_path: Path):
 
     def scores(name: str, *options: str | Path) -> dict:
         truth = ("--truth", yard / "gt" / "gt.txt", "--no-video", "--json")
-        return phdtrack("track", *given, *truth, "--out", tmp_path / name, *options).object["scores"]
+        return phdtrack("track", *given, *truth, "--out", tmp_path / name, *options).object[
+            "scores"
+        ]
 
-    plain, learned = scores("plain"), scores("learned", "--scene", scene)
+    plain = scores("plain")
+    learned = scores("learned", "--scene", scene)
     kept = scores("kept", "--scene", scene, "--set", "clutter.reject_false_tracks=false")
     for each in (plain, kept, learned):
         print({name: each[name] for name in ("MOTA", "false_positives", "false_tracks", "misses")})

@@ -1,4 +1,6 @@
-"""Compiled kernels: said when they are compiled, kept on disk, also where the installation cannot be written into."""
+"""Compiled kernels: said when they are compiled, kept on disk, also where the installation cannot
+be written into.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ SOURCES = Path(phdtrack.__file__).parent
 FIRST = "phdtrack compiles its kernels"
 EVERY = "so in every run"
 
-# Two kernels of two files, the second calling the first, in a package whose `kernels` is a copy of ours.
+# Two kernels of two files, the second calling the first, in a package whose `kernels` is a copy of
+# ours.
 LEAF = "from numba import njit\n\n\n@njit\ndef leaf(x):\n    return x + {}\n"
 CALLER = (
     "from numba import njit\nfrom phdtrack.kernels.leaf import leaf\n\n\n"
@@ -46,18 +49,30 @@ def installed(tmp_path: Path) -> Path:
     return folder
 
 
-def run(installed: Path, *, quiet: bool = False, **environment: str) -> tuple[dict[str, object], str]:
+def run(
+    installed: Path, *, quiet: bool = False, **environment: str
+) -> tuple[dict[str, object], str]:
     """The program in a fresh process: what it found, and what it said on stderr."""
-    kept = {key: value for key, value in os.environ.items() if key not in ("NUMBA_CACHE_DIR", "NUMBA_DISABLE_JIT")}
-    environment = kept | {"PYTHONPATH": str(installed), "PYTHONDONTWRITEBYTECODE": "1"} | environment
+    kept = {
+        key: value
+        for key, value in os.environ.items()
+        if key not in ("NUMBA_CACHE_DIR", "NUMBA_DISABLE_JIT")
+    }
+    environment = (
+        kept | {"PYTHONPATH": str(installed), "PYTHONDONTWRITEBYTECODE": "1"} | environment
+    )
     command = [sys.executable, "-c", PROGRAM.format(quiet=quiet)]
-    done = subprocess.run(command, env=environment, cwd=installed, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(
+        command, env=environment, cwd=installed, capture_output=True, text=True, timeout=120
+    )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout), done.stderr
 
 
 def unwritable(kernels: Path) -> None:
-    """Nobody can make files in ``kernels/__pycache__``, an administrator neither: it is no folder."""
+    """Nobody can make files in ``kernels/__pycache__``, an administrator neither: it is no
+    folder.
+    """
     (kernels / "__pycache__").write_text("not a folder")
 
 
@@ -89,7 +104,9 @@ def test_a_read_only_installation_uses_the_home_folder(installed: Path, tmp_path
 
 
 @pytest.mark.skipif(os.name == "nt", reason="homes of POSIX systems")
-def test_without_any_folder_it_runs_and_says_how_to_mend_it(installed: Path, tmp_path: Path) -> None:
+def test_without_any_folder_it_runs_and_says_how_to_mend_it(
+    installed: Path, tmp_path: Path
+) -> None:
     unwritable(installed / "phdtrack" / "kernels")
     (tmp_path / "nothing").write_text("a file, under which no folder can be made")
     nowhere = str(tmp_path / "nothing" / "home")
@@ -125,8 +142,17 @@ def test_a_kernel_of_a_users_record_is_not_kept_and_harms_no_other_program(insta
     (installed / "phdtrack" / "kernels" / "caller.py").write_text(own + first)
     environment = os.environ | {"PYTHONPATH": str(installed), "PYTHONDONTWRITEBYTECODE": "1"}
     environment.pop("NUMBA_CACHE_DIR", None)
-    for program in (RECORD, "from phdtrack.kernels.caller import first\nassert first((4.0,)) == 4.0"):
-        done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=120)
+    for program in (
+        RECORD,
+        "from phdtrack.kernels.caller import first\nassert first((4.0,)) == 4.0",
+    ):
+        done = subprocess.run(
+            [sys.executable, "-c", program],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=120,
+        )
         assert done.returncode == 0, done.stderr
 
 
@@ -157,8 +183,12 @@ for kernel in (outer, own):
 """
 
 
-def test_what_only_kernels_call_is_optimised_in_them_and_a_users_own_functions_are_as_ever() -> None:
-    done = subprocess.run([sys.executable, "-c", VECTORS], capture_output=True, text=True, timeout=120)
+def test_what_only_kernels_call_is_optimised_in_them_and_a_users_own_functions_are_as_ever() -> (
+    None
+):
+    done = subprocess.run(
+        [sys.executable, "-c", VECTORS], capture_output=True, text=True, timeout=120
+    )
     assert done.returncode == 0, done.stderr
 
 
@@ -175,11 +205,18 @@ for k in range(20):
 
 
 @pytest.mark.slow
-def test_particles_have_the_same_digits_where_their_kernels_are_compiled_and_where_they_are_loaded(tmp_path: Path) -> None:
+def test_particles_have_the_same_digits_where_their_kernels_are_compiled_and_where_they_are_loaded(
+    tmp_path: Path,
+) -> None:
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     first, later = (
         subprocess.run(
-            [sys.executable, "-c", TWICE], env=environment, capture_output=True, text=True, check=True, timeout=300
+            [sys.executable, "-c", TWICE],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=300,
         )
         for _ in range(2)
     )

@@ -1,4 +1,6 @@
-"""What is installed: little for those who only call `Tracker`, and what is missing is said with the line that brings it."""
+"""What is installed: little for those who only call `Tracker`, and what is missing is said with the
+line that brings it.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,8 @@ again.load_state_dict(pickle.loads(pickle.dumps(tracker.state_dict())))
 assert set(again.tracks().identity.tolist()) == set(tracker.tracks().identity.tolist()) == {1, 2}
 print(len(rows), len(final.rest()))
 """
-# The order of the boxes changes from frame to frame: whose identity is whose is said by nothing but the detection.
+# The order of the boxes changes from frame to frame: whose identity is whose is said by nothing but
+# the detection.
 PEERS = """
 import numpy as np
 import supervision as sv
@@ -85,12 +88,19 @@ for pairs in given:
     assert [*map(len, map(set, zip(*pairs)))] == [2, 2] and len(pairs) == 2, given
 print(given)
 """
-REPORTS, VIDEOS, PAGES = "phdtrack[report]", "phdtrack[video]", "phdtrack[web]"
+REPORTS = "phdtrack[report]"
+VIDEOS = "phdtrack[video]"
+PAGES = "phdtrack[web]"
 
 
 def test_a_tracker_needs_none_of_the_extras_nor_what_the_command_line_needs() -> None:
-    program = WITHOUT.format(absent={*EXTRAS, "jinja2", "markupsafe", "typer", "click", "rich", "cv2"}) + LOOP
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300)
+    program = (
+        WITHOUT.format(absent={*EXTRAS, "jinja2", "markupsafe", "typer", "click", "rich", "cv2"})
+        + LOOP
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=300
+    )
     assert done.returncode == 0, done.stderr
     assert [int(word) > 0 for word in done.stdout.split()] == [True, True]
 
@@ -125,7 +135,9 @@ def sequence(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ],
     ids=lambda words: words[0],
 )
-def test_what_the_core_can_do_alone(words: list[str], sequence: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_core_can_do_alone(
+    words: list[str], sequence: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     forget(monkeypatch, EXTRAS)
     monkeypatch.chdir(sequence)
     said = phdtrack(*words)
@@ -144,9 +156,17 @@ def test_what_the_core_can_do_alone(words: list[str], sequence: Path, monkeypatc
         (["demo"], "matplotlib", REPORTS),
         (["live", "video.mp4"], "uvicorn", PAGES),
         (["label", "video.mp4"], "starlette", PAGES),
-        (["live", "video.mp4", "--no-page", "--mqtt", "mqtt://localhost"], "paho", "phdtrack[mqtt]"),
+        (
+            ["live", "video.mp4", "--no-page", "--mqtt", "mqtt://localhost"],
+            "paho",
+            "phdtrack[mqtt]",
+        ),
         (["track", "img1", "--detector", "onnx:net.onnx"], "onnxruntime", "phdtrack[onnx]"),
-        (["export", "gt/gt.txt", "--to", "parquet", "--out", "tracks.parquet"], "pyarrow", "phdtrack[parquet]"),
+        (
+            ["export", "gt/gt.txt", "--to", "parquet", "--out", "tracks.parquet"],
+            "pyarrow",
+            "phdtrack[parquet]",
+        ),
     ],
     ids=lambda value: " ".join(value[:1]) if isinstance(value, list) else value,
 )
@@ -165,25 +185,46 @@ def test_every_package_that_may_be_missing_is_in_its_extra_and_all_has_all() -> 
     for module, package in EXTRAS.items():
         extra = re.fullmatch(r"phdtrack\[(\w+)\]", package)[1]
         assert any(one.startswith(named.get(module, module)) for one in extras[extra]), module
-        assert not any(one.startswith(named.get(module, module)) for one in PROJECT["dependencies"]), module
+        assert not any(
+            one.startswith(named.get(module, module)) for one in PROJECT["dependencies"]
+        ), module
     (everything,) = extras["all"]
-    assert set(re.findall(r"\w+", everything)) - {"phdtrack"} == set(extras) - {"all", "dev", "ray", "rerun"}
+    assert set(re.findall(r"\w+", everything)) - {"phdtrack"} == set(extras) - {
+        "all",
+        "dev",
+        "ray",
+        "rerun",
+    }
 
 
 def test_the_dockerfile_names_what_there_is() -> None:
     """Paths, extras, commands and programs: nobody builds it here."""
     text = (ROOT / "Dockerfile").read_text(encoding="utf-8").replace("\\\n", " ")
-    steps = [line.split(maxsplit=1) for line in text.splitlines() if line and not line.startswith("#")]
-    assert {name for name, _ in steps} <= {"FROM", "WORKDIR", "COPY", "RUN", "ENV", "ENTRYPOINT", "CMD"}
+    steps = [
+        line.split(maxsplit=1) for line in text.splitlines() if line and not line.startswith("#")
+    ]
+    assert {name for name, _ in steps} <= {
+        "FROM",
+        "WORKDIR",
+        "COPY",
+        "RUN",
+        "ENV",
+        "ENTRYPOINT",
+        "CMD",
+    }
     assert steps[0][0] == "FROM"
     python = re.fullmatch(r"python:(\d+)\.(\d+)-slim", steps[0][1])
-    assert (int(python[1]), int(python[2])) >= tuple(map(int, PROJECT["requires-python"].removeprefix(">=").split(".")))
+    assert (int(python[1]), int(python[2])) >= tuple(
+        map(int, PROJECT["requires-python"].removeprefix(">=").split("."))
+    )
     copied = {path for name, rest in steps if name == "COPY" for path in rest.split()[:-1]}
     assert all((ROOT / path).exists() for path in copied)
     # What building the wheel reads.
     assert {"pyproject.toml", PROJECT["readme"], *PROJECT["license-files"], "src"} <= copied
     said = " ".join(rest for name, rest in steps if name == "RUN")
-    assert set(re.findall(r"\.\[([\w,]+)\]", said)) == {"all"} <= set(PROJECT["optional-dependencies"])
+    assert (
+        set(re.findall(r"\.\[([\w,]+)\]", said)) == {"all"} <= set(PROJECT["optional-dependencies"])
+    )
     (program,) = (words[2] for words in map(shlex.split, re.findall(r"python -c \"[^\"]+\"", said)))
     calls = [node.attr for node in ast.walk(ast.parse(program)) if isinstance(node, ast.Attribute)]
     assert calls == ["warm_up"]
@@ -207,21 +248,38 @@ class Alone(NamedTuple):
         """Fetch packages; the test is skipped where that cannot be done."""
         command = [*PIP, "--python", str(self.python), "install", "--quiet", *what]
         done = subprocess.run(command, capture_output=True, text=True, timeout=900)
-        if done.returncode and re.search("connection|timed out|no matching distribution", done.stderr, re.IGNORECASE):
+        if done.returncode and re.search(
+            "connection|timed out|no matching distribution", done.stderr, re.IGNORECASE
+        ):
             pytest.skip(f"packages cannot be fetched here: {done.stderr.strip().splitlines()[-1]}")
         assert done.returncode == 0, done.stderr
 
     def run(self, *words: str) -> subprocess.CompletedProcess[str]:
-        clean = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "NUMBA_CACHE_DIR")}
+        clean = {
+            name: value
+            for name, value in os.environ.items()
+            if name not in ("PYTHONPATH", "NUMBA_CACHE_DIR")
+        }
         command = [str(self.python), *words]
-        return subprocess.run(command, capture_output=True, text=True, cwd=self.folder, env=clean, timeout=600)
+        return subprocess.run(
+            command, capture_output=True, text=True, cwd=self.folder, env=clean, timeout=600
+        )
 
 
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory: pytest.TempPathFactory) -> Alone:
     """Nothing but the wheel of phdtrack and what it asks for."""
     folder = tmp_path_factory.mktemp("alone")
-    build = [*PIP, "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(ROOT)]
+    build = [
+        *PIP,
+        "wheel",
+        "--quiet",
+        "--no-deps",
+        "--no-build-isolation",
+        "--wheel-dir",
+        str(folder),
+        str(ROOT),
+    ]
     subprocess.run(build, check=True, timeout=300, capture_output=True)
     venv.create(folder / "env", with_pip=False)
     found = Alone(folder / "env" / ("Scripts" if os.name == "nt" else "bin") / "python", folder)
@@ -242,7 +300,9 @@ def test_a_wheel_alone_in_an_empty_environment_tracks(alone: Alone) -> None:
 @pytest.mark.slow
 def test_the_first_blocks_of_the_readme_can_be_pasted_one_by_one(alone: Alone) -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    first, loop, more = re.findall(r"^```(?:python)?\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)[:3]
+    first, loop, more = re.findall(r"^```(?:python)?\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)[
+        :3
+    ]
     pip, _, first = first.partition("\n")
     assert shlex.split(pip, comments=True) == ["pip", "install", ".[all]"]
     (wheel,) = alone.folder.glob("*.whl")
@@ -257,10 +317,18 @@ def test_the_first_blocks_of_the_readme_can_be_pasted_one_by_one(alone: Alone) -
 
 
 @pytest.mark.slow
-def test_the_loops_for_those_who_come_from_elsewhere_run_with_the_real_packages(alone: Alone) -> None:
-    """But for networks, which would fetch their weights. Norfair itself asks for NumPy 1: a fork has the same names."""
+def test_the_loops_for_those_who_come_from_elsewhere_run_with_the_real_packages(
+    alone: Alone,
+) -> None:
+    """But for networks, which would fetch their weights. Norfair itself asks for NumPy 1: a fork
+    has the same names.
+    """
     alone.install("supervision", "norfair-enough")
-    page = (ROOT / "docs" / "how-to" / "from-other-trackers.md").read_text(encoding="utf-8").partition("## Ultralytics")[0]
+    page = (
+        (ROOT / "docs" / "how-to" / "from-other-trackers.md")
+        .read_text(encoding="utf-8")
+        .partition("## Ultralytics")[0]
+    )
     programs = ""
     for program in re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL):
         programs += f"{program}\nassert set(tracker.tracks().identity.tolist()) == {{1, 2}}\n"
@@ -274,6 +342,9 @@ def test_the_package_trackers_and_phdtrack_take_and_give_the_same_detections(alo
     alone.install("supervision")
     pinned = (ROOT / "benchmarks" / "peers-constraints.txt").read_text(encoding="utf-8")
     # What it asks for beside these would put another OpenCV in place.
-    alone.install("--no-deps", *re.findall(r"^(?:trackers|pyDeprecate|rich|requests)==\S+", pinned, re.MULTILINE))
+    alone.install(
+        "--no-deps",
+        *re.findall(r"^(?:trackers|pyDeprecate|rich|requests)==\S+", pinned, re.MULTILINE),
+    )
     done = alone.run("-c", PEERS)
     assert done.returncode == 0, done.stderr

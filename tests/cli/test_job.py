@@ -36,7 +36,15 @@ from phdtrack.video import open_source
 
 INFO = SequenceInfo(96, 64, 25.0, 0, "clip")
 FRAMES = 20
-FILES = {rundir.TRACKS, rundir.ONLINE, rundir.STATES, rundir.DETECTIONS, rundir.VIDEO, rundir.REPORT, rundir.RUN}
+FILES = {
+    rundir.TRACKS,
+    rundir.ONLINE,
+    rundir.STATES,
+    rundir.DETECTIONS,
+    rundir.VIDEO,
+    rundir.REPORT,
+    rundir.RUN,
+}
 
 
 def box(number: int) -> list[float]:
@@ -45,7 +53,9 @@ def box(number: int) -> list[float]:
 
 @dataclass
 class Clip:
-    """Frames with one moving bright box; fails with ``error`` instead of giving frame ``at``; may be gone through once."""
+    """Frames with one moving bright box; fails with ``error`` instead of giving frame ``at``; may
+    be gone through once.
+    """
 
     error: BaseException | None = None
     at: int = 0
@@ -89,7 +99,9 @@ class Looker:
 
 @pytest.fixture
 def job() -> Job:
-    model = Model(BoxMotion(), BoxSensor(), MeasurementBirth(births_per_detection=0.25), BoxClutter(1.0))
+    model = Model(
+        BoxMotion(), BoxSensor(), MeasurementBirth(births_per_detection=0.25), BoxClutter(1.0)
+    )
     stages = Stages(model, NoFilter(), Raw(), GraphMatching())
     clip = Clip()
     return Job(
@@ -111,7 +123,9 @@ def reading(job: Job, **changes: object) -> Job:
     return replace(job, inputs=replace(job.inputs, source=Clip(**changes)))  # type: ignore[arg-type]
 
 
-def consistent(directory: rundir.RunDirectory, outcome: Outcome, frames: int, *, video: bool = True) -> None:
+def consistent(
+    directory: rundir.RunDirectory, outcome: Outcome, frames: int, *, video: bool = True
+) -> None:
     """All files are there, complete, and of the same ``frames`` frames."""
     present = FILES - (set() if video else {rundir.VIDEO})
     assert {path.name for path in directory.path.iterdir()} == present
@@ -146,7 +160,9 @@ def test_a_whole_run(job: Job, directory: rundir.RunDirectory) -> None:
         RuntimeError("a mistake of ours"),
     ],
 )
-def test_what_stops_a_run_loses_nothing(job: Job, directory: rundir.RunDirectory, error: BaseException) -> None:
+def test_what_stops_a_run_loses_nothing(
+    job: Job, directory: rundir.RunDirectory, error: BaseException
+) -> None:
     outcome = run(reading(job, error=error, at=13), directory)
     assert outcome.stop is error
     consistent(directory, outcome, 12)
@@ -154,9 +170,16 @@ def test_what_stops_a_run_loses_nothing(job: Job, directory: rundir.RunDirectory
     assert any("after frame 12" in warning and said in warning for warning in outcome.warnings)
 
 
-def test_a_run_that_was_stopped_is_scored_on_what_it_saw(job: Job, directory: rundir.RunDirectory) -> None:
+def test_a_run_that_was_stopped_is_scored_on_what_it_saw(
+    job: Job, directory: rundir.RunDirectory
+) -> None:
     number = np.arange(1, FRAMES + 1)
-    truth = Truth(number, np.ones(FRAMES, np.int64), np.array([box(n) for n in number]), np.zeros(FRAMES, np.bool_))
+    truth = Truth(
+        number,
+        np.ones(FRAMES, np.int64),
+        np.array([box(n) for n in number]),
+        np.zeros(FRAMES, np.bool_),
+    )
     outcome = run(replace(reading(job, error=KeyboardInterrupt(), at=13), truth=truth), directory)
     assert outcome.scores is not None
     assert (outcome.scores.frames, outcome.scores.misses) == (12, 0)
@@ -176,8 +199,12 @@ def test_a_camera_gives_its_frames_once(job: Job, directory: rundir.RunDirectory
     consistent(directory, outcome, 12 if at else FRAMES)
 
 
-def test_an_interrupt_in_the_loop_stops_the_stages(job: Job, directory: rundir.RunDirectory) -> None:
-    """A real signal: it reaches the main thread, wherever that is, while source and detector are frames ahead."""
+def test_an_interrupt_in_the_loop_stops_the_stages(
+    job: Job, directory: rundir.RunDirectory
+) -> None:
+    """A real signal: it reaches the main thread, wherever that is, while source and detector are
+    frames ahead.
+    """
 
     class Signalling(Looker):
         def __call__(self, frame: Frame) -> Detections:
@@ -189,7 +216,9 @@ def test_an_interrupt_in_the_loop_stops_the_stages(job: Job, directory: rundir.R
     outcome = run(replace(job, inputs=replace(job.inputs, detector=Signalling())), directory)
     assert isinstance(outcome.stop, KeyboardInterrupt)
     assert 12 - 2 * DEPTH <= outcome.document["frames"] <= FRAMES
-    assert json.loads(directory.file(rundir.RUN).read_text())["frames"] == outcome.document["frames"]
+    assert (
+        json.loads(directory.file(rundir.RUN).read_text())["frames"] == outcome.document["frames"]
+    )
     assert len(list(open_source(directory.file(rundir.VIDEO)))) == outcome.document["frames"]
     assert any("stopped by Ctrl-C after frame" in warning for warning in outcome.warnings)
     assert threading.active_count() == before
@@ -209,7 +238,9 @@ def stopped(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("stopped")
-def test_an_interrupt_while_a_frame_is_written_waits_for_its_end(job: Job, directory: rundir.RunDirectory) -> None:
+def test_an_interrupt_while_a_frame_is_written_waits_for_its_end(
+    job: Job, directory: rundir.RunDirectory
+) -> None:
     outcome = run(job, directory)
     assert isinstance(outcome.stop, KeyboardInterrupt)
     consistent(directory, outcome, 7)
@@ -243,8 +274,11 @@ def test_after_a_signal_a_long_video_is_not_drawn_to_its_end(
     assert any("annotated.mp4 ends after frame 1," in warning for warning in outcome.warnings)
 
 
-def test_stopped_while_drawing(job: Job, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch) -> None:
-    real, drawn = Annotator.__call__, count(1)
+def test_stopped_while_drawing(
+    job: Job, directory: rundir.RunDirectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = Annotator.__call__
+    drawn = count(1)
 
     def interrupted(self: Annotator, *args: object, **kwargs: object) -> object:
         if next(drawn) == 5:
@@ -275,7 +309,10 @@ def test_an_observer_gets_the_corrected_tracks_of_a_camera_from_the_beginning(
     monkeypatch.setattr("phdtrack.cli.job.FinalTracks", partial(FinalTracks, lag=0.1, every=0.1))
     short = replace(job.kinds.usual, associator=GraphMatching(history=0.4))
     camera = replace(job.inputs, source=Clip(once=True), again=False)
-    run(replace(job, kinds=Kinds(short), inputs=camera, observers=(Keeper(),), video=False), directory)
+    run(
+        replace(job, kinds=Kinds(short), inputs=camera, observers=(Keeper(),), video=False),
+        directory,
+    )
     (whole,) = given
     tracks = read_tracks(directory.file(rundir.TRACKS))
     assert whole.frame.tolist() == tracks.frame.tolist() == list(range(1, FRAMES + 1))
@@ -289,7 +326,8 @@ def test_the_video_may_be_smaller_than_the_pictures(
 ) -> None:
     """With the tracks where they are in the pictures, also of a source whose pictures come once."""
     run(replace(job, video_size=size, inputs=replace(job.inputs, again=again)), directory)
-    width, height = min(size, 96), min(size, 96) * 2 // 3
+    width = min(size, 96)
+    height = min(size, 96) * 2 // 3
     pictures = [frame.image for frame in open_source(directory.file(rundir.VIDEO))]
     assert [image.shape for image in pictures] == [(height, width, 3)] * FRAMES
     tracks = read_tracks(directory.file(rundir.TRACKS if again else rundir.ONLINE))
@@ -299,19 +337,33 @@ def test_the_video_may_be_smaller_than_the_pictures(
     for number, corners in zip(tracks.frame.tolist(), tracks.xyxy, strict=True):
         left, top, right, bottom = np.round(corners * width / 96).astype(int)
         image = pictures[number - 1].astype(int)
-        assert image[top + 2 : bottom - 1, left + 2 : right - 1].mean() > 150 > 90 > image[bottom + 6 :].mean()
+        assert (
+            image[top + 2 : bottom - 1, left + 2 : right - 1].mean()
+            > 150
+            > 90
+            > image[bottom + 6 :].mean()
+        )
         # The pictures are grey: what has a colour was drawn.
         colour = np.ptp(image, axis=2)
-        assert colour[top + 2 : bottom - 1, [left, right]].mean() > 40 > 10 > colour[bottom + 6 :].mean()
+        assert (
+            colour[top + 2 : bottom - 1, [left, right]].mean()
+            > 40
+            > 10
+            > colour[bottom + 6 :].mean()
+        )
 
 
 def test_no_video_is_too_small_for_an_encoder(job: Job, directory: rundir.RunDirectory) -> None:
     assert run(replace(job, video_size=1), directory).stop is None
-    assert {frame.image.shape for frame in open_source(directory.file(rundir.VIDEO))} == {(16, 24, 3)}
+    assert {frame.image.shape for frame in open_source(directory.file(rundir.VIDEO))} == {
+        (16, 24, 3)
+    }
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
-def test_frames_that_compile_are_left_out_of_the_speed(job: Job, directory: rundir.RunDirectory) -> None:
+def test_frames_that_compile_are_left_out_of_the_speed(
+    job: Job, directory: rundir.RunDirectory
+) -> None:
     run(job, directory)
     # Nothing is compiled any more; the first frame waits for all that comes before it.
     assert run(job, directory).document["frames_left_out"] == 1
@@ -331,7 +383,9 @@ def test_frames_that_compile_are_left_out_of_the_speed(job: Job, directory: rund
 
 @pytest.mark.parametrize("rate", [7.0, 25.0])
 def test_the_object_that_is_tried_moves(rate: float) -> None:
-    """One that stands from its first frame on may be a false alarm that lasts: the note would warn of every run."""
+    """One that stands from its first frame on may be a false alarm that lasts: the note would warn
+    of every run.
+    """
     info = SequenceInfo(768, 576, rate)
     assert 1 <= detections_needed(build(load(), info), info, (40.0, 100.0)) <= 5
 
@@ -351,8 +405,12 @@ def test_the_object_that_is_tried_moves(rate: float) -> None:
         (0, 0, 0.1, 80, 800, True),
     ],
 )
-def test_the_end_of_a_bar(frames: int, announced: int, share: float, done: int, total: int | None, estimated: bool) -> None:
-    """What the file tells, as long as it does not contradict what was read of it; what is estimated is called so."""
+def test_the_end_of_a_bar(
+    frames: int, announced: int, share: float, done: int, total: int | None, estimated: bool
+) -> None:
+    """What the file tells, as long as it does not contradict what was read of it; what is estimated
+    is called so.
+    """
     source = Clip(info=replace(INFO, frames=frames), share=share, announced=announced)
     said = expected(source, done, "detecting")
     assert (said["total"], "estimated" in said["description"]) == (total, estimated)

@@ -1,4 +1,6 @@
-"""Segments of a long video: the frames of each, who is who across a border, and the same whoever did them."""
+"""Segments of a long video: the frames of each, who is who across a border, and the same whoever
+did them.
+"""
 
 from __future__ import annotations
 
@@ -36,36 +38,58 @@ def test_segments_are_even_and_each_frame_is_taken_once() -> None:
 def segment(folder: Path, rows: list[tuple[int, int, float, str]], frames: int) -> Path:
     """The folder of a segment's run: rows of frame, identity, left, class."""
     folder.mkdir(parents=True)
-    lines = [f"{k},{who},{x},10,20,40,1,-1,-1,-1,0,1{kind and ',' + kind}" for k, who, x, kind in sorted(rows)]
+    lines = [
+        f"{k},{who},{x},10,20,40,1,-1,-1,-1,0,1{kind and ',' + kind}"
+        for k, who, x, kind in sorted(rows)
+    ]
     (folder / "tracks.csv").write_text("".join(f"{line}\n" for line in lines))
-    (folder / "states.csv").write_text("frame,time,weight\n" + "".join(f"{row[0]},0.1,1\n" for row in sorted(rows)))
+    (folder / "states.csv").write_text(
+        "frame,time,weight\n" + "".join(f"{row[0]},0.1,1\n" for row in sorted(rows))
+    )
     (folder / "detections.csv").write_text("")
-    about: dict[str, Any] = dict.fromkeys(("title", "versions", "seed", "source", "configuration"), 1)
+    about: dict[str, Any] = dict.fromkeys(
+        ("title", "versions", "seed", "source", "configuration"), 1
+    )
     about |= {"input": {"frames": "1-6"}, "frames": frames, "seconds": 1.0, "warnings": ["dark"]}
     (folder / "run.json").write_text(json.dumps(about))
     return folder
 
 
 def joined(tmp_path: Path, first: list[Any], second: list[Any]) -> list[list[str]]:
-    """Rows (frame, identity, left) of two segments of ten frames, the border before frame 11; they have 7 … 14 in common."""
+    """Rows (frame, identity, left) of two segments of ten frames, the border before frame 11; they
+    have 7 … 14 in common.
+    """
     parts = [
         (Segment(1, 14, 1), segment(tmp_path / "a", first, 14)),
         (Segment(7, 0, 11), segment(tmp_path / "b", second, 14)),
     ]
     about = join(parts, claim(tmp_path / "all", False))
-    assert (about["frames"], about["seconds"], about["warnings"], about["input"]) == (20, 2.0, ["dark"], {})
+    assert (about["frames"], about["seconds"], about["warnings"], about["input"]) == (
+        20,
+        2.0,
+        ["dark"],
+        {},
+    )
     text = (tmp_path / "all" / "tracks.csv").read_text().splitlines()
     assert about["track_rows"] == len(text)
     assert about["tracks"] == len({line.split(",")[1] for line in text})
     return [line.split(",")[:3] for line in text]
 
 
-def test_two_who_cross_at_the_border_keep_their_identities_and_others_get_new_ones(tmp_path: Path) -> None:
+def test_two_who_cross_at_the_border_keep_their_identities_and_others_get_new_ones(
+    tmp_path: Path,
+) -> None:
     """1 and 2 cross; 9 is in rows of the first segment only, and 4 in those of the second."""
-    first = [(k, who, x, "") for k in range(1, 15) for who, x in ((1, 100 + 6.0 * k), (2, 232 - 6.0 * k))]
+    first = [
+        (k, who, x, "") for k in range(1, 15) for who, x in ((1, 100 + 6.0 * k), (2, 232 - 6.0 * k))
+    ]
     first += [(k, 9, 400.0, "") for k in range(2, 6)]
-    second = [(k, who, x, "") for k in range(7, 21) for who, x in ((1, 233 - 6.0 * k), (2, 101 + 6.0 * k))]
-    second += [(k, 3, 102 + 6.0 * k, "") for k in range(7, 11)] + [(k, 4, 400.0, "") for k in range(15, 21)]
+    second = [
+        (k, who, x, "") for k in range(7, 21) for who, x in ((1, 233 - 6.0 * k), (2, 101 + 6.0 * k))
+    ]
+    second += [(k, 3, 102 + 6.0 * k, "") for k in range(7, 11)] + [
+        (k, 4, 400.0, "") for k in range(15, 21)
+    ]
     rows = joined(tmp_path, first, second)
     place = {(int(k), int(who)): float(x) for k, who, x in rows}
     assert len(place) == len(rows) == 2 * 20 + 4 + 6
@@ -79,9 +103,15 @@ def test_two_who_cross_at_the_border_keep_their_identities_and_others_get_new_on
     assert [line.partition(",")[0] for line in states[1:]] == [row[0] for row in rows]
 
 
-def test_a_car_is_not_a_person_and_a_hidden_one_is_known_by_where_he_comes_back(tmp_path: Path) -> None:
-    first = [(k, 1, 50.0, "car") for k in range(1, 15)] + [(k, 2, 300.0, "person") for k in (*range(1, 9), 13, 14)]
-    second = [(k, 1, 50.0, "person") for k in range(7, 21)] + [(k, 2, 301.0, "person") for k in range(13, 21)]
+def test_a_car_is_not_a_person_and_a_hidden_one_is_known_by_where_he_comes_back(
+    tmp_path: Path,
+) -> None:
+    first = [(k, 1, 50.0, "car") for k in range(1, 15)] + [
+        (k, 2, 300.0, "person") for k in (*range(1, 9), 13, 14)
+    ]
+    second = [(k, 1, 50.0, "person") for k in range(7, 21)] + [
+        (k, 2, 301.0, "person") for k in range(13, 21)
+    ]
     rows = joined(tmp_path, first, second)
     assert {who for k, who, _ in rows if int(k) > 12} == {"2", "3"}
     assert {who for _, who, x in rows if float(x) >= 300} == {"2"}
@@ -89,9 +119,16 @@ def test_a_car_is_not_a_person_and_a_hidden_one_is_known_by_where_he_comes_back(
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a sequence of detections, and in ``all`` the batch of its segments by one call, in ``plain`` without."""
+    """The folder of a sequence of detections, and in ``all`` the batch of its segments by one call,
+    in ``plain`` without.
+    """
     folder = walkers(tmp_path_factory.mktemp("long") / "walk")
-    assert phdtrack("batch", folder / "det/det.txt", "--out", folder / "plain", "--jobs", 1, *REST).status == 0
+    assert (
+        phdtrack(
+            "batch", folder / "det/det.txt", "--out", folder / "plain", "--jobs", 1, *REST
+        ).status
+        == 0
+    )
     said = phdtrack("batch", folder / "det/det.txt", "--out", folder / "all", *CUT, *REST)
     assert said.status == 0, said.err
     assert "1 video: 1 now, 0 before, 0 failed." in said.out
@@ -100,7 +137,12 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def same(out: Path, other: Path) -> None:
     """The video is joined to the same files."""
-    for name in ("runs/det/tracks.csv", "runs/det/states.csv", "runs/det/detections.csv", "tracks/det.parquet"):
+    for name in (
+        "runs/det/tracks.csv",
+        "runs/det/states.csv",
+        "runs/det/detections.csv",
+        "tracks/det.parquet",
+    ):
         assert (out / name).read_bytes() == (other / name).read_bytes(), name
 
 
@@ -117,7 +159,9 @@ def test_the_tracks_are_those_of_the_whole(whole: Path) -> None:
     np.testing.assert_allclose(table["time"].to_numpy(), (run.tracks.frame - 1) / 25, atol=1e-6)
     # Detections of each frame are there once.
     for name in ("detections.csv", "states.csv"):
-        there = [(whole / out / "runs/det" / name).read_text().splitlines() for out in ("all", "plain")]
+        there = [
+            (whole / out / "runs/det" / name).read_text().splitlines() for out in ("all", "plain")
+        ]
         if name == "detections.csv":
             assert there[0] == there[1]
         else:
@@ -127,7 +171,8 @@ def test_the_tracks_are_those_of_the_whole(whole: Path) -> None:
 
 
 def test_shards_do_the_same_and_the_last_one_joins(whole: Path, tmp_path: Path) -> None:
-    words, told = ("batch", whole / "det/det.txt", "--out", tmp_path, "--json", *CUT), list[dict[str, Any]]()
+    words = ("batch", whole / "det/det.txt", "--out", tmp_path, "--json", *CUT)
+    told = list[dict[str, Any]]()
     for k in (1, 2):
         said = phdtrack(*words, "--shard", f"{k}/2", *REST)
         assert (said.status, said.object["complete"]) == (0, True)
@@ -142,7 +187,9 @@ def test_shards_do_the_same_and_the_last_one_joins(whole: Path, tmp_path: Path) 
     same(tmp_path, whole / "all")
 
 
-def test_a_segment_that_fails_does_not_stop_others_and_is_done_by_the_next_call(whole: Path, tmp_path: Path) -> None:
+def test_a_segment_that_fails_does_not_stop_others_and_is_done_by_the_next_call(
+    whole: Path, tmp_path: Path
+) -> None:
     words = ("batch", whole / "det/det.txt", "--out", tmp_path, *CUT, *REST)
     stone = tmp_path / "segments" / "det" / PARTS[0]
     stone.parent.mkdir(parents=True)
@@ -159,22 +206,45 @@ def test_a_segment_that_fails_does_not_stop_others_and_is_done_by_the_next_call(
     assert (stone.parent / PARTS[1] / "tracks.csv").stat().st_mtime_ns == begun
     same(tmp_path, whole / "all")
     # Other segments are other options.
-    other = ("batch", whole / "det/det.txt", "--out", tmp_path, "--segment", "0.5", "--overlap", "0.2", *REST)
+    other = (
+        "batch",
+        whole / "det/det.txt",
+        "--out",
+        tmp_path,
+        "--segment",
+        "0.5",
+        "--overlap",
+        "0.2",
+        *REST,
+    )
     assert "1 run there (det, …) had other options" in refused(*other)
 
 
 def test_what_cannot_be_cut_is_refused(whole: Path, tmp_path: Path) -> None:
     words = ("batch", whole / "det/det.txt", "--out", tmp_path / "no", "--segment")
     assert "segments of 10 s cannot have 20 s in common" in refused(*words, "10s")
-    assert "a segment is a choice of frames already" in refused(*words, "1m", "--", "--frames", "1-5")
+    assert "a segment is a choice of frames already" in refused(
+        *words, "1m", "--", "--frames", "1-5"
+    )
     assert "expected a duration as 90s, 10m or 1h, got 'ten'" in phdtrack(*words, "ten").err
     assert not (tmp_path / "no").exists()
 
 
 @pytest.mark.parametrize("frames", ["11-30", "21-"])
-def test_frames_chosen_keep_numbers_and_times_and_are_scored_alone(frames: str, whole: Path, tmp_path: Path) -> None:
-    first, last = int(frames.split("-")[0]), int(frames.split("-")[1] or 40)
-    words = ("track", "--detections", whole / "det/det.txt", "--frames", frames, "--truth", whole / "gt/gt.txt")
+def test_frames_chosen_keep_numbers_and_times_and_are_scored_alone(
+    frames: str, whole: Path, tmp_path: Path
+) -> None:
+    first = int(frames.split("-")[0])
+    last = int(frames.split("-")[1] or 40)
+    words = (
+        "track",
+        "--detections",
+        whole / "det/det.txt",
+        "--frames",
+        frames,
+        "--truth",
+        whole / "gt/gt.txt",
+    )
     about = phdtrack(*words, "--out", tmp_path, "--json", "--no-video").object
     tracks: Tracks = read_tracks(tmp_path / "tracks.csv")
     assert (about["frames"], about["input"]["frames"]) == (last - first + 1, frames)
@@ -187,7 +257,24 @@ def test_frames_chosen_keep_numbers_and_times_and_are_scored_alone(frames: str, 
 
 def test_wrong_choices_of_frames_are_one_sentence(whole: Path, tmp_path: Path) -> None:
     for text in ("9-3", "0-4", "x", "1-2-3"):
-        said = refused("track", "--detections", whole / "det/det.txt", "--frames", text, "--out", tmp_path / "no")
+        said = refused(
+            "track",
+            "--detections",
+            whole / "det/det.txt",
+            "--frames",
+            text,
+            "--out",
+            tmp_path / "no",
+        )
         assert f"--frames: expected frames as 1500-3000, from 1, got {text!r}" in said
-    late = phdtrack("track", "--detections", whole / "det/det.txt", "--frames", "90-", "--out", tmp_path, "--no-video")
+    late = phdtrack(
+        "track",
+        "--detections",
+        whole / "det/det.txt",
+        "--frames",
+        "90-",
+        "--out",
+        tmp_path,
+        "--no-video",
+    )
     assert "there is no frame 90: the last one is 40" in late.err

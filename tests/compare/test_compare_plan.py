@@ -1,4 +1,6 @@
-"""From words to a plan: which sets a sequence has, which settings stand for which filter, and every mistake beforehand."""
+"""From words to a plan: which sets a sequence has, which settings stand for which filter, and every
+mistake beforehand.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,10 @@ def test_every_combination_has_a_place_of_its_own(tmp_path: Path) -> None:
 def test_a_folder_has_all_its_sets_and_its_name_decides(tmp_path: Path) -> None:
     folder = str(sequence(tmp_path / "yard", sets=("det_public", "det_frcnn", "detour")))
     assert [case.name for case in planned([folder]).cases] == ["yard frcnn", "yard public"]
-    chosen = planned([folder], detections=["public", f"mine={folder}/detour/det.txt", f"{folder}/../{{}}/detour/det.txt"])
+    chosen = planned(
+        [folder],
+        detections=["public", f"mine={folder}/detour/det.txt", f"{folder}/../{{}}/detour/det.txt"],
+    )
     assert [case.detections for case in chosen.cases] == ["public", "mine", "det"]
     files = [case.file.resolve() for case in chosen.cases if case.file is not None]
     assert files[1] == files[2] == (tmp_path / "yard" / "detour" / "det.txt")
@@ -63,7 +68,10 @@ def test_variants_start_from_the_first_filter_or_from_a_preset(tmp_path: Path) -
     ("more", "words"),
     [
         ({"filters": ["gm"]}, "--filters: unknown kind of filter: gm"),
-        ({"sets": ["filter.particles_per_target=5"]}, "unknown setting of [filter]: particles_per_target"),
+        (
+            {"sets": ["filter.particles_per_target=5"]},
+            "unknown setting of [filter]: particles_per_target",
+        ),
         ({"sets": ["filter.kind=none"]}, "--filters says"),
         ({"sets": ["sensor.detection_probability=7"]}, "sensor.detection_probability"),
         ({"variants": ["few"]}, "--variant few"),
@@ -79,7 +87,9 @@ def test_variants_start_from_the_first_filter_or_from_a_preset(tmp_path: Path) -
         ({"iou": 2.0}, "iou"),
     ],
 )
-def test_mistakes_are_told_before_anything_runs(tmp_path: Path, more: dict[str, object], words: str) -> None:
+def test_mistakes_are_told_before_anything_runs(
+    tmp_path: Path, more: dict[str, object], words: str
+) -> None:
     with pytest.raises(InputError, match=re.escape(words)):
         small(tmp_path, **more)
 

@@ -1,4 +1,6 @@
-"""A comparison in a folder: what is kept is taken up, what has changed runs again, and no number of jobs matters."""
+"""A comparison in a folder: what is kept is taken up, what has changed runs again, and no number of
+jobs matters.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,10 @@ from phdtrack.parallel import Failed
 
 
 def deciding(folder: Path) -> dict[str, object]:
-    return {str(path.parent.relative_to(folder)): read_about(path.parent)["decided_by"] for path in folder.rglob("run.json")}
+    return {
+        str(path.parent.relative_to(folder)): read_about(path.parent)["decided_by"]
+        for path in folder.rglob("run.json")
+    }
 
 
 def tracks(folder: Path) -> dict[str, str]:
@@ -53,7 +58,9 @@ def test_outcomes_are_those_of_the_tracks_that_are_kept(tmp_path: Path) -> None:
         written = read_tracks(tmp_path / "out" / one.place / "tracks.csv")
         again = evaluate(truth, written, frames=FRAMES).as_dict()
         # Boxes are written with seven digits.
-        assert {name: -1 if value is None else value for name, value in scores(outcome).items()} == pytest.approx(
+        assert {
+            name: -1 if value is None else value for name, value in scores(outcome).items()
+        } == pytest.approx(
             {name: -1 if value is None else value for name, value in again.items()}, rel=1e-5
         )
         assert isinstance(outcome, RunResult)
@@ -63,7 +70,9 @@ def test_outcomes_are_those_of_the_tracks_that_are_kept(tmp_path: Path) -> None:
 def test_the_same_plan_again_runs_nothing_and_gives_the_same(tmp_path: Path) -> None:
     made = small(tmp_path, clutter=[0.0, 3.0])
     first = run(made, tmp_path / "out")
-    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    before = {
+        path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*") if path.is_file()
+    }
     told: list[int] = []
     second = run(small(tmp_path, clutter=[0.0, 3.0]), tmp_path / "out", advance=told.append)
     assert (first.reused, second.reused) == (0, len(second.results))
@@ -75,8 +84,14 @@ def test_the_same_plan_again_runs_nothing_and_gives_the_same(tmp_path: Path) -> 
 
 
 def test_any_number_of_jobs_gives_the_same(tmp_path: Path) -> None:
-    made = small(tmp_path, filters=["particle-phd", "none"], clutter=[0.0, 3.0], sets=["filter.particles_per_target=60"])
-    one, two = run(made, tmp_path / "one"), run(made, tmp_path / "two", 2)
+    made = small(
+        tmp_path,
+        filters=["particle-phd", "none"],
+        clutter=[0.0, 3.0],
+        sets=["filter.particles_per_target=60"],
+    )
+    one = run(made, tmp_path / "one")
+    two = run(made, tmp_path / "two", 2)
     assert tracks(tmp_path / "one") == tracks(tmp_path / "two")
     assert deciding(tmp_path / "one") == deciding(tmp_path / "two")
     assert plain(one.results) == plain(two.results)
@@ -84,16 +99,31 @@ def test_any_number_of_jobs_gives_the_same(tmp_path: Path) -> None:
 
 
 def test_where_nothing_is_random_one_run_stands_for_all_seeds(tmp_path: Path) -> None:
-    made = small(tmp_path, filters=["particle-phd", "gm-phd", "none"], seeds=3, sets=["filter.particles_per_target=60"])
+    made = small(
+        tmp_path,
+        filters=["particle-phd", "gm-phd", "none"],
+        seeds=3,
+        sets=["filter.particles_per_target=60"],
+    )
     found = run(made, tmp_path / "out")
-    drawn = {(one.method.name, one.seed): outcome.drawn for one, outcome in found.runs if isinstance(outcome, RunResult)}
-    assert drawn == {**{("particle-phd", seed): True for seed in (1, 2, 3)}, ("gm-phd", 1): False, ("none", 1): False}
+    drawn = {
+        (one.method.name, one.seed): outcome.drawn
+        for one, outcome in found.runs
+        if isinstance(outcome, RunResult)
+    }
+    assert drawn == {
+        **{("particle-phd", seed): True for seed in (1, 2, 3)},
+        ("gm-phd", 1): False,
+        ("none", 1): False,
+    }
     last = made.runs[5]
     assert (last.method.name, last.seed) == ("gm-phd", 3)
     assert found.result(last) is found.results[replace(last, seed=1).place]
 
 
-@pytest.mark.parametrize("change", ["setting", "unrelated", "detections", "truth", "seqinfo", "iou"])
+@pytest.mark.parametrize(
+    "change", ["setting", "unrelated", "detections", "truth", "seqinfo", "iou"]
+)
 def test_only_what_a_change_decides_runs_again(tmp_path: Path, change: str) -> None:
     made = small(tmp_path)
     run(made, tmp_path / "out")
@@ -117,11 +147,15 @@ def test_only_what_a_change_decides_runs_again(tmp_path: Path, change: str) -> N
         "iou": set(before),
     }.get(change, {place for place in before if place.startswith("runs/a/")})
     assert changed == expected
-    assert found.outdated == ([{"setting": "settings", "seqinfo": "sequence"}.get(change, change)] if expected else [])
+    assert found.outdated == (
+        [{"setting": "settings", "seqinfo": "sequence"}.get(change, change)] if expected else []
+    )
     assert found.reused == len(before) - len(expected)
 
 
-@pytest.mark.parametrize(("part", "decides"), [("filters/none.py", True), ("report/pages.py", False)])
+@pytest.mark.parametrize(
+    ("part", "decides"), [("filters/none.py", True), ("report/pages.py", False)]
+)
 def test_a_change_of_what_makes_results_is_another_digest(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: str, decides: bool
 ) -> None:
@@ -146,7 +180,10 @@ def test_a_damaged_folder_is_run_again(tmp_path: Path) -> None:
 
 def test_clutter_is_the_same_for_all_methods_and_another_for_every_seed(tmp_path: Path) -> None:
     made = small(tmp_path, clutter=[3.0])
-    given = {(one.case.name, one.method.name, one.seed): run_input(one, tmp_path).table for one in made.runs}
+    given = {
+        (one.case.name, one.method.name, one.seed): run_input(one, tmp_path).table
+        for one in made.runs
+    }
     for case in ("a det", "b det"):
         for seed in (1, 2):
             boxes = [given[case, method, seed].detections.xyxy for method in ("gm-phd", "none")]
@@ -174,7 +211,8 @@ def test_a_run_that_fails_or_is_stopped_is_tried_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException
 ) -> None:
     """The runs before are kept, and those behind a failed one."""
-    made, tracked = small(tmp_path, seeds=1), runs.tracked
+    made = small(tmp_path, seeds=1)
+    tracked = runs.tracked
 
     def broken(one: Run, given: runs.RunInput) -> object:
         if one.method.name == "none" and one.case is made.cases[0]:
@@ -188,7 +226,9 @@ def test_a_run_that_fails_or_is_stopped_is_tried_again(
                 run(made, tmp_path / "out")
         else:
             failed = run(made, tmp_path / "out").failed
-            assert [(str(one), reason) for one, reason in failed] == [("none on a det, seed 1", "RuntimeError: out of luck")]
+            assert [(str(one), reason) for one, reason in failed] == [
+                ("none on a det, seed 1", "RuntimeError: out of luck")
+            ]
     kept = 1 if isinstance(error, KeyboardInterrupt) else 3
     assert len(tracks(tmp_path / "out")) == kept
     assert list((tmp_path / "out").rglob(".*")) == []

@@ -21,7 +21,11 @@ from phdtrack.parallel import Failed
 def comparison(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
     folder = tmp_path_factory.mktemp("summary")
     made = small(
-        folder, filters=["particle-phd", "none"], clutter=[0.0, 3.0], seeds=3, sets=["filter.particles_per_target=60"]
+        folder,
+        filters=["particle-phd", "none"],
+        clutter=[0.0, 3.0],
+        seeds=3,
+        sets=["filter.particles_per_target=60"],
     )
     return run(made, folder / "out")
 
@@ -32,7 +36,11 @@ def row(found: Sequence[Row], sequence: str, rate: float, method: str) -> Row:
 
 
 def scores(comparison: Comparison, rate: float, method: str, seed: int) -> list[Scores]:
-    runs = [run for run in comparison.plan.runs if (run.rate, run.method.name, run.seed) == (rate, method, seed)]
+    runs = [
+        run
+        for run in comparison.plan.runs
+        if (run.rate, run.method.name, run.seed) == (rate, method, seed)
+    ]
     found = [comparison.result(run) for run in runs]
     return [one.scores for one in found if isinstance(one, RunResult) and one.scores is not None]
 
@@ -49,8 +57,13 @@ def test_pooled_rows_add_up_the_sums_seed_by_seed(comparison: Comparison) -> Non
 
 def test_differences_are_paired_by_seed(comparison: Comparison) -> None:
     found = summary(comparison)
-    mine, theirs = ([scores(comparison, 3.0, name, seed)[0].MOTA for seed in (1, 2, 3)] for name in ("none", "particle-phd"))
-    assert row(found, "a", 3.0, "none").ahead["MOTA"] == interval([a - b for a, b in zip(mine, theirs, strict=True)])
+    mine, theirs = (
+        [scores(comparison, 3.0, name, seed)[0].MOTA for seed in (1, 2, 3)]
+        for name in ("none", "particle-phd")
+    )
+    assert row(found, "a", 3.0, "none").ahead["MOTA"] == interval(
+        [a - b for a, b in zip(mine, theirs, strict=True)]
+    )
     assert row(found, "a", 3.0, "particle-phd").ahead == {}
     # One run of none beside three of the filter: the difference is random by one side alone.
     still = row(found, "a", 0.0, "none")
@@ -58,7 +71,9 @@ def test_differences_are_paired_by_seed(comparison: Comparison) -> None:
 
 
 def test_a_failed_run_leaves_its_rows_empty(comparison: Comparison) -> None:
-    run_of_none = next(one for one in comparison.plan.runs if one.method.name == "none" and one.rate == 3.0)
+    run_of_none = next(
+        one for one in comparison.plan.runs if one.method.name == "none" and one.rate == 3.0
+    )
     results = {**comparison.results, run_of_none.place: Failed("no luck")}
     broken = Comparison(comparison.plan, comparison.folder, results)
     found = summary(broken)
@@ -74,7 +89,10 @@ def test_numbers_as_people_read_them(comparison: Comparison) -> None:
     assert f"{interval([0.5, 0.6]):.3f}" == "0.550 ± 0.635"
     assert f"{interval([0.25]):+.3f}" == "+0.250"
     assert f"{interval([]):.3f}" == "–"
-    rows = [Row("a", detections, 1, 0.0, method) for detections, method in (("x", "f"), ("x", "g"), ("y", "f"))]
+    rows = [
+        Row("a", detections, 1, 0.0, method)
+        for detections, method in (("x", "f"), ("x", "g"), ("y", "f"))
+    ]
     lines = Results(comparison, rows, ("ms",)).table(rows).rows
     assert lines == [("a", "x", "0", "f", "–"), ("", "", "", "g", "–"), ("", "y", "0", "f", "–")]
 
@@ -82,33 +100,61 @@ def test_numbers_as_people_read_them(comparison: Comparison) -> None:
 def made_up(method: str, values: list[float], random: bool = True) -> Row:
     """One method's MOTA at each seed."""
     own = {"MOTA": interval(values if random else values[:1])}
-    return Row("a", "det", 1, 0.0, method, random, scores=own, each=tuple({"MOTA": value} for value in values))
+    return Row(
+        "a",
+        "det",
+        1,
+        0.0,
+        method,
+        random,
+        scores=own,
+        each=tuple({"MOTA": value} for value in values),
+    )
 
 
 def test_a_best_is_named_only_where_it_is_more_than_chance(comparison: Comparison) -> None:
     still = replace(comparison, plan=replace(comparison.plan, rates=(0.0,)))
-    a, b = made_up("a", [0.50, 0.60, 0.40]), made_up("b", [0.51, 0.59, 0.41])
+    a = made_up("a", [0.50, 0.60, 0.40])
+    b = made_up("b", [0.51, 0.59, 0.41])
     # Far less than the seeds scatter, but the same at every one.
-    c, d = made_up("c", [0.49, 0.57, 0.39]), made_up("d", [0.1, 0.1, 0.1], random=False)
+    c = made_up("c", [0.49, 0.57, 0.39])
+    d = made_up("d", [0.1, 0.1, 0.1], random=False)
     (said,) = Results(still, (c, a, b, d), ()).sentences()
-    assert said.startswith("Without added clutter the highest MOTA is not told apart between b 0.503 ± ")
+    assert said.startswith(
+        "Without added clutter the highest MOTA is not told apart between b 0.503 ± "
+    )
     assert " and a 0.500 ± " in said
     assert said.index("; c 0.483 ± ") > said.index("and a")
     assert said.endswith(", d 0.100.")
     (said,) = Results(still, (c, b), ()).sentences()
     assert said.startswith("Without added clutter the highest MOTA is that of b 0.503 ± ")
     e = made_up("e", [0.2, 0.2, 0.2], random=False)
-    assert Results(still, (d, e), ()).sentences() == ("Without added clutter the highest MOTA is that of e 0.200; d 0.100.",)
+    assert Results(still, (d, e), ()).sentences() == (
+        "Without added clutter the highest MOTA is that of e 0.200; d 0.100.",
+    )
     # One seed tells nothing from chance.
-    assert "not told apart" in Results(still, (made_up("f", [0.5]), made_up("g", [0.9])), ()).sentences()[0]
+    assert (
+        "not told apart"
+        in Results(still, (made_up("f", [0.5]), made_up("g", [0.9])), ()).sentences()[0]
+    )
 
 
 def test_the_best_of_a_column_has_a_star_and_what_is_as_good_too(comparison: Comparison) -> None:
     names = ("MOTA", "id_switches", "frames")
     values = {"a": (0.5001, 3, 9), "b": (0.5004, 1, 8), "c": (0.4, 1, 7)}
-    scores = {method: dict(zip(names, map(float, each), strict=True)) for method, each in values.items()}
+    scores = {
+        method: dict(zip(names, map(float, each), strict=True)) for method, each in values.items()
+    }
     still = [
-        Row("x", "det", 1, 0.0, method, scores={name: interval([value]) for name, value in each.items()}, each=(each,))
+        Row(
+            "x",
+            "det",
+            1,
+            0.0,
+            method,
+            scores={name: interval([value]) for name, value in each.items()},
+            each=(each,),
+        )
         for method, each in scores.items()
     ]
     table = Results(comparison, still, names).table(still)
@@ -123,9 +169,16 @@ def test_the_best_of_a_column_has_a_star_and_what_is_as_good_too(comparison: Com
         Row("x", "det", 1, 0.0, name, scores={"ms": interval([ms])}, each=({"ms": ms},) * 3)
         for name, ms in (("a", 1.0), ("b", 2.0))
     ]
-    assert [line[4] for line in Results(comparison, timed, ("ms",)).table(timed).rows] == ["1.00", "2.00"]
+    assert [line[4] for line in Results(comparison, timed, ("ms",)).table(timed).rows] == [
+        "1.00",
+        "2.00",
+    ]
     # Of random methods those are as good that the seeds do not tell apart; one alone is no best.
-    many = [made_up("a", [0.50, 0.60, 0.40]), made_up("b", [0.51, 0.59, 0.41]), made_up("c", [0.49, 0.57, 0.39])]
+    many = [
+        made_up("a", [0.50, 0.60, 0.40]),
+        made_up("b", [0.51, 0.59, 0.41]),
+        made_up("c", [0.49, 0.57, 0.39]),
+    ]
     found = Results(comparison, (), ("MOTA",))
     assert [line[4][:5] for line in found.table(many).rows] == ["*0.50", "*0.50", "0.483"]
     assert found.table(many[:1]).rows[0][4].startswith("0.500")

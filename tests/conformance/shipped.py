@@ -1,4 +1,6 @@
-"""Everything shipped that claims a protocol, and worlds to try it in. A new one is added here, and tested by that."""
+"""Everything shipped that claims a protocol, and worlds to try it in. A new one is added here, and
+tested by that.
+"""
 
 from __future__ import annotations
 
@@ -70,7 +72,9 @@ MOTIONS = {
     "turning, piecewise": TurningMotion(form="piecewise", acceleration=0.0),
     "point": PointMotion(),
 }
-SENSORS = {scaling: BoxSensor(scaling=scaling) for scaling in ("particle", "detection", "fixed", "given")}
+SENSORS = {
+    scaling: BoxSensor(scaling=scaling) for scaling in ("particle", "detection", "fixed", "given")
+}
 SENSORS["no floor"] = BoxSensor(min_noise=0.0)
 SENSORS["plane"] = PlaneSensor(camera=LevelCamera(horizon=-100.0), frame_size=FRAME)
 SENSORS["plane, fixed"] = PlaneSensor(camera=LevelCamera(horizon=-100.0), scaling="fixed")
@@ -86,27 +90,37 @@ def mixture(dim: int) -> GaussianMixture:
 
 def learned(low: list[float], high: list[float]) -> SceneDensity:
     """A density of which a half is one wide Gaussian in the middle."""
-    a, b = np.array(low, np.float64), np.array(high, np.float64)
-    return SceneDensity(a, b, 0.5, np.ones(1), (a + b)[:, None] / 2, np.diag(((b - a) / 4) ** 2)[None])
+    a = np.array(low, np.float64)
+    b = np.array(high, np.float64)
+    return SceneDensity(
+        a, b, 0.5, np.ones(1), (a + b)[:, None] / 2, np.diag(((b - a) / 4) ** 2)[None]
+    )
 
 
 BIRTHS = {
     "measurement, image": MeasurementBirth(births_per_second=0.02, particles=200, frame_size=SIZE),
     "measurement, local": MeasurementBirth(births_per_detection=0.02, particles=200),
     "fixed": FixedBirth(mixture(6), particles=100),
-    "learned": SceneBirth(0.05, learned([0, 0, -9, -9, 0, 0], [640, 480, 9, 9, 640, 480]), particles=200),
+    "learned": SceneBirth(
+        0.05, learned([0, 0, -9, -9, 0, 0], [640, 480, 9, 9, 640, 480]), particles=200
+    ),
 }
 PEOPLE = learned([0, 0, 0, 0], [640, 480, 640, 480])
 BIRTHS["laid over"] = replace(BIRTHS["learned"], births_per_detection=0.02, among=PEOPLE)
 GROUND = SENSORS["plane"]
 PLANE_BIRTHS = {
     "plane, region": PlaneBirth(
-        births_per_second=0.02, births_per_detection=0, particles=200, borders=(-40.0, 0.0, 40.0, 60.0)
+        births_per_second=0.02,
+        births_per_detection=0,
+        particles=200,
+        borders=(-40.0, 0.0, 40.0, 60.0),
     ),
     "plane, local": PlaneBirth(births_per_detection=0.02, particles=200),
     "plane, fixed": FixedBirth(
         GaussianMixture(
-            np.array([0.02, 0.01]), np.array([[0.0, 1], [10, 20], [0, 0], [0, 1]]), np.tile(np.eye(4), (2, 1, 1))
+            np.array([0.02, 0.01]),
+            np.array([[0.0, 1], [10, 20], [0, 0], [0, 1]]),
+            np.tile(np.eye(4), (2, 1, 1)),
         )
     ),
 }
@@ -114,7 +128,11 @@ POINT_BIRTHS = {
     "point": PointBirth(births_per_second=0.02, particles=200, frame_size=SIZE),
     "point, uniform": UniformBirth(SIZE, particles=40),
 }
-CLUTTERS = {"uniform": UniformClutter(2.0, (640.0 * 480) ** 2), "local": BoxClutter(2.0), "none": UniformClutter(0.0, 1.0)}
+CLUTTERS = {
+    "uniform": UniformClutter(2.0, (640.0 * 480) ** 2),
+    "local": BoxClutter(2.0),
+    "none": UniformClutter(0.0, 1.0),
+}
 CLUTTERS["learned"] = SceneClutter(2.0, PEOPLE)
 CLUTTERS["laid over"] = SceneClutter(2.0, PEOPLE, clutter_per_detection=0.5)
 PLANE_CLUTTERS = {"plane, region": UniformClutter(2.0, 800.0), "plane, local": PlaneClutter(2.0)}
@@ -159,21 +177,31 @@ ASSOCIATORS = {
     "labelled, plain": Labelled(bridge_gaps=False, min_track_length=1),
 }
 SCENE_ODDS = FalseAlarmRatio(
-    LearnedDensity(2.0, PEOPLE), TrackedObjects(0.5, LearnedDensity(3.0, uniform_density(PEOPLE.low, PEOPLE.high)))
+    LearnedDensity(2.0, PEOPLE),
+    TrackedObjects(0.5, LearnedDensity(3.0, uniform_density(PEOPLE.low, PEOPLE.high))),
 )
 ASSOCIATORS |= {
-    f"vetted, {name}": FalseTrackRejection(ASSOCIATORS[name], SCENE_ODDS) for name in ("delayed", "labelled, delayed")
+    f"vetted, {name}": FalseTrackRejection(ASSOCIATORS[name], SCENE_ODDS)
+    for name in ("delayed", "labelled, delayed")
 }
 
 
 def often(birth: MeasurementBirth | SceneBirth) -> MeasurementBirth | SceneBirth:
     """25 times as many births a second."""
-    return replace(birth, **{name: 25 * getattr(birth, name) for name in ("births_per_second", "births_per_detection")})
+    return replace(
+        birth,
+        **{
+            name: 25 * getattr(birth, name)
+            for name in ("births_per_second", "births_per_detection")
+        },
+    )
 
 
 def model_of(sensor: BoxSensor | None = None) -> Model:
     sensor = sensor or SENSORS["particle"]
-    return Model(BoxMotion(frame_size=SIZE), sensor, often(BIRTHS["measurement, image"]), CLUTTERS["uniform"])
+    return Model(
+        BoxMotion(frame_size=SIZE), sensor, often(BIRTHS["measurement, image"]), CLUTTERS["uniform"]
+    )
 
 
 def detections(rng: np.random.Generator, n: int) -> Detections:
@@ -182,11 +210,18 @@ def detections(rng: np.random.Generator, n: int) -> Detections:
     corner = rng.uniform(0, 1, (n, 2)) * (np.array(SIZE) - size)
     variance = rng.uniform(1, 25, (n, 4))
     found = Detections.of(np.hstack([corner, corner + size]))
-    return Detections(found.xyxy, found.confidence, found.class_id, np.apply_along_axis(np.diag, 1, variance) if n else None)
+    return Detections(
+        found.xyxy,
+        found.confidence,
+        found.class_id,
+        np.apply_along_axis(np.diag, 1, variance) if n else None,
+    )
 
 
 def states(rng: np.random.Generator, n: int, dim: int = 6) -> np.ndarray:
-    """(dim, n) states in the frame: of boxes, points, or with five components of targets that turn."""
+    """(dim, n) states in the frame: of boxes, points, or with five components of targets that
+    turn.
+    """
     z = to_cxcywh(detections(rng, n).xyxy) if n else np.zeros((4, 0))
     x = np.vstack([z[:2], rng.normal(0, 3, (2, n)), z[2:], z[2:]])
     if dim == 5:
@@ -200,8 +235,12 @@ def gaussians(x: np.ndarray, mass: float = 1.0) -> GaussianMixture:
     return GaussianMixture(np.full(n, mass), x, np.tile(np.eye(d), (n, 1, 1)))
 
 
-def intensity_for(extractor: object, x: np.ndarray, each: int, rng: np.random.Generator, mass: float = 1.0):
-    """What the extractor can read about every column of ``x``: Gaussians or ``each`` particles, and their number."""
+def intensity_for(
+    extractor: object, x: np.ndarray, each: int, rng: np.random.Generator, mass: float = 1.0
+):
+    """What the extractor can read about every column of ``x``: Gaussians or ``each`` particles, and
+    their number.
+    """
     if isinstance(extractor, BestHypothesis | BestBernoullis):
         labelled = MHT if isinstance(extractor, BestHypothesis) else PMB
         return labelled(initial=gaussians(x, mass)).start(model_of(), rng)
@@ -239,7 +278,9 @@ def fixed(array: np.ndarray) -> np.ndarray:
 
 
 def keeps(protocol: type, implementation: object) -> None:
-    """Every method of the protocol is there, with the protocol's arguments in its order; properties are properties."""
+    """Every method of the protocol is there, with the protocol's arguments in its order; properties
+    are properties.
+    """
     for name, wanted in vars(protocol).items():
         if name.startswith("_") and name not in ("__call__", "__iter__"):
             continue
@@ -250,7 +291,9 @@ def keeps(protocol: type, implementation: object) -> None:
             ours = inspect.signature(getattr(implementation, name)).parameters
             assert list(ours)[: len(theirs)] == theirs, f"{type(implementation).__name__}.{name}"
             rest = list(ours.values())[len(theirs) :]
-            assert all(p.default is not p.empty for p in rest), f"{type(implementation).__name__}.{name} asks for more"
+            assert all(p.default is not p.empty for p in rest), (
+                f"{type(implementation).__name__}.{name} asks for more"
+            )
 
 
 def check_estimates(found: Estimates, dim: int, n: int) -> None:

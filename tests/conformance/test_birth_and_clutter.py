@@ -6,7 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from shipped import BIRTHS, CLUTTERS, GROUND, PLANE_BIRTHS, PLANE_CLUTTERS, POINT_BIRTHS, SENSORS, detections, fixed, keeps
+from shipped import (
+    BIRTHS,
+    CLUTTERS,
+    GROUND,
+    PLANE_BIRTHS,
+    PLANE_CLUTTERS,
+    POINT_BIRTHS,
+    SENSORS,
+    detections,
+    fixed,
+    keeps,
+)
 
 from phdtrack.errors import InputError
 from phdtrack.filters import GMPHD
@@ -17,8 +28,12 @@ from phdtrack.types import GaussianMixture
 SENSOR = SENSORS["particle"]
 IN_WORLDS = ((BIRTHS, SENSOR), (PLANE_BIRTHS, GROUND), (POINT_BIRTHS, SENSORS["point"]))
 WORLDS = [(birth, sensor) for births, sensor in IN_WORLDS for birth in births.values()]
-births = pytest.mark.parametrize(("birth", "sensor"), WORLDS, ids=[*BIRTHS, *PLANE_BIRTHS, *POINT_BIRTHS])
-PLACES = [(clutter, SENSOR) for clutter in CLUTTERS.values()] + [(clutter, GROUND) for clutter in PLANE_CLUTTERS.values()]
+births = pytest.mark.parametrize(
+    ("birth", "sensor"), WORLDS, ids=[*BIRTHS, *PLANE_BIRTHS, *POINT_BIRTHS]
+)
+PLACES = [(clutter, SENSOR) for clutter in CLUTTERS.values()] + [
+    (clutter, GROUND) for clutter in PLANE_CLUTTERS.values()
+]
 clutters = pytest.mark.parametrize(("clutter", "sensor"), PLACES, ids=[*CLUTTERS, *PLANE_CLUTTERS])
 
 
@@ -32,7 +47,13 @@ def dim(sensor) -> int:
 
 def newborn(birth: Birth, z: np.ndarray, sensor: Sensor, seconds: float) -> GaussianMixture:
     """What there is after a frame in which nothing was expected and targets are never detected."""
-    model = Model(PlaneMotion(), replace(sensor, detection_probability=0.0), birth, UniformClutter(1.0, 1.0), rate=1.0)
+    model = Model(
+        PlaneMotion(),
+        replace(sensor, detection_probability=0.0),
+        birth,
+        UniformClutter(1.0, 1.0),
+        rate=1.0,
+    )
     d = len(sensor.states(z)[0])
     nothing = GaussianMixture(np.zeros(0), np.zeros((d, 0)), np.zeros((0, d, d)))
     found, _ = GMPHD().update(nothing, z, model, seconds, np.random.default_rng(0))
@@ -43,7 +64,8 @@ def newborn(birth: Birth, z: np.ndarray, sensor: Sensor, seconds: float) -> Gaus
 @births
 def test_newborn_are_particles_and_repeat(birth, sensor, rng):
     keeps(Birth, birth)
-    z, covered = measured(rng, 5, sensor), fixed(np.array([0.0, 0.3, 1.0, 2.0, 0.9]))
+    z = measured(rng, 5, sensor)
+    covered = fixed(np.array([0.0, 0.3, 1.0, 2.0, 0.9]))
     a, b = (birth.sample(z, covered, sensor, 1.0, np.random.default_rng(3)) for _ in range(2))
     assert a.state.shape == (dim(sensor), len(a))
     assert len(a) > 0
@@ -57,34 +79,46 @@ def test_newborn_are_particles_and_repeat(birth, sensor, rng):
 
 @births
 def test_their_mass_follows_the_interval(birth, sensor, rng):
-    z, covered = measured(rng, 5, sensor), np.zeros(5)
-    one, three = (birth.sample(z, covered, sensor, dt, np.random.default_rng(3)).mass for dt in (1.0, 3.0))
+    z = measured(rng, 5, sensor)
+    covered = np.zeros(5)
+    one, three = (
+        birth.sample(z, covered, sensor, dt, np.random.default_rng(3)).mass for dt in (1.0, 3.0)
+    )
     assert three == pytest.approx(3 * one)
     assert 0 < one < 3
 
 
 BOXES = np.array([[100.0, 300, 500], [200, 250, 100], [40, 60, 30], [80, 120, 100]])
 FEET = np.array([[-10.0, 3, 12], [20, 30, 25], [0.2, 0.4, 0.3], [0.1, 0, -0.1], [0.3, 0.6, 0.2]])
-GAUSSIAN = [(birth, SENSOR, BOXES) for name, birth in BIRTHS.items() if name not in ("uniform", "learned")]
+GAUSSIAN = [
+    (birth, SENSOR, BOXES) for name, birth in BIRTHS.items() if name not in ("uniform", "learned")
+]
 GAUSSIAN += [(birth, GROUND, FEET) for name, birth in PLANE_BIRTHS.items() if "learned" not in name]
 GAUSSIAN.append((POINT_BIRTHS["point"], SENSORS["point"], BOXES[:2]))
 
 
 @pytest.mark.parametrize(("birth", "sensor", "z"), GAUSSIAN)
 def test_their_mixture_has_the_mass_of_their_particles(birth, sensor, z):
-    """Averaged over draws: detections far apart, so that regions of γ neither overlap nor leave the image."""
-    d, mixture = dim(sensor), newborn(birth, fixed(z), sensor, 0.6)
+    """Averaged over draws: detections far apart, so that regions of γ neither overlap nor leave the
+    image.
+    """
+    d = dim(sensor)
+    mixture = newborn(birth, fixed(z), sensor, 0.6)
     assert mixture.mean.shape == (d, len(mixture))
     assert mixture.covariance.shape == (len(mixture), d, d)
     assert (mixture.weight > 0).all()
     assert np.linalg.eigvalsh(mixture.covariance).min() > 0
-    drawn = [birth.sample(z, np.zeros(3), sensor, 0.6, np.random.default_rng(k)).mass for k in range(40)]
+    drawn = [
+        birth.sample(z, np.zeros(3), sensor, 0.6, np.random.default_rng(k)).mass for k in range(40)
+    ]
     assert mixture.mass == pytest.approx(np.mean(drawn), rel=0.03)
 
 
 # The second and third detections share what lies between them.
 NEAR = np.array([[100.0, 300, 303], [200, 250, 251], [40, 60, 60], [80, 120, 122]])
-FEET_NEAR = np.array([[-10.0, 3, 3.5], [20, 30, 30.5], [0.2, 0.4, 0.4], [0.1, 0, 0], [0.3, 0.6, 0.6]])
+FEET_NEAR = np.array(
+    [[-10.0, 3, 3.5], [20, 30, 30.5], [0.2, 0.4, 0.4], [0.1, 0, 0], [0.3, 0.6, 0.6]]
+)
 ELLIPSE = np.pi * 36 * np.sqrt(FEET_NEAR[2] * FEET_NEAR[4] - FEET_NEAR[3] ** 2)
 AROUND = 1 / (4 * (NEAR[2] * NEAR[3]) ** 2)
 
@@ -98,11 +132,14 @@ AROUND = 1 / (4 * (NEAR[2] * NEAR[3]) ** 2)
 ], ids=["image", "local", "region", "local on the plane", "point"])  # fmt: skip
 def test_newborn_gaussians_have_the_density_of_gamma_at_their_detection(birth, sensor, z, gamma):
     """Seen through the noise; 0.02 are born a second."""
-    mixture, rows = newborn(birth, z, sensor, 1.0), list(sensor.observed)
+    mixture = newborn(birth, z, sensor, 1.0)
+    rows = list(sensor.observed)
     seen = mixture.covariance[:, rows][:, :, rows] + sensor.covariance(z, mixture.mean)
     step = z[: len(rows), :, None] - mixture.mean[rows][:, None, :]
     distance2 = np.einsum("rji,irs,sji->ji", step, np.linalg.inv(seen), step)
-    density = (mixture.weight / np.sqrt(np.linalg.det(2 * np.pi * seen)) * np.exp(-0.5 * distance2)).sum(1)
+    density = (
+        mixture.weight / np.sqrt(np.linalg.det(2 * np.pi * seen)) * np.exp(-0.5 * distance2)
+    ).sum(1)
     np.testing.assert_allclose(density, 0.02 * gamma, rtol=0.02)
 
 
@@ -113,7 +150,8 @@ def test_uniform_births_have_no_mixture_and_say_what_has():
 
 @births
 def test_no_measurements(birth, sensor, rng):
-    d, none = dim(sensor), sensor.measure(detections(rng, 0))
+    d = dim(sensor)
+    none = sensor.measure(detections(rng, 0))
     born = birth.sample(none, np.zeros(0), sensor, 1.0, rng)
     assert born.state.shape == (d, len(born))
     assert (born.weight >= 0).all()
@@ -132,4 +170,6 @@ def test_clutter_is_an_intensity(clutter, sensor, rng):
     assert np.isfinite(kappa).all()
     assert (kappa >= 0).all()
     np.testing.assert_array_equal(clutter.intensity(z[:, :0]), np.zeros(0))
-    assert (clutter.intensity(z[:, 5:7]) <= kappa[5:7] + 1e-15).all(), "other detections take nothing away"
+    assert (clutter.intensity(z[:, 5:7]) <= kappa[5:7] + 1e-15).all(), (
+        "other detections take nothing away"
+    )

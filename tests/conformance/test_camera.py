@@ -44,8 +44,11 @@ def test_depth_is_positive_where_ground_is_seen_and_grows_up_the_picture(camera,
 
 
 def test_the_jacobian_is_the_derivative(camera, shown):
-    """By central differences; where a step leaves the patch of an elevation map, there is a kink, and the median decides."""
-    step, jacobian = 1e-3, camera.jacobian(shown)
+    """By central differences; where a step leaves the patch of an elevation map, there is a kink,
+    and the median decides.
+    """
+    step = 1e-3
+    jacobian = camera.jacobian(shown)
     assert jacobian.shape == (shown.shape[1], 2, 2)
     for axis in range(2):
         shift = np.zeros((2, 1))
@@ -63,7 +66,9 @@ def test_a_point_that_is_not_there_spoils_no_other(camera, shown):
     good = np.array([0, 1, 2, 6, 7])
     for values in (camera.ground(mixed).T, camera.jacobian(mixed)):
         assert np.isfinite(values[good]).all()
-        assert np.isnan(np.delete(values, good, axis=0)).any(axis=tuple(range(1, values.ndim))).all()
+        assert (
+            np.isnan(np.delete(values, good, axis=0)).any(axis=tuple(range(1, values.ndim))).all()
+        )
     np.testing.assert_array_equal(camera.ground(mixed)[:, good], camera.ground(shown[:, :5]))
 
 
@@ -78,7 +83,11 @@ def test_what_is_behind_the_camera_has_no_pixel(camera, shown):
 
 def test_ground_points_with_their_height_are_the_same_points(camera, shown):
     ground = camera.ground(shown)
-    height = camera.surface.height(ground) if isinstance(camera, PosedCamera) else np.zeros(ground.shape[1])
+    height = (
+        camera.surface.height(ground)
+        if isinstance(camera, PosedCamera)
+        else np.zeros(ground.shape[1])
+    )
     world = np.vstack([ground, height])
     np.testing.assert_allclose(camera.pixels(world), camera.pixels(ground))
     np.testing.assert_allclose(camera.depth(world), camera.depth(ground))

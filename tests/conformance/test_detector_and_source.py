@@ -12,7 +12,8 @@ from phdtrack.devices import Detector
 from phdtrack.types import Detections, DetectionTable, Frame
 from phdtrack.video import VideoWriter, open_source
 
-WIDTH, HEIGHT = 160, 128
+WIDTH = 160
+HEIGHT = 128
 
 
 def pictures(count: int = 12) -> list[Frame]:
@@ -27,7 +28,9 @@ def pictures(count: int = 12) -> list[Frame]:
     return out
 
 
-TABLE = DetectionTable(np.array([1, 3, 3]), Detections.of([[1, 2, 30, 40], [5, 6, 70, 80], [9, 9, 20, 20]]))
+TABLE = DetectionTable(
+    np.array([1, 3, 3]), Detections.of([[1, 2, 30, 40], [5, 6, 70, 80], [9, 9, 20, 20]])
+)
 
 
 @pytest.mark.parametrize("name", [*DETECTORS, "table"])
@@ -75,7 +78,9 @@ def test_sources_give_frames_in_order_and_again(kind: str, files):
     for _ in range(2):
         frames = list(source)
         assert [frame.number for frame in frames] == list(range(1, 13))
-        assert [frame.time for frame in frames] == pytest.approx([k / 25 for k in range(12)], abs=1e-3)
+        assert [frame.time for frame in frames] == pytest.approx(
+            [k / 25 for k in range(12)], abs=1e-3
+        )
         for frame in frames:
             assert frame.image.shape == (HEIGHT, WIDTH, 3)
             assert frame.image.dtype == np.uint8

@@ -49,7 +49,9 @@ def test_states_of_an_intensity(extractor, scaling: str, seed: int):
 @extractors
 def test_nothing_is_in_an_empty_intensity(extractor, rng):
     model = model_of()
-    found = extractor.extract(intensity_for(extractor, np.zeros((6, 0)), 1, rng), np.zeros((4, 0)), model)
+    found = extractor.extract(
+        intensity_for(extractor, np.zeros((6, 0)), 1, rng), np.zeros((4, 0)), model
+    )
     check_estimates(found, 6, 0)
     assert len(found) == 0
 
@@ -57,20 +59,27 @@ def test_nothing_is_in_an_empty_intensity(extractor, rng):
 @pytest.mark.parametrize("name", sorted({*EXTRACTORS} - {"raw"}))
 def test_next_to_no_mass_is_no_state(name: str, rng):
     """Raw is left out: the detections are its states, whatever the intensity."""
-    extractor, model = EXTRACTORS[name], model_of()
+    extractor = EXTRACTORS[name]
+    model = model_of()
     z = model.sensor.measure(detections(rng, 3))
     seen, _ = model.sensor.states(z)
-    assert len(extractor.extract(intensity_for(extractor, seen, 100, rng, mass=0.05), z, model)) == 0
+    assert (
+        len(extractor.extract(intensity_for(extractor, seen, 100, rng, mass=0.05), z, model)) == 0
+    )
 
 
 def sequence(rng: np.random.Generator, count: int):
-    """States and measurements of two targets that walk, with labels and misses, and of clutter, a new label each."""
+    """States and measurements of two targets that walk, with labels and misses, and of clutter, a
+    new label each.
+    """
     model = model_of()
-    begin, velocity = states(rng, 2), rng.normal(0, 2, (2, 2))
+    begin = states(rng, 2)
+    velocity = rng.normal(0, 2, (2, 2))
     for k in range(count):
         here = begin.copy()
         here[:2] += k * velocity
-        found, seen = detections(rng, int(rng.integers(0, 2))), np.flatnonzero(rng.random(2) < 0.9)
+        found = detections(rng, int(rng.integers(0, 2)))
+        seen = np.flatnonzero(rng.random(2) < 0.9)
         boxes = np.vstack([model.sensor.boxes(here[:, seen]), found.xyxy])
         z = model.sensor.measure(type(found).of(boxes))
         raw = Raw().extract(Particles(np.zeros((6, 0)), np.zeros(0)), z, model)
@@ -95,10 +104,12 @@ def check_rows(tracks: Tracks) -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_rows_of_a_sequence(associator, seed: int):
     keeps(Associator, associator)
-    model, before = model_of(), repr(associator)
+    model = model_of()
+    before = repr(associator)
     results = []
     for _ in range(2):
-        state, given = associator.start(), []
+        state = associator.start()
+        given = []
         for number, (estimates, z) in enumerate(sequence(np.random.default_rng(seed), 30), start=3):
             state, rows = associator.extend(state, frozen(estimates), z, number, 1.0, model)
             check_rows(rows)

@@ -6,7 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from shipped import BIRTHS, CLUTTERS, FILTERS, SENSORS, detections, fixed, frozen, keeps, model_of, often
+from shipped import (
+    BIRTHS,
+    CLUTTERS,
+    FILTERS,
+    SENSORS,
+    detections,
+    fixed,
+    frozen,
+    keeps,
+    model_of,
+    often,
+)
 
 from composed import composed_step
 from phdtrack.filters import GMCPHD, GMPHD, MCMC, PMB, PMBM, ParticleCPHD, ParticlePHD
@@ -26,7 +37,9 @@ def intensity(state):
     if isinstance(state, Bernoullis):
         return mixture_of(state)
     if isinstance(state, Hypotheses):
-        return GaussianMixture(state.probability * state.leaves.r, state.leaves.mean.T.copy(), state.leaves.covariance)
+        return GaussianMixture(
+            state.probability * state.leaves.r, state.leaves.mean.T.copy(), state.leaves.covariance
+        )
     return state.intensity if isinstance(state, Cardinalised) else state
 
 
@@ -38,7 +51,8 @@ def points(state) -> np.ndarray:
 
 def scans(rng, count: int) -> list[np.ndarray]:
     """Two targets that are seen, and now and then something else; some scans are empty."""
-    model, steady = model_of(), detections(rng, 2)
+    model = model_of()
+    steady = detections(rng, 2)
     out = []
     for k in range(count):
         extra = detections(rng, int(rng.integers(0, 3)))
@@ -70,8 +84,11 @@ def test_information_agrees_with_the_state(filter_, rng):
 
 
 def test_states_are_values_and_runs_repeat(filter_):
-    """No state is written into, nothing is stored on the filter, and the same seed gives the same."""
-    model, before = model_of(), repr(filter_)
+    """No state is written into, nothing is stored on the filter, and the same seed gives the
+    same.
+    """
+    model = model_of()
+    before = repr(filter_)
     results = []
     for _ in range(2):
         rng = np.random.default_rng(5)
@@ -89,11 +106,19 @@ def averages(advance, filter_, model, dt: float, seeds) -> np.ndarray:
     """(seeds, statistics): masses, evidence and the mean state after each of five scans."""
     rows = []
     for seed in seeds:
-        rng, row = np.random.default_rng(seed), []
+        rng = np.random.default_rng(seed)
+        row = []
         state = filter_.start(model, rng)
         for z in scans(np.random.default_rng(6), 5):
             state, info = advance(filter_, state, z, model, dt, rng)
-            row += [info.mass_predicted, info.mass_born, info.mass, state.mass, *info.evidence, *info.clutter]
+            row += [
+                info.mass_predicted,
+                info.mass_born,
+                info.mass,
+                state.mass,
+                *info.evidence,
+                *info.clutter,
+            ]
         x = points(state)
         row += [*x.mean(1)] if x.shape[1] else [0.0] * len(x)
         rows.append(row)
@@ -134,7 +159,9 @@ def test_nothing_comes_of_nothing(filter_, rng):
 
 @pytest.mark.parametrize("scene", ["learned", "laid over"])
 def test_every_learned_scene_will_do(filter_, scene: str):
-    """A step is what it is defined as, on average over seeds to 4.5 standard errors, and who is seen again is there."""
+    """A step is what it is defined as, on average over seeds to 4.5 standard errors, and who is
+    seen again is there.
+    """
     model = replace(model_of(), birth=often(BIRTHS[scene]), clutter=CLUTTERS[scene])
     ours, theirs = (averages(advance, filter_, model, 1.0, seeds) for advance, seeds in (
         (type(filter_).step, range(30)), (composed_step, range(100, 130))
@@ -143,7 +170,8 @@ def test_every_learned_scene_will_do(filter_, scene: str):
     rounding = 1e-6 * np.abs(theirs).max(0) + 1e-30
     if scene == "laid over" or not isinstance(filter_, PMB):
         np.testing.assert_array_less(np.abs(ours.mean(0) - theirs.mean(0)), 4.5 * error + rounding)
-    rng, z = np.random.default_rng(0), model.sensor.measure(detections(np.random.default_rng(2), 2))
+    rng = np.random.default_rng(0)
+    z = model.sensor.measure(detections(np.random.default_rng(2), 2))
     state = filter_.start(model, rng)
     for k in range(12):
         moved = z + np.array([[3.0 * k], [2.0 * k], [0], [0]])
@@ -163,27 +191,38 @@ def test_every_sensor_will_do(filter_, scaling: str, rng):
 
 
 def seen_from(filter_, path: np.ndarray) -> np.ndarray:
-    """Mass, and mean and deviation of places brought home, after scans by a camera that is shifted along ``path`` (n, 2)."""
+    """Mass, and mean and deviation of places brought home, after scans by a camera that is shifted
+    along ``path`` (n, 2).
+    """
     rows = []
     for seed in range(20):
-        rng, model = np.random.default_rng(seed), model_of()
-        state, shift = filter_.start(model, rng), np.zeros(2)
+        rng = np.random.default_rng(seed)
+        model = model_of()
+        state = filter_.start(model, rng)
+        shift = np.zeros(2)
         for k, z in enumerate(scans(np.random.default_rng(6), len(path))):
             warp = np.eye(3)
-            warp[:2, 2], shift = path[k] - shift, path[k]
+            warp[:2, 2] = path[k] - shift
+            shift = path[k]
             there = np.vstack([z[:2] + shift[:, None], z[2:]])
             state, _ = filter_.step(state, there, replace(model, warp=warp), 1.0, rng)
         held = intensity(state)
         held = held.particles() if isinstance(held, ParticleBlocks) else held
-        place, weight = points(state)[:2] - shift[:, None], held.weight / held.weight.sum()
-        rows.append([held.mass, *(place @ weight), *np.sqrt(place**2 @ weight - (place @ weight) ** 2)])
+        place = points(state)[:2] - shift[:, None]
+        weight = held.weight / held.weight.sum()
+        rows.append(
+            [held.mass, *(place @ weight), *np.sqrt(place**2 @ weight - (place @ weight) ** 2)]
+        )
     return np.array(rows)
 
 
 def test_a_camera_that_moves_takes_the_states_along(filter_):
-    """What is there is as where the camera stands; without being told all but the last scan would be forgotten."""
+    """What is there is as where the camera stands; without being told all but the last scan would
+    be forgotten.
+    """
     path = np.random.default_rng(1).normal(0, 60, (8, 2)).round()
     path[0] = 0
-    still, moved = seen_from(filter_, np.zeros((8, 2))), seen_from(filter_, path)
+    still = seen_from(filter_, np.zeros((8, 2)))
+    moved = seen_from(filter_, path)
     error = np.sqrt((still.var(0, ddof=1) + moved.var(0, ddof=1)) / len(still))
     assert (np.abs(moved.mean(0) - still.mean(0)) < 4.5 * error + 1e-6 * np.abs(still).max(0)).all()

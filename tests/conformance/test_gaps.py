@@ -1,4 +1,6 @@
-"""After a gap without frames every filter's count is right: who was there has left, and few of those born stayed."""
+"""After a gap without frames every filter's count is right: who was there has left, and few of
+those born stayed.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ NONE = np.zeros((0, 4))
 
 def boxes(rng: np.random.Generator) -> np.ndarray:
     left = 100.0 + 200.0 * np.arange(5)
-    return np.column_stack([left, np.full(5, 100.0), left + 40, np.full(5, 200.0)]) + rng.normal(0, 1, (5, 4))
+    return np.column_stack([left, np.full(5, 100.0), left + 40, np.full(5, 200.0)]) + rng.normal(
+        0, 1, (5, 4)
+    )
 
 
 def mass(tracker: Tracker) -> float:
@@ -27,13 +31,16 @@ def mass(tracker: Tracker) -> float:
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_count_after_a_gap_is_right(kind: str, gap: float) -> None:
     for seen in (True, False):
-        tracker, rng = Tracker((1280, 720), fps=25, filter=kind), np.random.default_rng(0)
+        tracker = Tracker((1280, 720), fps=25, filter=kind)
+        rng = np.random.default_rng(0)
         for _ in range(30):
             tracker.update(boxes(rng))
-        settled, time = mass(tracker), 30 / 25 + gap
+        settled = mass(tracker)
+        time = 30 / 25 + gap
         for k in range(20):
             tracker.update(boxes(rng) if seen else NONE, 31 + k, time + k / 25)
-            # A birth is believed after a second sighting; nobody is believed in for long who is never seen.
+            # A birth is believed after a second sighting; nobody is believed in for long who is
+            # never seen.
             assert mass(tracker) <= 1.5 * settled
         assert mass(tracker) == pytest.approx(settled if seen else 0.0, abs=0.3)
 
@@ -48,11 +55,14 @@ WORLDS = {
 @pytest.mark.parametrize("kind", ["pmb", "gm-phd", "gm-cphd"])
 def test_a_month_without_a_frame_is_no_more_work_than_a_frame(kind: str, world: str) -> None:
     for seen in (True, False):
-        tracker, rng = Tracker((1280, 720), filter=kind, **({"fps": 25.0} | WORLDS[world])), np.random.default_rng(0)
-        held, most = 0, 0.0
+        tracker = Tracker((1280, 720), filter=kind, **({"fps": 25.0} | WORLDS[world]))
+        rng = np.random.default_rng(0)
+        held = 0
+        most = 0.0
         for _ in range(30):
             tracker.update(boxes(rng))
-            held, most = max(held, len(tracker.state.intensity)), max(most, mass(tracker))
+            held = max(held, len(tracker.state.intensity))
+            most = max(most, mass(tracker))
         time = tracker.state.time + 30 * 86400.0
         for k in range(20):
             tracker.update(boxes(rng) if seen else NONE, 31 + k, time + k / tracker.fps)
@@ -64,7 +74,11 @@ def test_a_month_without_a_frame_is_no_more_work_than_a_frame(kind: str, world: 
 @pytest.mark.parametrize("survival", [0.5, 0.99, 1.0])
 def test_births_that_are_still_there_are_the_integral_of_survival(survival: float) -> None:
     model = Model(
-        PointMotion(survival_probability=survival), PointSensor(), PointBirth(), UniformClutter(1.0, 1.0), rate=25.0
+        PointMotion(survival_probability=survival),
+        PointSensor(),
+        PointBirth(),
+        UniformClutter(1.0, 1.0),
+        rate=25.0,
     )
     for seconds in (0.04, 1.0):
         assert model.birth_seconds(25.0 * seconds) == seconds

@@ -1,4 +1,6 @@
-"""No frame makes an update slow, wrong or unbounded: how many detections, where they are, and of what size."""
+"""No frame makes an update slow, wrong or unbounded: how many detections, where they are, and of
+what size.
+"""
 
 from __future__ import annotations
 
@@ -32,13 +34,21 @@ def one_place(count: int) -> np.ndarray:
 
 
 def tracker_of(kind: str, **more) -> Tracker:
-    small = {"particles_per_target": 50} if kind.startswith("particle") else {"samples": 20} if kind == "mcmc" else {}
+    small = (
+        {"particles_per_target": 50}
+        if kind.startswith("particle")
+        else {"samples": 20}
+        if kind == "mcmc"
+        else {}
+    )
     born = {"birth": {"particles": 20}} if small else {}
     return Tracker(SIZE, filter={"kind": kind} | small, **born | more)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_ten_thousand_detections_in_one_place_are_as_few(kind: str, caplog: pytest.LogCaptureFixture):
+def test_ten_thousand_detections_in_one_place_are_as_few(
+    kind: str, caplog: pytest.LogCaptureFixture
+):
     """The old state needed 13 s for 2 000 of them, and grew with the square of their number."""
     few, many = (tracker_of(kind, limits={"max_in_one_place": 25}) for _ in range(2))
     for _ in range(4):
@@ -51,12 +61,16 @@ def test_ten_thousand_detections_in_one_place_are_as_few(kind: str, caplog: pyte
         assert len(many.state.intensity) == len(few.state.intensity)
     assert many.left_out == LeftOut(crowded=4 * 9_975)
     said = [record.getMessage() for record in caplog.records if record.name == "phdtrack.tracker"]
-    assert said == ["frame 1: 9975 boxes left out: more are in one place than limits.max_in_one_place"]
+    assert said == [
+        "frame 1: 9975 boxes left out: more are in one place than limits.max_in_one_place"
+    ]
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_of_too_many_detections_the_highest_scores_are_taken(kind: str):
-    tracker, boxes, score = tracker_of(kind, limits={"max_detections": 30}), spread(200), np.linspace(0, 1, 200)
+    tracker = tracker_of(kind, limits={"max_detections": 30})
+    boxes = spread(200)
+    score = np.linspace(0, 1, 200)
     rows = [tracker.update(np.column_stack([boxes, score])) for _ in range(6)]
     assert tracker.step is not None
     assert np.array_equal(tracker.step.detections.xyxy, boxes[-30:])
@@ -73,14 +87,20 @@ def test_equal_scores_are_taken_in_their_order():
 
 def test_each_filter_takes_as_many_as_it_can_use():
     usual = {kind: load(filter_name=kind).as_dict()["limits"]["max_detections"] for kind in KINDS}
-    assert usual == dict.fromkeys(KINDS, 1000) | {"gm-cphd": 500, "particle-phd": 400, "particle-cphd": 400, "mcmc": 100}
+    assert usual == dict.fromkeys(KINDS, 1000) | {
+        "gm-cphd": 500,
+        "particle-phd": 400,
+        "particle-cphd": 400,
+        "mcmc": 100,
+    }
     given_one = load(None, ["limits.max_detections=7"], filter_name="mcmc")
     assert given_one.values("limits")["max_detections"] == 7
 
 
 def test_points_of_each_others_boxes_are_counted_once_they_are_many():
     rng = np.random.default_rng(0)
-    at, half = rng.uniform(0, 100, (2, 400)), rng.uniform(1, 30, (2, 400))
+    at = rng.uniform(0, 100, (2, 400))
+    half = rng.uniform(1, 30, (2, 400))
     kept = np.ones(400, bool)
     for i in range(400):
         near = np.abs(at[:, :i] - at[:, i : i + 1]) <= np.minimum(half[:, :i], half[:, i : i + 1])
@@ -90,11 +110,23 @@ def test_points_of_each_others_boxes_are_counted_once_they_are_many():
 
 
 @pytest.mark.parametrize("kind", ["mht", "pmbm"])
-def test_a_cluster_of_many_measurements_keeps_fewer_hypotheses(kind: str, monkeypatch: pytest.MonkeyPatch):
+def test_a_cluster_of_many_measurements_keeps_fewer_hypotheses(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+):
     """What is done for a cluster is counted, and bounded; 1 000 spread detections took 57 s."""
     done = []
 
-    def counted(leaf, weight, pair, columns, missed, unassigned, begins, limits, children=hypotheses.children):
+    def counted(
+        leaf,
+        weight,
+        pair,
+        columns,
+        missed,
+        unassigned,
+        begins,
+        limits,
+        children=hypotheses.children,
+    ):
         done.append(limits[0] * len(columns) * (len(pair[0]) + leaf.shape[1]))
         return children(leaf, weight, pair, columns, missed, unassigned, begins, limits)
 
@@ -108,18 +140,22 @@ def test_a_cluster_of_many_measurements_keeps_fewer_hypotheses(kind: str, monkey
 
 def test_candidates_that_compete_are_found_measurement_by_measurement():
     """As by comparing all with all, which needed memory for the square of their number."""
-    first, seen_by = np.array([0, 3, 5, 8, 9]), np.array([-1, 0, 2, -1, 2, -1, 0, 1, -1])
+    first = np.array([0, 3, 5, 8, 9])
+    seen_by = np.array([-1, 0, 2, -1, 2, -1, 0, 1, -1])
     assert _rivals(first, seen_by).tolist() == [[0, 1], [0, 2]]
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_boxes_that_no_picture_shows_are_left_out_and_said_once(kind: str, caplog: pytest.LogCaptureFixture):
+def test_boxes_that_no_picture_shows_are_left_out_and_said_once(
+    kind: str, caplog: pytest.LogCaptureFixture
+):
     """A box 1e-6 px wide gave a count of 4.5e21 with gm-phd."""
     odd = [
         [100, 100, 100 + 1e-6, 200], [5e-324, 0, 1e-323, 10], [-1e300, -1e300, 1e300, 1e300], [1e300, 0, 1.1e300, 50],
         [50_000, 0, 50_040, 100], [0, 0, 30_000, 20_000], [-1.7e308, 0, 1.7e308, 9],
     ]  # fmt: skip
-    plain, other = tracker_of(kind), tracker_of(kind)
+    plain = tracker_of(kind)
+    other = tracker_of(kind)
     for k in range(5):
         plain.update(spread(3) + k)
         rows = other.update(np.vstack([spread(3) + k, odd]))
@@ -128,11 +164,19 @@ def test_boxes_that_no_picture_shows_are_left_out_and_said_once(kind: str, caplo
         assert other.step.info.mass == plain.step.info.mass
         assert np.isfinite(rows.xyxy).all()
     assert other.left_out == LeftOut(misplaced=5 * len(odd))
-    assert sum("a side is below 0.001 pixels or above 10 frames" in one.getMessage() for one in caplog.records) == 1
+    assert (
+        sum(
+            "a side is below 0.001 pixels or above 10 frames" in one.getMessage()
+            for one in caplog.records
+        )
+        == 1
+    )
 
 
 _NUMBERS = st.one_of(
-    st.floats(allow_nan=False, allow_infinity=False), st.floats(-3000, 3000), st.sampled_from([0.0, 5e-324, 1e300, -1e300])
+    st.floats(allow_nan=False, allow_infinity=False),
+    st.floats(-3000, 3000),
+    st.sampled_from([0.0, 5e-324, 1e300, -1e300]),
 )
 _BOXES = st.lists(st.tuples(_NUMBERS, _NUMBERS, st.floats(0, 3e4), st.floats(0, 3e4)), max_size=6)
 
@@ -153,7 +197,8 @@ def test_any_finite_boxes_keep_particles_finite(kind: str, frames: list):
 
 
 def keeps_finite(kind: str, frames: list) -> None:
-    tracker, taken = tracker_of(kind), 0
+    tracker = tracker_of(kind)
+    taken = 0
     for found in frames:
         table = np.array([(x, y, x + w, y + h) for x, y, w, h in found]).reshape(-1, 4)
         try:
@@ -163,7 +208,8 @@ def keeps_finite(kind: str, frames: list) -> None:
             continue
         assert tracker.step is not None
         taken += len(tracker.step.detections)
-        mass, estimates = tracker.step.info.mass, tracker.step.estimates
+        mass = tracker.step.info.mass
+        estimates = tracker.step.estimates
         # Everyone was seen once, or is born in this frame beside a detection.
         assert 0 <= mass <= taken + len(tracker.step.detections) + 1e-6
         assert math.isfinite(mass)
@@ -183,7 +229,9 @@ def test_the_links_of_a_vertex_are_bounded():
 
 def test_the_empty_frames_before_new_classes_are_gone_through_once(monkeypatch: pytest.MonkeyPatch):
     """However many classes a frame brings, of which the first hundred are tracked."""
-    many, alone, done = tracker_of("none"), tracker_of("none"), []
+    many = tracker_of("none")
+    alone = tracker_of("none")
+    done = []
     for tracker in (many, alone):
         tracker.update(np.hstack([one_place(1), [[1.0, 3.0]]]))
         for _ in range(20):

@@ -32,7 +32,9 @@ def test_draws_are_states_and_repeat(motion, rng):
 
 
 def test_transition_is_that_of_the_draws(motion, rng):
-    """Mean and covariance of 20 000 draws from one state, within five standard errors; boxes have single precision."""
+    """Mean and covariance of 20 000 draws from one state, within five standard errors; boxes have
+    single precision.
+    """
     one = states(rng, 1, motion.dim)
     many = np.repeat(one, 20000, axis=1)
     for dt in INTERVALS:
@@ -41,7 +43,10 @@ def test_transition_is_that_of_the_draws(motion, rng):
         assert jacobian.shape == noise.shape == (1, motion.dim, motion.dim)
         found = drawn(motion, many, dt, rng)
         scale = np.sqrt(np.diag(noise[0]))
-        assert (np.abs(found.mean(1) - mean[:, 0]) <= 5 * scale / np.sqrt(20000) + 1e-6 * np.abs(mean).max()).all()
+        assert (
+            np.abs(found.mean(1) - mean[:, 0])
+            <= 5 * scale / np.sqrt(20000) + 1e-6 * np.abs(mean).max()
+        ).all()
         error = np.abs(np.cov(found) - noise[0])
         assert (error <= 0.05 * np.outer(scale, scale) + 1e-9).all()
 
@@ -53,7 +58,8 @@ def test_noise_is_a_covariance_and_the_jacobian_a_derivative(motion, rng):
         np.testing.assert_allclose(noise, noise.transpose(0, 2, 1))
         assert np.linalg.eigvalsh(noise).min() > -1e-9
         for row in range(motion.dim):
-            ahead, behind = x.copy(), x.copy()
+            ahead = x.copy()
+            behind = x.copy()
             ahead[row] += 1e-4
             behind[row] -= 1e-4
             slope = (motion.transition(ahead, dt)[0] - motion.transition(behind, dt)[0]) / 2e-4
@@ -87,14 +93,16 @@ def test_nobody_moves_to_nowhere(motion, rng):
 @pytest.mark.parametrize("count", [0, 12])
 def test_a_camera_that_moves_carries_states_or_is_refused(motion, count: int, rng):
     """Of boxes and points; on the ground it means nothing."""
-    x, warp = fixed(states(rng, count, motion.dim)), fixed(np.array([[1.1, 0.02, 9.0], [-0.02, 1.1, 4.0], [0.0, 0.0, 1.0]]))
+    x = fixed(states(rng, count, motion.dim))
+    warp = fixed(np.array([[1.1, 0.02, 9.0], [-0.02, 1.1, 4.0], [0.0, 0.0, 1.0]]))
     if motion.dim == 5 or type(motion).__name__ == "PlaneMotion":
         with pytest.raises(InputError, match=r"^camera motion: .* does not lie in the image"):
             motion.warp_states(x, warp)
         with pytest.raises(InputError, match=r"^camera motion: .* does not lie in the image"):
             motion.warp_jacobian(x, warp)
         return
-    moved, slope = motion.warp_states(x, warp), motion.warp_jacobian(x, warp)
+    moved = motion.warp_states(x, warp)
+    slope = motion.warp_jacobian(x, warp)
     assert moved.shape == x.shape
     assert slope.shape == (count, motion.dim, motion.dim)
     np.testing.assert_allclose(moved[:2], warp[:2, :2] @ x[:2] + warp[:2, 2:])

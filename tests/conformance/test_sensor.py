@@ -68,16 +68,20 @@ def test_what_is_expected_of_a_state_made_of_a_measurement_is_the_measurement(se
 
 
 def test_the_likelihood_is_a_density(sensor, z, rng):
-    """Its integral over measurements about one state is 1, by importance sampling with twice the noise."""
+    """Its integral over measurements about one state is 1, by importance sampling with twice the
+    noise.
+    """
     x, _ = sensor.states(z[:, :1])
-    centre, n = sensor.expected(x), 40000
+    centre = sensor.expected(x)
+    n = 40000
     r = len(centre)
     wide = 2 * root(sensor, z[:, :1], x)[0]
     step = rng.standard_normal((r, n))
     drawn = np.vstack([centre + wide @ step, np.repeat(z[r:, :1], n, axis=1)])
     proposal = -0.5 * (step**2).sum(0) - np.linalg.slogdet(wide)[1] - 0.5 * r * np.log(2 * np.pi)
     weight = np.exp(gaussian_view(sensor, drawn, np.repeat(x, n, axis=1))[1] - proposal)
-    # The detection's own size scales the noise of one sensor: as a function of z it is no density then.
+    # The detection's own size scales the noise of one sensor: as a function of z it is no density
+    # then.
     if sensor is not SENSORS["detection"]:
         assert weight.mean() == pytest.approx(1, abs=0.05)
 
@@ -88,7 +92,9 @@ def test_the_gate_holds_what_is_likely(sensor, z, rng):
     assert lower.shape == upper.shape == (2, 30)
     x, cov = sensor.states(z)
     rows = list(sensor.observed)
-    deviation = np.sqrt(np.einsum("jrr->rj", sensor.covariance(z, x) if sensor.linear else cov[:, rows][:, :, rows]))
+    deviation = np.sqrt(
+        np.einsum("jrr->rj", sensor.covariance(z, x) if sensor.linear else cov[:, rows][:, :, rows])
+    )
     for _ in range(200):
         near = x.copy()
         near[rows] += rng.uniform(-1, 1, (len(rows), 30)) * deviation
@@ -96,13 +102,17 @@ def test_the_gate_holds_what_is_likely(sensor, z, rng):
 
 
 def test_the_gaussian_view_has_the_likelihood_of_a_known_state(sensor, z, rng):
-    """N(z; h(x), R) is the g(z|x) of the particle filters, which for boxes have single precision."""
+    """N(z; h(x), R) is the g(z|x) of the particle filters, which for boxes have single
+    precision.
+    """
     x, _ = sensor.states(z)
     x = fixed(x + rng.normal(0, 1, x.shape))
-    r, seen = sensor.covariance(z, x), sensor.expected(x)
+    r = sensor.covariance(z, x)
+    seen = sensor.expected(x)
     many = len(seen)
     assert r.shape == (30, many, many)
-    numbers, column = sensor.particle_model(z), np.arange(30)
+    numbers = sensor.particle_model(z)
+    column = np.arange(30)
     distance2, likelihood = pair_likelihoods(x, numbers.model, numbers.table, column, column)
     wanted, log = gaussian_view(sensor, z, x)
     np.testing.assert_allclose(distance2, wanted, rtol=1e-3)

@@ -1,4 +1,6 @@
-"""Scenes that the tests of detectors draw: a textured background, squares that move, light that changes."""
+"""Scenes that the tests of detectors draw: a textured background, squares that move, light that
+changes.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +12,15 @@ import numpy as np
 
 from phdtrack.types import F8, Frame, Image
 
-WIDTH, HEIGHT, FPS = 160, 120, 25.0
+WIDTH = 160
+HEIGHT = 120
+FPS = 25.0
 
 
 @dataclass
 class Scene:
-    """``squares`` boxes of side 24 that cross the picture to the right at ``speed`` pixels a frame, on seeded texture.
+    """``squares`` boxes of side 24 that cross the picture to the right at ``speed`` pixels a frame,
+    on seeded texture.
 
     They stand outside until frame ``enter``.
     """

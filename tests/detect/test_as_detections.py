@@ -40,10 +40,13 @@ def test_objects() -> None:
 
 
 class Tensor:
-    """Like torch's on a GPU with gradients: NumPy cannot read it before it is detached, copied, and of a usual type."""
+    """Like torch's on a GPU with gradients: NumPy cannot read it before it is detached, copied, and
+    of a usual type.
+    """
 
     def __init__(self, values: Any, there: bool = False) -> None:
-        self._values, self._there = values, there
+        self._values = values
+        self._there = there
 
     def detach(self) -> Tensor:
         return self
@@ -59,7 +62,9 @@ class Tensor:
         raise TypeError("can't convert cuda:0 device type tensor to numpy")
 
 
-@pytest.mark.parametrize("wrapped", [lambda whole: whole, lambda whole: [whole], lambda whole: (whole,)])
+@pytest.mark.parametrize(
+    "wrapped", [lambda whole: whole, lambda whole: [whole], lambda whole: (whole,)]
+)
 def test_a_whole_result_of_ultralytics(wrapped: Any) -> None:
     inner = SimpleNamespace(xyxy=Tensor([[0, 1, 10, 20]]), conf=Tensor([0.5]), cls=Tensor([2.0]))
     found = as_detections(wrapped(SimpleNamespace(boxes=inner, obb=None, names={2: "car"})))
@@ -89,7 +94,9 @@ def test_boxes_in_shares_of_the_frame() -> None:
     assert doubtful(as_detections([]), (640, 480)) == ""
 
 
-@pytest.mark.parametrize("nothing", [[], (), np.zeros((0, 4)), np.zeros((0, 6)), np.zeros(0), boxes(np.zeros((0, 4)))])
+@pytest.mark.parametrize(
+    "nothing", [[], (), np.zeros((0, 4)), np.zeros((0, 6)), np.zeros(0), boxes(np.zeros((0, 4)))]
+)
 def test_no_boxes(nothing: object) -> None:
     assert len(as_detections(nothing)) == 0
 
@@ -117,6 +124,8 @@ def test_what_is_refused(bad: object, message: str) -> None:
 
 
 def test_a_covariance_must_fit() -> None:
-    bad = Detections(np.array([[0, 0, 1, 1.0]]), np.ones(1), np.zeros(1, np.int64), np.zeros((1, 3, 3)))
+    bad = Detections(
+        np.array([[0, 0, 1, 1.0]]), np.ones(1), np.zeros(1, np.int64), np.zeros((1, 3, 3))
+    )
     with pytest.raises(InputError, match="covariance"):
         as_detections(bad)

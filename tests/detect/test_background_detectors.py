@@ -83,7 +83,10 @@ def test_a_shadow_is_tolerated_where_an_object_is_not() -> None:
 
 def still(image: Image, count: int, start: int = 0, fps: float = 25.0) -> list[Frame]:
     rng = np.random.default_rng(9)
-    noisy = [np.clip(image + rng.normal(0, 1, image.shape), 0, 255).astype(np.uint8) for _ in range(count)]
+    noisy = [
+        np.clip(image + rng.normal(0, 1, image.shape), 0, 255).astype(np.uint8)
+        for _ in range(count)
+    ]
     return [Frame(start + i + 1, (start + i) / fps, picture) for i, picture in enumerate(noisy)]
 
 
@@ -117,7 +120,8 @@ def test_the_signed_form_sees_only_the_dark() -> None:
     both = image.copy()
     both[20:60, 20:50] = 20
     both[20:60, 100:130] = 240
-    absolute, signed = MeanBackgroundDetector(frames=1), MeanBackgroundDetector(frames=1, signed=True)
+    absolute = MeanBackgroundDetector(frames=1)
+    signed = MeanBackgroundDetector(frames=1, signed=True)
     for detector in (absolute, signed):
         detector(Frame(1, 0.0, image))
     assert len(absolute(Frame(2, 0.04, both))) == 2
@@ -151,7 +155,9 @@ def test_people_of_pets_are_found(data) -> None:  # type: ignore[no-untyped-def]
 
 
 def test_what_flies_past_once_leaves_no_ghost(rng: np.random.Generator) -> None:
-    """A smooth blot hides the edges behind it, as a ghost does; learned at once it would be reported ever after."""
+    """A smooth blot hides the edges behind it, as a ghost does; learned at once it would be
+    reported ever after.
+    """
     detector = make_detector("change")
     wall = np.kron(rng.integers(60, 200, (30, 40)), np.ones((4, 4))).astype(np.uint8)
     wall = np.repeat(wall[:, :, None], 3, axis=2)
@@ -174,7 +180,8 @@ def test_what_it_has_learned_goes_on_in_another_one(rng: np.random.Generator, na
     for k, image in enumerate(images):
         image[20:40, k % 60 : k % 60 + 12] = 200
     frames = [Frame(k + 1, k / 25, image) for k, image in enumerate(images)]
-    first, second = build(name), build(name)
+    first = build(name)
+    second = build(name)
     for frame in frames[:60]:
         first(frame)
     # A copy: some arrays are changed in place.

@@ -22,11 +22,18 @@ def mask_of(*rectangles: tuple[int, int, int, int]) -> Image:
     return mask
 
 
-corner = st.tuples(st.integers(0, 175), st.integers(0, 143), st.integers(1, 176), st.integers(1, 144))
+corner = st.tuples(
+    st.integers(0, 175), st.integers(0, 143), st.integers(1, 176), st.integers(1, 144)
+)
 rectangles = st.lists(corner, max_size=8)
 
 
-@given(rectangles, st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.1, 0.5]), st.sampled_from([0.0, 0.002, 0.01]))
+@given(
+    rectangles,
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([0.0, 0.1, 0.5]),
+    st.sampled_from([0.0, 0.002, 0.01]),
+)
 def test_any_mask_gives_valid_boxes_within_the_frame(
     drawn: list[tuple[int, int, int, int]], seed: int, salt: float, peel: float
 ) -> None:
@@ -73,23 +80,30 @@ def test_one_behind_the_other_is_not_joined() -> None:
 
 
 def boxes_on_the_ground(rng: np.random.Generator, count: int) -> np.ndarray:
-    """(N, 4) boxes of height 20 at row 100 of 400 and 80 at row 380, a sixth of them cut, in columns of their own."""
-    foot, left = rng.uniform(100, 380, count), 30.0 + 40 * np.arange(count)
+    """(N, 4) boxes of height 20 at row 100 of 400 and 80 at row 380, a sixth of them cut, in
+    columns of their own.
+    """
+    foot = rng.uniform(100, 380, count)
+    left = 30.0 + 40 * np.arange(count)
     height = 20 * 4 ** ((foot - 100) / 280) * rng.normal(1, 0.08, count)
     height[: count // 6] *= 0.4
     return np.stack([left, foot - height, left + 20, foot], axis=1)
 
 
 def test_components_teach_how_high_objects_are_where(rng: np.random.Generator) -> None:
-    shape, found = (400, 1000), [boxes_on_the_ground(rng, 20) for _ in range(5)]
+    shape = (400, 1000)
+    found = [boxes_on_the_ground(rng, 20) for _ in range(5)]
     usual = Heights.learned(found, shape)
     assert usual is not None
-    np.testing.assert_allclose([usual.at(100), usual.at(240), usual.at(380)], [20, 40, 80], rtol=0.12)
+    np.testing.assert_allclose(
+        [usual.at(100), usual.at(240), usual.at(380)], [20, 40, 80], rtol=0.12
+    )
     # Fragments of one body, and what the border cuts, teach nothing.
     fragments = np.array([[10, 300, 30, 318], [10, 324, 30, 342], [400, 380, 420, 400]], np.float64)
     assert Heights.learned([*found, *[fragments] * 60], shape) == usual
     assert Heights.learned([one[:3] for one in found[:3]], shape) is None
-    left, foot = 30.0 + 40 * np.arange(20), np.full(20, 380.0)
+    left = 30.0 + 40 * np.arange(20)
+    foot = np.full(20, 380.0)
     anything = [np.stack([left, foot - high, left + 20, foot], axis=1) for high in (9, 300)]
     assert Heights.learned(anything, shape) is None
 

@@ -1,4 +1,6 @@
-"""The merged-measurement model: what it may change, and identities through a merged blob in the whole tracker."""
+"""The merged-measurement model: what it may change, and identities through a merged blob in the
+whole tracker.
+"""
 
 from __future__ import annotations
 
@@ -30,15 +32,21 @@ def expected(boxes: F8, **given: F8) -> ExpectedTargets:
     return ExpectedTargets(state, covariance * 0.05, np.full(n, 0.99), **values)
 
 
-def explain(targets: ExpectedTargets, blobs: F8, rule: MergedMeasurements = ALWAYS) -> tuple[ExpectedTargets, Explanation]:
+def explain(
+    targets: ExpectedTargets, blobs: F8, rule: MergedMeasurements = ALWAYS
+) -> tuple[ExpectedTargets, Explanation]:
     return rule.explain(targets, Detections.of(blobs), MODEL, 1.0)
 
 
 PAIR = np.array([[100.0, 100, 140, 200], [125, 104, 165, 204]])
 BLOB = np.array([[98.0, 99, 168, 205]])
 boxes = st.lists(
-    st.tuples(st.integers(0, 300), st.integers(0, 200), st.integers(20, 60), st.integers(40, 120)), min_size=0, max_size=7
-).map(lambda rows: np.array([[x, y, x + w, y + h] for x, y, w, h in rows], np.float64).reshape(-1, 4))
+    st.tuples(st.integers(0, 300), st.integers(0, 200), st.integers(20, 60), st.integers(40, 120)),
+    min_size=0,
+    max_size=7,
+).map(
+    lambda rows: np.array([[x, y, x + w, y + h] for x, y, w, h in rows], np.float64).reshape(-1, 4)
+)
 
 
 def test_one_blob_of_two_targets_becomes_a_detection_of_each_size_at_its_edges() -> None:
@@ -67,7 +75,9 @@ def test_two_blobs_of_two_targets_stay_as_they_are() -> None:
         (MergedMeasurements(min_separate_time=0.4), {"separate": np.array([9.0, 0.3])}),
     ],
 )
-def test_a_blob_is_not_divided_where_the_settings_say_so(rule: MergedMeasurements, given: dict[str, F8]) -> None:
+def test_a_blob_is_not_divided_where_the_settings_say_so(
+    rule: MergedMeasurements, given: dict[str, F8]
+) -> None:
     _, found = explain(expected(PAIR, **given), BLOB, rule)
     assert not found.changed
 
@@ -114,13 +124,19 @@ SEEDS = range(3)
 def shared(boxes: F8) -> F8:
     """The boxes of two as a change detector sees them: one blob where they overlap."""
     touching = len(boxes) == 2 and float(intersection(boxes[:1], boxes[1:])[0, 0]) > 0
-    return np.concatenate([boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)])[None] if touching else boxes
+    return (
+        np.concatenate([boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)])[None]
+        if touching
+        else boxes
+    )
 
 
 def merging(parting: str, seed: int) -> Case:
     """A meeting whose blobs are the truth's boxes with a little noise."""
     scene = met("crossing" if parting == "crossing" else "turning back", seed)
-    rng, frame, boxes = np.random.default_rng(seed), [], []
+    rng = np.random.default_rng(seed)
+    frame = []
+    boxes = []
     for number in range(1, scene.info.frames + 1):
         found = shared(scene.truth.xyxy[scene.truth.frame == number])
         frame.append(np.full(len(found), number))
@@ -132,14 +148,18 @@ def merging(parting: str, seed: int) -> Case:
 def tracked(case: Case, filter_name: str, kind: str) -> Tracks:
     """Corrected tracks."""
     size = (case.info.width, case.info.height)
-    tracker = Tracker(size, fps=case.info.fps, filter=filter_name, merged_measurements={"kind": kind})
+    tracker = Tracker(
+        size, fps=case.info.fps, filter=filter_name, merged_measurements={"kind": kind}
+    )
     for number in range(1, case.info.frames + 1):
         tracker.update(case.table.at(number))
     return tracker.tracks()
 
 
 @pytest.mark.parametrize(("filter_name", "partings"), [("pmb", PARTINGS), ("gm-phd", PARTINGS[1:])])
-def test_two_leave_a_shared_blob_with_their_identities(filter_name: str, partings: tuple[str, ...]) -> None:
+def test_two_leave_a_shared_blob_with_their_identities(
+    filter_name: str, partings: tuple[str, ...]
+) -> None:
     right = {"none": 0, "explained": 0}
     for parting in partings:
         for seed in SEEDS:
@@ -173,5 +193,9 @@ def test_rows_rest_on_the_blob_that_they_share() -> None:
         ("change", ("motion.kind=plane",), "none"),
     ],
 )
-def test_blobs_are_explained_where_a_background_model_finds_them(detector: str, sets: tuple[str, ...], kind: str) -> None:
-    assert config.for_detector(config.load(None, sets), detector).kind("merged_measurements") == kind
+def test_blobs_are_explained_where_a_background_model_finds_them(
+    detector: str, sets: tuple[str, ...], kind: str
+) -> None:
+    assert (
+        config.for_detector(config.load(None, sets), detector).kind("merged_measurements") == kind
+    )

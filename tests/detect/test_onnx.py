@@ -1,4 +1,6 @@
-"""Networks in ONNX files: every layout of outputs, letterboxing, suppression, classes, batches, and what is refused."""
+"""Networks in ONNX files: every layout of outputs, letterboxing, suppression, classes, batches, and
+what is refused.
+"""
 
 from __future__ import annotations
 
@@ -18,21 +20,37 @@ from phdtrack.errors import InputError
 from phdtrack.types import Frame
 
 BOXES = {0: (20, 30, 60, 80), 1: (100, 10, 150, 50), 2: (70, 90, 120, 110)}
-THREE = {"names": "{0: 'person', 1: 'car', 2: 'bus'}", "stride": "32", "imgsz": "[96, 128]", "task": "detect"}
+THREE = {
+    "names": "{0: 'person', 1: 'car', 2: 'bus'}",
+    "stride": "32",
+    "imgsz": "[96, 128]",
+    "task": "detect",
+}
 Shapes = dict[str, tuple[int, ...]]
-SHAPES: dict[str, tuple[object, ...]] = {"torchvision": (3, 96, 128), "tensorflow": ("N", 96, 128, 3)}
+SHAPES: dict[str, tuple[object, ...]] = {
+    "torchvision": (3, 96, 128),
+    "tensorflow": ("N", 96, 128, 3),
+}
 
 
-def found_by(path: Path, frame: Frame, **parameters: object) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def found_by(
+    path: Path, frame: Frame, **parameters: object
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     found = make_detector(f"onnx:{path}", **parameters)(frame)  # type: ignore[arg-type]
     return found.xyxy, found.confidence, found.class_id
 
 
 @pytest.mark.parametrize("layout", networks.LAYOUTS)
-def test_each_layout_is_recognised_and_gives_the_boxes_to_a_pixel(layout: str, tmp_path: Path) -> None:
-    kind, metadata = "uint8" if layout == "tensorflow" else "float", THREE if layout == "queries" else {}
-    path = networks.write(tmp_path / "net.onnx", layout, SHAPES.get(layout, ("N", 3, 96, 128)), kind, metadata)
-    # The picture is larger than the input and of another shape: it is shrunk to 128x77, and a pixel there is 1.6 here.
+def test_each_layout_is_recognised_and_gives_the_boxes_to_a_pixel(
+    layout: str, tmp_path: Path
+) -> None:
+    kind = "uint8" if layout == "tensorflow" else "float"
+    metadata = THREE if layout == "queries" else {}
+    path = networks.write(
+        tmp_path / "net.onnx", layout, SHAPES.get(layout, ("N", 3, 96, 128)), kind, metadata
+    )
+    # The picture is larger than the input and of another shape: it is shrunk to 128x77, and a pixel
+    # there is 1.6 here.
     xyxy, confidence, class_id = found_by(path, networks.scene(200, 120, BOXES))
     np.testing.assert_allclose(xyxy, networks.truth(BOXES), atol=1.0)
     assert class_id.tolist() == [0, 1, 2]
@@ -41,18 +59,24 @@ def test_each_layout_is_recognised_and_gives_the_boxes_to_a_pixel(layout: str, t
     assert len(found_by(path, networks.scene(200, 120, {}))[0]) == 0
     # At the input's own size nothing is lost.
     same = {0: (3, 5, 30, 40), 1: (60, 1, 128, 50), 2: (0, 60, 33, 96)}
-    np.testing.assert_allclose(found_by(path, networks.scene(128, 96, same))[0], networks.truth(same), atol=2e-5)
+    np.testing.assert_allclose(
+        found_by(path, networks.scene(128, 96, same))[0], networks.truth(same), atol=2e-5
+    )
 
 
 @pytest.fixture(scope="module")
 def fixed(tmp_path_factory: pytest.TempPathFactory) -> OnnxDetector:
-    path = networks.write(tmp_path_factory.mktemp("fixed") / "net.onnx", "yolov8", ("N", 3, 96, 128), metadata=THREE)
+    path = networks.write(
+        tmp_path_factory.mktemp("fixed") / "net.onnx", "yolov8", ("N", 3, 96, 128), metadata=THREE
+    )
     return OnnxDetector(str(path))
 
 
 @pytest.fixture(scope="module")
 def free(tmp_path_factory: pytest.TempPathFactory) -> OnnxDetector:
-    path = networks.write(tmp_path_factory.mktemp("free") / "net.onnx", "end2end", ("N", 3, "H", "W"), metadata=THREE)
+    path = networks.write(
+        tmp_path_factory.mktemp("free") / "net.onnx", "end2end", ("N", 3, "H", "W"), metadata=THREE
+    )
     return OnnxDetector(str(path), size=192)
 
 
@@ -60,11 +84,15 @@ def free(tmp_path_factory: pytest.TempPathFactory) -> OnnxDetector:
 def test_the_padding_is_undone_for_pictures_of_any_size(
     data: st.DataObject, width: int, height: int, fixed: OnnxDetector, free: OnnxDetector
 ) -> None:
-    sides = [sorted(data.draw(st.lists(st.integers(0, side), min_size=2, max_size=2))) for side in (width, height)]
+    sides = [
+        sorted(data.draw(st.lists(st.integers(0, side), min_size=2, max_size=2)))
+        for side in (width, height)
+    ]
     (left, right), (top, bottom) = (
         [a, max(b, min(a + 12, side))] for (a, b), side in zip(sides, (width, height), strict=True)
     )
-    left, top = min(left, right - 8), min(top, bottom - 8)
+    left = min(left, right - 8)
+    top = min(top, bottom - 8)
     frame = networks.scene(width, height, {1: (left, top, right, bottom)})
     for detector, size in ((fixed, (128, 96)), (free, (192, 192))):
         factor = min(size[0] / width, size[1] / height)
@@ -73,7 +101,9 @@ def test_the_padding_is_undone_for_pictures_of_any_size(
         found = detector(frame)
         assert found.class_id.tolist() == [1]
         # Edges are found to a pixel of the input.
-        np.testing.assert_allclose(found.xyxy[0], [left, top, right, bottom], atol=1.0 / min(factor, 1.0) + 0.01)
+        np.testing.assert_allclose(
+            found.xyxy[0], [left, top, right, bottom], atol=1.0 / min(factor, 1.0) + 0.01
+        )
         assert (found.xyxy >= 0).all()
         assert (found.xyxy <= [width, height, width, height]).all()
 
@@ -85,30 +115,46 @@ def test_a_free_input_has_no_more_grey_than_the_stride_asks_for(free: OnnxDetect
     assert free._longer == 192
 
 
-@pytest.mark.parametrize(("kind", "layout"), [("float16", "yolov8"), ("float16", "rfdetr"), ("uint8", "yolov5")])
+@pytest.mark.parametrize(
+    ("kind", "layout"), [("float16", "yolov8"), ("float16", "rfdetr"), ("uint8", "yolov5")]
+)
 def test_other_types_give_the_same(kind: str, layout: str, tmp_path: Path) -> None:
     outputs = "float16" if kind == "float16" else ""
     plain = networks.write(tmp_path / "plain.onnx", layout)
     other = networks.write(tmp_path / "other.onnx", layout, kind=kind, outputs=outputs)
     frame = networks.scene(256, 180, BOXES)
-    for one, two, least in zip(found_by(plain, frame), found_by(other, frame), (0.1, 2e-3, 0), strict=True):
+    for one, two, least in zip(
+        found_by(plain, frame), found_by(other, frame), (0.1, 2e-3, 0), strict=True
+    ):
         np.testing.assert_allclose(one, two, atol=least)
 
 
-def test_overlapping_boxes_are_removed_within_a_class_where_the_network_leaves_them(tmp_path: Path) -> None:
+def test_overlapping_boxes_are_removed_within_a_class_where_the_network_leaves_them(
+    tmp_path: Path,
+) -> None:
     path = networks.write(tmp_path / "net.onnx", "yolov5")
     frame = networks.scene(128, 96, {0: (10, 10, 60, 60), 1: (64, 10, 110, 60)})
-    assert [len(found_by(path, frame, overlap=overlap)[0]) for overlap in (0.7, 0.95, 1.0)] == [2, 4, 4]
+    assert [len(found_by(path, frame, overlap=overlap)[0]) for overlap in (0.7, 0.95, 1.0)] == [
+        2,
+        4,
+        4,
+    ]
     confidence = found_by(path, frame, overlap=1.0, confidence=0.8)[1]
     np.testing.assert_allclose(confidence, [0.9, 0.81, 0.8], atol=1e-6)
     apart = networks.write(tmp_path / "end.onnx", "end2end")
     assert len(found_by(apart, frame, overlap=0.0)[0]) == 2
 
 
-@pytest.mark.parametrize("shape", [("N", 3, 96, 128), (1, 3, 96, 128), (4, 3, 96, 128), ("N", 3, "H", "W")])
-def test_frames_looked_at_together_give_what_each_gives_alone(shape: tuple[object, ...], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "shape", [("N", 3, 96, 128), (1, 3, 96, 128), (4, 3, 96, 128), ("N", 3, "H", "W")]
+)
+def test_frames_looked_at_together_give_what_each_gives_alone(
+    shape: tuple[object, ...], tmp_path: Path
+) -> None:
     path = networks.write(tmp_path / "net.onnx", "yolov8", shape)
-    frames = [networks.scene(200, 120, {k % 3: (5 * k, 20, 5 * k + 40, 90)}, k + 1) for k in range(7)]
+    frames = [
+        networks.scene(200, 120, {k % 3: (5 * k, 20, 5 * k + 40, 90)}, k + 1) for k in range(7)
+    ]
     frames.append(networks.scene(90, 170, {0: (10, 20, 50, 90)}, 8))
     many = OnnxDetector(str(path), size=0, batch=3)
     assert many.together == {"N": 3, 1: 1, 4: 4}[shape[0]]
@@ -121,7 +167,9 @@ def test_frames_looked_at_together_give_what_each_gives_alone(shape: tuple[objec
         np.testing.assert_array_equal(one.confidence, other.confidence)
 
 
-def test_frames_before_an_error_are_looked_at(fixed: OnnxDetector, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_before_an_error_are_looked_at(
+    fixed: OnnxDetector, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(fixed, "batch", 4)
 
     def frames() -> object:
@@ -135,10 +183,17 @@ def test_frames_before_an_error_are_looked_at(fixed: OnnxDetector, monkeypatch: 
 
 
 def test_classes_by_name_or_number(tmp_path: Path) -> None:
-    path, frame = networks.write(tmp_path / "net.onnx", metadata=THREE), networks.scene(200, 120, BOXES)
-    assert class_names(make_detector(f"onnx:{path}", max_width=100)) == {0: "person", 1: "car", 2: "bus"}
+    path = networks.write(tmp_path / "net.onnx", metadata=THREE)
+    frame = networks.scene(200, 120, BOXES)
+    assert class_names(make_detector(f"onnx:{path}", max_width=100)) == {
+        0: "person",
+        1: "car",
+        2: "bus",
+    }
     assert found_by(path, frame, classes="Bus, 0")[2].tolist() == [0, 2]
-    with pytest.raises(InputError, match=r"detector\.classes: the network has no class buss\. Did you mean bus\?"):
+    with pytest.raises(
+        InputError, match=r"detector\.classes: the network has no class buss\. Did you mean bus\?"
+    ):
         make_detector(f"onnx:{path}", classes="buss")
     silent = networks.write(tmp_path / "silent.onnx", metadata={"names": "{'a': 1"})
     assert class_names(make_detector(f"onnx:{silent}")) == {}
@@ -150,16 +205,33 @@ def test_classes_by_name_or_number(tmp_path: Path) -> None:
 
 
 def constant(
-    path: Path, metadata: dict[str, str] | None = None, value: float = 0.0, channels: int = 3, **shapes: tuple[int, ...]
+    path: Path,
+    metadata: dict[str, str] | None = None,
+    value: float = 0.0,
+    channels: int = 3,
+    **shapes: tuple[int, ...],
 ) -> Path:
-    """A network that takes (1, 3, 64, 64) and gives arrays of these shapes with the same value everywhere."""
+    """A network that takes (1, 3, 64, 64) and gives arrays of these shapes with the same value
+    everywhere.
+    """
     nodes = [
-        helper.make_node("ConstantOfShape", [f"{name}_shape"], [name], value=helper.make_tensor("v", 1, [1], [value]))
+        helper.make_node(
+            "ConstantOfShape",
+            [f"{name}_shape"],
+            [name],
+            value=helper.make_tensor("v", 1, [1], [value]),
+        )
         for name in shapes
     ]
-    sizes = [helper.make_tensor(f"{name}_shape", TensorProto.INT64, [len(shape)], shape) for name, shape in shapes.items()]
+    sizes = [
+        helper.make_tensor(f"{name}_shape", TensorProto.INT64, [len(shape)], shape)
+        for name, shape in shapes.items()
+    ]
     taken = helper.make_tensor_value_info("images", TensorProto.FLOAT, (1, channels, 64, 64))
-    given = [helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name, shape in shapes.items()]
+    given = [
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)
+        for name, shape in shapes.items()
+    ]
     graph = helper.make_graph(nodes, "zeros", [taken], given, sizes)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     helper.set_model_props(model, metadata or {})
@@ -174,14 +246,27 @@ def constant(
         ({"a": (1, 25200, 85)}, {}, {}, 80, "_grid"),
         ({"a": (1, 25200, 6)}, {}, {}, 1, "_grid"),
         ({"a": (1, 25200, 85), "b": (1, 3, 80, 80, 85)}, {}, {}, 80, "_grid"),
-        # A small input: fewer rows than columns. Two classes, and one: six numbers that are no end-to-end row.
+        # A small input: fewer rows than columns. Two classes, and one: six numbers that are no
+        # end-to-end row.
         ({"a": (1, 84, 84)}, {"names": str(["x"] * 80)}, {}, 80, "_grid"),
         ({"a": (1, 300, 6)}, {"names": "['x', 'y']"}, {}, 2, "_grid"),
         ({"a": (1, 252, 6)}, {"names": "['x']"}, {}, 1, "_grid"),
         ({"a": (1, 252, 6)}, {"names": "['x']"}, {"layout": "end2end"}, 1, "_end_to_end"),
-        ({"a": (1, 39, 84), "b": (1, 32, 16, 16)}, {"names": "['x', 'y', 'z']", "task": "segment"}, {}, 3, "_grid"),
+        (
+            {"a": (1, 39, 84), "b": (1, 32, 16, 16)},
+            {"names": "['x', 'y', 'z']", "task": "segment"},
+            {},
+            3,
+            "_grid",
+        ),
         ({"a": (1, 300, 84)}, {"names": str(["x"] * 80)}, {}, 80, "_grid"),
-        ({"logits": (1, 300, 91), "pred_boxes": (1, 300, 4), "last_hidden_state": (1, 300, 256)}, {}, {}, 91, "_queries"),
+        (
+            {"logits": (1, 300, 91), "pred_boxes": (1, 300, 4), "last_hidden_state": (1, 300, 256)},
+            {},
+            {},
+            91,
+            "_queries",
+        ),
         ({"a": (1, 300, 6)}, {"value": "0"}, {}, 0, "_end_to_end"),
         ({"a": (1, 0, 6)}, {"value": "0", "names": "['x']"}, {}, 1, "_end_to_end"),
         (
@@ -216,7 +301,8 @@ def test_shapes_and_metadata_say_what_the_outputs_are(
         ({"a": (1, 2, 3), "b": (1, 5, 6)}, {}),
         ({"boxes": (1, 5, 4)}, {"names": "['x', 'y']"}),
         ({"boxes": (1, 5, 4), "scores": (1, 80, 5)}, {}),
-        # Corners of many boxes for each object, and scores of all classes: an SSD's, before its suppression.
+        # Corners of many boxes for each object, and scores of all classes: an SSD's, before its
+        # suppression.
         ({"boxes": (1, 5, 4), "scores": (1, 5, 3)}, {}),
         # Logarithms of sizes: a YOLOX that is not decoded.
         ({"a": (1, 8400, 85)}, {"value": "-1"}),
@@ -228,7 +314,8 @@ def test_what_is_not_recognised_is_shown_and_what_is_understood(
 ) -> None:
     path = constant(tmp_path / "net.onnx", metadata, float(metadata.get("value", 0)), **shapes)
     with pytest.raises(
-        InputError, match=r"net\.onnx: its outputs are not recognised: .*Understood are \(1, 4 \+ classes"
+        InputError,
+        match=r"net\.onnx: its outputs are not recognised: .*Understood are \(1, 4 \+ classes",
     ) as error:
         OnnxDetector(str(path))
     assert "inputs: images tensor(float) (1, 3, 64, 64)" in str(error.value)
@@ -236,22 +323,48 @@ def test_what_is_not_recognised_is_shown_and_what_is_understood(
         assert f"{name} float32 {shape}" in str(error.value)
 
 
-def test_what_is_no_network_for_pictures_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_no_network_for_pictures_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     whole = networks.write(tmp_path / "net.onnx")
     (tmp_path / "cut.onnx").write_bytes(whole.read_bytes()[:-300])
     (tmp_path / "text.onnx").write_text("no network")
     constant(tmp_path / "one.onnx", channels=1, a=(1, 84, 8400))
     for name, parameters, message in (
-        ("onnx:cut.onnx", {}, r"cut\.onnx: expected a network that onnxruntime .* can run: .*Is it an ONNX file"),
+        (
+            "onnx:cut.onnx",
+            {},
+            r"cut\.onnx: expected a network that onnxruntime .* can run: .*Is it an ONNX file",
+        ),
         ("onnx:text.onnx", {}, r"text\.onnx: expected a network"),
         ("onnx:none.onnx", {}, r"none\.onnx: there is no such file"),
         ("onnx:.", {}, "came a folder"),
-        ("onnx:one.onnx", {}, r"its inputs are not recognised: images tensor\(float\) \(1, 1, 64, 64\). One picture"),
-        ("onnx:net.onnx", {"size": 320}, r"detector\.size: the network takes pictures of 128x96 pixels only"),
-        ("onnx:net.onnx", {"layout": "yolov9"}, r"detector\.layout: expected yolov5, yolov8, end2end, got 'yolov9'"),
+        (
+            "onnx:one.onnx",
+            {},
+            r"its inputs are not recognised: images tensor\(float\) \(1, 1, 64, 64\). One picture",
+        ),
+        (
+            "onnx:net.onnx",
+            {"size": 320},
+            r"detector\.size: the network takes pictures of 128x96 pixels only",
+        ),
+        (
+            "onnx:net.onnx",
+            {"layout": "yolov9"},
+            r"detector\.layout: expected yolov5, yolov8, end2end, got 'yolov9'",
+        ),
         ("onnx:net.onnx", {"confidence": 2.0}, "confidence: expected a value at most 1"),
-        ("onnx:net.onnx", {"confidense": 2.0}, "no parameter 'confidense'. Did you mean confidence"),
-        ("yolo", {}, "no detector 'yolo'. There are change, .*onnx:FILE; its boxes: --detections FILE"),
+        (
+            "onnx:net.onnx",
+            {"confidense": 2.0},
+            "no parameter 'confidense'. Did you mean confidence",
+        ),
+        (
+            "yolo",
+            {},
+            "no detector 'yolo'. There are change, .*onnx:FILE; its boxes: --detections FILE",
+        ),
         ("yolo11n.onnx", {}, r"no detector 'yolo11n\.onnx'\. Say onnx:yolo11n\.onnx"),
     ):
         monkeypatch.chdir(tmp_path)
@@ -259,7 +372,9 @@ def test_what_is_no_network_for_pictures_is_refused(tmp_path: Path, monkeypatch:
             make_detector(name, **parameters)  # type: ignore[arg-type]
     assert "file" not in detector_parameters("onnx:net.onnx")
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    with pytest.raises(InputError, match=r"needs the package onnxruntime\. pip install 'phdtrack\[onnx\]'"):
+    with pytest.raises(
+        InputError, match=r"needs the package onnxruntime\. pip install 'phdtrack\[onnx\]'"
+    ):
         make_detector("onnx:net.onnx")
 
 
@@ -270,8 +385,13 @@ def test_pixels_as_the_network_was_trained(tmp_path: Path) -> None:
     assert found_by(path, frame, bgr=True)[2].tolist() == [2]
     np.testing.assert_allclose(found_by(path, frame, stretch=True)[0], [[20, 30, 60, 80]], atol=1.3)
     red = OnnxDetector(str(path), stretch=True)._place(frame.image).tensor[:, 50, 25]
-    means, deviations = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
+    means = np.array([0.485, 0.456, 0.406])
+    deviations = np.array([0.229, 0.224, 0.225])
     np.testing.assert_allclose(red, [1, 0, 0], atol=1e-6)
     for pixels, value in (("bytes", red * 255), ("imagenet", (red - means) / deviations)):
-        taken = OnnxDetector(str(path), stretch=True, pixels=pixels)._place(frame.image).tensor[:, 50, 25]
+        taken = (
+            OnnxDetector(str(path), stretch=True, pixels=pixels)
+            ._place(frame.image)
+            .tensor[:, 50, 25]
+        )
         np.testing.assert_allclose(taken, value, atol=1e-5)

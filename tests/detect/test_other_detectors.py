@@ -63,7 +63,8 @@ def test_a_face_is_found_and_scaled_back() -> None:
     cv2.ellipse(image, (100, 132), (20, 6), 0, 0, 360, (70, 70, 70), -1)
     frame = Frame(1, 0.0, cv2.GaussianBlur(image, (9, 9), 0))
     results = [
-        make_detector("face", scale=scale, neighbours=1, cascade="frontalface_default")(frame) for scale in (1.0, 2.0)
+        make_detector("face", scale=scale, neighbours=1, cascade="frontalface_default")(frame)
+        for scale in (1.0, 2.0)
     ]
     for found in results:
         assert len(found) >= 1
@@ -96,7 +97,13 @@ def test_a_smaller_picture_is_searched_and_boxes_come_back_in_full_size() -> Non
 def test_a_region_of_interest(tmp_path: Path) -> None:
     mask = np.zeros((120, 160), np.uint8)
     mask[:, :80] = 255
-    boxes = [[10, 10, 30, 30], [100, 10, 120, 30], [70, 10, 88, 30], [75, 10, 95, 30], [-20, 0, 10, 10]]
+    boxes = [
+        [10, 10, 30, 30],
+        [100, 10, 120, 30],
+        [70, 10, 88, 30],
+        [75, 10, 95, 30],
+        [-20, 0, 10, 10],
+    ]
     inner = Seen(boxes)
     np.testing.assert_array_equal(Masked(inner, mask)(blank()).xyxy, np.array(boxes)[[0, 2, 4]])
     cv2.imwrite(str(tmp_path / "roi.png"), mask)
@@ -146,9 +153,20 @@ def test_what_is_wrong_is_named(name: str, parameters: dict[str, object], messag
 
 
 @pytest.mark.parametrize(
-    ("size", "width"), [((3840, 2160), 640), ((1920, 1080), 640), ((1080, 1920), 360), ((960, 540), 0), ((768, 576), 0)]
+    ("size", "width"),
+    [
+        ((3840, 2160), 640),
+        ((1920, 1080), 640),
+        ((1080, 1920), 360),
+        ((960, 540), 0),
+        ((768, 576), 0),
+    ],
 )
 def test_the_working_width_is_chosen_from_the_video(size: tuple[int, int], width: int) -> None:
     info = SequenceInfo(*size, 25.0)
-    assert [working_width(name, None, info) for name in ("change", "mog2", "person")] == [width, width, 0]
+    assert [working_width(name, None, info) for name in ("change", "mog2", "person")] == [
+        width,
+        width,
+        0,
+    ]
     assert [working_width("change", given, info) for given in (0, 320)] == [0, 320]

@@ -25,11 +25,15 @@ def scene(seed: int = 0) -> Image:
 
 
 def crowd(count: int = 51) -> list[Image]:
-    """Samples in which dark people stand around one place, one in each, which is hidden in most of them."""
-    rng, out = np.random.default_rng(1), list[Image]()
+    """Samples in which dark people stand around one place, one in each, which is hidden in most of
+    them.
+    """
+    rng = np.random.default_rng(1)
+    out = list[Image]()
     for _ in range(count):
         image = scene().astype(np.int16) + rng.integers(-2, 3, (120, 160, 1))
-        left, top = 60 + rng.integers(-14, 15), 40 + rng.integers(-14, 15)
+        left = 60 + rng.integers(-14, 15)
+        top = 40 + rng.integers(-14, 15)
         image[top : top + 40, left : left + 24] = rng.integers(0, 50, 3)
         out.append(image.clip(0, 255).astype(np.uint8))
     return out
@@ -42,11 +46,14 @@ def seen(planes: Image) -> Image:
 
 def test_the_median_is_that_of_numpy() -> None:
     images = list(np.random.default_rng(2).integers(0, 256, (7, 297), dtype=np.uint8))
-    np.testing.assert_array_equal(median(images), np.median(np.stack(images), axis=0).astype(np.uint8))
+    np.testing.assert_array_equal(
+        median(images), np.median(np.stack(images), axis=0).astype(np.uint8)
+    )
 
 
 def test_a_place_that_is_mostly_hidden_is_seen() -> None:
-    samples, shape = [planes_of(image) for image in crowd()], (120, 160)
+    samples = [planes_of(image) for image in crowd()]
+    shape = (120, 160)
     hidden = slice(56, 64), slice(70, 75)
     assert seen(median(samples))[hidden].mean() < 40
     reference, where = background(samples, shape)
@@ -70,13 +77,17 @@ def test_what_hides_a_place_is_as_large_as_objects_are_there() -> None:
 
 
 def test_who_hides_a_place_most_of_the_time_is_detected_there() -> None:
-    samples, detector = crowd(), ChangeDetector()
+    samples = crowd()
+    detector = ChangeDetector()
     study(detector, [Frame(k + 1, k / 2, image) for k, image in enumerate(samples)])
     detector(Frame(1, 0.0, samples[0]))
     for k, image in enumerate(samples[1:], start=1):
         dark = np.argwhere(image.max(axis=2) < 60)
-        (top, left), (bottom, right) = dark.min(axis=0), dark.max(axis=0) + 1
-        np.testing.assert_allclose(detector(Frame(k + 1, k / 2, image)).xyxy, [[left, top, right, bottom]], atol=6)
+        top, left = dark.min(axis=0)
+        bottom, right = dark.max(axis=0) + 1
+        np.testing.assert_allclose(
+            detector(Frame(k + 1, k / 2, image)).xyxy, [[left, top, right, bottom]], atol=6
+        )
 
 
 @pytest.mark.parametrize(("width", "jumps"), [(0, False), (100, False), (0, True), (100, True)])
@@ -107,16 +118,21 @@ def test_the_extremes_of_samples_are_those_of_a_plain_sort() -> None:
     detector = ChangeDetector()
     study(detector, [Frame(k + 1, k / 2, image) for k, image in enumerate(crowd())])
     past = detector._past
-    for found, expected in zip((past.extremes, past.near), twin.extremes(past.samples, 120, 160), strict=True):
+    for found, expected in zip(
+        (past.extremes, past.near), twin.extremes(past.samples, 120, 160), strict=True
+    ):
         np.testing.assert_array_equal(found, expected)
 
 
 @pytest.mark.parametrize(("height", "width"), [(120, 160), (131, 77)])
 def test_the_noise_of_a_scene_is_the_median_of_its_energies(height: int, width: int) -> None:
     """Learned in bands of rows, of which the last one may be lower and odd."""
-    rng, detector = np.random.default_rng(3), ChangeDetector()
+    rng = np.random.default_rng(3)
+    detector = ChangeDetector()
     ramp = np.linspace(60, 180, width)[None, :, None] + np.zeros((height, 1, 3))
-    samples = [np.clip(ramp + rng.normal(0, 6, ramp.shape), 0, 255).astype(np.uint8) for _ in range(9)]
+    samples = [
+        np.clip(ramp + rng.normal(0, 6, ramp.shape), 0, 255).astype(np.uint8) for _ in range(9)
+    ]
     study(detector, [Frame(k + 1, k / 2, image) for k, image in enumerate(samples)])
     pictures = [planes_of(image) for image in samples]
     for one in pictures:
@@ -136,7 +152,8 @@ def test_a_lamp_that_goes_on_and_off_is_not_detected() -> None:
         if k // 5 % 2:
             image[20:50, 30:60] = 230
         frames.append(Frame(k + 1, k / 10, image))
-    plain, learned = ChangeDetector(), ChangeDetector()
+    plain = ChangeDetector()
+    learned = ChangeDetector()
     study(learned, frames)
     counts = [sum(len(detector(frame)) for frame in frames) for detector in (plain, learned)]
     assert counts[0] > 10
@@ -144,7 +161,12 @@ def test_a_lamp_that_goes_on_and_off_is_not_detected() -> None:
 
 
 def test_a_camera_that_moves_and_dark_pictures_are_doubtful() -> None:
-    wide = np.random.default_rng(4).integers(0, 256, (24, 60, 3), dtype=np.uint8).repeat(5, axis=0).repeat(5, axis=1)
+    wide = (
+        np.random.default_rng(4)
+        .integers(0, 256, (24, 60, 3), dtype=np.uint8)
+        .repeat(5, axis=0)
+        .repeat(5, axis=1)
+    )
     still = [scene() for _ in range(51)]
     moving = [wide[:, 3 * k : 3 * k + 140].copy() for k in range(51)]
     dark = [image // 6 for image in still]
@@ -160,17 +182,22 @@ def test_a_camera_that_moves_and_dark_pictures_are_doubtful() -> None:
         frames = [Frame(k + 1, k / 2, image) for k, image in enumerate(images)]
         study(detector, frames)
         said = unsuited(detector)
-        assert [word for word in ("camera moves", "dark") if any(word in sentence for sentence in said)] == words
+        assert [
+            word for word in ("camera moves", "dark") if any(word in sentence for sentence in said)
+        ] == words
         assert all("--detector onnx:FILE" in sentence for sentence in said)
 
 
 WALL = cv2.resize(
-    np.random.default_rng(3).integers(60, 200, (30, 40, 3), np.uint8), (320, 240), interpolation=cv2.INTER_CUBIC
+    np.random.default_rng(3).integers(60, 200, (30, 40, 3), np.uint8),
+    (320, 240),
+    interpolation=cv2.INTER_CUBIC,
 )
 
 
 def shaken(x: float, y: float, turn: float = 0.0, left: int = -1) -> tuple[Image, np.ndarray]:
-    """A wall as a camera sees it that is moved by some pixels and turned, and (2, 3) where it moved to.
+    """A wall as a camera sees it that is moved by some pixels and turned, and (2, 3) where it moved
+    to.
 
     Before it stands something dark, 30 pixels wide and 60 high, from column ``left`` on.
     """
@@ -178,11 +205,14 @@ def shaken(x: float, y: float, turn: float = 0.0, left: int = -1) -> tuple[Image
     if left >= 0:
         image[100:160, left : left + 30] = 20
     pose = cv2.getRotationMatrix2D((160, 120), turn, 1.0) + np.array([[0, 0, x], [0, 0, y]])
-    return cv2.warpAffine(image, pose, (320, 240), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), pose
+    return cv2.warpAffine(
+        image, pose, (320, 240), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+    ), pose
 
 
 def test_where_a_picture_lies_is_found_although_something_hides_a_part() -> None:
-    anchor, grey = Anchor(luma(planes_of(WALL), (240, 320))), {}
+    anchor = Anchor(luma(planes_of(WALL), (240, 320)))
+    grey = {}
     for x, y, turn in ((0, 0, 0), (3.3, -5.6, 0), (-9, 12, 0.4)):
         image, pose = shaken(x, y, turn, left=100)
         grey[x] = planes_of(image)
@@ -191,23 +221,30 @@ def test_where_a_picture_lies_is_found_although_something_hides_a_part() -> None
         np.testing.assert_allclose(found[:2] @ corners, pose @ corners, atol=0.25)
     back = stabilised(grey[3.3], (240, 320), anchor.pose(luma(grey[3.3], (240, 320))))
     was, before, after = (
-        luma(each, (240, 320))[20:220, 140:300].astype(float) for each in (planes_of(WALL), grey[3.3], back)
+        luma(each, (240, 320))[20:220, 140:300].astype(float)
+        for each in (planes_of(WALL), grey[3.3], back)
     )
     assert np.abs(after - was).mean() < 3 < np.abs(before - was).mean() / 3
 
 
 def test_where_nothing_can_be_followed_the_camera_is_taken_to_stand() -> None:
-    plain, wall = np.full((240, 320), 100, np.uint8), luma(planes_of(WALL), (240, 320))
+    plain = np.full((240, 320), 100, np.uint8)
+    wall = luma(planes_of(WALL), (240, 320))
     noise = np.random.default_rng(0).integers(0, 255, (240, 320), np.uint8)
     for one, other in ((plain, plain), (plain, wall), (wall, plain), (wall, noise)):
         assert Anchor(one).pose(other) is STILL
 
 
 def passing(amount: float, hidden: tuple[int, ...] = ()) -> tuple[list[Frame], list[np.ndarray]]:
-    """Frames of a camera that shakes, with something dark that passes, and its boxes; the ``hidden`` frames are white."""
-    rng, frames, truth = np.random.default_rng(5), list[Frame](), []
+    """Frames of a camera that shakes, with something dark that passes, and its boxes; the
+    ``hidden`` frames are white.
+    """
+    rng = np.random.default_rng(5)
+    frames = list[Frame]()
+    truth = []
     for k in range(80):
-        left, (x, y) = 20 + 3 * k, amount * rng.standard_normal(2)
+        left = 20 + 3 * k
+        x, y = amount * rng.standard_normal(2)
         image, pose = shaken(x, y, left=left)
         truth.append(np.array([left, 100, left + 30, 160]) + np.tile(pose[:, 2], 2))
         image = np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8)
@@ -218,13 +255,17 @@ def passing(amount: float, hidden: tuple[int, ...] = ()) -> tuple[list[Frame], l
 
 @pytest.mark.parametrize("amount", [0.0, 4.0])
 @pytest.mark.parametrize("width", [0, 200])
-def test_objects_are_found_where_they_are_though_the_camera_shakes(amount: float, width: int) -> None:
+def test_objects_are_found_where_they_are_though_the_camera_shakes(
+    amount: float, width: int
+) -> None:
     frames, truth = passing(amount)
     inner = ChangeDetector()
     detector = Rescaled(inner, width) if width else inner
     study(detector, frames)
     assert inner.shaky == (amount > 0)
-    counts, misses, moved = [], [], []
+    counts = []
+    misses = []
+    moved = []
     for frame, true in zip(frames, truth, strict=True):
         found = detector(frame).xyxy
         pose = pose_of(detector, frame)
@@ -256,7 +297,8 @@ def test_a_picture_that_shows_nothing_of_the_scene_says_nothing_for_a_while() ->
 
 def test_what_is_known_of_a_camera_that_shakes_goes_on_in_another_detector() -> None:
     frames, _ = passing(4.0)
-    first, second = ChangeDetector(), ChangeDetector()
+    first = ChangeDetector()
+    second = ChangeDetector()
     for detector in (first, second):
         study(detector, frames)
     for frame in frames[:30]:
@@ -268,7 +310,8 @@ def test_what_is_known_of_a_camera_that_shakes_goes_on_in_another_detector() -> 
 
 
 def test_one_patch_to_hold_on_to_does_not_make_noise_a_shaking_camera() -> None:
-    rng, frames = np.random.default_rng(8), list[Frame]()
+    rng = np.random.default_rng(8)
+    frames = list[Frame]()
     for k in range(60):
         image = np.full((240, 320, 3), 120.0)
         image[30:90, 40:100] = WALL[30:90, 40:100]

@@ -1,4 +1,6 @@
-"""docs/equations.md is what the docstrings say, and the script that writes it reads them rightly."""
+"""docs/equations.md is what the docstrings say, and the script that writes it reads them
+rightly.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture(scope="module")
 def script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("equations_script", ROOT / "scripts" / "equations.py")
+    spec = importlib.util.spec_from_file_location(
+        "equations_script", ROOT / "scripts" / "equations.py"
+    )
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -23,7 +27,9 @@ def script() -> ModuleType:
     return module
 
 
-def test_the_committed_page_is_current(script: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_committed_page_is_current(
+    script: ModuleType, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert script.main(["--check"]) == 0, capsys.readouterr().err
 
 
@@ -47,11 +53,16 @@ def test_page_of_a_small_package(script: ModuleType, tmp_path: Path) -> None:
 
 
 def test_a_stale_page_fails_the_check(
-    script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    script: ModuleType,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(script, "PAGE", tmp_path / "equations.md")
     assert script.main(["--check"]) == 1
     assert "make docs" in capsys.readouterr().err
     assert script.main([]) == 0
-    assert (tmp_path / "equations.md").read_text() == script.page_text(list(script.entries(script.SOURCES)))
+    assert (tmp_path / "equations.md").read_text() == script.page_text(
+        list(script.entries(script.SOURCES))
+    )
     assert script.main(["--check"]) == 0

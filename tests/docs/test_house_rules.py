@@ -1,4 +1,6 @@
-"""The rules of the house that linters and the import contract cannot check: sizes, small files, circles, docstrings."""
+"""The rules of the house that linters and the import contract cannot check: sizes, small files,
+circles, docstrings.
+"""
 
 from __future__ import annotations
 
@@ -22,11 +24,17 @@ SOURCES = ROOT / "src" / "phdtrack"
 MODULES = sorted(SOURCES.rglob("*.py"))
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
-MAX_LINES, MAX_FILES, MAX_TOP_LEVEL = 40_531, 189, 10
-MAX_FILE, MIN_FILE, MAX_FUNCTION = 500, 60, 60
-MAX_PARAMETERS, MAX_KERNEL_PARAMETERS = 8, 10
+MAX_LINES = 40_531
+MAX_FILES = 189
+MAX_TOP_LEVEL = 10
+MAX_FILE = 500
+MIN_FILE = 60
+MAX_FUNCTION = 60
+MAX_PARAMETERS = 8
+MAX_KERNEL_PARAMETERS = 10
 MAX_TEST_LINES = 35_199
-MAX_LOADED_MODULES, MAX_LOADED_LINES = 90, 11_550
+MAX_LOADED_MODULES = 90
+MAX_LOADED_LINES = 11_550
 
 
 def check(rule: str, found: list[str]) -> None:
@@ -49,11 +57,15 @@ def short(path: Path) -> str:
 
 def dotted(path: Path) -> str:
     """``phdtrack.filters.pmb`` of its file; a package's name for its ``__init__``."""
-    return ".".join(path.relative_to(SOURCES.parent).with_suffix("").parts).removesuffix(".__init__")
+    return ".".join(path.relative_to(SOURCES.parent).with_suffix("").parts).removesuffix(
+        ".__init__"
+    )
 
 
 def imports(path: Path, *, types_too: bool) -> Iterator[str]:
-    """Full names that a file imports, at any depth; ``types_too``: also those under ``if TYPE_CHECKING``."""
+    """Full names that a file imports, at any depth; ``types_too``: also those under ``if
+    TYPE_CHECKING``.
+    """
     for_types: set[ast.AST] = set()
     for node in ast.walk(tree(path)):
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
@@ -70,7 +82,9 @@ def imports(path: Path, *, types_too: bool) -> Iterator[str]:
 
 @cache
 def importers() -> dict[str, set[str]]:
-    """For every module of the package those that import it, by full name; importing a name of it counts."""
+    """For every module of the package those that import it, by full name; importing a name of it
+    counts.
+    """
     known = {dotted(path) for path in MODULES}
     found: dict[str, set[str]] = {name: set() for name in known}
     for path in MODULES:
@@ -82,7 +96,9 @@ def importers() -> dict[str, set[str]]:
 
 
 class Part(NamedTuple):
-    """A function or method that is not inside a function: its file, where it is, and whether it is public."""
+    """A function or method that is not inside a function: its file, where it is, and whether it is
+    public.
+    """
 
     path: Path
     place: str
@@ -96,20 +112,28 @@ def functions() -> Iterator[Part]:
             inside = node.body if isinstance(node, ast.ClassDef) else [node]
             for part in inside:
                 if isinstance(part, Function):
-                    public = not part.name.startswith("_") and not getattr(node, "name", "").startswith("_")
+                    public = not part.name.startswith("_") and not getattr(
+                        node, "name", ""
+                    ).startswith("_")
                     yield Part(path, f"{short(path)}:{part.lineno} {part.name}", part, public)
 
 
 def parameters(node: Function) -> list[ast.arg]:
     given = node.args
-    each = [*given.posonlyargs, *given.args, *given.kwonlyargs, *filter(None, (given.vararg, given.kwarg))]
+    each = [
+        *given.posonlyargs,
+        *given.args,
+        *given.kwonlyargs,
+        *filter(None, (given.vararg, given.kwarg)),
+    ]
     return [one for one in each if one.arg not in ("self", "cls")]
 
 
 def commands(path: Path, node: Function) -> bool:
     """A command of the command line: its parameters are options, its docstring is the help text."""
     return "cli" in path.parts and any(
-        one.annotation is not None and re.search("Annotated|Json|Overwrite", ast.unparse(one.annotation))
+        one.annotation is not None
+        and re.search("Annotated|Json|Overwrite", ast.unparse(one.annotation))
         for one in parameters(node)
     )
 
@@ -117,7 +141,9 @@ def commands(path: Path, node: Function) -> bool:
 TESTS = [*(ROOT / "tests").rglob("*.py"), *(ROOT / "experiments" / "tests").rglob("*.py")]
 
 
-@pytest.mark.parametrize(("paths", "limit"), [(MODULES, MAX_LINES), (TESTS, MAX_TEST_LINES)], ids=["src", "tests"])
+@pytest.mark.parametrize(
+    ("paths", "limit"), [(MODULES, MAX_LINES), (TESTS, MAX_TEST_LINES)], ids=["src", "tests"]
+)
 def test_number_of_lines(paths: list[Path], limit: int) -> None:
     assert sum(map(lines, paths)) <= limit
 
@@ -132,18 +158,25 @@ def test_kernels_import_numpy_and_numba_only() -> None:
     allowed = {"numpy", "numba", *sys.stdlib_module_names}
     for path in (SOURCES / "kernels").rglob("*.py"):
         for name in imports(path, types_too=True):
-            assert name.split(".")[0] in allowed or name.startswith("phdtrack.kernels"), f"{short(path)}: {name}"
+            assert name.split(".")[0] in allowed or name.startswith("phdtrack.kernels"), (
+                f"{short(path)}: {name}"
+            )
 
 
 def test_no_file_is_very_long() -> None:
-    check("long files", [f"{short(path)}: {lines(path)}" for path in MODULES if lines(path) > MAX_FILE])
+    check(
+        "long files",
+        [f"{short(path)}: {lines(path)}" for path in MODULES if lines(path) > MAX_FILE],
+    )
 
 
 def test_no_small_file_serves_one_neighbour_only() -> None:
     found = []
     for path in MODULES:
         users = [*importers()[dotted(path)]]
-        neighbour = len(users) == 1 and users[0].rpartition(".")[0] == dotted(path).rpartition(".")[0]
+        neighbour = (
+            len(users) == 1 and users[0].rpartition(".")[0] == dotted(path).rpartition(".")[0]
+        )
         if neighbour and lines(path) < MIN_FILE and path.name not in ("__init__.py", "__main__.py"):
             found.append(f"{short(path)}: {users[0]}")
     check("small files", found)
@@ -151,7 +184,10 @@ def test_no_small_file_serves_one_neighbour_only() -> None:
 
 def test_no_function_is_long() -> None:
     sizes = {part.place: (part.node.end_lineno or 0) - part.node.lineno + 1 for part in functions()}
-    check("long functions", [f"{place}: {size}" for place, size in sizes.items() if size > MAX_FUNCTION])
+    check(
+        "long functions",
+        [f"{place}: {size}" for place, size in sizes.items() if size > MAX_FUNCTION],
+    )
 
 
 def test_no_function_takes_many_parameters() -> None:
@@ -164,25 +200,38 @@ def test_no_function_takes_many_parameters() -> None:
 
 
 def test_public_functions_say_what_goes_in() -> None:
-    """Kernels and the command line are no part of the public library: their records and options say what goes in.
+    """Kernels and the command line are no part of the public library: their records and options say
+    what goes in.
 
-    What comes back the first line of a docstring says; a section Returns is for what that line does not hold.
-    Arguments of the methods of a protocol are described there, in theirs or in its docstring, for all that implement it.
+    What comes back the first line of a docstring says; a section Returns is for what that line does
+    not hold. Arguments of the methods of a protocol are described there, in theirs or in its
+    docstring, for all that implement it.
     """
-    protocols = [node for node in tree(SOURCES / "protocols.py").body if isinstance(node, ast.ClassDef)]
-    texts = {one: (ast.get_docstring(one) or "").partition("Parameters\n-----")[2] for one in protocols}
+    protocols = [
+        node for node in tree(SOURCES / "protocols.py").body if isinstance(node, ast.ClassDef)
+    ]
+    texts = {
+        one: (ast.get_docstring(one) or "").partition("Parameters\n-----")[2] for one in protocols
+    }
     shared = {
         part
         for one, text in texts.items()
         for part in one.body
         if isinstance(part, ast.FunctionDef)
-        and all(re.search(rf"^(\w+, )*{each.arg}\b[^:]* : ", text, re.MULTILINE) for each in parameters(part))
+        and all(
+            re.search(rf"^(\w+, )*{each.arg}\b[^:]* : ", text, re.MULTILINE)
+            for each in parameters(part)
+        )
     }
     methods = (part for part in functions() if part.path.name == "protocols.py")
     described = {(part.node.name, *(one.arg for one in parameters(part.node))) for part in methods}
     found = []
     for part in functions():
-        if part.public and len(parameters(part.node)) >= 3 and not {"kernels", "cli"} & set(part.path.parts):
+        if (
+            part.public
+            and len(parameters(part.node)) >= 3
+            and not {"kernels", "cli"} & set(part.path.parts)
+        ):
             implements = (part.node.name, *(one.arg for one in parameters(part.node))) in described
             if part.node in shared or (implements and part.path.name != "protocols.py"):
                 continue
@@ -197,7 +246,9 @@ def test_no_import_goes_in_a_circle() -> None:
     uses: dict[str, set[str]] = {}
     for name, path in known.items():
         named = imports(path, types_too=False)
-        uses[name] = {one if one in known else one.rpartition(".")[0] for one in named} & known.keys() - {name}
+        uses[name] = {
+            one if one in known else one.rpartition(".")[0] for one in named
+        } & known.keys() - {name}
     reached = {name: _reached(name, uses) for name in uses}
     found = {frozenset(b for b in reached[a] if a in reached[b]) for a in uses if a in reached[a]}
     check("circles", [" ↔ ".join(sorted(circle)) for circle in found])
@@ -224,20 +275,28 @@ def test_nobody_asks_what_attributes_a_thing_has() -> None:
 
 
 def test_a_tracker_and_one_update_load_little() -> None:
-    """In a fresh interpreter: how many modules of the package are loaded, and how many lines they have."""
+    """In a fresh interpreter: how many modules of the package are loaded, and how many lines they
+    have.
+    """
     program = (
         "import sys, numpy as np, phdtrack\n"
         "tracker = phdtrack.Tracker((640, 480), fps=25)\n"
         "tracker.update(np.array([[10.0, 10, 40, 90]]))\n"
         "print(*(m.__file__ for n, m in sys.modules.items() if n.split('.')[0] == 'phdtrack'), sep='\\n')\n"
     )
-    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
     paths = [Path(line) for line in run.stdout.split("\n") if line]
     assert len(paths) <= MAX_LOADED_MODULES
     assert sum(lines(path) for path in paths) <= MAX_LOADED_LINES
 
 
-MORE_CONSTRAINTS = ("benchmarks/peers-constraints.txt", "scripts/site-constraints.txt", "tests/cluster-constraints.txt")
+MORE_CONSTRAINTS = (
+    "benchmarks/peers-constraints.txt",
+    "scripts/site-constraints.txt",
+    "tests/cluster-constraints.txt",
+)
 CONSTRAINTS = [ROOT / "constraints.txt", *(ROOT / name for name in MORE_CONSTRAINTS)]
 
 
@@ -251,20 +310,29 @@ def test_constraints_pin_versions_and_hashes_without_addresses(path: Path) -> No
 
 
 def test_constraints_hold_everything_that_is_needed() -> None:
-    """They are installed without following dependencies: what the packages of this machine ask for must be among them.
+    """They are installed without following dependencies: what the packages of this machine ask for
+    must be among them.
 
     TrackEval comes without its own, which would put OpenCV 5 over OpenCV 4.
     """
 
     def asked(requirements: Iterable[str], extras: Iterable[str] = ("",)) -> set[str]:
         found = map(Requirement, requirements)
-        kept = [one for one in found if one.marker is None or any(one.marker.evaluate({"extra": extra}) for extra in extras)]
+        kept = [
+            one
+            for one in found
+            if one.marker is None or any(one.marker.evaluate({"extra": extra}) for extra in extras)
+        ]
         return {canonicalize_name(one.name) for one in kept}
 
-    pinned = {canonicalize_name(line.partition("==")[0]) for line in CONSTRAINTS[0].read_text(encoding="utf-8").splitlines()}
+    pinned = {
+        canonicalize_name(line.partition("==")[0])
+        for line in CONSTRAINTS[0].read_text(encoding="utf-8").splitlines()
+    }
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     wanted = asked(project["project"]["dependencies"]) | asked(project["build-system"]["requires"])
-    # Of the extras paho-mqtt, Ray and Rerun are not here: one has a stand-in, the others have constraints of their own.
+    # Of the extras paho-mqtt, Ray and Rerun are not here: one has a stand-in, the others have
+    # constraints of their own.
     for extra in project["project"]["optional-dependencies"].values():
         wanted |= asked(extra) - {"phdtrack", "paho-mqtt", "ray", "rerun-sdk"}
     for name in pinned - {"trackeval", "colorama"}:

@@ -1,4 +1,6 @@
-"""The pages of docs/how-to do what they say: their commands and programs are run, in order, on a small simulated scene."""
+"""The pages of docs/how-to do what they say: their commands and programs are run, in order, on a
+small simulated scene.
+"""
 
 from __future__ import annotations
 
@@ -54,11 +56,19 @@ def command(line: str) -> None:
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """street.mp4, beside it street/ with detections and truth, and people.onnx, which finds blobs."""
+    """street.mp4, beside it street/ with detections and truth, and people.onnx, which finds
+    blobs.
+    """
     folder = tmp_path_factory.mktemp("scene")
-    command(f"phdtrack simulate street --out {folder / 'street'} --seed 1 --frames 30 --set lead_in=-6")
+    command(
+        f"phdtrack simulate street --out {folder / 'street'} --seed 1 --frames 30 --set lead_in=-6"
+    )
     shutil.move(folder / "street" / "scene.mp4", folder / "street.mp4")
-    networks.write(folder / "people.onnx", shape=("N", 3, 320, 320), metadata={"names": "['person', 'car', 'bus']"})
+    networks.write(
+        folder / "people.onnx",
+        shape=("N", 3, 320, 320),
+        metadata={"names": "['person', 'car', 'bus']"},
+    )
     return folder
 
 
@@ -69,10 +79,14 @@ def written() -> dict[Path, str]:
 
 
 class Boxes:
-    """What `supervision.Detections` is in a loop: arrays of one length that are indexed together."""
+    """What `supervision.Detections` is in a loop: arrays of one length that are indexed
+    together.
+    """
 
     def __init__(self, xyxy: Any, data: Any = None, **known: Any) -> None:
-        self.xyxy, self.data, self.known = xyxy, data, known
+        self.xyxy = xyxy
+        self.data = data
+        self.known = known
 
     def __getattr__(self, name: str) -> Any:
         return self.__dict__.get("known", {}).get(name)
@@ -84,7 +98,10 @@ class Boxes:
 def network(frames: Iterator[int]) -> np.ndarray:
     """(3, 6) two people and a car in the next of the frames: corners, score, class 1 or 3."""
     k = next(frames)
-    people = [[100 + 4 * k, 100, 140 + 4 * k, 200, 0.9, 1], [400 - 3 * k, 120, 445 - 3 * k, 230, 0.8, 1]]
+    people = [
+        [100 + 4 * k, 100, 140 + 4 * k, 200, 0.9, 1],
+        [400 - 3 * k, 120, 445 - 3 * k, 230, 0.8, 1],
+    ]
     return np.array([*people, [300 + 2 * k, 260, 400 + 2 * k, 320, 0.7, 3]])
 
 
@@ -100,7 +117,10 @@ class Yolo:
         for _ in range(30):
             found = network(frames)
             people = found[found[:, 5] == 1]
-            yield SimpleNamespace(boxes=SimpleNamespace(xyxy=people[:, :4], conf=people[:, 4], cls=people[:, 5]), obb=None)
+            yield SimpleNamespace(
+                boxes=SimpleNamespace(xyxy=people[:, :4], conf=people[:, 4], cls=people[:, 5]),
+                obb=None,
+            )
 
 
 class FasterRcnn:
@@ -115,10 +135,13 @@ class FasterRcnn:
     def __call__(self, images: list[Any]) -> list[dict[str, np.ndarray]]:
         assert images[0].shape[2] == 3
         found = network(self.frames)
-        return [{"boxes": found[:, :4], "scores": found[:, 4], "labels": found[:, 5].astype(np.int64)}]
+        return [
+            {"boxes": found[:, :4], "scores": found[:, 4], "labels": found[:, 5].astype(np.int64)}
+        ]
 
 
-# What loops with other packages use of them. Those with networks are never run for real: they would fetch weights.
+# What loops with other packages use of them. Those with networks are never run for real: they would
+# fetch weights.
 STAND_INS: dict[str, dict[str, Any]] = {
     "supervision": {"Detections": Boxes},
     "norfair": {"Detection": SimpleNamespace},
@@ -136,7 +159,11 @@ REAL = ("supervision", "norfair")
 @pytest.mark.slow
 @pytest.mark.parametrize("page", NAMES)
 def test_what_the_page_says_runs(
-    page: str, scene: Path, written: dict[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    page: str,
+    scene: Path,
+    written: dict[Path, str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     for name, members in STAND_INS.items():
         if name not in REAL or find_spec(name) is None:
@@ -161,12 +188,16 @@ def test_what_the_page_says_runs(
             case "python":
                 exec(compile("\n" * block.line + block.text, str(PAGES / page), "exec"), names)
                 if page == LOOPS:
-                    assert set(names["tracker"].tracks().identity.tolist()) == {1, 2}, f"{page}, line {block.line}"
+                    assert set(names["tracker"].tracks().identity.tolist()) == {1, 2}, (
+                        f"{page}, line {block.line}"
+                    )
             case other:
                 pytest.fail(f"{page}, line {block.line}: blocks of {other} are not run")
     given = {path.relative_to(scene) for path in scene.rglob("*")}
     for path in {path.relative_to(work) for path in work.rglob("*") if path.is_file()} - given:
-        assert written.setdefault(path, page) == page, f"{page} and {written[path]} both write {path}"
+        assert written.setdefault(path, page) == page, (
+            f"{page} and {written[path]} both write {path}"
+        )
 
 
 def test_pages_have_something_to_run_and_are_listed() -> None:
@@ -181,14 +212,17 @@ def test_pages_have_something_to_run_and_are_listed() -> None:
 
 @pytest.mark.parametrize("page", ["README.md", "docs/architecture.md"])
 def test_programs_of_the_front_pages_run(page: str) -> None:
-    text, names = (ROOT / page).read_text(encoding="utf-8"), {"__name__": "__main__"}
+    text = (ROOT / page).read_text(encoding="utf-8")
+    names = {"__name__": "__main__"}
     programs = [m[2] for m in BLOCK.finditer(text) if m[1] == "python"]
     assert programs
     for program in programs:
         exec(compile(program, page, "exec"), names)
 
 
-@pytest.mark.parametrize(("page", "most"), [("README.md", 110), ("docs/architecture.md", 150), ("docs/security.md", 80)])
+@pytest.mark.parametrize(
+    ("page", "most"), [("README.md", 110), ("docs/architecture.md", 150), ("docs/security.md", 80)]
+)
 def test_the_front_pages_stay_short_and_their_links_lead_somewhere(page: str, most: int) -> None:
     text = (ROOT / page).read_text(encoding="utf-8")
     assert len(text.splitlines()) <= most

@@ -29,7 +29,9 @@ def test_a_notebook_runs(path: Path, tmp_path: Path) -> None:
     program += "import matplotlib.pyplot as plt; plt.show = lambda: None\n"
     program += "".join(f"exec({''.join(cell['source'])!r}, names)\n" for cell in code)
     command = [sys.executable, "-W", "error", "-c", program]
-    done = subprocess.run(command, cwd=tmp_path, env=dict(os.environ), capture_output=True, text=True, timeout=300)
+    done = subprocess.run(
+        command, cwd=tmp_path, env=dict(os.environ), capture_output=True, text=True, timeout=300
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout
 

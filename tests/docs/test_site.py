@@ -28,25 +28,37 @@ def test_every_equation_of_the_methods_is_one_that_a_function_implements():
         for paper, rows in [part.split("\n", 1)]
         for place in re.findall(r"^\|([^|]+)\|", rows, re.MULTILINE)
     }
-    shown = re.findall(r"\[([A-Z]\d\d)(?: ([^\]]+))?\]", (DOCS / "methods.md").read_text(encoding="utf-8"))
+    shown = re.findall(
+        r"\[([A-Z]\d\d)(?: ([^\]]+))?\]", (DOCS / "methods.md").read_text(encoding="utf-8")
+    )
     assert len(shown) > 20
     assert [tag for tag in shown if (tag[0], " ".join(tag[1].split()) or "–") not in listed] == []
 
 
 def test_the_table_of_filters_has_the_figures_of_the_results():
-    found = re.findall(r"\| (frcnn|public) \| ([a-z-]+) \|([^\n]*)\|\n", (DOCS / "results" / "peers.md").read_text())
+    found = re.findall(
+        r"\| (frcnn|public) \| ([a-z-]+) \|([^\n]*)\|\n",
+        (DOCS / "results" / "peers.md").read_text(),
+    )
     scores = {(case, name): re.findall(r"\d+\.\d", row) for case, name, row in found}
-    table = re.findall(r"^\| `([a-z-]+)` \|([ \d./|]+)\|$", (DOCS / "filters.md").read_text(), re.MULTILINE)
+    table = re.findall(
+        r"^\| `([a-z-]+)` \|([ \d./|]+)\|$", (DOCS / "filters.md").read_text(), re.MULTILINE
+    )
     assert len(table) == 5
     for name, row in table:
-        assert re.findall(r"\d+\.\d", row)[:12] == scores["frcnn", name][:6] + scores["public", name][:6], name
+        assert (
+            re.findall(r"\d+\.\d", row)[:12]
+            == scores["frcnn", name][:6] + scores["public", name][:6]
+        ), name
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of the site; a link that leads nowhere ends the build."""
     out = tmp_path_factory.mktemp("built") / "site"
-    done = subprocess.run(["make", "site", f"SITE={out}"], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["make", "site", f"SITE={out}"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     return out
 
@@ -58,7 +70,11 @@ def test_the_site_builds_and_needs_nothing_from_the_network(site: Path):
     text = (site / "api" / "tracker.html").read_text(encoding="utf-8")
     assert "frame_size" in text
     methods = (site / "methods.html").read_text(encoding="utf-8")
-    assert methods.count("<math ") == (DOCS / "methods.md").read_text(encoding="utf-8").count("```math") > 10
+    assert (
+        methods.count("<math ")
+        == (DOCS / "methods.md").read_text(encoding="utf-8").count("```math")
+        > 10
+    )
     assert not re.findall(r'<(?:script|link)[^>]*(?:src|href)="(?:https?:)?//', text)
 
 

@@ -9,7 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from phdtrack.kernels.particle_models import Number, Real, SensorNumbers, X, distance, implements, seen
+from phdtrack.kernels.particle_models import (
+    Number,
+    Real,
+    SensorNumbers,
+    X,
+    distance,
+    implements,
+    seen,
+)
 from phdtrack.models import UniformClutter
 from phdtrack.protocols import Model
 from phdtrack.types import Particles
@@ -36,7 +44,9 @@ def _distance_ring(model: Number, z: Number, s: Real, i: int) -> Number:
 
 @dataclass(frozen=True)
 class RingSensor:
-    """A measurement is a position, wrong by so many cells with these likelihoods; a target at 0 is seen less often."""
+    """A measurement is a position, wrong by so many cells with these likelihoods; a target at 0 is
+    seen less often.
+    """
 
     table: tuple[float, ...] = (0.6, 0.25, 0.15, 0.25)
     linear: bool = False
@@ -77,9 +87,11 @@ def ring() -> Model:
 
 
 def joint_law(candidates, log_psi) -> dict[tuple, float]:
-    """The law over all that candidates may be together, from lists of (measurement or −1, state or −1, weight).
+    """The law over all that candidates may be together, from lists of (measurement or −1, state or
+    −1, weight).
 
-    ``log_psi`` gives the interaction's logarithm for a tuple of states, −1: the target does not exist.
+    ``log_psi`` gives the interaction's logarithm for a tuple of states, −1: the target does not
+    exist.
     """
     law: dict[tuple, float] = {}
     for choice in itertools.product(*candidates):
@@ -93,14 +105,19 @@ def joint_law(candidates, log_psi) -> dict[tuple, float]:
 
 
 def apart(box: np.ndarray, strength: float):
-    """``log_psi`` of states whose boxes (L, 4) are known: −strength times the overlaps of all pairs."""
+    """``log_psi`` of states whose boxes (L, 4) are known: −strength times the overlaps of all
+    pairs.
+    """
 
     def overlap(a: np.ndarray, b: np.ndarray) -> float:
         shared = np.maximum(np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]), 0).prod()
         return float(shared / ((a[2:] - a[:2]).prod() + (b[2:] - b[:2]).prod() - shared))
 
     def log_psi(states):
-        return -strength * sum(overlap(box[i], box[k]) for i, k in itertools.combinations([i for i in states if i >= 0], 2))
+        return -strength * sum(
+            overlap(box[i], box[k])
+            for i, k in itertools.combinations([i for i in states if i >= 0], 2)
+        )
 
     return log_psi
 

@@ -34,7 +34,12 @@ class NoBirth:
 def world(birth=None, clutter=None, **sensor) -> Model:
     """Boxes with the default noises; no births, a clutter of one a frame over the image."""
     seen = BoxSensor(**sensor)
-    return Model(BoxMotion(frame_size=FRAME), seen, birth or NoBirth(), clutter or UniformClutter(1.0, image_volume(FRAME)))
+    return Model(
+        BoxMotion(frame_size=FRAME),
+        seen,
+        birth or NoBirth(),
+        clutter or UniformClutter(1.0, image_volume(FRAME)),
+    )
 
 
 def with_births(model: Model, rate: float = 0.05, most: int = 300) -> Model:
@@ -45,11 +50,22 @@ def with_births(model: Model, rate: float = 0.05, most: int = 300) -> Model:
     )
 
 
-def crowd(rng, targets: int, each: int, mass: float = 1.0, spread: float = 0.15, width: float = 640.0) -> Particles:
+def crowd(
+    rng, targets: int, each: int, mass: float = 1.0, spread: float = 0.15, width: float = 640.0
+) -> Particles:
     """Particles around random targets, spread about as the sensor's noise."""
     centre = rng.uniform([0, 0, -2, -2, 15, 30], [width, 480, 2, 2, 60, 150], (targets, 6)).T
     x = np.repeat(centre, each, axis=1)
-    scale = np.stack([spread / 2 * x[4], spread / 2 * x[5], 0.05 * x[4], 0.05 * x[4], spread * x[4], spread * x[5]])
+    scale = np.stack(
+        [
+            spread / 2 * x[4],
+            spread / 2 * x[5],
+            0.05 * x[4],
+            0.05 * x[4],
+            spread * x[4],
+            spread * x[5],
+        ]
+    )
     x = x + scale * rng.standard_normal(x.shape)
     x[4:6] = np.maximum(np.abs(x[4:6]), 2.0)
     weight = rng.uniform(0.5, 1.5, x.shape[1])

@@ -15,21 +15,40 @@ from phdtrack.types import F8
 from reference.gm_twin import corrected
 
 # What a detection shows of a state, and its noise in `world`.
-H, NOISE = np.eye(6)[[0, 1, 4, 5]], 9 * np.eye(4)
+H = np.eye(6)[[0, 1, 4, 5]]
+NOISE = 9 * np.eye(4)
 # Neither hidden states nor sources, and nothing is dropped.
 PLAIN = PMB(mean_visible_time=0.0, static_clutter_prior=0.0)
 EVERYTHING = PMB(
-    existence_threshold=1e-200, hypothesis_threshold=1e-200, max_hypotheses=10**6, merge_distance=0.0, gate_probability=1.0
+    existence_threshold=1e-200,
+    hypothesis_threshold=1e-200,
+    max_hypotheses=10**6,
+    merge_distance=0.0,
+    gate_probability=1.0,
 )
 
 
 def world(
-    *, detection: float = 0.9, clutter: float = 1e-9, birth: float = 1e-9, survival: float = 0.99, rate: float = 25.0
+    *,
+    detection: float = 0.9,
+    clutter: float = 1e-9,
+    birth: float = 1e-9,
+    survival: float = 0.99,
+    rate: float = 25.0,
 ) -> Model:
-    """Boxes with constant noises in an image without borders; births and clutter by their densities at a detection."""
+    """Boxes with constant noises in an image without borders; births and clutter by their densities
+    at a detection.
+    """
     volume = (FRAME[0] * FRAME[1]) ** 2
-    sensor = BoxSensor(detection_probability=detection, scaling="fixed", fixed_noise=(3.0, 3.0), birth_speed_pixels=6.0)
-    motion = BoxMotion(acceleration=0.5, size_noise=0.5, survival_probability=survival**rate, scaled_noise=False)
+    sensor = BoxSensor(
+        detection_probability=detection,
+        scaling="fixed",
+        fixed_noise=(3.0, 3.0),
+        birth_speed_pixels=6.0,
+    )
+    motion = BoxMotion(
+        acceleration=0.5, size_noise=0.5, survival_probability=survival**rate, scaled_noise=False
+    )
     births = MeasurementBirth(births_per_second=rate * birth * volume, frame_size=FRAME)
     return Model(motion, sensor, births, UniformClutter(clutter * volume, volume), rate=rate)
 
@@ -41,13 +60,16 @@ def without_births(model: Model) -> Model:
 def kalman(model: Model, mean: F8, cov: F8, z: F8 | None, dt: float) -> tuple[F8, F8]:
     """Predict, and update with one measurement (4,) where there is one."""
     moved, f, q = model.motion.transition(mean[:, None], dt)
-    mean, cov = moved[:, 0], f[0] @ cov @ f[0].T + q[0]
+    mean = moved[:, 0]
+    cov = f[0] @ cov @ f[0].T + q[0]
     return (mean, cov) if z is None else corrected(mean, cov, z, H, NOISE)[:2]
 
 
 @dataclass(frozen=True)
 class One:
-    """A way in which the only target may be: the measurements it took by frame, what it is, whether it is hidden."""
+    """A way in which the only target may be: the measurements it took by frame, what it is, whether
+    it is hidden.
+    """
 
     weight: float
     taken: tuple[int, ...]
@@ -58,24 +80,39 @@ class One:
 
 
 def moved_on(ways: list[One], model: Model, dt: float, turns: F8) -> list[One]:
-    """Every way a frame later; ``turns`` (2, 2) are the chain's probabilities from in view and hidden to the same."""
+    """Every way a frame later; ``turns`` (2, 2) are the chain's probabilities from in view and
+    hidden to the same.
+    """
     out = []
     for way in ways:
         weight = way.weight * float(model.motion.p_survive(way.mean[:, None], dt / model.rate)[0])
         if way.static:
-            # The place of static clutter is never known better than half the variances by which the sensor resolves it.
+            # The place of static clutter is never known better than half the variances by which the
+            # sensor resolves it.
             cov = way.cov.copy()
-            cov[range(6), range(6)] = np.maximum(np.diag(cov), 0.5 * model.sensor.noise(way.mean[:, None])[:, 0] ** 2)
+            cov[range(6), range(6)] = np.maximum(
+                np.diag(cov), 0.5 * model.sensor.noise(way.mean[:, None])[:, 0] ** 2
+            )
             out.append(replace(way, weight=weight, cov=cov))
             continue
         mean, cov = kalman(model, way.mean, way.cov, None, dt)
-        out += [replace(way, weight=weight * turns[int(way.hidden), k], hidden=bool(k), mean=mean, cov=cov) for k in (0, 1)]
+        out += [
+            replace(
+                way, weight=weight * turns[int(way.hidden), k], hidden=bool(k), mean=mean, cov=cov
+            )
+            for k in (0, 1)
+        ]
     return out
 
 
-def bernoulli(nobody: float, ways: list[One], z: F8, model: Model, firing: float) -> tuple[float, list[One]]:
-    """Bayes' rule for one target or none: probability that there is none, and every way in which there is one."""
-    kappa, out = model.clutter.intensity(z), []
+def bernoulli(
+    nobody: float, ways: list[One], z: F8, model: Model, firing: float
+) -> tuple[float, list[One]]:
+    """Bayes' rule for one target or none: probability that there is none, and every way in which
+    there is one.
+    """
+    kappa = model.clutter.intensity(z)
+    out = []
     for way in ways:
         p = firing if way.static else 0.0 if way.hidden else model.sensor.detection_probability
         out.append(replace(way, weight=way.weight * (1 - p), taken=(*way.taken, -1)))
@@ -83,7 +120,12 @@ def bernoulli(nobody: float, ways: list[One], z: F8, model: Model, firing: float
             mean, cov, density = corrected(way.mean, way.cov, z[:, j], H, NOISE)
             out.append(
                 replace(
-                    way, weight=way.weight * p * density / kappa[j], taken=(*way.taken, j), mean=mean, cov=cov, hidden=False
+                    way,
+                    weight=way.weight * p * density / kappa[j],
+                    taken=(*way.taken, j),
+                    mean=mean,
+                    cov=cov,
+                    hidden=False,
                 )
             )
     out = [way for way in out if way.weight > 0]
@@ -95,7 +137,8 @@ def pasts(state: Bernoullis) -> list[tuple[int, ...]]:
     """Of each hypothesis the measurements it took, frame by frame from its target's first."""
     out = []
     for place in range(len(state)):
-        at, taken = place, []
+        at = place
+        taken = []
         for layer in state.layers[:0:-1]:
             taken.insert(0, int(layer.hypotheses["detection"][at]))
             at = int(layer.hypotheses["parent"][at])

@@ -16,21 +16,35 @@ def mean(p: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("clutter", [[], [0.7], [0.3, 2.0], [0.0, 0.4], [0.0, 0.0]])
-@pytest.mark.parametrize("p_detect", [[0.9, 0.9, 0.9], [0.2, 0.7, 0.95], [1.0, 1.0, 1.0], [0.0, 0.0, 0.5]])
+@pytest.mark.parametrize(
+    "p_detect", [[0.9, 0.9, 0.9], [0.2, 0.7, 0.95], [1.0, 1.0, 1.0], [0.0, 0.0, 0.5]]
+)
 def test_bayes_rule_by_enumeration(clutter: list[float], p_detect: list[float], rng):
-    """Up to three targets anywhere in three cells, up to two measurements: number and intensity are the posterior's."""
+    """Up to three targets anywhere in three cells, up to two measurements: number and intensity are
+    the posterior's.
+    """
     certain = [[0.0, 0.5, 0.0, 0.5], [0.0, 0.0, 1.0]]
     # Where no target can be missed, a number that is known contradicts most scans.
     for cardinality in [[0.1, 0.2, 0.3, 0.4], *(certain if min(p_detect) < 1 else [])]:
-        where, likelihood = rng.dirichlet(np.ones(3)), rng.uniform(0.1, 2, (len(clutter), 3))
+        where = rng.dirichlet(np.ones(3))
+        likelihood = rng.uniform(0.1, 2, (len(clutter), 3))
         number, expected = twin.posterior(cardinality, where, p_detect, likelihood, clutter)
         mass = mean(np.array(cardinality))
-        weight, seen = mass * where, np.array(p_detect)
+        weight = mass * where
+        seen = np.array(p_detect)
         share = likelihood * seen * weight
-        found = factors(np.array(cardinality), mass, float(((1 - seen) * weight).sum()), share.sum(1), np.array(clutter))
+        found = factors(
+            np.array(cardinality),
+            mass,
+            float(((1 - seen) * weight).sum()),
+            share.sum(1),
+            np.array(clutter),
+        )
         intensity = found.missed * (1 - seen) * weight + found.detected @ share
         np.testing.assert_allclose(intensity, expected, rtol=1e-12)
-        np.testing.assert_allclose(found.cardinality, number[: len(found.cardinality)], rtol=1e-12, atol=1e-14)
+        np.testing.assert_allclose(
+            found.cardinality, number[: len(found.cardinality)], rtol=1e-12, atol=1e-14
+        )
 
 
 @pytest.mark.parametrize("mass", [0.02, 1.0, 9.5, 140.0])
@@ -56,7 +70,14 @@ def test_an_impossible_scan_is_taken_as_the_phd_filter_takes_it():
 
 def test_numbers_stay_finite_at_the_ends_of_the_scale(rng):
     p = poisson(20.0)
-    for evidence, clutter in ((1e300, 1e-300), (1e-300, 1e300), (1e300, 1e300), (1e-300, 1e-300), (1e-320, 1.0), (1.0, 0.0)):
+    for evidence, clutter in (
+        (1e300, 1e-300),
+        (1e-300, 1e300),
+        (1e300, 1e300),
+        (1e-300, 1e-300),
+        (1e-320, 1.0),
+        (1.0, 0.0),
+    ):
         found = factors(p, 20.0, 0.4, np.full(30, evidence), np.full(30, clutter))
         assert np.isfinite(found.missed)
         assert np.isfinite(found.detected).all()
@@ -66,7 +87,9 @@ def test_numbers_stay_finite_at_the_ends_of_the_scale(rng):
 
 
 def test_detections_that_nothing_explains_change_nothing():
-    p, evidence, clutter = poisson(3.0), np.array([2.0, 0.3]), np.array([0.1, 0.2])
+    p = poisson(3.0)
+    evidence = np.array([2.0, 0.3])
+    clutter = np.array([0.1, 0.2])
     alone = factors(p, 3.0, 0.3, evidence, clutter)
     among = factors(p, 3.0, 0.3, np.array([0.0, 2.0, 0.3, 0.0]), np.array([5.0, 0.1, 0.2, 0.0]))
     np.testing.assert_allclose(among.cardinality, alone.cardinality)

@@ -21,11 +21,15 @@ def mixture_of(particles: Particles, rng) -> GaussianMixture:
     chosen = rng.choice(len(particles), 12, replace=False)
     root = rng.normal(0, 1.5, (12, 6, 6))
     cov = root @ root.transpose(0, 2, 1) + np.eye(6)
-    return GaussianMixture(rng.uniform(0.1, 1.2, 12), np.ascontiguousarray(particles.state[:, chosen]), cov)
+    return GaussianMixture(
+        rng.uniform(0.1, 1.2, 12), np.ascontiguousarray(particles.state[:, chosen]), cov
+    )
 
 
 def case(kind: str, rng, model, targets: int = 7):
-    """The cardinalised filter, the plain one, an intensity of some targets and a scan that fits it."""
+    """The cardinalised filter, the plain one, an intensity of some targets and a scan that fits
+    it.
+    """
     particles = crowd(rng, targets, 80)
     z = np.hstack([seen_by(rng, particles, targets), [[900.0], [900], [30], [60]]])
     if kind == "gm":
@@ -49,7 +53,8 @@ def test_a_poisson_number_gives_the_phd_update(kind: str, detection: float, rng)
     ours, plain, intensity, z = case(kind, rng, model)
     state = Cardinalised(intensity, poisson(intensity.mass))
     (found, info), (wanted, plain_info) = (
-        filter_.update(s, z, model, 1.0, np.random.default_rng(3)) for filter_, s in ((ours, state), (plain, intensity))
+        filter_.update(s, z, model, 1.0, np.random.default_rng(3))
+        for filter_, s in ((ours, state), (plain, intensity))
     )
     np.testing.assert_allclose(found.intensity.weight, wanted.weight, rtol=NEAR[kind], atol=1e-8)
     assert len(wanted) > 30
@@ -60,26 +65,37 @@ def test_a_poisson_number_gives_the_phd_update(kind: str, detection: float, rng)
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("detection", [0.7, 0.98, 1.0])
-def test_the_mean_of_the_number_is_the_mass_with_what_was_born_unseen(kind: str, detection: float, rng):
+def test_the_mean_of_the_number_is_the_mass_with_what_was_born_unseen(
+    kind: str, detection: float, rng
+):
     """Along a run with births, misses, clutter, empty scans and a gap.
 
-    Births where nothing was detected are missed as all others are: after a scan so many of them are left.
+    Births where nothing was detected are missed as all others are: after a scan so many of them are
+    left.
     """
     model = with_births(world(detection_probability=detection), rate=0.05)
     recursion, _, _, _ = case(kind, rng, model)
     targets = crowd(rng, 5, 1)
-    state, most = recursion.start(model, rng), 0.0
+    state = recursion.start(model, rng)
+    most = 0.0
     for k in range(25):
         clutter = crowd(rng, 3, 1)
-        z = np.hstack([seen_by(rng, targets, 4), seen_by(rng, clutter, 2)]) if k % 6 != 5 else NOTHING
+        z = (
+            np.hstack([seen_by(rng, targets, 4), seen_by(rng, clutter, 2)])
+            if k % 6 != 5
+            else NOTHING
+        )
         if k == 12:
             state = recursion.predict(state, model, 3.0, rng)
         before = recursion.predict(state, model, 1.0, rng)
         updated, info = recursion.update(before, z, model, 1.0, rng)
         state = recursion.reduce(updated, rng)
-        births, known = model.birth.expected(z, 1 / model.rate), info.mass_predicted
+        births = model.birth.expected(z, 1 / model.rate)
+        known = info.mass_predicted
         unseen = max(births - info.mass_born, 0.0)
-        terms = UpdateTerms(known, info.mass_born, (1 - detection) * known, info.evidence, info.clutter, replace)
+        terms = UpdateTerms(
+            known, info.mass_born, (1 - detection) * known, info.evidence, info.clutter, replace
+        )
         left = unseen * (1 - detection) * weigh(before.cardinality, terms, births).missed
         for held in (updated, state):
             assert mean(held.cardinality) == pytest.approx(held.mass + left, rel=NEAR[kind])
@@ -93,7 +109,9 @@ def test_the_mean_of_the_number_is_the_mass_with_what_was_born_unseen(kind: str,
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_known_number_outlives_a_miss(kind: str, rng):
-    """Seven targets for certain, no detections: seven are still expected, where the PHD filter expects a tenth of them."""
+    """Seven targets for certain, no detections: seven are still expected, where the PHD filter
+    expects a tenth of them.
+    """
     model = world(detection_probability=0.9)
     ours, plain, intensity, _ = case(kind, rng, model)
     number = np.eye(8)[7]

@@ -1,4 +1,6 @@
-"""The log evidence of a frame: that of PHD filters is log p(Z) but for ∫ κ, by enumeration of who caused what."""
+"""The log evidence of a frame: that of PHD filters is log p(Z) but for ∫ κ, by enumeration of who
+caused what.
+"""
 
 from __future__ import annotations
 
@@ -36,8 +38,11 @@ SCANS = [
 
 @pytest.mark.parametrize("z", SCANS, ids=lambda z: f"{z.shape[1]} detections")
 def test_of_a_poisson_number_of_targets_it_is_what_enumeration_gives(z):
-    """Σ over the number of targets, over which detections are theirs, and over which of them each is of."""
-    model, state = phd_world(detection_probability=P_DETECT), prior()
+    """Σ over the number of targets, over which detections are theirs, and over which of them each
+    is of.
+    """
+    model = phd_world(detection_probability=P_DETECT)
+    state = prior()
     # The world has one false alarm a frame.
     kappa = model.clutter.intensity(z)
     noise = model.sensor.covariance
@@ -64,7 +69,9 @@ def test_of_a_poisson_number_of_targets_it_is_what_enumeration_gives(z):
                 total += number * ways * math.prod(terms)
     _, info = GMPHD(gate_probability=1.0).update(state, z, model, 1.0, RNG)
     assert info.detected == pytest.approx(P_DETECT * state.mass)
-    assert info.log_evidence - 1.0 == pytest.approx(math.log(math.exp(-1.0) * total), rel=1e-9, abs=1e-9)
+    assert info.log_evidence - 1.0 == pytest.approx(
+        math.log(math.exp(-1.0) * total), rel=1e-9, abs=1e-9
+    )
 
 
 def test_of_a_step_it_is_that_of_its_update():
@@ -79,7 +86,8 @@ def test_of_a_step_it_is_that_of_its_update():
 
 
 def test_particles_come_near_to_the_gaussians():
-    model, z = phd_world(detection_probability=P_DETECT), SCANS[2]
+    model = phd_world(detection_probability=P_DETECT)
+    z = SCANS[2]
     _, exact = GMPHD(gate_probability=1.0).update(prior(), z, model, 1.0, RNG)
     found = []
     for seed in range(20):
@@ -100,7 +108,9 @@ def test_of_targets_it_counts_what_each_lets_expect(filter_):
         predicted = filter_.predict(state, model, 1.0, RNG)
         _, info = filter_.update(predicted, z, model, 1.0, RNG)
         total = info.evidence + info.clutter
-        assert info.log_evidence == pytest.approx(sum(math.log(x) for x in total if x > 0) - info.detected)
+        assert info.log_evidence == pytest.approx(
+            sum(math.log(x) for x in total if x > 0) - info.detected
+        )
         if filter_ is PLAIN:
             assert info.detected == pytest.approx(P_DETECT * predicted.present.targets["r"].sum())
         assert 0 <= info.detected <= 20
@@ -114,7 +124,8 @@ def test_what_was_foretold_has_more_of_it_than_what_surprises():
     for k in range(8):
         state, _ = PLAIN.step(state, boxes((200 + 2 * k, 200)), model, 1.0, RNG)
     foretold, aside, none = (
-        PLAIN.step(state, z, model, 1.0, RNG)[1].log_evidence for z in (boxes((216, 200)), boxes((260, 260)), boxes())
+        PLAIN.step(state, z, model, 1.0, RNG)[1].log_evidence
+        for z in (boxes((216, 200)), boxes((260, 260)), boxes())
     )
     assert foretold > aside
     assert none == pytest.approx(-0.95, abs=0.03)

@@ -1,4 +1,6 @@
-"""The MCMC filter without given associations, where everything that it samples can be enumerated [K05]."""
+"""The MCMC filter without given associations, where everything that it samples can be enumerated
+[K05].
+"""
 
 from __future__ import annotations
 
@@ -13,13 +15,23 @@ from phdtrack.filters import MCMC
 from phdtrack.filters.mcmc import JointSamples
 from phdtrack.kernels.mcmc import Chain, jump_chain, make_options
 
-# Two targets that were there, and a newborn one, at two measurements; each has two states of its own.
+# Two targets that were there, and a newborn one, at two measurements; each has two states of its
+# own.
 CANDIDATE = np.array([0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 2, 2])
 WHICH = np.array([-1, -1, 0, 0, 1, 1, -1, -1, 0, 0, 1, 1, 0, 0])
 MEMBER = np.array([0, 1, 0, 1, 0, 1, 2, 3, 2, 3, 2, 3, 4, 5])
 WEIGHT = np.array([0.1, 0.2, 1.5, 0.4, 0.3, 0.1, 0.2, 0.1, 0.9, 0.2, 0.5, 0.6, 0.7, 0.5])
 ABSENT = np.array([0.3, 0.5, 1.0])
-PLACE = np.array([[0.0, 0, 2, 2], [1, 0, 3, 2], [0.5, 0.5, 2.5, 2.5], [4, 4, 5, 5], [0.2, 0, 2, 2], [4, 4.5, 5, 5]])
+PLACE = np.array(
+    [
+        [0.0, 0, 2, 2],
+        [1, 0, 3, 2],
+        [0.5, 0.5, 2.5, 2.5],
+        [4, 4, 5, 5],
+        [0.2, 0, 2, 2],
+        [4, 4.5, 5, 5],
+    ]
+)
 interactions = pytest.mark.parametrize("strength", [0.0, 2.0])
 
 
@@ -27,7 +39,11 @@ def law_of(strength: float) -> dict[tuple, float]:
     """Enumerated from the entries themselves."""
     candidates = [
         [(-1, -1, ABSENT[c])]
-        + [(int(j), int(i), w) for d, j, i, w in zip(CANDIDATE, WHICH, MEMBER, WEIGHT, strict=True) if d == c]
+        + [
+            (int(j), int(i), w)
+            for d, j, i, w in zip(CANDIDATE, WHICH, MEMBER, WEIGHT, strict=True)
+            if d == c
+        ]
         for c in range(3)
     ]
     return joint_law(candidates, apart(PLACE, strength))
@@ -36,15 +52,19 @@ def law_of(strength: float) -> dict[tuple, float]:
 @interactions
 @pytest.mark.parametrize("exchange", [0.0, 0.4])
 def test_the_chain_samples_the_posterior(strength: float, exchange: float, rng):
-    """Numbers 0 to 3, births, deaths, clutter and associations at once; total variation below 0.02."""
-    law, can = law_of(strength), make_options(CANDIDATE, WHICH, MEMBER, WEIGHT, ABSENT, PLACE)
+    """Numbers 0 to 3, births, deaths, clutter and associations at once; total variation below
+    0.02.
+    """
+    law = law_of(strength)
+    can = make_options(CANDIDATE, WHICH, MEMBER, WEIGHT, ABSENT, PLACE)
     chain = Chain(50, 1, 100_000, exchange, strength)
     options, states, chance = jump_chain(2, can, np.array([(0, 1), (0, 2), (1, 2)]), chain, rng)
     there = options > can.first[:-1, None]
     now = np.stack([can.seen_by[options], np.where(there, states, -1)], axis=2).transpose(1, 0, 2)
     assert len(law) > 60
     assert variation(law, now) < 0.02
-    # The probabilities of the samples say the same of each candidate, with less noise: existence and state.
+    # The probabilities of the samples say the same of each candidate, with less noise: existence
+    # and state.
     for c in range(3):
         exact = defaultdict(float)
         for key, p in law.items():
@@ -62,11 +82,15 @@ def predicted() -> JointSamples:
 
 
 def exact(z: np.ndarray, strength: float):
-    """Laws of the number of targets, of existence by label, and of each label's cell, by enumeration of the model."""
-    model, state = ring(), predicted()
+    """Laws of the number of targets, of existence by label, and of each label's cell, by
+    enumeration of the model.
+    """
+    model = ring()
+    state = predicted()
     born = model.birth.sample(z, np.zeros(0), model.sensor, 1.0, np.random.default_rng(0))
     x = np.hstack([state.state, born.state])
-    kappa, shown = model.clutter.intensity(z), model.sensor.p_detect(x)
+    kappa = model.clutter.intensity(z)
+    shown = model.sensor.p_detect(x)
 
     def seen(i: int, j: int, w: float) -> tuple[int, int, float]:
         g = model.sensor.likelihood(z[:, j], x[:, i])
@@ -75,7 +99,9 @@ def exact(z: np.ndarray, strength: float):
     candidates = []
     for t in range(2):
         own = [(3 * t + s, state.chance[t, s] / 3) for s in range(3)]
-        options = [(-1, -1, 1 - state.chance[t].mean())] + [(-1, i, w * (1 - shown[i])) for i, w in own]
+        options = [(-1, -1, 1 - state.chance[t].mean())] + [
+            (-1, i, w * (1 - shown[i])) for i, w in own
+        ]
         candidates.append(options + [seen(i, j, w) for i, w in own for j in range(z.shape[1])])
     for j in range(z.shape[1]):
         candidates.append([(-1, -1, 1.0)] + [seen(6 + k, j, w) for k, w in enumerate(born.weight)])
@@ -85,7 +111,9 @@ def exact(z: np.ndarray, strength: float):
 @interactions
 @pytest.mark.parametrize("seen", [(), (1.0,), (1.0, 3.0)])
 def test_the_filter_samples_what_the_model_says(seen: tuple[float, ...], strength: float, rng):
-    """Tables, labels and information from the model's own functions: everything against enumeration."""
+    """Tables, labels and information from the model's own functions: everything against
+    enumeration.
+    """
     z = np.array([seen, np.zeros(len(seen))]).reshape(2, -1)
     filter_ = MCMC(samples=40_000, interaction_strength=strength, min_weight=0.0)
     state, info = filter_.update(predicted(), z, ring(), 1.0, rng)
@@ -121,6 +149,8 @@ def test_faint_targets_are_dropped(rng):
     filter_ = MCMC(samples=2000, interaction_strength=0.0, min_weight=0.0)
     state, _ = filter_.update(predicted(), z, ring(), 1.0, rng)
     bound = np.sort(state.existence)[1]
-    kept, _ = replace(filter_, min_weight=bound).update(predicted(), z, ring(), 1.0, np.random.default_rng(1))
+    kept, _ = replace(filter_, min_weight=bound).update(
+        predicted(), z, ring(), 1.0, np.random.default_rng(1)
+    )
     assert 0 < len(kept.label) < 3
     assert (kept.existence >= bound).all()

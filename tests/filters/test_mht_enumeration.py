@@ -1,4 +1,6 @@
-"""Where nothing is pruned, the hypotheses and their probabilities are those of Reid's enumeration of all histories."""
+"""Where nothing is pruned, the hypotheses and their probabilities are those of Reid's enumeration
+of all histories.
+"""
 
 from __future__ import annotations
 
@@ -13,18 +15,34 @@ from phdtrack.models import UniformClutter
 from reference.mht_twin import enumerate_histories, summed
 
 SCANS = {
-    "two and two": [boxes((300, 200), (330, 210)), boxes((305, 203), (325, 212)), boxes((310, 205), (322, 215))],
+    "two and two": [
+        boxes((300, 200), (330, 210)),
+        boxes((305, 203), (325, 212)),
+        boxes((310, 205), (322, 215)),
+    ],
     "a miss": [boxes((300, 200), (320, 190)), boxes(), boxes((304, 201), (318, 195))],
     "one more": [boxes((300, 200)), boxes((303, 199), (310, 205)), boxes((308, 202), (313, 203))],
-    "one after the other": [boxes((300, 200)), boxes((303, 202)), boxes((307, 203)), boxes((309, 207))],
-    "far apart": [boxes((150, 100), (500, 400)), boxes((152, 101), (497, 401)), boxes((155, 103), (501, 399))],
+    "one after the other": [
+        boxes((300, 200)),
+        boxes((303, 202)),
+        boxes((307, 203)),
+        boxes((309, 207)),
+    ],
+    "far apart": [
+        boxes((150, 100), (500, 400)),
+        boxes((152, 101), (497, 401)),
+        boxes((155, 103), (501, 399)),
+    ],
 }
 
 
 @pytest.mark.parametrize("name", SCANS)
-@pytest.mark.parametrize("settings", [{}, {"detection": 0.99, "survival": 0.99}, {"clutter": 1e-7, "birth": 0.2}])
+@pytest.mark.parametrize(
+    "settings", [{}, {"detection": 0.99, "survival": 0.99}, {"clutter": 1e-7, "birth": 0.2}]
+)
 def test_every_hypothesis_has_the_probability_that_enumeration_gives_it(name: str, settings: dict):
-    model, scans = world(**settings), SCANS[name]
+    model = world(**settings)
+    scans = SCANS[name]
     histories = enumerate_histories(scans, model, 1.0)
     wanted, there, states = summed(histories)
     state, info = run(EVERYTHING, scans, model)
@@ -40,16 +58,23 @@ def test_every_hypothesis_has_the_probability_that_enumeration_gives_it(name: st
     expected = sum(wanted[key] * p for (key, _), p in there.items())
     assert state.mass == pytest.approx(expected, rel=1e-8)
     assert info.mass == pytest.approx(expected, rel=1e-8)
-    total, last = sum(w for w, *_ in histories), len(scans) - 1
-    false = [sum(w for w, alarms, _ in histories if (last, j) in alarms) / total for j in range(scans[-1].shape[1])]
+    total = sum(w for w, *_ in histories)
+    last = len(scans) - 1
+    false = [
+        sum(w for w, alarms, _ in histories if (last, j) in alarms) / total
+        for j in range(scans[-1].shape[1])
+    ]
     np.testing.assert_allclose(info.clutter_probability, false, rtol=1e-8)
     born = sum(w * sum(t.taken[0][0] == last for t in tracks) for w, _, tracks in histories) / total
     assert info.mass_born == pytest.approx(born, rel=1e-8)
 
 
 def test_far_targets_are_in_clusters_of_their_own():
-    """No gate: every measurement is near every track, and all hang together; with one, what is far apart is independent."""
-    model, scans = world(), SCANS["far apart"]
+    """No gate: every measurement is near every track, and all hang together; with one, what is far
+    apart is independent.
+    """
+    model = world()
+    scans = SCANS["far apart"]
     whole = partitions(run(EVERYTHING, scans, model)[0], scans)
     gated, _ = run(replace(EVERYTHING, gate_probability=0.9999998), scans, model)
     assert len(gated.clusters) == 2
@@ -60,15 +85,20 @@ def test_far_targets_are_in_clusters_of_their_own():
 @pytest.mark.parametrize("name", ["two and two", "one more"])
 def test_the_best_few_are_the_first_of_all(name: str):
     """The last scan with few hypotheses allowed, after others with all."""
-    model, scans = world(), SCANS[name]
+    model = world()
+    scans = SCANS[name]
     before, _ = run(EVERYTHING, scans[:-1], model)
     rng = np.random.default_rng(0)
-    every = sorted((w for w, _ in partitions(run(EVERYTHING, scans, model)[0], scans).values()), reverse=True)
+    every = sorted(
+        (w for w, _ in partitions(run(EVERYTHING, scans, model)[0], scans).values()), reverse=True
+    )
     for most in (1, 3, 7):
         few, _ = replace(EVERYTHING, max_hypotheses=most).step(before, scans[-1], model, 1.0, rng)
         kept = sorted((w for w, _ in partitions(few, scans).values()), reverse=True)
         np.testing.assert_allclose(kept, np.array(every[:most]) / sum(every[:most]), rtol=1e-8)
-    sparse, _ = replace(EVERYTHING, hypothesis_threshold=0.01).step(before, scans[-1], model, 1.0, rng)
+    sparse, _ = replace(EVERYTHING, hypothesis_threshold=0.01).step(
+        before, scans[-1], model, 1.0, rng
+    )
     kept = [w for w in every if w >= 0.01 * every[0]]
     assert len(partitions(sparse, scans)) == len(kept) < len(every)
 

@@ -1,4 +1,5 @@
-"""One target that is always seen, no clutter, no births: the PHD filter is then the Bayes filter, here the Kalman filter.
+"""One target that is always seen, no clutter, no births: the PHD filter is then the Bayes filter,
+here the Kalman filter.
 
 The particles must come to it as one over the root of their number.
 """
@@ -50,11 +51,15 @@ def exact() -> tuple[np.ndarray, np.ndarray]:
 
 
 def run(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Means (STEPS, 6), covariances (STEPS, 6, 6) and masses (STEPS,) after each update, with ``count`` particles."""
+    """Means (STEPS, 6), covariances (STEPS, 6, 6) and masses (STEPS,) after each update, with
+    ``count`` particles.
+    """
     rng = np.random.default_rng(seed)
     recursion = ParticlePHD(count, initial=GaussianMixture(np.ones(1), MEAN[:, None], COV[None]))
     state = recursion.start(MODEL, rng)
-    means, covs, masses = [], [], []
+    means = []
+    covs = []
+    masses = []
     for z in measurements():
         state = recursion.predict(state, MODEL, 1.0, rng)
         state, _ = recursion.update(state, z[:, None], MODEL, 1.0, rng)
@@ -66,12 +71,17 @@ def run(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def test_posterior_is_the_kalman_filters():
-    """Mean and covariance of the 20 posteriors, averaged over 16 runs, within their Monte Carlo error."""
-    means, covs, masses = (np.array(part) for part in zip(*(run(8000, seed) for seed in range(16)), strict=True))
+    """Mean and covariance of the 20 posteriors, averaged over 16 runs, within their Monte Carlo
+    error.
+    """
+    means, covs, masses = (
+        np.array(part) for part in zip(*(run(8000, seed) for seed in range(16)), strict=True)
+    )
     mean, cov = exact()
     np.testing.assert_allclose(masses, 1.0, atol=1e-6)
     deviation = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
-    # Sixteen runs know their own deviation poorly: a floor of a thousandth of the posterior's, and five deviations.
+    # Sixteen runs know their own deviation poorly: a floor of a thousandth of the posterior's, and
+    # five deviations.
     error = means.std(0, ddof=1) / 4 + 1e-3 * deviation
     assert np.abs((means.mean(0) - mean) / error).max() <= 5
     scale = deviation[:, :, None] * deviation[:, None, :]
@@ -84,7 +94,10 @@ def test_the_error_falls_as_one_over_the_root_of_the_particles():
     counts = np.array([250, 500, 1000, 2000, 4000, 8000, 16_000])
     mean, cov = exact()
     deviation = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
-    errors = [np.sqrt(np.mean([((run(n, 100 + s)[0] - mean) / deviation) ** 2 for s in range(12)])) for n in counts]
+    errors = [
+        np.sqrt(np.mean([((run(n, 100 + s)[0] - mean) / deviation) ** 2 for s in range(12)]))
+        for n in counts
+    ]
     slope, _ = np.polyfit(np.log(counts), np.log(errors), 1)
     assert slope == pytest.approx(-0.5, abs=0.06)
     # In deviations of the posterior; what independent draws from it would give is 0.008.

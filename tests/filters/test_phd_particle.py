@@ -48,7 +48,9 @@ def dense(state: Particles, z: np.ndarray, model: Model) -> tuple[np.ndarray, np
 
 def unseen(state: Particles):
     """The intensity after a frame that changes nothing."""
-    return ParticlePHD(skip_empty_frames=True).update(state, NO_BOXES, world(), 1.0, np.random.default_rng(0))[0]
+    return ParticlePHD(skip_empty_frames=True).update(
+        state, NO_BOXES, world(), 1.0, np.random.default_rng(0)
+    )[0]
 
 
 def check(state: ParticleBlocks) -> None:
@@ -78,7 +80,8 @@ def test_the_update_is_the_dense_one(scaling: str, rng):
     blocks = in_blocks(state, SINGLE)
     updated, info = ParticlePHD().update(blocks, z, model, 1.0, rng)
     weight, evidence = dense(blocks.particles(), z, model)
-    # A position of 600 pixels is known to 6e-5 pixels in single precision, and g at d deviations to d times that.
+    # A position of 600 pixels is known to 6e-5 pixels in single precision, and g at d deviations to
+    # d times that.
     np.testing.assert_allclose(info.evidence, evidence, rtol=1e-4, atol=1e-9 * evidence.max())
     np.testing.assert_allclose(updated.weight, weight, rtol=1e-4, atol=1e-7)
 
@@ -92,7 +95,12 @@ def test_on_the_plane_and_of_points_the_update_is_the_dense_one_in_double_precis
         PlaneBirth(0.0, 0.0, borders=(0.0, 0.0, 20.0, 20.0)),
         clutter,
     )
-    point = Model(PointMotion(), PointSensor(gate_probability=1.0), PointBirth(0.0, frame_size=(20, 20)), clutter)
+    point = Model(
+        PointMotion(),
+        PointSensor(gate_probability=1.0),
+        PointBirth(0.0, frame_size=(20, 20)),
+        clutter,
+    )
     model = plane if kind == "plane" else point
     at = rng.uniform(0, 20, (2, 5))
     x = np.repeat(np.vstack([at, np.zeros((2, 5))]), 80, axis=1) + rng.normal(0, 1, (4, 400))
@@ -108,7 +116,8 @@ def test_on_the_plane_and_of_points_the_update_is_the_dense_one_in_double_precis
 def test_what_the_gate_drops_is_bounded(seed: int):
     """A dropped pair is outside of the gate: its likelihood is below that share of its peak."""
     rng = np.random.default_rng(seed)
-    state, model = in_blocks(crowd(rng, 5, 60, spread=0.3, width=150.0), SINGLE), world(detection_probability=0.9)
+    state = in_blocks(crowd(rng, 5, 60, spread=0.3, width=150.0), SINGLE)
+    model = world(detection_probability=0.9)
     z = seen_by(rng, state.particles(), 8)
     updated, info = ParticlePHD().update(state, z, model, 1.0, rng)
     weight, evidence = dense(state.particles(), z, model)
@@ -146,7 +155,9 @@ def test_detection_probability_may_depend_on_the_state(rng):
 
 @given(seeds, st.integers(0, 4), st.floats(0.01, 2), st.integers(1, 400))
 @settings(max_examples=40, deadline=None)
-def test_reducing_keeps_the_mass_in_equal_weights(seed: int, targets: int, mass: float, particles_per_target: int):
+def test_reducing_keeps_the_mass_in_equal_weights(
+    seed: int, targets: int, mass: float, particles_per_target: int
+):
     rng = np.random.default_rng(seed)
     state = crowd(rng, targets, 30, mass)
     updated = unseen(state)
@@ -156,12 +167,16 @@ def test_reducing_keeps_the_mass_in_equal_weights(seed: int, targets: int, mass:
     assert len(reduced) == round(particles_per_target * updated.mass)
     if len(reduced):
         assert reduced.mass == pytest.approx(updated.mass, rel=1e-9)
-        assert {tuple(x) for x in reduced.state.T} <= {tuple(x) for x in state.state.T.astype(np.float32)}
+        assert {tuple(x) for x in reduced.state.T} <= {
+            tuple(x) for x in state.state.T.astype(np.float32)
+        }
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.3, 0.5, 0.999])
 def test_every_particle_has_its_share_of_offspring(offset: float, rng):
-    """Systematic: within one of its share, wherever the comb starts; particles without weight have none."""
+    """Systematic: within one of its share, wherever the comb starts; particles without weight have
+    none.
+    """
     state = crowd(rng, 3, 200)
     state.weight[::7] = 0.0
 
@@ -173,7 +188,8 @@ def test_every_particle_has_its_share_of_offspring(offset: float, rng):
     count = {tuple(x): 0 for x in state.state.T.astype(np.float32)}
     for x in reduced.state.T:
         count[tuple(x)] += 1
-    found, share = np.array(list(count.values())), state.weight / state.mass * len(reduced)
+    found = np.array(list(count.values()))
+    share = state.weight / state.mass * len(reduced)
     assert np.abs(found - share).max() < 1.01
     assert found[::7].max() == 0
 
@@ -194,7 +210,9 @@ def test_bounds_on_the_number_of_particles(rng):
 @pytest.mark.parametrize("p_detect", [0.0, 0.7, 1.0])
 def test_an_empty_scan_leaves_what_is_missed(p_detect: float, rng):
     state = crowd(rng, 3, 50)
-    updated, info = ParticlePHD().update(state, NO_BOXES, world(detection_probability=p_detect), 1.0, rng)
+    updated, info = ParticlePHD().update(
+        state, NO_BOXES, world(detection_probability=p_detect), 1.0, rng
+    )
     assert updated.mass == info.mass == pytest.approx((1 - p_detect) * state.mass, rel=1e-6)
     assert info.mass_predicted == pytest.approx(state.mass, rel=1e-6)
     assert info.mass_born == 0
@@ -203,10 +221,14 @@ def test_an_empty_scan_leaves_what_is_missed(p_detect: float, rng):
     assert skipped.mass == pytest.approx(3, rel=1e-6)
 
 
-@given(seeds, st.integers(0, 4), st.integers(0, 6), st.sampled_from(["particle", "detection", "fixed"]))
+@given(
+    seeds, st.integers(0, 4), st.integers(0, 6), st.sampled_from(["particle", "detection", "fixed"])
+)
 @settings(max_examples=40, deadline=None)
 def test_masses_add_up(seed: int, targets: int, n: int, scaling: str):
-    """Every detection brings C/(κ + C), every target (1 − p_D) of itself, and the state holds it."""
+    """Every detection brings C/(κ + C), every target (1 − p_D) of itself, and the state holds
+    it.
+    """
     rng = np.random.default_rng(seed)
     model = with_births(world(scaling=scaling, detection_probability=0.9))
     state = crowd(rng, targets, 40) if targets else NOTHING
@@ -222,7 +244,8 @@ def test_masses_add_up(seed: int, targets: int, n: int, scaling: str):
 def test_a_detection_that_nothing_explains_vanishes_and_is_counted(rng):
     """κ = 0 and C = 0: the term is 0, not NaN."""
     state = crowd(rng, 2, 60, width=200.0)
-    near, far = seen_by(rng, state, 1), np.array([[5000.0], [5000], [20], [40]])
+    near = seen_by(rng, state, 1)
+    far = np.array([[5000.0], [5000], [20], [40]])
     model = world(clutter=UniformClutter(0.0, 1.0), detection_probability=1.0)
     updated, info = ParticlePHD().update(state, np.hstack([far, near, far + 50]), model, 1.0, rng)
     assert info.vanished == 2
@@ -234,8 +257,12 @@ def test_a_detection_that_nothing_explains_vanishes_and_is_counted(rng):
 
 @pytest.mark.parametrize("deviations", [5.0, 12, 13.1, 14, 20, 38, 39.5, 1000])
 def test_a_likelihood_far_out_in_its_tail_does_not_poison_the_weights(deviations: float, rng):
-    """κ = 0 and a size so unlike all particles that single precision does not know g, or its reciprocal."""
-    x = np.repeat(np.array([[100.0, 100, 0, 0, 20, 40], [100.0, 100, 0, 0, 20.3, 40]]).T, 100, axis=1)
+    """κ = 0 and a size so unlike all particles that single precision does not know g, or its
+    reciprocal.
+    """
+    x = np.repeat(
+        np.array([[100.0, 100, 0, 0, 20, 40], [100.0, 100, 0, 0, 20.3, 40]]).T, 100, axis=1
+    )
     z = np.array([[100.0], [100], [20 + 20 * 0.15 * deviations], [40]])
     model = world(clutter=UniformClutter(0.0, 1.0), detection_probability=0.9)
     state = Particles(x, np.full(200, 0.01))
@@ -250,7 +277,9 @@ def test_covered_detections_have_no_births(rng):
     z = np.average(state.state, axis=1, weights=state.weight)[[0, 1, 4, 5], None]
     _, info = ParticlePHD().update(state, z, with_births(world()), 1.0, rng)
     assert info.mass_born == 0
-    _, info = ParticlePHD().update(Particles(state.state, state.weight / 2.4), z, with_births(world()), 1.0, rng)
+    _, info = ParticlePHD().update(
+        Particles(state.state, state.weight / 2.4), z, with_births(world()), 1.0, rng
+    )
     assert 0 < info.mass_born < 0.05
 
 
@@ -261,18 +290,36 @@ def test_with_births_the_order_does_not_matter_on_average(rng):
 
     def evidence(order: list[int], first: int) -> np.ndarray:
         draws = (np.random.default_rng(first + k) for k in range(60))
-        return np.array([ParticlePHD().update(state, z[:, order].copy(), model, 1.0, own)[1].evidence for own in draws])
+        return np.array(
+            [
+                ParticlePHD().update(state, z[:, order].copy(), model, 1.0, own)[1].evidence
+                for own in draws
+            ]
+        )
 
-    a, b = evidence([0, 1, 2, 3], 0), evidence([3, 2, 1, 0], 100)[:, ::-1]
+    a = evidence([0, 1, 2, 3], 0)
+    b = evidence([3, 2, 1, 0], 100)[:, ::-1]
     error = np.sqrt((a.var(0) + b.var(0)) / 60)
     assert np.all(np.abs(a.mean(0) - b.mean(0)) <= 4.5 * error + 1e-12)
 
 
 def test_boxes_of_any_size_and_far_outside_of_the_frame(rng):
     state = crowd(rng, 2, 200)
-    far = np.array([[-1e6, 1e6, 300, 3e7, 10], [200, 1e6, -1e5, -3e7, 10], [1, 50, 5000, 40, 1], [2, 80, 9000, 70, 1]])
+    far = np.array(
+        [
+            [-1e6, 1e6, 300, 3e7, 10],
+            [200, 1e6, -1e5, -3e7, 10],
+            [1, 50, 5000, 40, 1],
+            [2, 80, 9000, 70, 1],
+        ]
+    )
     for _ in range(4):
-        z = np.hstack([seen_by(rng, state.particles() if isinstance(state, ParticleBlocks) else state, 2), far])
+        z = np.hstack(
+            [
+                seen_by(rng, state.particles() if isinstance(state, ParticleBlocks) else state, 2),
+                far,
+            ]
+        )
         state, info = ParticlePHD(300).step(state, z, with_births(world()), 1.0, rng)
         check(state)
         assert np.isfinite(info.evidence).all()
@@ -283,9 +330,14 @@ def test_the_initial_intensity(rng):
     assert ParticlePHD(initial=given_particles).start(world(), rng) is given_particles
     cov = np.stack([np.diag([25.0, 9, 1, 1, 4, 16])] * 2)
     mean = np.array([[100.0, 50, 1, 0, 20, 40], [300, 60, 0, 1, 30, 50]]).T
-    drawn = ParticlePHD(5000, initial=GaussianMixture(np.array([1.0, 0.5]), mean, cov)).start(world(), rng)
+    drawn = ParticlePHD(5000, initial=GaussianMixture(np.array([1.0, 0.5]), mean, cov)).start(
+        world(), rng
+    )
     first = drawn.state[0] < 200
-    assert (drawn.weight[first].sum(), drawn.weight[~first].sum()) == (pytest.approx(1.0), pytest.approx(0.5))
+    assert (drawn.weight[first].sum(), drawn.weight[~first].sum()) == (
+        pytest.approx(1.0),
+        pytest.approx(0.5),
+    )
     np.testing.assert_allclose(drawn.state[0, first].mean(), 100, atol=4 * 5 / np.sqrt(5000))
 
 
@@ -298,7 +350,8 @@ def test_any_number_of_threads_and_the_same_seed_give_the_same_bits(recursion, r
     model = with_births(replace(world(), motion=BoxMotion()), most=100)
 
     def run(threads: int, seed: int):
-        own, filter_ = np.random.default_rng(seed), replace(recursion, threads=threads, initial=first)
+        own = np.random.default_rng(seed)
+        filter_ = replace(recursion, threads=threads, initial=first)
         state = filter_.start(model, own)
         for z in scans:
             state, info = filter_.step(state, z, model, 1.5, own)
@@ -313,10 +366,12 @@ def test_any_number_of_threads_and_the_same_seed_give_the_same_bits(recursion, r
 
 
 def test_memory_is_used_again_only_where_no_array_uses_it():
-    shape, kind = (2**19,), np.dtype(np.float32)
+    shape = (2**19,)
+    kind = np.dtype(np.float32)
     first = reused(shape, kind)
     first[:] = 1
-    part, place = first[10:20], first.ctypes.data
+    part = first[10:20]
+    place = first.ctypes.data
     del first
     second = reused(shape, kind)
     second[:] = 2

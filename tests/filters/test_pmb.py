@@ -1,4 +1,6 @@
-"""The Poisson multi-Bernoulli filter: existence, labels, order, sources of false alarms, who is hidden."""
+"""The Poisson multi-Bernoulli filter: existence, labels, order, sources of false alarms, who is
+hidden.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +17,16 @@ from phdtrack.types import SequenceInfo
 
 
 def test_misses_in_a_row_are_believed_where_targets_get_hidden():
-    """After half a second without a detection somebody who may be hidden is believed in, and comes back as himself."""
-    model, path = world(detection=0.95, survival=0.999), walk((200, 200), (2, 1), 30, np.random.default_rng(1))
+    """After half a second without a detection somebody who may be hidden is believed in, and comes
+    back as himself.
+    """
+    model = world(detection=0.95, survival=0.999)
+    path = walk((200, 200), (2, 1), 30, np.random.default_rng(1))
     scans = [boxes(here) for here in path]
     scans[12:24] = [boxes()] * 12
     gone, waiting = (
-        run(f, scans[:24], model)[0].mass for f in (PLAIN, replace(PMB(), mean_visible_time=1.0, mean_occluded_time=2.0))
+        run(f, scans[:24], model)[0].mass
+        for f in (PLAIN, replace(PMB(), mean_visible_time=1.0, mean_occluded_time=2.0))
     )
     assert gone < 1e-6
     assert waiting > 0.5
@@ -29,8 +35,11 @@ def test_misses_in_a_row_are_believed_where_targets_get_hidden():
 
 
 def test_labels_are_unique_and_rise():
-    rng, model = np.random.default_rng(0), world(clutter=1e-9, birth=1e-9, survival=0.9)
-    state, ever, ended = PMB().start(model, RNG), set(), set()
+    rng = np.random.default_rng(0)
+    model = world(clutter=1e-9, birth=1e-9, survival=0.9)
+    state = PMB().start(model, RNG)
+    ever = set()
+    ended = set()
     for z in scene(rng, 60, targets=5, clutter=6):
         before = set(state.present.targets["label"].tolist())
         fresh = state.next_label
@@ -55,12 +64,13 @@ def seen_by_a_source(seed: int, frames: int = 150) -> list[np.ndarray]:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_source_of_false_alarms_is_soon_not_reported(seed: int):
-    """It fires half of the time in one place; three seconds later nobody is reported there for the three that follow."""
-    model, filter_ = (
-        world(detection=0.95, clutter=1e-9, birth=1e-10, survival=0.9999),
-        PMB(mean_visible_time=4.0, mean_occluded_time=0.2),
-    )
-    state, reported = filter_.start(model, RNG), []
+    """It fires half of the time in one place; three seconds later nobody is reported there for the
+    three that follow.
+    """
+    model = world(detection=0.95, clutter=1e-9, birth=1e-10, survival=0.9999)
+    filter_ = PMB(mean_visible_time=4.0, mean_occluded_time=0.2)
+    state = filter_.start(model, RNG)
+    reported = []
     for z in seen_by_a_source(seed):
         state, info = filter_.step(state, z, model, 1.0, RNG)
         reported.append(len(told(state, model)))
@@ -72,13 +82,13 @@ def test_a_source_of_false_alarms_is_soon_not_reported(seed: int):
 
 
 def test_who_walks_through_a_source_keeps_his_label():
-    model, filter_ = (
-        world(detection=0.95, clutter=1e-9, birth=1e-10, survival=0.9999),
-        PMB(mean_visible_time=4.0, mean_occluded_time=0.2),
-    )
-    scans, rng = seen_by_a_source(7, 220), np.random.default_rng(7)
+    model = world(detection=0.95, clutter=1e-9, birth=1e-10, survival=0.9999)
+    filter_ = PMB(mean_visible_time=4.0, mean_occluded_time=0.2)
+    scans = seen_by_a_source(7, 220)
+    rng = np.random.default_rng(7)
     path = walk((300 - 4 * 150, 200), (4, 0), 220, rng, 2.0)
-    state, labels = filter_.start(model, RNG), []
+    state = filter_.start(model, RNG)
+    labels = []
     for k, z in enumerate(scans):
         if k >= 90 and rng.random() < 0.95:
             z = np.hstack([boxes(path[k]), z])
@@ -91,12 +101,19 @@ def test_who_walks_through_a_source_keeps_his_label():
     assert len(set(labels)) == 1
 
 
-@pytest.mark.parametrize(("seed", "share"), [(seed, share) for seed in range(5) for share in (1.0, 0.3)])
+@pytest.mark.parametrize(
+    ("seed", "share"), [(seed, share) for seed in range(5) for share in (1.0, 0.3)]
+)
 def test_a_person_who_stands_still_is_reported(seed: int, share: float):
-    """Seen nine times of ten, with the noise that the sensor states or less; a source would be seen half of the time."""
+    """Seen nine times of ten, with the noise that the sensor states or less; a source would be seen
+    half of the time.
+    """
     stages = config.build(config.load(sets=["filter.kind=pmb"]), SequenceInfo(640, 480, 25.0))
-    rng, model, filter_ = np.random.default_rng(seed), stages.model, stages.filter
-    state, reported = filter_.start(model, RNG), []
+    rng = np.random.default_rng(seed)
+    model = stages.model
+    filter_ = stages.filter
+    state = filter_.start(model, RNG)
+    reported = []
     x = np.array([[300.0], [200], [0], [0], [40], [100]])
     noise = share * np.sqrt(np.diag(model.sensor.covariance(x[[0, 1, 4, 5]], x)[0]))
     for _ in range(150):
@@ -109,7 +126,9 @@ def test_a_person_who_stands_still_is_reported(seed: int, share: float):
 
 
 def test_the_past_that_is_kept_and_the_number_of_hypotheses_are_bounded():
-    rng, model, sizes = np.random.default_rng(5), world(clutter=3e-9, birth=3e-9), []
+    rng = np.random.default_rng(5)
+    model = world(clutter=3e-9, birth=3e-9)
+    sizes = []
     filter_ = PMB(history=4, max_hypotheses=5)
     state = filter_.start(model, RNG)
     for z in scene(rng, 60, targets=8, clutter=20):
@@ -124,8 +143,11 @@ def test_the_past_that_is_kept_and_the_number_of_hypotheses_are_bounded():
 
 
 def test_rare_births_among_much_clutter_are_seen_a_second_time():
-    """A first detection is a new target's once in 10 000: less than ``least``, and yet who stays is found."""
-    model, filter_ = world(clutter=1e-6, birth=1e-10), PMB(mean_visible_time=0.0, static_clutter_prior=0.0)
+    """A first detection is a new target's once in 10 000: less than ``least``, and yet who stays is
+    found.
+    """
+    model = world(clutter=1e-6, birth=1e-10)
+    filter_ = PMB(mean_visible_time=0.0, static_clutter_prior=0.0)
     state = filter_.start(model, RNG)
     for k in range(25):
         state, _ = filter_.step(state, boxes((100 + 2 * k, 200)), model, 1.0, RNG)

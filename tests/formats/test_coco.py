@@ -12,7 +12,9 @@ from phdtrack.formats import read_detections, read_tracks, read_truth
 
 
 def written(folder: Path, document: object) -> Path:
-    return put(folder, document if isinstance(document, str) else json.dumps(document), "boxes.json")
+    return put(
+        folder, document if isinstance(document, str) else json.dumps(document), "boxes.json"
+    )
 
 
 def result(image: object = 1, **more: object) -> dict[str, Any]:
@@ -32,7 +34,10 @@ def test_a_list_of_results(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("names", "frames"),
     [
-        ([{"file_name": "a/9.jpg", "frame_id": 5}, {"file_name": "a/8.jpg", "frame_id": 6}], [5, 6]),
+        (
+            [{"file_name": "a/9.jpg", "frame_id": 5}, {"file_name": "a/8.jpg", "frame_id": 6}],
+            [5, 6],
+        ),
         ([{"file_name": "img1/000011.jpg"}, {"file_name": "img1/000012.jpg"}], [11, 12]),
         ([{"file_name": "a1\\x3.png"}, {"file_name": "a1\\x4.png"}], [3, 4]),
         ([{"file_name": "one.jpg"}, {"file_name": "2.jpg"}], [70, 80]),
@@ -40,9 +45,15 @@ def test_a_list_of_results(tmp_path: Path) -> None:
         ([{}, {}], [70, 80]),
     ],
 )
-def test_a_data_set_numbers_its_frames(tmp_path: Path, names: list[dict[str, Any]], frames: list[int]) -> None:
+def test_a_data_set_numbers_its_frames(
+    tmp_path: Path, names: list[dict[str, Any]], frames: list[int]
+) -> None:
     images = [{"id": number, **name} for number, name in zip((70, 80), names, strict=True)]
-    annotations = [result(80, track_id=2), result(70, track_id=2), result(80, attributes={"track_id": 3}, iscrowd=1)]
+    annotations = [
+        result(80, track_id=2),
+        result(70, track_id=2),
+        result(80, attributes={"track_id": 3}, iscrowd=1),
+    ]
     path = written(tmp_path, {"images": images, "annotations": annotations, "categories": []})
     truth = read_truth(path)
     assert truth.frame.tolist() == [frames[0], frames[1], frames[1]]
@@ -73,18 +84,32 @@ def test_nothing_in_it(tmp_path: Path, document: object) -> None:
         ([result(), result(10**400)], ", line 1", "hundreds of digits"),
         ([result(), result("a")], ", entry 2", "a number for image_id"),
         ('[{"image_id": 1, "bbox": [NaN, 1, 1, 1]}]', ", entry 1", "finite numbers for the box"),
-        ({"images": [{"id": 1}], "annotations": [result(2)]}, ", annotation 1", "one of the images, came image_id 2"),
+        (
+            {"images": [{"id": 1}], "annotations": [result(2)]},
+            ", annotation 1",
+            "one of the images, came image_id 2",
+        ),
         ({"images": [3], "annotations": []}, ", image 1", "object with id and file_name"),
-        ({"images": [{"id": 1, "video_id": 1}, {"id": 2, "video_id": 2}], "annotations": []}, "", "one video, came 2"),
+        (
+            {"images": [{"id": 1, "video_id": 1}, {"id": 2, "video_id": 2}], "annotations": []},
+            "",
+            "one video, came 2",
+        ),
         ("[" * 100_000, "", "nested without end"),
     ],
 )
-def test_the_message_names_the_place(tmp_path: Path, document: object, where: str, words: str) -> None:
+def test_the_message_names_the_place(
+    tmp_path: Path, document: object, where: str, words: str
+) -> None:
     refused(read_detections, written(tmp_path, document), where, words)
 
 
 def test_truth_needs_identities_once_a_frame(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="entry 1: expected a value for track_id or instance_id or identity"):
+    with pytest.raises(
+        InputError, match="entry 1: expected a value for track_id or instance_id or identity"
+    ):
         read_truth(written(tmp_path, [result()]))
-    with pytest.raises(InputError, match=r"entry 2: identity 3 is in frame 1 .*already, in entry 1"):
+    with pytest.raises(
+        InputError, match=r"entry 2: identity 3 is in frame 1 .*already, in entry 1"
+    ):
         read_truth(written(tmp_path, [result(track_id=3), result(track_id=3)]))

@@ -37,7 +37,10 @@ def test_boxes_of_objects_and_not_of_groups(tmp_path: Path) -> None:
 
 
 def test_another_first_frame(tmp_path: Path) -> None:
-    path = put(tmp_path, GOOD.replace('number="0"', 'number="1"').replace('number="1"><objectlist/>', 'number="3">'))
+    path = put(
+        tmp_path,
+        GOOD.replace('number="0"', 'number="1"').replace('number="1"><objectlist/>', 'number="3">'),
+    )
     assert read_truth(path, first_frame=1).frame.tolist() == [1, 1, 2]
     assert len(read_truth(put(tmp_path, "<dataset/>"))) == 0
 
@@ -48,16 +51,37 @@ def test_another_first_frame(tmp_path: Path) -> None:
         (('xc="20"', 'xc="twenty"'), 6, "a finite number for xc of <box>, came 'twenty'"),
         (('xc="20" ', ""), 6, "<box> with a value for xc"),
         (('w="4" xc="20"', 'w="0" xc="20"'), 6, "width and a height above 0, came width 0"),
-        (('id="7"><box h="10" w="4" xc="20"', 'id="0"><box h="10" w="4" xc="20"'), 6, "identity 0 is in frame 1"),
+        (
+            ('id="7"><box h="10" w="4" xc="20"', 'id="0"><box h="10" w="4" xc="20"'),
+            6,
+            "identity 0 is in frame 1",
+        ),
         (('number="2"', 'number="-1"'), 13, "expected frame 0 or later, came -1"),
         (('<object id="0">', "<object>"), 5, "<object> with a value for id"),
-        (("</objectlist>\n    <grouplist>", "\n    <grouplist>"), 11, "XML, which breaks here: mismatched tag"),
+        (
+            ("</objectlist>\n    <grouplist>", "\n    <grouplist>"),
+            11,
+            "XML, which breaks here: mismatched tag",
+        ),
         (("</dataset>\n", ""), 14, "XML, which breaks here"),
-        (('<frame number="1"><objectlist/>', '<box h="1" w="1" xc="1" yc="1"/><frame number="1">'), 12, "came one outside"),
-        (("dataset", "Camera"), 2, "outermost element is <dataset> or <annotations>, came <Camera>"),
+        (
+            (
+                '<frame number="1"><objectlist/>',
+                '<box h="1" w="1" xc="1" yc="1"/><frame number="1">',
+            ),
+            12,
+            "came one outside",
+        ),
+        (
+            ("dataset", "Camera"),
+            2,
+            "outermost element is <dataset> or <annotations>, came <Camera>",
+        ),
     ],
 )
-def test_the_message_names_the_line(tmp_path: Path, change: tuple[str, str], line: int, words: str) -> None:
+def test_the_message_names_the_line(
+    tmp_path: Path, change: tuple[str, str], line: int, words: str
+) -> None:
     assert change[0] in GOOD
     refused(read_truth, put(tmp_path, GOOD.replace(*change)), f", line {line}", words)
 
@@ -73,5 +97,7 @@ def test_the_message_names_the_line(tmp_path: Path, change: tuple[str, str], lin
 def test_document_types_and_entities_are_refused(tmp_path: Path, declaration: str) -> None:
     path = put(tmp_path, f"{declaration}\n<dataset/>")
     for reader in (read_truth, read_detections):
-        with pytest.raises(InputError, match=r"line 1: .*without a document type and entities.*DOCTYPE"):
+        with pytest.raises(
+            InputError, match=r"line 1: .*without a document type and entities.*DOCTYPE"
+        ):
             reader(path)

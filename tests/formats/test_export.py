@@ -15,7 +15,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phdtrack.errors import InputError
-from phdtrack.formats import EXPORTS, export_tracks, read_detections, read_tracks, read_tracks_named, read_truth
+from phdtrack.formats import (
+    EXPORTS,
+    export_tracks,
+    read_detections,
+    read_tracks,
+    read_tracks_named,
+    read_truth,
+)
 from phdtrack.formats.checks import WrongRows
 from phdtrack.types import SequenceInfo, Tracks
 
@@ -28,11 +35,16 @@ def tracks(draw: st.DrawFn) -> Tracks:
     keys = sorted(draw(st.sets(st.tuples(st.integers(1, 30), st.integers(1, 99)), max_size=12)))
     n = len(keys)
     number = st.integers(0, 2**32 - 1)
-    rng, table = np.random.default_rng(draw(number)), np.array(keys, np.int64).reshape(n, 2)
-    corner, size = rng.uniform(-5000, 5000, (n, 2)), rng.uniform(0.1, 3000, (n, 2))
+    rng = np.random.default_rng(draw(number))
+    table = np.array(keys, np.int64).reshape(n, 2)
+    corner = rng.uniform(-5000, 5000, (n, 2))
+    size = rng.uniform(0.1, 3000, (n, 2))
     # An object has one class.
-    label, boxes = table[:, 1] % 3, np.hstack([corner, corner + size])
-    return Tracks(*table.T, boxes, rng.uniform(0, 1, n), rng.integers(-1, 50, n), rng.random(n) < 0.5, label)
+    label = table[:, 1] % 3
+    boxes = np.hstack([corner, corner + size])
+    return Tracks(
+        *table.T, boxes, rng.uniform(0, 1, n), rng.integers(-1, 50, n), rng.random(n) < 0.5, label
+    )
 
 
 @pytest.mark.parametrize("kind", sorted(EXPORTS.keys() - {"rerun"}))
@@ -52,19 +64,27 @@ def test_what_is_exported_comes_back(
     if kind != "cvat":
         np.testing.assert_allclose(again.confidence, original.confidence, rtol=1e-6)
     if named and kind != "motchallenge":
-        expected = [names[one].replace(" ", "_" if kind == "kitti" else " ") for one in original.class_id.tolist()]
+        expected = [
+            names[one].replace(" ", "_" if kind == "kitti" else " ")
+            for one in original.class_id.tolist()
+        ]
         assert [words.get(one, "") for one in again.class_id.tolist()] == expected
     found = read_detections(path)
     assert found.frame.tolist() == original.frame.tolist()
     # Of a KITTI file with several types one has to be named, and a table without rows says nothing.
-    if not (kind == "kitti" and len({*again.class_id.tolist()}) > 1) and (len(original) or kind not in ("csv", "kitti")):
+    if not (kind == "kitti" and len({*again.class_id.tolist()}) > 1) and (
+        len(original) or kind not in ("csv", "kitti")
+    ):
         truth = read_truth(path)
         assert len(truth) == np.count_nonzero(again.confidence)
         assert truth.regions.size == 0
 
 
-def test_a_track_ends_in_cvat_where_it_is_lost_and_images_have_no_identities(tmp_path: Path) -> None:
-    path, box = tmp_path / "t.xml", np.array([[1.0, 2, 3, 4]] * 3)
+def test_a_track_ends_in_cvat_where_it_is_lost_and_images_have_no_identities(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "t.xml"
+    box = np.array([[1.0, 2, 3, 4]] * 3)
     export_tracks(path, Tracks.of(np.array([1, 2, 5]), 7, box, 1.0, -1), "cvat", info=INFO)
     text = path.read_text()
     assert [part[:1] for part in text.split('outside="')[1:]] == ["0", "0", "1", "0", "1"]
@@ -76,7 +96,9 @@ def test_a_track_ends_in_cvat_where_it_is_lost_and_images_have_no_identities(tmp
     refused(read_tracks, path, "", "no column for the identity")
     path.write_text('<annotations>\n<box xtl="1"/></annotations>')
     refused(read_detections, path, ", line 2", "inside of <track> or <image>")
-    path.write_text('<annotations><track id="1">\n<box frame="0" xtl="a" ytl="2" xbr="3" ybr="4"/></track></annotations>')
+    path.write_text(
+        '<annotations><track id="1">\n<box frame="0" xtl="a" ytl="2" xbr="3" ybr="4"/></track></annotations>'
+    )
     refused(read_detections, path, ", line 2", "finite number for xtl")
 
 
@@ -115,19 +137,33 @@ def test_a_rerun_recording_has_boxes_trails_and_both_timelines(tmp_path: Path) -
     pytest.importorskip("rerun", reason="Rerun is not installed (pip install 'phdtrack[rerun]')")
     from rerun.chunk import RrdReader
 
-    boxes = np.array([[10, 20, 30, 60], [100, 20, 130, 60], [12, 20, 32, 60], [16, 20, 36, 62]], float)
-    tracks = replace(Tracks.of([1, 1, 2, 4], [4, 7, 4, 4], boxes, 1.0, -1), class_id=np.array([1, 0, 1, 1]))
-    export_tracks(tmp_path / "t.rrd", tracks, "rerun", {0: "car", 1: "traffic light"}, SequenceInfo(640, 480, 10.0))
+    boxes = np.array(
+        [[10, 20, 30, 60], [100, 20, 130, 60], [12, 20, 32, 60], [16, 20, 36, 62]], float
+    )
+    tracks = replace(
+        Tracks.of([1, 1, 2, 4], [4, 7, 4, 4], boxes, 1.0, -1), class_id=np.array([1, 0, 1, 1])
+    )
+    export_tracks(
+        tmp_path / "t.rrd",
+        tracks,
+        "rerun",
+        {0: "car", 1: "traffic light"},
+        SequenceInfo(640, 480, 10.0),
+    )
     found: dict[str, list[dict[str, Any]]] = {}
     for chunk in RrdReader(tmp_path / "t.rrd").stream():
         batch = chunk.to_record_batch()
         names = [name for name in batch.schema.names if name in ("frame", "time") or ":" in name]
         columns = {
-            name.rpartition(":")[2]: batch.column(name).cast("int64") if name == "time" else batch.column(name)
+            name.rpartition(":")[2]: batch.column(name).cast("int64")
+            if name == "time"
+            else batch.column(name)
             for name in names
         }
         rows = zip(*(column.to_pylist() for column in columns.values()), strict=True)
-        found.setdefault(chunk.entity_path, []).extend(dict(zip(columns, row, strict=True)) for row in rows)
+        found.setdefault(chunk.entity_path, []).extend(
+            dict(zip(columns, row, strict=True)) for row in rows
+        )
     shown = [row for row in found["/tracks/4"] if "centers" in row]
     assert [(row["frame"], row["time"], row["labels"]) for row in shown] == [
         (1, 0, ["4 traffic light"]),
@@ -142,7 +178,9 @@ def test_a_rerun_recording_has_boxes_trails_and_both_timelines(tmp_path: Path) -
     assert {row["labels"][0] for row in found["/tracks/7"] if "labels" in row} == {"7 car"}
 
 
-def test_without_rerun_the_line_that_installs_it_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_rerun_the_line_that_installs_it_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(InputError, match=r"pip install 'phdtrack\[rerun\]'"):
         export_tracks(tmp_path / "t.rrd", Tracks.empty(), "rerun")

@@ -34,8 +34,12 @@ def test_columns_by_name(tmp_path: Path) -> None:
 
 
 def test_empty_ones(tmp_path: Path) -> None:
-    assert len(read_detections(put(tmp_path, {"frame": [], "x": [], "y": [], "w": [], "h": []}))) == 0
-    table = read_detections(put(tmp_path, {"frame": [1, 1], **BOX, "score": [None, None], "class": [None, None]}))
+    assert (
+        len(read_detections(put(tmp_path, {"frame": [], "x": [], "y": [], "w": [], "h": []}))) == 0
+    )
+    table = read_detections(
+        put(tmp_path, {"frame": [1, 1], **BOX, "score": [None, None], "class": [None, None]})
+    )
     assert table.detections.confidence.tolist() == [1, 1]
 
 
@@ -48,7 +52,9 @@ def test_empty_ones(tmp_path: Path) -> None:
         ({"time": [1, 2], **BOX}, "", "no column for the frame; the columns are time, x1"),
     ],
 )
-def test_the_message_names_the_row(tmp_path: Path, columns: dict[str, list[object]], where: str, words: str) -> None:
+def test_the_message_names_the_row(
+    tmp_path: Path, columns: dict[str, list[object]], where: str, words: str
+) -> None:
     refused(read_detections, put(tmp_path, columns), where, words)
 
 
@@ -57,12 +63,18 @@ def test_a_broken_file(tmp_path: Path, damage: str) -> None:
     path = put(tmp_path, {"frame": [1, 2], **BOX})
     good = path.read_bytes()
     start = len(good) - 8 - int.from_bytes(good[-8:-4], "little")
-    path.write_bytes(good[:-20] if damage == "cut short" else good[:start] + b"\xff" * 8 + good[start + 8 :])
+    path.write_bytes(
+        good[:-20] if damage == "cut short" else good[:start] + b"\xff" * 8 + good[start + 8 :]
+    )
     refused(read_detections, path, "", "expected a Parquet file, which cannot be read")
 
 
-def test_without_pyarrow_the_line_that_installs_it_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pyarrow_the_line_that_installs_it_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = put(tmp_path, {"frame": [1, 2], **BOX})
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(InputError, match=r"needs the package pyarrow.*pip install 'phdtrack\[parquet\]'"):
+    with pytest.raises(
+        InputError, match=r"needs the package pyarrow.*pip install 'phdtrack\[parquet\]'"
+    ):
         read_detections(path)

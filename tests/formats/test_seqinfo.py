@@ -43,8 +43,16 @@ def test_it_is_looked_for_beside_and_one_folder_up(tmp_path: Path) -> None:
         (GOOD + "what is this\n", ", line 9", "frameRate=25"),
         (GOOD + "name=again\n", ", line 9", "frameRate=25"),
         (GOOD.replace("frameRate=12.5\n", ""), "", "a value for frameRate, came none"),
-        (GOOD.replace("640", "wide"), ", line 6", "a whole number above 0 for imWidth, came 'wide'"),
-        (GOOD.replace("70", "70.5"), ", line 5", "a whole number above 0 for seqLength, came '70.5'"),
+        (
+            GOOD.replace("640", "wide"),
+            ", line 6",
+            "a whole number above 0 for imWidth, came 'wide'",
+        ),
+        (
+            GOOD.replace("70", "70.5"),
+            ", line 5",
+            "a whole number above 0 for seqLength, came '70.5'",
+        ),
         (GOOD.replace("12.5", "nan"), ", line 4", "a number above 0 for frameRate, came 'nan'"),
         (b"\xff\xff", "", "expected UTF-8 text"),
     ],

@@ -1,4 +1,6 @@
-"""Detections from a pipe: the same as of a file, each frame when it is whole, errors with the line."""
+"""Detections from a pipe: the same as of a file, each frame when it is whole, errors with the
+line.
+"""
 
 import json
 import os
@@ -35,18 +37,27 @@ def streamed(content: bytes, pieces: int = 1):
         writer.join()
 
 
-ROWS = "".join(f"{k},-1,{10 * k + j},{20 + j},30,60,0.{j + 1}\n" for k in (1, 2, 5, 6, 9) for j in range(k % 3 + 1))
+ROWS = "".join(
+    f"{k},-1,{10 * k + j},{20 + j},30,60,0.{j + 1}\n"
+    for k in (1, 2, 5, 6, 9)
+    for j in range(k % 3 + 1)
+)
 HEADER = "frame,left,top,width,height,confidence\n"
 
 
-@pytest.mark.parametrize("content", [ROWS, ROWS[:-1], "# note\n\n" + ROWS, HEADER + ROWS.replace(",-1,", ",")])
+@pytest.mark.parametrize(
+    "content", [ROWS, ROWS[:-1], "# note\n\n" + ROWS, HEADER + ROWS.replace(",-1,", ",")]
+)
 @pytest.mark.parametrize("pieces", [1, 7, 100])
 def test_it_is_what_the_file_holds(content: str, pieces: int, tmp_path: Path) -> None:
     path = tmp_path / "det.txt"
     path.write_text(content)
-    whole, parts = read_detections(path), streamed(content.encode(), pieces)
+    whole = read_detections(path)
+    parts = streamed(content.encode(), pieces)
     np.testing.assert_array_equal(np.concatenate([part.frame for part in parts]), whole.frame)
-    np.testing.assert_array_equal(np.concatenate([part.detections.xyxy for part in parts]), whole.detections.xyxy)
+    np.testing.assert_array_equal(
+        np.concatenate([part.detections.xyxy for part in parts]), whole.detections.xyxy
+    )
     numbers = [set(part.frame.tolist()) for part in parts]
     assert sum(map(len, numbers)) == len(set().union(*numbers))
 
@@ -83,12 +94,30 @@ def test_what_cannot_be_used_is_said_with_its_line(content: str, words: str, pie
 def test_the_command_tracks_a_pipe_as_it_tracks_the_file(tmp_path: Path) -> None:
     """Frames without rows are frames in which nothing was detected."""
     frames = [*range(3, 40), *range(45, 80), *range(100_000, 100_030)]
-    rows = "".join(f"{k},-1,{100 * j + 3 * (k % 100)},{20 + 90 * j},30,60,0.9\n" for k in frames for j in range(3))
+    rows = "".join(
+        f"{k},-1,{100 * j + 3 * (k % 100)},{20 + 90 * j},30,60,0.9\n"
+        for k in frames
+        for j in range(3)
+    )
     (tmp_path / "det.txt").write_text(rows)
-    command = [sys.executable, "-m", "phdtrack", "track", "--fps", "25", "--frame-size", "640x480", "--detections"]
+    command = [
+        sys.executable,
+        "-m",
+        "phdtrack",
+        "track",
+        "--fps",
+        "25",
+        "--frame-size",
+        "640x480",
+        "--detections",
+    ]
     for name, source, given in (("file", tmp_path / "det.txt", ""), ("pipe", "-", rows)):
         done = subprocess.run(
-            [*command, source, "--out", tmp_path / name], input=given, text=True, capture_output=True, check=False
+            [*command, source, "--out", tmp_path / name],
+            input=given,
+            text=True,
+            capture_output=True,
+            check=False,
         )
         assert done.returncode == 0, done.stderr
     online = [(tmp_path / name / "tracks_online.csv").read_text() for name in ("file", "pipe")]
@@ -96,9 +125,12 @@ def test_the_command_tracks_a_pipe_as_it_tracks_the_file(tmp_path: Path) -> None
     assert online[0].count("\n") > 150
     # The past of a pipe is forgotten; figures are of all.
     for name in ("file", "pipe"):
-        run, rows = json.loads((tmp_path / name / "run.json").read_text()), read_tracks(tmp_path / name / "tracks.csv")
+        run = json.loads((tmp_path / name / "run.json").read_text())
+        rows = read_tracks(tmp_path / name / "tracks.csv")
         assert (run["frames"], run["detections"]) == (1609, 3 * len(frames))
         assert (run["tracks"], run["track_rows"]) == (len(np.unique(rows.identity)), len(rows))
         assert 0 < run["predicted_rows"] == rows.predicted.sum()
         assert "1 h 6 min of video" in run["summary"][0]
-        assert ("The source had no end" in (tmp_path / name / "report.html").read_text()) == (name == "pipe")
+        assert ("The source had no end" in (tmp_path / name / "report.html").read_text()) == (
+            name == "pipe"
+        )

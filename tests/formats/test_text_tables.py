@@ -51,7 +51,9 @@ def test_every_usual_way_to_write_a_row(tmp_path: Path, content: str) -> None:
     assert table.detections.class_id.tolist() == [0]
 
 
-@pytest.mark.parametrize("content", ["", "\n\n", "# nothing\n", "\ufeff", "frame,id,left,top,width,height\n"])
+@pytest.mark.parametrize(
+    "content", ["", "\n\n", "# nothing\n", "\ufeff", "frame,id,left,top,width,height\n"]
+)
 def test_an_empty_file_has_no_rows(tmp_path: Path, content: str) -> None:
     path = put(tmp_path, content)
     assert len(read_detections(path)) == len(read_truth(path)) == len(read_tracks(path)) == 0
@@ -60,25 +62,59 @@ def test_an_empty_file_has_no_rows(tmp_path: Path, content: str) -> None:
 @pytest.mark.parametrize(
     ("content", "line", "words"),
     [
-        (GOOD + "2,-1,abc,20,30,40,0.5,-1,-1,-1\n", 2, "number for the left (column 3), came 'abc'"),
-        (GOOD + "\n# c\n2,-1,,20,30,40,0.5,-1,-1,-1\n", 4, "number for the left (column 3), came nothing"),
+        (
+            GOOD + "2,-1,abc,20,30,40,0.5,-1,-1,-1\n",
+            2,
+            "number for the left (column 3), came 'abc'",
+        ),
+        (
+            GOOD + "\n# c\n2,-1,,20,30,40,0.5,-1,-1,-1\n",
+            4,
+            "number for the left (column 3), came nothing",
+        ),
         (GOOD + "2,-1,nan,20,30,40,0.5,-1,-1,-1\n", 2, "finite numbers for the box, came left nan"),
         (GOOD + "2,-1,10,20,1e999,40,0.5,-1,-1,-1\n", 2, "finite numbers for the box"),
         (GOOD + "2,-1,10,20,30,40,nan,-1,-1,-1\n", 2, "finite confidence, came nan"),
         (GOOD + "2,-1,10,20,-3,40,0.5,-1,-1,-1\n", 2, "above 0, came width -3, height 40"),
-        (GOOD + "nan,-1,10,20,30,40,0.5,-1,-1,-1\n", 2, "whole number for the frame number, came nan"),
-        (GOOD + "1e30,-1,10,20,30,40,0.5,-1,-1,-1\n", 2, "whole number for the frame number, came 1e+30"),
+        (
+            GOOD + "nan,-1,10,20,30,40,0.5,-1,-1,-1\n",
+            2,
+            "whole number for the frame number, came nan",
+        ),
+        (
+            GOOD + "1e30,-1,10,20,30,40,0.5,-1,-1,-1\n",
+            2,
+            "whole number for the frame number, came 1e+30",
+        ),
         (GOOD + "0,-1,10,20,30,40,0.5,-1,-1,-1\n", 2, "expected frame 1 or later, came 0"),
-        (GOOD + "2,-1,10,20,30,40,0.5,-1,-1,-1,7\n", 2, "expected 10 values as in the first line, came 11"),
+        (
+            GOOD + "2,-1,10,20,30,40,0.5,-1,-1,-1,7\n",
+            2,
+            "expected 10 values as in the first line, came 11",
+        ),
         ("1,-1,1,2,3\n", 1, "at least 6 columns (frame, id, left, top, width, height), came 5"),
         ("1 -1 1_0 2 3 4\n", 1, "came '1_0'"),
-        ("frame,left,top,width,height\n1,2,3,4,5,6\n", 2, "expected 5 values as in the header, came 6"),
-        ("frame,left,top,width,height,class\n1,2,3,4,5,1\n2,2,3,4,5,\n", 3, "number for the class (column 6), came nothing"),
+        (
+            "frame,left,top,width,height\n1,2,3,4,5,6\n",
+            2,
+            "expected 5 values as in the header, came 6",
+        ),
+        (
+            "frame,left,top,width,height,class\n1,2,3,4,5,1\n2,2,3,4,5,\n",
+            3,
+            "number for the class (column 6), came nothing",
+        ),
         ("frame,left,top,width,height,class\n1,2,3,4,5,1.5\n", 2, "whole number for the class"),
-        ('frame,left,top,width,height,class\n1,2,3,4,5,car\n"\n', 3, "expected 6 values as in the header, came 0"),
+        (
+            'frame,left,top,width,height,class\n1,2,3,4,5,car\n"\n',
+            3,
+            "expected 6 values as in the header, came 0",
+        ),
     ],
 )
-def test_the_message_names_file_and_line(tmp_path: Path, content: str, line: int, words: str) -> None:
+def test_the_message_names_file_and_line(
+    tmp_path: Path, content: str, line: int, words: str
+) -> None:
     refused(read_detections, put(tmp_path, content), f", line {line}", words)
 
 
@@ -89,14 +125,18 @@ def test_the_first_bad_line_is_named_and_the_others_counted(tmp_path: Path) -> N
 
 
 def test_a_missing_column_is_reported_with_the_names_that_would_do(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"det.txt: no column for the frame; the columns are time, left.*frame_idx"):
+    with pytest.raises(
+        InputError, match=r"det.txt: no column for the frame; the columns are time, left.*frame_idx"
+    ):
         read_detections(put(tmp_path, "time,left,top,width,height\n1,2,3,4,5\n"))
     with pytest.raises(InputError, match="no column for the box"):
         read_detections(put(tmp_path, "frame,id,left,top,width\n1,1,2,3,4\n"))
     for reader in (read_truth, read_tracks):
         with pytest.raises(InputError, match="no column for the identity"):
             reader(put(tmp_path, "frame,left,top,width,height\n1,2,3,4,5\n"))
-        with pytest.raises(InputError, match=r"det.txt, line 1: .*identity, came -1.*file of detections"):
+        with pytest.raises(
+            InputError, match=r"det.txt, line 1: .*identity, came -1.*file of detections"
+        ):
             reader(put(tmp_path, GOOD))
 
 
@@ -126,7 +166,8 @@ def test_missing_file_and_folder(tmp_path: Path) -> None:
 
 
 def test_frames_are_sorted_and_the_order_within_them_is_kept(tmp_path: Path) -> None:
-    frames, lefts = [3, 1, 3, 2, 1], [1, 2, 3, 4, 5]
+    frames = [3, 1, 3, 2, 1]
+    lefts = [1, 2, 3, 4, 5]
     lines = "".join(f"{f},-1,{x},0,1,1\n" for f, x in zip(frames, lefts, strict=True))
     table = read_detections(put(tmp_path, lines))
     assert table.frame.tolist() == [1, 1, 2, 3, 3]
@@ -146,7 +187,9 @@ def test_files_that_count_from_zero(tmp_path: Path) -> None:
     st.lists(st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 3), min_size=1),
     st.sampled_from([",", ";", "\t", " "]),
 )
-def test_both_ways_through_a_file_agree(rows: list[tuple[float, float, float]], delimiter: str) -> None:
+def test_both_ways_through_a_file_agree(
+    rows: list[tuple[float, float, float]], delimiter: str
+) -> None:
     """The fast way and, forced by one pair of quotes, the careful one."""
     plain = [[repr(value) for value in row] for row in rows]
     quoted = [[f'"{plain[0][0]}"', *plain[0][1:]], *plain[1:]]
@@ -158,7 +201,10 @@ def test_both_ways_through_a_file_agree(rows: list[tuple[float, float, float]], 
     np.testing.assert_array_equal(got[1], got[0])
 
 
-@given(st.binary(max_size=200) | st.text(alphabet="0123456789.,;-\n\t \"'#eEinfa<[{", max_size=120).map(str.encode))
+@given(
+    st.binary(max_size=200)
+    | st.text(alphabet="0123456789.,;-\n\t \"'#eEinfa<[{", max_size=120).map(str.encode)
+)
 @settings(max_examples=200)
 def test_no_content_whatever_gives_anything_but_rows_or_an_input_error(
     tmp_path_factory: pytest.TempPathFactory, content: bytes
@@ -172,7 +218,8 @@ def test_no_content_whatever_gives_anything_but_rows_or_an_input_error(
 def test_boxes_without_area_are_left_out_and_counted(tmp_path: Path) -> None:
     """Of detections only: in truth and tracks they are faults."""
     path = put(tmp_path, GOOD + "2,-1,10,20,0,40,0.5,-1,-1,-1\n" + "1,-1,10,20,4,0,0.5,-1,-1,-1\n")
-    table, plain = read_detections(path), read_detections(put(tmp_path, GOOD, "good.txt"))
+    table = read_detections(path)
+    plain = read_detections(put(tmp_path, GOOD, "good.txt"))
     assert (table.empty, plain.empty) == (2, 0)
     assert table.frame.tolist() == plain.frame.tolist()
     np.testing.assert_array_equal(table.detections.xyxy, plain.detections.xyxy)
@@ -189,22 +236,29 @@ def test_a_missing_identity_is_told(tmp_path: Path) -> None:
 
 def test_tracks_that_are_given_as_detections_keep_their_class(tmp_path: Path) -> None:
     """Their eleventh column says which detection a row used."""
-    path = put(tmp_path, "1,3,10,20,30,40,0.9,-1,-1,-1,5,1,2\n2,3,11,20,30,40,0.9,-1,-1,-1,-1,1,2\n")
+    path = put(
+        tmp_path, "1,3,10,20,30,40,0.9,-1,-1,-1,5,1,2\n2,3,11,20,30,40,0.9,-1,-1,-1,-1,1,2\n"
+    )
     assert read_detections(path).detections.class_id.tolist() == [2, 2]
     path = put(tmp_path, "1,-1,10,20,30,40,0.9,-1,-1,-1,5\n")
     assert read_detections(path).detections.class_id.tolist() == [5]
 
 
 @pytest.mark.parametrize(
-    ("scale", "corners", "words"), [(1 / 640, False, "not shares of its size"), (1, True, "corners are taken for sizes")]
+    ("scale", "corners", "words"),
+    [(1 / 640, False, "not shares of its size"), (1, True, "corners are taken for sizes")],
 )
 def test_boxes_in_other_units_are_told(
     tmp_path: Path, rng: np.random.Generator, scale: float, corners: bool, words: str
 ) -> None:
-    left, top = rng.uniform(150, 560, 60), rng.uniform(150, 340, 60)
+    left = rng.uniform(150, 560, 60)
+    top = rng.uniform(150, 340, 60)
     width, height = rng.uniform(30, 70, (2, 60))
     last = np.stack([left + width, top + height] if corners else [width, height])
-    rows = np.stack([np.arange(1, 61), np.full(60, -1.0), *(scale * np.stack([left, top, *last])), np.ones(60)], axis=1)
+    rows = np.stack(
+        [np.arange(1, 61), np.full(60, -1.0), *(scale * np.stack([left, top, *last])), np.ones(60)],
+        axis=1,
+    )
     path = put(tmp_path, "".join(",".join(f"{value:.4f}" for value in row) + "\n" for row in rows))
     with pytest.raises(InputError, match=words):
         within_frame(read_detections(path), SequenceInfo(640, 480, 25.0), path)

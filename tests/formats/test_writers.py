@@ -22,7 +22,16 @@ from phdtrack.formats import (
     write_tracks,
     write_truth,
 )
-from phdtrack.types import F8, Detections, DetectionTable, Estimates, Step, Tracks, Truth, UpdateInfo
+from phdtrack.types import (
+    F8,
+    Detections,
+    DetectionTable,
+    Estimates,
+    Step,
+    Tracks,
+    Truth,
+    UpdateInfo,
+)
 
 
 def boxes(draw: st.DrawFn, n: int) -> F8:
@@ -61,8 +70,11 @@ def detection_tables(draw: st.DrawFn) -> DetectionTable:
 
 
 @given(tracks(), st.booleans())
-def test_tracks_and_truth_come_back(tmp_path_factory: pytest.TempPathFactory, original: Tracks, placed: bool) -> None:
-    path, n = tmp_path_factory.getbasetemp() / "tracks.csv", len(original)
+def test_tracks_and_truth_come_back(
+    tmp_path_factory: pytest.TempPathFactory, original: Tracks, placed: bool
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "tracks.csv"
+    n = len(original)
     place = np.arange(2.0 * n).reshape(2, n) - 3
     place[1, ::3] = np.nan
     with TracksWriter(path) as file:
@@ -72,7 +84,11 @@ def test_tracks_and_truth_come_back(tmp_path_factory: pytest.TempPathFactory, or
         np.testing.assert_array_equal(getattr(again, name), getattr(original, name))
     np.testing.assert_allclose(again.xyxy, original.xyxy, rtol=0, atol=2e-3)
     np.testing.assert_allclose(again.confidence, original.confidence, rtol=1e-6)
-    columns = np.array([line.split(",")[7:10] for line in path.read_text().splitlines()], np.float64).reshape(-1, 3).T
+    columns = (
+        np.array([line.split(",")[7:10] for line in path.read_text().splitlines()], np.float64)
+        .reshape(-1, 3)
+        .T
+    )
     known = np.isfinite(place[1]) & placed
     np.testing.assert_array_equal(columns[:, known], np.vstack([place, np.zeros(n)])[:, known])
     np.testing.assert_array_equal(columns[:, ~known], -1)
@@ -88,12 +104,15 @@ def test_tracks_and_truth_come_back(tmp_path_factory: pytest.TempPathFactory, or
 
 
 @given(detection_tables())
-def test_detections_come_back(tmp_path_factory: pytest.TempPathFactory, original: DetectionTable) -> None:
+def test_detections_come_back(
+    tmp_path_factory: pytest.TempPathFactory, original: DetectionTable
+) -> None:
     path = tmp_path_factory.getbasetemp() / "detections.csv"
     write_detections(path, original)
     again = read_detections(path)
     np.testing.assert_array_equal(again.frame, original.frame)
-    a, b = again.detections, original.detections
+    a = again.detections
+    b = original.detections
     np.testing.assert_allclose(a.xyxy, b.xyxy, rtol=0, atol=2e-6)
     np.testing.assert_allclose(a.confidence, b.confidence, rtol=1e-9)
     np.testing.assert_array_equal(a.class_id, b.class_id)
@@ -122,10 +141,18 @@ def test_a_covariance_must_be_one(tmp_path: Path) -> None:
         read_detections(path)
 
 
-def test_every_frame_is_on_disk_before_the_writer_is_closed_under_a_name_that_says_so(tmp_path: Path) -> None:
+def test_every_frame_is_on_disk_before_the_writer_is_closed_under_a_name_that_says_so(
+    tmp_path: Path,
+) -> None:
     found = Detections.of([[0, 0, 1, 1], [2, 2, 4, 4]], [0.5, -7])
     info = UpdateInfo(0.0, 0.0, 0.0, np.zeros(0), np.zeros(0))
-    state = Estimates(np.arange(12.0).reshape(6, 2), np.zeros((2, 6, 6)), np.array([1, 0.5]), found.xyxy, np.array([0, -1]))
+    state = Estimates(
+        np.arange(12.0).reshape(6, 2),
+        np.zeros((2, 6, 6)),
+        np.array([1, 0.5]),
+        found.xyxy,
+        np.array([0, -1]),
+    )
     with (
         DetectionsWriter(tmp_path / "d.csv") as detections,
         TracksWriter(tmp_path / "new" / "t.csv") as written,
@@ -134,7 +161,16 @@ def test_every_frame_is_on_disk_before_the_writer_is_closed_under_a_name_that_sa
         for frame in (1, 2, 3):
             detections.append(frame, found if frame != 2 else Detections.empty())
             written.append(one_row() if frame == 1 else Tracks.empty())
-            states.append(Step(frame, frame / 25, found, info, state if frame != 2 else Estimates.empty(6), Tracks.empty()))
+            states.append(
+                Step(
+                    frame,
+                    frame / 25,
+                    found,
+                    info,
+                    state if frame != 2 else Estimates.empty(6),
+                    Tracks.empty(),
+                )
+            )
         with pytest.raises(InputError, match="not complete"):
             read_detections(tmp_path / "d.csv.part")
         for name in ("d.csv", "new/t.csv", "s.csv"):
@@ -142,7 +178,9 @@ def test_every_frame_is_on_disk_before_the_writer_is_closed_under_a_name_that_sa
             shutil.copy(tmp_path / f"{name}.part", tmp_path / name)
         assert read_detections(tmp_path / "d.csv").frame.tolist() == [1, 1, 3, 3]
         assert read_detections(tmp_path / "s.csv").frame.tolist() == [1, 1, 3, 3]
-        assert (tmp_path / "new" / "t.csv").read_bytes() == b"3,8,1.5,2,9.75,40,1.25,-1,-1,-1,-1,0\n"
+        assert (
+            tmp_path / "new" / "t.csv"
+        ).read_bytes() == b"3,8,1.5,2,9.75,40,1.25,-1,-1,-1,-1,0\n"
         assert (tmp_path / "s.csv").read_text().splitlines() == [
             "frame,time,weight,detection,left,top,width,height,s0,s1,s2,s3,s4,s5",
             "1,0.040000,1,0,0,0,1,1,0,2,4,6,8,10",

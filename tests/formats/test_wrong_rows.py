@@ -1,4 +1,6 @@
-"""Rows that are wrong: the first is an error, or all are left out and counted; frame numbers as far as they go."""
+"""Rows that are wrong: the first is an error, or all are left out and counted; frame numbers as far
+as they go.
+"""
 
 import json
 from pathlib import Path
@@ -50,7 +52,9 @@ def test_in_text(tmp_path: Path, rows: list[str], at: int, bad: str, words: str)
     document = left_out.document()
     assert document["rows_left_out"] == 1
     assert str(document["first_left_out"]).startswith(f"{path}, line {at + 1}: expected")
-    assert left_out.sentences() == (f"1 row that is wrong is left out, the first: {document['first_left_out']}",)
+    assert left_out.sentences() == (
+        f"1 row that is wrong is left out, the first: {document['first_left_out']}",
+    )
 
 
 def test_the_first_of_several_is_named_and_all_are_counted(tmp_path: Path) -> None:
@@ -63,8 +67,14 @@ def test_the_first_of_several_is_named_and_all_are_counted(tmp_path: Path) -> No
 
 
 def test_in_json(tmp_path: Path) -> None:
-    entries: list[Any] = [{"image_id": k, "bbox": [10 * k, 20, 30, 60], "score": 0.5} for k in range(1, 5)]
-    entries[1:1] = [{"image_id": 2, "bbox": [1, 2, 3]}, 7, {"image_id": 10**20, "bbox": [1, 2, 3, 4]}]
+    entries: list[Any] = [
+        {"image_id": k, "bbox": [10 * k, 20, 30, 60], "score": 0.5} for k in range(1, 5)
+    ]
+    entries[1:1] = [
+        {"image_id": 2, "bbox": [1, 2, 3]},
+        7,
+        {"image_id": 10**20, "bbox": [1, 2, 3, 4]},
+    ]
     path = put(tmp_path, json.dumps(entries), "boxes.json")
     with pytest.raises(InputError, match="four numbers for bbox"):
         read_detections(path)
@@ -91,7 +101,11 @@ def test_frame_numbers_end_somewhere(tmp_path: Path) -> None:
 
 
 def walked(frames: list[int], last: int, fps: float) -> list[int]:
-    return list(frames_walked(DetectionTable(np.array(frames), Detections.of(np.zeros((len(frames), 4)))), last, fps))
+    return list(
+        frames_walked(
+            DetectionTable(np.array(frames), Detections.of(np.zeros((len(frames), 4)))), last, fps
+        )
+    )
 
 
 def test_short_gaps_are_walked_frame_by_frame() -> None:

@@ -21,7 +21,9 @@ def test_exact_points_give_the_camera_back(n: int) -> None:
     assert fitted.pixel_error.max() < 1e-8
     assert fitted.ground_error.max() < 1e-8
     pixel = clicked(np.array([[5.0, 30], [-12, 40]]))
-    np.testing.assert_allclose(fitted.camera.ground(pixel), HomographyCamera(PLANE).ground(pixel), rtol=1e-6)
+    np.testing.assert_allclose(
+        fitted.camera.ground(pixel), HomographyCamera(PLANE).ground(pixel), rtol=1e-6
+    )
 
 
 def test_noisy_points_give_the_least_squares_in_the_image(rng: np.random.Generator) -> None:
@@ -33,16 +35,21 @@ def test_noisy_points_give_the_least_squares_in_the_image(rng: np.random.Generat
     back = HomographyCamera(np.linalg.inv(theirs), fitted.camera.inside).pixels(WORLD)
     assert ours <= ((back - pixel) ** 2).sum() * (1 + 1e-6)
     for _ in range(50):
-        other = HomographyCamera(fitted.camera.matrix * (1 + 1e-5 * rng.standard_normal((3, 3))), fitted.camera.inside)
+        other = HomographyCamera(
+            fitted.camera.matrix * (1 + 1e-5 * rng.standard_normal((3, 3))), fitted.camera.inside
+        )
         assert ((other.pixels(WORLD) - pixel) ** 2).sum() > ours
     np.testing.assert_allclose(np.hypot(*(fitted.camera.pixels(WORLD) - pixel)), fitted.pixel_error)
-    np.testing.assert_allclose(np.hypot(*(fitted.camera.ground(pixel) - WORLD)), fitted.ground_error)
+    np.testing.assert_allclose(
+        np.hypot(*(fitted.camera.ground(pixel) - WORLD)), fitted.ground_error
+    )
 
 
 def test_units_and_origins_do_not_matter(rng: np.random.Generator) -> None:
     """Coordinates of a national grid, half a million metres off: the same residuals."""
     pixel = clicked() + rng.normal(0, 1.5, WORLD.shape)
-    here, there = fit_homography(pixel, WORLD), fit_homography(pixel, WORLD + np.array([[674_000.0], [6_580_000]]))
+    here = fit_homography(pixel, WORLD)
+    there = fit_homography(pixel, WORLD + np.array([[674_000.0], [6_580_000]]))
     np.testing.assert_allclose(there.pixel_error, here.pixel_error, atol=1e-3)
     np.testing.assert_allclose(there.ground_error, here.ground_error, atol=1e-4)
 

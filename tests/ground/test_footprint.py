@@ -1,4 +1,6 @@
-"""The field of view on the ground; covariances of ground points against sampling, and in a Kalman filter."""
+"""The field of view on the ground; covariances of ground points against sampling, and in a Kalman
+filter.
+"""
 
 import numpy as np
 import pytest
@@ -7,16 +9,26 @@ from scipy.stats import chi2
 
 from camera_cases import CAMERAS, MATRIX, PLANE, SIZE, looking, posed, tsai
 from phdtrack.errors import InputError
-from phdtrack.ground import HomographyCamera, OpenCVLens, PosedCamera, Terrain, footprint, ground_covariance
+from phdtrack.ground import (
+    HomographyCamera,
+    OpenCVLens,
+    PosedCamera,
+    Terrain,
+    footprint,
+    ground_covariance,
+)
 
 
 @pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
-def test_a_point_is_inside_when_the_frame_shows_it(camera: PosedCamera, rng: np.random.Generator) -> None:
+def test_a_point_is_inside_when_the_frame_shows_it(
+    camera: PosedCamera, rng: np.random.Generator
+) -> None:
     """But for points within 0.3 m of the outline, which is a polygon and no curve."""
     polygon = footprint(camera, SIZE, 50.0)
     assert np.isfinite(polygon).all()
     assert camera.depth(polygon).max() == pytest.approx(50)
-    low, high = polygon.min(axis=1, keepdims=True) - 10, polygon.max(axis=1, keepdims=True) + 10
+    low = polygon.min(axis=1, keepdims=True) - 10
+    high = polygon.max(axis=1, keepdims=True) + 10
     world = rng.uniform(low, high, (2, 1500))
     pixel = camera.pixels(world)
     size = np.array(SIZE)[:, None]
@@ -24,7 +36,9 @@ def test_a_point_is_inside_when_the_frame_shows_it(camera: PosedCamera, rng: np.
     outline = Outline(polygon.T)
     inside = outline.contains_points(world.T)
     closed = np.hstack([polygon, polygon[:, :1]])
-    dense = np.concatenate([np.linspace(a, b, 20) for a, b in zip(closed.T[:-1], closed.T[1:], strict=True)])
+    dense = np.concatenate(
+        [np.linspace(a, b, 20) for a, b in zip(closed.T[:-1], closed.T[1:], strict=True)]
+    )
     clear = np.array([np.hypot(*(dense - point).T).min() > 0.3 for point in world.T])
     assert 80 < shown.sum() < 1400
     # Terrain may hide ground within the outline; what is shown lies inside of it all the same.
@@ -54,7 +68,8 @@ def repeated(cov: np.ndarray, n: int) -> np.ndarray:
 
 @pytest.mark.parametrize("name", ["tsai", "opencv, five", "homography"])
 def test_it_is_the_covariance_of_sampled_pixels(name: str, rng: np.random.Generator) -> None:
-    camera, cov = CAMERAS[name], np.array([[4.0, 1.5], [1.5, 9.0]])
+    camera = CAMERAS[name]
+    cov = np.array([[4.0, 1.5], [1.5, 9.0]])
     pixel = np.array([[100.0, 400, 700], [350, 420, 560]])
     found = ground_covariance(camera, pixel, repeated(cov, 3))
     for i in range(3):
@@ -64,21 +79,29 @@ def test_it_is_the_covariance_of_sampled_pixels(name: str, rng: np.random.Genera
 
 
 def nees(distance: float, rng: np.random.Generator, n: int) -> np.ndarray:
-    """(n,) normalised squared errors of one Kalman update each, on a person ``distance`` m ahead, 2 pixels of noise."""
-    camera, deviation, prior = posed(tsai(5e-3)), 2.0, 0.5**2 * np.eye(2)
+    """(n,) normalised squared errors of one Kalman update each, on a person ``distance`` m ahead, 2
+    pixels of noise.
+    """
+    camera = posed(tsai(5e-3))
+    deviation = 2.0
+    prior = 0.5**2 * np.eye(2)
     direction = camera.rotation[2, :2] / np.linalg.norm(camera.rotation[2, :2])
     expected = (camera.position[:2] + distance * direction)[:, None]
     true = expected + 0.5 * rng.standard_normal((2, n))
     pixel = camera.pixels(true) + deviation * rng.standard_normal((2, n))
-    z, noise = camera.ground(pixel), ground_covariance(camera, pixel, repeated(deviation**2 * np.eye(2), n))
+    z = camera.ground(pixel)
+    noise = ground_covariance(camera, pixel, repeated(deviation**2 * np.eye(2), n))
     gain = prior @ np.linalg.inv(prior + noise)
     error = expected + np.einsum("nij,jn->in", gain, z - expected) - true
     return np.einsum("in,nij,jn->n", error, np.linalg.inv(prior - gain @ prior), error)
 
 
 def test_a_kalman_filter_that_uses_it_is_consistent() -> None:
-    """NEES of 8000 updates, 12 to 60 m away, within its 95 % band; and near and far apart within 99.9 %."""
-    rng, n = np.random.default_rng(13), 2000
+    """NEES of 8000 updates, 12 to 60 m away, within its 95 % band; and near and far apart within
+    99.9 %.
+    """
+    rng = np.random.default_rng(13)
+    n = 2000
     each = [nees(distance, rng, n) for distance in (12.0, 25.0, 40.0, 60.0)]
     low, high = chi2.ppf([0.025, 0.975], 2 * n * len(each)) / (n * len(each))
     assert low < np.mean(each) < high

@@ -9,17 +9,22 @@ from phdtrack.ground import HomographyCamera, OpenCVLens
 
 
 def test_it_is_the_undistorted_camera_on_flat_ground(rng: np.random.Generator) -> None:
-    pinhole, camera = posed(OpenCVLens(MATRIX)), HomographyCamera(PLANE)
+    pinhole = posed(OpenCVLens(MATRIX))
+    camera = HomographyCamera(PLANE)
     pixel = pixels(rng, 500)
-    theirs, ours = pinhole.ground(pixel), camera.ground(pixel)
+    theirs = pinhole.ground(pixel)
+    ours = camera.ground(pixel)
     np.testing.assert_array_equal(np.isnan(ours), np.isnan(theirs))
     np.testing.assert_allclose(ours, theirs, rtol=1e-8)
     np.testing.assert_allclose(camera.jacobian(pixel), pinhole.jacobian(pixel), rtol=1e-7)
 
 
 def test_depth_is_the_distance_along_the_ground() -> None:
-    """Of the pinhole's camera: its horizontal distance along the direction that it looks into, from below it."""
-    pinhole, camera = posed(OpenCVLens(MATRIX)), HomographyCamera(PLANE)
+    """Of the pinhole's camera: its horizontal distance along the direction that it looks into, from
+    below it.
+    """
+    pinhole = posed(OpenCVLens(MATRIX))
+    camera = HomographyCamera(PLANE)
     world = np.array([[0.0, 10, -5, -40], [0, -8, 30, -50]])
     ahead = pinhole.rotation[2, :2] / np.linalg.norm(pinhole.rotation[2, :2])
     # The line on which the camera's own plane meets the ground lies behind the point below it.
@@ -45,7 +50,9 @@ def test_the_side_of_the_horizon_can_be_said() -> None:
     pixel = np.array([[380.0], [40]])
     assert np.isnan(HomographyCamera(turned).ground(pixel)).all()
     seen = HomographyCamera(turned, inside=(380.0, 40.0))
-    np.testing.assert_allclose(seen.ground(pixel), HomographyCamera(PLANE).ground(np.array([[388.0], [536]])))
+    np.testing.assert_allclose(
+        seen.ground(pixel), HomographyCamera(PLANE).ground(np.array([[388.0], [536]]))
+    )
 
 
 @pytest.mark.parametrize(

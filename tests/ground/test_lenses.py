@@ -11,13 +11,18 @@ from phdtrack.ground import OpenCVLens, PosedCamera, TsaiLens
 
 def test_tsai_is_the_solution_of_the_two_linear_equations(rng: np.random.Generator) -> None:
     """E13 (6), (7), pixel by pixel in millimetres, as the calibration files have it."""
-    camera, lens = posed(tsai(5e-3)), tsai(5e-3)
+    camera = posed(tsai(5e-3))
+    lens = tsai(5e-3)
     translation = 1000 * TRANSLATION
     for xf, yf in rng.uniform([0, 300], [768, 576], (40, 2)):
-        xd, yd = 5.1e-3 * (xf - lens.cx) / lens.sx, 4.6e-3 * (yf - lens.cy)
+        xd = 5.1e-3 * (xf - lens.cx) / lens.sx
+        yd = 4.6e-3 * (yf - lens.cy)
         factor = (1 + 5e-3 * (xd**2 + yd**2)) / 5.5
-        u, v = xd * factor, yd * factor
-        equations = np.array([ROTATION[0, :2] - u * ROTATION[2, :2], ROTATION[1, :2] - v * ROTATION[2, :2]])
+        u = xd * factor
+        v = yd * factor
+        equations = np.array(
+            [ROTATION[0, :2] - u * ROTATION[2, :2], ROTATION[1, :2] - v * ROTATION[2, :2]]
+        )
         right = np.array([u * translation[2] - translation[0], v * translation[2] - translation[1]])
         place = np.linalg.solve(equations, right) / 1000
         np.testing.assert_allclose(camera.ground(np.array([[xf], [yf]]))[:, 0], place, atol=1e-9)
@@ -33,7 +38,9 @@ def test_the_cubic_has_its_root_however_strong_the_distortion(rng: np.random.Gen
 
 
 def test_beyond_the_fold_is_outside_of_the_lens() -> None:
-    """κ = −0.05: the fold is 2.58 mm from the axis, and the undistorted radius there is two thirds of that."""
+    """κ = −0.05: the fold is 2.58 mm from the axis, and the undistorted radius there is two thirds
+    of that.
+    """
     lens = tsai(-0.05)
     fold = 1e-3 / np.sqrt(3 * 0.05)
     edge = 2 / 3 * fold / lens.focal
@@ -47,11 +54,15 @@ def test_beyond_the_fold_is_outside_of_the_lens() -> None:
     assert np.isnan(seen[:, 1]).all()
 
 
-@pytest.mark.parametrize("distortion", [np.zeros(0), BARREL[:4], BARREL, RATIONAL, PRISM], ids=["0", "4", "5", "8", "12"])
+@pytest.mark.parametrize(
+    "distortion", [np.zeros(0), BARREL[:4], BARREL, RATIONAL, PRISM], ids=["0", "4", "5", "8", "12"]
+)
 def test_pixels_are_those_of_opencv(distortion: np.ndarray, rng: np.random.Generator) -> None:
     camera = PosedCamera(OpenCVLens(MATRIX, distortion), ROTATION, TRANSLATION)
     world = np.vstack([rng.uniform(-12, 12, (2, 300)), rng.uniform(0, 2, 300)])
-    theirs, _ = cv2.projectPoints(world.T, cv2.Rodrigues(ROTATION)[0], TRANSLATION, MATRIX, distortion)
+    theirs, _ = cv2.projectPoints(
+        world.T, cv2.Rodrigues(ROTATION)[0], TRANSLATION, MATRIX, distortion
+    )
     ours = camera.pixels(world)
     seen = np.isfinite(ours).all(axis=0)
     assert seen.mean() > 0.9
@@ -78,7 +89,10 @@ def test_a_fold_of_opencvs_lens_is_outside() -> None:
     [
         (lambda: OpenCVLens(np.eye(2)), "camera matrix"),
         (lambda: OpenCVLens(np.diag([800.0, -800, 1])), "focal lengths above 0"),
-        (lambda: OpenCVLens(MATRIX + np.array([[0, 0.3, 0], [0, 0, 0], [0, 0, 0]])), "other entries"),
+        (
+            lambda: OpenCVLens(MATRIX + np.array([[0, 0.3, 0], [0, 0, 0], [0, 0, 0]])),
+            "other entries",
+        ),
         (lambda: OpenCVLens(MATRIX, np.zeros(3)), "0, 4, 5, 8 or 12"),
         (lambda: OpenCVLens(MATRIX, np.zeros(14)), "tilted sensor"),
         (lambda: OpenCVLens(MATRIX, np.array([0, 0, np.nan, 0])), "finite"),

@@ -1,4 +1,6 @@
-"""MATLAB files are read by SciPy in a process of its own: whatever becomes of that, a camera or a sentence comes back."""
+"""MATLAB files are read by SciPy in a process of its own: whatever becomes of that, a camera or a
+sentence comes back.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +20,20 @@ FORM = MatrixForm(unit="cm", vectors="column")
 
 
 def saved(folder: Path, content: bytes | None = None) -> Path:
-    path, file = folder / "h.mat", io.BytesIO()
-    savemat(file, {"h": np.array([[0.01, 0.002, -3], [0.0003, -0.02, 4], [1e-5, 2e-3, 1]])}, do_compression=True)
+    path = folder / "h.mat"
+    file = io.BytesIO()
+    savemat(
+        file,
+        {"h": np.array([[0.01, 0.002, -3], [0.0003, -0.02, 4], [1e-5, 2e-3, 1]])},
+        do_compression=True,
+    )
     path.write_bytes(file.getvalue() if content is None else content)
     return path
 
 
-def test_a_reader_that_crashes_takes_nothing_along(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reader_that_crashes_takes_nothing_along(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(read, "_MATLAB", "import os; os.abort()")
     with pytest.raises(InputError, match=r"h\.mat: .*SciPy cannot read \(it crashed\)"):
         read_camera(saved(tmp_path), FORM)
@@ -52,7 +61,8 @@ def test_other_files_get_a_sentence(tmp_path: Path, content: bytes, words: str) 
 
 
 def test_cuts_and_flips_are_read_or_refused(tmp_path: Path) -> None:
-    whole, rng = saved(tmp_path).read_bytes(), random.Random(1)
+    whole = saved(tmp_path).read_bytes()
+    rng = random.Random(1)
     read_camera(saved(tmp_path, whole), FORM)
     for _ in range(6):
         content = bytearray(whole)

@@ -55,7 +55,11 @@ def test_tsai_in_millimetres(tmp_path: Path) -> None:
     turned = Rotation.from_euler("xyz", [2.04, -0.893, -0.43]).as_matrix()  # Rz·Ry·Rx
     np.testing.assert_allclose(camera.rotation, turned, atol=1e-14)
     without = TSAI.replace('dpx="5.1e-3" dpy="4.6e-3"', "")
-    same(read_camera(put(tmp_path, "b.xml", without)), camera, np.array([[100.0, 400, 700], [350, 420, 560]]))
+    same(
+        read_camera(put(tmp_path, "b.xml", without)),
+        camera,
+        np.array([[100.0, 400, 700], [350, 420, 560]]),
+    )
 
 
 def test_a_homography_in_text_by_every_convention(tmp_path: Path) -> None:
@@ -65,7 +69,9 @@ def test_a_homography_in_text_by_every_convention(tmp_path: Path) -> None:
     for maps, vectors, pixel, unit in itertools.product(
         ("pixel-to-ground", "ground-to-pixel"), ("column", "row"), ("xy", "row-column"), units
     ):
-        matrix = np.diag([units[unit], units[unit], 1]) @ PLANE @ (np.eye(3) if pixel == "xy" else swap)
+        matrix = (
+            np.diag([units[unit], units[unit], 1]) @ PLANE @ (np.eye(3) if pixel == "xy" else swap)
+        )
         matrix = matrix if maps == "pixel-to-ground" else np.linalg.inv(matrix)
         matrix = matrix if vectors == "column" else matrix.T
         path = put(tmp_path, "h.txt", f"# a camera\n{rows(matrix)}\n")
@@ -107,7 +113,11 @@ def test_matlab(tmp_path: Path) -> None:
 def test_opencvs_own_files(tmp_path: Path, name: str) -> None:
     if name.endswith("json"):
         keys = {"mtx": MATRIX, "dist": BARREL[None], "rvec": VECTOR, "tvec": TRANSLATION}
-        path = put(tmp_path, name, json.dumps({key: value.tolist() for key, value in keys.items()} | {"error": 0.3}))
+        path = put(
+            tmp_path,
+            name,
+            json.dumps({key: value.tolist() for key, value in keys.items()} | {"error": 0.3}),
+        )
     else:
         path = tmp_path / name
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
@@ -132,7 +142,8 @@ unit = "mm"
 def test_described_in_toml_with_terrain(tmp_path: Path) -> None:
     same(read_camera(put(tmp_path, "camera.toml", DESCRIBED)), posed(OpenCVLens(MATRIX, BARREL)))
     ground = hills()
-    (x, y), rows = ground.origin, "\n".join(" ".join(map(repr, row)) for row in ground.heights[::-1].tolist())
+    x, y = ground.origin
+    rows = "\n".join(" ".join(map(repr, row)) for row in ground.heights[::-1].tolist())
     head = f"ncols {ground.heights.shape[1]}\nnrows {ground.heights.shape[0]}\nxllcenter {x}\nyllcenter {y}\n"
     put(tmp_path, "hills.asc", f"{head}cellsize {ground.step[0]}\n{rows}\n")
     path = put(tmp_path, "camera.toml", DESCRIBED + 'terrain = "hills.asc"\n')
@@ -142,9 +153,13 @@ def test_described_in_toml_with_terrain(tmp_path: Path) -> None:
     np.testing.assert_array_equal(camera.surface.heights, ground.heights)
 
 
-def test_what_calibrate_writes_is_read_to_the_last_bit(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_what_calibrate_writes_is_read_to_the_last_bit(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
     world = np.array([[0.0, 12, 10, -8, 3], [-8, -3, 10, 12, 2]])
-    fitted = fit_homography(posed(OpenCVLens(MATRIX)).pixels(world) + rng.normal(0, 1, world.shape), world)
+    fitted = fit_homography(
+        posed(OpenCVLens(MATRIX)).pixels(world) + rng.normal(0, 1, world.shape), world
+    )
     for size in (None, (768, 576)):
         camera = read_camera(put(tmp_path, "camera.toml", calibration_text(fitted, size)))
         np.testing.assert_array_equal(camera.ground(PIXEL), fitted.camera.ground(PIXEL))
@@ -158,21 +173,33 @@ HOMOGRAPHY = f"homography = {PLANE.tolist()}\n"
     ("text", "where", "words"),
     [
         (tsai_with('focal="5.5" ', ""), ", line 4", "<Intrinsic> with a value for focal"),
-        (tsai_with('kappa1="5e-3"', 'kappa1="five"'), ", line 4", "number for kappa1 of <Intrinsic>, came 'five'"),
+        (
+            tsai_with('kappa1="5e-3"', 'kappa1="five"'),
+            ", line 4",
+            "number for kappa1 of <Intrinsic>, came 'five'",
+        ),
         (tsai_with('rx="2.04"', 'rx="nan"'), ", line 5", "finite number for rx"),
         (tsai_with("  <Extrinsic", "  <Outside"), "", "an element <Extrinsic>"),
         (tsai_with("</Camera>", ""), ", line ", "XML, which breaks here"),
         (tsai_with('focal="5.5"', 'focal="-5.5"'), "", "TsaiLens.focal: expected a value above 0"),
         (tsai_with('encoding="UTF-8"', 'encoding="UTF-88"'), ", line 1", "XML in UTF-8"),
         (tsai_with("<Camera", "<dataset"), ", line ", "XML with <dataset>|breaks"),
-        (tsai_with("<Camera name", '<!DOCTYPE Camera [<!ENTITY a "b">]><Camera name'), ", line 2", "document type"),
+        (
+            tsai_with("<Camera name", '<!DOCTYPE Camera [<!ENTITY a "b">]><Camera name'),
+            ", line 2",
+            "document type",
+        ),
         ("homografy = 3\n", "", "no setting homografy. Did you mean homography"),
         ("homography = [[1, 2], [3, 4]]\n", ", homography", "3 x 3 numbers, came 2 x 2"),
         (HOMOGRAPHY + 'maps = "sideways"\n', "", "maps = pixel-to-ground or ground-to-pixel"),
         (HOMOGRAPHY + "inside = [3]\n", ", inside", "2 numbers, came 1"),
         (HOMOGRAPHY + 'terrain = "x.asc"\n', "", "flat ground only"),
         (HOMOGRAPHY + 'file = "x.txt"\n', "", "came file and homography"),
-        ('homography = [[1, 2, 3], [2, 4, 6], [7, 8, 9]]\nmaps = "ground-to-pixel"\n', "", "can be inverted"),
+        (
+            'homography = [[1, 2, 3], [2, 4, 6], [7, 8, 9]]\nmaps = "ground-to-pixel"\n',
+            "",
+            "can be inverted",
+        ),
         ('file = "gone.xml"\n', "", "there is no such file"),
         ('file = "camera.toml"\n', "", "yet another file"),
         ("file = 3\n", ", file", "name of a file"),
@@ -180,11 +207,23 @@ HOMOGRAPHY = f"homography = {PLANE.tolist()}\n"
         ("homography = 3 4\n", ", line 1", "as TOML it breaks here"),
         (DESCRIBED.replace("distortion_coefficients", "dist_coeff"), "", "no setting dist_coeff"),
         (DESCRIBED.replace('"mm"', '"inch"'), "", "unit = m or cm or mm"),
-        ("\n".join(x for x in DESCRIBED.splitlines() if not x.startswith("R ")), "", "the pose of the camera"),
-        ("\n".join(x for x in DESCRIBED.splitlines() if not x.startswith("dist")), "", "distortion_coefficients = \\[\\]"),
+        (
+            "\n".join(x for x in DESCRIBED.splitlines() if not x.startswith("R ")),
+            "",
+            "the pose of the camera",
+        ),
+        (
+            "\n".join(x for x in DESCRIBED.splitlines() if not x.startswith("dist")),
+            "",
+            "distortion_coefficients = \\[\\]",
+        ),
         ("1 2 3\n4 5 6\n", "", "three lines of three numbers of a homography, came 2"),
         ("1 2 3\n4 5 6\n7 8 x\n", ", line 3", "3 numbers, came '7 8 x'"),
-        ("1 2 3\n4 5 6\n7 8 9\n1 2 3\n", "", "three lines of three numbers of a homography, came 4"),
+        (
+            "1 2 3\n4 5 6\n7 8 9\n1 2 3\n",
+            "",
+            "three lines of three numbers of a homography, came 4",
+        ),
         ("1 2 3\n2 4 6\n7 8 9\n", "", "can be inverted"),
         ('{"camera_matrix": \n [}', ", line 2", "JSON, which breaks here"),
         ("%YAML:1.0\n---\ncamera_matrix: [1,\n  }", "", "cv2.FileStorage"),

@@ -15,7 +15,8 @@ pytestmark = pytest.mark.data
 def test_pets_foot_points_land_where_the_truth_says(data: Path) -> None:
     camera = read_camera(data / "pets2009" / "View_001.xml")
     rows = np.loadtxt(data / "mot15" / "PETS09-S2L1" / "gt" / "gt.txt", delimiter=",")
-    foot, place = np.stack([rows[:, 2] + rows[:, 4] / 2, rows[:, 3] + rows[:, 5]]), rows[:, 7:9].T
+    foot = np.stack([rows[:, 2] + rows[:, 4] / 2, rows[:, 3] + rows[:, 5]])
+    place = rows[:, 7:9].T
     assert np.median(np.hypot(*(camera.ground(foot) - place))) < 0.125
     # MOTChallenge counts pixels from 1, a calibration from 0: that alone is most of it.
     assert np.median(np.hypot(*(camera.ground(foot - 1) - place))) < 0.04
@@ -27,7 +28,9 @@ def test_pets_foot_points_land_where_the_truth_says(data: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "size"), [("seq_eth", (640, 480)), ("zara01", (720, 590))])
-def test_pedestrians_of_eth_and_ucy_are_in_the_picture(data: Path, name: str, size: tuple[int, int]) -> None:
+def test_pedestrians_of_eth_and_ucy_are_in_the_picture(
+    data: Path, name: str, size: tuple[int, int]
+) -> None:
     """The annotations of zara01 go 10 pixels below the frame of 576 rows."""
     camera = read_camera(data / "groups" / name / "H.txt")
     place = np.loadtxt(data / "groups" / name / "obsmat.txt")[:, [2, 4]].T
@@ -37,7 +40,9 @@ def test_pedestrians_of_eth_and_ucy_are_in_the_picture(data: Path, name: str, si
 
 
 def test_caviar_says_which_of_its_transforms_and_gives_metres(data: Path) -> None:
-    """People in a corridor: those who are not far away keep within a few metres across, and walk."""
+    """People in a corridor: those who are not far away keep within a few metres across, and
+    walk.
+    """
     path = data / "caviar" / "caviar_homography.mat"
     with pytest.raises(InputError, match="came c2b, f2b"):
         read_camera(path)
@@ -50,5 +55,7 @@ def test_caviar_says_which_of_its_transforms_and_gives_metres(data: Path) -> Non
     speeds = []
     for identity in np.unique(truth.identity[near]):
         way = ground[:, truth.identity[near] == identity]
-        speeds.append(np.median(np.hypot(*(way[:, 25:] - way[:, :-25]))) if way.shape[1] > 50 else 0.0)
+        speeds.append(
+            np.median(np.hypot(*(way[:, 25:] - way[:, :-25]))) if way.shape[1] > 50 else 0.0
+        )
     assert 0.8 < max(speeds) < 2.0, "metres in a second, 25 frames"

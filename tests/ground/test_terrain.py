@@ -1,4 +1,6 @@
-"""Elevation maps: flat ones are flat ground, slopes are planes, hills hide what lies behind them."""
+"""Elevation maps: flat ones are flat ground, slopes are planes, hills hide what lies behind
+them.
+"""
 
 from pathlib import Path
 
@@ -19,25 +21,35 @@ def terrain(height: np.ndarray) -> Terrain:
 
 def test_flat_terrain_is_flat_ground(rng: np.random.Generator) -> None:
     pixel = pixels(rng, 1000)
-    flat, map_ = posed(tsai(5e-3), Flat(2.5)), posed(tsai(5e-3), terrain(np.full((101, 101), 2.5)))
-    expected, found = flat.ground(pixel), map_.ground(pixel)
+    flat = posed(tsai(5e-3), Flat(2.5))
+    map_ = posed(tsai(5e-3), terrain(np.full((101, 101), 2.5)))
+    expected = flat.ground(pixel)
+    found = map_.ground(pixel)
     on_map = (np.abs(expected) <= 100).all(axis=0)
     assert on_map.sum() > 400
     np.testing.assert_allclose(found[:, on_map], expected[:, on_map], rtol=1e-12)
     assert np.isnan(found[:, ~on_map]).all(), "beyond the map nothing is known"
-    np.testing.assert_allclose(map_.jacobian(pixel)[on_map], flat.jacobian(pixel)[on_map], rtol=1e-9)
+    np.testing.assert_allclose(
+        map_.jacobian(pixel)[on_map], flat.jacobian(pixel)[on_map], rtol=1e-9
+    )
     np.testing.assert_allclose(map_.pixels(expected[:, on_map]), flat.pixels(expected[:, on_map]))
 
 
 def test_a_slope_is_a_plane(rng: np.random.Generator) -> None:
-    """Where a ray meets z = 0.1 x − 0.05 y + 1 has a closed form, and bilinear interpolation is exact on planes."""
+    """Where a ray meets z = 0.1 x − 0.05 y + 1 has a closed form, and bilinear interpolation is
+    exact on planes.
+    """
     y, x = np.mgrid[-100:101:2.0, -100:101:2.0]
     camera = posed(tsai(5e-3), terrain(0.1 * x - 0.05 * y + 1))
     pixel = rng.uniform([[0], [330]], [[768], [576]], (2, 300))
     ray = np.vstack([camera.lens.rays(pixel), np.ones(300)])
-    direction, origin, normal = ROTATION.T @ ray, -ROTATION.T @ TRANSLATION, np.array([-0.1, 0.05, 1])
+    direction = ROTATION.T @ ray
+    origin = -ROTATION.T @ TRANSLATION
+    normal = np.array([-0.1, 0.05, 1])
     s = (1 - normal @ origin) / (normal @ direction)
-    np.testing.assert_allclose(camera.ground(pixel), (origin[:, None] + s * direction)[:2], atol=1e-9)
+    np.testing.assert_allclose(
+        camera.ground(pixel), (origin[:, None] + s * direction)[:2], atol=1e-9
+    )
 
 
 def test_the_point_found_is_the_first_on_the_line_of_sight(rng: np.random.Generator) -> None:
@@ -57,7 +69,9 @@ def test_the_point_found_is_the_first_on_the_line_of_sight(rng: np.random.Genera
 
 
 def test_what_comes_onto_the_map_below_its_ground_shows_nothing_known() -> None:
-    """A plateau at the map's edge, higher than the camera: it bars the view of the valley behind it, from outside."""
+    """A plateau at the map's edge, higher than the camera: it bars the view of the valley behind
+    it, from outside.
+    """
     y, x = np.mgrid[-10:191:2.0, -10:191:2.0]
     plateau = np.where(x + y < 10, 9.0, 0.0)
     camera = posed(tsai(5e-3), Terrain(np.array([-10.0, -10]), STEP, plateau))
@@ -87,7 +101,9 @@ def test_a_camera_whose_world_points_down_sees_the_same(rng: np.random.Generator
     one = PosedCamera(tsai(5e-3), ROTATION, TRANSLATION, up)
     other = PosedCamera(tsai(5e-3), ROTATION @ mirror, TRANSLATION, down)
     pixel = pixels(rng, 300)
-    np.testing.assert_allclose(other.ground(pixel) * np.array([[1], [-1]]), one.ground(pixel), atol=1e-8)
+    np.testing.assert_allclose(
+        other.ground(pixel) * np.array([[1], [-1]]), one.ground(pixel), atol=1e-8
+    )
 
 
 def test_files(tmp_path: Path) -> None:

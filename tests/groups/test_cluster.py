@@ -1,4 +1,6 @@
-"""Connected components in position and velocity, against brute force; head counts and their uncertainty."""
+"""Connected components in position and velocity, against brute force; head counts and their
+uncertainty.
+"""
 
 import numpy as np
 import pytest
@@ -17,7 +19,8 @@ def brute_force(mean, near, slow):
         before = label.copy()
         for i in range(len(label)):
             for j in range(len(label)):
-                d, v = np.hypot(*(mean[:2, i] - mean[:2, j])), np.hypot(*(mean[2:, i] - mean[2:, j]))
+                d = np.hypot(*(mean[:2, i] - mean[:2, j]))
+                v = np.hypot(*(mean[2:, i] - mean[2:, j]))
                 if d < near and v < slow:
                     label[i] = label[j] = min(label[i], label[j])
         if (before == label).all():
@@ -39,7 +42,8 @@ def test_the_count_is_the_sum_of_weights_and_the_mean_weighed():
     found = Grouping().groups(people([(0, 0, 1, 0), (1, 0, 1, 0)], [1.0, 0.5]))
     assert found.count[0] == pytest.approx(1.5)
     assert found.mean[0, 0] == pytest.approx(1 / 3)
-    # About the centre: the components' own variance and that of their means, w_1 w_2 / (w_1 + w_2)².
+    # About the centre: the components' own variance and that of their means, w_1 w_2 / (w_1 +
+    # w_2)².
     assert found.covariance[0, 0, 0] == pytest.approx(0.09 + 0.5 / 1.5**2)
 
 

@@ -1,4 +1,6 @@
-"""Level curves of the position intensity: circles of known radius, the area against counting points, what has none."""
+"""Level curves of the position intensity: circles of known radius, the area against counting
+points, what has none.
+"""
 
 import numpy as np
 import pytest
@@ -9,9 +11,13 @@ from phdtrack.groups.clusters import Contours, polygon_area
 
 def test_a_lone_person_has_a_circle_whose_radius_is_known():
     sd = 0.5
-    (circle,) = Contours(grid_density=8, tolerance=0).of(people([(3, -2, 1, 0)], sd=sd), np.ones(1, np.bool_))
+    (circle,) = Contours(grid_density=8, tolerance=0).of(
+        people([(3, -2, 1, 0)], sd=sd), np.ones(1, np.bool_)
+    )
     radius = sd * np.sqrt(2 * np.log(1 / (2 * np.pi * sd**2 * 0.1)))
-    assert np.hypot(circle[0] - 3, circle[1] + 2) == pytest.approx(np.full(circle.shape[1], radius), rel=0.01)
+    assert np.hypot(circle[0] - 3, circle[1] + 2) == pytest.approx(
+        np.full(circle.shape[1], radius), rel=0.01
+    )
     assert (circle[:, 0] == circle[:, -1]).all()
     assert polygon_area(circle) == pytest.approx(np.pi * radius**2, rel=0.02)
 
@@ -51,9 +57,12 @@ def test_the_area_is_that_of_the_points_above_the_level():
 
 def test_a_simpler_polygon_stays_within_the_tolerance():
     mixture = people([(0, 0, 0, 0), (1, 0.5, 0, 0)], sd=0.5)
-    (exact,), (simple,) = (Contours(tolerance=t).of(mixture, np.ones(2, np.bool_)) for t in (0.0, 0.05))
+    (exact,), (simple,) = (
+        Contours(tolerance=t).of(mixture, np.ones(2, np.bool_)) for t in (0.0, 0.05)
+    )
     assert simple.shape[1] < exact.shape[1] / 3
-    a, b = simple[:, :-1, None], simple[:, 1:, None]
+    a = simple[:, :-1, None]
+    b = simple[:, 1:, None]
     along = np.clip(((exact[:, None] - a) * (b - a)).sum(0) / ((b - a) ** 2).sum(0), 0, 1)
     assert np.hypot(*(exact[:, None] - a - along * (b - a))).min(0).max() < 0.05 + 1e-6
 

@@ -1,4 +1,6 @@
-"""One frame of groups: who is in which, that no head is lost, and which Gaussians carry which tracks."""
+"""One frame of groups: who is in which, that no head is lost, and which Gaussians carry which
+tracks.
+"""
 
 from dataclasses import replace
 
@@ -17,7 +19,10 @@ from phdtrack.types import Detections, SequenceInfo
 STAGES = GroupStages(Grouping(), life_cycle=GroupLifeCycle(hold_time=0.0))
 EVERYBODY = np.arange(5)
 # Two who walk together, one apart, and two together, of whom nobody has an identity.
-FIVE = people([(0, 0, 1, 0), (1, 0, 1, 0), (10, 0, 0, 0), (0, 20, 0, 1), (1, 20, 0, 1)], [1.0, 0.9, 0.8, 0.6, 0.3])
+FIVE = people(
+    [(0, 0, 1, 0), (1, 0, 1, 0), (10, 0, 0, 0), (0, 20, 0, 1), (1, 20, 0, 1)],
+    [1.0, 0.9, 0.8, 0.6, 0.3],
+)
 
 
 def test_people_with_identities_lead_their_cluster() -> None:
@@ -40,7 +45,9 @@ def test_no_head_is_lost() -> None:
 
 def test_who_is_carried_by_nothing_that_counts_is_in_no_group() -> None:
     light = replace(FIVE, weight=np.array([1.0, 0.1, 0.8, 0.6, 0.3]))
-    _, frame = STAGES.advance(LifeCycleState(), light, EVERYBODY[:3] + 1, np.array([0, 1, -1]), 1, 0.0)
+    _, frame = STAGES.advance(
+        LifeCycleState(), light, EVERYBODY[:3] + 1, np.array([0, 1, -1]), 1, 0.0
+    )
     assert frame.member.tolist() == [1]
     assert frame.groups.label[1] == -1
 
@@ -54,7 +61,9 @@ def test_contours_and_warnings_belong_to_the_groups() -> None:
     assert [(w.first, w.second) for w in frame.warnings] == [(1, 2)]
     _, unnamed = STAGES.advance(LifeCycleState(), towards, np.array([1]), np.array([0]), 1, 0.0)
     assert unnamed.warnings == ()
-    _, empty = STAGES.advance(LifeCycleState(), people([]), np.zeros(0, np.int64), np.zeros(0, np.int64), 1, 0.0)
+    _, empty = STAGES.advance(
+        LifeCycleState(), people([]), np.zeros(0, np.int64), np.zeros(0, np.int64), 1, 0.0
+    )
     assert (len(empty), empty.people, empty.warnings) == (0, 0, ())
 
 
@@ -83,11 +92,15 @@ def test_one_miss_drops_nobody_whatever_the_filter(name: str) -> None:
     lightest = build_groups(settings, stages).grouping.min_weight
     assert lightest < 0.1 * 0.99
     # Two people walk, seen in metres; in the last frame the second is missed.
-    centre = [np.array([[0.3 * k, 0.0], [0.3 * k, 8.0]])[: 1 if k == 12 else 2] for k in range(1, 13)]
+    centre = [
+        np.array([[0.3 * k, 0.0], [0.3 * k, 8.0]])[: 1 if k == 12 else 2] for k in range(1, 13)
+    ]
     seen = [Detections.of(np.hstack([place - 0.3, place + 0.3])) for place in centre]
     frames = ((k, k / info.fps, found) for k, found in enumerate(seen, start=1))
     *_, (state, step) = pipeline.run(stages, frames, np.random.default_rng(0))
-    mixture = mixture_of(state.intensity, step, stages.model.sensor.measure(seen[-1]), stages, lightest)
+    mixture = mixture_of(
+        state.intensity, step, stages.model.sensor.measure(seen[-1]), stages, lightest
+    )
     heavy = mixture.mean[:2, mixture.weight >= lightest]
     assert np.hypot(*(heavy - np.array([[0.3 * 12], [8.0]]))).min() < 1.0
 
@@ -107,6 +120,8 @@ def test_given_settings_hold() -> None:
     assert (found.grouping.min_weight, found.contours.level) == (0.4, 0.2)
     # E13's values give the usual number, and so does a run without a filter.
     e13 = load(preset="e13")
-    assert build_groups(e13, build(e13, SequenceInfo(60, 60, 7.0))).grouping.min_weight == pytest.approx(0.25, abs=0.001)
+    assert build_groups(
+        e13, build(e13, SequenceInfo(60, 60, 7.0))
+    ).grouping.min_weight == pytest.approx(0.25, abs=0.001)
     assert build_groups(load(sets=["groups.kind=intensity"])).grouping.min_weight == 0.25
     assert build_groups(load()).grouping == Pairs()

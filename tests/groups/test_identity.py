@@ -9,22 +9,34 @@ T = 0.1
 
 
 def play(frames, hold=0.5):
-    """Groups by frame, {member: group}, and all events, of frames [{member: cluster}, …] that are T seconds apart."""
-    living, state, groups, told = GroupLifeCycle(hold), LifeCycleState(), [], []
+    """Groups by frame, {member: group}, and all events, of frames [{member: cluster}, …] that are T
+    seconds apart.
+    """
+    living = GroupLifeCycle(hold)
+    state = LifeCycleState()
+    groups = []
+    told = []
     for number, clusters in enumerate(frames, 1):
-        who, label = np.array(list(clusters), np.int64), np.array(list(clusters.values()), np.int64)
-        state, accepted, events = living.extend(state, who, label, np.ones(len(who)), number, number * T)
+        who = np.array(list(clusters), np.int64)
+        label = np.array(list(clusters.values()), np.int64)
+        state, accepted, events = living.extend(
+            state, who, label, np.ones(len(who)), number, number * T
+        )
         groups.append(dict(zip(who.tolist(), accepted.tolist(), strict=True)))
         told += events
     return groups, told
 
 
-TOGETHER, APART = {1: 0, 2: 0, 3: 0}, {1: 0, 2: 0, 3: 1}
+TOGETHER = {1: 0, 2: 0, 3: 0}
+APART = {1: 0, 2: 0, 3: 1}
 
 
 def test_a_split_is_told_once_with_the_frame_at_which_it_began():
     groups, told = play([{1: 0, 2: 0}] * 5 + [TOGETHER] * 5 + [APART] * 10)
-    assert told == [Event(1, pytest.approx(T), "appear", 1), Event(11, pytest.approx(1.1), "split", 2, 1)]
+    assert told == [
+        Event(1, pytest.approx(T), "appear", 1),
+        Event(11, pytest.approx(1.1), "split", 2, 1),
+    ]
     assert groups[5] == {1: 1, 2: 1, 3: 1}
     # The larger part keeps the number.
     assert groups[-1] == {1: 1, 2: 1, 3: 2}
@@ -60,7 +72,9 @@ def test_a_group_that_is_not_seen_for_long_vanishes_with_the_frame_in_which_it_w
 
 def test_without_hold_the_groups_are_the_clusters():
     rng = np.random.default_rng(4)
-    frames = [dict(zip(range(1, 7), rng.integers(0, 3, 6).tolist(), strict=True)) for _ in range(40)]
+    frames = [
+        dict(zip(range(1, 7), rng.integers(0, 3, 6).tolist(), strict=True)) for _ in range(40)
+    ]
     groups, _ = play(frames, hold=0.0)
     for clusters, group in zip(frames, groups, strict=True):
         pairs = {(clusters[m], group[m]) for m in clusters}
@@ -70,7 +84,8 @@ def test_without_hold_the_groups_are_the_clusters():
 def test_every_life_has_one_beginning_and_at_most_one_end():
     for seed in range(30):
         rng = np.random.default_rng(seed)
-        frames, clusters = [], dict.fromkeys(range(1, 9), 0)
+        frames = []
+        clusters = dict.fromkeys(range(1, 9), 0)
         for _ in range(120):
             if rng.random() < 0.15:
                 clusters = {m: int(rng.integers(0, 3)) for m in range(1, 9) if rng.random() < 0.8}

@@ -1,4 +1,6 @@
-"""Who walks with whom: the chain of two states against enumeration, clusters against all partitions, and what people do."""
+"""Who walks with whom: the chain of two states against enumeration, clusters against all
+partitions, and what people do.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,16 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from phdtrack.groups.pairs import FREEDOM, JOINING, NEIGHBOURHOOD, WIDE, WIDE_SHARE, Pairs, PairState, Walkers
+from phdtrack.groups.pairs import (
+    FREEDOM,
+    JOINING,
+    NEIGHBOURHOOD,
+    WIDE,
+    WIDE_SHARE,
+    Pairs,
+    PairState,
+    Walkers,
+)
 from phdtrack.kernels.clustering import EXACT, clusters
 from phdtrack.types import F8, I8
 
@@ -40,20 +51,24 @@ def test_clusters_are_the_best_of_all_partitions(n: int) -> None:
     for _ in range(20):
         gain = symmetric(rng, n, rng.choice([-0.5, 0.0, 0.5]))
         found = clusters(gain)
-        assert total(gain, found) == pytest.approx(max(total(gain, label) for label in partitions(n)))
+        assert total(gain, found) == pytest.approx(
+            max(total(gain, label) for label in partitions(n))
+        )
         firsts = [found.tolist().index(k) for k in range(found.max() + 1)]
         assert firsts == sorted(firsts)
 
 
 def test_many_nodes_are_clustered_well() -> None:
     """Planted clusters are found; and no single node that moves would gain."""
-    rng, n = np.random.default_rng(1), 3 * EXACT
+    rng = np.random.default_rng(1)
+    n = 3 * EXACT
     planted = rng.integers(0, 4, n)
     gain = np.where(np.equal.outer(planted, planted), 1.0, -1.0) + 0.2 * symmetric(rng, n)
     found = clusters(gain)
     assert np.array_equal(np.equal.outer(found, found), np.equal.outer(planted, planted))
     gain = symmetric(rng, n)
-    found, best = clusters(gain), total(gain, clusters(gain))
+    found = clusters(gain)
+    best = total(gain, clusters(gain))
     for i in range(n):
         for k in range(n):
             moved = found.copy()
@@ -62,7 +77,9 @@ def test_many_nodes_are_clustered_well() -> None:
     assert clusters(np.zeros((0, 0))).tolist() == []
 
 
-def walkers(time: float, people: dict[int, tuple[float, float, float, float]], variance: float = 0.0) -> Walkers:
+def walkers(
+    time: float, people: dict[int, tuple[float, float, float, float]], variance: float = 0.0
+) -> Walkers:
     mean = np.array(list(people.values()), np.float64).reshape(-1, 4).T
     who = np.array(list(people), np.int64)
     return Walkers(who, mean, np.tile(variance * np.eye(4), (len(who), 1, 1)), time)
@@ -75,10 +92,8 @@ def student(x2: float, variance: float) -> float:
 
 def row_odds(w: Walkers, strangers: float) -> float:
     """p(row | together) / p(row | apart) of the first two people, as the module says it."""
-    (dx, dy, du, dv), (p, v) = (
-        w.mean[:, 0] - w.mean[:, 1],
-        (w.covariance[0, k, k] + w.covariance[1, k, k] for k in (0, 2)),
-    )
+    dx, dy, du, dv = w.mean[:, 0] - w.mean[:, 1]
+    p, v = (w.covariance[0, k, k] + w.covariance[1, k, k] for k in (0, 2))
     near = sum(
         share * math.exp(-(dx**2 + dy**2) / (2 * (s**2 + p))) / (2 * math.pi * (s**2 + p))
         for share, s in ((1 - WIDE_SHARE, PAIRS.distance), (WIDE_SHARE, WIDE))
@@ -90,8 +105,11 @@ def row_odds(w: Walkers, strangers: float) -> float:
 
 
 def test_the_odds_are_those_of_a_chain_of_two_states() -> None:
-    """By every sequence of states, together or apart, of what was seen up to a row, and of all that was seen."""
-    rng, times = np.random.default_rng(3), np.array([0.0, 0.4, 0.9, 1.0, 2.5])
+    """By every sequence of states, together or apart, of what was seen up to a row, and of all that
+    was seen.
+    """
+    rng = np.random.default_rng(3)
+    times = np.array([0.0, 0.4, 0.9, 1.0, 2.5])
     walk = [
         walkers(t, {3: (t, 0, 1, 0.1), 8: (t + 0.2, d, *rng.normal([1, 0], 0.4))}, 0.02)
         for t, d in zip(times, [0.8, 1.4, 2.5, 2.0, 0.9], strict=True)
@@ -119,7 +137,8 @@ def test_the_odds_are_those_of_a_chain_of_two_states() -> None:
         return math.log(sums[1] / sums[0])
 
     wide = Pairs(max_log_odds=1e6)
-    state, forward = PairState(), []
+    state = PairState()
+    forward = []
     for frame in frames:
         state, _ = wide.extend(state, frame)
         if frame.time >= 0 and len(frame.identity) == 2:
@@ -128,7 +147,9 @@ def test_the_odds_are_those_of_a_chain_of_two_states() -> None:
     end = math.exp(-(3.3 - 2.5) / PAIRS.arrival_time)
     whole = [ratio(k, 5, end) for k in range(5)]
     found = wide.over_time(frames)
-    assert [len(set(label.tolist())) == 1 for label in found[1:-1]] == [value > 0 for value in whole]
+    assert [len(set(label.tolist())) == 1 for label in found[1:-1]] == [
+        value > 0 for value in whole
+    ]
     smoothed = [float(odds[0]) for odds, _ in wide.log_odds(frames)[1:-1]]
     assert smoothed == pytest.approx(whole, abs=1e-9)
 
@@ -138,16 +159,23 @@ def together(found: list[I8]) -> list[bool]:
 
 
 def online(frames: list[Walkers], pairs: Pairs = PAIRS) -> list[I8]:
-    state, out = PairState(), list[I8]()
+    state = PairState()
+    out = list[I8]()
     for frame in frames:
         state, label = pairs.extend(state, frame)
         out.append(label)
     return out
 
 
-def side_by_side(apart: float, frames: int = 50, speed: float = 1.2, variance: float = 0.0) -> list[Walkers]:
+def side_by_side(
+    apart: float, frames: int = 50, speed: float = 1.2, variance: float = 0.0
+) -> list[Walkers]:
     return [
-        walkers(0.2 * k, {1: (0.2 * k * speed, 0, speed, 0), 2: (0.2 * k * speed, apart, speed, 0)}, variance)
+        walkers(
+            0.2 * k,
+            {1: (0.2 * k * speed, 0, speed, 0), 2: (0.2 * k * speed, apart, speed, 0)},
+            variance,
+        )
         for k in range(frames)
     ]
 
@@ -155,19 +183,28 @@ def side_by_side(apart: float, frames: int = 50, speed: float = 1.2, variance: f
 def test_companions_are_a_group_and_passers_by_are_none() -> None:
     assert all(together(online(side_by_side(0.8))))
     assert not any(together(online(side_by_side(4.5))))
-    passing = [walkers(0.2 * k, {1: (0.24 * k, 0, 1.2, 0), 2: (12 - 0.24 * k, 0.8, -1.2, 0)}) for k in range(50)]
+    passing = [
+        walkers(0.2 * k, {1: (0.24 * k, 0, 1.2, 0), 2: (12 - 0.24 * k, 0.8, -1.2, 0)})
+        for k in range(50)
+    ]
     assert not any(together(PAIRS.over_time(passing)))
     assert not any(together(online(passing)))
 
 
 def test_a_pair_has_a_memory_and_may_part() -> None:
-    """Two who walked together stay a group through a step aside; after they have parted for good they are none."""
+    """Two who walked together stay a group through a step aside; after they have parted for good
+    they are none.
+    """
     aside = [1.0] * 60 + [2.6] * 3 + [1.0] * 20
-    frames = [walkers(0.2 * k, {1: (0.24 * k, 0, 1.2, 0), 2: (0.24 * k, d, 1.2, 0)}) for k, d in enumerate(aside)]
+    frames = [
+        walkers(0.2 * k, {1: (0.24 * k, 0, 1.2, 0), 2: (0.24 * k, d, 1.2, 0)})
+        for k, d in enumerate(aside)
+    ]
     assert all(together(online(frames)))
     away = [1.0] * 60 + [1.0 + 0.3 * k for k in range(60)]
     frames = [
-        walkers(0.2 * k, {1: (0.24 * k, 0, 1.2, 0), 2: (0.24 * k, d, 1.2, 1.5 * (k > 60))}) for k, d in enumerate(away)
+        walkers(0.2 * k, {1: (0.24 * k, 0, 1.2, 0), 2: (0.24 * k, d, 1.2, 1.5 * (k > 60))})
+        for k, d in enumerate(away)
     ]
     found = together(PAIRS.over_time(frames))
     assert all(found[:55])
@@ -185,13 +222,18 @@ def test_uncertain_people_say_less() -> None:
 
 
 def test_a_chain_of_strangers_is_no_group_where_a_row_of_companions_is() -> None:
-    """Four abreast are one group. Two couples are two, though one of each passes close to one of the other for a while."""
-    row = [walkers(0.2 * k, {i: (0.24 * k, 0.9 * i, 1.2, 0) for i in range(1, 5)}) for k in range(50)]
+    """Four abreast are one group. Two couples are two, though one of each passes close to one of
+    the other for a while.
+    """
+    row = [
+        walkers(0.2 * k, {i: (0.24 * k, 0.9 * i, 1.2, 0) for i in range(1, 5)}) for k in range(50)
+    ]
     assert all(len(set(label.tolist())) == 1 for label in PAIRS.over_time(row))
     couples = [
         walkers(
             0.2 * k,
-            {i: (0.24 * k, 0.8 * i, 1.2, 0) for i in (1, 2)} | {i: (10 - 0.12 * k, 0.8 * i + 0.5, -0.6, 0) for i in (3, 4)},
+            {i: (0.24 * k, 0.8 * i, 1.2, 0) for i in (1, 2)}
+            | {i: (10 - 0.12 * k, 0.8 * i + 0.5, -0.6, 0) for i in (3, 4)},
         )
         for k in range(50)
     ]

@@ -10,7 +10,9 @@ from phdtrack.groups.life_cycle import EncounterWarning
 
 
 def test_two_who_walk_towards_each_other_are_warned_of_in_time():
-    (warned,) = EncounterWarning(horizon=6).expected(np.array([4, 2]), people([(0, 0, 1, 0), (10, 1, -1, 0)], sd=0))
+    (warned,) = EncounterWarning(horizon=6).expected(
+        np.array([4, 2]), people([(0, 0, 1, 0), (10, 1, -1, 0)], sd=0)
+    )
     assert (warned.first, warned.second) == (2, 4)
     assert warned.seconds == pytest.approx(5.0)
     assert warned.distance == pytest.approx(1.0)

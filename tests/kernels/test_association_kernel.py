@@ -1,4 +1,6 @@
-"""Components, competing tracks, and Murty's k best assignments: as their definitions and enumeration have them."""
+"""Components, competing tracks, and Murty's k best assignments: as their definitions and
+enumeration have them.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +18,14 @@ from reference import hypotheses_twin as twins
 def problem(seed: int, whole: bool = False):
     """A cluster of a few measurements, tracks and hypotheses; whole numbers make ties."""
     rng = np.random.default_rng(seed)
-    m, tracks, parents = int(rng.integers(1, 5)), int(rng.integers(0, 6)), int(rng.integers(1, 4))
-    draw = (lambda *size: rng.integers(-3, 4, size).astype(float)) if whole else (lambda *size: rng.normal(0, 2, size))
+    m = int(rng.integers(1, 5))
+    tracks = int(rng.integers(0, 6))
+    parents = int(rng.integers(1, 4))
+    draw = (
+        (lambda *size: rng.integers(-3, 4, size).astype(float))
+        if whole
+        else (lambda *size: rng.normal(0, 2, size))
+    )
     gain = np.where(rng.random((m, tracks)) < 0.7, draw(m, tracks), -np.inf)
     held = np.full((parents, min(tracks, 3) + 1), -1)
     for row in held:
@@ -36,7 +44,8 @@ def problem(seed: int, whole: bool = False):
 def test_the_best_in_order(seed: int, whole: bool, most: int, log_ratio: float):
     world = problem(seed, whole)
     wanted = twins.all_assignments(*world)
-    best, everything = wanted[0][0], {item[1:]: item[0] for item in wanted}
+    best = wanted[0][0]
+    everything = {item[1:]: item[0] for item in wanted}
     wanted = [item for item in wanted if item[0] >= best + log_ratio - 1e-9][:most]
     parent, choice, weight = best_assignments(*world, most, log_ratio - 1e-9)
     np.testing.assert_allclose(weight, [item[0] for item in wanted], atol=1e-9)
@@ -58,13 +67,18 @@ def test_pairs_have_the_largest_sum_that_there_is(seed: int):
     assert len(set(found[chosen].tolist())) == len(chosen)
     # A row may stay alone: as with a pair of gain 0.
     worth = np.maximum(gain, 0)
-    assert gain[chosen, found[chosen]].sum() == pytest.approx(worth[linear_sum_assignment(worth, maximize=True)].sum())
+    assert gain[chosen, found[chosen]].sum() == pytest.approx(
+        worth[linear_sum_assignment(worth, maximize=True)].sum()
+    )
 
 
 def test_many_measurements_and_tracks_in_one_place():
-    """12 measurements, 12 tracks, 10¹² assignments: the best hundred, each once, and no better neighbour is left out."""
+    """12 measurements, 12 tracks, 10¹² assignments: the best hundred, each once, and no better
+    neighbour is left out.
+    """
     rng = np.random.default_rng(4)
-    gain, alone = rng.normal(2, 1, (12, 12)), rng.normal(0, 1, 12)
+    gain = rng.normal(2, 1, (12, 12))
+    alone = rng.normal(0, 1, 12)
     held = np.tile(np.arange(12), (2, 1))
     parent, choice, weight = best_assignments(gain, alone, held, np.array([0.0, -0.3]), 100, -20.0)
     assert len(weight) == 100
@@ -73,8 +87,11 @@ def test_many_measurements_and_tracks_in_one_place():
     for p, c, w in zip(parent, choice, weight, strict=True):
         taken = c[c >= 0]
         assert len(set(taken.tolist())) == len(taken)
-        assert w == pytest.approx(-0.3 * p + alone.sum() + sum(gain[j, k] for j, k in enumerate(c) if k >= 0))
-    # Neighbours of those given: exchange of two tracks, or one given up. What is better than the last is among them.
+        assert w == pytest.approx(
+            -0.3 * p + alone.sum() + sum(gain[j, k] for j, k in enumerate(c) if k >= 0)
+        )
+    # Neighbours of those given: exchange of two tracks, or one given up. What is better than the
+    # last is among them.
     given_ = {(int(p), *c.tolist()) for p, c in zip(parent, choice, strict=True)}
     for p, c, w in zip(parent[:30], choice[:30], weight[:30], strict=True):
         for i in range(12):
@@ -83,7 +100,9 @@ def test_many_measurements_and_tracks_in_one_place():
                 other[[i, j]] = c[[j, i]]
                 value = w
                 for row in (i, j):
-                    value += (gain[row, other[row]] if other[row] >= 0 else 0) - (gain[row, c[row]] if c[row] >= 0 else 0)
+                    value += (gain[row, other[row]] if other[row] >= 0 else 0) - (
+                        gain[row, c[row]] if c[row] >= 0 else 0
+                    )
                 assert value < weight[-1] + 1e-9 or (int(p), *other.tolist()) in given_
 
 
@@ -93,14 +112,18 @@ def test_components(seed: int):
     rng = np.random.default_rng(seed)
     count = int(rng.integers(1, 15))
     first, second = rng.integers(0, count, (2, int(rng.integers(0, 15))))
-    np.testing.assert_array_equal(components(count, first, second), twins.components(count, first, second))
+    np.testing.assert_array_equal(
+        components(count, first, second), twins.components(count, first, second)
+    )
 
 
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=100, deadline=None)
 def test_competing_tracks(seed: int):
     rng = np.random.default_rng(seed)
-    forms, window, tracks = int(rng.integers(1, 12)), int(rng.integers(1, 4)), int(rng.integers(1, 6))
+    forms = int(rng.integers(1, 12))
+    window = int(rng.integers(1, 4))
+    tracks = int(rng.integers(1, 6))
     leaf = rng.integers(-1, forms, (int(rng.integers(1, 5)), tracks))
     # A form belongs to one track.
     leaf = np.where(leaf % tracks == np.arange(tracks), leaf, -1)
@@ -113,7 +136,8 @@ def test_competing_tracks(seed: int):
 def test_hypotheses_go_on_as_all_assignments_of_their_leaves_say(seed: int):
     """Leaves and measurements of the whole frame in, numbers of branches out."""
     rng = np.random.default_rng(seed)
-    leaves, count = int(rng.integers(1, 7)), int(rng.integers(1, 6))
+    leaves = int(rng.integers(1, 7))
+    count = int(rng.integers(1, 6))
     columns = np.sort(rng.permutation(count)[: int(rng.integers(1, min(count, 3) + 1))])
     held = np.full((int(rng.integers(1, 4)), min(leaves, 3)), -1)
     for row in held:
@@ -125,13 +149,23 @@ def test_hypotheses_go_on_as_all_assignments_of_their_leaves_say(seed: int):
     gain[np.setdiff1d(np.arange(leaves), held)] = -np.inf
     leaf, measurement = np.nonzero(np.isfinite(gain[:, columns]))
     measurement = columns[measurement]
-    missed, alone, begins = rng.normal(-1, 0.5, leaves), rng.normal(0, 2, count), rng.random(count) < 0.7
+    missed = rng.normal(-1, 0.5, leaves)
+    alone = rng.normal(0, 2, count)
+    begins = rng.random(count) < 0.7
     weight = rng.dirichlet(np.ones(len(held)))
     branch, share, unassigned = children(
-        held, weight, (leaf, measurement, gain[leaf, measurement]), columns, missed, alone, begins, (3000, -np.inf)
+        held,
+        weight,
+        (leaf, measurement, gain[leaf, measurement]),
+        columns,
+        missed,
+        alone,
+        begins,
+        (3000, -np.inf),
     )
     base = np.log(weight) + np.where(held >= 0, missed[held], 0.0).sum(axis=1)
-    wanted, nobody = {}, np.zeros(len(columns))
+    wanted = {}
+    nobody = np.zeros(len(columns))
     every = twins.all_assignments((gain[:, columns] - alone[columns]).T, alone[columns], held, base)
     total = sum(np.exp(w) for w, *_ in every)
     for log_weight, p, choice in every:

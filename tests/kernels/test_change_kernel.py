@@ -20,7 +20,9 @@ CAMERA = np.array([3.0, 1.5, 0.0])
 
 
 def rule(window: int) -> Statistic:
-    return Statistic(1 / np.array(WEIGHTS, np.float64) - np.square(CAMERA)[[0, 0, 1, 2]], window, 6.0, 3.0)
+    return Statistic(
+        1 / np.array(WEIGHTS, np.float64) - np.square(CAMERA)[[0, 0, 1, 2]], window, 6.0, 3.0
+    )
 
 
 def nothing(n: int, height: int, width: int) -> Past:
@@ -28,8 +30,12 @@ def nothing(n: int, height: int, width: int) -> Past:
     return Past(*(np.zeros(size, np.uint8) for size in ((n, 0), (height, width), (n, 2), (n, 2))))
 
 
-def case(rng: np.random.Generator, height: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A reference, a picture of it with noise in which a part changed, and what energy is usual; both (H, W, 3)."""
+def case(
+    rng: np.random.Generator, height: int, width: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A reference, a picture of it with noise in which a part changed, and what energy is usual;
+    both (H, W, 3).
+    """
     reference = rng.uniform([40, 100, 100], [200, 156, 156], (height, width, 3))
     reference = twin.joined(twin.parted(reference), height, width).astype(np.float32)
     image = reference + rng.normal(0, 4, reference.shape)
@@ -41,11 +47,17 @@ def case(rng: np.random.Generator, height: int, width: int) -> tuple[np.ndarray,
 @pytest.mark.parametrize(("height", "width", "window"), SIZES)
 def test_what_changed(rng: np.random.Generator, height: int, width: int, window: int) -> None:
     reference, image, scene = case(rng, height, width)
-    gain, offset = np.array([1.0213, 0.9071, 1.0]), np.array([-3.07, 8.03, 0.0])
+    gain = np.array([1.0213, 0.9071, 1.0])
+    offset = np.array([-3.07, 8.03, 0.0])
     inverse = np.linalg.inv(twin.TO_BGR)
-    light = np.column_stack([inverse @ np.diag(gain) @ twin.TO_BGR, inverse @ offset]).astype(np.float32)
-    flat, then = twin.parted(image), twin.parted(reference)
-    mask, energy = compare(flat, then, light, scene, rule(window), CAMERA, nothing(len(flat), height, width))
+    light = np.column_stack([inverse @ np.diag(gain) @ twin.TO_BGR, inverse @ offset]).astype(
+        np.float32
+    )
+    flat = twin.parted(image)
+    then = twin.parted(reference)
+    mask, energy = compare(
+        flat, then, light, scene, rule(window), CAMERA, nothing(len(flat), height, width)
+    )
     usual = twin.energy(image, twin.relit(reference.astype(float), gain, offset), WEIGHTS)
     np.testing.assert_allclose(energy, usual, rtol=1e-3, atol=2e-3)
     expected = twin.mask(energy.astype(float), scene, window, 6.0)
@@ -54,14 +66,24 @@ def test_what_changed(rng: np.random.Generator, height: int, width: int, window:
 
 
 def test_what_was_seen_before_has_not_changed(rng: np.random.Generator) -> None:
-    height, width = 9, 31
+    height = 9
+    width = 31
     reference, image, scene = case(rng, height, width)
     now = twin.logarithmic(image)
-    samples = (now[..., None] + rng.integers(-9, 10, (height, width, 3, 20))).clip(0, 255).astype(np.uint8)
-    flat, seen = twin.parted(image), twin.parted(samples)
-    samples, differing = twin.joined(seen, height, width), rng.integers(0, 21, (height, width), dtype=np.uint8)
-    past, then = Past(seen, differing, *twin.extremes(seen, height, width)), twin.parted(reference)
-    before = compare(flat, then, SAME, scene, rule(3), CAMERA, nothing(len(flat), height, width))[0] > 0
+    samples = (
+        (now[..., None] + rng.integers(-9, 10, (height, width, 3, 20)))
+        .clip(0, 255)
+        .astype(np.uint8)
+    )
+    flat = twin.parted(image)
+    seen = twin.parted(samples)
+    samples = twin.joined(seen, height, width)
+    differing = rng.integers(0, 21, (height, width), dtype=np.uint8)
+    past = Past(seen, differing, *twin.extremes(seen, height, width))
+    then = twin.parted(reference)
+    before = (
+        compare(flat, then, SAME, scene, rule(3), CAMERA, nothing(len(flat), height, width))[0] > 0
+    )
     after = compare(flat, then, SAME, scene, rule(3), CAMERA, past)[0] > 0
     known = twin.recalled(now, samples, differing, WEIGHTS, 3.0)
     np.testing.assert_array_equal(after, before & ~known)
@@ -79,10 +101,14 @@ def test_the_light_is_a_line_through_what_did_not_change(rng: np.random.Generato
     foreground = np.where(rng.random((60, 81)) < 0.2, 255, 0).astype(np.uint8)
     found = lighting(twin.parted(reference), twin.parted(image), foreground, 3)
     grid = slice(1, None, 3)
-    was, now = ((each[grid, grid] - twin.ZERO) @ twin.TO_BGR.T for each in (reference, image.astype(float)))
-    gain, offset = np.ones(3), np.zeros(3)
+    was, now = (
+        (each[grid, grid] - twin.ZERO) @ twin.TO_BGR.T for each in (reference, image.astype(float))
+    )
+    gain = np.ones(3)
+    offset = np.zeros(3)
     for c in range(3):
-        x, y = was[..., c], now[..., c]
+        x = was[..., c]
+        y = now[..., c]
         exposed = (foreground[grid, grid] == 0) & (np.minimum(x, y) > 8) & (np.maximum(x, y) < 245)
         gain[c], offset[c] = twin.line(x[exposed], y[exposed])
     inverse = np.linalg.inv(twin.TO_BGR)
@@ -93,20 +119,26 @@ def test_the_light_is_a_line_through_what_did_not_change(rng: np.random.Generato
 def test_what_is_as_bright_as_it_can_be_has_not_changed() -> None:
     """The reference in a light that makes it brighter than white."""
     image = np.full((12, 12, 3), 128, np.uint8)
-    reference, image[..., 0] = image.astype(np.float32), 235
+    reference = image.astype(np.float32)
+    image[..., 0] = 235
     reference[..., 0] = 200
     light = SAME.copy()
     light[0, 0] = 2.0
-    past, scene = nothing(216, 12, 12), np.ones((12, 12), np.float32)
-    mask, energy = compare(twin.parted(image), twin.parted(reference), light, scene, rule(3), CAMERA, past)
+    past = nothing(216, 12, 12)
+    scene = np.ones((12, 12), np.float32)
+    mask, energy = compare(
+        twin.parted(image), twin.parted(reference), light, scene, rule(3), CAMERA, past
+    )
     assert not mask.any()
     np.testing.assert_allclose(energy, 0, atol=1e-6)
 
 
 @pytest.mark.parametrize("covered", [True, False])
 def test_where_little_tells_of_the_light_it_is_the_same(covered: bool) -> None:
-    reference, image = np.full((40, 40, 3), 128, np.float32), np.full((40, 40, 3), 128, np.uint8)
-    reference[..., 0], image[..., 0] = 100, 110
+    reference = np.full((40, 40, 3), 128, np.float32)
+    image = np.full((40, 40, 3), 128, np.uint8)
+    reference[..., 0] = 100
+    image[..., 0] = 110
     foreground = np.full((40, 40), 255 if covered else 0, np.uint8)
     # One brightness tells no gain from an offset; one of them explains it.
     found = lighting(twin.parted(reference), twin.parted(image), foreground, 2)
@@ -116,35 +148,60 @@ def test_where_little_tells_of_the_light_it_is_the_same(covered: bool) -> None:
 @pytest.mark.parametrize(("height", "width"), [(8, 22), (7, 21)])
 def test_reference_and_noise_follow(rng: np.random.Generator, height: int, width: int) -> None:
     reference, image, scene = case(rng, height, width)
-    energy, foreground = rng.uniform(0, 80, scene.shape).astype(np.float32), np.zeros(scene.shape, np.uint8)
+    energy = rng.uniform(0, 80, scene.shape).astype(np.float32)
+    foreground = np.zeros(scene.shape, np.uint8)
     foreground[2:5, 3:9] = 255
-    before, usual, then = reference.astype(float), scene.astype(float), twin.parted(reference)
-    follow(twin.parted(image), energy, then, scene, foreground, np.array([0.1, 0.01, 0.2, 9.5], np.float32))
+    before = reference.astype(float)
+    usual = scene.astype(float)
+    then = twin.parted(reference)
+    follow(
+        twin.parted(image),
+        energy,
+        then,
+        scene,
+        foreground,
+        np.array([0.1, 0.01, 0.2, 9.5], np.float32),
+    )
     rate = np.where(foreground, 0.01, 0.1)[..., None]
     np.testing.assert_allclose(then, twin.parted(before + rate * (image - before)), rtol=1e-5)
     np.testing.assert_allclose(
-        scene, np.minimum(np.where(foreground, usual, usual + 0.2 * (energy - usual)), 9.5), rtol=1e-5
+        scene,
+        np.minimum(np.where(foreground, usual, usual + 0.2 * (energy - usual)), 9.5),
+        rtol=1e-5,
     )
 
 
 def test_the_noise_between_two_pictures(rng: np.random.Generator) -> None:
-    first, second = (twin.joined(twin.parted(each), 13, 23) for each in rng.integers(0, 256, (2, 13, 23, 3), dtype=np.uint8))
-    planes, now = (np.moveaxis(twin.logarithmic(each)[::4, ::4], 2, 0).copy() for each in (first, second))
+    first, second = (
+        twin.joined(twin.parted(each), 13, 23)
+        for each in rng.integers(0, 256, (2, 13, 23, 3), dtype=np.uint8)
+    )
+    planes, now = (
+        np.moveaxis(twin.logarithmic(each)[::4, ::4], 2, 0).copy() for each in (first, second)
+    )
     differences = np.abs(planes.astype(int) - now).reshape(3, -1)
     counts = noise(twin.parted(second), planes, (13, 23), 4)
-    np.testing.assert_array_equal(counts, [np.bincount(each, minlength=256) for each in differences])
+    np.testing.assert_array_equal(
+        counts, [np.bincount(each, minlength=256) for each in differences]
+    )
     np.testing.assert_array_equal(planes, now)
 
 
 @pytest.mark.parametrize(("width", "reach"), [(30, 2), (130, 3), (136, 3)])
 def test_how_much_of_an_edge_there_is(rng: np.random.Generator, width: int, reach: int) -> None:
-    image, reference = rng.integers(0, 256, (20, width), dtype=np.uint8), rng.uniform(0, 255, (20, width)).astype(np.float32)
+    image = rng.integers(0, 256, (20, width), dtype=np.uint8)
+    reference = rng.uniform(0, 255, (20, width)).astype(np.float32)
     mask = np.where(cv2.blur(rng.random((20, width)), (9, 9)) > 0.5, 255, 0).astype(np.uint8)
     square = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
     outline = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_GRADIENT, square), np.uint8)
     assert 0.2 < (outline > 0).mean() < 0.95
     boxes = np.array(
-        [[0, 0, 12, 9], [width - 12, 11, width, 20], [width // 2 - 10, 7, width // 2 - 6, 20], [3, 0, width, 20]]
+        [
+            [0, 0, 12, 9],
+            [width - 12, 11, width, 20],
+            [width // 2 - 10, 7, width // 2 - 6, 20],
+            [3, 0, width, 20],
+        ]
     )
     found = edges(image, reference, mask, reach, boxes)
     expected = [[twin.edge(each, outline, box) for each in (image, reference)] for box in boxes]
@@ -183,18 +240,29 @@ def test_a_frame_is_looked_at_in_one_call(
     rng: np.random.Generator, height: int, width: int, beyond: tuple[int, int]
 ) -> None:
     reference, image, scene = case(rng, height, width)
-    flat, then, past = twin.parted(image), twin.parted(reference), nothing(len(twin.parted(image)), height, width)
-    foreground, own = np.where(rng.random((height, width)) < 0.1, 255, 0).astype(np.uint8), flat.copy()
-    before, camera = twin.logarithmic(image)[::4, ::4].transpose(2, 0, 1) // 2 + 40, CAMERA.copy()
-    sparse, near, cleaning = before.copy(), foreground.copy(), Cleaning(0, np.array([0, 1, 0]), np.zeros(1, np.int64))
-    mask, *found = changed(own, sparse, camera, (then, scene, near), rule(3), past, (4, 2), cleaning, beyond)
+    flat = twin.parted(image)
+    then = twin.parted(reference)
+    past = nothing(len(twin.parted(image)), height, width)
+    foreground = np.where(rng.random((height, width)) < 0.1, 255, 0).astype(np.uint8)
+    own = flat.copy()
+    before = twin.logarithmic(image)[::4, ::4].transpose(2, 0, 1) // 2 + 40
+    camera = CAMERA.copy()
+    sparse = before.copy()
+    near = foreground.copy()
+    cleaning = Cleaning(0, np.array([0, 1, 0]), np.zeros(1, np.int64))
+    mask, *found = changed(
+        own, sparse, camera, (then, scene, near), rule(3), past, (4, 2), cleaning, beyond
+    )
     smooth(flat, (height, width))
     np.testing.assert_array_equal(own, flat)
     counts = noise(flat, before, (height, width), 4)
     np.testing.assert_array_equal(sparse, before)
     quartiles = [np.percentile(np.repeat(np.arange(256), each), 75) for each in counts]
-    np.testing.assert_allclose(camera, 0.9 * CAMERA + 0.1 * np.array(quartiles) / (1.1503 * np.sqrt(2)))
-    light, (across, down) = lighting(then, flat, foreground, 2), beyond
+    np.testing.assert_allclose(
+        camera, 0.9 * CAMERA + 0.1 * np.array(quartiles) / (1.1503 * np.sqrt(2))
+    )
+    light = lighting(then, flat, foreground, 2)
+    across, down = beyond
     raw, energy = compare(flat, then, light, scene, rule(3), camera, past)
     for one, other in zip(found, (energy, light), strict=True):
         np.testing.assert_array_equal(one, other)
@@ -207,34 +275,50 @@ def test_a_frame_is_looked_at_in_one_call(
 
 
 @pytest.mark.parametrize(("height", "width"), [(24, 40), (9, 37), (2, 1), (5, 3)])
-def test_colours_are_smoothed_as_by_opencv(rng: np.random.Generator, height: int, width: int) -> None:
+def test_colours_are_smoothed_as_by_opencv(
+    rng: np.random.Generator, height: int, width: int
+) -> None:
     picture = twin.parted(rng.integers(0, 256, (height, width, 3), dtype=np.uint8))
     before = picture.copy()
     smooth(picture, (height, width))
     np.testing.assert_array_equal(picture[: height * width], before[: height * width])
-    for now, was in zip(colours(picture, (height, width)), colours(before, (height, width)), strict=True):
+    for now, was in zip(
+        colours(picture, (height, width)), colours(before, (height, width)), strict=True
+    ):
         np.testing.assert_array_equal(now, cv2.blur(was, (3, 3)))
 
 
 @pytest.mark.parametrize(("height", "width"), [(60, 190), (35, 128), (4, 66), (3, 7)])
 @pytest.mark.parametrize("peel", [0, 1, 2])
-def test_masks_are_cleaned_as_by_opencv(rng: np.random.Generator, height: int, width: int, peel: int) -> None:
-    mask = cv2.dilate((rng.random((height, width)) < 0.03).astype(np.uint8), np.ones((9, 6), np.uint8)) * 255
+def test_masks_are_cleaned_as_by_opencv(
+    rng: np.random.Generator, height: int, width: int, peel: int
+) -> None:
+    mask = (
+        cv2.dilate((rng.random((height, width)) < 0.03).astype(np.uint8), np.ones((9, 6), np.uint8))
+        * 255
+    )
     mask[rng.random((height, width)) < 0.02] = 0
-    opening, closing = (cv2.getStructuringElement(cv2.MORPH_ELLIPSE, size) for size in ((3, 3), (5, 15)))
+    opening, closing = (
+        cv2.getStructuringElement(cv2.MORPH_ELLIPSE, size) for size in ((3, 3), (5, 15))
+    )
     # Whatever is not 0 is foreground.
     mask[mask > 0] = rng.choice([255, 254, 1, 64], (mask > 0).sum())
-    before, whole = mask.copy(), np.where(mask > 0, 255, 0).astype(np.uint8)
+    before = mask.copy()
+    whole = np.where(mask > 0, 255, 0).astype(np.uint8)
     rows = [element.sum(axis=1, dtype=np.int64) // 2 for element in (opening, closing)]
     expected = cv2.erode(whole, np.ones((2 * peel + 1, 2 * peel + 1), np.uint8))
-    expected = cv2.morphologyEx(cv2.morphologyEx(expected, cv2.MORPH_OPEN, opening), cv2.MORPH_CLOSE, closing)
+    expected = cv2.morphologyEx(
+        cv2.morphologyEx(expected, cv2.MORPH_OPEN, opening), cv2.MORPH_CLOSE, closing
+    )
     found, near = cleaned(mask, Cleaning(peel, *rows), 2)
     np.testing.assert_array_equal(found, expected)
     np.testing.assert_array_equal(near, cv2.dilate(expected, np.ones((5, 5), np.uint8)))
     np.testing.assert_array_equal(mask, before)
 
 
-@pytest.mark.parametrize(("count", "n", "kind"), [(51, 30, np.uint8), (7, 700, np.int16), (1, 3, np.uint8)])
+@pytest.mark.parametrize(
+    ("count", "n", "kind"), [(51, 30, np.uint8), (7, 700, np.int16), (1, 3, np.uint8)]
+)
 def test_medians(rng: np.random.Generator, count: int, n: int, kind: type) -> None:
     samples = rng.integers(0, 200, (count, n)).astype(kind)
     np.testing.assert_array_equal(middle(samples), np.median(samples, axis=0))

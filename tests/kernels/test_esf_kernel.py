@@ -1,4 +1,6 @@
-"""Elementary symmetric functions in logarithms against sums over subsets and exact fractions, at any magnitude."""
+"""Elementary symmetric functions in logarithms against sums over subsets and exact fractions, at
+any magnitude.
+"""
 
 from __future__ import annotations
 
@@ -32,11 +34,17 @@ def test_products_and_sums_without_each_at_any_magnitude(decades: int, relative:
         w[rng.random(m) < 0.2] = 0.0
         products = log_products(logs(a), logs(b), m)
         assert_logs(products[-1], twin.coefficients(a, b), relative)
-        assert_logs(log_sums_without(logs(a), logs(b), products, logs(w)), twin.sums_without(a, b, w), relative)
+        assert_logs(
+            log_sums_without(logs(a), logs(b), products, logs(w)),
+            twin.sums_without(a, b, w),
+            relative,
+        )
 
 
 def test_a_cut_at_the_most_targets_that_there_can_be(rng):
-    a, b, w = rng.uniform(0, 1, 8), rng.uniform(0, 1, 8), rng.uniform(0, 1, 4)
+    a = rng.uniform(0, 1, 8)
+    b = rng.uniform(0, 1, 8)
+    w = rng.uniform(0, 1, 4)
     cut = log_products(logs(a), logs(b), 3)
     assert cut.shape == (9, 4)
     assert_logs(cut[-1], twin.coefficients(a, b)[:4], 1e-13)

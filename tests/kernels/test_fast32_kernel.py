@@ -76,7 +76,9 @@ def test_cosine_and_sine_of_turns():
     assert np.abs(sine - np.sin(angle)).max() < 3e-7
 
 
-@pytest.mark.parametrize(("u", "cosine", "sine"), [(0.0, 1, 0), (0.25, 0, 1), (0.5, -1, 0), (0.75, 0, -1)])
+@pytest.mark.parametrize(
+    ("u", "cosine", "sine"), [(0.0, 1, 0), (0.25, 0, 1), (0.5, -1, 0), (0.75, 0, -1)]
+)
 def test_the_quarters_are_exact(u: float, cosine: float, sine: float):
     (c,), (s,) = over(turns, [u], 2)
     assert (c == 0) == (cosine == 0)
@@ -88,7 +90,8 @@ def test_the_quarters_are_exact(u: float, cosine: float, sine: float):
 @given(st.floats(width=32, allow_nan=False), st.floats(width=32, allow_nan=False))
 @settings(max_examples=200, deadline=None)
 def test_sortable_integers_are_in_the_order_of_the_numbers(a: float, b: float):
-    x, y = np.float32(a), np.float32(b)
+    x = np.float32(a)
+    y = np.float32(b)
     assert (sortable(x) < sortable(y)) == (x < y) or x == y == 0
     back = sorted_number(sortable(x))
     assert back == x

@@ -1,4 +1,6 @@
-"""Order by weight, merging through a grid, prune and cap, parts of Gaussians: what loops over every pair find."""
+"""Order by weight, merging through a grid, prune and cap, parts of Gaussians: what loops over every
+pair find.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from reference import gm_twin as twin
 
 (descending,) = from_python(descending)
 
-weights = st.lists(st.one_of(st.floats(0, 3), st.sampled_from([0.0, 0.5, 1.0, 1e-300, 5e-324, 1e300])), max_size=60)
+weights = st.lists(
+    st.one_of(st.floats(0, 3), st.sampled_from([0.0, 0.5, 1.0, 1e-300, 5e-324, 1e300])), max_size=60
+)
 
 
 @given(weights)
@@ -24,7 +28,9 @@ def test_descending_order_is_stable(values):
     np.testing.assert_array_equal(descending(w), np.argsort(-w, kind="stable"))
 
 
-def mixture(rng: np.random.Generator, n: int, d: int, spread: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def mixture(
+    rng: np.random.Generator, n: int, d: int, spread: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Gaussians in clumps, some much wider than others, weights over decades."""
     centres = rng.uniform(0, spread, (d, max(1, n // 3)))
     mean = centres[:, rng.integers(centres.shape[1], size=n)] + rng.normal(0, 2, (d, n))
@@ -41,7 +47,9 @@ def same(found, expected) -> None:
 def kernel(weight, mean, cov, prune, distance, most, redistribute):
     mass = weight.sum() if redistribute else -1.0
     rows = Rows(weight, np.ascontiguousarray(mean.T), cov)
-    return merged_rows(rows, tuple(range(len(mean))), Merging(prune, distance, most, redistribute), mass)
+    return merged_rows(
+        rows, tuple(range(len(mean))), Merging(prune, distance, most, redistribute), mass
+    )
 
 
 @pytest.mark.parametrize("d", [2, 4, 6])
@@ -79,7 +87,9 @@ def test_nothing_and_next_to_nothing():
         assert a.shape == b.shape
     light = (np.array([1e-7, 1e-8]), np.zeros((6, 2)), np.tile(np.eye(6), (2, 1, 1)))
     assert len(kernel(*light, 1e-5, 2.0, 10, True)[0]) == 0
-    w, mean, cov = kernel(np.zeros(2), np.zeros((6, 2)), np.tile(np.eye(6), (2, 1, 1)), 0.0, 2.0, 0, True)
+    w, mean, cov = kernel(
+        np.zeros(2), np.zeros((6, 2)), np.tile(np.eye(6), (2, 1, 1)), 0.0, 2.0, 0, True
+    )
     np.testing.assert_array_equal(w, [0.0])
     np.testing.assert_array_equal(cov[0], np.eye(6))
     assert mean.shape == (6, 1)
@@ -96,7 +106,8 @@ def test_one_place_many_times(rng):
 
 
 def test_what_is_not_positive_definite_stays_alone():
-    mean, cov = np.zeros((2, 3)), np.stack([np.eye(2), np.zeros((2, 2)), np.diag([1.0, 0.0])])
+    mean = np.zeros((2, 3))
+    cov = np.stack([np.eye(2), np.zeros((2, 2)), np.diag([1.0, 0.0])])
     assert len(kernel(np.array([1.0, 0.5, 0.2]), mean, cov, 0.0, 2.0, 0, False)[0]) == 3
 
 
@@ -120,9 +131,12 @@ def precisions(rng: np.random.Generator, k: int, d: int) -> np.ndarray:
 @settings(max_examples=40, deadline=None)
 def test_gaussian_parts(seed: int, m: int, count: int):
     rng = np.random.default_rng(seed)
-    step, cov = rng.normal(0, 10, (m, count)), precisions(rng, count, m) * rng.choice([1e-4, 1.0, 1e4])
+    step = rng.normal(0, 10, (m, count))
+    cov = precisions(rng, count, m) * rng.choice([1e-4, 1.0, 1e4])
     distance2, log_det = gaussian_parts(step, cov)
-    np.testing.assert_allclose(distance2, [s @ np.linalg.solve(c, s) for s, c in zip(step.T, cov, strict=True)], rtol=1e-8)
+    np.testing.assert_allclose(
+        distance2, [s @ np.linalg.solve(c, s) for s, c in zip(step.T, cov, strict=True)], rtol=1e-8
+    )
     np.testing.assert_allclose(log_det, np.linalg.slogdet(cov)[1], rtol=1e-9, atol=1e-9)
 
 

@@ -1,4 +1,6 @@
-"""The spatial grid finds what looking everywhere finds, each pair once; boxes that overlap others, against all pairs."""
+"""The spatial grid finds what looking everywhere finds, each pair once; boxes that overlap others,
+against all pairs.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,8 @@ def overlaps(low, high, lower, upper) -> set[tuple[int, int]]:
 @given(rectangles, rectangles, st.sampled_from([0.0, 7.0]))
 @settings(max_examples=100, deadline=None)
 def test_rectangles_that_overlap(boxes, others, least: float):
-    (low, high), (lower, upper) = corners(boxes), corners(others)
+    low, high = corners(boxes)
+    lower, upper = corners(others)
     first, second = overlapping_pairs(low, high, make_grid(lower, upper, least, least))
     assert np.all(np.diff(first) >= 0)
     found = list(zip(first.tolist(), second.tolist(), strict=True))
@@ -46,7 +49,8 @@ def test_rectangles_that_overlap(boxes, others, least: float):
 @given(rectangles, rectangles)
 @settings(max_examples=100, deadline=None)
 def test_points_in_rectangles(points, around):
-    at, (lower, upper) = corners(points)[0], corners(around)
+    at = corners(points)[0]
+    lower, upper = corners(around)
     for array in (at, lower, upper):
         array.flags.writeable = False
     point, rectangle = points_in_rectangles(at, lower, upper)
@@ -87,14 +91,19 @@ def test_cells_are_clamped():
 
 
 def test_shares_of_boxes_that_nearer_boxes_cover():
-    """By the shared area over the box's own, of hiders that are nearer; a depth of NaN hides nothing."""
+    """By the shared area over the box's own, of hiders that are nearer; a depth of NaN hides
+    nothing.
+    """
     rng = np.random.default_rng(3)
     xyxy, others = (
-        np.hstack([c, c + rng.integers(1, 30, (len(c), 2))]) for c in (rng.integers(0, 60, (n, 2)) for n in (40, 12))
+        np.hstack([c, c + rng.integers(1, 30, (len(c), 2))])
+        for c in (rng.integers(0, 60, (n, 2)) for n in (40, 12))
     )
-    depth, other_depth = rng.integers(0, 9, 40) + 0.0, rng.integers(0, 9, 12) + 0.0
+    depth = rng.integers(0, 9, 40) + 0.0
+    other_depth = rng.integers(0, 9, 12) + 0.0
     other_depth[3] = np.nan
-    far, some = np.full((2, 12), 1e6), np.ones((2, 12))
+    far = np.full((2, 12), 1e6)
+    some = np.ones((2, 12))
     hiders = Hiders(others + 0.0, other_depth, far, some, 9.21, 0.0)
     wanted = np.zeros(40)
     for a, box in enumerate(xyxy):
@@ -102,11 +111,22 @@ def test_shares_of_boxes_that_nearer_boxes_cover():
             wide, high = np.minimum(box[2:], other[2:]) - np.maximum(box[:2], other[:2])
             if other_depth[b] < depth[a] and wide > 0 and high > 0:
                 wanted[a] = max(wanted[a], wide * high / np.prod(box[2:] - box[:2]))
-    np.testing.assert_allclose(hiders.seen_part(np.zeros((2, 40)), xyxy + 0.0, depth), 1 - wanted**1.5)
+    np.testing.assert_allclose(
+        hiders.seen_part(np.zeros((2, 40)), xyxy + 0.0, depth), 1 - wanted**1.5
+    )
 
 
 def test_shares_of_boxes_inside_the_image():
-    xyxy = np.array([[0.0, 0, 10, 20], [-5, 0, 5, 20], [60, 40, 80, 60], [90, 0, 99, 9], [-10, -10, 200, 200], [1, 1, 1, 5]])
+    xyxy = np.array(
+        [
+            [0.0, 0, 10, 20],
+            [-5, 0, 5, 20],
+            [60, 40, 80, 60],
+            [90, 0, 99, 9],
+            [-10, -10, 200, 200],
+            [1, 1, 1, 5],
+        ]
+    )
     np.testing.assert_allclose(share_inside(xyxy, 70.0, 50.0), [1, 0.5, 0.25, 0, 3500 / 210**2, 0])
 
 
@@ -122,7 +142,8 @@ def left_of(boxes: np.ndarray, overlap: float) -> list[int]:
 
 def crowd(rng: np.random.Generator, count: int, room: float) -> np.ndarray:
     """Boxes of many sizes, some of them twice, some without area, one as wide as the image."""
-    corner, size = rng.uniform(0, room, (count, 2)), rng.uniform(5, 60, (count, 2))
+    corner = rng.uniform(0, room, (count, 2))
+    size = rng.uniform(5, 60, (count, 2))
     size[::7] *= [1.0, 0.0]
     boxes = np.hstack([corner, corner + size])
     boxes[1::5] = boxes[: len(boxes[1::5])]

@@ -1,4 +1,6 @@
-"""Kernels without a wrapper for callers in Python end the process when Python calls them: nothing but kernels has them."""
+"""Kernels without a wrapper for callers in Python end the process when Python calls them: nothing
+but kernels has them.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,11 @@ pytestmark = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="nothing is com
 def inner_kernels_of(module_name: str) -> set[str]:
     """Names under which a module has kernels without that wrapper."""
     names = vars(import_module(module_name)).items()
-    return {name for name, value in names if isinstance(value, CPUDispatcher) and not callable_from_python(value)}
+    return {
+        name
+        for name, value in names
+        if isinstance(value, CPUDispatcher) and not callable_from_python(value)
+    }
 
 
 def callable_from_python(kernel: CPUDispatcher) -> bool:
@@ -29,14 +35,23 @@ def callable_from_python(kernel: CPUDispatcher) -> bool:
 
 def test_only_kernels_know_them() -> None:
     modules = {module.name for module in pkgutil.walk_packages(phdtrack.__path__, "phdtrack.")}
-    outside = {name for name in modules if not name.startswith("phdtrack.kernels.") and not name.endswith("__main__")}
+    outside = {
+        name
+        for name in modules
+        if not name.startswith("phdtrack.kernels.") and not name.endswith("__main__")
+    }
     assert len(outside) > 50
     assert {name: found for name in sorted(outside) if (found := inner_kernels_of(name))} == {}
 
 
 def test_what_is_kept_on_disk_can_be_called_from_python() -> None:
-    modules = [module.name for module in pkgutil.iter_modules(phdtrack.kernels.__path__, "phdtrack.kernels.")]
-    inner = [vars(import_module(module))[name] for module in modules for name in inner_kernels_of(module)]
+    modules = [
+        module.name
+        for module in pkgutil.iter_modules(phdtrack.kernels.__path__, "phdtrack.kernels.")
+    ]
+    inner = [
+        vars(import_module(module))[name] for module in modules for name in inner_kernels_of(module)
+    ]
     assert [kernel.py_func for kernel in inner if kernel.stats.cache_path is not None] == []
 
 

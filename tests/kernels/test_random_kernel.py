@@ -32,7 +32,10 @@ words = st.integers(0, twins.WORD)
 
 
 def words_of(counter, key, rounds: int) -> tuple[int, ...]:
-    return tuple(int(w) for w in philox(*(np.uint32(c) for c in counter), *(np.uint32(k) for k in key), rounds))
+    return tuple(
+        int(w)
+        for w in philox(*(np.uint32(c) for c in counter), *(np.uint32(k) for k in key), rounds)
+    )
 
 
 @pytest.mark.parametrize(("rounds", "counter", "key", "answer"), PUBLISHED)
@@ -42,8 +45,11 @@ def test_published_answers(rounds: int, counter, key, answer):
 
 
 def test_published_words_of_a_stream():
-    """Those that the Rust crate rand_xoshiro tests with, made with the authors' program from the state (1, 2)."""
-    state, found = (np.uint32(1), np.uint32(2)), []
+    """Those that the Rust crate rand_xoshiro tests with, made with the authors' program from the
+    state (1, 2).
+    """
+    state = (np.uint32(1), np.uint32(2))
+    found = []
     for _ in range(10):
         word, *state = xoroshiro(*state)
         found.append(int(word))
@@ -78,13 +84,18 @@ def normals(key=(3, 4), stage: int = 0, blocks: int = BLOCKS) -> np.ndarray:
 def test_normals_are_those_of_the_twin():
     found = normals((12345, 0xDEADBEEF), 1, 2)
     for b, i in ((0, 0), (0, 1), (0, 255), (1, 0), (1, 77)):
-        np.testing.assert_allclose(found[:, b, i], twins.normals(i, b, 1, (12345, 0xDEADBEEF)), rtol=1e-5, atol=2e-6)
+        np.testing.assert_allclose(
+            found[:, b, i], twins.normals(i, b, 1, (12345, 0xDEADBEEF)), rtol=1e-5, atol=2e-6
+        )
 
 
 def test_moments_and_law_of_the_normals():
-    """Each within four of its own standard errors; Kolmogorov and Smirnov's test at one in a thousand."""
+    """Each within four of its own standard errors; Kolmogorov and Smirnov's test at one in a
+    thousand.
+    """
     for row in normals():
-        x, n = row.ravel(), row.size
+        x = row.ravel()
+        n = row.size
         for power, mean, variance in ((1, 0, 1), (2, 1, 2), (3, 0, 15), (4, 3, 96)):
             assert abs((x**power).mean() - mean) < 4 * np.sqrt(variance / n), power
         assert stats.kstest(x, "norm").pvalue > 1e-3

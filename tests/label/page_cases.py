@@ -29,11 +29,12 @@ serve(label_app(session(Path({labels!r}), {boxes}, {waiting_for!r} and Path({wai
 
 
 def session(labels: Path, boxes: int, waiting_for: Path | None = None):
-    """A session on drawn frames: on each ``boxes`` detections on a grid, and a small one inside the first.
+    """A session on drawn frames: on each ``boxes`` detections on a grid, and a small one inside the
+    first.
 
-    Of box 3 it is suggested that its place fires, of box 4 that it was rejected; of the latter on every other frame only,
-    and with a score below that of ticked ones on the frames behind 20. The suggestions are there when the file
-    ``waiting_for`` is.
+    Of box 3 it is suggested that its place fires, of box 4 that it was rejected; of the latter on
+    every other frame only, and with a score below that of ticked ones on the frames behind 20. The
+    suggestions are there when the file ``waiting_for`` is.
     """
     import cv2
 
@@ -45,9 +46,13 @@ def session(labels: Path, boxes: int, waiting_for: Path | None = None):
     across = int(np.ceil(np.sqrt(boxes * 4 / 3)))
     step = 600 / across
     corner = np.array([(20 + step * (k % across), 20 + step * (k // across)) for k in range(boxes)])
-    one = np.vstack([np.hstack([corner, corner + 0.8 * step]), [[20 + 0.2 * step] * 2 + [20 + 0.5 * step] * 2]])
+    one = np.vstack(
+        [np.hstack([corner, corner + 0.8 * step]), [[20 + 0.2 * step] * 2 + [20 + 0.5 * step] * 2]]
+    )
     frame = np.repeat(np.arange(1, FRAMES + 1), len(one))
-    table = DetectionTable(frame, Detections.of(np.tile(one, (FRAMES, 1)), np.full(len(frame), 0.5)))
+    table = DetectionTable(
+        frame, Detections.of(np.tile(one, (FRAMES, 1)), np.full(len(frame), 0.5))
+    )
     stills = {}
     for number in range(1, FRAMES + 1):
         image = np.full((SIZE[1], SIZE[0], 3), 60, np.uint8)
@@ -56,7 +61,10 @@ def session(labels: Path, boxes: int, waiting_for: Path | None = None):
     store = LabelStore.open(labels, "drawn", "digest", list(range(1, FRAMES + 1)))
     numbers = range(1, FRAMES + 1)
     found = [Suggestion(number, 3, "place", 0.99, 0) for number in numbers]
-    found += [Suggestion(number, 4, "rejected", 0.95 if number <= 20 else 0.5, -1) for number in numbers[::2]]
+    found += [
+        Suggestion(number, 4, "rejected", 0.95 if number <= 20 else 0.5, -1)
+        for number in numbers[::2]
+    ]
 
     def waits(report):
         report(0.25)
@@ -68,7 +76,9 @@ def session(labels: Path, boxes: int, waiting_for: Path | None = None):
     while waiting_for is None and background.found is None:
         time.sleep(0.001)
     command = f"phdtrack learn drawn.mp4 --labels {labels}"
-    return Session(store, table, stills, SequenceInfo(*SIZE, 25.0, FRAMES, "drawn"), background, command)
+    return Session(
+        store, table, stills, SequenceInfo(*SIZE, 25.0, FRAMES, "drawn"), background, command
+    )
 
 
 @contextlib.contextmanager

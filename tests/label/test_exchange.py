@@ -1,4 +1,6 @@
-"""Marks as COCO and CVAT: what is written is read again, and what other tools drew is matched with the detections."""
+"""Marks as COCO and CVAT: what is written is read again, and what other tools drew is matched with
+the detections.
+"""
 
 import json
 import re
@@ -15,12 +17,15 @@ from phdtrack.types import Detections, DetectionTable, SequenceInfo
 
 INFO = SequenceInfo(640, 480, 25.0, 100, "street")
 BOXES = np.array([[10.25, 20, 50, 100], [200, 100, 240, 180], [400, 300, 450.5, 400]])
-MOVED, DREW = (205.5, 100.0, 250.0, 190.25), (300.0, 200.0, 330.0, 260.0)
+MOVED = (205.5, 100.0, 250.0, 190.25)
+DREW = (300.0, 200.0, 330.0, 260.0)
 
 
 def exchange(path, digest="abc", frames=(30, 10, 60), shift=0.0):
     """Labels of three detections in each of 100 frames."""
-    table = DetectionTable(np.repeat(np.arange(1, 101), 3), Detections.of(np.tile(BOXES + shift, (100, 1))))
+    table = DetectionTable(
+        np.repeat(np.arange(1, 101), 3), Detections.of(np.tile(BOXES + shift, (100, 1)))
+    )
     return Exchange(LabelStore.open(path, "street", digest, frames), table, INFO)
 
 
@@ -32,7 +37,11 @@ def marked(tmp_path):
     store.mark(30, [Label(30, 0, "false"), Label(30, 1, "true", MOVED)], who="ann")
     store.mark(30, [Label(30, DRAWN + 5, "true", DREW), Label(30, 2, "false")], who='bob "b" <ü>')
     store.mark(30, [Label(30, 2, "none")], who="ann")
-    store.mark(10, [Label(12, 2, "birth"), Label(12, DRAWN + 9, "birth", DREW), Label(10, 1, "birth", MOVED)], who="ann")
+    store.mark(
+        10,
+        [Label(12, 2, "birth"), Label(12, DRAWN + 9, "birth", DREW), Label(10, 1, "birth", MOVED)],
+        who="ann",
+    )
     store.mark(60, [Label(60, 0, "false")])
     for number in (30, 10):
         store.finish(number, who="ann")
@@ -59,7 +68,9 @@ def test_nothing_is_lost_on_the_way(marked, tmp_path, kind):
         assert taken == Taken(false=2, objects=3, drawn=2, done=2, elsewhere=0, unmatched=0)
         assert again.store.labels() == marked.store.labels()
         assert who(again.store) == who(marked.store)
-        assert again.store.frames() == marked.store.frames() == [(30, True), (10, True), (60, False)]
+        assert (
+            again.store.frames() == marked.store.frames() == [(30, True), (10, True), (60, False)]
+        )
     # Marks of the clip are undone on the drawn frame.
     assert again.store.steps(10, "ann")[0] > 0
     assert again.text(kind) == path.read_text(encoding="utf-8")
@@ -71,7 +82,9 @@ def test_nothing_is_lost_on_the_way(marked, tmp_path, kind):
 
 @pytest.mark.parametrize("kind", ["json", "xml"])
 def test_labels_of_other_detections_are_matched(marked, tmp_path, kind):
-    """The detector is another one, three pixels off: a mark goes to the box that overlaps most; places stay."""
+    """The detector is another one, three pixels off: a mark goes to the box that overlaps most;
+    places stay.
+    """
     again = exchange(tmp_path / "again.sqlite", "xyz", shift=3.0)
     taken = again.take(read_annotated(written(marked, tmp_path, kind)))
     assert taken == Taken(false=2, objects=3, drawn=2, done=2, elsewhere=0, unmatched=0)
@@ -92,7 +105,9 @@ def test_a_frame_is_done_only_where_all_its_detections_are_in_the_file(marked, t
 
 
 def test_what_was_edited_in_cvat_comes_back(marked, tmp_path):
-    """CVAT leaves out what it does not know of the file itself. A true box was moved there, one drawn, one removed."""
+    """CVAT leaves out what it does not know of the file itself. A true box was moved there, one
+    drawn, one removed.
+    """
     text = re.sub(r"<meta>.*</meta>", "<meta/>", marked.text("xml"))
     new = '<box label="object" xtl="500" ytl="10" xbr="540" ybr="90"/>'
     text = re.sub(r'(<image id="9".*?>)', rf"\1{new}", text).replace('xtl="400"', 'xtl="404"', 1)
@@ -126,8 +141,11 @@ CVAT = """<annotations><track id="0" label="person">
 
 @pytest.mark.parametrize("text", [json.dumps(COCO), CVAT], ids=["coco", "cvat"])
 def test_boxes_of_another_tool_are_true_places_and_missed_objects(tmp_path, text):
-    """Both files count from 0: frame 9 is the tenth. The other frame is not one of those to label."""
-    path, made = tmp_path / "theirs", exchange(tmp_path / "labels.sqlite")
+    """Both files count from 0: frame 9 is the tenth. The other frame is not one of those to
+    label.
+    """
+    path = tmp_path / "theirs"
+    made = exchange(tmp_path / "labels.sqlite")
     path.write_text(text)
     for _ in range(2):
         taken = made.take(read_annotated(path), "eve")
@@ -139,7 +157,8 @@ def test_boxes_of_another_tool_are_true_places_and_missed_objects(tmp_path, text
 
 
 def test_what_cannot_be_taken_is_refused_and_changes_nothing(tmp_path):
-    made, path = exchange(tmp_path / "labels.sqlite"), tmp_path / "theirs"
+    made = exchange(tmp_path / "labels.sqlite")
+    path = tmp_path / "theirs"
     other = [{**image, "width": 1920, "height": 1080} for image in COCO["images"]]
     path.write_text(json.dumps(COCO | {"images": other}))
     with pytest.raises(InputError, match=r"expected pictures of 640 x 480, came 1920 x 1080"):
@@ -147,9 +166,15 @@ def test_what_cannot_be_taken_is_refused_and_changes_nothing(tmp_path):
     assert made.store.labels() == []
     for text, words in (
         ("<dataset/>", "expected CVAT, whose outermost element"),
-        (json.dumps(COCO | {"images": [{"id": 1, "frame_id": 1.5}], "annotations": []}), "whole numbers of frames"),
+        (
+            json.dumps(COCO | {"images": [{"id": 1, "frame_id": 1.5}], "annotations": []}),
+            "whole numbers of frames",
+        ),
         ("7", "expected COCO .JSON. or CVAT .XML., came b'7'"),
-        ('<annotations><image id="1"><box xtl="1" ytl="1" xbr="x" ybr="2"/></image></annotations>', "finite number for xbr"),
+        (
+            '<annotations><image id="1"><box xtl="1" ytl="1" xbr="x" ybr="2"/></image></annotations>',
+            "finite number for xbr",
+        ),
         (json.dumps([{"image_id": 1, "bbox": [1, 2, 0, 4]}]), "a box of some width and height"),
         ('[{"image_id": 1, "bbox": [1, NaN, 3, 4]}]', "a box of some width and height"),
         ('<annotations><box xtl="1" ytl="1" xbr="3" ybr="2"/></annotations>', "frame"),

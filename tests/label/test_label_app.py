@@ -49,7 +49,12 @@ def test_marks_are_kept_undone_and_redone(page):
     assert (answer["undo"], answer["redo"]) == (1, 0)
     # What somebody else did stays.
     answer = page.post("/api/frame/1/undo", json={"who": "me"}).json()
-    assert (answer["marks"], answer["by"], answer["undo"], answer["redo"]) == ({"12": "false"}, {"12": "other"}, 0, 1)
+    assert (answer["marks"], answer["by"], answer["undo"], answer["redo"]) == (
+        {"12": "false"},
+        {"12": "other"},
+        0,
+        1,
+    )
     assert page.get("/api/frame/1?who=other").json()["undo"] == 1
     assert page.post("/api/frame/1/redo", json={"who": "me"}).json()["progress"]["false"] == 2
     assert page.post("/api/frame/1/done", json={"done": True}).json()["progress"]["done"] == 1
@@ -61,7 +66,9 @@ def test_marks_are_kept_undone_and_redone(page):
 
 
 def test_all_like_one_leaves_out_what_is_marked(page):
-    assert page.get("/api/frame/1/alike/12").json() == [[number, 12] for number in range(1, FRAMES + 1)]
+    assert page.get("/api/frame/1/alike/12").json() == [
+        [number, 12] for number in range(1, FRAMES + 1)
+    ]
     page.post("/api/frame/5/marks", json=marks(12, frame=5))
     assert [5, 12] not in page.get("/api/frame/1/alike/12").json()
 
@@ -70,28 +77,39 @@ def learned_map(page):
     """Whether anything was learned, and how red the map is."""
     answer = page.get("/api/map/false").json()
     data = base64.b64decode(answer["picture"].removeprefix("data:image/png;base64,"))
-    return answer["learned"], cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)[..., 3]
+    return answer["learned"], cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)[
+        ..., 3
+    ]
 
 
 def test_the_map_shows_where_false_boxes_were_marked(page):
     learned, shown = learned_map(page)
     assert (learned, shown.max()) == (False, 0)
-    page.post("/api/frame/1/marks", json={"marks": [{"frame": k, "box": 0, "mark": "false"} for k in range(1, 21)]})
+    page.post(
+        "/api/frame/1/marks",
+        json={"marks": [{"frame": k, "box": 0, "mark": "false"} for k in range(1, 21)]},
+    )
     learned, shown = learned_map(page)
     assert learned
     assert shown.max() > 150
     # The box's centre, at half the size; the far corner stays clear.
     down, across = np.unravel_index(np.argmax(shown), shown.shape)
     box = page.get("/api/frame/1").json()["boxes"][0]
-    assert (2 * across, 2 * down) == pytest.approx(((box[0] + box[2]) / 2, (box[1] + box[3]) / 2), abs=6)
+    assert (2 * across, 2 * down) == pytest.approx(
+        ((box[0] + box[2]) / 2, (box[1] + box[3]) / 2), abs=6
+    )
     assert shown[-40:, -40:].max() == 0
 
 
 def test_a_map_of_marks_that_lie_anywhere_says_so_and_is_clear(tmp_path):
-    made, rng = session(tmp_path / "labels.sqlite", 12), np.random.default_rng(0)
-    centre, half = rng.uniform(20, np.array(SIZE) - 20, (100, 2)), rng.uniform(18, 22, (100, 2))
+    made = session(tmp_path / "labels.sqlite", 12)
+    rng = np.random.default_rng(0)
+    centre = rng.uniform(20, np.array(SIZE) - 20, (100, 2))
+    half = rng.uniform(18, 22, (100, 2))
     detections = Detections.of(np.hstack([centre - half, centre + half]), np.full(100, 0.5))
-    page = TestClient(label_app(replace(made, table=DetectionTable(np.ones(100, np.int64), detections))))
+    page = TestClient(
+        label_app(replace(made, table=DetectionTable(np.ones(100, np.int64), detections)))
+    )
     page.post("/api/frame/1/marks", json=marks(*range(100)))
     learned, shown = learned_map(page)
     assert (learned, shown.max()) == (False, 0)
@@ -108,7 +126,11 @@ def test_a_map_of_marks_that_lie_anywhere_says_so_and_is_clear(tmp_path):
         ("marks", marks(13), "13 detections, and no number 13"),
         ("marks", marks(-1), "no number -1"),
         ("marks", marks(0, mark="true"), "the place of box 0, got none"),
-        ("marks", {"marks": [{"frame": 1, "box": DRAWN, "mark": "true", "place": [3, 3, 3, 9]}]}, "left < right"),
+        (
+            "marks",
+            {"marks": [{"frame": 1, "box": DRAWN, "mark": "true", "place": [3, 3, 3, 9]}]},
+            "left < right",
+        ),
         ("marks", marks(0, frame=77), "frame 77 is not one"),
         ("marks", {"marks": ["x"]}, "marks.0: "),
         ("marks", {"marks": []}, "a mark or more"),
@@ -129,7 +151,10 @@ def test_suggestions_leave_out_what_is_marked(page):
     assert len(found["items"]) == FRAMES + FRAMES // 2
     assert found["items"][0] == [1, 3, "place", 0.99, 0]
     assert found["items"][FRAMES] == [1, 4, "rejected", 0.95, -1]
-    page.post("/api/frame/1/marks", json={"marks": [{"frame": k, "box": 3, "mark": "false"} for k in (1, 2)]})
+    page.post(
+        "/api/frame/1/marks",
+        json={"marks": [{"frame": k, "box": 3, "mark": "false"} for k in (1, 2)]},
+    )
     assert len(page.get("/api/suggestions").json()["items"]) == FRAMES + FRAMES // 2 - 2
     page.post("/api/frame/1/undo", json={})
     assert len(page.get("/api/suggestions").json()["items"]) == FRAMES + FRAMES // 2
@@ -144,13 +169,19 @@ def test_frames_of_a_clip_are_answered_and_marked(tmp_path):
     small[top:bottom, left:right] = 255
     stills = {**made.stills, 25: cv2.imencode(".jpg", small)[1].tobytes()}
     page = TestClient(label_app(replace(made, store=store, stills=stills)))
-    assert page.get("/api/overview").json()["frames"] == [{"number": 20, "done": False, "clip": [10, 30]}]
+    assert page.get("/api/overview").json()["frames"] == [
+        {"number": 20, "done": False, "clip": [10, 30]}
+    ]
     assert len(page.get("/api/frame/25").json()["boxes"]) == 13
     crop = cv2.imdecode(np.frombuffer(page.get("/crop/25/0.jpg").content, np.uint8), 0)
     assert (crop > 128).mean() == pytest.approx(1 / 1.4**2, abs=0.08)
     assert page.get("/api/frame/31").status_code == 400
-    assert page.post("/api/frame/20/marks", json=marks(0, frame=25, mark="birth")).status_code == 200
-    assert page.post("/api/frame/20/marks", json=marks(0, frame=31, mark="birth")).status_code == 400
+    assert (
+        page.post("/api/frame/20/marks", json=marks(0, frame=25, mark="birth")).status_code == 200
+    )
+    assert (
+        page.post("/api/frame/20/marks", json=marks(0, frame=31, mark="birth")).status_code == 400
+    )
 
 
 def client(app, token=""):
@@ -167,7 +198,9 @@ def test_answers_carry_the_policy_and_are_not_stored(app):
     assert "http" not in POLICY
 
 
-@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1:9999", "localhost.evil.example:8000", ""])
+@pytest.mark.parametrize(
+    "host", ["evil.example", "127.0.0.1:9999", "localhost.evil.example:8000", ""]
+)
 def test_other_names_of_this_server_are_refused(app, host):
     assert client(app).get("/api/overview", headers={"host": host}).status_code == 421
 

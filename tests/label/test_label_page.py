@@ -1,4 +1,6 @@
-"""The page in a real browser: by mouse, by keyboard, with the server killed under it, with a thousand boxes."""
+"""The page in a real browser: by mouse, by keyboard, with the server killed under it, with a
+thousand boxes.
+"""
 
 import contextlib
 from collections.abc import Iterator
@@ -95,7 +97,9 @@ def test_forty_frames_by_keyboard(it, store):
             it.page.keyboard.press(key)
     it.kept()
     marks = {(label.frame, label.box): label.mark for label in store.labels()}
-    expected = {(n, box): mark for n in range(1, FRAMES + 1) for box, mark in ((1, "false"), (2, "birth"))}
+    expected = {
+        (n, box): mark for n in range(1, FRAMES + 1) for box, mark in ((1, "false"), (2, "birth"))
+    }
     # Before the first frame of all there is none: who is there may have been there before.
     del expected[1, 2]
     assert marks == expected
@@ -103,7 +107,10 @@ def test_forty_frames_by_keyboard(it, store):
     # What comes next is said, with the file of these marks; births are learned from as many marks.
     it.page.wait_for_selector("#next-step:visible")
     command = f"phdtrack learn drawn.mp4 --labels {store.path} --births hand"
-    assert it.page.inner_text("#next-step") == f"All 40 frames are done. Now run, in a terminal: {command}"
+    assert (
+        it.page.inner_text("#next-step")
+        == f"All 40 frames are done. Now run, in a terminal: {command}"
+    )
     assert it.page.inner_text("#kept") == str(store.path)
     it.page.keyboard.press("z")
     it.page.wait_for_selector("#next-step", state="hidden")
@@ -222,11 +229,14 @@ def test_missed_objects_are_drawn_and_boxes_moved(it, store):
 def test_boxes_are_drawn_and_moved_by_keyboard_also_while_the_server_is_away(browser, tmp_path):
     labels = tmp_path / "labels.sqlite"
     with server(labels) as (url, process), opened(browser, url) as it:
-        port, press = int(url.rsplit(":", 1)[1].strip("/")), it.page.keyboard.press
+        port = int(url.rsplit(":", 1)[1].strip("/"))
+        press = it.page.keyboard.press
         process.kill()
         process.wait()
         press("n")
-        assert it.page.inner_text("#spoken").startswith("box 14 of 14, drawn, set by hand, from 260, 180 to 380, 300")
+        assert it.page.inner_text("#spoken").startswith(
+            "box 14 of 14, drawn, set by hand, from 260, 180 to 380, 300"
+        )
         for key in ("ArrowRight", "ArrowUp", "Shift+ArrowRight", "Shift+ArrowDown"):
             press(key)
         assert it.page.inner_text("#spoken").endswith("from 261, 179 to 382, 300")
@@ -402,7 +412,8 @@ def test_suggestions_are_confirmed_in_one_sweep_and_taken_back_in_one(it, store)
     assert {label.frame for label in marks if label.box == 3} == set(range(1, FRAMES + 1)) - {8}
     assert {label.frame for label in marks if label.box == 4} == {*range(1, 20, 2), 37, 39}
     it.page.wait_for_selector('#sweep-button:text-is("9 suggestions (S)")')
-    # What was done stays to be read, whatever the server answers and the mouse passes over, until the next key or click.
+    # What was done stays to be read, whatever the server answers and the mouse passes over, until
+    # the next key or click.
     said = "51 boxes were marked as false; Z on this frame takes that back"
     it.page.mouse.move(*it.point(200, 100))
     it.page.wait_for_selector('#tip:text-matches("score 0.5")')
@@ -425,7 +436,8 @@ def test_suggestions_are_confirmed_in_one_sweep_and_taken_back_in_one(it, store)
 
 
 def test_what_is_heard_and_how_the_picture_is_left(it):
-    press, spoken = it.page.keyboard.press, lambda: it.page.inner_text("#spoken")
+    press = it.page.keyboard.press
+    spoken = lambda: it.page.inner_text("#spoken")
     assert spoken() == "1 of 40: frame 1, 13 boxes"
     # What the mouse passes over is shown only.
     it.page.mouse.move(*it.point(200, 100))
@@ -466,13 +478,17 @@ window.requestAnimationFrame = (paint) => next((time) => {
 
 def test_a_click_among_a_thousand_boxes_is_drawn_at_once(browser, tmp_path):
     rng = np.random.default_rng(0)
-    corner, size = rng.uniform(0, 400, (1000, 2)), rng.uniform(15, 80, (1000, 2))
+    corner = rng.uniform(0, 400, (1000, 2))
+    size = rng.uniform(15, 80, (1000, 2))
     boxes = np.hstack([corner, corner + size, np.full((1000, 1), 0.5)]).round(2).tolist()
     with server(tmp_path / "labels.sqlite", boxes=1000) as (url, _):
         page = Page(browser.new_page(viewport=VIEWPORT))
         page.page.add_init_script(TIMED)
         # Boxes that overlap: they are the slowest to draw.
-        page.page.route("**/api/frame/1", lambda route: route.fulfill(json=route.fetch().json() | {"boxes": boxes}))
+        page.page.route(
+            "**/api/frame/1",
+            lambda route: route.fulfill(json=route.fetch().json() | {"boxes": boxes}),
+        )
         page.open(url)
         for x, y in rng.uniform(50, 400, (15, 2)):
             page.click(x, y)
@@ -488,7 +504,8 @@ def test_the_page_does_not_wait_for_suggestions(browser, tmp_path):
     go = tmp_path / "go"
     with server(tmp_path / "labels.sqlite", waiting_for=go) as (url, _), opened(browser, url) as it:
         it.page.wait_for_selector('#sweep-button:text-is("suggestions … 25 %")')
-        # The key does nothing yet, and what is clicked meanwhile is kept, and not suggested any more.
+        # The key does nothing yet, and what is clicked meanwhile is kept, and not suggested any
+        # more.
         it.page.keyboard.press("s")
         assert it.page.locator("#sweep").is_hidden()
         it.click(500, 100)
@@ -531,9 +548,18 @@ def test_no_click_of_two_tabs_is_lost_when_the_server_is_killed(context, tmp_pat
             one.click(500, 100)
             other.click(60, 250)
             other.page.wait_for_selector('#saving:text-matches("4 to be kept")')
-        # The other one is closed before the server is back. What an earlier version left is taken, too.
-        left = [{"frame": 2, "what": "marks", "body": {"marks": [{"frame": 2, "box": 5, "mark": "false"}], "key": "old"}}]
-        one.page.evaluate("left => localStorage.setItem('phdtrack-label:drawn', JSON.stringify(left))", left)
+        # The other one is closed before the server is back. What an earlier version left is taken,
+        # too.
+        left = [
+            {
+                "frame": 2,
+                "what": "marks",
+                "body": {"marks": [{"frame": 2, "box": 5, "mark": "false"}], "key": "old"},
+            }
+        ]
+        one.page.evaluate(
+            "left => localStorage.setItem('phdtrack-label:drawn', JSON.stringify(left))", left
+        )
         with server(labels, port=port), opened(context, url) as third:
             for page in (one, third):
                 page.kept()

@@ -1,4 +1,6 @@
-"""What marks say: births and their velocities, false alarms, objects, and what of the false alarms a tracker follows."""
+"""What marks say: births and their velocities, false alarms, objects, and what of the false alarms
+a tracker follows.
+"""
 
 import numpy as np
 import pytest
@@ -23,7 +25,9 @@ def table(*rows):
 
 
 def marked(path, births, drawn=(20,), done=True):
-    """A file in which ``births`` (frame, box) are marked, on drawn frames that have been looked at."""
+    """A file in which ``births`` (frame, box) are marked, on drawn frames that have been looked
+    at.
+    """
     store = LabelStore.open(path / "labels", "drawn", "digest", drawn)
     if births:
         store.mark(drawn[0], [Label(frame, box, "birth") for frame, box in births])
@@ -33,7 +37,10 @@ def marked(path, births, drawn=(20,), done=True):
 
 
 def walk(first, count, start, velocity, size=(30, 80)):
-    return [(first + k, start[0] + k * velocity[0], start[1] + k * velocity[1], *size) for k in range(count)]
+    return [
+        (first + k, start[0] + k * velocity[0], start[1] + k * velocity[1], *size)
+        for k in range(count)
+    ]
 
 
 def test_frames_watched_are_counted_once_and_without_the_first_of_a_clip(tmp_path):
@@ -43,7 +50,9 @@ def test_frames_watched_are_counted_once_and_without_the_first_of_a_clip(tmp_pat
         store.finish(number)
     np.testing.assert_array_equal(Marks(store, NOTHING, INFO).watched, np.arange(11, 36))
     # Of a stretch only its own: clips end with it, and nothing comes before its first frame.
-    np.testing.assert_array_equal(Marks(store, NOTHING, INFO, range(22, 31)).watched, np.arange(23, 31))
+    np.testing.assert_array_equal(
+        Marks(store, NOTHING, INFO, range(22, 31)).watched, np.arange(23, 31)
+    )
     # 25 frames of 1/25 s, 10 time units a second.
     assert Marks(store, NOTHING, INFO).time_watched(10) == pytest.approx(10)
 
@@ -75,11 +84,24 @@ def test_velocity_is_unknown_where_nothing_goes_on_from_the_box(tmp_path, others
 
 
 def test_objects_are_where_they_were_drawn_or_moved_to(tmp_path):
-    """By hand: of three detections one is false and one is moved; one object was missed; on another frame nobody looked."""
-    seen = table((20, 100, 200, 30, 80), (20, 300, 200, 30, 80), (20, 500, 200, 30, 80), (60, 1, 2, 3, 4))
+    """By hand: of three detections one is false and one is moved; one object was missed; on another
+    frame nobody looked.
+    """
+    seen = table(
+        (20, 100, 200, 30, 80), (20, 300, 200, 30, 80), (20, 500, 200, 30, 80), (60, 1, 2, 3, 4)
+    )
     store = marked(tmp_path, [(20, 0)])
-    drawn, elsewhere = Label(20, DRAWN + 1, "true", (10.0, 20.0, 30.0, 60.0)), Label(60, DRAWN, "true", (0.0, 0.0, 9.0, 9.0))
-    store.mark(20, [Label(20, 1, "false"), Label(20, 2, "true", (490.0, 160.0, 520.0, 240.0)), drawn, elsewhere])
+    drawn = Label(20, DRAWN + 1, "true", (10.0, 20.0, 30.0, 60.0))
+    elsewhere = Label(60, DRAWN, "true", (0.0, 0.0, 9.0, 9.0))
+    store.mark(
+        20,
+        [
+            Label(20, 1, "false"),
+            Label(20, 2, "true", (490.0, 160.0, 520.0, 240.0)),
+            drawn,
+            elsewhere,
+        ],
+    )
     marks = Marks(store, seen, INFO)
     expected = [[100, 505, 20], [200, 200, 40], [30, 30, 20], [80, 80, 40]]
     np.testing.assert_allclose(marks.object_boxes, expected)
@@ -111,7 +133,9 @@ FALSE = [(2, 0), (2, 1), (4, 0), (5, 1), (3, 2)]
 
 
 def five(path, looked=(2, 4), stretch=None):
-    """Frames 2, 4 and 5 were drawn, of which two were looked at; marks as false, and a birth, which is an object's."""
+    """Frames 2, 4 and 5 were drawn, of which two were looked at; marks as false, and a birth, which
+    is an object's.
+    """
     store = LabelStore.open(path / "labels", "five", "digest", [4, 2, 5])
     store.mark(2, [Label(*pair, "false") for pair in FALSE])
     store.mark(4, [Label(4, 2, "birth")])
@@ -129,7 +153,9 @@ def resting(*pairs):
     """Rows of tracks (frame, detection)."""
     frame, detection = (np.array(column, np.int64) for column in zip(*pairs, strict=True))
     n = len(pairs)
-    return Tracks(frame, np.ones(n, np.int64), np.ones((n, 4)), np.ones(n), detection, np.ones(n, np.bool_))
+    return Tracks(
+        frame, np.ones(n, np.int64), np.ones((n, 4)), np.ones(n), detection, np.ones(n, np.bool_)
+    )
 
 
 def test_objects_are_what_was_not_marked_on_frames_that_were_looked_at(tmp_path):
@@ -139,7 +165,8 @@ def test_objects_are_what_was_not_marked_on_frames_that_were_looked_at(tmp_path)
 
 
 def test_of_a_stretch_only_its_frames_count(tmp_path):
-    run, marks = resting((2, 0), (4, 0), (5, 2)), five(tmp_path, (2, 4, 5), range(4, 6))
+    run = resting((2, 0), (4, 0), (5, 2))
+    marks = five(tmp_path, (2, 4, 5), range(4, 6))
     same_boxes(marks.object_boxes, (4, 1), (4, 2), (5, 0), (5, 2))
     assert marks.share_followed(run) == (1 + 1) / (2 + 2)
     nothing = five(tmp_path, (2, 4, 5), range(3, 4))
@@ -148,9 +175,13 @@ def test_of_a_stretch_only_its_frames_count(tmp_path):
 
 
 def test_the_share_of_false_alarms_on_which_tracks_rest(tmp_path):
-    """By hand: of three on frames 2 and 4 two are followed, (2 + 1)/(3 + 2); others, and objects, do not count."""
+    """By hand: of three on frames 2 and 4 two are followed, (2 + 1)/(3 + 2); others, and objects,
+    do not count.
+    """
     marks = five(tmp_path)
-    assert marks.share_followed(resting((2, 0), (4, 0), (2, 2), (3, 2), (5, 1))) == pytest.approx(3 / 5)
+    assert marks.share_followed(resting((2, 0), (4, 0), (2, 2), (3, 2), (5, 1))) == pytest.approx(
+        3 / 5
+    )
     # Two tracks on one detection count once, rows that rest on none not at all.
     assert marks.share_followed(resting((2, 0), (2, 0), (4, -1))) == pytest.approx(2 / 5)
     assert marks.share_followed(resting(*FALSE)) == pytest.approx(4 / 5)

@@ -118,9 +118,20 @@ def test_people_undo_their_own_actions_and_those_of_nobody(store):
 
 
 def test_where_people_disagree_each_is_named_with_the_last_mark(store):
-    store.mark(10, [*false(10, 1, 2), Label(10, 3, "true", PLACE), Label(10, DRAWN, "true", PLACE)], who="ann")
-    store.mark(10, [Label(10, 1, "none"), *false(10, 2), Label(10, 3, "none"), Label(10, DRAWN, "none")], who="bob")
-    assert store.disputes() == {(10, 1): {"ann": "false", "bob": "true"}, (10, DRAWN): {"ann": "true", "bob": "none"}}
+    store.mark(
+        10,
+        [*false(10, 1, 2), Label(10, 3, "true", PLACE), Label(10, DRAWN, "true", PLACE)],
+        who="ann",
+    )
+    store.mark(
+        10,
+        [Label(10, 1, "none"), *false(10, 2), Label(10, 3, "none"), Label(10, DRAWN, "none")],
+        who="bob",
+    )
+    assert store.disputes() == {
+        (10, 1): {"ann": "false", "bob": "true"},
+        (10, DRAWN): {"ann": "true", "bob": "none"},
+    }
     assert store.progress().disputed == 2
     # The last mark counts; an earlier one of the same person does not.
     assert store.labels() == [*false(10, 2)]
@@ -190,7 +201,9 @@ def test_many_people_at_once_lose_no_click(store):
 
     with ThreadPoolExecutor(6) as pool:
         list(pool.map(person, range(6)))
-    assert {label.box for label in store.labels(10)} == {100 * who + k for who in range(6) for k in range(40)}
+    assert {label.box for label in store.labels(10)} == {
+        100 * who + k for who in range(6) for k in range(40)
+    }
 
 
 def test_a_process_that_is_killed_loses_no_click_that_was_kept(store):

@@ -9,7 +9,15 @@ from scipy.optimize import linear_sum_assignment
 
 from phdtrack import config
 from phdtrack.arrays import iou
-from phdtrack.label.suggestions import REASONS, SHOWN, TICKED, Background, Evidence, Suggestion, suggest
+from phdtrack.label.suggestions import (
+    REASONS,
+    SHOWN,
+    TICKED,
+    Background,
+    Evidence,
+    Suggestion,
+    suggest,
+)
 from phdtrack.simulate import NAMED, default_detector, make_scene
 from phdtrack.types import Detections, DetectionTable, SequenceInfo, Tracks, Truth
 
@@ -22,7 +30,9 @@ def looked_over(table: DetectionTable, info: SequenceInfo) -> Evidence:
 
 
 def false_rows(table: DetectionTable, truth: Truth) -> np.ndarray:
-    """(M,) whether a detection is nobody's: it overlaps with nobody by 0.3, or another one overlaps him more."""
+    """(M,) whether a detection is nobody's: it overlaps with nobody by 0.3, or another one overlaps
+    him more.
+    """
     parts = []
     for k in range(1, table.last + 1):
         overlap = iou(table.at(k).xyxy, truth.xyxy[truth.frame == k])
@@ -34,7 +44,9 @@ def false_rows(table: DetectionTable, truth: Truth) -> np.ndarray:
 
 
 def measured(table: DetectionTable, truth: Truth, info: SequenceInfo):
-    """(number, precision, recall) of what is ticked: for each reason and for all, on 200 drawn frames."""
+    """(number, precision, recall) of what is ticked: for each reason and for all, on 200 drawn
+    frames.
+    """
     frames = (np.random.default_rng(0).permutation(info.frames)[:200] + 1).tolist()
     found = suggest(looked_over(table, info), frames)
     false = false_rows(table, truth)
@@ -48,13 +60,19 @@ def measured(table: DetectionTable, truth: Truth, info: SequenceInfo):
 
 
 def scene(name, seed, clutter):
-    made = make_scene(name, seed, replace(default_detector(NAMED[name]), clutter_rate=clutter), frames=1000)
+    made = make_scene(
+        name, seed, replace(default_detector(NAMED[name]), clutter_rate=clutter), frames=1000
+    )
     return measured(made.detections, made.truth, made.info)
 
 
-@pytest.mark.parametrize(("name", "seed", "clutter"), [("street", 1, 2.0), ("street", 2, 10.0), ("corridor", 1, 2.0)])
+@pytest.mark.parametrize(
+    ("name", "seed", "clutter"), [("street", 1, 2.0), ("street", 2, 10.0), ("corridor", 1, 2.0)]
+)
 def test_places_and_scattered_false_alarms_of_simulated_scenes(name, seed, clutter):
-    """Five places that fire every other time, and Poisson clutter: nearly all is found, and hardly anything else."""
+    """Five places that fire every other time, and Poisson clutter: nearly all is found, and hardly
+    anything else.
+    """
     found = scene(name, seed, clutter)
     assert found["all"][1] > 0.92
     assert found["all"][2] > 0.92
@@ -66,7 +84,9 @@ def test_places_and_scattered_false_alarms_of_simulated_scenes(name, seed, clutt
 
 
 def test_in_a_crowd_who_is_hidden_is_rejected_too():
-    """The limit that is stated: where people hide each other, four of ten rejected detections are true."""
+    """The limit that is stated: where people hide each other, four of ten rejected detections are
+    true.
+    """
     found = scene("crowd", 1, 2.0)
     assert found["place"][1] > 0.85
     assert found["all"][2] > 0.9
@@ -76,7 +96,9 @@ def test_in_a_crowd_who_is_hidden_is_rejected_too():
 @pytest.mark.data
 @pytest.mark.usefixtures("data")
 def test_where_no_place_fires_hardly_anything_is_ticked():
-    """PETS09-S2L1, people who stop and talk: of the detections 1 % at most are ticked and true, and none as a place."""
+    """PETS09-S2L1, people who stop and talk: of the detections 1 % at most are ticked and true, and
+    none as a place.
+    """
     from experiments.common import mot15
 
     case = mot15("PETS09-S2L1", "frcnn")

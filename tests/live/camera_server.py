@@ -1,5 +1,6 @@
-"""Cameras for tests: MJPEG over HTTP on loopback that can be frozen, killed, restarted, slowed down and resized; and a
-source without a network, whose pictures and times are given, for what must not depend on how fast the machine is."""
+"""Cameras for tests: MJPEG over HTTP on loopback that can be frozen, killed, restarted, slowed down
+and resized; and a source without a network, whose pictures and times are given, for what must not
+depend on how fast the machine is."""
 
 from __future__ import annotations
 
@@ -27,14 +28,15 @@ HEAD = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=fr
 class CameraServer:
     """Serves until `kill`; the pictures show their number as brightness.
 
-    ``rate`` pictures a second of ``size`` (width, height). While ``frozen`` nothing is sent on any connection; while
-    ``mute`` connections are accepted and nothing is said on them. ``broken`` pictures are cut in half. ``draw`` makes
-    another picture (H, W, 3) of the seconds since 1970. ``sent``: when each picture began to be sent, on any connection
-    (monotonic).
+    ``rate`` pictures a second of ``size`` (width, height). While ``frozen`` nothing is sent on any
+    connection; while ``mute`` connections are accepted and nothing is said on them. ``broken``
+    pictures are cut in half. ``draw`` makes another picture (H, W, 3) of the seconds since 1970.
+    ``sent``: when each picture began to be sent, on any connection (monotonic).
     """
 
     def __init__(self) -> None:
-        self.rate, self.size = 20.0, (160, 120)
+        self.rate = 20.0
+        self.size = (160, 120)
         self.frozen = self.mute = self.broken = False
         self.draw: Callable[[float], np.ndarray] | None = None
         self.asked: list[str] = []
@@ -110,7 +112,8 @@ def walker(wall: float) -> np.ndarray:
 
 def square(wall: float, width: int = 640, height: int = 480) -> np.ndarray:
     """A grey picture with a white square that goes over its width in 8 s by the clock, and back."""
-    image, side = np.full((height, width, 3), 30, np.uint8), height // 6
+    image = np.full((height, width, 3), 30, np.uint8)
+    side = height // 6
     left = round(abs(wall % 16 - 8) / 8 * (width - side))
     image[height // 2 : height // 2 + side, left : left + side] = 255
     return image
@@ -125,7 +128,11 @@ class RtspServer:
     def __init__(self, size: tuple[int, int] = (640, 480), rate: float = 25.0) -> None:
         with socket.create_server(("127.0.0.1", 0)) as one:
             self.port = one.getsockname()[1]
-        self._words = ["/usr/bin/python3", str(Path(__file__).with_name("rtsp_server.py")), str(self.port)]
+        self._words = [
+            "/usr/bin/python3",
+            str(Path(__file__).with_name("rtsp_server.py")),
+            str(self.port),
+        ]
         self._words += [str(size[0]), str(size[1]), str(rate)]
         self.url = f"rtsp://127.0.0.1:{self.port}/stream"
         self.restart()
@@ -133,14 +140,20 @@ class RtspServer:
     def restart(self) -> None:
         try:
             self._child = subprocess.Popen(
-                self._words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+                self._words,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
             )
         except FileNotFoundError as error:
             raise LookupError("there is no /usr/bin/python3") from error
         assert self._child.stdout is not None
         if self._child.stdout.readline() != "READY\n":
             self.kill()
-            raise LookupError("needs gir1.2-gst-rtsp-server-1.0, python3-gi, gstreamer1.0-plugins-{base,good,ugly}")
+            raise LookupError(
+                "needs gir1.2-gst-rtsp-server-1.0, python3-gi, gstreamer1.0-plugins-{base,good,ugly}"
+            )
 
     def say(self, command: str) -> None:
         """``rate 5``, ``size 320 240``, ``freeze`` or ``thaw``."""
@@ -157,8 +170,15 @@ class RtspServer:
 class HlsServer:
     """`square` in pieces of a second, made and served while it is not killed."""
 
-    def __init__(self, folder: Path, size: tuple[int, int] = (640, 480), rate: float = 25.0) -> None:
-        self.size, self.rate, self.frozen, self._ended, self._folder, self.port = size, rate, False, False, folder, 0
+    def __init__(
+        self, folder: Path, size: tuple[int, int] = (640, 480), rate: float = 25.0
+    ) -> None:
+        self.size = size
+        self.rate = rate
+        self.frozen = False
+        self._ended = False
+        self._folder = folder
+        self.port = 0
         self.restart()
         self._thread = threading.Thread(target=self._make, daemon=True)
         self._thread.start()
@@ -181,19 +201,27 @@ class HlsServer:
 
     def _make(self) -> None:
         options = {"hls_time": "1", "hls_list_size": "4", "hls_flags": "delete_segments"}
-        with av.open(str(self._folder / "live.m3u8"), "w", format="hls", options=options) as container:
+        with av.open(
+            str(self._folder / "live.m3u8"), "w", format="hls", options=options
+        ) as container:
             quick = {"preset": "ultrafast", "tune": "zerolatency", "g": "250"}
             stream = container.add_stream("libx264", rate=25, options=quick)
             stream.width, stream.height, stream.pix_fmt = *self.size, "yuv420p"
-            stream.codec_context.time_base, begun, key = Fraction(1, 1000), time.time(), 0.0
+            stream.codec_context.time_base = Fraction(1, 1000)
+            begun = time.time()
+            key = 0.0
             while not self._ended:
                 time.sleep(1 / self.rate)
                 if not self.frozen:
-                    frame = av.VideoFrame.from_ndarray(square(time.time(), *self.size), format="bgr24")
-                    frame.pts, frame.time_base = round((time.time() - begun) * 1000), Fraction(1, 1000)
+                    frame = av.VideoFrame.from_ndarray(
+                        square(time.time(), *self.size), format="bgr24"
+                    )
+                    frame.pts = round((time.time() - begun) * 1000)
+                    frame.time_base = Fraction(1, 1000)
                     if time.time() - key >= 1:
                         # A piece begins.
-                        key, frame.pict_type = time.time(), av.video.frame.PictureType.I
+                        key = time.time()
+                        frame.pict_type = av.video.frame.PictureType.I
                     container.mux(stream.encode(frame))
 
 
@@ -202,15 +230,22 @@ class _Quiet(SimpleHTTPRequestHandler):
 
 
 class Scripted:
-    """In place of `LiveSource`: ``rate`` pictures a second by their own times, each taken however long that takes.
+    """In place of `LiveSource`: ``rate`` pictures a second by their own times, each taken however
+    long that takes.
 
-    It is silent while it is ``frozen``, and after picture ``last``. Times since 1970 begin at ``wall``. ``through``: the
-    last picture that is done with, since another one was asked for.
+    It is silent while it is ``frozen``, and after picture ``last``. Times since 1970 begin at
+    ``wall``. ``through``: the last picture that is done with, since another one was asked for.
     """
 
     def __init__(self, last: float = math.inf, wall: float = WALL, rate: float = 20.0) -> None:
-        self.last, self.wall, self.rate, self.number, self.frozen = last, wall, rate, 0, False
-        self.through, self.dropped, self.connect = 0, 0, 10.0
+        self.last = last
+        self.wall = wall
+        self.rate = rate
+        self.number = 0
+        self.frozen = False
+        self.through = 0
+        self.dropped = 0
+        self.connect = 10.0
         self._stopped = threading.Event()
 
     def start(self) -> None: ...
@@ -230,7 +265,13 @@ class Scripted:
 
     def status(self) -> SourceStatus:
         return SourceStatus(
-            "live", frames=self.number, dropped=self.dropped, fps=self.rate, width=160, height=120, sent=(160, 120)
+            "live",
+            frames=self.number,
+            dropped=self.dropped,
+            fps=self.rate,
+            width=160,
+            height=120,
+            sent=(160, 120),
         )
 
 

@@ -1,8 +1,10 @@
-"""An RTSP server of GStreamer's, for tests: `/usr/bin/python3 rtsp_server.py PORT WIDTH HEIGHT RATE`, for Debian's packages
-gir1.2-gst-rtsp-server-1.0, python3-gi and gstreamer1.0-plugins-{base,good,ugly}.
+"""An RTSP server of GStreamer's, for tests: `/usr/bin/python3 rtsp_server.py PORT WIDTH HEIGHT
+RATE`, for Debian's packages gir1.2-gst-rtsp-server-1.0, python3-gi and
+gstreamer1.0-plugins-{base,good,ugly}.
 
-It says READY, and serves rtsp://127.0.0.1:PORT/stream: H.264 of a white square that goes to and fro by the clock (`at`).
-Lines on stdin change it: ``rate 5``, ``size 320 240``, ``freeze``, ``thaw``. Status 3 where a package is missing.
+It says READY, and serves rtsp://127.0.0.1:PORT/stream: H.264 of a white square that goes to and fro
+by the clock (`at`). Lines on stdin change it: ``rate 5``, ``size 320 240``, ``freeze``, ``thaw``.
+Status 3 where a package is missing.
 """
 
 import sys
@@ -35,13 +37,17 @@ class Pictures:
     """What is served."""
 
     def __init__(self, width: int, height: int, rate: float) -> None:
-        self.width, self.height, self.rate, self.frozen = width, height, rate, False
+        self.width = width
+        self.height = height
+        self.rate = rate
+        self.frozen = False
         self.media: list[object] = []
 
     def made(self) -> bytes:
         """A grey picture."""
         side = self.height // 6
-        left, dark = at(time.time(), self.width, side), bytes([30]) * self.width
+        left = at(time.time(), self.width, side)
+        dark = bytes([30]) * self.width
         bright = bytes([30]) * left + bytes([255]) * side + bytes([30]) * (self.width - side - left)
         top = self.height // 2
         return dark * top + bright * side + dark * (self.height - top - side)
@@ -53,11 +59,14 @@ class Pictures:
             time.sleep(1 / self.rate)
             if self.frozen:
                 continue
-            size, data = (self.width, self.height), self.made()
+            size = (self.width, self.height)
+            data = self.made()
             for source in list(self.media):
                 if known.get(source) != size:
                     known[source] = size
-                    caps = f"video/x-raw,format=GRAY8,width={size[0]},height={size[1]},framerate=0/1"
+                    caps = (
+                        f"video/x-raw,format=GRAY8,width={size[0]},height={size[1]},framerate=0/1"
+                    )
                     source.set_property("caps", Gst.Caps.from_string(caps))
                 if source.emit("push-buffer", Gst.Buffer.new_wrapped(data)) != Gst.FlowReturn.OK:
                     self.media.remove(source)
@@ -77,14 +86,21 @@ class Pictures:
 def main() -> None:
     port, width, height, rate = sys.argv[1:]
     Gst.init(None)
-    if not all(Gst.ElementFactory.find(name) for name in ("appsrc", "videoconvert", "x264enc", "rtph264pay")):
+    if not all(
+        Gst.ElementFactory.find(name)
+        for name in ("appsrc", "videoconvert", "x264enc", "rtph264pay")
+    ):
         print("an element of GStreamer is missing", file=sys.stderr)
         sys.exit(3)
-    pictures, server = Pictures(int(width), int(height), float(rate)), GstRtspServer.RTSPServer()
+    pictures = Pictures(int(width), int(height), float(rate))
+    server = GstRtspServer.RTSPServer()
     factory = GstRtspServer.RTSPMediaFactory()
     factory.set_launch(PIPELINE)
     factory.set_shared(True)
-    factory.connect("media-configure", lambda _, media: pictures.media.append(media.get_element().get_by_name("pictures")))
+    factory.connect(
+        "media-configure",
+        lambda _, media: pictures.media.append(media.get_element().get_by_name("pictures")),
+    )
     server.set_address("127.0.0.1")
     server.set_service(port)
     server.get_mount_points().add_factory("/stream", factory)

@@ -1,4 +1,6 @@
-"""Restarts of a live camera: tracks, counts and identities go on, and what cannot be used is said."""
+"""Restarts of a live camera: tracks, counts and identities go on, and what cannot be used is
+said.
+"""
 
 from __future__ import annotations
 
@@ -38,13 +40,17 @@ def run(folder: Path, *, sets: tuple[str, ...] = (), delay: int = 0, every: floa
         left = int(frame.image[0, 0, 0])
         return Detections.of([[left, 50, left + 24, 90]] if left else np.zeros((0, 4)))
 
-    source: Any = SimpleNamespace(status=lambda: SourceStatus(frames=100, fps=10.0), stop=lambda: None)
+    source: Any = SimpleNamespace(
+        status=lambda: SourceStatus(frames=100, fps=10.0), stop=lambda: None
+    )
     settings = CameraSettings(folder, watch=Watch((DOOR,)), video=0, checkpoint=every)
     return Camera("gate", source, make, settings)
 
 
 def show(one: Camera, lefts: list[int], wall: float, first: int = 0) -> None:
-    """Pictures in which somebody is so far on the left, ten a second; 0: nobody. Numbers and times begin anew."""
+    """Pictures in which somebody is so far on the left, ten a second; 0: nobody. Numbers and times
+    begin anew.
+    """
     for k, left in enumerate(lefts, start=first):
         image = np.full((120, 160, 3), left, np.uint8)
         one._take(LiveFrame(k + 1, k / 10, wall + k / 10, image))
@@ -122,8 +128,8 @@ def test_who_is_there_when_it_is_killed_goes_on(tmp_path: Path, delay: int) -> N
 @pytest.mark.parametrize("hour", [0.0, 3600.0])
 @pytest.mark.parametrize("delay", [0, 2])
 def test_what_came_after_the_checkpoint_comes_once(tmp_path: Path, delay: int, hour: float) -> None:
-    """Somebody crosses, goes, and somebody else comes, all after the checkpoint; then it is killed, and starts at once, or
-    in another hour, in whose file the rows are then."""
+    """Somebody crosses, goes, and somebody else comes, all after the checkpoint; then it is killed,
+    and starts at once, or in another hour, in whose file the rows are then."""
     first = run(tmp_path, delay=delay)
     show(first, [20 + 3 * k for k in range(15)], START)
     first._saving.join()
@@ -141,7 +147,8 @@ def test_what_came_after_the_checkpoint_comes_once(tmp_path: Path, delay: int, h
     assert second.stop(10.0)
     after = events(tmp_path)
     assert after[: len(before)] == before
-    # After an hour all are others. At once he is a track of another number, as the checkpoint did not know him.
+    # After an hour all are others. At once he is a track of another number, as the checkpoint did
+    # not know him.
     assert sorted(event["kind"] for event in after[len(before) :]) == ["appear", "leave", "leave"]
     gone = [event["identity"] for event in after if event["kind"] == "leave"]
     assert sorted(gone) == sorted(event["identity"] for event in after if event["kind"] == "appear")
@@ -150,7 +157,9 @@ def test_what_came_after_the_checkpoint_comes_once(tmp_path: Path, delay: int, h
     assert numbers == sorted(numbers)
 
 
-def test_a_kill_soon_after_an_end_in_order_repeats_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_kill_soon_after_an_end_in_order_repeats_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The checkpoint is that of the end before."""
     stopped(tmp_path, 10, START)
     second = run(tmp_path)
@@ -169,7 +178,9 @@ def test_a_kill_soon_after_an_end_in_order_repeats_nothing(tmp_path: Path, monke
 
 
 @pytest.mark.parametrize("end", ["killed", "stopped"])
-def test_events_that_wait_for_the_table_are_not_in_the_counts_of_a_restart(tmp_path: Path, end: str) -> None:
+def test_events_that_wait_for_the_table_are_not_in_the_counts_of_a_restart(
+    tmp_path: Path, end: str
+) -> None:
     one = run(tmp_path)
     show(one, [20 + 3 * k for k in range(10)], START)
     one._saving.join()
@@ -188,7 +199,8 @@ def test_events_that_wait_for_the_table_are_not_in_the_counts_of_a_restart(tmp_p
 
 
 def test_lines_that_lag_behind_the_table_do_not_wait_for_the_next_event(tmp_path: Path) -> None:
-    one, lines = run(tmp_path), tmp_path / "events.jsonl"
+    one = run(tmp_path)
+    lines = tmp_path / "events.jsonl"
     lines.mkdir()
     show(one, [20 + 3 * k for k in range(25)], START)
     (said,) = one.problems
@@ -201,7 +213,9 @@ def test_lines_that_lag_behind_the_table_do_not_wait_for_the_next_event(tmp_path
     assert one.stop(10.0)
 
 
-def test_a_checkpoint_that_cannot_be_read_now_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_checkpoint_that_cannot_be_read_now_is_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     stopped(tmp_path, 25, START)
     second = run(tmp_path)
     with monkeypatch.context() as busy:
@@ -220,14 +234,20 @@ def test_a_checkpoint_that_cannot_be_read_now_is_tried_again(tmp_path: Path, mon
 def test_after_an_end_in_order_identities_go_on_without_a_gap(tmp_path: Path) -> None:
     for k in range(3):
         assert stopped(tmp_path, 10, START + 100 * k).problems == []
-    assert [event["identity"] for event in events(tmp_path) if event["kind"] == "appear"] == [1, 2, 3]
+    assert [event["identity"] for event in events(tmp_path) if event["kind"] == "appear"] == [
+        1,
+        2,
+        3,
+    ]
 
 
 @pytest.mark.parametrize(("what", "says"), [
     ("damaged", "cut off or changed"), ("settings", "differs in: settings"), ("state", "lanes"), ("huge", "too large"),
     ("time", "do not fit"), ("missing", ""),
 ])  # fmt: skip
-def test_what_cannot_be_used_is_said_and_identities_are_new(tmp_path: Path, what: str, says: str) -> None:
+def test_what_cannot_be_used_is_said_and_identities_are_new(
+    tmp_path: Path, what: str, says: str
+) -> None:
     first = run(tmp_path)
     show(first, [20 + 3 * k for k in range(10)], START)
     if what == "state":
@@ -247,7 +267,9 @@ def test_what_cannot_be_used_is_said_and_identities_are_new(tmp_path: Path, what
         file.unlink()
     second = run(tmp_path, sets=("filter.kind=gm-phd",) if what == "settings" else ())
     show(second, [20 + 3 * k for k in range(10)], START + 5)
-    assert ["begin anew" in problem and says in problem for problem in second.problems] == [True] * (what != "missing")
+    assert ["begin anew" in problem and says in problem for problem in second.problems] == [
+        True
+    ] * (what != "missing")
     assert second.watched[1].counts[0].entered == 0
     appeared = [event["identity"] for event in events(tmp_path) if event["kind"] == "appear"]
     assert appeared[0] == 1

@@ -1,4 +1,6 @@
-"""Counting among whole tracks: nobody twice for flicker, zones are left when somebody was last seen, figures add up."""
+"""Counting among whole tracks: nobody twice for flicker, zones are left when somebody was last
+seen, figures add up.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ def walk(identity: int, feet: dict[int, float], label: int = 0) -> Tracks:
     """A person of 50 pixels, whose feet are at this height in each frame."""
     boxes = np.array([[90.0, y - 50, 110, y] for y in feet.values()]).reshape(-1, 4)
     rows = Tracks.of(np.array([*feet], np.int64), identity, boxes, 1.0, 0)
-    return Tracks(*(getattr(rows, name) for name in Tracks.__slots__[:-1]), np.full(len(feet), label))
+    return Tracks(
+        *(getattr(rows, name) for name in Tracks.__slots__[:-1]), np.full(len(feet), label)
+    )
 
 
 def test_in_and_out_by_class_visits_and_occupancy() -> None:
@@ -48,7 +52,9 @@ def test_in_and_out_by_class_visits_and_occupancy() -> None:
 @settings(deadline=None, max_examples=40)
 @given(st.lists(st.booleans(), min_size=60, max_size=60), st.integers(0, 2**32 - 1))
 def test_flicker_counts_nobody_twice(seen: list[bool], seed: int) -> None:
-    """Rows that come and go, and a foot that trembles by a twentieth of the height: one crossing, one visit."""
+    """Rows that come and go, and a foot that trembles by a twentieth of the height: one crossing,
+    one visit.
+    """
     tremble = np.random.default_rng(seed).uniform(-2.4, 2.4, 60)
     feet = {k: 60 + 1.5 * k + tremble[k] for k in range(60) if k in (0, 59) or seen[k]}
     # No gap is as long as after which a track has left.
@@ -59,21 +65,34 @@ def test_flicker_counts_nobody_twice(seen: list[bool], seed: int) -> None:
     assert (zone.entered, zone.left, zone.most) == (1, 0, 1)
 
 
-def test_who_vanishes_in_a_zone_has_left_when_last_seen_and_who_is_there_at_the_end_has_not() -> None:
-    rows = Tracks.concatenate([walk(1, dict.fromkeys(range(1, 31), 150.0)), walk(2, dict.fromkeys(range(21, 101), 150.0))])
+def test_who_vanishes_in_a_zone_has_left_when_last_seen_and_who_is_there_at_the_end_has_not() -> (
+    None
+):
+    rows = Tracks.concatenate(
+        [walk(1, dict.fromkeys(range(1, 31), 150.0)), walk(2, dict.fromkeys(range(21, 101), 150.0))]
+    )
     events = place_events(WATCH, rows, 100, FPS)
-    assert [(e.kind, e.identity, e.number) for e in events] == [("enter", 1, 1), ("enter", 2, 21), ("exit", 1, 30)]
+    assert [(e.kind, e.identity, e.number) for e in events] == [
+        ("enter", 1, 1),
+        ("enter", 2, 21),
+        ("exit", 1, 30),
+    ]
     zone = tallies(WATCH, events, 0.0, 9.9)[1]
     assert (zone.entered, zone.left, zone.inside, zone.most) == (2, 1, 1, 2)
     assert zone.longest == pytest.approx(7.9)
     # Shortly before the end, too.
-    assert [e.number for e in place_events(WATCH, walk(1, {98: 150.0, 99: 150.0}), 100, FPS)] == [98, 99]
+    assert [e.number for e in place_events(WATCH, walk(1, {98: 150.0, 99: 150.0}), 100, FPS)] == [
+        98,
+        99,
+    ]
 
 
 def test_who_comes_back_after_leaving_begins_another_visit_however_long_the_gap() -> None:
     rows = walk(1, {1: 150.0, 2: 150.0, 5_000_000: 150.0})
     events = place_events(WATCH, rows, 5_000_001, FPS)
-    assert [(e.kind, e.number) for e in events] == [*(("enter", 1), ("exit", 2), ("enter", 5_000_000), ("exit", 5_000_000))]
+    assert [(e.kind, e.number) for e in events] == [
+        *(("enter", 1), ("exit", 2), ("enter", 5_000_000), ("exit", 5_000_000))
+    ]
 
 
 def test_no_tracks() -> None:

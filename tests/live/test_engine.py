@@ -1,4 +1,6 @@
-"""A camera at work: events and files of what is seen, restarts, reloading, and that it ends whatever hangs."""
+"""A camera at work: events and files of what is seen, restarts, reloading, and that it ends
+whatever hangs.
+"""
 
 from __future__ import annotations
 
@@ -33,26 +35,39 @@ class Bright:
     """Finds what is white; hangs while `hold` is set, and says so."""
 
     def __init__(self) -> None:
-        self.hold, self.hangs = threading.Event(), threading.Event()
+        self.hold = threading.Event()
+        self.hangs = threading.Event()
 
     def __call__(self, frame: Frame) -> Detections:
         while self.hold.is_set():
             self.hangs.set()
             time.sleep(0.02)
         x, y, width, height = cv2.boundingRect((frame.image[..., 0] > 128).astype(np.uint8))
-        return Detections.of(np.array([[x, y, x + width, y + height]][: int(width > 0)], float).reshape(-1, 4))
+        return Detections.of(
+            np.array([[x, y, x + width, y + height]][: int(width > 0)], float).reshape(-1, 4)
+        )
 
     def reset(self) -> None: ...
 
 
 def camera(
-    source: Scripted, settings: CameraSettings, detector: Bright | None = None, config: Path | None = None, delay: int = 0
+    source: Scripted,
+    settings: CameraSettings,
+    detector: Bright | None = None,
+    config: Path | None = None,
+    delay: int = 0,
 ) -> Camera:
     """A started camera; it remembers ten seconds."""
 
     def make(info: SequenceInfo) -> Making:
         found = load(config, ["associate.history=10", f"associate.output_delay={delay}"])
-        return Making(detector or Bright(), build_kinds(found, info), info, delay, {"filter.kind": found.kind("filter")})
+        return Making(
+            detector or Bright(),
+            build_kinds(found, info),
+            info,
+            delay,
+            {"filter.kind": found.kind("filter")},
+        )
 
     one = Camera("gate", source, make, settings)
     one.start()
@@ -74,7 +89,8 @@ def unfinished(folder: Path) -> list[Path]:
 
 
 def test_who_walks_to_and_fro_is_counted_and_kept(tmp_path: Path) -> None:
-    source, begun = Scripted(last=100), time.time()
+    source = Scripted(last=100)
+    begun = time.time()
     one = camera(source, CameraSettings(tmp_path, watch=Watch((DOOR,)), video=5.0))
     number, picture = one.picture(patience=600.0)
     assert picture is not None
@@ -95,7 +111,9 @@ def test_who_walks_to_and_fro_is_counted_and_kept(tmp_path: Path) -> None:
     assert one.watched[1].counts[0].entered == crossed.count("in")
     with next((tmp_path / "tracks").glob("*.csv")).open() as file:
         rows = list(csv.DictReader(file))
-    assert {row["identity"] for row in rows if row["confirmed"] == "1"} == {str(known[0]["identity"])}
+    assert {row["identity"] for row in rows if row["confirmed"] == "1"} == {
+        str(known[0]["identity"])
+    }
     (video,) = (tmp_path / "video").glob("*.mp4")
     assert len(list(open_source(video))) == pytest.approx(5 * one.frames / source.rate, abs=2)
     assert unfinished(tmp_path) == []
@@ -118,9 +136,12 @@ def test_a_restart_gives_events_names_of_their_own(tmp_path: Path) -> None:
 
 
 def test_places_and_settings_change_while_it_runs(tmp_path: Path) -> None:
-    places, config = tmp_path / "places.toml", tmp_path / "mine.toml"
+    places = tmp_path / "places.toml"
+    config = tmp_path / "mine.toml"
     config.write_text("[sensor]\ndetection_probability = 0.95\n")
-    one = camera(Scripted(), CameraSettings(tmp_path / "out", places, config, video=0), config=config)
+    one = camera(
+        Scripted(), CameraSettings(tmp_path / "out", places, config, video=0), config=config
+    )
     until(lambda: one.counted["appear"])
     write_places(places, (DOOR,))
     until(lambda: one.counted["cross"])
@@ -143,7 +164,9 @@ def test_places_and_settings_change_while_it_runs(tmp_path: Path) -> None:
     assert [event["kind"] for event in events(tmp_path / "out")].count("appear") == 1
 
 
-def test_settings_that_cannot_be_worked_with_stop_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_settings_that_cannot_be_worked_with_stop_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     config = tmp_path / "mine.toml"
     config.write_text("")
     one = camera(Scripted(), CameraSettings(tmp_path / "out", None, config, video=0), config=config)
@@ -157,13 +180,17 @@ def test_settings_that_cannot_be_worked_with_stop_nothing(tmp_path: Path, monkey
     assert one.stop(600.0)
 
 
-def test_a_first_picture_that_fails_leaves_what_was_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_first_picture_that_fails_leaves_what_was_saved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The next one takes it up: half of it would be saved as all that there is."""
     settings = CameraSettings(tmp_path, watch=Watch((DOOR,)), video=0, checkpoint=0.2)
     one = camera(Scripted(last=100), settings)
     until(lambda: one.counted["cross"] > 1)
     assert one.stop(600.0)
-    before, failed, real = one.watched[1].counts[0], list[int](), Camera._go_on
+    before = one.watched[1].counts[0]
+    failed = list[int]()
+    real = Camera._go_on
 
     def go_on(self: Camera, frame: LiveFrame) -> None:
         failed.append(frame.number)
@@ -179,7 +206,9 @@ def test_a_first_picture_that_fails_leaves_what_was_saved(tmp_path: Path, monkey
     assert one.stop(600.0)
 
 
-def test_whatever_fails_at_the_end_is_said_and_leaves_the_other_cameras_their_turn(tmp_path: Path) -> None:
+def test_whatever_fails_at_the_end_is_said_and_leaves_the_other_cameras_their_turn(
+    tmp_path: Path,
+) -> None:
     one = camera(Scripted(), CameraSettings(tmp_path, video=0))
     until(lambda: one.frames > 5)
 
@@ -194,7 +223,8 @@ def test_whatever_fails_at_the_end_is_said_and_leaves_the_other_cameras_their_tu
 
 @pytest.mark.parametrize("what", ["camera", "detector"])
 def test_it_ends_in_time_with_whole_files_whatever_hangs(tmp_path: Path, what: str) -> None:
-    source, detector = Scripted(), Bright()
+    source = Scripted()
+    detector = Bright()
     one = camera(source, CameraSettings(tmp_path), detector)
     until(lambda: one.counted["appear"])
     if what == "camera":
@@ -212,7 +242,9 @@ def test_it_ends_in_time_with_whole_files_whatever_hangs(tmp_path: Path, what: s
     detector.hold.clear()
 
 
-def test_it_ends_in_time_though_an_encoder_hangs_and_says_that_a_file_is_not_complete(tmp_path: Path) -> None:
+def test_it_ends_in_time_though_an_encoder_hangs_and_says_that_a_file_is_not_complete(
+    tmp_path: Path,
+) -> None:
     one = camera(Scripted(), CameraSettings(tmp_path))
     until(lambda: one.counted["appear"])
     assert one._video is not None
@@ -232,7 +264,8 @@ def test_it_ends_in_time_though_an_encoder_hangs_and_says_that_a_file_is_not_com
 
 def test_events_that_a_full_disk_refused_are_written_later(tmp_path: Path) -> None:
     one = camera(Scripted(), CameraSettings(tmp_path, video=0))
-    write, refused = one.log.write, list[object]()
+    write = one.log.write
+    refused = list[object]()
 
     def full(*given):
         refused.append(given)
@@ -253,7 +286,9 @@ def test_a_table_that_another_process_holds_keeps_no_picture_waiting(tmp_path: P
     other = sqlite3.connect(tmp_path / "events.sqlite", isolation_level=None)
     other.execute("BEGIN IMMEDIATE")
     until(lambda: one.problems)
-    assert one.problems == ["events are still to be written, the last 1000 are kept: database is locked"]
+    assert one.problems == [
+        "events are still to be written, the last 1000 are kept: database is locked"
+    ]
     seen = one.frames
     until(lambda: one.frames > seen + 20)
     assert not one.counted
@@ -282,7 +317,9 @@ def test_a_camera_whose_pictures_all_fail_is_not_at_work(tmp_path: Path) -> None
     assert one.stop(600.0)
 
 
-def test_a_file_of_places_that_is_rewritten_in_place_is_read_when_it_is_whole(tmp_path: Path) -> None:
+def test_a_file_of_places_that_is_rewritten_in_place_is_read_when_it_is_whole(
+    tmp_path: Path,
+) -> None:
     places = tmp_path / "places.toml"
     write_places(places, (DOOR,))
     text = places.read_text()
@@ -320,17 +357,26 @@ def test_rows_that_come_late_go_with_their_frames(tmp_path: Path) -> None:
 def test_groups_on_the_ground_are_events(tmp_path: Path) -> None:
     info = SequenceInfo(60, 60, 5.0)
     found = load(
-        sets=["motion.kind=plane", "sensor.scaling=fixed", "sensor.fixed_noise=0.1", "camera.region=[-30,-30,30,30]"]
+        sets=[
+            "motion.kind=plane",
+            "sensor.scaling=fixed",
+            "sensor.fixed_noise=0.1",
+            "camera.region=[-30,-30,30,30]",
+        ]
     )
     kinds = build_kinds(found, info)
-    groups, tracker = OnlineGroups(build_groups(found, kinds.usual), kinds.usual, first=8), Tracker(stages=kinds, fps=5.0)
+    groups = OnlineGroups(build_groups(found, kinds.usual), kinds.usual, first=8)
+    tracker = Tracker(stages=kinds, fps=5.0)
     told = []
     for k in range(1, 41):
         # Two walk together, a third far from them.
         centre = np.array([[0.2 * k - 4, 0.0], [0.2 * k - 4, 0.8], [4 - 0.2 * k, 15.0]])
         rows = tracker.update(Detections.of(np.hstack([centre - 0.3, centre + 0.3])), k, k / 5)
         mixture = groups.mixture(tracker.state.intensity, tracker.step)
-        told += [Event.of_group(one) for one in groups.events(mixture, rows.take(rows.confirmed), k, k / 5)]
+        told += [
+            Event.of_group(one)
+            for one in groups.events(mixture, rows.take(rows.confirmed), k, k / 5)
+        ]
     assert [(event.kind, event.place) for event in told] == [("group", "appear")] * 2
     # Numbers of an earlier run are not given again.
     assert min(event.identity for event in told) >= 8

@@ -1,4 +1,6 @@
-"""Events: what is counted of walks, of trembling ones and of ones with gaps; that a state can be saved; and nobody twice."""
+"""Events: what is counted of walks, of trembling ones and of ones with gaps; that a state can be
+saved; and nobody twice.
+"""
 
 from __future__ import annotations
 
@@ -20,24 +22,36 @@ from phdtrack.types import F8, Tracks
 DOOR = Place("door", ((0.0, 100.0), (200.0, 100.0)), closed=False)
 ROOM = Place("room", ((0.0, 100.0), (200.0, 100.0), (200.0, 300.0), (0.0, 300.0)), closed=True)
 WATCH = Watch((DOOR, ROOM), dwell=2.0)
-HEIGHT, FPS = 50.0, 10
+HEIGHT = 50.0
+FPS = 10
 
 
-def rows(number: int, feet: dict[int, tuple[float, float]], *, confirmed: bool = True, label: int = 0) -> Tracks:
+def rows(
+    number: int, feet: dict[int, tuple[float, float]], *, confirmed: bool = True, label: int = 0
+) -> Tracks:
     """Rows of people of 50 pixels whose feet are there."""
     boxes = np.array([[x - 10, y - HEIGHT, x + 10, y] for x, y in feet.values()]).reshape(-1, 4)
     found = Tracks.of(number, 1, boxes, 1.0, 0, confirmed)
     identity = np.array(list(feet), np.int64)
     return Tracks(
-        found.frame, identity, boxes, found.confidence, found.detection, found.confirmed, np.full(len(feet), label)
+        found.frame,
+        identity,
+        boxes,
+        found.confidence,
+        found.detection,
+        found.confirmed,
+        np.full(len(feet), label),
     )
 
 
 def watched(
     walks: list[dict[int, tuple[float, float]]], watch: Watch = WATCH, *, saved: bool = False
 ) -> tuple[WatchState, list[Event]]:
-    """The state and all events of walks, frame by frame; ``saved``: the state is saved and loaded after every frame."""
-    state, events = watch.start(), list[Event]()
+    """The state and all events of walks, frame by frame; ``saved``: the state is saved and loaded
+    after every frame.
+    """
+    state = watch.start()
+    events = list[Event]()
     for k, feet in enumerate(walks, start=1):
         state, new = watch.advance(state, rows(k, feet), k, k / FPS)
         events += new
@@ -70,7 +84,9 @@ def test_who_walks_in_and_out_is_counted() -> None:
 
 @pytest.mark.parametrize("seed", range(200))
 def test_who_trembles_is_counted_once(seed: int) -> None:
-    """A slow walk over a line, trembling by a twentieth of the height, often back and forth: one crossing, one entry."""
+    """A slow walk over a line, trembling by a twentieth of the height, often back and forth: one
+    crossing, one entry.
+    """
     rng = np.random.default_rng(seed)
     way = straight((100, 60), (100, 140), 120) + rng.normal(0, HEIGHT / 40, (120, 2))
     state, events = watched([{1: (x, y)} for x, y in way.tolist()])
@@ -129,7 +145,10 @@ def test_memory_does_not_grow() -> None:
 
 
 moves = st.lists(
-    st.dictionaries(st.integers(1, 3), st.tuples(st.floats(-50, 250), st.floats(0, 350)), max_size=3), max_size=25
+    st.dictionaries(
+        st.integers(1, 3), st.tuples(st.floats(-50, 250), st.floats(0, 350)), max_size=3
+    ),
+    max_size=25,
 )
 
 
@@ -143,7 +162,9 @@ def test_a_saved_state_goes_on_alike_and_counts_agree_with_events(
     assert repr(state) == repr(again)
     assert state.counts[1].entered == kinds(events).count("enter")
     assert state.counts[1].left == kinds(events).count("exit")
-    assert state.counts[1].occupancy == sum(not math.isnan(one.since[1]) for one in state.visitors.values())
+    assert state.counts[1].occupancy == sum(
+        not math.isnan(one.since[1]) for one in state.visitors.values()
+    )
     assert state.counts[0].entered - state.counts[0].left == sum(
         {"in": 1, "out": -1}.get(event.direction, 0) for event in events
     )
@@ -153,7 +174,10 @@ def test_a_saved_state_goes_on_alike_and_counts_agree_with_events(
 
 def test_events_are_json_with_what_applies() -> None:
     _, events = watched([{7: (100, 80)}, {7: (100, 120)}])
-    known = [json.loads(json.dumps(e.as_dict("gate", "2026-01-02T03:04:05.000Z", {0: "person"}))) for e in events]
+    known = [
+        json.loads(json.dumps(e.as_dict("gate", "2026-01-02T03:04:05.000Z", {0: "person"})))
+        for e in events
+    ]
     assert known[0] == {
         "id": "gate-2026-01-02T03:04:05.000Z-appear-7-0", "time": "2026-01-02T03:04:05.000Z",
         "source": "gate", "kind": "appear", "frame": 1, "identity": 7, "class": "person", "x": 100.0, "y": 80.0,

@@ -1,4 +1,6 @@
-"""`phdtrack live` as it is started: what it writes and sends, how it ends, and that no password leaves it."""
+"""`phdtrack live` as it is started: what it writes and sends, how it ends, and that no password
+leaves it.
+"""
 
 from __future__ import annotations
 
@@ -52,14 +54,36 @@ def invoked(*words: str) -> tuple[int, str]:
 
 
 @pytest.mark.parametrize("name", ["SIGTERM", pytest.param("SIGHUP", marks=pytest.mark.slow)])
-def test_it_ends_on_a_signal_while_a_camera_is_frozen_and_tells_nobody_the_password(tmp_path: Path, name: str) -> None:
-    camera, hook = CameraServer(), ThreadingHTTPServer(("127.0.0.1", 0), Hook)
-    hook.taken, camera.draw = [], walker  # type: ignore[attr-defined]
+def test_it_ends_on_a_signal_while_a_camera_is_frozen_and_tells_nobody_the_password(
+    tmp_path: Path, name: str
+) -> None:
+    camera = CameraServer()
+    hook = ThreadingHTTPServer(("127.0.0.1", 0), Hook)
+    hook.taken = []
+    camera.draw = walker  # type: ignore[attr-defined]
     threading.Thread(target=hook.serve_forever, daemon=True).start()
-    out, port, address = tmp_path / "out", free_port(), camera.url.replace("://", f"://bob:{SECRET}@") + f"?token={SECRET}"
+    out = tmp_path / "out"
+    port = free_port()
+    address = camera.url.replace("://", f"://bob:{SECRET}@") + f"?token={SECRET}"
     dead = f"rtsp://bob:{SECRET}@127.0.0.1:{free_port()}/x"
-    words = [sys.executable, "-m", "phdtrack", "live", f"gate={address}", f"dead={dead}", "--out", str(out), "--json"]
-    words += ["--webhook", f"http://127.0.0.1:{hook.server_port}/{SECRET}", "--allow-private", "--port", str(port)]
+    words = [
+        sys.executable,
+        "-m",
+        "phdtrack",
+        "live",
+        f"gate={address}",
+        f"dead={dead}",
+        "--out",
+        str(out),
+        "--json",
+    ]
+    words += [
+        "--webhook",
+        f"http://127.0.0.1:{hook.server_port}/{SECRET}",
+        "--allow-private",
+        "--port",
+        str(port),
+    ]
     # One that nobody answers, so that a problem is said.
     words += ["--webhook", f"http://bob:{SECRET}@127.0.0.1:{free_port()}/{SECRET}?token={SECRET}"]
     words += ["--set", "detector.min_area=0.005", "--config", str(tmp_path / "mine.toml")]
@@ -76,18 +100,32 @@ def test_it_ends_on_a_signal_while_a_camera_is_frozen_and_tells_nobody_the_passw
         try:
             until(lambda: hook.taken)  # type: ignore[attr-defined]
             until(lambda: "down" in (tmp_path / "stdout").read_text())
-            for path in ("/", "/metrics", "/healthz", "/api/cameras", "/api/camera/gate", "/api/camera/dead"):
+            for path in (
+                "/",
+                "/metrics",
+                "/healthz",
+                "/api/cameras",
+                "/api/camera/gate",
+                "/api/camera/dead",
+            ):
                 asked(path)
             until(lambda: asked("/picture/gate.jpg").startswith(b"\xff\xd8"))
             assert json.loads(asked("/api/camera/dead"))["problem"]
-            assert "events wait to be sent" in str(json.loads(asked("/api/camera/gate"))["problems"])
+            assert "events wait to be sent" in str(
+                json.loads(asked("/api/camera/gate"))["problems"]
+            )
             # Settings that cannot be used are said, and change nothing.
             (tmp_path / "mine.toml").write_text(f'[filter]\nkind = "{SECRET}"\n')
             until(lambda: json.loads(asked("/api/camera/gate"))["problems"])
             served.pop()
             camera.frozen = True
             # Nothing comes any more, and what came is through.
-            until(lambda: {one["name"]: one["state"] for one in json.loads(asked("/api/cameras"))}["gate"] == "silent")
+            until(
+                lambda: (
+                    {one["name"]: one["state"] for one in json.loads(asked("/api/cameras"))}["gate"]
+                    == "silent"
+                )
+            )
             until(lambda: len({taken(asked("/metrics")) for _ in range(6)}) == 1)
             begun = time.monotonic()
             child.send_signal(getattr(signal, name))
@@ -110,7 +148,9 @@ def test_it_ends_on_a_signal_while_a_camera_is_frozen_and_tells_nobody_the_passw
     assert list((out / "gate" / "video").glob("*.mp4"))
     everything = [path.read_bytes() for path in out.rglob("*") if path.is_file()]
     everything += [(tmp_path / "stderr").read_bytes(), *served, *(body for _, body in hook.taken)]  # type: ignore[attr-defined]
-    everything += [json.dumps([line for line in said if SECRET not in str(line.get("problems"))]).encode()]
+    everything += [
+        json.dumps([line for line in said if SECRET not in str(line.get("problems"))]).encode()
+    ]
     assert not any(SECRET.encode() in one or b"bob" in one for one in everything)
 
 
@@ -124,19 +164,34 @@ def taken(metrics: bytes) -> int:
 def test_it_ends_by_itself_and_says_what_it_did(tmp_path: Path) -> None:
     camera = CameraServer()
     camera.mute = True
-    status, said = invoked(f"gate={camera.url}", "--out", str(tmp_path), "--no-page", "--duration", "0.5", "--video", "0")
+    status, said = invoked(
+        f"gate={camera.url}",
+        "--out",
+        str(tmp_path),
+        "--no-page",
+        "--duration",
+        "0.5",
+        "--video",
+        "0",
+    )
     camera.kill()
     assert status == 0, said
     assert f"gate: no frames, no events: {tmp_path / 'gate'}" in said
     assert not (tmp_path / "gate" / "video").exists()
 
 
-def test_nobody_else_writes_into_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nobody_else_writes_into_its_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     code = "import pathlib, sys\nfrom phdtrack.cli.run_directory import claim\nclaim(pathlib.Path(sys.argv[1]), False, {})"
     said = list[str]()
 
     def attend(*_: object) -> None:
-        said.append(subprocess.run([sys.executable, "-c", code, tmp_path], capture_output=True, text=True).stderr)
+        said.append(
+            subprocess.run(
+                [sys.executable, "-c", code, tmp_path], capture_output=True, text=True
+            ).stderr
+        )
 
     monkeypatch.setattr("phdtrack.cli.live._attend", attend)
     address = f"gate=http://127.0.0.1:{free_port()}/x"
@@ -144,7 +199,9 @@ def test_nobody_else_writes_into_its_folder(tmp_path: Path, monkeypatch: pytest.
     assert "another run is writing into this directory" in said[0]
 
 
-def test_it_goes_on_where_stderr_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_goes_on_where_stderr_cannot_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     tried = list[str]()
 
     def full(self: Output, text: str) -> None:
@@ -159,12 +216,29 @@ def test_it_goes_on_where_stderr_cannot_be_written(tmp_path: Path, monkeypatch: 
 
 
 def test_options_are_the_cameras(tmp_path: Path) -> None:
-    write = LiveOptions(places=["a=mine.toml", "all.toml"], video=0.0, quota="2k", parquet=True, dwell=7.0, leave_after=2.0)
+    write = LiveOptions(
+        places=["a=mine.toml", "all.toml"],
+        video=0.0,
+        quota="2k",
+        parquet=True,
+        dwell=7.0,
+        leave_after=2.0,
+    )
     found = {name: _settings(name, write, None, tmp_path) for name in ("a", "b")}
     usual = CameraSettings(
-        tmp_path / "b", Path("all.toml"), None, Watch(dwell=7.0, leave_after=2.0), 0.0, 2000, True, checkpoint=10.0
+        tmp_path / "b",
+        Path("all.toml"),
+        None,
+        Watch(dwell=7.0, leave_after=2.0),
+        0.0,
+        2000,
+        True,
+        checkpoint=10.0,
     )
-    assert found == {"a": replace(usual, folder=tmp_path / "a", places=Path("mine.toml")), "b": usual}
+    assert found == {
+        "a": replace(usual, folder=tmp_path / "a", places=Path("mine.toml")),
+        "b": usual,
+    }
     assert _settings("c", LiveOptions(), None, tmp_path).places == tmp_path / "c" / "places.toml"
 
 
@@ -179,7 +253,10 @@ def test_options_are_the_cameras(tmp_path: Path) -> None:
         (["0", "--mqtt", f"mqtt://bob:{SECRET}/x@host/x"], "--mqtt: expected an address"),
         (["0", "--quota", "much"], "expected a size as 500MB"),
         (["0", "--blur", "hands"], "expected boxes or faces"),
-        (["0", "--webhook", f"ftp://bob:{SECRET}@example.com"], "expected an address that begins with http"),
+        (
+            ["0", "--webhook", f"ftp://bob:{SECRET}@example.com"],
+            "expected an address that begins with http",
+        ),
         (["0", "--mqtt", "mqtt://localhost"], "pip install 'phdtrack[mqtt]'"),
         (["0", "--truth", "gt.txt"], "no annotated truth"),
         (["0", "--filter", "magic"], "magic"),
@@ -189,15 +266,27 @@ def test_options_are_the_cameras(tmp_path: Path) -> None:
 def test_what_cannot_be_used_is_said_at_once(tmp_path: Path, words: list[str], said: str) -> None:
     status, output = invoked(*words, "--out", str(tmp_path / "out"), "--no-page")
     assert status != 0
-    result = CliRunner().invoke(application("live"), ["live", *words, "--out", str(tmp_path / "out"), "--no-page"])
+    result = CliRunner().invoke(
+        application("live"), ["live", *words, "--out", str(tmp_path / "out"), "--no-page"]
+    )
     assert said in output + str(result.exception)
     assert SECRET not in output
 
 
 def test_sources_have_names_and_sizes_are_read() -> None:
     found = named_sources(["gate=rtsp://u:p@host/x?a=b", "http://cam.example/a?b=c", "0"])
-    assert found == {"gate": "rtsp://u:p@host/x?a=b", "cam.example-a": "http://cam.example/a?b=c", "0": "0"}
-    assert [size(text) for text in ("", "1000", "20GB", "1.5 k", "2T")] == [0, 1000, 20 * 10**9, 1500, 2 * 10**12]
+    assert found == {
+        "gate": "rtsp://u:p@host/x?a=b",
+        "cam.example-a": "http://cam.example/a?b=c",
+        "0": "0",
+    }
+    assert [size(text) for text in ("", "1000", "20GB", "1.5 k", "2T")] == [
+        0,
+        1000,
+        20 * 10**9,
+        1500,
+        2 * 10**12,
+    ]
     with pytest.raises(typer.BadParameter):
         size("0")
 
@@ -211,4 +300,6 @@ def test_settings_are_those_of_track_with_a_past_that_is_forgotten() -> None:
     assert make.settings().preset == "mot15"
     assert made.groups is None
     assert {"filter.kind", "detector.min_area"} <= {*made.fixed, "detector.min_area"}
-    assert Maker(TrackingOptions(sets=["motion.kind=plane"]), (), "person", 0, None)(SequenceInfo(64, 48, 10.0)).groups
+    assert Maker(TrackingOptions(sets=["motion.kind=plane"]), (), "person", 0, None)(
+        SequenceInfo(64, 48, 10.0)
+    ).groups

@@ -1,4 +1,6 @@
-"""Files by the hour, videos whose time is true, events that are kept once, and their delivery; each after a kill, too."""
+"""Files by the hour, videos whose time is true, events that are kept once, and their delivery; each
+after a kill, too.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,9 @@ def test_rows_are_in_the_file_of_their_hour(tmp_path: Path) -> None:
     assert first[1] == "2026-11-24T05:59:58.000Z,1,1,0,0,5,8,20,0.5,0,1"
 
 
-def test_an_hour_whose_file_could_not_be_opened_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_hour_whose_file_could_not_be_opened_is_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(*_: object, **__: object) -> None:
         raise OSError(24, "Too many open files")
 
@@ -100,7 +104,9 @@ def test_of_one_stretch_the_first_files_go_first(tmp_path: Path) -> None:
     for name in ("T05.bin", *(f"T05.{k}.bin" for k in range(2, 12)), "T06.bin", "T07.bin.part"):
         (tmp_path / f"2026-11-24{name}").write_bytes(b"x" * 1000)
     Segments(tmp_path, ".bin", 3600, quota=3000).prune()
-    assert names(tmp_path) == [f"2026-11-24{name}" for name in ("T05.10.bin", "T05.11.bin", "T06.bin", "T07.bin.part")]
+    assert names(tmp_path) == [
+        f"2026-11-24{name}" for name in ("T05.10.bin", "T05.11.bin", "T06.bin", "T07.bin.part")
+    ]
 
 
 def test_an_hour_becomes_parquet(tmp_path: Path) -> None:
@@ -121,7 +127,9 @@ def test_an_hour_that_was_killed_while_it_became_parquet_is_there_once(tmp_path:
     for name in ("T05.csv", "T05.parquet.part", "T06.csv", "T06.parquet", "T07.parquet"):
         (tmp_path / f"2026-11-24{name}").write_text("x")
     RowsLog(tmp_path, parquet=True)
-    assert names(tmp_path) == [f"2026-11-24{name}" for name in ("T05.csv", "T06.parquet", "T07.parquet")]
+    assert names(tmp_path) == [
+        f"2026-11-24{name}" for name in ("T05.csv", "T06.parquet", "T07.parquet")
+    ]
 
 
 def test_time_in_a_video_is_true_however_pictures_come(tmp_path: Path) -> None:
@@ -131,7 +139,10 @@ def test_time_in_a_video_is_true_however_pictures_come(tmp_path: Path) -> None:
         log.write(np.full((48, 64, 3), 40 * k, np.uint8), WALL + at)
     log.finish()
     assert names(tmp_path) == ["2026-11-24T06-00-00.mp4"]
-    shades = [round(float(frame.image.mean()) / 40) for frame in open_source(tmp_path / "2026-11-24T06-00-00.mp4")]
+    shades = [
+        round(float(frame.image.mean()) / 40)
+        for frame in open_source(tmp_path / "2026-11-24T06-00-00.mp4")
+    ]
     assert len(shades) == 21
     assert [shades[0], shades[1], shades[5], shades[10], shades[20]] == [0, 1, 3, 3, 5]
 
@@ -145,7 +156,8 @@ def test_a_gap_begins_a_new_video(tmp_path: Path) -> None:
 
 
 def test_what_a_killed_run_left_of_a_video_is_kept_but_for_its_last_seconds(tmp_path: Path) -> None:
-    pictures, log = np.random.default_rng(1).integers(0, 255, (10, 48, 64, 3), np.uint8), VideoLog(tmp_path, 5.0)
+    pictures = np.random.default_rng(1).integers(0, 255, (10, 48, 64, 3), np.uint8)
+    log = VideoLog(tmp_path, 5.0)
     for k in range(100):
         log.write(pictures[k % 10], WALL + 2 + k / 5)
     # Killed: what is on disk is as it is, here within a fragment.
@@ -204,7 +216,8 @@ def test_lines_that_a_kill_kept_from_the_file_are_written_later(tmp_path: Path) 
 
 
 def test_lines_that_could_not_be_written_come_with_the_next_event(tmp_path: Path) -> None:
-    log, lines = EventLog(tmp_path), tmp_path / "events.jsonl"
+    log = EventLog(tmp_path)
+    lines = tmp_path / "events.jsonl"
     log.write([event(1)])
     # The disk was full in the middle of a line.
     first = lines.read_bytes()
@@ -216,12 +229,17 @@ def test_lines_that_could_not_be_written_come_with_the_next_event(tmp_path: Path
     lines.write_bytes(first + b'{"id": "gate-2')
     assert log.write([event(3)]) == [event(3)]
     assert log.problem == ""
-    assert [json.loads(line) for line in lines.read_text().splitlines()] == [event(1), event(2), event(3)]
+    assert [json.loads(line) for line in lines.read_text().splitlines()] == [
+        event(1),
+        event(2),
+        event(3),
+    ]
     log.close()
 
 
 def test_lines_that_are_moved_away_and_rows_that_are_deleted_do_not_matter(tmp_path: Path) -> None:
-    log, lines = EventLog(tmp_path), tmp_path / "events.jsonl"
+    log = EventLog(tmp_path)
+    lines = tmp_path / "events.jsonl"
     log.register("one")
     log.write([event(1), event(2)])
     lines.rename(tmp_path / "old.jsonl")
@@ -255,7 +273,17 @@ def test_what_is_known_of_visitors_goes_with_the_events_or_not_at_all(tmp_path: 
 def test_a_receiver_is_the_same_with_another_password_or_token() -> None:
     first, second = receivers(["https://a:b@hooks.example/x?token=1", "mqtt://u:p@hooks.example/x"])
     assert receivers(["https://a:c@hooks.example/x?token=2"]) == [first]
-    assert len({first, second, *receivers(["https://hooks.example/y"]), *receivers(["https://other.example/x"])}) == 4
+    assert (
+        len(
+            {
+                first,
+                second,
+                *receivers(["https://hooks.example/y"]),
+                *receivers(["https://other.example/x"]),
+            }
+        )
+        == 4
+    )
     assert receivers(["https://hooks.example:443/x"]) == [first]
     alike = receivers(["https://hooks.example/x?to=1", "https://hooks.example/x?to=2"])
     assert alike[0] == first
@@ -268,7 +296,8 @@ class Client:
     on_publish: Any = None
 
     def __init__(self, *_: object) -> None:
-        self.sent, self.confirms = list[tuple[str, str]](), True
+        self.sent = list[tuple[str, str]]()
+        self.confirms = True
 
     def is_connected(self) -> bool:
         return True
@@ -281,7 +310,9 @@ class Client:
         return SimpleNamespace(rc=4, mid=len(self.sent))
 
 
-def test_an_event_that_the_broker_does_not_confirm_is_given_to_the_client_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_event_that_the_broker_does_not_confirm_is_given_to_the_client_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     made = SimpleNamespace(Client=Client, CallbackAPIVersion=SimpleNamespace(VERSION2=2))
     monkeypatch.setattr(delivery, "needed", lambda module: made)
     monkeypatch.setattr(delivery, "TIMEOUT", 0.01)
@@ -294,13 +325,18 @@ def test_an_event_that_the_broker_does_not_confirm_is_given_to_the_client_once(m
     mqtt("a", '{"kind": "appear"}')
     mqtt._client.confirms = True
     mqtt("b", '{"kind": "leave"}')
-    assert mqtt._client.sent == [("site/appear", '{"kind": "appear"}'), ("site/leave", '{"kind": "leave"}')]
+    assert mqtt._client.sent == [
+        ("site/appear", '{"kind": "appear"}'),
+        ("site/leave", '{"kind": "leave"}'),
+    ]
     with pytest.raises(InputError, match="a topic without the wildcards"):
         Mqtt("mqtt://broker.example/site/+")
 
 
 def test_an_event_is_sent_once_though_that_cannot_be_written_down(tmp_path: Path) -> None:
-    log, taken, tried = EventLog(tmp_path), list[str](), list[int]()
+    log = EventLog(tmp_path)
+    taken = list[str]()
+    tried = list[int]()
     delivered = log.delivered
 
     def busy(receiver: str, row: int) -> None:
@@ -330,7 +366,8 @@ class Receiver(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         body = self.rfile.read(int(self.headers["Content-Length"]))
-        status, self.server.headers = self.server.status, self.headers  # type: ignore[attr-defined]
+        status = self.server.status
+        self.server.headers = self.headers  # type: ignore[attr-defined]
         if status == 200:
             self.server.taken.append((self.headers["Idempotency-Key"], json.loads(body)))  # type: ignore[attr-defined]
         self.send_response(status)
@@ -343,7 +380,8 @@ class Receiver(BaseHTTPRequestHandler):
 @pytest.fixture
 def receiver() -> Iterator[ThreadingHTTPServer]:
     server = ThreadingHTTPServer(("127.0.0.1", 0), Receiver)
-    server.status, server.taken = 200, []  # type: ignore[attr-defined]
+    server.status = 200
+    server.taken = []  # type: ignore[attr-defined]
     threading.Thread(target=server.serve_forever, daemon=True).start()
     yield server
     server.shutdown()
@@ -357,10 +395,14 @@ def until(ready: object, patience: float = 600.0) -> None:
         time.sleep(0.02)
 
 
-def test_events_reach_a_webhook_in_their_order_also_after_failures(tmp_path: Path, receiver: ThreadingHTTPServer) -> None:
+def test_events_reach_a_webhook_in_their_order_also_after_failures(
+    tmp_path: Path, receiver: ThreadingHTTPServer
+) -> None:
     log = EventLog(tmp_path)
     receiver.status = 503  # type: ignore[attr-defined]
-    courier = Courier(log, Webhook(f"http://127.0.0.1:{receiver.server_port}/hook?x=1", private=True), "webhook")
+    courier = Courier(
+        log, Webhook(f"http://127.0.0.1:{receiver.server_port}/hook?x=1", private=True), "webhook"
+    )
     log.write([event(1), event(2)])
     courier.wake()
     until(lambda: courier.problem == "the answer was 503")
@@ -375,7 +417,8 @@ def test_events_reach_a_webhook_in_their_order_also_after_failures(tmp_path: Pat
 
 
 def test_whatever_a_receiver_raises_is_said_and_tried_again(tmp_path: Path) -> None:
-    log, taken = EventLog(tmp_path), list[str]()
+    log = EventLog(tmp_path)
+    taken = list[str]()
 
     def send(name: str, event: str) -> None:
         taken.append(name)
@@ -413,9 +456,12 @@ def test_private_networks_are_refused(host: str, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("ip", ["8.8.8.8", "2606:4700::1", "64:ff9b::808:808", "::ffff:8.8.8.8"])
-def test_the_internet_is_not_refused_and_what_was_looked_up_is_connected_to(ip: str, monkeypatch) -> None:
+def test_the_internet_is_not_refused_and_what_was_looked_up_is_connected_to(
+    ip: str, monkeypatch
+) -> None:
     """A name is looked up once: what it leads to later (DNS rebinding) does not matter."""
-    asked, answers = list[object](), iter([ip, "127.0.0.1", "127.0.0.1"])
+    asked = list[object]()
+    answers = iter([ip, "127.0.0.1", "127.0.0.1"])
 
     def looked_up(host: str, port: int, **_: object) -> list[object]:
         return [(0, 0, 0, "", (next(answers), port))]
@@ -436,14 +482,18 @@ def test_the_internet_is_not_refused_and_what_was_looked_up_is_connected_to(ip: 
     assert len(asked) == 1
 
 
-def test_one_private_address_among_others_is_enough_to_refuse(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_private_address_among_others_is_enough_to_refuse(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     found = [(0, 0, 0, "", ("8.8.8.8", 80)), (0, 0, 0, "", ("10.0.0.1", 80))]
     monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
     with pytest.raises(PermissionError):
         Webhook("http://hook.example/")("a", "{}")
 
 
-def test_redirections_are_not_followed_and_the_password_is_sent_in_a_header(receiver: ThreadingHTTPServer) -> None:
+def test_redirections_are_not_followed_and_the_password_is_sent_in_a_header(
+    receiver: ThreadingHTTPServer,
+) -> None:
     receiver.status = 302  # type: ignore[attr-defined]
     hook = Webhook(f"http://bob:a%40b@127.0.0.1:{receiver.server_port}/hook", private=True)
     with pytest.raises(OSError, match="the answer was 302"):
@@ -454,8 +504,12 @@ def test_redirections_are_not_followed_and_the_password_is_sent_in_a_header(rece
     assert receiver.headers["Authorization"] == "Basic Ym9iOmFAYg=="  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize(("scheme", "begins"), [("http", b"HTTP/1.1 200 OK\r\nX: "), ("https", b"\x16\x03\x03\x40\x00")])
-def test_a_receiver_whose_answer_does_not_end_is_cut(scheme: str, begins: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("scheme", "begins"), [("http", b"HTTP/1.1 200 OK\r\nX: "), ("https", b"\x16\x03\x03\x40\x00")]
+)
+def test_a_receiver_whose_answer_does_not_end_is_cut(
+    scheme: str, begins: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Each byte comes in time: of the header, or of the greeting of TLS."""
     monkeypatch.setattr(delivery, "WHOLE", 0.5)
     with socket.create_server(("127.0.0.1", 0)) as server:
@@ -509,11 +563,16 @@ def test_files_of_rows_that_somebody_has_changed_are_passed_over(tmp_path: Path)
     assert (tmp_path / "2026-11-24T07.parquet").exists()
 
 
-def test_a_receiver_that_cannot_be_written_down_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    log, other = EventLog(tmp_path), sqlite3.connect(tmp_path / "events.sqlite", isolation_level=None)
+def test_a_receiver_that_cannot_be_written_down_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = EventLog(tmp_path)
+    other = sqlite3.connect(tmp_path / "events.sqlite", isolation_level=None)
     other.execute("BEGIN IMMEDIATE")
     monkeypatch.setattr(outputs, "_PATIENT", "PRAGMA busy_timeout=1")
-    with pytest.raises(InputError, match=r"events.sqlite: cannot be written into \(database is locked\)"):
+    with pytest.raises(
+        InputError, match=r"events.sqlite: cannot be written into \(database is locked\)"
+    ):
         log.register("one")
     other.close()
     log.close()

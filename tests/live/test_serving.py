@@ -1,4 +1,6 @@
-"""What docs/security.md promises, number by number, of a server as it is started: raw sockets on loopback."""
+"""What docs/security.md promises, number by number, of a server as it is started: raw sockets on
+loopback.
+"""
 
 from __future__ import annotations
 
@@ -89,7 +91,13 @@ def port(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
 
 
 def post(port: int, body: bytes, *more: str, path: str = "/api/frame/1/marks") -> bytes:
-    return request(port, f"POST {path} HTTP/1.1", "X-Phdtrack: 1", *(more or (f"Content-Length: {len(body)}",)), body=body)
+    return request(
+        port,
+        f"POST {path} HTTP/1.1",
+        "X-Phdtrack: 1",
+        *(more or (f"Content-Length: {len(body)}",)),
+        body=body,
+    )
 
 
 def test_the_page_names_every_number() -> None:
@@ -101,24 +109,36 @@ def test_the_page_names_every_number() -> None:
     scale = {"KiB": 1024, "MiB": 2**20, "a minute": 60}
     for name, words in numbers.items():
         assert words in PAGE
-        number, unit = re.match(r"[\d ]*", words)[0].strip() or "1", words.split(" ", 1)[1]
+        number = re.match(r"[\d ]*", words)[0].strip() or "1"
+        unit = words.split(" ", 1)[1]
         assert getattr(serving, name) == int(number) * scale.get(unit, scale.get(words, 1)), name
 
 
 @pytest.mark.parametrize("scale", [0.05, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_whoever_is_slow_is_cut(tmp_path: Path, scale: float) -> None:
-    """Silent, a header byte by byte, a body announced and not sent, an answer not read: each in its time, and not before."""
+    """Silent, a header byte by byte, a body announced and not sent, an answer not read: each in its
+    time, and not before.
+    """
     with started(tmp_path, scale) as (_, port):
         # The answer is larger than what the kernel keeps for a reader who does not read.
         greedy = socket.socket()
         greedy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         greedy.connect(("127.0.0.1", port))
-        kinds = {"silent": connect(port), "header": connect(port), "body": connect(port), "body drips": connect(port)}
+        kinds = {
+            "silent": connect(port),
+            "header": connect(port),
+            "body": connect(port),
+            "body drips": connect(port),
+        }
         begun = time.monotonic()
-        announced = request(port, "POST /api/frame/1/done HTTP/1.1", "X-Phdtrack: 1", "Content-Length: 1000")
+        announced = request(
+            port, "POST /api/frame/1/done HTTP/1.1", "X-Phdtrack: 1", "Content-Length: 1000"
+        )
         for name in ("body", "body drips"):
             kinds[name].sendall(announced)
-        greedy.sendall(f"GET /still/1.jpg HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode() * 400)
+        greedy.sendall(
+            f"GET /still/1.jpg HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode() * 400
+        )
         drips = {"header": iter(request(port)[:-4] * 100), "body drips": iter(b" " * 10**6)}
         ends = dict[str, float]()
         while kinds:
@@ -172,7 +192,10 @@ def test_no_more_are_accepted_from_many_addresses(monkeypatch: pytest.MonkeyPatc
     number = listening.getsockname()[1]
     sockets = []
     for host in ("127.0.0.2", "127.0.0.3", "127.0.0.4"):
-        sockets += [socket.create_connection(("127.0.0.1", number), source_address=(host, 0)), listening.accept()[0]]
+        sockets += [
+            socket.create_connection(("127.0.0.1", number), source_address=(host, 0)),
+            listening.accept()[0],
+        ]
     sockets.append(socket.create_connection(("127.0.0.1", number), source_address=("127.0.0.5", 0)))
     with pytest.raises(ConnectionAbortedError):
         listening.accept()
@@ -241,7 +264,11 @@ def test_what_no_page_sends_is_refused(
         (b"", ("Content-Length: 1048577",), 413),
         (b"", ("Content-Length: 99999999999999999999",), 413),
         (b"", ("Content-Length: " + "9" * 400,), 400),
-        (b"100001\r\n" + b" " * 0x100001 + b"\r\n0\r\n\r\n", ("Transfer-Encoding: chunked",), (413, 0)),
+        (
+            b"100001\r\n" + b" " * 0x100001 + b"\r\n0\r\n\r\n",
+            ("Transfer-Encoding: chunked",),
+            (413, 0),
+        ),
         (b"xyz\r\n{}\r\n0\r\n\r\n", ("Transfer-Encoding: chunked",), 400),
         # Refused for its Origin while the rest of it cannot be read.
         (b"zz", ("Transfer-Encoding: chunked", "Origin: http://evil.example"), (400, 403)),
@@ -256,7 +283,9 @@ def test_what_no_page_sends_is_refused(
         (b"\xff" * 1000, (), 400),
     ],
 )
-def test_bodies_that_cannot_be_used(port: int, body: bytes, more: tuple[str, ...], expected: object) -> None:
+def test_bodies_that_cannot_be_used(
+    port: int, body: bytes, more: tuple[str, ...], expected: object
+) -> None:
     answer = answered(port, post(port, body, *more))
     assert status(answer) in (expected if isinstance(expected, tuple) else (expected,))
     assert b"Traceback" not in answer
@@ -271,8 +300,13 @@ def test_frames_that_there_are_not_are_not_changed(port: int, what: str) -> None
 
 def test_marks_of_one_request_are_limited(port: int) -> None:
     one = b'{"frame": 1, "box": 0, "mark": "none"}'
-    assert b"at most 10000" in answered(port, post(port, b'{"marks": [' + b",".join([one] * 10_001) + b"]}"))
-    assert status(answered(port, post(port, b'{"marks": [' + b",".join([one] * 10_000) + b"]}"))) == 200
+    assert b"at most 10000" in answered(
+        port, post(port, b'{"marks": [' + b",".join([one] * 10_001) + b"]}")
+    )
+    assert (
+        status(answered(port, post(port, b'{"marks": [' + b",".join([one] * 10_000) + b"]}")))
+        == 200
+    )
     assert "10000 marks" in PAGE
 
 
@@ -288,7 +322,12 @@ def test_many_requests_on_one_connection_are_each_answered(port: int) -> None:
             length = int(re.search(rb"content-length: (\d+)", head)[1])
             while len(body) < length:
                 body += one.recv(65536)
-    assert answered(port, request(port).replace(b"Connection: close\r\n", b"") + request(port)).count(b"HTTP/1.1 200") == 2
+    assert (
+        answered(port, request(port).replace(b"Connection: close\r\n", b"") + request(port)).count(
+            b"HTTP/1.1 200"
+        )
+        == 2
+    )
 
 
 class Clock:
@@ -350,10 +389,25 @@ def test_names_that_are_allowed_are_answered_and_need_the_token() -> None:
         assert bool(address.token) == ("token" in url)
         for name in allow:
             for one in (name, name.lower(), f"{name}:{number}"):
-                client = TestClient(Guard(hello, address.hosts, address.token), base_url=f"http://127.0.0.1:{number}")
-                assert client.get("/", headers={"host": one}, params={"token": address.token}).status_code == 200
-                assert client.get("/", headers={"host": one, "origin": "http://evil.example"}).status_code == 403
-        assert client.get("/", headers={"host": "evil.example"}).status_code == 421 if allow else True
+                client = TestClient(
+                    Guard(hello, address.hosts, address.token),
+                    base_url=f"http://127.0.0.1:{number}",
+                )
+                assert (
+                    client.get(
+                        "/", headers={"host": one}, params={"token": address.token}
+                    ).status_code
+                    == 200
+                )
+                assert (
+                    client.get(
+                        "/", headers={"host": one, "origin": "http://evil.example"}
+                    ).status_code
+                    == 403
+                )
+        assert (
+            client.get("/", headers={"host": "evil.example"}).status_code == 421 if allow else True
+        )
         address.listening.close()
     for name in ("http://cam", "a/b", "*", "", "cam:port", "a b", "-a"):
         with pytest.raises(InputError, match="--allow-host"):
@@ -361,14 +415,34 @@ def test_names_that_are_allowed_are_answered_and_need_the_token() -> None:
 
 
 def pair(folder: Path, *more: str) -> tuple[Path, Path]:
-    certificate, key = folder / "certificate.pem", folder / "key.pem"
-    words = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-days", "2", "-subj", "/CN=cam.example.org"]
-    words += ["-addext", "subjectAltName=DNS:cam.example.org", "-keyout", str(key), "-out", str(certificate)]
+    certificate = folder / "certificate.pem"
+    key = folder / "key.pem"
+    words = [
+        "openssl",
+        "req",
+        "-x509",
+        "-newkey",
+        "rsa:2048",
+        "-days",
+        "2",
+        "-subj",
+        "/CN=cam.example.org",
+    ]
+    words += [
+        "-addext",
+        "subjectAltName=DNS:cam.example.org",
+        "-keyout",
+        str(key),
+        "-out",
+        str(certificate),
+    ]
     subprocess.run([*words, *(more or ("-nodes",))], check=True, capture_output=True)
     return certificate, key
 
 
-needs_openssl = pytest.mark.skipif(not shutil.which("openssl"), reason="needs openssl, to make a certificate")
+needs_openssl = pytest.mark.skipif(
+    not shutil.which("openssl"), reason="needs openssl, to make a certificate"
+)
 
 
 @needs_openssl
@@ -379,8 +453,18 @@ def test_with_a_certificate_it_speaks_tls_only_and_its_cookie_is_secure(tmp_path
         context = ssl.create_default_context(cafile=certificate)
 
         def asked(path: str, *more: str) -> bytes:
-            lines = [f"GET {path} HTTP/1.1", f"Host: cam.example.org:{port}", "Connection: close", *more, "", ""]
-            with connect(port) as plain, context.wrap_socket(plain, server_hostname="cam.example.org") as one:
+            lines = [
+                f"GET {path} HTTP/1.1",
+                f"Host: cam.example.org:{port}",
+                "Connection: close",
+                *more,
+                "",
+                "",
+            ]
+            with (
+                connect(port) as plain,
+                context.wrap_socket(plain, server_hostname="cam.example.org") as one,
+            ):
                 assert one.version() in ("TLSv1.2", "TLSv1.3")
                 one.sendall("\r\n".join(lines).encode())
                 return b"".join(iter(lambda: one.recv(65536), b""))
@@ -392,11 +476,14 @@ def test_with_a_certificate_it_speaks_tls_only_and_its_cookie_is_secure(tmp_path
         assert {b"HttpOnly", b"Secure", b"SameSite=strict"} <= set(cookie[2].split(b"; "))
         own = ("Cookie: " + cookie[1].decode(), f"Origin: https://cam.example.org:{port}")
         assert status(asked("/api/overview", *own)) == 200
-        assert status(asked("/api/overview", own[0], f"Origin: http://cam.example.org:{port}")) == 403
+        assert (
+            status(asked("/api/overview", own[0], f"Origin: http://cam.example.org:{port}")) == 403
+        )
         # Who speaks no TLS, or an old one, gets nothing.
         assert status(answered(port, request(port))) == 0
         old = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-        old.check_hostname, old.verify_mode = False, ssl.CERT_NONE
+        old.check_hostname = False
+        old.verify_mode = ssl.CERT_NONE
         old.set_ciphers("ALL:@SECLEVEL=0")
         with pytest.warns(DeprecationWarning, match="TLSv1_1"):
             old.minimum_version = old.maximum_version = ssl.TLSVersion.TLSv1_1

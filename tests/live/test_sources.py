@@ -1,4 +1,6 @@
-"""Live sources against a real server on loopback: time, drops, freezes, restarts, sizes, and that nothing secret is said."""
+"""Live sources against a real server on loopback: time, drops, freezes, restarts, sizes, and that
+nothing secret is said.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,8 @@ def source(server: CameraServer) -> Iterator[LiveSource]:
 
 def frames(source: LiveSource, count: int, patience: float = 600.0) -> list[LiveFrame]:
     """The next ``count`` frames."""
-    found, end = list[LiveFrame](), time.monotonic() + patience
+    found = list[LiveFrame]()
+    end = time.monotonic() + patience
     while len(found) < count and time.monotonic() < end:
         frame = source.next(0.5)
         if frame is not None:
@@ -55,8 +58,12 @@ def waited(source: LiveSource, state: str) -> None:
     until(there)
 
 
-def test_times_are_those_of_arrival_and_not_of_a_rate_that_nobody_stated(server: CameraServer, source: LiveSource) -> None:
-    """FFmpeg takes MJPEG for 25 pictures a second; here there are 10. No picture can be earlier than it was sent."""
+def test_times_are_those_of_arrival_and_not_of_a_rate_that_nobody_stated(
+    server: CameraServer, source: LiveSource
+) -> None:
+    """FFmpeg takes MJPEG for 25 pictures a second; here there are 10. No picture can be earlier
+    than it was sent.
+    """
     server.rate = 10.0
     (first,) = frames(source, 1)
     had = time.monotonic()
@@ -67,7 +74,8 @@ def test_times_are_those_of_arrival_and_not_of_a_rate_that_nobody_stated(server:
     assert frame.image.dtype == np.uint8
     server.kill()
     waited(source, "down")
-    status, most = source.status(), time.monotonic() - server.sent[0]
+    status = source.status()
+    most = time.monotonic() - server.sent[0]
     least = server.sent[status.frames - 1] - had
     assert (status.frames - 1) / most <= status.fps <= (status.frames - 1) / least
     assert first.time < frame.time
@@ -103,7 +111,9 @@ def test_a_camera_that_dies_is_found_again(server: CameraServer, source: LiveSou
     assert source.status().connects == 4
 
 
-def test_a_stream_of_which_no_picture_comes_is_tried_again(server: CameraServer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stream_of_which_no_picture_comes_is_tried_again(
+    server: CameraServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Its packets come in time, and nothing can be made of them."""
     monkeypatch.setattr(sources, "UNDECODED", 0.2)
     monkeypatch.setattr(sources, "GRACE", 0.1)
@@ -119,7 +129,9 @@ def test_a_stream_of_which_no_picture_comes_is_tried_again(server: CameraServer,
     source.stop()
 
 
-def test_a_stream_whose_time_runs_faster_than_the_clock_is_shown_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stream_whose_time_runs_faster_than_the_clock_is_shown_all_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """All its pictures look as if they had come while the connection was made."""
     monkeypatch.setattr(sources, "CATCH_UP", 0.2)
 
@@ -130,9 +142,13 @@ def test_a_stream_whose_time_runs_faster_than_the_clock_is_shown_all_the_same(mo
 
     stream = SimpleNamespace(thread_type="")
     container = SimpleNamespace(
-        format=SimpleNamespace(name="mpegts"), streams=SimpleNamespace(video=[stream]), demux=packets
+        format=SimpleNamespace(name="mpegts"),
+        streams=SimpleNamespace(video=[stream]),
+        demux=packets,
     )
-    opened = SimpleNamespace(open=lambda *_, **__: nullcontext(container), InvalidDataError=ValueError)
+    opened = SimpleNamespace(
+        open=lambda *_, **__: nullcontext(container), InvalidDataError=ValueError
+    )
     monkeypatch.setattr(sources, "needed", lambda module: opened)
     times = [picture.time for picture, _ in LiveSource("http://camera.example/stream")._pictures(0)]
     assert 0 < len(times) < 100
@@ -189,8 +205,12 @@ def test_hls_is_played_at_the_pace_of_its_stamps_and_found_again(tmp_path: Path)
     source.start()
     found = frames(source, 40)
     assert all(a.time < b.time for a, b in pairwise(found))
-    # The square's speed is right, however late the pieces were: 70 pixels a second; it turns at most once.
-    speeds = [abs(place(b) - place(a)) / (b.time - a.time) for a, b in zip(found[:-10], found[10:], strict=True)]
+    # The square's speed is right, however late the pieces were: 70 pixels a second; it turns at
+    # most once.
+    speeds = [
+        abs(place(b) - place(a)) / (b.time - a.time)
+        for a, b in zip(found[:-10], found[10:], strict=True)
+    ]
     assert np.median(speeds) == pytest.approx(70, rel=0.05)
     server.kill()
     waited(source, "down")
@@ -202,7 +222,9 @@ def test_hls_is_played_at_the_pace_of_its_stamps_and_found_again(tmp_path: Path)
     server.end()
 
 
-def test_whatever_a_source_raises_it_is_tried_again(server: CameraServer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_whatever_a_source_raises_it_is_tried_again(
+    server: CameraServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with monkeypatch.context() as broken:
         # As where a stream has no pictures.
         broken.setattr(LiveSource, "_pictures", lambda self, generation: iter([][0]))
@@ -216,7 +238,8 @@ def test_whatever_a_source_raises_it_is_tried_again(server: CameraServer, monkey
 def test_it_is_tried_again_twice_a_second(server: CameraServer) -> None:
     """However long the camera is away, it is found within two seconds of its return."""
     server.kill()
-    source, pauses = LiveSource(server.url), list[float]()
+    source = LiveSource(server.url)
+    pauses = list[float]()
     wait = source._change.wait_for
 
     def waiting(ready: Callable[[], bool], timeout: float) -> bool:
@@ -233,7 +256,9 @@ def test_it_is_tried_again_twice_a_second(server: CameraServer) -> None:
     assert min(pauses[10:]) > 0.3
 
 
-def test_a_camera_that_freezes_goes_on_where_time_is(server: CameraServer, source: LiveSource) -> None:
+def test_a_camera_that_freezes_goes_on_where_time_is(
+    server: CameraServer, source: LiveSource
+) -> None:
     (before,) = frames(source, 1)
     server.frozen = True
     waited(source, "silent")
@@ -247,13 +272,17 @@ def test_a_camera_that_freezes_goes_on_where_time_is(server: CameraServer, sourc
     assert source.status().connects == 1
 
 
-def test_a_server_that_accepts_and_says_nothing_is_left_and_tried_again(server: CameraServer) -> None:
+def test_a_server_that_accepts_and_says_nothing_is_left_and_tried_again(
+    server: CameraServer,
+) -> None:
     server.mute = True
     source = LiveSource(server.url, connect=0.7, read=0.7)
     source.start()
     waited(source, "down")
     assert source.status().problem == "no answer in time"
-    server.mute, source.connect, source.read = False, 300.0, 300.0
+    server.mute = False
+    source.connect = 300.0
+    source.read = 300.0
     waited(source, "live")
     source.stop()
 
@@ -261,11 +290,17 @@ def test_a_server_that_accepts_and_says_nothing_is_left_and_tried_again(server: 
 def test_another_size_is_scaled_to_the_first(server: CameraServer, source: LiveSource) -> None:
     frames(source, 2)
     server.size = (320, 200)
-    until(lambda: frames(source, 1)[0].image.shape == (120, 160, 3) and source.status().sent == (320, 200))
+    until(
+        lambda: (
+            frames(source, 1)[0].image.shape == (120, 160, 3) and source.status().sent == (320, 200)
+        )
+    )
     assert frames(source, 1)[0].image.shape == (120, 160, 3)
 
 
-def test_stopping_is_quick_whatever_the_camera_does(server: CameraServer, source: LiveSource) -> None:
+def test_stopping_is_quick_whatever_the_camera_does(
+    server: CameraServer, source: LiveSource
+) -> None:
     frames(source, 1)
     server.frozen = True
     begun = time.monotonic()
@@ -321,7 +356,12 @@ def test_what_a_source_says_has_no_secrets(server: CameraServer) -> None:
 
 @pytest.mark.parametrize(
     ("address", "name"),
-    [("rtsp://u:p@10.0.0.7:554/cam/1", "10.0.0.7-554-cam-1"), ("0", "0"), ("street.mp4", "street.mp4"), ("///", "camera")],
+    [
+        ("rtsp://u:p@10.0.0.7:554/cam/1", "10.0.0.7-554-cam-1"),
+        ("0", "0"),
+        ("street.mp4", "street.mp4"),
+        ("///", "camera"),
+    ],
 )
 def test_names_are_plain(address: str, name: str) -> None:
     assert named(address) == name

@@ -1,4 +1,6 @@
-"""`phdtrack track` on a camera: true times, no hanging, no lost tracks, no secrets, bounded memory."""
+"""`phdtrack track` on a camera: true times, no hanging, no lost tracks, no secrets, bounded
+memory.
+"""
 
 from __future__ import annotations
 
@@ -29,9 +31,21 @@ from phdtrack.video import open_source
 
 
 def started(address: str, out: Path, temporary: Path | None = None) -> subprocess.Popen[str]:
-    words = [sys.executable, "-m", "phdtrack", "track", address, "--out", str(out), "--set", "detector.min_area=0.005"]
+    words = [
+        sys.executable,
+        "-m",
+        "phdtrack",
+        "track",
+        address,
+        "--out",
+        str(out),
+        "--set",
+        "detector.min_area=0.005",
+    ]
     there = os.environ | ({} if temporary is None else {"TMPDIR": str(temporary)})
-    return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=there)
+    return subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=there
+    )
 
 
 def rows(out: Path, name: str = "states.csv.part") -> list[dict[str, str]]:
@@ -41,9 +55,14 @@ def rows(out: Path, name: str = "states.csv.part") -> list[dict[str, str]]:
 
 
 def test_a_camera_that_dies_returns_and_freezes(tmp_path: Path) -> None:
-    """Ten pictures a second are not taken as 25; SIGTERM ends the run while the camera is frozen, and nothing is lost."""
-    camera, out, temporary = CameraServer(), tmp_path / "run", tmp_path / "temporary"
-    camera.rate, camera.draw = 10.0, walker
+    """Ten pictures a second are not taken as 25; SIGTERM ends the run while the camera is frozen,
+    and nothing is lost.
+    """
+    camera = CameraServer()
+    out = tmp_path / "run"
+    temporary = tmp_path / "temporary"
+    camera.rate = 10.0
+    camera.draw = walker
     temporary.mkdir()
     address = camera.url.replace("://", "://bob:secret99@")
     with started(address, out, temporary=temporary) as child:
@@ -52,7 +71,8 @@ def test_a_camera_that_dies_returns_and_freezes(tmp_path: Path) -> None:
         until(lambda: len(rows(out)) >= 15)
         camera.kill()
         camera.restart()
-        returned, had = time.monotonic(), len(rows(out))
+        returned = time.monotonic()
+        had = len(rows(out))
         until(lambda: len({row["frame"] for row in rows(out)[had:]}) >= 40)
         camera.frozen = True
         until(lambda: time.monotonic() - camera.sent[-1] > 1.0)
@@ -69,7 +89,8 @@ def test_a_camera_that_dies_returns_and_freezes(tmp_path: Path) -> None:
     assert document["complete"] is False
     video = list(open_source(out / "annotated.mp4"))
     assert len(video) == document["frames"] > 50
-    # At most ten of the forty were under way when the camera returned; the others were sent a tenth of a second apart.
+    # At most ten of the forty were under way when the camera returned; the others were sent a tenth
+    # of a second apart.
     assert returned - seen + 2.9 < video[-1].time < asked - camera.sent[0]
     assert "pictures a second, each taken at the time at which it arrived" in errors
     for path in out.iterdir():
@@ -78,10 +99,16 @@ def test_a_camera_that_dies_returns_and_freezes(tmp_path: Path) -> None:
     camera.kill()
 
 
-@pytest.mark.parametrize(("name", "what"), [("SIGINT", "mute"), pytest.param("SIGHUP", "frozen", marks=pytest.mark.slow)])
-def test_a_signal_ends_a_run_whose_camera_says_nothing(tmp_path: Path, name: str, what: str) -> None:
-    camera, out = CameraServer(), tmp_path / "run"
-    camera.draw, camera.mute = walker, what == "mute"
+@pytest.mark.parametrize(
+    ("name", "what"), [("SIGINT", "mute"), pytest.param("SIGHUP", "frozen", marks=pytest.mark.slow)]
+)
+def test_a_signal_ends_a_run_whose_camera_says_nothing(
+    tmp_path: Path, name: str, what: str
+) -> None:
+    camera = CameraServer()
+    out = tmp_path / "run"
+    camera.draw = walker
+    camera.mute = what == "mute"
     with started(camera.url, out) as child:
         if what == "mute":
             until(lambda: camera.asked)
@@ -106,7 +133,9 @@ def scripted(monkeypatch: pytest.MonkeyPatch, source: Scripted) -> Inputs:
     return inputs.open_inputs(SourceOptions("rtsp://bob:secret99@cam/1"), {})
 
 
-def test_times_are_those_of_pictures_and_the_rate_is_theirs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_times_are_those_of_pictures_and_the_rate_is_theirs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     opened = scripted(monkeypatch, Scripted(rate=10.0, last=30))
     assert opened.info.fps == 10.0
     assert "rtsp://" in opened.source.note
@@ -120,14 +149,18 @@ def test_times_are_those_of_pictures_and_the_rate_is_theirs(monkeypatch: pytest.
 def test_pictures_that_nobody_had_time_for_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """A detector that takes as long as five pictures gets the newest, at its own time."""
     source = Scripted(rate=10.0, last=200)
-    opened, given = scripted(monkeypatch, source), list[Frame]()
+    opened = scripted(monkeypatch, source)
+    given = list[Frame]()
     for frame in opened.source:
         given.append(frame)
         if frame.number > 20:
-            source.number, source.dropped = source.number + 4, source.dropped + 4
+            source.number = source.number + 4
+            source.dropped = source.dropped + 4
         if frame.number > 150:
             break
-    assert [frame.time for frame in given] == pytest.approx([(frame.number - 1) / 10 for frame in given])
+    assert [frame.time for frame in given] == pytest.approx(
+        [(frame.number - 1) / 10 for frame in given]
+    )
     assert {b.number - a.number for a, b in pairwise(given[25:])} == {5}
     frames = opened.source.read(opened.source)
     next(frames)
@@ -152,7 +185,14 @@ def test_a_camera_that_does_not_return_ends_a_run_that_is_not_complete(
     monkeypatch.setattr(inputs, "GIVE_UP", 1.0)
     monkeypatch.setattr(inputs, "LiveSource", lambda address: Scripted(last=40))
     out = tmp_path / "run"
-    words = ["track", "rtsp://bob:secret99@cam/1", "--out", str(out), "--set", "detector.min_area=0.005"]
+    words = [
+        "track",
+        "rtsp://bob:secret99@cam/1",
+        "--out",
+        str(out),
+        "--set",
+        "detector.min_area=0.005",
+    ]
     said = CliRunner().invoke(application("track"), words)
     assert said.exit_code == 1
     assert "no picture in 1 s" in said.output
@@ -172,7 +212,8 @@ def walk(k: int) -> list[list[float]]:
 def test_final_tracks_are_those_of_a_tracker_that_forgets_nothing() -> None:
     endless = Tracker((1280, 800), fps=10, associate={"history": 60.0})
     whole = Tracker((1280, 800), fps=10)
-    final, parts = FinalTracks(endless, lag=10.0, every=10.0), []
+    final = FinalTracks(endless, lag=10.0, every=10.0)
+    parts = []
     for k in range(1, 3001):
         endless.update(walk(k), k)
         whole.update(walk(k), k)
@@ -181,10 +222,12 @@ def test_final_tracks_are_those_of_a_tracker_that_forgets_nothing() -> None:
             assert rows.frame.max() <= k - 100
             parts.append(rows)
     parts.append(final.rest())
-    given, usual = np.concatenate([np.column_stack([p.frame, p.identity]) for p in parts]), whole.tracks()
+    given = np.concatenate([np.column_stack([p.frame, p.identity]) for p in parts])
+    usual = whole.tracks()
     boxes = np.concatenate([part.xyxy for part in parts])
     # The same rows in the same places, and one identity of ours for each of theirs.
-    order, theirs = np.lexsort((boxes[:, 0], given[:, 0])), np.lexsort((usual.xyxy[:, 0], usual.frame))
+    order = np.lexsort((boxes[:, 0], given[:, 0]))
+    theirs = np.lexsort((usual.xyxy[:, 0], usual.frame))
     assert given[order, 0].tolist() == usual.frame[theirs].tolist()
     np.testing.assert_allclose(boxes[order], usual.xyxy[theirs], atol=2.0)
     pairs = set(zip(given[order, 1].tolist(), usual.identity[theirs].tolist(), strict=True))
@@ -193,7 +236,8 @@ def test_final_tracks_are_those_of_a_tracker_that_forgets_nothing() -> None:
 
 def test_the_rest_is_all_that_was_not_given_and_a_reset_begins_anew() -> None:
     tracker = Tracker((1280, 800), fps=10)
-    final, given = FinalTracks(tracker, lag=1.0, every=1.0), list[int]()
+    final = FinalTracks(tracker, lag=1.0, every=1.0)
+    given = list[int]()
     for asked in (True, True, False):
         for k in range(1, 61):
             tracker.update(walk(k))

@@ -16,7 +16,9 @@ from phdtrack.errors import InputError
 from phdtrack.live.zones import Place, Point, places_of, read_places
 
 DOOR = Place("door", ((100.0, 400.0), (300.0, 400.0)), closed=False)
-WINDOW = Place("window", ((400.0, 300.0), (600.0, 300.0), (600.0, 450.0), (400.0, 450.0)), closed=True)
+WINDOW = Place(
+    "window", ((400.0, 300.0), (600.0, 300.0), (600.0, 450.0), (400.0, 450.0)), closed=True
+)
 # A zigzag, a corner of which lies on whole numbers.
 BENT = Place("bent", ((0.0, 0.0), (10.0, 10.0), (20.0, 0.0), (30.0, 10.0)), closed=False)
 whole = st.integers(-5, 35).map(float)
@@ -26,7 +28,9 @@ point = st.tuples(whole, whole)
 def star(radii: list[int]) -> Place:
     """A polygon around (50, 50) whose corners are as far as ``radii``: never self-crossing."""
     angles = np.linspace(0, 2 * np.pi, len(radii), endpoint=False).tolist()
-    corners = [(50 + r * math.cos(a), 50 + r * math.sin(a)) for r, a in zip(radii, angles, strict=True)]
+    corners = [
+        (50 + r * math.cos(a), 50 + r * math.sin(a)) for r, a in zip(radii, angles, strict=True)
+    ]
     return Place("star", tuple(corners), closed=True)
 
 
@@ -40,7 +44,9 @@ def test_the_distance_to_a_zone_is_opencvs(radii: list[int], x: float, y: float)
 
 @given(st.lists(point, min_size=2, max_size=12))
 def test_crossings_add_up_to_the_side_that_was_reached(way: list[Point]) -> None:
-    """Around an endless line the crossings less those back are where the last point lies less where the first did."""
+    """Around an endless line the crossings less those back are where the last point lies less where
+    the first did.
+    """
     line = Place("wall", ((-1000.0, 3.0), (1000.0, 3.0)), closed=False)
     total = sum(line.crossings(a, b) for a, b in pairwise(way))
     # On the wall counts as behind it.
@@ -49,13 +55,17 @@ def test_crossings_add_up_to_the_side_that_was_reached(way: list[Point]) -> None
 
 @given(st.lists(point, min_size=3, max_size=12))
 def test_a_way_that_closes_around_no_end_crosses_as_often_back(way: list[Point]) -> None:
-    """The pieces of a bent line share corners, which count once: a zigzag from border to border has two sides, too."""
+    """The pieces of a bent line share corners, which count once: a zigzag from border to border has
+    two sides, too.
+    """
     long = Place("long", ((-1000.0, 0.0), *BENT.points, (1000.0, 10.0)), closed=False)
     assert sum(long.crossings(a, b) for a, b in zip(way, [*way[1:], way[0]], strict=True)) == 0
 
 
 def test_left_and_right_are_those_of_the_picture() -> None:
-    """Who looks along the door from (100, 400) to (300, 400), has what is below in the picture on the right."""
+    """Who looks along the door from (100, 400) to (300, 400), has what is below in the picture on
+    the right.
+    """
     assert DOOR.crossings((200, 390), (200, 410)) == 1
     assert DOOR.crossings((200, 410), (200, 390)) == -1
     assert DOOR.crossings((310, 390), (310, 410)) == 0

@@ -46,10 +46,18 @@ def perfect(truth: Truth) -> Tracks:
 
 
 def random_case(
-    rng: np.random.Generator, *, frames: int = 30, objects: int = 5, distractors: bool = False, side: float = 150.0
+    rng: np.random.Generator,
+    *,
+    frames: int = 30,
+    objects: int = 5,
+    distractors: bool = False,
+    side: float = 150.0,
 ) -> tuple[Truth, Tracks]:
-    """Crowded walkers that come and go; output with misses, jitter, clutter, swapped and renewed identities."""
-    t, o = [], []
+    """Crowded walkers that come and go; output with misses, jitter, clutter, swapped and renewed
+    identities.
+    """
+    t = []
+    o = []
     name = {i: 100 + 7 * i for i in range(objects)}
     fresh = 1000
     start = rng.uniform(0, side, (objects, 2))
@@ -68,27 +76,41 @@ def random_case(
             corner = start[i] + k * speed[i] + rng.normal(0, 0.5, 2)
             t.append((k, 5 * i + 3, *corner, *(corner + size[i]), ignored[i]))
             if rng.random() < 0.1:
-                name[i], fresh = fresh, fresh + 1
+                name[i] = fresh
+                fresh = fresh + 1
             if rng.random() < 0.8 and k not in gap:
                 noisy = np.concatenate([corner, corner + size[i]]) + rng.normal(0, 5, 4)
-                o.append((k, name[i], *np.minimum(noisy[:2], noisy[2:]), *np.maximum(noisy[:2], noisy[2:])))
+                o.append(
+                    (
+                        k,
+                        name[i],
+                        *np.minimum(noisy[:2], noisy[2:]),
+                        *np.maximum(noisy[:2], noisy[2:]),
+                    )
+                )
         for _ in range(rng.poisson(1.0)):
             corner = rng.uniform(0, side, 2)
             o.append((k, fresh, *corner, *(corner + rng.uniform(20, 60, 2))))
             fresh += 1
-    tt, oo = np.array(t, np.float64).reshape(-1, 7), np.array(o, np.float64).reshape(-1, 6)
-    return truth_of(tt[:, 0], tt[:, 1], tt[:, 2:6], tt[:, 6]), tracks_of(oo[:, 0], oo[:, 1], oo[:, 2:])
+    tt = np.array(t, np.float64).reshape(-1, 7)
+    oo = np.array(o, np.float64).reshape(-1, 6)
+    return truth_of(tt[:, 0], tt[:, 1], tt[:, 2:6], tt[:, 6]), tracks_of(
+        oo[:, 0], oo[:, 1], oo[:, 2:]
+    )
 
 
 def real_case(data: Path, sequence: str, detector: str) -> tuple[Truth, Tracks]:
     """The annotation of a sequence and crude tracks of a detector's boxes."""
     folder = data / "mot15" / sequence
-    return read_truth(folder / "gt" / "gt.txt"), crude_tracks(read_detections(folder / detector / "det.txt"))
+    return read_truth(folder / "gt" / "gt.txt"), crude_tracks(
+        read_detections(folder / detector / "det.txt")
+    )
 
 
 def crude_tracks(table: DetectionTable, patience: int = 2) -> Tracks:
     """Greedy linking by overlap: enough to have realistic identities, switches and breaks."""
-    frame, identity = [], []
+    frame = []
+    identity = []
     live: list[tuple[int, int, np.ndarray]] = []
     fresh = 1
     for k in range(1, table.last + 1):
@@ -99,9 +121,11 @@ def crude_tracks(table: DetectionTable, patience: int = 2) -> Tracks:
         while overlap.size and overlap.max() > 0.3:
             i, j = np.unravel_index(overlap.argmax(), overlap.shape)
             names[j] = live[i][0]
-            overlap[i], overlap[:, j] = 0, 0
+            overlap[i] = 0
+            overlap[:, j] = 0
         for j in np.flatnonzero(names == 0):
-            names[j], fresh = fresh, fresh + 1
+            names[j] = fresh
+            fresh = fresh + 1
         found = {int(n): (int(n), k, b) for n, b in zip(names, boxes, strict=True)}
         live = [e for e in live if e[0] not in found] + list(found.values())
         frame += [k] * len(boxes)

@@ -1,4 +1,6 @@
-"""Causes of errors: they add up, each cause has a case made by hand, and perfect tracks have none."""
+"""Causes of errors: they add up, each cause has a case made by hand, and perfect tracks have
+none.
+"""
 
 import numpy as np
 import pytest
@@ -11,7 +13,9 @@ from phdtrack.metrics.errors import CAUSES, FALSE, PLACES
 from phdtrack.types import Detections, DetectionTable
 
 seeds = st.integers(0, 2**32 - 1)
-HERE, FAR, THERE = [0, 0, 20, 40], [300, 0, 320, 40], [600, 0, 620, 40]
+HERE = [0, 0, 20, 40]
+FAR = [300, 0, 320, 40]
+THERE = [600, 0, 620, 40]
 
 
 def table_of(frame, xyxy) -> DetectionTable:
@@ -25,7 +29,9 @@ def case(*, truth, tracks, seen=None):
     sides = [made(*([list(column) for column in zip(*rows, strict=True)] or [[], [], []])) for made, rows in (
         (truth_of, truth), (tracks_of, tracks),
     )]  # fmt: skip
-    return explain(*sides, None if seen is None else table_of([k for k, _ in seen], [box for _, box in seen]))
+    return explain(
+        *sides, None if seen is None else table_of([k for k, _ in seen], [box for _, box in seen])
+    )
 
 
 def life(identity, box, *frames):
@@ -34,7 +40,9 @@ def life(identity, box, *frames):
 
 def misses(errors) -> dict[tuple[str, str], int]:
     table = errors.misses.sum(axis=0)
-    return {(CAUSES[i], PLACES[j]): int(table[i, j]) for i, j in zip(*np.nonzero(table), strict=True)}
+    return {
+        (CAUSES[i], PLACES[j]): int(table[i, j]) for i, j in zip(*np.nonzero(table), strict=True)
+    }
 
 
 def false(errors) -> dict[str, int]:
@@ -48,7 +56,8 @@ def test_causes_add_up_to_the_scores(seed: int, given_detections: bool, iou: flo
     truth, tracks = random_case(rng, objects=5, distractors=True)
     kept = rng.random(len(tracks)) < 0.7
     seen = table_of(tracks.frame[kept], tracks.xyxy[kept]) if given_detections else None
-    errors, scores = explain(truth, tracks, seen, iou=iou), evaluate(truth, tracks, iou=iou)
+    errors = explain(truth, tracks, seen, iou=iou)
+    scores = evaluate(truth, tracks, iou=iou)
     assert errors.misses.sum() == scores.misses
     assert errors.false.sum() == scores.false_positives
     assert errors.ignored == len(tracks) - scores.output_boxes
@@ -73,14 +82,21 @@ def test_perfect_tracks_have_no_errors(seed: int):
 
 
 def test_misses_by_cause_and_place():
-    """Object 1 is mapped in frames 3 and 5 of 1 to 7, object 2 never; detections are in frames 2, 4 and 7 of object 1."""
+    """Object 1 is mapped in frames 3 and 5 of 1 to 7, object 2 never; detections are in frames 2, 4
+    and 7 of object 1.
+    """
     errors = case(
         truth=life(1, HERE, *range(1, 8)) + life(2, FAR, 1, 2),
         tracks=life(9, HERE, 3, 5),
         seen=[(2, HERE), (4, HERE), (7, HERE), (2, FAR)],
     )
     expected = {("undetected", "head"): 1, ("unused", "head"): 1, ("unused", "gap"): 1}
-    expected |= {("undetected", "tail"): 1, ("unused", "tail"): 1, ("undetected", "never"): 1, ("unused", "never"): 1}
+    expected |= {
+        ("undetected", "tail"): 1,
+        ("unused", "tail"): 1,
+        ("undetected", "never"): 1,
+        ("unused", "never"): 1,
+    }
     assert misses(errors) == expected
     assert errors.misses[0].sum() == 5
     assert errors.last.tolist() == [5, 0]
@@ -90,7 +106,9 @@ def test_misses_without_detections_have_one_cause():
     errors = case(truth=life(1, HERE, 1, 2, 3), tracks=life(9, HERE, 2))
     assert errors.causes == ("not tracked",)
     assert misses(errors) == {("undetected", "head"): 1, ("undetected", "tail"): 1}
-    assert errors.as_dict(5)["misses"] == {"not tracked": {"never": 0, "head": 1, "gap": 0, "tail": 1}}
+    assert errors.as_dict(5)["misses"] == {
+        "not tracked": {"never": 0, "head": 1, "gap": 0, "tail": 1}
+    }
 
 
 LOOSE = [0, 24, 20, 64]  # shares 16 of 64 pixels of height with HERE
@@ -103,8 +121,14 @@ BESIDE = [0, 25, 20, 65]
     [
         ("loose", life(1, HERE, 1, 2), life(9, HERE, 1) + life(9, LOOSE, 2), [(2, HERE)]),
         ("ghost", life(1, HERE, 1), life(9, HERE, 1, 2), [(1, HERE)]),
-        # Shown over another object, which is mapped to its own track: the detections say that nothing is under it.
-        ("ghost", life(1, LOOSE, 1) + life(2, HERE, 1, 2), life(9, LOOSE, 1, 2) + life(8, HERE, 1, 2), [(2, HERE)]),
+        # Shown over another object, which is mapped to its own track: the detections say that
+        # nothing is under it.
+        (
+            "ghost",
+            life(1, LOOSE, 1) + life(2, HERE, 1, 2),
+            life(9, LOOSE, 1, 2) + life(8, HERE, 1, 2),
+            [(2, HERE)],
+        ),
         ("duplicate", life(1, HERE, 1, 2), life(9, HERE, 1, 2) + life(8, HERE, 2), [(2, HERE)]),
         ("duplicate", life(1, HERE, 1, 2), life(9, HERE, 1, 2) + life(8, LOOSE, 2), [(2, HERE)]),
         ("clutter", life(1, HERE, 1), life(9, HERE, 1) + life(8, FAR, 1), [(1, FAR)]),
@@ -121,7 +145,9 @@ def test_each_cause_of_a_false_box(cause: str, truth, tracks, seen):
 
 
 def test_false_boxes_without_detections():
-    """A box over an object that has its own track is a duplicate, one over nothing a ghost of a track that was right."""
+    """A box over an object that has its own track is a duplicate, one over nothing a ghost of a
+    track that was right.
+    """
     truth = life(1, HERE, 1, 2) + life(2, FAR, 1)
     tracks = life(9, HERE, 1, 2) + life(8, FAR, 1) + life(8, LOOSE, 2) + life(9, FAR, 3)
     assert false(case(truth=truth, tracks=tracks)) == {"duplicate": 1, "ghost": 1}
@@ -129,7 +155,9 @@ def test_false_boxes_without_detections():
 
 def test_the_worst_come_first_and_those_without_errors_not_at_all():
     truth = life(1, HERE, 1) + life(2, FAR, 1, 2, 3) + life(3, THERE, 1, 2)
-    errors = case(truth=truth, tracks=life(9, HERE, 1) + life(8, FAR, 3) + life(7, [900, 0, 920, 9], 1, 2))
+    errors = case(
+        truth=truth, tracks=life(9, HERE, 1) + life(8, FAR, 3) + life(7, [900, 0, 920, 9], 1, 2)
+    )
     assert errors.objects[errors.worst_objects(5)].tolist() == [2, 3]
     assert errors.tracks[errors.worst_tracks(5)].tolist() == [7]
     assert len(errors.worst_objects(1)) == 1

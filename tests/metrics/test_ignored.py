@@ -1,4 +1,6 @@
-"""What does not count: KITTI's label files against TrackEval's own preprocessing, regions, and lists of what to ignore."""
+"""What does not count: KITTI's label files against TrackEval's own preprocessing, regions, and
+lists of what to ignore.
+"""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,12 +21,17 @@ TYPES = ("Car", "Van", "Pedestrian", "Person_sitting", "Cyclist", "DontCare")
 def label_line(frame, identity, kind, truncated, occluded, box, score=None):
     end = "" if score is None else f" {score}"
     corners = " ".join(f"{value:.3f}" for value in box)
-    return f"{frame} {identity} {kind} {truncated} {occluded} -10 {corners} 1.5 1.6 3.9 0 0 0 0{end}"
+    return (
+        f"{frame} {identity} {kind} {truncated} {occluded} -10 {corners} 1.5 1.6 3.9 0 0 0 0{end}"
+    )
 
 
 def drawn(rng, folder: Path):
-    """Label files of truth and results, with small boxes, hidden objects, neighbours and regions, beside their rows."""
-    truth, found = [], []
+    """Label files of truth and results, with small boxes, hidden objects, neighbours and regions,
+    beside their rows.
+    """
+    truth = []
+    found = []
     for frame in range(12):
         for i in range(rng.integers(3, 9)):
             kind = TYPES[rng.integers(0, 6)]
@@ -38,9 +45,13 @@ def drawn(rng, folder: Path):
                 found.append((frame, i, "Car" if rng.random() < 0.7 else kind, moved))
         for i in range(rng.integers(0, 4)):
             corner = rng.uniform(0, 250, 2)
-            found.append((frame, 50 + i, "Car", np.round([*corner, *(corner + rng.uniform(15, 50, 2))], 3)))
+            found.append(
+                (frame, 50 + i, "Car", np.round([*corner, *(corner + rng.uniform(15, 50, 2))], 3))
+            )
     (folder / "gt.txt").write_text("\n".join(label_line(*row) for row in truth))
-    (folder / "found.txt").write_text("\n".join(label_line(f, i, kind, -1, -1, box, 0.5) for f, i, kind, box in found))
+    (folder / "found.txt").write_text(
+        "\n".join(label_line(f, i, kind, -1, -1, box, 0.5) for f, i, kind, box in found)
+    )
     return truth, found
 
 
@@ -62,7 +73,10 @@ def by_trackeval(truth, found, kind: str) -> list[tuple[list, list]]:
         "gt_dets": [boxes(rows) for rows in own],
         "gt_classes": [np.array([TYPES.index(row[2]) for row in rows], int) for rows in own],
         "gt_extras": [
-            {"truncation": np.array([row[3] for row in rows]), "occlusion": np.array([row[4] for row in rows])}
+            {
+                "truncation": np.array([row[3] for row in rows]),
+                "occlusion": np.array([row[4] for row in rows]),
+            }
             for rows in own
         ],
         "gt_crowd_ignore_regions": [boxes(rows) for rows in care],
@@ -90,10 +104,14 @@ def by_trackeval(truth, found, kind: str) -> list[tuple[list, list]]:
 def test_kitti_as_trackeval_prepares_it(tmp_path: Path, kind: str, seed: int):
     truth, found = drawn(np.random.default_rng(seed), tmp_path)
     annotated, tracks = (
-        read(tmp_path / name, kitti=kind) for read, name in ((read_truth, "gt.txt"), (read_tracks, "found.txt"))
+        read(tmp_path / name, kitti=kind)
+        for read, name in ((read_truth, "gt.txt"), (read_tracks, "found.txt"))
     )
     scene = build(annotated, tracks)
-    kept = {pair.number: (annotated.xyxy[pair.truth_row], tracks.xyxy[pair.output_row]) for pair in scene.pairs}
+    kept = {
+        pair.number: (annotated.xyxy[pair.truth_row], tracks.xyxy[pair.output_row])
+        for pair in scene.pairs
+    }
     empty = np.zeros((0, 4)), np.zeros((0, 4))
     expected = by_trackeval(truth, found, kind.lower())
     assert len(expected) == 12
@@ -112,13 +130,18 @@ def test_a_kitti_file_needs_a_type(tmp_path: Path):
     path.write_text("1,1,0,0,20,40,1,-1,-1,-1")
     with pytest.raises(InputError, match="expected a KITTI label file"):
         read_truth(path, kitti="Car")
-    path.write_text(label_line(0, 1, "Car", 0, 0, [0, 0, 9, 9]) + "\n" + label_line(1, 1, "Car", "x", 0, [0, 0, 9, 9]))
+    path.write_text(
+        label_line(0, 1, "Car", 0, 0, [0, 0, 9, 9])
+        + "\n"
+        + label_line(1, 1, "Car", "x", 0, [0, 0, 9, 9])
+    )
     with pytest.raises(InputError, match=r"line 2.*"):
         read_truth(path, kitti="Car")
 
 
 GT = "1,1,0,0,20,40,1,-1,-1,-1\n2,1,0,0,20,40,1,-1,-1,-1\n"
-# Frame 1: right. Frame 2: far away, where regions may be; 12 of 20 pixels of its width are left of 112.
+# Frame 1: right. Frame 2: far away, where regions may be; 12 of 20 pixels of its width are left of
+# 112.
 FOUND = "1,9,0,0,20,40,1,-1,-1,-1\n2,9,100,0,20,40,1,-1,-1,-1\n"
 
 
@@ -143,14 +166,21 @@ FOUND = "1,9,0,0,20,40,1,-1,-1,-1\n2,9,100,0,20,40,1,-1,-1,-1\n"
 def test_lists_of_what_to_ignore(tmp_path: Path, listed: str, false: int):
     for name, text in (("gt.txt", GT), ("found.txt", FOUND), ("ignore.csv", listed)):
         (tmp_path / name).write_text(text)
-    truth, tracks = ignoring(read_truth(tmp_path / "gt.txt"), tmp_path / "ignore.csv"), read_tracks(tmp_path / "found.txt")
+    truth = ignoring(read_truth(tmp_path / "gt.txt"), tmp_path / "ignore.csv")
+    tracks = read_tracks(tmp_path / "found.txt")
     scores = evaluate(truth, tracks)
     assert (scores.false_positives, scores.misses, scores.matches) == (false, 1, 1)
     assert explain(truth, tracks).ignored == 1 - false
 
 
 @pytest.mark.parametrize(
-    "listed", ["frame,x,y,w,h\n2,90,0,0,60\n", "frame,id,x,y,w,h\n,7,1,1,20,40\n", "frame,x,y\n1,2,3\n", "1,a,2,3,4\n"]
+    "listed",
+    [
+        "frame,x,y,w,h\n2,90,0,0,60\n",
+        "frame,id,x,y,w,h\n,7,1,1,20,40\n",
+        "frame,x,y\n1,2,3\n",
+        "1,a,2,3,4\n",
+    ],
 )
 def test_bad_lists_are_refused(tmp_path: Path, listed: str):
     (tmp_path / "gt.txt").write_text(GT)
@@ -160,7 +190,9 @@ def test_bad_lists_are_refused(tmp_path: Path, listed: str):
 
 
 def test_a_region_among_the_rows_of_a_table(tmp_path: Path):
-    (tmp_path / "gt.csv").write_text("frame,id,x,y,w,h,region\n1,1,0,0,20,40,0\n2,-1,90,0,50,60,1\n")
+    (tmp_path / "gt.csv").write_text(
+        "frame,id,x,y,w,h,region\n1,1,0,0,20,40,0\n2,-1,90,0,50,60,1\n"
+    )
     truth = read_truth(tmp_path / "gt.csv")
     assert truth.regions.tolist() == [[2, 90, 0, 140, 60]]
     assert truth.frame.tolist() == [1]

@@ -1,4 +1,6 @@
-"""What must hold for every sequence: invariances, extremes, empty sides; and how bad input is refused."""
+"""What must hold for every sequence: invariances, extremes, empty sides; and how bad input is
+refused.
+"""
 
 import json
 import math
@@ -16,18 +18,34 @@ from phdtrack.types import Tracks, Truth
 
 NONE = truth_of([], [], [])
 SHARES = ["MODA", "N_MODA", "MODP", "MOTA", "MOTA_log", "MOTP", "IDF1", "HOTA"]
-NAMES = [*SHARES, "OSPA", "GOSPA", "OSPA2", "SFDA", "ATA", "id_switches", "misses", "false_positives", "fragments", "frames"]
+NAMES = [
+    *SHARES,
+    "OSPA",
+    "GOSPA",
+    "OSPA2",
+    "SFDA",
+    "ATA",
+    "id_switches",
+    "misses",
+    "false_positives",
+    "fragments",
+    "frames",
+]
 seeds = st.integers(0, 2**32 - 1)
 
 
 def take(truth: Truth, index) -> Truth:
-    return truth_of(truth.frame[index], truth.identity[index], truth.xyxy[index], truth.distractor[index])
+    return truth_of(
+        truth.frame[index], truth.identity[index], truth.xyxy[index], truth.distractor[index]
+    )
 
 
 def integral(truth: Truth, tracks: Tracks) -> tuple[Truth, Tracks]:
     """The same with boxes on a coarse grid, where assignments tie often."""
     t, o = (4 * np.round(rows.xyxy / 4) for rows in (truth, tracks))
-    return truth_of(truth.frame, truth.identity, t, truth.distractor), tracks_of(tracks.frame, tracks.identity, o)
+    return truth_of(truth.frame, truth.identity, t, truth.distractor), tracks_of(
+        tracks.frame, tracks.identity, o
+    )
 
 
 @given(seeds, st.booleans())
@@ -37,7 +55,9 @@ def test_order_of_rows_does_not_matter(seed: int, coarse: bool):
     truth, tracks = random_case(rng, objects=6, distractors=True)
     if coarse:
         truth, tracks = integral(truth, tracks)
-    shuffled = evaluate(take(truth, rng.permutation(len(truth))), tracks.take(rng.permutation(len(tracks))))
+    shuffled = evaluate(
+        take(truth, rng.permutation(len(truth))), tracks.take(rng.permutation(len(tracks)))
+    )
     assert shuffled.as_dict() == evaluate(truth, tracks).as_dict()
 
 
@@ -49,7 +69,8 @@ def test_names_of_identities_do_not_matter(seed: int):
     names = rng.permutation(5000)
     renamed = tracks_of(tracks.frame, names[tracks.identity], tracks.xyxy)
     people = truth_of(truth.frame, names[truth.identity] - 2500, truth.xyxy)
-    ours, theirs = evaluate(people, renamed).as_dict(), evaluate(truth, tracks).as_dict()
+    ours = evaluate(people, renamed).as_dict()
+    theirs = evaluate(truth, tracks).as_dict()
     assert ours == pytest.approx(theirs, abs=1e-12)
 
 
@@ -70,13 +91,20 @@ def test_perfect_output(seed: int, distractors: bool):
     truth, _ = random_case(np.random.default_rng(seed), objects=5, distractors=distractors)
     assume(not truth.distractor.all())
     # A person under a distractor of exactly her size would be taken out with it: keep them apart.
-    truth = truth_of(truth.frame, truth.identity, truth.xyxy + 1000 * truth.distractor[:, None], truth.distractor)
+    truth = truth_of(
+        truth.frame, truth.identity, truth.xyxy + 1000 * truth.distractor[:, None], truth.distractor
+    )
     scores = evaluate(truth, perfect(truth))
     for name in (*SHARES, "SFDA", "ATA", "ATA_matched", "DetA", "AssA", "IDP", "IDR"):
         close(getattr(scores, name), 1, 1e-12)
     for name in ("OSPA", "GOSPA", "OSPA2", "count_error_mean", "count_error_rms", "delay_mean"):
         close(getattr(scores, name), 0, 1e-12)
-    assert (scores.id_switches, scores.misses, scores.false_positives, scores.false_tracks) == (0, 0, 0, 0)
+    assert (scores.id_switches, scores.misses, scores.false_positives, scores.false_tracks) == (
+        0,
+        0,
+        0,
+        0,
+    )
 
 
 @given(seeds)
@@ -85,8 +113,12 @@ def test_clutter_lowers_accuracy_and_nothing_else(seed: int):
     rng = np.random.default_rng(seed)
     truth, tracks = random_case(rng, objects=4)
     far = tracks_of([1, 2, 3], [9000, 9000, 9001], [[5000, 5000, 5050, 5050]] * 3)
-    before, after = evaluate(truth, tracks, frames=30), evaluate(truth, Tracks.concatenate([tracks, far]), frames=30)
-    assert (after.false_positives, after.false_tracks) == (before.false_positives + 3, before.false_tracks + 2)
+    before = evaluate(truth, tracks, frames=30)
+    after = evaluate(truth, Tracks.concatenate([tracks, far]), frames=30)
+    assert (after.false_positives, after.false_tracks) == (
+        before.false_positives + 3,
+        before.false_tracks + 2,
+    )
     close(after.GOSPA, before.GOSPA + 3 * 0.5 / 30)
     assert (after.misses, after.id_switches) == (before.misses, before.id_switches)
     if len(truth):
@@ -111,7 +143,12 @@ def test_no_output_and_no_truth():
     close(scores.GOSPA, len(truth) / 2 / scores.frames)
     scores = evaluate(NONE, tracks)
     assert np.isnan([scores.MODA, scores.MOTA]).all()
-    assert (scores.IDF1, scores.HOTA, scores.misses, scores.false_positives) == (0, 0, 0, len(tracks))
+    assert (scores.IDF1, scores.HOTA, scores.misses, scores.false_positives) == (
+        0,
+        0,
+        0,
+        len(tracks),
+    )
     assert scores.false_tracks == len(np.unique(tracks.identity))
 
 
@@ -140,7 +177,11 @@ GOOD = truth_of([1], [1], [BOX]), tracks_of([1], [1], [BOX])
         (GOOD[0], tracks_of([0], [1], [BOX]), "tracks: expected frame numbers from 1, got 0"),
         (GOOD[0], tracks_of([3, 3], [2, 2], [BOX, BOX]), "tracks, frame 3: .*identity 2 twice"),
         (truth_of([3, 3], [2, 2], [BOX, BOX]), GOOD[1], "truth, frame 3: .*identity 2 twice"),
-        (GOOD[0], tracks_of([5], [6], [[0, 0, np.nan, 1]]), "tracks, frame 5, identity 6: expected finite boxes"),
+        (
+            GOOD[0],
+            tracks_of([5], [6], [[0, 0, np.nan, 1]]),
+            "tracks, frame 5, identity 6: expected finite boxes",
+        ),
         (truth_of([5], [6], [[100, 100, 20, 50]]), GOOD[1], "left, top, width, height"),
         (replace(GOOD[0], identity=np.ones(2, np.int64)), GOOD[1], r"xyxy \(M, 4\)"),
     ],
@@ -178,7 +219,10 @@ def test_columns_of_another_kind_are_refused(column: str, value: object):
         evaluate(replace(truth, **{column: value}), perfect(truth))
 
 
-@pytest.mark.parametrize(("part", "word"), [({"first": 0}, "first"), ({"first": 5}, "first"), ({"frames": 1.5}, "frames")])
+@pytest.mark.parametrize(
+    ("part", "word"),
+    [({"first": 0}, "first"), ({"first": 5}, "first"), ({"frames": 1.5}, "frames")],
+)
 def test_frames_that_are_none_are_refused(part: dict[str, int], word: str):
     truth = truth_of([1, 2], [1, 1], [[0, 0, 9, 9]] * 2)
     with pytest.raises(InputError, match=f"{word}: expected"):

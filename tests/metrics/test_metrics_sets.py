@@ -1,4 +1,6 @@
-"""OSPA, GOSPA, T-GOSPA and RMSE: against Stone Soup, against twins that try every mapping, and by their laws."""
+"""OSPA, GOSPA, T-GOSPA and RMSE: against Stone Soup, against twins that try every mapping, and by
+their laws.
+"""
 
 import datetime
 import importlib
@@ -43,7 +45,8 @@ def states(points: np.ndarray) -> list[State]:
 def theirs(x, y, c, p, measure=None) -> tuple[float, float]:
     """Stone Soup's OSPA and GOSPA."""
     measure = measure or Euclidean()
-    a, b = states(x), states(y)
+    a = states(x)
+    b = states(y)
     o = OSPAMetric(c=c, p=p, measure=measure).compute_OSPA_distance(a, b).value
     g, _ = GOSPAMetric(c=c, p=p, measure=measure).compute_gospa_metric(a, b)
     return float(o), float(g.value["distance"])
@@ -53,7 +56,10 @@ def sets(seed: int, most: int = 8) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     n, m = rng.integers(0, most, 2)
     x = rng.uniform(0, 100, (2, n))
-    y = np.concatenate([x[:, : m // 2] + rng.normal(0, 5, (2, min(n, m // 2))), rng.uniform(0, 100, (2, m))], axis=1)[:, :m]
+    y = np.concatenate(
+        [x[:, : m // 2] + rng.normal(0, 5, (2, min(n, m // 2))), rng.uniform(0, 100, (2, m))],
+        axis=1,
+    )[:, :m]
     return x, y
 
 
@@ -74,8 +80,11 @@ def test_real_sequences_agree_with_stone_soup(data, sequence: str):
     frames = range(1, min(tracks.frame.max(), 120) + 1)
     on_boxes = []
     for k in frames:
-        t, o = truth.xyxy[truth.frame == k], tracks.xyxy[tracks.frame == k]
-        on_boxes.append(theirs(t.T, o.T, 1.0, 1.0, BoxDistance()) if len(t) + len(o) else (0.0, 0.0))
+        t = truth.xyxy[truth.frame == k]
+        o = tracks.xyxy[tracks.frame == k]
+        on_boxes.append(
+            theirs(t.T, o.T, 1.0, 1.0, BoxDistance()) if len(t) + len(o) else (0.0, 0.0)
+        )
         x, y = ((box[:, :2] + box[:, 2:]).T / 2 for box in (t, o))
         assert ospa(x, y, 40.0) == pytest.approx(theirs(x, y, 40.0, 1.0)[0], abs=1e-9)
     scores = evaluate(truth, tracks, frames=len(frames))
@@ -104,7 +113,11 @@ def test_ospa_is_a_metric(seed: int, p: float):
 
 def trajectories(seed: int, frames: int = 6, n: int = 2, m: int = 3):
     rng = np.random.default_rng(seed)
-    return rng.uniform(0, 2.5, (frames, n, m)), rng.random((frames, n)) < 0.8, rng.random((frames, m)) < 0.7
+    return (
+        rng.uniform(0, 2.5, (frames, n, m)),
+        rng.random((frames, n)) < 0.8,
+        rng.random((frames, m)) < 0.7,
+    )
 
 
 @given(seeds, st.sampled_from([0.0, 0.3, 1.0, 4.0]))
@@ -115,7 +128,9 @@ def test_trajectories_of_one_object_agree_with_every_mapping_tried(seed: int, ga
     ours = tgospa(distance, there, given_, gamma)
     power = twins.tgospa_power(distance, there, given_, 1.0, 1.0, gamma)
     assert ours.distance == pytest.approx(power, abs=1e-7)
-    assert ours.localisation + ours.missed + ours.false + ours.switching == pytest.approx(power, abs=1e-7)
+    assert ours.localisation + ours.missed + ours.false + ours.switching == pytest.approx(
+        power, abs=1e-7
+    )
 
 
 @given(seeds, st.sampled_from([0.2, 1.0]))
@@ -133,7 +148,9 @@ def test_the_relaxation_lies_below_and_mostly_on_the_integer_optimum(seed: int, 
 def test_trajectories_of_boxes():
     truth, tracks = random_case(np.random.default_rng(2), frames=25, objects=6)
     scores = evaluate(truth, tracks)
-    assert tgospa_boxes(truth, tracks, gamma=0.0).distance == pytest.approx(scores.GOSPA * scores.frames)
+    assert tgospa_boxes(truth, tracks, gamma=0.0).distance == pytest.approx(
+        scores.GOSPA * scores.frames
+    )
     assert tgospa_boxes(truth, tracks).switching > 0
     assert tgospa_boxes(truth, perfect(truth)).distance == pytest.approx(0, abs=1e-9)
     assert tgospa_boxes(truth, Tracks.empty()).missed == len(truth) / 2
@@ -145,7 +162,9 @@ def test_rmse_of_known_errors():
     frame = np.repeat([1, 2, 3], 2)
     truth = np.array([[0, 100, 0, 100, 0, 100], [0, 0, 0, 0, 0, 0]], float)
     estimate = truth + np.array([[3, 0, 0, 1, 3, 40], [0, 0, 4, 0, 0, 0]])
-    errors = rmse_per_target(frame, np.tile([7, 3], 3), truth, frame[::-1], estimate[:, ::-1], gate=20.0)
+    errors = rmse_per_target(
+        frame, np.tile([7, 3], 3), truth, frame[::-1], estimate[:, ::-1], gate=20.0
+    )
     assert errors.identity.tolist() == [3, 7]
     assert errors.mapped.tolist() == [2, 3]
     assert errors.frames.tolist() == [3, 3]
@@ -156,7 +175,9 @@ def test_rmse_of_known_errors():
 
 def test_rmse_without_estimates_is_undefined():
     one = np.ones(1, np.int64)
-    errors = rmse_per_target(one, one, np.zeros((2, 1)), np.zeros(0, np.int64), np.zeros((2, 0)), gate=5.0)
+    errors = rmse_per_target(
+        one, one, np.zeros((2, 1)), np.zeros(0, np.int64), np.zeros((2, 0)), gate=5.0
+    )
     assert np.isnan(errors.rmse).all()
     assert np.isnan(errors.overall)
     assert errors.mapped.tolist() == [0]

@@ -11,10 +11,22 @@ from phdtrack.types import Tracks
 
 
 def compare(ours: Scores, theirs: Figures) -> None:
-    """Where a side is empty TrackEval says 0 by convention, and we say NaN or what the formula gives."""
-    clear, hota, identity = theirs.clear, theirs.hota, theirs.identity
-    assert (ours.id_switches, ours.misses, ours.false_positives) == (clear["IDSW"], clear["CLR_FN"], clear["CLR_FP"])
-    assert (ours.fragments, ours.mostly_tracked, ours.mostly_lost) == (clear["Frag"], clear["MT"], clear["ML"])
+    """Where a side is empty TrackEval says 0 by convention, and we say NaN or what the formula
+    gives.
+    """
+    clear = theirs.clear
+    hota = theirs.hota
+    identity = theirs.identity
+    assert (ours.id_switches, ours.misses, ours.false_positives) == (
+        clear["IDSW"],
+        clear["CLR_FN"],
+        clear["CLR_FP"],
+    )
+    assert (ours.fragments, ours.mostly_tracked, ours.mostly_lost) == (
+        clear["Frag"],
+        clear["MT"],
+        clear["ML"],
+    )
     assert ours.matches == clear["CLR_TP"]
     assert ours.counts.identity_matches == identity["IDTP"]
     if ours.truth_boxes:
@@ -44,7 +56,10 @@ def test_random_sequences(seed: int, distractors: bool):
 
 
 def test_pooled_sequences():
-    cases = [random_case(np.random.default_rng(50 + i), objects=3 + i, frames=15 + 5 * i) for i in range(4)]
+    cases = [
+        random_case(np.random.default_rng(50 + i), objects=3 + i, frames=15 + 5 * i)
+        for i in range(4)
+    ]
     cases.append((cases[0][0], Tracks.empty()))
     ours = pool([evaluate(truth, tracks, frames=40) for truth, tracks in cases])
     theirs = pooled([figures(truth, tracks, 40) for truth, tracks in cases])

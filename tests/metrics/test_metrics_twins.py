@@ -1,4 +1,6 @@
-"""MODA, MODP, MOTA and its logarithm, delays, OSPA(2), ATA: against twins that try every mapping, and pooled."""
+"""MODA, MODP, MOTA and its logarithm, delays, OSPA(2), ATA: against twins that try every mapping,
+and pooled.
+"""
 
 import numpy as np
 import pytest
@@ -33,19 +35,26 @@ def test_tracking_scores(seed: int, threshold: float):
     assert (ours.id_switches, ours.false_tracks) == (twin.switches, twin.false_tracks)
     close([ours.MOTA, ours.MOTA_log, ours.MOTP], [twin.mota, twin.mota_log, twin.motp], 1e-12)
     assert ours.objects_found == len(twin.delays)
-    assert ours.delay_mean == pytest.approx(np.mean(list(twin.delays.values()) or [np.nan]), nan_ok=True)
+    assert ours.delay_mean == pytest.approx(
+        np.mean(list(twin.delays.values()) or [np.nan]), nan_ok=True
+    )
 
 
 def laid(truth: Truth, tracks: Tracks) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(K, n, m) distances 1 − IoU, (K, n) and (K, m) whether each trajectory is present."""
     numbers = np.union1d(truth.frame, tracks.frame)
-    names, found = np.unique(truth.identity), np.unique(tracks.identity)
+    names = np.unique(truth.identity)
+    found = np.unique(tracks.identity)
     distance = np.ones((len(numbers), len(names), len(found)))
-    there, given_ = np.zeros(distance.shape[:2], bool), np.zeros((len(numbers), len(found)), bool)
+    there = np.zeros(distance.shape[:2], bool)
+    given_ = np.zeros((len(numbers), len(found)), bool)
     for k, number in enumerate(numbers):
-        t, o = np.flatnonzero(truth.frame == number), np.flatnonzero(tracks.frame == number)
-        i, j = np.searchsorted(names, truth.identity[t]), np.searchsorted(found, tracks.identity[o])
-        there[k, i], given_[k, j] = True, True
+        t = np.flatnonzero(truth.frame == number)
+        o = np.flatnonzero(tracks.frame == number)
+        i = np.searchsorted(names, truth.identity[t])
+        j = np.searchsorted(found, tracks.identity[o])
+        there[k, i] = True
+        given_[k, j] = True
         distance[k][np.ix_(i, j)] = 1 - iou(truth.xyxy[t], tracks.xyxy[o])
     return distance, there, given_
 
@@ -57,7 +66,10 @@ def test_scores_of_whole_tracks_agree_with_every_mapping_tried(seed: int):
     tracks = tracks.take(tracks.identity < 1003)
     if len(truth) or len(tracks):
         ours = evaluate(truth, tracks)
-        close([ours.OSPA2, ours.ATA], [twins.ospa2(*laid(truth, tracks), 1.0, 1.0, 1.0), twins.ata(truth, tracks)])
+        close(
+            [ours.OSPA2, ours.ATA],
+            [twins.ospa2(*laid(truth, tracks), 1.0, 1.0, 1.0), twins.ata(truth, tracks)],
+        )
 
 
 def test_pooled_tracks_are_those_of_the_sequences_one_after_the_other():

@@ -1,4 +1,6 @@
-"""The likelihoods of boxes, each scaling by its name, against SciPy's Gaussian; the gate against what it may cut."""
+"""The likelihoods of boxes, each scaling by its name, against SciPy's Gaussian; the gate against
+what it may cut.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,8 @@ def deviations(sensor: BoxSensor, z, x) -> list[float]:
     if sensor.scaling == "given":
         return [math.sqrt(v) for v in z[4:8]]
     w, h = {"particle": x[4:6], "detection": z[2:4]}[sensor.scaling]
-    sw, sh = max(sensor.box_noise * w, sensor.min_noise), max(sensor.box_noise * h, sensor.min_noise)
+    sw = max(sensor.box_noise * w, sensor.min_noise)
+    sh = max(sensor.box_noise * h, sensor.min_noise)
     return [sw / 2, sh / 2, sw, sh]
 
 
@@ -66,7 +69,11 @@ def test_states_at_rest_and_what_one_detection_tells(scaling: str, rng):
     for i in range(6):
         want = np.square(deviations(sensor, z[:, i], x[:, i]))
         np.testing.assert_allclose(np.diag(cov[i])[ROWS], want)
-        amplitude = sensor.birth_speed_pixels if scaling == "fixed" else sensor.birth_speed * math.sqrt(z[2, i] * z[3, i])
+        amplitude = (
+            sensor.birth_speed_pixels
+            if scaling == "fixed"
+            else sensor.birth_speed * math.sqrt(z[2, i] * z[3, i])
+        )
         np.testing.assert_allclose(np.diag(cov[i])[2:4], amplitude**2 / 2)
         assert np.linalg.eigvalsh(cov[i]).min() > 0
     if scaling != "given":
@@ -84,7 +91,9 @@ def gated_out(sensor: BoxSensor, z, x) -> np.ndarray:
 @pytest.mark.parametrize("spread", [0.05, 0.15, 0.19])
 @pytest.mark.parametrize("scaling", ["particle", "detection", "fixed", "given"])
 def test_no_pair_within_the_gate_is_dropped(scaling: str, spread: float, floor: float, rng):
-    """Nothing at Mahalanobis distance ≤ G in position and size is cut, also where σ follows a size that z does not show."""
+    """Nothing at Mahalanobis distance ≤ G in position and size is cut, also where σ follows a size
+    that z does not show.
+    """
     sensor = BoxSensor(scaling=scaling, box_noise=spread, min_noise=floor)
     x = states(rng, 30_000)
     direction = rng.normal(size=(4, 30_000))
@@ -109,7 +118,9 @@ def test_no_pair_within_the_gate_is_dropped(scaling: str, spread: float, floor: 
 def test_the_gate_around_a_particle_is_as_tight_as_it_can_be(rng):
     """At the worst pair of position and size, sin θ = G·s, the formula's edge is reached."""
     sensor = BoxSensor(box_noise=0.15, min_noise=0.0)
-    g, s, w = sensor._gate, sensor.box_noise, 40.0
+    g = sensor._gate
+    s = sensor.box_noise
+    w = 40.0
     sine = g * s
     cosine = math.sqrt(1 - sine**2)
     z = np.array([[0.0], [0.0], [w * (1 - g * s * sine)], [50.0]])
@@ -121,7 +132,9 @@ def test_the_gate_around_a_particle_is_as_tight_as_it_can_be(rng):
 
 def test_measurements_and_given_covariances():
     boxes = np.array([[10.0, 20, 30, 60], [0, 0, 4, 8]])
-    found = Detections(boxes, np.ones(2), np.zeros(2, np.int64), np.stack([np.diag([1.0, 2, 3, 4])] * 2))
+    found = Detections(
+        boxes, np.ones(2), np.zeros(2, np.int64), np.stack([np.diag([1.0, 2, 3, 4])] * 2)
+    )
     np.testing.assert_array_equal(BoxSensor().measure(found), [[20, 2], [40, 4], [20, 4], [40, 8]])
     z = BoxSensor(scaling="given").measure(found)
     np.testing.assert_array_equal(z[4:], [[1, 1], [2, 2], [3, 3], [4, 4]])
@@ -134,6 +147,8 @@ def test_measurements_and_given_covariances():
 @pytest.mark.parametrize("variance", [0.0, -1.0])
 def test_a_given_covariance_needs_variances_above_zero(variance: float):
     boxes = np.array([[0.0, 0, 10, 20]])
-    found = Detections(boxes, np.ones(1), np.zeros(1, np.int64), np.diag([1.0, 1, variance, 1])[None])
+    found = Detections(
+        boxes, np.ones(1), np.zeros(1, np.int64), np.diag([1.0, 1, variance, 1])[None]
+    )
     with pytest.raises(InputError, match="variances above 0"):
         BoxSensor(scaling="given").measure(found)

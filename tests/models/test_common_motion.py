@@ -1,4 +1,6 @@
-"""The camera's motion from the detections: what is estimated against what it was, and a still camera loses nothing."""
+"""The camera's motion from the detections: what is estimated against what it was, and a still
+camera loses nothing.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,14 @@ from scipy.optimize import minimize
 
 from moving_cases import handheld, moving, step
 from phdtrack import Tracker
-from phdtrack.kernels.common_motion import DENSITY, FREEDOM, PRIOR_FREEDOM, differences, fitted, voted
+from phdtrack.kernels.common_motion import (
+    DENSITY,
+    FREEDOM,
+    PRIOR_FREEDOM,
+    differences,
+    fitted,
+    voted,
+)
 from phdtrack.metrics import evaluate
 from phdtrack.models import warp as warp_of
 from phdtrack.models.common_motion import CommonMotion
@@ -18,9 +27,19 @@ from phdtrack.types import Tracks
 FRAME = np.array([320.0, 240.0, 320.0])
 
 
-def crowd(rng, n: int = 12, missed: float = 0.1, false: int = 3, motion=(0.0, 0.0, 0.0, 0.0), noise: float = 1.5):
-    """Targets' means and covariances, and the detections of a frame in which all were shifted, zoomed and turned."""
-    place, size = rng.uniform([40, 40], [600, 440], (n, 2)), rng.uniform([20, 50], [40, 90], (n, 2))
+def crowd(
+    rng,
+    n: int = 12,
+    missed: float = 0.1,
+    false: int = 3,
+    motion=(0.0, 0.0, 0.0, 0.0),
+    noise: float = 1.5,
+):
+    """Targets' means and covariances, and the detections of a frame in which all were shifted,
+    zoomed and turned.
+    """
+    place = rng.uniform([40, 40], [600, 440], (n, 2))
+    size = rng.uniform([20, 50], [40, 90], (n, 2))
     mean = np.hstack([place, np.zeros((n, 2)), size])
     covariance = np.tile(np.diag([1.0, 1, 1, 1, 1, 1]), (n, 1, 1))
     u, v = (place - FRAME[:2]).T / FRAME[2]
@@ -30,9 +49,14 @@ def crowd(rng, n: int = 12, missed: float = 0.1, false: int = 3, motion=(0.0, 0.
         + np.stack([x + u * zoom - v * turn, y + v * zoom + u * turn], axis=1)
         + rng.normal(0, np.hypot(1, noise), (n, 2))
     )
-    z = np.hstack([there, size * np.exp(zoom / FRAME[2] + rng.normal(0, np.hypot(1, noise), (n, 2)) / size)])
+    z = np.hstack(
+        [there, size * np.exp(zoom / FRAME[2] + rng.normal(0, np.hypot(1, noise), (n, 2)) / size)]
+    )
     z = np.vstack(
-        [z[rng.random(n) > missed], np.hstack([rng.uniform([0, 0], [640, 480], (false, 2)), np.full((false, 2), 50.0)])]
+        [
+            z[rng.random(n) > missed],
+            np.hstack([rng.uniform([0, 0], [640, 480], (false, 2)), np.full((false, 2), 50.0)]),
+        ]
     )
     return mean, covariance, np.tile(np.diag(np.full(4, noise**2)), (1, 1, 1)), z
 
@@ -42,24 +66,32 @@ def fit(case, scale):
     mean, covariance, noise, z = case
     boxes = differences(mean, covariance, noise, z, np.ones(4))
     detected = np.full(len(mean), 0.9)
-    return fitted(*boxes, detected, len(z) / (640 * 480), FRAME, np.asarray(scale), np.zeros(3)), boxes, detected
+    return (
+        fitted(*boxes, detected, len(z) / (640 * 480), FRAME, np.asarray(scale), np.zeros(3)),
+        boxes,
+        detected,
+    )
 
 
 def test_a_motion_is_found_within_its_error(rng):
-    """Of 200 frames with motions from the prior: squared errors in variances have the mean 1 of a χ² of each component."""
-    scale, errors = np.full(4, 9.0), []
+    """Of 200 frames with motions from the prior: squared errors in variances have the mean 1 of a
+    χ² of each component.
+    """
+    scale = np.full(4, 9.0)
+    errors = []
     for _ in range(200):
         motion = rng.normal(0, np.sqrt(scale))
         (_, seen, variance, _, _), _, _ = fit(crowd(rng, motion=motion), -scale)
         errors.append((seen - motion) ** 2 / variance)
-    # 800 squares of variance 2. Precisions that make a t-distribution are taken as known, by which its information, with 4
-    # degrees of freedom in 4 dimensions, is 10/8 of what it is.
+    # 800 squares of variance 2. Precisions that make a t-distribution are taken as known, by which
+    # its information, with 4 degrees of freedom in 4 dimensions, is 10/8 of what it is.
     assert 1 - 5 * np.sqrt(2 / 800) < np.mean(errors) < 10 / 8 * (1 + 5 * np.sqrt(2 / 800))
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_it_is_the_most_probable_one_by_the_definition(seed: int):
-    rng, scale = np.random.default_rng(seed), np.array([30.0, 30.0, 10.0, 10.0])
+    rng = np.random.default_rng(seed)
+    scale = np.array([30.0, 30.0, 10.0, 10.0])
     case = crowd(rng, motion=rng.normal(0, 3, 4))
     (motion, *_), (expected, variance, z), detected = fit(case, scale)
     u, v = ((expected[:, :2] - FRAME[:2]) / FRAME[2]).T
@@ -67,14 +99,28 @@ def test_it_is_the_most_probable_one_by_the_definition(seed: int):
 
     def posterior(theta: np.ndarray) -> float:
         x, y, zoom, turn = theta
-        shift = np.stack([x + u * zoom - v * turn, y + v * zoom + u * turn, *np.full((2, len(u)), zoom / FRAME[2])], axis=1)
+        shift = np.stack(
+            [
+                x + u * zoom - v * turn,
+                y + v * zoom + u * turn,
+                *np.full((2, len(u)), zoom / FRAME[2]),
+            ],
+            axis=1,
+        )
         e = z[None] - expected[:, None] - shift[:, None]
         tail = 1 + (e**2 / variance[:, None]).sum(axis=2) / FREEDOM
         p = DENSITY / (np.sqrt(variance.prod(axis=1))[:, None] * tail**4)
         total = np.log(1 - detected + detected / density * p.sum(axis=1)).sum()
-        return -float(total - 0.5 * (PRIOR_FREEDOM + 1) * np.log(1 + theta**2 / scale / PRIOR_FREEDOM).sum())
+        return -float(
+            total - 0.5 * (PRIOR_FREEDOM + 1) * np.log(1 + theta**2 / scale / PRIOR_FREEDOM).sum()
+        )
 
-    best = minimize(posterior, motion, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-6, "maxiter": 4000})
+    best = minimize(
+        posterior,
+        motion,
+        method="Nelder-Mead",
+        options={"xatol": 1e-3, "fatol": 1e-6, "maxiter": 4000},
+    )
     np.testing.assert_allclose(motion, best.x, atol=0.1)
 
 
@@ -94,7 +140,13 @@ def street(path: np.ndarray | None = None, seed: int = 3):
 
 def tracked(scene, kind: str, warps=None) -> tuple[Tracks, Tracker]:
     """Online rows."""
-    tracker = Tracker((640, 480), fps=25, preset="default", common_motion={"kind": kind}, camera_motion={"kind": "none"})
+    tracker = Tracker(
+        (640, 480),
+        fps=25,
+        preset="default",
+        common_motion={"kind": kind},
+        camera_motion={"kind": "none"},
+    )
     given = [None] * 101 if warps is None else warps
     rows = [tracker.update(scene.detections.at(k), warp=given[k]) for k in range(1, 101)]
     return Tracks.concatenate(rows), tracker
@@ -106,7 +158,8 @@ def idf1(scene, rows: Tracks) -> float:
 
 def test_a_camera_that_moves_is_followed_and_one_that_stands_costs_nothing():
     rng = np.random.default_rng(2)
-    still, moved = street(), street(handheld(100, rng))
+    still = street()
+    moved = street(handheld(100, rng))
     scores = {(scene, kind): idf1(made, tracked(made, kind)[0]) for scene, made in (("still", still), ("moved", moved))
               for kind in ("none", "estimated")}  # fmt: skip
     assert scores["moved", "estimated"] > scores["moved", "none"] + 0.05
@@ -114,10 +167,13 @@ def test_a_camera_that_moves_is_followed_and_one_that_stands_costs_nothing():
 
 
 def test_given_motion_is_followed_where_it_holds_and_left_alone_where_it_does_not():
-    """The right matrices, and those of the other direction, of five frames later and of another walk."""
+    """The right matrices, and those of the other direction, of five frames later and of another
+    walk.
+    """
     rng = np.random.default_rng(4)
     path = handheld(106, rng)
-    scene, other = street(path[:101]), handheld(106, rng)
+    scene = street(path[:101])
+    other = handheld(106, rng)
     right = [None, None, *(step(path, k) for k in range(2, 101))]
     alone = idf1(scene, tracked(scene, "estimated")[0])
     rows, tracker = tracked(scene, "estimated", right)

@@ -33,10 +33,25 @@ def block(*parts: np.ndarray) -> np.ndarray:
     ("motion", "x", "dt", "wanted"),
     [
         # Times the target's own width and height [M09 (11)].
-        (BoxMotion(0.03, 0.1), BOX, 1.0, block(along_axes(1.0, 0.03 * BOX[4:, 0]), np.square(0.1 * BOX[4:, 0]))),
+        (
+            BoxMotion(0.03, 0.1),
+            BOX,
+            1.0,
+            block(along_axes(1.0, 0.03 * BOX[4:, 0]), np.square(0.1 * BOX[4:, 0])),
+        ),
         # [E13 §4], and the standard scenario's at T = 1.
-        (PlaneMotion(acceleration=5.0, form="piecewise"), POINT, 1 / 7, along_axes(1 / 7, np.full(2, 5.0))),
-        (PlaneMotion(acceleration=5.0, form="piecewise"), POINT, 1.0, along_axes(1.0, np.full(2, 5.0))),
+        (
+            PlaneMotion(acceleration=5.0, form="piecewise"),
+            POINT,
+            1 / 7,
+            along_axes(1 / 7, np.full(2, 5.0)),
+        ),
+        (
+            PlaneMotion(acceleration=5.0, form="piecewise"),
+            POINT,
+            1.0,
+            along_axes(1.0, np.full(2, 5.0)),
+        ),
         # [V06 §IV-C].
         (
             TurningMotion(acceleration=15.0, turning=0.02, form="piecewise"),
@@ -66,10 +81,13 @@ def test_one_step_has_the_printed_noise(motion, x, dt, wanted):
     ],
 )
 def test_intervals_compose(motion, x, parts: tuple[float, ...]):
-    now, slope, cov = x, np.eye(motion.dim), np.zeros((motion.dim, motion.dim))
+    now = x
+    slope = np.eye(motion.dim)
+    cov = np.zeros((motion.dim, motion.dim))
     for dt in parts:
         now, (f,), (q,) = motion.transition(now, dt)
-        slope, cov = f @ slope, f @ cov @ f.T + q
+        slope = f @ slope
+        cov = f @ cov @ f.T + q
     mean, (jacobian,), (noise,) = motion.transition(x, sum(parts))
     np.testing.assert_allclose(mean, now, rtol=1e-12)
     np.testing.assert_allclose(jacobian, slope, rtol=1e-12)
@@ -91,7 +109,9 @@ def test_boxes_survive_as_long_as_they_touch_the_frame():
     inside = np.array([[320.0, -9, 649, 320, 320], [240.0, 240, 240, -19, 499]])
     outside = np.array([[-10.0, 650, 320, 320, -1e9], [240.0, 240, -20, 500, -1e9]])
     x = np.zeros((6, 10))
-    x[:2], x[4], x[5] = np.hstack([inside, outside]), 20, 40
+    x[:2] = np.hstack([inside, outside])
+    x[4] = 20
+    x[5] = 40
     np.testing.assert_allclose(motion.p_survive(x, 3.0), [0.9**3] * 5 + [0.0] * 5)
     np.testing.assert_allclose(BoxMotion(survival_probability=0.9).p_survive(x, 0.5), 0.9**0.5)
 

@@ -1,4 +1,6 @@
-"""Births and clutter around the detections on the ground: as dense as their rates say, and as quickly believed anywhere."""
+"""Births and clutter around the detections on the ground: as dense as their rates say, and as
+quickly believed anywhere.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +20,12 @@ from plane_cases import FRAME, LevelCamera
 
 def test_the_area_is_that_of_the_ellipse_of_six_deviations():
     """By counting, on a lattice around one detection whose covariance is slanted."""
-    z, step = np.array([[3.0], [20.0], [0.4], [-0.15], [0.9]]), 0.05
-    lattice = np.stack(np.meshgrid(np.arange(-10, 16, step), np.arange(7, 33, step))).reshape(2, -1) - z[:2]
+    z = np.array([[3.0], [20.0], [0.4], [-0.15], [0.9]])
+    step = 0.05
+    lattice = (
+        np.stack(np.meshgrid(np.arange(-10, 16, step), np.arange(7, 33, step))).reshape(2, -1)
+        - z[:2]
+    )
     inverse = np.linalg.inv([[0.4, -0.15], [-0.15, 0.9]])
     inside = np.einsum("il,ij,jl->l", lattice, inverse, lattice) <= 36
     assert local_area(z)[0] == pytest.approx(inside.sum() * step**2, rel=0.01)

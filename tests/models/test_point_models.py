@@ -1,4 +1,6 @@
-"""Point targets: the motion's draws and covariances, D14's numbers, the sensor, births in the image."""
+"""Point targets: the motion's draws and covariances, D14's numbers, the sensor, births in the
+image.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ def test_the_measurement_is_the_centroid_and_further_rows_are_not_compared():
     np.testing.assert_array_equal(z, [[15.0], [40.0]])
     labelled = np.vstack([z, [[7.0]]])
     x = np.array([[14.0], [42.0], [3.0], [1.0]])
-    np.testing.assert_allclose(gaussian_view(sensor, labelled, x), [[(1 + 4) / 2], [-1.25 - math.log(4 * math.pi)]])
+    np.testing.assert_allclose(
+        gaussian_view(sensor, labelled, x), [[(1 + 4) / 2], [-1.25 - math.log(4 * math.pi)]]
+    )
     np.testing.assert_array_equal(sensor.innovation(labelled, x[:2]), [[1.0], [-2.0]])
     np.testing.assert_array_equal(sensor.states(labelled)[0], [[15.0], [40.0], [0.0], [0.0]])
     np.testing.assert_array_equal(sensor.boxes(x), [[10.0, 36, 18, 48]])
@@ -40,11 +44,18 @@ def test_uniform_births_of_points_have_no_size(rng):
 
 
 def test_the_preset_is_d14s():
-    """p_D = p_S = 1, no clutter, J = 10 newborn anywhere, N particles in all, no update without detections."""
+    """p_D = p_S = 1, no clutter, J = 10 newborn anywhere, N particles in all, no update without
+    detections.
+    """
     stages = config.build(
-        config.load(preset="d14", sets=["filter.max_particles=500", "filter.particles_per_target=500"]), INFO
+        config.load(
+            preset="d14", sets=["filter.max_particles=500", "filter.particles_per_target=500"]
+        ),
+        INFO,
     )
-    model, recursion, rng = stages.model, stages.filter, np.random.default_rng(3)
+    model = stages.model
+    recursion = stages.filter
+    rng = np.random.default_rng(3)
     z = np.array([[100.0, 250], [100, 200]])
     near = np.vstack([np.repeat(z, 50, axis=1), np.zeros((2, 100))])
     state = type(recursion.start(model, rng))(near, np.full(100, 0.02))
@@ -62,9 +73,13 @@ def test_the_preset_is_d14s():
     assert len(recursion.reduce(waiting, rng)) == 500
 
 
-@pytest.mark.parametrize("filter_name", ["pmb", "gm-phd", "gm-cphd", "particle-cphd", "particle-phd", "none"])
+@pytest.mark.parametrize(
+    "filter_name", ["pmb", "gm-phd", "gm-cphd", "particle-cphd", "particle-phd", "none"]
+)
 def test_every_filter_can_do_with_points(filter_name: str, rng):
-    """Two points seen for fifteen frames among clutter are found; the world brings its own parts."""
+    """Two points seen for fifteen frames among clutter are found; the world brings its own
+    parts.
+    """
     stages = config.build(config.load(sets=["motion.kind=point"]), INFO, filter_name)
     assert (type(stages.model.motion), type(stages.model.sensor), type(stages.model.birth)) == (
         PointMotion, PointSensor, PointBirth,
@@ -72,7 +87,11 @@ def test_every_filter_can_do_with_points(filter_name: str, rng):
     np.testing.assert_allclose(stages.model.clutter.intensity(np.zeros((2, 1))), 1.0 / (384 * 288))
     state = stages.filter.start(stages.model, rng)
     for k in range(15):
-        z = np.array([[100.0, 200], [50, 150]]) + k * np.array([[1.0, -1], [0.5, 0]]) + rng.normal(0, 1, (2, 2))
+        z = (
+            np.array([[100.0, 200], [50, 150]])
+            + k * np.array([[1.0, -1], [0.5, 0]])
+            + rng.normal(0, 1, (2, 2))
+        )
         z = np.hstack([z, rng.uniform([[0], [200]], [[384], [288]], (2, 1))])
         state, _ = stages.filter.step(state, z, stages.model, 1.0, rng)
         found = stages.extractor.extract(state, z, stages.model)

@@ -1,4 +1,6 @@
-"""What the scores of detections say: odds by score or by rank, and tracks that low boxes continue and do not start."""
+"""What the scores of detections say: odds by score or by rank, and tracks that low boxes continue
+and do not start.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ from phdtrack.models.scores import BOUND, EVEN_LOGIT, KEPT, ScoreOdds, ScoresSee
 from phdtrack.protocols import Model
 from phdtrack.types import Detections, SequenceInfo
 
-RULE, FIRST = ScoreOdds(), ScoreOdds().start()
+RULE = ScoreOdds()
+FIRST = ScoreOdds().start()
 
 
 def after(rule: ScoreOdds, *scores: np.ndarray) -> ScoresSeen:
@@ -28,7 +31,11 @@ def after(rule: ScoreOdds, *scores: np.ndarray) -> ScoresSeen:
     state = rule.start()
     for k, score in enumerate(scores):
         corner = 100.0 * np.arange(len(score)) + 5000 * k
-        found = Detections(np.stack([corner, corner, corner + 9, corner + 9], axis=1), score, np.zeros(len(score), np.int64))
+        found = Detections(
+            np.stack([corner, corner, corner + 9, corner + 9], axis=1),
+            score,
+            np.zeros(len(score), np.int64),
+        )
         state = rule.advance(state, SimpleNamespace(detections=found))
     return state
 
@@ -38,9 +45,12 @@ def after(rule: ScoreOdds, *scores: np.ndarray) -> ScoresSeen:
     score=st.lists(st.floats(0, 1), min_size=2, max_size=20), scale=st.floats(1, 50), slope=st.floats(0.1, 5),
     even=st.floats(0.05, 0.95), most=st.floats(1, 1e4),
 )  # fmt: skip
-def test_odds_rise_with_the_score_within_their_limits(score, scale: float, slope: float, even: float, most: float):
+def test_odds_rise_with_the_score_within_their_limits(
+    score, scale: float, slope: float, even: float, most: float
+):
     """Also by rank, where scores are no probabilities."""
-    rule, score = ScoreOdds(slope, even, most), np.sort(score)
+    rule = ScoreOdds(slope, even, most)
+    score = np.sort(score)
     for seen in (score, scale * score + 2):
         odds, lasting = rule.log_odds(seen, rule.start())
         assert (np.diff(odds) >= -1e-9).all()
@@ -51,7 +61,9 @@ def test_odds_rise_with_the_score_within_their_limits(score, scale: float, slope
 
 
 def test_a_score_between_0_and_1_is_a_probability_on_the_first_frame():
-    """That of 0.8 are 4 to 1, over those of the score that says nothing; 0 and 1 are at the limits."""
+    """That of 0.8 are 4 to 1, over those of the score that says nothing; 0 and 1 are at the
+    limits.
+    """
     rule = ScoreOdds(slope=2.0, even_score=0.6, max_odds=400.0)
     odds, lasting = rule.log_odds(np.array([0.8, 0.0, 1.0, np.nan]), rule.start())
     np.testing.assert_allclose(odds, [2 * np.log(4 / 1.5), -np.log(400), np.log(400), 0])
@@ -70,11 +82,15 @@ def test_equal_scores_and_none_say_nothing(score: float, count: int):
 @settings(deadline=None)
 @given(st.lists(st.integers(-50, 50), min_size=2, max_size=20), st.integers(1, 19))
 def test_of_scores_on_another_scale_the_rank_counts(scores: list[int], first: int):
-    """A rising change of the scale changes nothing; both scales reach beyond those of probabilities and log odds."""
+    """A rising change of the scale changes nothing; both scales reach beyond those of probabilities
+    and log odds.
+    """
     score = np.array([60.0, *scores])
     before, now = np.split(score, [min(first, len(scores))])
     wanted = RULE.log_odds(now, after(RULE, before))
-    np.testing.assert_allclose(RULE.log_odds(now**3 + 7, after(RULE, before**3 + 7)), wanted, rtol=1e-12)
+    np.testing.assert_allclose(
+        RULE.log_odds(now**3 + 7, after(RULE, before**3 + 7)), wanted, rtol=1e-12
+    )
     unknown = RULE.log_odds(np.append(now, np.nan), after(RULE, before))
     np.testing.assert_allclose(unknown, [[*row, 0] for row in wanted], rtol=1e-12)
 
@@ -82,7 +98,9 @@ def test_of_scores_on_another_scale_the_rank_counts(scores: list[int], first: in
 @settings(deadline=None)
 @given(st.lists(st.floats(-3, 15), min_size=1, max_size=20))
 def test_scores_of_which_some_are_negative_are_log_odds(scores: list[float]):
-    """They say by how much they exceed what says nothing, up to a probability of 0.999; one of 100 makes them ranks."""
+    """They say by how much they exceed what says nothing, up to a probability of 0.999; one of 100
+    makes them ranks.
+    """
     score = np.array([-0.8, *scores, np.nan])
     wanted = np.append(np.clip(score[:-1] - EVEN_LOGIT, -BOUND, BOUND), 0)
     single, lasting = RULE.log_odds(score, FIRST)
@@ -94,7 +112,9 @@ def test_scores_of_which_some_are_negative_are_log_odds(scores: list[float]):
 
 @settings(deadline=None)
 @given(
-    st.lists(st.one_of(st.floats(-2, 30), st.floats(0, 1), st.just(np.nan)), max_size=12), st.floats(-1, 40), st.floats(0, 9)
+    st.lists(st.one_of(st.floats(-2, 30), st.floats(0, 1), st.just(np.nan)), max_size=12),
+    st.floats(-1, 40),
+    st.floats(0, 9),
 )
 def test_scores_become_log_odds_as_defined(scores: list[float], low: float, more: float):
     score = np.array(scores)
@@ -102,23 +122,32 @@ def test_scores_become_log_odds_as_defined(scores: list[float], low: float, more
     *ends, found, each = scaled(score, low, low + more, (25.0, 2.0), 5.0, 0.01)
     assert tuple(ends) == (known.min(), known.max())
     if known.min() >= 0 and known.max() <= 1:
-        kind, share = PROBABILITY, np.clip(score, 0.01, 0.99)
+        kind = PROBABILITY
+        share = np.clip(score, 0.01, 0.99)
         x = np.log(share / (1 - share))
     elif known.min() < 0 and known.max() <= 25:
-        kind, x = LOGIT, np.clip(score - 2, -5, 5)
+        kind = LOGIT
+        x = np.clip(score - 2, -5, 5)
     else:
-        kind, x = RANK, np.full(len(score), np.nan)
+        kind = RANK
+        x = np.full(len(score), np.nan)
     assert found == kind
-    np.testing.assert_allclose(each, x if known.min() < known.max() else np.full(len(score), np.nan), rtol=1e-12)
+    np.testing.assert_allclose(
+        each, x if known.min() < known.max() else np.full(len(score), np.nan), rtol=1e-12
+    )
 
 
 def plain_chains(before, boxes, x, waiting, length, overlap):
     """`chained` as it is defined."""
-    link, most = following(before, boxes, overlap), waiting.shape[1]
-    now, long, true = np.full((len(x), most), np.nan), np.ones(len(x), np.int64), []
+    link = following(before, boxes, overlap)
+    most = waiting.shape[1]
+    now = np.full((len(x), most), np.nan)
+    long = np.ones(len(x), np.int64)
+    true = []
     for j, i in enumerate(link):
         if i >= 0:
-            now[j], long[j] = waiting[i], length[i] + 1
+            now[j] = waiting[i]
+            long[j] = length[i] + 1
         now[j, min(long[j], most) - 1] = x[j]
         if long[j] >= most:
             true += now[j][~np.isnan(now[j])].tolist()
@@ -130,15 +159,20 @@ def plain_chains(before, boxes, x, waiting, length, overlap):
 
 def plain_newton(before: Line, true, false, prior: Line, remembered: float) -> Line:
     """`newton` in matrices."""
-    kept, n = max(1 - (len(true) + len(false)) / remembered, 0.0), len(true) + len(false)
-    information, precision, verdicts = (kept * a + (1 - kept) * b for a, b in zip(before, prior, strict=True))
+    kept = max(1 - (len(true) + len(false)) / remembered, 0.0)
+    n = len(true) + len(false)
+    information, precision, verdicts = (
+        kept * a + (1 - kept) * b for a, b in zip(before, prior, strict=True)
+    )
     verdicts = verdicts + np.array([len(true), len(false)])
     rows = np.stack([np.concatenate([true, false]), np.ones(n)])
     line = np.linalg.solve(precision, information)
     p = 1 / (1 + np.exp(-(line @ rows + np.log(verdicts[0] / verdicts[1]))))
     curvature = (p * (1 - p) * rows) @ rows.T
     label = np.arange(n) < len(true)
-    return Line(information + curvature @ line + rows @ (label - p), precision + curvature, verdicts)
+    return Line(
+        information + curvature @ line + rows @ (label - p), precision + curvature, verdicts
+    )
 
 
 @settings(deadline=None, max_examples=50)
@@ -147,8 +181,10 @@ def test_verdicts_and_what_they_teach_are_as_defined(seed: int, count: int, leng
     rng = np.random.default_rng(seed)
     corner = rng.uniform(0, 60, (count, 2))
     boxes = np.hstack([corner, corner + 30])
-    waiting, long = np.zeros((0, length)), np.zeros(0, np.int64)
-    before, line = np.zeros((0, 4)), Line(rng.normal(0, 1, 2), np.diag(rng.uniform(1, 5, 2)), np.array([7.0, 3.0]))
+    waiting = np.zeros((0, length))
+    long = np.zeros(0, np.int64)
+    before = np.zeros((0, 4))
+    line = Line(rng.normal(0, 1, 2), np.diag(rng.uniform(1, 5, 2)), np.array([7.0, 3.0]))
     prior = Line(np.array([8.0, -2.0]), np.diag([4.0, 1.0]), np.array([7.0, 3.0]))
     for _ in range(9):
         now = (boxes + rng.normal(0, 5, boxes.shape))[rng.random(count) < 0.9]
@@ -168,35 +204,58 @@ def test_verdicts_and_what_they_teach_are_as_defined(seed: int, count: int, leng
 @pytest.mark.parametrize(("slope", "even"), [(1.0, 0.3), (0.6, 0.95), (2.5, 0.7)])
 @pytest.mark.parametrize("seed", range(3))
 def test_the_ratio_is_learned_from_what_is_linked(seed: int, slope: float, even: float):
-    """Three that stay and as many false alarms as they, all scores of one logistic law: the line is found to 5 deviations.
+    """Three that stay and as many false alarms as they, all scores of one logistic law: the line is
+    found to 5 deviations.
 
-    With p(s|false alarm) = N(0, 1) in log odds x, p(s|target) is that times e^(ax + b), a normal distribution of mean a.
+    With p(s|false alarm) = N(0, 1) in log odds x, p(s|target) is that times e^(ax + b), a normal
+    distribution of mean a.
     """
-    rng, rule, state, frames = np.random.default_rng(seed), RULE, FIRST, 400
+    rng = np.random.default_rng(seed)
+    rule = RULE
+    state = FIRST
+    frames = 400
     offset = slope * np.log(even / (1 - even))
     for _ in range(frames):
-        place = np.concatenate([np.array([[0.0, 0], [200, 0], [400, 0]]), rng.uniform(1000, 100000, (3, 2))])
-        # Of the density e^(a(x - x0) - a²/2) more than a false alarm's, both with deviation 1 about centres a apart.
+        place = np.concatenate(
+            [np.array([[0.0, 0], [200, 0], [400, 0]]), rng.uniform(1000, 100000, (3, 2))]
+        )
+        # Of the density e^(a(x - x0) - a²/2) more than a false alarm's, both with deviation 1 about
+        # centres a apart.
         x = rng.normal(0, 1, 6) + offset / slope - slope / 2 + slope * (np.arange(6) < 3)
-        found = Detections(np.hstack([place, place + 50]), 1 / (1 + np.exp(-x)), np.zeros(6, np.int64))
+        found = Detections(
+            np.hstack([place, place + 50]), 1 / (1 + np.exp(-x)), np.zeros(6, np.int64)
+        )
         state = rule.advance(state, SimpleNamespace(detections=found))
-    learned, _ = rule.log_odds(1 / (1 + np.exp(-np.array([offset / slope, offset / slope + 1]))), state)
-    # Fisher's information of a logistic regression of 2400 that are balanced: about 2400/8, the prior's aside.
+    learned, _ = rule.log_odds(
+        1 / (1 + np.exp(-np.array([offset / slope, offset / slope + 1]))), state
+    )
+    # Fisher's information of a logistic regression of 2400 that are balanced: about 2400/8, the
+    # prior's aside.
     assert learned[0] == pytest.approx(0, abs=5 * (2400 / 8) ** -0.5)
     assert learned[1] - learned[0] == pytest.approx(slope, abs=5 * (2400 / 8) ** -0.5)
 
 
 @pytest.mark.parametrize("false", [0, 1, 12])
 def test_false_alarms_are_learned_from_detections_that_are_alone(false: int):
-    """Three that stay, and false alarms far from one another: these are the share that is alone, without any scores."""
-    rng, rule, state, frames = np.random.default_rng(false), RULE, FIRST, 300
+    """Three that stay, and false alarms far from one another: these are the share that is alone,
+    without any scores.
+    """
+    rng = np.random.default_rng(false)
+    rule = RULE
+    state = FIRST
+    frames = 300
     for _ in range(frames):
-        place = np.concatenate([np.array([[0.0, 0], [200, 0], [400, 0]]), rng.uniform(1000, 1e6, (false, 2))])
-        found = Detections(np.hstack([place, place + 50]), np.ones(len(place)), np.zeros(len(place), np.int64))
+        place = np.concatenate(
+            [np.array([[0.0, 0], [200, 0], [400, 0]]), rng.uniform(1000, 1e6, (false, 2))]
+        )
+        found = Detections(
+            np.hstack([place, place + 50]), np.ones(len(place)), np.zeros(len(place), np.int64)
+        )
         state = rule.advance(state, SimpleNamespace(detections=found))
     model = Model(None, None, None, UniformClutter(2.0), rate=1.0)
     told = rule.with_scores(state, model, found).clutter.intensity(np.zeros((4, len(place))))
-    # Of the (3 + false)·(frames − 1) detections with a verdict those that were not forgotten, and the prior's 100.
+    # Of the (3 + false)·(frames − 1) detections with a verdict those that were not forgotten, and
+    # the prior's 100.
     seen = (3 + false) * (frames - 1)
     kept = min(seen, KEPT)
     share = false / (3 + false) * kept / (kept + 100)
@@ -204,8 +263,11 @@ def test_false_alarms_are_learned_from_detections_that_are_alone(false: int):
 
 
 def found_with(low: float) -> tuple[list[set[int]], Tracker]:
-    """Identities of each frame: one person with a high score who fades to ``low``, and one who never has a higher one."""
-    tracker, seen = Tracker((640, 480), preset="default"), []
+    """Identities of each frame: one person with a high score who fades to ``low``, and one who
+    never has a higher one.
+    """
+    tracker = Tracker((640, 480), preset="default")
+    seen = []
     for k in range(60):
         boxes = [[100 + 3.0 * k, 100, 140 + 3.0 * k, 200], [500 - 2.0 * k, 300, 540 - 2.0 * k, 400]]
         score = np.array([0.9 if k < 25 else low, low])
@@ -226,25 +288,35 @@ def test_low_boxes_continue_a_track_and_start_none():
 
 @pytest.mark.parametrize("rate", ["clutter_per_frame", "clutter_per_detection"])
 def test_odds_divide_the_false_alarms(rate: str):
-    model = config.build(config.load(None, (f"clutter.{rate}=1.5",)), SequenceInfo(640, 480, 25.0)).model
+    model = config.build(
+        config.load(None, (f"clutter.{rate}=1.5",)), SequenceInfo(640, 480, 25.0)
+    ).model
     corner = np.random.default_rng(1).uniform(50, 350, (4, 2))
     z = model.sensor.measure(Detections.of(np.hstack([corner, corner + 40])))
     scored = ScoredClutter(model.clutter, np.array([0.1, 1.0, 10.0, 1.0]), np.zeros(4))
-    assert scored.intensity(z) == pytest.approx(model.clutter.intensity(z) / np.array([0.1, 1.0, 10.0, 1.0]))
+    assert scored.intensity(z) == pytest.approx(
+        model.clutter.intensity(z) / np.array([0.1, 1.0, 10.0, 1.0])
+    )
     with pytest.raises(InputError, match="expected the 4 detections"):
         scored.intensity(z[:, :2])
 
 
 @pytest.mark.parametrize("recursion", [GMPHD(), MHT(), ParticlePHD(400)])
 def test_a_low_score_confirms_but_starts_nobody(recursion):
-    """One detection each of a new place, scored low and high, and a second low one of a confirmed target."""
-    built, rng = config.build(config.load(), SequenceInfo(640, 480, 25.0), "gm-phd"), np.random.default_rng(4)
+    """One detection each of a new place, scored low and high, and a second low one of a confirmed
+    target.
+    """
+    built = config.build(config.load(), SequenceInfo(640, 480, 25.0), "gm-phd")
+    rng = np.random.default_rng(4)
     z = built.model.sensor.measure(Detections.of(np.array([[100.0, 100, 130, 180]])))
 
     def mass(odds):
         state = recursion.start(built.model, rng)
         for one in odds:
-            model = replace(built.model, clutter=ScoredClutter(built.model.clutter, np.array([one]), np.log([one])))
+            model = replace(
+                built.model,
+                clutter=ScoredClutter(built.model.clutter, np.array([one]), np.log([one])),
+            )
             state, info = recursion.step(state, z, model, 1.0, rng)
         return info.mass
 

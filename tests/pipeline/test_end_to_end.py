@@ -15,12 +15,20 @@ SCENES = (("corridor", DetectorModel(clutter_rate=10)), ("street", DetectorModel
 
 def scores(filter_name: str, seeds=(1, 5), frames: int = 150) -> tuple[Scores, Scores]:
     """Corrected and online tracks, pooled over scenes and seeds."""
-    corrected, online = [], []
+    corrected = []
+    online = []
     for name, detector in SCENES:
         for seed in seeds:
             scene = make_scene(name, seed, detector, frames=frames, lead_in=-5.0)
-            tracker = Tracker((scene.info.width, scene.info.height), fps=scene.info.fps, seed=seed, filter=filter_name)
-            rows = Tracks.concatenate([tracker.update(scene.detections.at(k)) for k in range(1, frames + 1)])
+            tracker = Tracker(
+                (scene.info.width, scene.info.height),
+                fps=scene.info.fps,
+                seed=seed,
+                filter=filter_name,
+            )
+            rows = Tracks.concatenate(
+                [tracker.update(scene.detections.at(k)) for k in range(1, frames + 1)]
+            )
             corrected.append(evaluate(scene.truth, tracker.tracks(), frames=frames))
             online.append(evaluate(scene.truth, rows.take(rows.confirmed), frames=frames))
     return pool(corrected), pool(online)
@@ -38,7 +46,8 @@ def unfiltered():
 
 @pytest.mark.parametrize("which", [0, 1], ids=["corrected", "online"])
 def test_the_filter_beats_association_alone_in_clutter(filtered, unfiltered, which: int):
-    ours, theirs = filtered[which], unfiltered[which]
+    ours = filtered[which]
+    theirs = unfiltered[which]
     assert ours.MODA > theirs.MODA + 0.03
     assert ours.MOTA > theirs.MOTA + 0.03
     assert ours.false_positives < theirs.false_positives
@@ -56,9 +65,12 @@ def test_correction_does_not_harm(filtered):
 
 @pytest.mark.data
 def test_real_detections(data):
-    """TUD-Campus: ahead of the association on raw detections in MOTA, and labels alone give sane identities."""
+    """TUD-Campus: ahead of the association on raw detections in MOTA, and labels alone give sane
+    identities.
+    """
     folder = data / "mot15" / "TUD-Campus"
-    found, truth = read_detections(folder / "det_public" / "det.txt"), read_truth(folder / "gt" / "gt.txt")
+    found = read_detections(folder / "det_public" / "det.txt")
+    truth = read_truth(folder / "gt" / "gt.txt")
 
     def scored(**sections):
         tracker = Tracker((640, 480), fps=25, **sections)

@@ -1,4 +1,6 @@
-"""The loop: its order, true intervals, frames that nobody looked at, and errors before anything changes."""
+"""The loop: its order, true intervals, frames that nobody looked at, and errors before anything
+changes.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ class Recorded:
     """A stage whose calls are written down: the method and its arguments."""
 
     def __init__(self, inner, calls: list) -> None:
-        self.inner, self.calls = inner, calls
+        self.inner = inner
+        self.calls = calls
 
     def __getattr__(self, name: str):
         def call(*arguments):
@@ -32,9 +35,17 @@ class Recorded:
 
 
 def recorded(rate: float = 25.0) -> tuple[Stages, list]:
-    """The stages of the PMB filter, and the calls of filter, extractor and associator after the start."""
-    built, calls = config.build(config.load(sets=[f"time.units_per_second={rate}", "time.longest_interval=0"]), INFO), []
-    own = {name: Recorded(getattr(built, name), calls) for name in ("filter", "extractor", "associator")}
+    """The stages of the PMB filter, and the calls of filter, extractor and associator after the
+    start.
+    """
+    built = config.build(
+        config.load(sets=[f"time.units_per_second={rate}", "time.longest_interval=0"]), INFO
+    )
+    calls = []
+    own = {
+        name: Recorded(getattr(built, name), calls)
+        for name in ("filter", "extractor", "associator")
+    }
     return replace(built, **own), calls
 
 
@@ -68,7 +79,9 @@ def test_a_frame_is_filtered_extracted_and_linked(rng):
     (1.0, [10.0, 11.0, 11.5], [1, 1, 0.5]),
     (1000.0, [0.0, 0.001, 3600.0], [1, 1, 3599999]),
 ])  # fmt: skip
-def test_intervals_are_those_of_the_times(rate: float, times: list[float], intervals: list[float], rng):
+def test_intervals_are_those_of_the_times(
+    rate: float, times: list[float], intervals: list[float], rng
+):
     stages, calls = recorded(rate)
     advanced(stages, calls, [(k, t, BOX) for k, t in enumerate(times, 1)], rng)
     assert [call[4] for call in calls if call[0] == "step"] == pytest.approx(intervals)
@@ -84,7 +97,14 @@ def test_a_frame_that_nobody_looked_at_is_only_predicted(rng):
     assert len(step.info.evidence) == len(step.info.clutter) == 0
 
 
-KINDS = {"pmb": [], "particle-phd": ["filter.kind=particle-phd", "filter.particles_per_target=200", "birth.particles=200"]}
+KINDS = {
+    "pmb": [],
+    "particle-phd": [
+        "filter.kind=particle-phd",
+        "filter.particles_per_target=200",
+        "birth.particles=200",
+    ],
+}
 
 
 @pytest.fixture(params=KINDS)
@@ -98,20 +118,29 @@ def test_an_empty_frame_is_not_an_unobserved_one(stages, rng):
         state, _ = pipeline.advance(stages, state, BOX, k, k / 25, rng)
     before = state.intensity.mass
     empty, _ = pipeline.advance(stages, state, Detections.empty(), 11, 11 / 25, rng)
-    unseen, step = pipeline.advance(stages, state, Detections.empty(observed=False), 11, 11 / 25, rng)
-    survival, p_d = stages.model.motion.survival_probability ** (1 / 25), stages.model.sensor.detection_probability
+    unseen, step = pipeline.advance(
+        stages, state, Detections.empty(observed=False), 11, 11 / 25, rng
+    )
+    survival = stages.model.motion.survival_probability ** (1 / 25)
+    p_d = stages.model.sensor.detection_probability
     assert unseen.intensity.mass == pytest.approx(before * survival)
     if isinstance(stages.filter, ParticlePHD):
         assert empty.intensity.mass == pytest.approx(before * survival * (1 - p_d))
     else:
         # One who may be hidden: at least what would be left of somebody in view for certain.
         missed = before * survival * (1 - p_d)
-        assert missed / (missed + 1 - before * survival) <= empty.intensity.mass < unseen.intensity.mass
+        assert (
+            missed / (missed + 1 - before * survival)
+            <= empty.intensity.mass
+            < unseen.intensity.mass
+        )
     assert len(step.estimates) == 1
     assert step.estimates.detection.tolist() == [-1]
 
 
-@pytest.mark.parametrize(("number", "time", "says"), [(1, math.nan, "seconds"), (0, 0.0, "from 1, got 0")])
+@pytest.mark.parametrize(
+    ("number", "time", "says"), [(1, math.nan, "seconds"), (0, 0.0, "from 1, got 0")]
+)
 def test_the_first_frame_is_1_at_some_time(stages, rng, number: int, time: float, says: str):
     with pytest.raises(InputError, match=says):
         pipeline.advance(stages, pipeline.start(stages, rng), BOX, number, time, rng)

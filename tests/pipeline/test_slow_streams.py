@@ -1,4 +1,6 @@
-"""The time of streams of few pictures: the same tracks at one picture in five minutes, and videos as the clock says."""
+"""The time of streams of few pictures: the same tracks at one picture in five minutes, and videos
+as the clock says.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +17,13 @@ SIZE = np.array([30.0, 40.0])
 
 
 def boxes(number: int, step: float) -> np.ndarray:
-    """Nine targets of 30 x 40 pixels that go ``step`` pixels a frame, each its own way, measured to within a pixel."""
+    """Nine targets of 30 x 40 pixels that go ``step`` pixels a frame, each its own way, measured to
+    within a pixel.
+    """
     rng = np.random.default_rng(number)
-    corner = np.stack(np.meshgrid([100.0, 300.0, 500.0], [80.0, 220.0, 360.0]), axis=-1).reshape(-1, 2)
+    corner = np.stack(np.meshgrid([100.0, 300.0, 500.0], [80.0, 220.0, 360.0]), axis=-1).reshape(
+        -1, 2
+    )
     way = np.array([[np.cos(k), np.sin(k)] for k in range(9)])
     corner = corner + step * (number - 1) * way + rng.normal(size=(9, 2))
     return np.column_stack([corner, corner + SIZE, np.full(9, 0.9)])
@@ -35,10 +41,15 @@ def tracked(fps: float, step: float, kind: str = "") -> list[tuple[int, int, np.
 OTHERS = ("none", "gm-phd", "gm-cphd", "particle-phd", "mht", "pmbm", "mcmc")
 
 
-@pytest.mark.parametrize(("fps", "kind"), [(1.0, ""), (1 / 300, ""), (1 / 3600, ""), *((0.7, kind) for kind in OTHERS)])
+@pytest.mark.parametrize(
+    ("fps", "kind"), [(1.0, ""), (1 / 300, ""), (1 / 3600, ""), *((0.7, kind) for kind in OTHERS)]
+)
 def test_slow_targets_are_tracked_however_long_the_intervals_are(fps: float, kind: str):
-    """They go a tenth of their size from picture to picture: it is the same as at five pictures a second."""
-    found, expected = tracked(fps, 3.0, kind), tracked(5.0, 3.0, kind)
+    """They go a tenth of their size from picture to picture: it is the same as at five pictures a
+    second.
+    """
+    found = tracked(fps, 3.0, kind)
+    expected = tracked(5.0, 3.0, kind)
     assert len({identity for _, identity, _ in found}) == 9
     assert [row[:2] for row in found] == [row[:2] for row in expected]
     np.testing.assert_allclose([row[2] for row in found], [row[2] for row in expected], atol=1e-4)
@@ -55,7 +66,8 @@ def test_the_time_of_videos_is_that_of_the_clock():
     always = replace(stages, longest_interval=0.0)
     ends = []
     for each in (stages, always):
-        rng, time = np.random.default_rng(0), 0.0
+        rng = np.random.default_rng(0)
+        time = 0.0
         state = pipeline.start(each, rng)
         for number, seconds in enumerate([0.2, *[0.04, 0.1] * 5, 60.0, *[0.04] * 20], start=1):
             time += seconds
@@ -65,12 +77,16 @@ def test_the_time_of_videos_is_that_of_the_clock():
 
 
 def test_false_alarms_of_slower_streams_are_fewer_where_asked_for():
-    """At four time units between pictures half of them, with a decay of 0.5; at one and below it changes nothing."""
+    """At four time units between pictures half of them, with a decay of 0.5; at one and below it
+    changes nothing.
+    """
 
     def masses(dt: float, clutter: float, decay: float) -> list[float]:
         sets = [f"filter.clutter_decay={decay}", f"clutter.clutter_per_detection={clutter}"]
-        stages, rng = config.build(config.load(sets=sets), SequenceInfo(640, 480, 25.0)), np.random.default_rng(0)
-        state, found = stages.filter.start(stages.model, rng), []
+        stages = config.build(config.load(sets=sets), SequenceInfo(640, 480, 25.0))
+        rng = np.random.default_rng(0)
+        state = stages.filter.start(stages.model, rng)
+        found = []
         for number in range(1, 9):
             z = stages.model.sensor.measure(detections(number))
             state, info = stages.filter.step(state, z, stages.model, dt, rng)

@@ -1,4 +1,6 @@
-"""`Tracks` as a sequence, as a DataFrame and as another library's record; what the front door refuses and says."""
+"""`Tracks` as a sequence, as a DataFrame and as another library's record; what the front door
+refuses and says.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +18,22 @@ from phdtrack import InputError, Tracker, Tracks, evaluate
 
 def rows() -> Tracks:
     box = np.arange(16.0).reshape(4, 4)
-    return Tracks.of(np.array([1, 1, 2, 3]), np.array([1, 2, 1, 1]), box, 0.5, np.array([0, 1, -1, 0]))
+    return Tracks.of(
+        np.array([1, 1, 2, 3]), np.array([1, 2, 1, 1]), box, 0.5, np.array([0, 1, -1, 0])
+    )
 
 
 def test_rows_are_counted_indexed_and_gone_through() -> None:
     tracks = rows()
     assert len(tracks) == 4
     assert [(identity, box[0]) for identity, box in tracks[1:3]] == [(2, 4), (1, 8)]
-    for index, frames in [(0, [1]), (-1, [3]), (slice(2), [1, 1]), ([3, 0], [3, 1]), (tracks.identity == 1, [1, 2, 3])]:
+    for index, frames in [
+        (0, [1]),
+        (-1, [3]),
+        (slice(2), [1, 1]),
+        ([3, 0], [3, 1]),
+        (tracks.identity == 1, [1, 2, 3]),
+    ]:
         assert tracks[index].frame.tolist() == frames
     assert len(tracks[[]]) == 0
     with pytest.raises(IndexError):
@@ -37,7 +47,16 @@ def test_a_data_frame_and_detections_of_supervision(monkeypatch: pytest.MonkeyPa
     frame = rows().to_dataframe()
     assert {len(column) for column in frame.values()} == {4}
     assert (frame["right"].tolist(), frame["identity"].tolist()) == ([2, 6, 10, 14], [1, 2, 1, 1])
-    assert set(frame) >= {"frame", "identity", "left", "top", "right", "bottom", "confidence", "class_id"}
+    assert set(frame) >= {
+        "frame",
+        "identity",
+        "left",
+        "top",
+        "right",
+        "bottom",
+        "confidence",
+        "class_id",
+    }
     stand_in = SimpleNamespace(Detections=lambda xyxy, **more: made.update(more, xyxy=xyxy))
     monkeypatch.setitem(sys.modules, "supervision", stand_in)
     rows().to_supervision()
@@ -46,7 +65,9 @@ def test_a_data_frame_and_detections_of_supervision(monkeypatch: pytest.MonkeyPa
     assert made["data"]["detection"].tolist() == [0, 1, -1, 0]
 
 
-@pytest.mark.parametrize(("name", "package"), [("to_dataframe", "pandas"), ("to_supervision", "supervision")])
+@pytest.mark.parametrize(
+    ("name", "package"), [("to_dataframe", "pandas"), ("to_supervision", "supervision")]
+)
 def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch, name: str, package: str) -> None:
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(InputError, match=rf"needs the package {package}. pip install '{package}'"):
@@ -58,7 +79,9 @@ def test_boxes_that_look_wrong_are_said_once(caplog: pytest.LogCaptureFixture) -
     with caplog.at_level(logging.WARNING):
         for _ in range(3):
             tracker.update([[0.1, 0.1, 0.5, 0.9]])
-        assert [record.message for record in caplog.records if record.name == "phdtrack.tracker"] == [
+        assert [
+            record.message for record in caplog.records if record.name == "phdtrack.tracker"
+        ] == [
             "frame 1: no box reaches beyond 0.9 pixels: boxes are in pixels of the image, not shares of its size"
         ]
         caplog.clear()

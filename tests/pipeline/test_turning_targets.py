@@ -1,4 +1,6 @@
-"""Turning targets seen by bearing and range, through the whole loop: the models of points serve every stage."""
+"""Turning targets seen by bearing and range, through the whole loop: the models of points serve
+every stage.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ SCENE = turning(np.random.default_rng(0))
 GIVEN = SCENE.model
 SENSOR = BearingSensor(GIVEN.sd_bearing, GIVEN.sd_range, GIVEN.p_detect)
 BIRTH = GaussianMixture(
-    np.array(GIVEN.birth_weight), GIVEN.birth_mean, np.tile(np.diag(np.array(GIVEN.birth_sd) ** 2), (4, 1, 1))
+    np.array(GIVEN.birth_weight),
+    GIVEN.birth_mean,
+    np.tile(np.diag(np.array(GIVEN.birth_sd) ** 2), (4, 1, 1)),
 )
 MODEL = Model(
     TurningMotion(form="piecewise"),
@@ -33,7 +37,9 @@ MODEL = Model(
 
 
 def tracked(stages: Stages) -> Tracks:
-    """The corrected tracks of all scans, given as boxes about the places that bearings and ranges tell."""
+    """The corrected tracks of all scans, given as boxes about the places that bearings and ranges
+    tell.
+    """
     rng = np.random.default_rng(1)
     state = pipeline.start(stages, rng)
     for number, z in enumerate(SCENE.measurement, 1):
@@ -43,7 +49,9 @@ def tracked(stages: Stages) -> Tracks:
 
 
 def kept(tracks: Tracks) -> np.ndarray:
-    """(10,) the largest share of each target's scans that one identity spends within 150 m of it."""
+    """(10,) the largest share of each target's scans that one identity spends within 150 m of
+    it.
+    """
     place = to_cxcywh(tracks.xyxy)[:2]
     near = np.zeros((len(TURNING_FIRST), tracks.identity.max() + 1))
     for scan, (state, identity) in enumerate(zip(SCENE.state, SCENE.identity, strict=True), 1):
@@ -58,7 +66,10 @@ def kept(tracks: Tracks) -> np.ndarray:
     ("recursion", "extractor"),
     [
         (MHT(transform="unscented"), BestHypothesis()),
-        (PMB(transform="unscented", mean_visible_time=0.0, static_clutter_prior=0.0), BestBernoullis(merge_iou=1.0)),
+        (
+            PMB(transform="unscented", mean_visible_time=0.0, static_clutter_prior=0.0),
+            BestBernoullis(merge_iou=1.0),
+        ),
     ],
     ids=["mht", "pmb"],
 )
@@ -77,7 +88,8 @@ def test_hypotheses_keep_the_identities_of_ten_targets(recursion, extractor):
     ids=["gm-phd", "particle-phd"],
 )
 def test_intensities_follow_them_too(recursion, extractor):
-    """Targets that cross lose their identities; every one is followed by one track for a good part of its life.
+    """Targets that cross lose their identities; every one is followed by one track for a good part
+    of its life.
 
     The least of the ten is 0.40 with the GM-PHD, and 0.24 to 0.40 with particles of six seeds.
     """

@@ -1,4 +1,6 @@
-"""People on the ground, seen by a jittery detector with misses and false alarms: every filter gives sensible tracks."""
+"""People on the ground, seen by a jittery detector with misses and false alarms: every filter gives
+sensible tracks.
+"""
 
 from __future__ import annotations
 
@@ -13,24 +15,34 @@ from phdtrack.models import PlaneSensor
 from phdtrack.types import Truth
 from plane_cases import FRAME, LevelCamera
 
-CAMERA, RATE, FRAMES = LevelCamera(), 7.0, 50
-# Place at the first frame and velocity, metres and metres per second; two pairs cross each other's way.
+CAMERA = LevelCamera()
+RATE = 7.0
+FRAMES = 50
+# Place at the first frame and velocity, metres and metres per second; two pairs cross each other's
+# way.
 WALKS = np.array([[-5, 18, 1.2, 0.1], [5, 22, -1.1, 0], [-1, 14, 0, 1.0], [-4, 30, 0.7, -1.1]]).T
 
 
 @pytest.fixture
 def camera_file(tmp_path) -> Path:
     """The homography of the camera, from pixels to metres."""
-    c, f, h, horizon = CAMERA.centre, CAMERA.focal, CAMERA.height, CAMERA.horizon
+    c = CAMERA.centre
+    f = CAMERA.focal
+    h = CAMERA.height
+    horizon = CAMERA.horizon
     path = tmp_path / "H.txt"
     np.savetxt(path, [[h, 0, -c * h], [0, 0, f * h], [0, 1, -horizon]])
     return path
 
 
-def scene(seed: int, p_detect: float = 0.85, clutter: float = 0.4) -> tuple[Truth, list[np.ndarray]]:
+def scene(
+    seed: int, p_detect: float = 0.85, clutter: float = 0.4
+) -> tuple[Truth, list[np.ndarray]]:
     """Truth, and detections whose foot points deviate by 6 % of the width and 2 % of the height."""
-    rng, person = np.random.default_rng(seed), PlaneSensor(camera=CAMERA)
-    rows, frames = [], []
+    rng = np.random.default_rng(seed)
+    person = PlaneSensor(camera=CAMERA)
+    rows = []
+    frames = []
     for k in range(FRAMES):
         x = WALKS.copy()
         x[:2] += x[2:] * k / RATE
@@ -89,11 +101,14 @@ def test_walkers_are_followed(filter_, extract, camera_file):
 
 @pytest.mark.parametrize("kind", ["pmb", "gm-phd", "particle-phd"])
 def test_the_preset_of_e13_runs_with_any_filter(kind: str, camera_file):
-    """Births are at E13's places, so that walkers elsewhere are none of its; with births about detections they are."""
+    """Births are at E13's places, so that walkers elsewhere are none of its; with births about
+    detections they are.
+    """
     given = {"preset": "e13", "camera": {"file": str(camera_file)}, "filter": kind}
     elsewhere = Tracker(FRAME, fps=RATE, **given)
     near = Tracker(FRAME, fps=RATE, **given, birth={"kind": "ground"}, clutter={"density": 1e-3})
-    away, count = [], []
+    away = []
+    count = []
     for k, boxes in enumerate(scene(0, p_detect=0.7)[1]):
         elsewhere.update(boxes)
         near.update(boxes)
@@ -107,9 +122,13 @@ def test_the_preset_of_e13_runs_with_any_filter(kind: str, camera_file):
     assert np.median(away) < 0.5
 
 
-@pytest.mark.parametrize(("kind", "seed"), [("pmb", 0), *(("particle-phd", seed) for seed in range(8))])
+@pytest.mark.parametrize(
+    ("kind", "seed"), [("pmb", 0), *(("particle-phd", seed) for seed in range(8))]
+)
 def test_runners_are_not_lost_at_their_birth(kind: str, seed: int):
-    """Two who cross the frame at 5 pixels a frame, seen clearly: the particle filter keeps two identities at any seed."""
+    """Two who cross the frame at 5 pixels a frame, seen clearly: the particle filter keeps two
+    identities at any seed.
+    """
     noise = np.random.default_rng(3).normal(0, 1, (40, 2, 2))
     tracker = Tracker((320, 240), seed=seed, filter=kind)
     for k in range(1, 41):

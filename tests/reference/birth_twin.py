@@ -1,4 +1,6 @@
-"""The mass of γ that newborn particles stand for, by uniform draws over the regions they come from."""
+"""The mass of γ that newborn particles stand for, by uniform draws over the regions they come
+from.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ REGION = 13.276704135987622
 
 
 def uniform_in_regions(z, sigma, count, rng):
-    """Points uniform over each 99 % region: (4, N·count), the volume of each point's region, the regions that hold it."""
+    """Points uniform over each 99 % region: (4, N·count), the volume of each point's region, the
+    regions that hold it.
+    """
     n = z.shape[1]
     direction = rng.normal(size=(4, n * count))
     radius = math.sqrt(REGION) * rng.random(n * count) ** 0.25
@@ -28,17 +32,23 @@ def image_density(points, rate, frame):
 
 
 def local_density(points, own, rate):
-    """Of births that are as dense as at the detections ``own`` (4, n), in whose regions the points lie."""
+    """Of births that are as dense as at the detections ``own`` (4, n), in whose regions the points
+    lie.
+    """
     return (points[2:] > 0).all(0) * rate / (4 * (own[2] * own[3]) ** 2)
 
 
 def mass(z, sigma, density, count, rng):
-    """∫ over the union of the regions of ``density``, a function of points and of the detections whose regions hold them."""
+    """∫ over the union of the regions of ``density``, a function of points and of the detections
+    whose regions hold them.
+    """
     points, volume, held = uniform_in_regions(z, sigma, count, rng)
     return float((density(points, np.repeat(z, count, axis=1)) * volume / held).sum() / count)
 
 
 def in_neighbourhood(x, z):
-    """Whether the boxes x = (px, py, w, h) lie in the neighbourhood of z, elementwise over columns."""
+    """Whether the boxes x = (px, py, w, h) lie in the neighbourhood of z, elementwise over
+    columns.
+    """
     near = (np.abs(x[0] - z[0]) <= z[2]) & (np.abs(x[1] - z[1]) <= z[3])
     return near & (np.abs(x[2] - z[2]) <= z[2] / 2) & (np.abs(x[3] - z[3]) <= z[3] / 2)

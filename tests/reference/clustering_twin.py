@@ -1,6 +1,8 @@
-"""K-means of the extraction with every pair in reach written out: what the form over blocks must agree with.
+"""K-means of the extraction with every pair in reach written out: what the form over blocks must
+agree with.
 
-Particles are (d, L), weights (L,), centres (d, k). Everything is a dense table of particles and centres, in float64.
+Particles are (d, L), weights (L,), centres (d, k). Everything is a dense table of particles and
+centres, in float64.
 """
 
 from __future__ import annotations
@@ -14,7 +16,9 @@ REACH = 8.0
 
 
 def label(x, centres, scale, began):
-    """The nearest centre of those near whose beginnings each particle lies (−1: none), and its scaled distance²."""
+    """The nearest centre of those near whose beginnings each particle lies (−1: none), and its
+    scaled distance².
+    """
     if centres.shape[1] == 0:
         return np.full(x.shape[1], -1), np.full(x.shape[1], np.inf)
     inside = (np.abs(x[:2, :, None] - began[:2, None, :]) <= REACH * scale[:2, None, :]).all(0)
@@ -27,7 +31,9 @@ def label(x, centres, scale, began):
 def moments(x, weight, k):
     """Masses, means, covariances for weights (L, k)."""
     d = len(x)
-    mass, mean, cov = weight.sum(0), np.zeros((d, k)), np.zeros((k, d, d))
+    mass = weight.sum(0)
+    mean = np.zeros((d, k))
+    cov = np.zeros((k, d, d))
     for j in np.flatnonzero(mass > 0):
         mean[:, j] = x @ weight[:, j] / mass[j]
         step = x - mean[:, [j]]
@@ -41,10 +47,14 @@ def members(labels, weight, k):
 
 
 def cluster(x, weight, centre, scale, split, iterations):
-    """Labels (L,), masses and means after K-means in which clusters heavier than ``split`` are divided."""
+    """Labels (L,), masses and means after K-means in which clusters heavier than ``split`` are
+    divided.
+    """
     rounds = int(np.ceil(2 * weight.sum() / split))
-    began, centre = centre, centre.copy()
-    strays, steps = np.zeros(centre.shape[1], int), np.zeros(centre.shape[1], int)
+    began = centre
+    centre = centre.copy()
+    strays = np.zeros(centre.shape[1], int)
+    steps = np.zeros(centre.shape[1], int)
     parent = np.zeros(0, int)
     for turn in range(rounds + 1):
         while True:
@@ -66,16 +76,22 @@ def cluster(x, weight, centre, scale, split, iterations):
         far = {j: i for j, i in far.items() if distance2[i] > 0}
         if turn == rounds or not far:
             break
-        parent, new = np.array(list(far)), x[:, list(far.values())]
-        centre, began, scale = np.hstack([centre, new]), np.hstack([began, new]), np.hstack([scale, scale[:, parent]])
+        parent = np.array(list(far))
+        new = x[:, list(far.values())]
+        centre = np.hstack([centre, new])
+        began = np.hstack([began, new])
+        scale = np.hstack([scale, scale[:, parent]])
         steps[parent] = 0
         steps, strays = (np.append(a, np.zeros(len(far), int)) for a in (steps, strays))
     return labels, mass, mean
 
 
 def join_light(mass, mean, noise, lightest, split):
-    """(k,) what each cluster becomes part of; pairs of light ones that are near each other, nearest first."""
-    root, mass = np.arange(len(mass)), mass.copy()
+    """(k,) what each cluster becomes part of; pairs of light ones that are near each other, nearest
+    first.
+    """
+    root = np.arange(len(mass))
+    mass = mass.copy()
     light = np.flatnonzero((mass > 0) & (mass < lightest))
     scale = noise(mean)
     pairs = []
@@ -85,10 +101,12 @@ def join_light(mass, mean, noise, lightest, split):
             if apart <= REACH**2:
                 pairs.append((apart, i, j))
     for _, a, b in sorted(pairs):
-        i, j = root[a], root[b]
+        i = root[a]
+        j = root[b]
         if i != j and min(mass[i], mass[j]) < lightest and mass[i] + mass[j] <= split:
             root[root == j] = i
-            mass[i], mass[j] = mass[i] + mass[j], 0.0
+            mass[i] = mass[i] + mass[j]
+            mass[j] = 0.0
     return root
 
 
@@ -103,11 +121,15 @@ def kmeans(x, weight, centres, noise, lightest, split, iterations=5):
 
 
 def join_alike(boxes, overlap, mass, mean, cov):
-    """Masses, means, covariances of what is left once no two boxes overlap by more, and the heaviest part of each.
+    """Masses, means, covariances of what is left once no two boxes overlap by more, and the
+    heaviest part of each.
 
     All pairs are looked at anew after every union.
     """
-    left = [([i], m, x, c, b) for i, (m, x, c, b) in enumerate(zip(mass, mean.T, cov, boxes, strict=True))]
+    left = [
+        ([i], m, x, c, b)
+        for i, (m, x, c, b) in enumerate(zip(mass, mean.T, cov, boxes, strict=True))
+    ]
     while True:
         box = np.array([b for *_, b in left])
         overlaps = iou(box, box)
@@ -116,9 +138,14 @@ def join_alike(boxes, overlap, mass, mean, cov):
         if not above:
             break
         i, j = min(above, key=lambda pair: (-above[pair], pair))
-        (one, a, x, c, b), (other, e, y, f, g) = left[i], left[j]
-        total, middle = a + e, (a * x + e * y) / (a + e)
-        spread = sum(w * (s + np.outer(p - middle, p - middle)) for w, p, s in ((a, x, c), (e, y, f))) / total
+        one, a, x, c, b = left[i]
+        other, e, y, f, g = left[j]
+        total = a + e
+        middle = (a * x + e * y) / (a + e)
+        spread = (
+            sum(w * (s + np.outer(p - middle, p - middle)) for w, p, s in ((a, x, c), (e, y, f)))
+            / total
+        )
         left[i] = (one + other, total, middle, spread, (a * b + e * g) / total)
         del left[j]
     part = [max(parts, key=lambda i: mass[i]) for parts, *_ in left]

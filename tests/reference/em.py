@@ -9,7 +9,9 @@ from phdtrack.types import F8
 
 
 def em_step(x: F8, weight: F8, log_background: F8, mixture: Gaussians) -> Moments:
-    """Expectation and moments of weighted samples ``x`` (d, n), all of which may belong to every component."""
+    """Expectation and moments of weighted samples ``x`` (d, n), all of which may belong to every
+    component.
+    """
     parts = [log_background]
     for share, mean, cov in zip(mixture.weight, mixture.mean.T, mixture.covariance, strict=True):
         step = x - mean[:, None]
@@ -20,4 +22,6 @@ def em_step(x: F8, weight: F8, log_background: F8, mixture: Gaussians) -> Moment
     mass = responsibility[1:].sum(axis=1)
     mean = x @ responsibility[1:].T / mass
     cov = [np.cov(x, aweights=each, ddof=0) for each in responsibility[1:]]
-    return Moments(mass, mean, np.array(cov), float(responsibility[0].sum()), float(weight @ log_density))
+    return Moments(
+        mass, mean, np.array(cov), float(responsibility[0].sum()), float(weight @ log_density)
+    )

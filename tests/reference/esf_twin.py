@@ -10,7 +10,10 @@ def coefficients(a, b) -> list[Fraction]:
     """Exactly: the coefficients of Π (a_i + b_i t), multiplied out one factor after the other."""
     out = [Fraction(1)]
     for low, high in zip(map(Fraction, a), map(Fraction, b), strict=True):
-        out = [low * x + high * y for x, y in zip([*out, Fraction(0)], [Fraction(0), *out], strict=True)]
+        out = [
+            low * x + high * y
+            for x, y in zip([*out, Fraction(0)], [Fraction(0), *out], strict=True)
+        ]
     return out
 
 

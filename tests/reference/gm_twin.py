@@ -1,4 +1,6 @@
-"""The GM-PHD filter as it is printed, Gaussian by Gaussian, with matrix inverses and without gates or grids."""
+"""The GM-PHD filter as it is printed, Gaussian by Gaussian, with matrix inverses and without gates
+or grids.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +10,16 @@ import numpy as np
 
 
 def predict(weight, mean, cov, p_survive, f, q):
-    """Weights, means (d, J) and covariances (J, d, d) one interval later; ``p_survive``, ``f``, ``q`` one for each."""
+    """Weights, means (d, J) and covariances (J, d, d) one interval later; ``p_survive``, ``f``,
+    ``q`` one for each.
+    """
     means = [f[i] @ mean[:, i] for i in range(len(weight))]
     covs = [f[i] @ cov[i] @ f[i].T + q[i] for i in range(len(weight))]
-    return weight * p_survive, np.array(means).reshape(-1, len(mean)).T, np.array(covs).reshape(-1, len(mean), len(mean))
+    return (
+        weight * p_survive,
+        np.array(means).reshape(-1, len(mean)).T,
+        np.array(covs).reshape(-1, len(mean), len(mean)),
+    )
 
 
 def density(step, cov):
@@ -28,8 +36,11 @@ def corrected(mean, cov, z, h, r):
 
 
 def kalman(mean, cov, measurements, f, q, h, r):
-    """Means (K, d) and covariances (K, d, d) of the Kalman filter after each measurement, predicted first."""
-    means, covs = [], []
+    """Means (K, d) and covariances (K, d, d) of the Kalman filter after each measurement, predicted
+    first.
+    """
+    means = []
+    covs = []
     for z in measurements:
         mean, cov, _ = corrected(f @ mean, f @ cov @ f.T + q, z, h, r)
         means.append(mean)
@@ -38,11 +49,15 @@ def kalman(mean, cov, measurements, f, q, h, r):
 
 
 def update(weight, mean, cov, z, h, noise, p_detect, clutter):
-    """Weights, means, covariances and C(z): first those that were missed, then those of each measurement.
+    """Weights, means, covariances and C(z): first those that were missed, then those of each
+    measurement.
 
     ``z`` (m, N); ``noise(i, j)`` is R of a pair; ``p_detect`` (J,), ``clutter`` (N,).
     """
-    weights, means, covs, evidence = [*((1 - p_detect) * weight)], [*mean.T], [*cov], []
+    weights = [*((1 - p_detect) * weight)]
+    means = [*mean.T]
+    covs = [*cov]
+    evidence = []
     for j in range(z.shape[1]):
         terms = []
         for i in range(len(weight)):
@@ -57,7 +72,9 @@ def update(weight, mean, cov, z, h, noise, p_detect, clutter):
 
 
 def merge(weight, mean, cov, distance):
-    """The strongest of what is left, with all that are within ``distance`` of it in their own covariance; and so on."""
+    """The strongest of what is left, with all that are within ``distance`` of it in their own
+    covariance; and so on.
+    """
     left = list(range(len(weight)))
     out = []
     while left:
@@ -81,13 +98,17 @@ def merge(weight, mean, cov, distance):
 
 
 def reduce(weight, mean, cov, prune, distance, most, redistribute):
-    """Prune, merge, cap; the mass that pruning and capping took is given to the rest where ``redistribute``."""
+    """Prune, merge, cap; the mass that pruning and capping took is given to the rest where
+    ``redistribute``.
+    """
     total = weight.sum()
     kept = weight >= prune
     weight, mean, cov = merge(weight[kept], mean[:, kept], cov[kept], distance)
     if most and len(weight) > most:
         strong = np.argsort(-weight, kind="stable")[:most]
-        weight, mean, cov = weight[strong], mean[:, strong], cov[strong]
+        weight = weight[strong]
+        mean = mean[:, strong]
+        cov = cov[strong]
     if redistribute and weight.sum() > 0:
         weight = weight * (total / weight.sum())
     return weight, mean, cov

@@ -1,6 +1,8 @@
-"""The association once more, plainly: gains one pair at a time, path covers by trying all, the textbook's smoother.
+"""The association once more, plainly: gains one pair at a time, path covers by trying all, the
+textbook's smoother.
 
-A cover of vertices by paths is a set of links (later, earlier) in which each vertex occurs at most once on either side.
+A cover of vertices by paths is a set of links (later, earlier) in which each vertex occurs at most
+once on either side.
 """
 
 from __future__ import annotations
@@ -13,11 +15,13 @@ from scipy.stats import multivariate_normal
 
 
 def gains(frames, intervals, matching, model):
-    """{(later, earlier): gain} of all edges worth taking between states of different frames; vertices count through.
+    """{(later, earlier): gain} of all edges worth taking between states of different frames;
+    vertices count through.
 
     ``frames`` is a list of `Estimates`, ``intervals`` the model time from the frame before to each.
-    The gain is the log-density of the later state under the j-step transition, convolved with both covariances, less that of
-    a state ``loose_end_distance`` deviations from a typical one-step prediction, less the price of the time without a state.
+    The gain is the log-density of the later state under the j-step transition, convolved with both
+    covariances, less that of a state ``loose_end_distance`` deviations from a typical one-step
+    prediction, less the price of the time without a state.
     """
     rows = np.ix_(model.sensor.observed, model.sensor.observed)
     seen = list(model.sensor.observed)
@@ -26,7 +30,8 @@ def gains(frames, intervals, matching, model):
     for k, here in enumerate(frames):
         for back in range(k):
             for a in range(len(frames[back])):
-                mean, cov = frames[back].state[:, [a]], frames[back].covariance[a]
+                mean = frames[back].state[:, [a]]
+                cov = frames[back].covariance[a]
                 for dt in intervals[back + 1 : k + 1]:
                     mean, jacobian, noise = model.motion.transition(mean, dt)
                     cov = jacobian[0] @ cov @ jacobian[0].T + noise[0]
@@ -45,7 +50,9 @@ def gains(frames, intervals, matching, model):
 
 
 def _loose(state, dt, matching, model):
-    """The log-density of two loose ends: two measurements' noise and one step of the motion's, at `loose_end_distance`."""
+    """The log-density of two loose ends: two measurements' noise and one step of the motion's, at
+    `loose_end_distance`.
+    """
     seen = list(model.sensor.observed)
     _, _, noise = model.motion.transition(state, dt)
     typical = noise[0][np.ix_(seen, seen)] + 2 * np.diag(model.sensor.noise(state)[seen, 0] ** 2)
@@ -63,7 +70,9 @@ def best_cover(edges):
         if row == len(later):
             return 0.0
         tried = [best(row + 1, used)]
-        tried += [gain + best(row + 1, used | 1 << a) for a, gain in options[row] if not used >> a & 1]
+        tried += [
+            gain + best(row + 1, used | 1 << a) for a, gain in options[row] if not used >> a & 1
+        ]
         return max(tried)
 
     return best(0, 0)
@@ -73,7 +82,8 @@ def best_assignment(edges):
     """The same by SciPy's assignment, a pair without an edge being worth nothing."""
     if not edges:
         return 0.0
-    later, earlier = sorted({b for b, _ in edges}), sorted({a for _, a in edges})
+    later = sorted({b for b, _ in edges})
+    earlier = sorted({a for _, a in edges})
     table = np.zeros((len(later), len(earlier)))
     for (b, a), gain in edges.items():
         table[later.index(b), earlier.index(a)] = gain
@@ -82,9 +92,13 @@ def best_assignment(edges):
 
 
 def smoothed(motion, before, cov_before, after, cov_after, steps):
-    """(d, n) means in a gap: Kalman filter with one measurement of the full state at its end, and the RTS smoother."""
-    mean, cov = [before], [cov_before]
-    predicted, jacobians = [], []
+    """(d, n) means in a gap: Kalman filter with one measurement of the full state at its end, and
+    the RTS smoother.
+    """
+    mean = [before]
+    cov = [cov_before]
+    predicted = []
+    jacobians = []
     for dt in steps:
         moved, jacobian, noise = motion.transition(mean[-1][:, None], float(dt))
         mean.append(moved[:, 0])
@@ -102,11 +116,14 @@ def smoothed(motion, before, cov_before, after, cov_after, steps):
 
 
 def led_back(motion, sensor, state, cov, measured, dt):
-    """(d, n) means of the n states before ``state``, each given it and the measurements (4, n) from itself on.
+    """(d, n) means of the n states before ``state``, each given it and the measurements (4, n) from
+    itself on.
 
-    The joint Gaussian of all states, written down at once and conditioned: x_k = F⁻¹ (x_{k+1} − w), w ~ N(0, Q).
+    The joint Gaussian of all states, written down at once and conditioned: x_k = F⁻¹ (x_{k+1} − w),
+    w ~ N(0, Q).
     """
-    d, seen = len(state), list(sensor.observed)
+    d = len(state)
+    seen = list(sensor.observed)
     _, jacobian, noise = motion.transition(state[:, None], dt)
     back = np.linalg.inv(jacobian[0])
     n = measured.shape[1]

@@ -1,4 +1,5 @@
-"""The merged-measurement model as `detect.merged` states it: every explanation written out, with matrix inverses.
+"""The merged-measurement model as `detect.merged` states it: every explanation written out, with
+matrix inverses.
 
 Blobs (N, 4) and targets' boxes (n, 4) are left, top, right, bottom.
 """
@@ -12,9 +13,14 @@ import numpy as np
 
 from phdtrack.arrays import area, intersection
 
-GATE, GROUP, NEAR, TINY = 5.0, 6, 9.21, 1e-300
-MAX_EXISTENCE, MIN_EXISTENCE = 0.99, 0.1
-# (left, top, right, bottom) of (centre x, centre y, width, height), and the direction in which each edge lies outward.
+GATE = 5.0
+GROUP = 6
+NEAR = 9.21
+TINY = 1e-300
+MAX_EXISTENCE = 0.99
+MIN_EXISTENCE = 0.1
+# (left, top, right, bottom) of (centre x, centre y, width, height), and the direction in which each
+# edge lies outward.
 EDGES = np.array([[1, 0, -0.5, 0], [0, 1, 0, -0.5], [1, 0, 0.5, 0], [0, 1, 0, 0.5]])
 OUTWARD = np.array([-1.0, -1.0, 1.0, 1.0])
 
@@ -22,48 +28,68 @@ OUTWARD = np.array([-1.0, -1.0, 1.0, 1.0])
 def members(rule, model, targets, detections):
     """The targets of each blob in the best explanation, by number, in the order of their edges."""
     # In that order throughout, so that nothing depends on the order in which they come.
-    blobs, rows = np.lexsort(detections.xyxy.T[::-1]), np.lexsort(model.sensor.boxes(targets.state).T[::-1])
+    blobs = np.lexsort(detections.xyxy.T[::-1])
+    rows = np.lexsort(model.sensor.boxes(targets.state).T[::-1])
     out = [()] * len(blobs)
-    for b, several in zip(blobs, _in_order(rule, model, targets.take(rows), detections.take(blobs)), strict=True):
+    for b, several in zip(
+        blobs, _in_order(rule, model, targets.take(rows), detections.take(blobs)), strict=True
+    ):
         out[b] = tuple(rows[list(several)].tolist())
     return out
 
 
 def _in_order(rule, model, targets, detections):
-    sensor, z = model.sensor, model.sensor.measure(detections)
-    blobs, boxes = detections.xyxy, sensor.boxes(targets.state)
+    z = model.sensor.measure(detections)
+    sensor = model.sensor
+    blobs = detections.xyxy
+    boxes = sensor.boxes(targets.state)
     known = np.isfinite(z).all(axis=0)
     spread = EDGES @ targets.covariance[:, sensor.observed][:, :, sensor.observed] @ EDGES.T
     # The targets' edges are moved out by a deviation.
     reach = np.sqrt(np.einsum("nii->ni", spread))
-    low, high = boxes - reach, boxes + reach
+    low = boxes - reach
+    high = boxes + reach
     meet = (blobs[:, None, :2] <= high[:, 2:]) & (low[:, :2] <= blobs[:, None, 2:])
     touching = meet.all(axis=2) & known[:, None]
     if max(touching.sum(axis=0).max(), touching.sum(axis=1).max()) < 2:
         return [tuple(np.flatnonzero(row)) for row in touching]
-    shared, p, r = intersection(blobs, boxes), sensor.p_detect(targets.state), targets.existence
+    shared = intersection(blobs, boxes)
+    p = sensor.p_detect(targets.state)
+    r = targets.existence
     covered = np.where(touching, shared, 0.0).max(axis=0) / np.maximum(area(boxes), TINY)
     missed = np.log(np.maximum(1 - r * (p + (1 - p) * np.minimum(covered, 1.0)), TINY)).tolist()
     clutter = np.zeros(len(blobs))
-    clutter[known] = np.log(np.maximum(model.clutter.intensity(np.ascontiguousarray(z[:, known])), TINY))
+    clutter[known] = np.log(
+        np.maximum(model.clutter.intensity(np.ascontiguousarray(z[:, known])), TINY)
+    )
 
     def likelihood(blob, several):
         if not several:
             return clutter[blob]
         noise = sensor.covariance(z[:, [blob] * len(several)], targets.state[:, several])
-        fit = log_fit(rule, blobs[blob], boxes[several], spread[several] + EDGES @ noise @ EDGES.T, targets.take(several))
+        fit = log_fit(
+            rule,
+            blobs[blob],
+            boxes[several],
+            spread[several] + EDGES @ noise @ EDGES.T,
+            targets.take(several),
+        )
         return fit + np.log(np.maximum(r[several] * p[several], TINY)).sum()
 
     out = [()] * len(blobs)
-    for some, several, kept in groups(touching, shared / np.maximum(np.minimum(area(blobs)[:, None], area(boxes)), TINY)):
+    for some, several, kept in groups(
+        touching, shared / np.maximum(np.minimum(area(blobs)[:, None], area(boxes)), TINY)
+    ):
         if len(some) == len(several) == 1:
             out[some[0]] = (several[0],)
             continue
-        top, known_of = -math.inf, {}
+        top = -math.inf
+        known_of = {}
         # Of equally likely explanations the first.
         for choice in itertools.product(*([-1, *np.flatnonzero(kept[:, t])] for t in several)):
             of = {b: [t for t, at in zip(several, choice, strict=True) if at == b] for b in some}
-            value, rest = 0.0, 0.0
+            value = 0.0
+            rest = 0.0
             for t, b in zip(several, choice, strict=True):
                 value += missed[t] if b < 0 else 0.0
             for b in some:
@@ -72,17 +98,23 @@ def _in_order(rule, model, targets, detections):
                     known_of[key] = likelihood(b, of[b])
                 rest += known_of[key]
             if value + rest > top + 1e-9:
-                top, best = value + rest, of
+                top = value + rest
+                best = of
         for b in some:
             out[b] = tuple(best[b])
     return out
 
 
 def log_fit(rule, blob, boxes, covariance, targets):
-    """Log-likelihood of a blob's edges where these targets (k) were detected, whose edges have covariances (k, 4, 4)."""
-    k, owner, side = len(boxes), owners(boxes), np.arange(4)
+    """Log-likelihood of a blob's edges where these targets (k) were detected, whose edges have
+    covariances (k, 4, 4).
+    """
+    k = len(boxes)
+    owner = owners(boxes)
+    side = np.arange(4)
     if k > 1 and not (
-        (targets.separate >= rule.min_separate_time).all() and (targets.hidden[hidden(boxes)] <= rule.max_hidden_time).all()
+        (targets.separate >= rule.min_separate_time).all()
+        and (targets.hidden[hidden(boxes)] <= rule.max_hidden_time).all()
     ):
         return -math.inf
     same = owner[:, None] == owner[None, :]
@@ -96,17 +128,25 @@ def log_fit(rule, blob, boxes, covariance, targets):
 
 
 def groups(touching, strength):
-    """Blobs, targets and pairs (N, n) of the groups that pairs connect, the strongest first, of at most `GROUP` members."""
+    """Blobs, targets and pairs (N, n) of the groups that pairs connect, the strongest first, of at
+    most `GROUP` members.
+    """
     n, m = touching.shape
     blob, target = np.nonzero(touching)
-    group, kept = np.arange(n + m), np.zeros((n, m), bool)
+    group = np.arange(n + m)
+    kept = np.zeros((n, m), bool)
     for p in np.argsort(-strength[blob, target], kind="stable"):
-        a, c = group[blob[p]], group[n + target[p]]
+        a = group[blob[p]]
+        c = group[n + target[p]]
         if a == c or np.count_nonzero((group == a) | (group == c)) <= GROUP:
             group[group == c] = a
             kept[blob[p], target[p]] = True
     for key in np.unique(group[:n][kept.any(axis=1)]):
-        yield np.flatnonzero(group[:n] == key).tolist(), np.flatnonzero(group[n:] == key).tolist(), kept
+        yield (
+            np.flatnonzero(group[:n] == key).tolist(),
+            np.flatnonzero(group[n:] == key).tolist(),
+            kept,
+        )
 
 
 def owners(boxes):
@@ -123,29 +163,44 @@ def hidden(boxes):
 
 def placed(blob, boxes):
     """(k, 4) where a merged blob (4,) puts its targets' boxes (k, 4), their size unchanged."""
-    owner, k, out = owners(boxes), np.arange(len(boxes)), boxes.copy()
+    owner = owners(boxes)
+    k = np.arange(len(boxes))
+    out = boxes.copy()
     for axis in (0, 1):
-        low, high = blob[axis], blob[axis + 2]
+        low = blob[axis]
+        high = blob[axis + 2]
         size = boxes[:, axis + 2] - boxes[:, axis]
-        at_low, at_high = owner[axis] == k, owner[axis + 2] == k
+        at_low = owner[axis] == k
+        at_high = owner[axis + 2] == k
         start = np.where(at_low, low, boxes[:, axis])
         start = np.where(at_high, np.where(at_low, (low + high - size) / 2, high - size), start)
         room = high - low - size
-        start = np.where(room > 0, np.clip(start, low, np.maximum(low, high - size)), low + room / 2)
-        out[:, axis], out[:, axis + 2] = start, start + size
+        start = np.where(
+            room > 0, np.clip(start, low, np.maximum(low, high - size)), low + room / 2
+        )
+        out[:, axis] = start
+        out[:, axis + 2] = start + size
     return out
 
 
 def divided(blobs, boxes, shown):
-    """The boxes (N′, 4) of each blob's targets, ``shown`` of it, or of itself; which blob and which target they are of."""
-    rows = [placed(blob, boxes[list(s)]) if len(s) > 1 else blob[None] for blob, s in zip(blobs, shown, strict=True)]
+    """The boxes (N′, 4) of each blob's targets, ``shown`` of it, or of itself; which blob and which
+    target they are of.
+    """
+    rows = [
+        placed(blob, boxes[list(s)]) if len(s) > 1 else blob[None]
+        for blob, s in zip(blobs, shown, strict=True)
+    ]
     source = [b for b, several in enumerate(shown) for _ in several or (-1,)]
     return np.concatenate(rows), source, [t for several in shown for t in several or (-1,)]
 
 
 def times(targets, boxes, shown, seconds):
-    """(n,) each: the seconds for which targets have been hidden, and have had a blob to themselves."""
-    out_of_sight, separate = targets.hidden.copy(), targets.separate.copy()
+    """(n,) each: the seconds for which targets have been hidden, and have had a blob to
+    themselves.
+    """
+    out_of_sight = targets.hidden.copy()
+    separate = targets.separate.copy()
     for index in [list(several) for several in shown if several]:
         separate[index] += seconds if len(index) == 1 else 0.0
         out_of_sight[index] = np.where(hidden(boxes[index]), out_of_sight[index] + seconds, 0.0)
@@ -153,12 +208,15 @@ def times(targets, boxes, shown, seconds):
 
 
 def continued(targets, target, estimates, model):
-    """(k,) the target that each estimate continues: that of its detection, else the nearest left within the gate, or −1."""
+    """(k,) the target that each estimate continues: that of its detection, else the nearest left
+    within the gate, or −1.
+    """
     of = np.append(target, -1)[estimates.detection]
     later = np.ones(len(of), bool)
     later[np.unique(of, return_index=True)[1]] = False
     of[later] = -1
-    free, lost = np.setdiff1d(np.arange(len(targets)), of), np.flatnonzero(of < 0)
+    free = np.setdiff1d(np.arange(len(targets)), of)
+    lost = np.flatnonzero(of < 0)
     if not len(free) or not len(lost):
         return of
     step = estimates.state[:2, lost, None] - targets.state[:2, None, free]
@@ -168,15 +226,21 @@ def continued(targets, target, estimates, model):
     while distance2.min() <= NEAR:
         i, j = np.argwhere(distance2 == distance2.min())[0]
         of[lost[i]] = free[j]
-        distance2[i, :], distance2[:, j] = np.inf, np.inf
+        distance2[i, :] = np.inf
+        distance2[:, j] = np.inf
     return of
 
 
 def unseen(rule, targets, target, of, model, seconds):
-    """Indices, r and seconds hidden of the targets that no estimate shows but that may be there, and that no detection has
-    shown where ``target`` (N′,) does not name them."""
-    p, r = model.sensor.p_detect(targets.state), targets.existence
-    r = np.where(np.isin(np.arange(len(r)), target), r, r * (1 - p) / np.maximum(1 - r * p, 1 - MAX_EXISTENCE))
+    """Indices, r and seconds hidden of the targets that no estimate shows but that may be there,
+    and that no detection has shown where ``target`` (N′,) does not name them."""
+    p = model.sensor.p_detect(targets.state)
+    r = targets.existence
+    r = np.where(
+        np.isin(np.arange(len(r)), target),
+        r,
+        r * (1 - p) / np.maximum(1 - r * p, 1 - MAX_EXISTENCE),
+    )
     late = targets.hidden + seconds
     left = ~np.isin(np.arange(len(r)), of) & (r > MIN_EXISTENCE) & (late <= rule.max_hidden_time)
     return np.flatnonzero(left), r[left], late[left]

@@ -1,4 +1,6 @@
-"""Plain twins of the metrics: loops over boxes, and all mappings tried one after the other. For a handful of boxes."""
+"""Plain twins of the metrics: loops over boxes, and all mappings tried one after the other. For a
+handful of boxes.
+"""
 
 from __future__ import annotations
 
@@ -44,16 +46,20 @@ def best_mapping(truth: list[Box], output: list[Box], threshold: float, kept: Pa
         if all(v >= threshold for v in iou):
             this = (sum(pair in kept for pair in pairs), math.fsum(iou))
             if this > value:
-                best, value = pairs, this
+                best = pairs
+                value = this
     return best
 
 
 def moda_modp(truth, tracks, threshold: float) -> tuple[float, float]:
     """Means of MODA(k) over frames with truth, of MODP(k) over frames with a mapped pair."""
-    gt, out = by_frame(truth), by_frame(tracks)
-    moda, modp = [], []
+    gt = by_frame(truth)
+    out = by_frame(tracks)
+    moda = []
+    modp = []
     for k in sorted(set(gt) | set(out)):
-        t, o = [box for _, box in gt.get(k, [])], [box for _, box in out.get(k, [])]
+        t = [box for _, box in gt.get(k, [])]
+        o = [box for _, box in out.get(k, [])]
         pairs = best_mapping(t, o, threshold)
         if t:
             wrong = len(t) + len(o) - 2 * len(pairs)
@@ -74,18 +80,25 @@ class Tracking:
 
 
 def tracking(truth, tracks, threshold: float) -> Tracking:
-    """MOTA and its kin, the delay from the first annotated to the first mapped frame, and output that is nobody's."""
-    gt, out = by_frame(truth), by_frame(tracks)
+    """MOTA and its kin, the delay from the first annotated to the first mapped frame, and output
+    that is nobody's.
+    """
+    gt = by_frame(truth)
+    out = by_frame(tracks)
     wrong = switches = boxes = 0.0
-    log_switches, ious = 0.0, []
+    log_switches = 0.0
+    ious = []
     before: dict[int, int] = {}
     last: dict[int, int] = {}
     appeared: dict[int, int] = {}
     delays: dict[int, int] = {}
     mapped: set[int] = set()
     for k in sorted(set(gt) | set(out)):
-        t, o = gt.get(k, []), out.get(k, [])
-        kept = tuple((i, j) for i, (a, _) in enumerate(t) for j, (b, _) in enumerate(o) if before.get(a) == b)
+        t = gt.get(k, [])
+        o = out.get(k, [])
+        kept = tuple(
+            (i, j) for i, (a, _) in enumerate(t) for j, (b, _) in enumerate(o) if before.get(a) == b
+        )
         pairs = best_mapping([box for _, box in t], [box for _, box in o], threshold, kept)
         boxes += len(t)
         wrong += len(t) + len(o) - 2 * len(pairs)
@@ -136,16 +149,27 @@ def _gospa_power(distance, n: int, m: int, c: float, p: float) -> float:
 
 
 def tgospa_power(distance, there, given, c: float, p: float, gamma: float) -> float:
-    """The least T-GOSPA^p over mappings that are 0 or 1, by dynamic programming over all of them."""
-    frames, n, m = len(distance), len(there[0]), len(given[0])
+    """The least T-GOSPA^p over mappings that are 0 or 1, by dynamic programming over all of
+    them.
+    """
+    frames = len(distance)
+    n = len(there[0])
+    m = len(given[0])
     states = list(partial_mappings(n, m))
     value = dict.fromkeys(states, 0.0)
     for k in range(frames):
         if k:
-            value = {s: min(value[r] + gamma**p / 2 * len(set(r) ^ set(s)) for r in states) for s in states}
+            value = {
+                s: min(value[r] + gamma**p / 2 * len(set(r) ^ set(s)) for r in states)
+                for s in states
+            }
         for s in states:
-            alone_t = [i for i in range(n) if there[k][i] and not any(a == i and given[k][b] for a, b in s)]
-            alone_o = [j for j in range(m) if given[k][j] and not any(b == j and there[k][a] for a, b in s)]
+            alone_t = [
+                i for i in range(n) if there[k][i] and not any(a == i and given[k][b] for a, b in s)
+            ]
+            alone_o = [
+                j for j in range(m) if given[k][j] and not any(b == j and there[k][a] for a, b in s)
+            ]
             near = [min(distance[k][a][b], c) ** p for a, b in s if there[k][a] and given[k][b]]
             value[s] += math.fsum(near) + c**p / 2 * (len(alone_t) + len(alone_o))
     return min(value.values())
@@ -156,7 +180,9 @@ def _mean(values: list[float]) -> float:
 
 
 def track_distance(distance, there, given, c: float, q: float) -> float:
-    """OSPA(2)'s distance between two trajectories over the frames given: lists over the frames; c where one is absent."""
+    """OSPA(2)'s distance between two trajectories over the frames given: lists over the frames; c
+    where one is absent.
+    """
     costs = []
     for d, t, o in zip(distance, there, given, strict=True):
         if t and o:
@@ -167,14 +193,20 @@ def track_distance(distance, there, given, c: float, q: float) -> float:
 
 
 def ospa2(distance, there, given, c: float, p: float, q: float) -> float:
-    """OSPA(2) over all frames: OSPA between the trajectories that are present, by `track_distance`."""
+    """OSPA(2) over all frames: OSPA between the trajectories that are present, by
+    `track_distance`.
+    """
     frames = range(len(distance))
     t = [i for i in range(len(there[0])) if any(there[k][i] for k in frames)]
     o = [j for j in range(len(given[0])) if any(given[k][j] for k in frames)]
     base = [
         [
             track_distance(
-                [distance[k][i][j] for k in frames], [there[k][i] for k in frames], [given[k][j] for k in frames], c, q
+                [distance[k][i][j] for k in frames],
+                [there[k][i] for k in frames],
+                [given[k][j] for k in frames],
+                c,
+                q,
             )
             for j in o
         ]
@@ -184,7 +216,8 @@ def ospa2(distance, there, given, c: float, p: float, q: float) -> float:
 
 
 def ata(truth, tracks) -> float:
-    gt, out = _lives(truth), _lives(tracks)
+    gt = _lives(truth)
+    out = _lives(tracks)
     share = []
     for a in gt.values():
         row = []
@@ -192,7 +225,9 @@ def ata(truth, tracks) -> float:
             together = [overlap(a[k], b[k]) for k in set(a) & set(b)]
             row.append(math.fsum(together) / len(set(a) | set(b)))
         share.append(row)
-    stda = max(math.fsum(share[i][j] for i, j in pairs) for pairs in partial_mappings(len(gt), len(out)))
+    stda = max(
+        math.fsum(share[i][j] for i, j in pairs) for pairs in partial_mappings(len(gt), len(out))
+    )
     return stda / ((len(gt) + len(out)) / 2)
 
 

@@ -1,4 +1,6 @@
-"""Plain twins of the fused filter's kernels: one number at a time, in integers, fractions and double precision."""
+"""Plain twins of the fused filter's kernels: one number at a time, in integers, fractions and
+double precision.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +11,11 @@ WORD = 0xFFFFFFFF
 
 def philox(counter, key, rounds):
     """Philox 4x32 as its authors write it, in Python's integers [Salmon et al. 2011]."""
-    c, k = list(counter), list(key)
+    c = list(counter)
+    k = list(key)
     for _ in range(rounds):
-        a, b = 0xD2511F53 * c[0], 0xCD9E8D57 * c[2]
+        a = 0xD2511F53 * c[0]
+        b = 0xCD9E8D57 * c[2]
         c = [(b >> 32) ^ c[1] ^ k[0], b & WORD, (a >> 32) ^ c[3] ^ k[1], a & WORD]
         k = [(k[0] + 0x9E3779B9) & WORD, (k[1] + 0xBB67AE85) & WORD]
     return tuple(c)
@@ -22,7 +26,9 @@ def unit(word):
 
 
 def xoroshiro(a, b):
-    """A word of xoroshiro64* and the state after it, as its authors write it [Blackman and Vigna 2021]."""
+    """A word of xoroshiro64* and the state after it, as its authors write it [Blackman and Vigna
+    2021].
+    """
     word = (a * 0x9E3779BB) & WORD
     b ^= a
     return word, (turned(a, 26) ^ b ^ (b << 9)) & WORD, turned(b, 13)
@@ -41,6 +47,7 @@ def normals(i, block, stage, key):
             _, *state = xoroshiro(*state)
         first, *state = xoroshiro(*state)
         second, *_ = xoroshiro(*state)
-        radius, angle = math.sqrt(-2 * math.log(unit(first))), 2 * math.pi * unit(second)
+        radius = math.sqrt(-2 * math.log(unit(first)))
+        angle = 2 * math.pi * unit(second)
         out += [radius * math.cos(angle), radius * math.sin(angle)]
     return out

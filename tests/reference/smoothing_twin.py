@@ -1,4 +1,6 @@
-"""Smoothing and the evidence for a link, from the joint density of everything at once: dense, slow and plain."""
+"""Smoothing and the evidence for a link, from the joint density of everything at once: dense, slow
+and plain.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +10,22 @@ import numpy as np
 
 
 def joint(motion, times, seen, columns):
-    """Mean (n, d) and covariance (n, d, d) of the states at ``times``, of which those with a column ≥ 0 were measured.
+    """Mean (n, d) and covariance (n, d, d) of the states at ``times``, of which those with a column
+    ≥ 0 were measured.
 
-    One Gaussian over all states, as the motion alone has it, given all measurements but the first at once.
+    One Gaussian over all states, as the motion alone has it, given all measurements but the first
+    at once.
     """
-    n, d, shown = len(times), len(seen.state), seen.observed
-    mean, cov = np.zeros(n * d), np.zeros((n * d, n * d))
-    mean[:d], cov[:d, :d] = seen.state[:, columns[0]], seen.covariance[columns[0]]
+    n = len(times)
+    d = len(seen.state)
+    shown = seen.observed
+    mean = np.zeros(n * d)
+    cov = np.zeros((n * d, n * d))
+    mean[:d] = seen.state[:, columns[0]]
+    cov[:d, :d] = seen.covariance[columns[0]]
     for k in range(1, n):
-        here, before = slice(k * d, (k + 1) * d), slice((k - 1) * d, k * d)
+        here = slice(k * d, (k + 1) * d)
+        before = slice((k - 1) * d, k * d)
         moved, f, q = motion.transition(mean[before, None], times[k] - times[k - 1])
         mean[here] = moved[:, 0]
         cov[here] = f[0] @ cov[before]
@@ -30,23 +39,33 @@ def joint(motion, times, seen, columns):
         noise[own, own] = seen.covariance[columns[k]][np.ix_(shown, shown)]
     gain = np.linalg.solve(cov[np.ix_(rows, rows)] + noise, cov[rows]).T
     z = np.concatenate([seen.state[shown, columns[k]] for k in told])
-    mean, cov = mean + gain @ (z - mean[rows]), cov - gain @ cov[rows]
-    return mean.reshape(n, d), np.array([cov[k * d : (k + 1) * d, k * d : (k + 1) * d] for k in range(n)])
+    mean = mean + gain @ (z - mean[rows])
+    cov = cov - gain @ cov[rows]
+    return mean.reshape(n, d), np.array(
+        [cov[k * d : (k + 1) * d, k * d : (k + 1) * d] for k in range(n)]
+    )
 
 
 def log_density(motion, times, seen, columns):
-    """log p of the measurements of one trajectory, the first anywhere with density 1: a Kalman filter's innovations."""
+    """log p of the measurements of one trajectory, the first anywhere with density 1: a Kalman
+    filter's innovations.
+    """
     shown = seen.observed
-    mean, cov = seen.state[:, columns[0]], seen.covariance[columns[0]]
+    mean = seen.state[:, columns[0]]
+    cov = seen.covariance[columns[0]]
     total = 0.0
     for k in range(1, len(times)):
         moved, f, q = motion.transition(mean[:, None], times[k] - times[k - 1])
-        mean, cov = moved[:, 0], f[0] @ cov @ f[0].T + q[0]
+        mean = moved[:, 0]
+        cov = f[0] @ cov @ f[0].T + q[0]
         if columns[k] < 0:
             continue
         spread = cov[np.ix_(shown, shown)] + seen.covariance[columns[k]][np.ix_(shown, shown)]
         step = seen.state[shown, columns[k]] - mean[shown]
-        total += -0.5 * (step @ np.linalg.solve(spread, step) + np.linalg.slogdet(2 * math.pi * spread)[1])
+        total += -0.5 * (
+            step @ np.linalg.solve(spread, step) + np.linalg.slogdet(2 * math.pi * spread)[1]
+        )
         gain = cov[:, shown] @ np.linalg.inv(spread)
-        mean, cov = mean + gain @ step, cov - gain @ cov[shown]
+        mean = mean + gain @ step
+        cov = cov - gain @ cov[shown]
     return total

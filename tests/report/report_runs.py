@@ -5,18 +5,47 @@ from __future__ import annotations
 import numpy as np
 
 from phdtrack.report import About, Recorder, RunRecord
-from phdtrack.types import Detections, Estimates, Frame, SequenceInfo, Step, Tracks, Truth, UpdateInfo
+from phdtrack.types import (
+    Detections,
+    Estimates,
+    Frame,
+    SequenceInfo,
+    Step,
+    Tracks,
+    Truth,
+    UpdateInfo,
+)
 
-WIDE, HIGH = 160, 120
+WIDE = 160
+HIGH = 120
 
 
-def step(number: int, boxes: np.ndarray, clutter: float = 0.25, cardinality: tuple[float, ...] = ()) -> Step:
-    """A step with a detection and an estimate at each of the boxes (n, 4), each detection clutter with this probability."""
+def step(
+    number: int, boxes: np.ndarray, clutter: float = 0.25, cardinality: tuple[float, ...] = ()
+) -> Step:
+    """A step with a detection and an estimate at each of the boxes (n, 4), each detection clutter
+    with this probability.
+    """
     n = len(boxes)
     held = np.array(cardinality, dtype=np.float64)
-    info = UpdateInfo(float(n), 0.1, n * (1 - clutter), np.full(n, 1 - clutter), np.full(n, clutter), cardinality=held)
+    info = UpdateInfo(
+        float(n),
+        0.1,
+        n * (1 - clutter),
+        np.full(n, 1 - clutter),
+        np.full(n, clutter),
+        cardinality=held,
+    )
     estimates = Estimates(np.zeros((6, n)), np.zeros((n, 6, 6)), np.ones(n), boxes, np.arange(n))
-    return Step(number, number / 10, Detections.of(boxes), info, estimates, Tracks.empty(), (0.004, 0.002, 0.001))
+    return Step(
+        number,
+        number / 10,
+        Detections.of(boxes),
+        info,
+        estimates,
+        Tracks.empty(),
+        (0.004, 0.002, 0.001),
+    )
 
 
 def tracks_of(boxes_by_frame: dict[int, np.ndarray]) -> Tracks:
@@ -41,7 +70,9 @@ def walkers(frames: int, objects: int, info: SequenceInfo) -> dict[int, np.ndarr
     out = {}
     for number in range(1, frames + 1):
         share = number / (frames + 1)
-        centre = np.stack([np.full(objects, share), (np.arange(objects) + 1) / (objects + 1)], axis=1)
+        centre = np.stack(
+            [np.full(objects, share), (np.arange(objects) + 1) / (objects + 1)], axis=1
+        )
         centre = centre * (info.width, info.height)
         out[number] = np.concatenate([centre - size / 2, centre + size / 2], axis=1)
     return out
@@ -63,8 +94,18 @@ def run_record(
     picture = rng.integers(0, 255, (info.height, info.width, 3), dtype=np.uint8)
     boxes = walkers(frames, objects, info)
     tracks = tracks_of(boxes)
-    annotated = Truth(tracks.frame, tracks.identity, tracks.xyxy, np.zeros(len(tracks), np.bool_)) if truth else None
+    annotated = (
+        Truth(tracks.frame, tracks.identity, tracks.xyxy, np.zeros(len(tracks), np.bool_))
+        if truth
+        else None
+    )
     recorder = Recorder(info, annotated)
     for number, here in boxes.items():
-        recorder.add(Frame(number, 0.0, picture) if video else None, step(number, here, cardinality=cardinality), 0.003)
-    return recorder.record(tracks, about or About(title="Walk", command="phdtrack track walk.mp4", seed=4))
+        recorder.add(
+            Frame(number, 0.0, picture) if video else None,
+            step(number, here, cardinality=cardinality),
+            0.003,
+        )
+    return recorder.record(
+        tracks, about or About(title="Walk", command="phdtrack track walk.mp4", seed=4)
+    )

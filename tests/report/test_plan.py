@@ -20,9 +20,12 @@ PLAN = Plan((-9.0, 0.0, 9.0, 10.0), 200)
 NOWHERE = np.zeros((2, 0))
 
 
-def groups(*places: tuple[float, float], contours: tuple[np.ndarray, ...] = (), **more: Any) -> GroupFrame:
+def groups(
+    *places: tuple[float, float], contours: tuple[np.ndarray, ...] = (), **more: Any
+) -> GroupFrame:
     """Groups 1, 2, … of two people at these places, who stand; the first one has the contours."""
-    n, none = len(places), np.zeros(0, np.int64)
+    n = len(places)
+    none = np.zeros(0, np.int64)
     mean = np.vstack([np.array(places).reshape(-1, 2).T, np.zeros((2, n))])
     found = Groups(none, np.full(n, 2.0), np.full(n, 0.4), mean, np.zeros((n, 4, 4)))
     rings = (contours, *[()] * (n - 1))[:n]
@@ -49,13 +52,17 @@ def test_metres_are_square_and_y_goes_up() -> None:
 
 
 def test_people_have_their_colours_and_groups_an_outline() -> None:
-    """Two in a group are dots in their own colours with one line around both; one alone has no line around."""
+    """Two in a group are dots in their own colours with one line around both; one alone has no line
+    around.
+    """
     frame = groups((-4.0, 5.0), (6.0, 5.0))
     frame = replace(frame, member=np.array([3, 4, 9]), membership=np.array([1, 1, 2]))
     place = np.array([[-5.0, -3.0, 6.0], [5.0, 5.0, 5.0]])
     image = PLAN.draw(PlanScene(frame, NOWHERE, place, np.array([3, 4, 9])))
     for k, identity in enumerate((3, 4, 9)):
-        assert colour_at(image, *place[:, k]) == pytest.approx(identity_colour(identity)[::-1], abs=2)
+        assert colour_at(image, *place[:, k]) == pytest.approx(
+            identity_colour(identity)[::-1], abs=2
+        )
     line = colour_at(image, -4.5, 4.5)
     assert line.max() < 120
     assert colour_at(image, 6.0, 4.5).min() > 180
@@ -79,7 +86,10 @@ def test_the_field_of_view_and_edges_lie_behind() -> None:
 
 
 def test_detections_and_warnings_are_drawn_where_they_have_a_place() -> None:
-    warnings = tuple(Encounter(first, second, 1.5, 0.5, 0.1, (0.0, 0.0), 0.9) for first, second in ((1, 2), (1, 7)))
+    warnings = tuple(
+        Encounter(first, second, 1.5, 0.5, 0.1, (0.0, 0.0), 0.9)
+        for first, second in ((1, 2), (1, 7))
+    )
     crosses = np.array([[5.3, np.nan, 1e6], [7.3, 2.0, 0.0]])
     image = PLAN.draw(scene(groups((-6.0, 8.0), (6.0, 1.0), warnings=warnings), crosses))
     assert colour_at(image, 5.3, 7.3).max() < 120

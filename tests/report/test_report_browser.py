@@ -1,4 +1,6 @@
-"""Reports in a real browser: light and dark, on a desktop and on a phone, with many tracks and long tables."""
+"""Reports in a real browser: light and dark, on a desktop and on a phone, with many tracks and long
+tables.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ pytestmark = needs_browser
 
 
 def opened(browser, source: str, width: int, scheme: str):
-    page = browser.new_context(viewport={"width": width, "height": 844}, color_scheme=scheme).new_page()
+    page = browser.new_context(
+        viewport={"width": width, "height": 844}, color_scheme=scheme
+    ).new_page()
     page.set_content(source)
     # Only what has a scroll bar of its own is wider than the window.
     assert page.evaluate("document.documentElement.scrollWidth") == width
@@ -23,7 +27,9 @@ def opened(browser, source: str, width: int, scheme: str):
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
-def test_charts_are_as_light_or_dark_as_the_page_and_can_be_read(browser, width: int, scheme: str) -> None:
+def test_charts_are_as_light_or_dark_as_the_page_and_can_be_read(
+    browser, width: int, scheme: str
+) -> None:
     page = opened(browser, report_html(run_record(20, 3), {}), width, scheme)
     for chart in page.locator(".chart").all():
         seen = cv2.imdecode(np.frombuffer(chart.screenshot(), np.uint8), cv2.IMREAD_GRAYSCALE)

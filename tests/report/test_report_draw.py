@@ -15,7 +15,13 @@ BOX = (100.0, 80.0, 140.0, 200.0)
 GREY = np.full((240, 320, 3), 90, np.uint8)
 
 
-def rows(*boxes: tuple[float, ...], frame: int = 1, identity: int = 1, seen: bool = True, confirmed: bool = True) -> Tracks:
+def rows(
+    *boxes: tuple[float, ...],
+    frame: int = 1,
+    identity: int = 1,
+    seen: bool = True,
+    confirmed: bool = True,
+) -> Tracks:
     n = len(boxes)
     return Tracks(
         np.full(n, frame),
@@ -82,14 +88,25 @@ wild = st.floats(allow_nan=True, allow_infinity=True, width=32) | st.floats(-20,
 
 
 @settings(max_examples=150, deadline=None)
-@given(st.integers(1, 70), st.integers(1, 70), st.lists(st.tuples(wild, wild, wild, wild), max_size=5), st.booleans())
-def test_any_box_on_any_frame_draws_without_error(high: int, wide: int, boxes: list[tuple[float, ...]], flag: bool) -> None:
+@given(
+    st.integers(1, 70),
+    st.integers(1, 70),
+    st.lists(st.tuples(wild, wild, wild, wild), max_size=5),
+    st.booleans(),
+)
+def test_any_box_on_any_frame_draws_without_error(
+    high: int, wide: int, boxes: list[tuple[float, ...]], flag: bool
+) -> None:
     image = np.zeros((high, wide, 3), np.uint8)
     annotator = Annotator(SequenceInfo(wide, high, 0.0))
     for number in (1, 2):
         found = Detections.of(np.array(boxes, dtype=np.float64).reshape(-1, 4))
-        tracks = rows(*boxes, frame=number, identity=10**12, seen=flag, confirmed=not flag or number == 2)
-        out = annotator(image, number, tracks, found, mass=np.inf, clutter_probability=np.ones(len(boxes)))
+        tracks = rows(
+            *boxes, frame=number, identity=10**12, seen=flag, confirmed=not flag or number == 2
+        )
+        out = annotator(
+            image, number, tracks, found, mass=np.inf, clutter_probability=np.ones(len(boxes))
+        )
         assert out.shape == image.shape
         assert out.dtype == np.uint8
     assert not image.any()
@@ -97,7 +114,8 @@ def test_any_box_on_any_frame_draws_without_error(high: int, wide: int, boxes: l
 
 def test_only_what_is_drawn_again_is_kept() -> None:
     """A header is of one frame: kept, those of a long video took tens of MB."""
-    annotator, before = Annotator(SequenceInfo(320, 240, 25.0)), _kept_plate.cache_info().currsize
+    annotator = Annotator(SequenceInfo(320, 240, 25.0))
+    before = _kept_plate.cache_info().currsize
     for number in range(1, 21):
         annotator(GREY, number, rows(BOX, frame=number), Detections.empty())
     assert _kept_plate.cache_info().currsize <= before + 1
@@ -114,15 +132,26 @@ def test_pictures_and_probabilities_that_do_not_fit_are_refused() -> None:
 
 MACHADO = {
     "normal": np.eye(3),
-    "protanopia": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
-    "deuteranopia": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.01182, 0.04294, 0.968881]],
+    "protanopia": [
+        [0.152286, 1.052583, -0.204868],
+        [0.114503, 0.786281, 0.099216],
+        [-0.003882, -0.048116, 1.051998],
+    ],
+    "deuteranopia": [
+        [0.367322, 0.860646, -0.227968],
+        [0.280085, 0.672501, 0.047413],
+        [-0.01182, 0.04294, 0.968881],
+    ],
 }
 
 
 @pytest.mark.parametrize("sight", sorted(MACHADO))
 def test_neighbouring_identities_differ_for_every_sight(sight: str) -> None:
     share = np.array(COLOURS) / 255
-    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4) @ np.array(MACHADO[sight]).T
+    linear = (
+        np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+        @ np.array(MACHADO[sight]).T
+    )
     linear = np.clip(linear, 0, 1)
     seen = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     lab = cv2.cvtColor(seen[None].astype(np.float32), cv2.COLOR_RGB2LAB)[0]
@@ -131,7 +160,9 @@ def test_neighbouring_identities_differ_for_every_sight(sight: str) -> None:
 
 @pytest.mark.parametrize("size", [(240, 320), (42, 66)])
 def test_what_is_drawn_on_planes_is_what_is_drawn_on_bgr(size: tuple[int, int]) -> None:
-    """Brightness and colours of the result differ by rounding, and by four pixels sharing their colours."""
+    """Brightness and colours of the result differ by rounding, and by four pixels sharing their
+    colours.
+    """
     high, wide = size
     image = cv2.resize(np.random.default_rng(3).integers(0, 255, (4, 5, 3), np.uint8), (wide, high))
     planes = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2YUV_I420), np.uint8)
@@ -139,7 +170,8 @@ def test_what_is_drawn_on_planes_is_what_is_drawn_on_bgr(size: tuple[int, int]) 
     rows = Tracks.of(1, np.array([1, 2]), boxes, 1.0, np.array([0, -1]))
     given = (1, rows, Detections.of(boxes + 1))
     info = SequenceInfo(wide, high, 25.0)
-    bgr, before = Annotator(info)(image, *given), planes.copy()
+    bgr = Annotator(info)(image, *given)
+    before = planes.copy()
     drawn = Annotator(info)(planes, *given)
     expected = cv2.cvtColor(bgr, cv2.COLOR_BGR2YUV_I420)
     light, wanted = (each[:high].astype(int) for each in (drawn, expected))
@@ -150,5 +182,6 @@ def test_what_is_drawn_on_planes_is_what_is_drawn_on_bgr(size: tuple[int, int]) 
     again = Annotator(info)
     again(before.copy(), *given)
     assert np.array_equal(
-        again(before.copy(), 2, Tracks.empty(), Detections.empty())[high // 2 : high], before[high // 2 : high]
+        again(before.copy(), 2, Tracks.empty(), Detections.empty())[high // 2 : high],
+        before[high // 2 : high],
     )

@@ -32,16 +32,21 @@ def drawn(picture: Picture) -> str:
 
 
 def test_the_count_chart_draws_truth_only_where_there_is_one() -> None:
-    with_truth, without = drawn(count_chart(run_record())), drawn(count_chart(run_record(truth=False)))
+    with_truth = drawn(count_chart(run_record()))
+    without = drawn(count_chart(run_record(truth=False)))
     banded = drawn(count_chart(run_record(cardinality=(0.1, 0.2, 0.6, 0.1))))
-    assert banded.count("fill-opacity: 0.18") == with_truth.count("fill-opacity: 0.18") + 2  # the band and its legend
+    assert (
+        banded.count("fill-opacity: 0.18") == with_truth.count("fill-opacity: 0.18") + 2
+    )  # the band and its legend
     assert with_truth.count("#2a9d74") > without.count("#2a9d74") == 0
     for colour in ("#3b6fd4", "#e08a1e", "#9aa5b8"):
         assert colour in without
 
 
 def test_a_lifetime_has_a_bar_for_each_stretch() -> None:
-    record = run_record(12, 1, truth=False)  # every third frame predicted: 4 stretches seen, 4 predicted
+    record = run_record(
+        12, 1, truth=False
+    )  # every third frame predicted: 4 stretches seen, 4 predicted
     svg = drawn(lifetime_chart(record))
     assert svg.count("stroke-opacity: 0.35") == 4
     assert svg.count("stroke: #ff9f1c") == 8
@@ -50,10 +55,22 @@ def test_a_lifetime_has_a_bar_for_each_stretch() -> None:
 def test_thousands_of_bars_and_points_become_pixels() -> None:
     n = 4000
     each = np.arange(1, n + 1)
-    many = Tracks(np.ones(n, int), each, np.ones((n, 4)), np.ones(n), np.zeros(n, int), np.ones(n, bool))
-    times, counts, masses = each / 25, each % 7, each % 7 + 0.5
-    rows = {"numbers": each, "times": times, "n_detections": counts, "mass": masses, "truth_count": counts}
-    record = replace(run_record(3), tracks=many, track_count=counts, seconds=np.full((n, 4), 0.01), **rows)
+    many = Tracks(
+        np.ones(n, int), each, np.ones((n, 4)), np.ones(n), np.zeros(n, int), np.ones(n, bool)
+    )
+    times = each / 25
+    counts = each % 7
+    masses = each % 7 + 0.5
+    rows = {
+        "numbers": each,
+        "times": times,
+        "n_detections": counts,
+        "mass": masses,
+        "truth_count": counts,
+    }
+    record = replace(
+        run_record(3), tracks=many, track_count=counts, seconds=np.full((n, 4), 0.01), **rows
+    )
     for picture in (lifetime_chart(record), count_chart(record)):
         assert "<image" in drawn(picture)
         assert len(picture.data) < 300_000

@@ -1,4 +1,6 @@
-"""A report is one safe page with every part; which way a score is better is what the scores do when tracks get worse."""
+"""A report is one safe page with every part; which way a score is better is what the scores do when
+tracks get worse.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ EVIL = "<script>alert('x')</script>&\"<img src=x onerror=y>\x07"
 
 
 class Page(HTMLParser):
-    """Checks that tags close in order; collects tags, what stands for pictures and charts, and the visible text."""
+    """Checks that tags close in order; collects tags, what stands for pictures and charts, and the
+    visible text.
+    """
 
     def __init__(self, source: str) -> None:
         super().__init__(convert_charrefs=True)
@@ -57,9 +61,13 @@ class Page(HTMLParser):
 
 
 def offline(source: str) -> None:
-    """No address of the network anywhere, also not inside the charts, save for the names of XML name spaces."""
+    """No address of the network anywhere, also not inside the charts, save for the names of XML
+    name spaces.
+    """
     assert "image/svg+xml" not in source
-    assert not re.search(r"https?:|//[a-z]+\.|@import|url\((?!#)", re.sub(r'xmlns(:\w+)?="[^"]*"', "", source))
+    assert not re.search(
+        r"https?:|//[a-z]+\.|@import|url\((?!#)", re.sub(r'xmlns(:\w+)?="[^"]*"', "", source)
+    )
 
 
 def test_a_report_is_one_offline_file_with_every_part() -> None:
@@ -128,7 +136,15 @@ sizes = st.integers(1, 3000)
 
 
 @settings(max_examples=8, deadline=None)
-@given(st.integers(0, 30), st.integers(0, 6), sizes, sizes, st.floats(0, 60), st.booleans(), st.booleans())
+@given(
+    st.integers(0, 30),
+    st.integers(0, 6),
+    sizes,
+    sizes,
+    st.floats(0, 60),
+    st.booleans(),
+    st.booleans(),
+)
 def test_a_report_of_any_run_is_well_formed(
     frames: int, objects: int, wide: int, high: int, fps: float, video: bool, truth: bool
 ) -> None:
@@ -158,21 +174,37 @@ def test_the_evidence_has_a_chart_where_there_is_any() -> None:
 
 
 def test_every_score_says_what_it_means() -> None:
-    nobody = Truth(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)), np.zeros(0, np.bool_))
-    assert {*evaluate(nobody, Tracks.empty()).as_dict(), *BY_TRAJECTORY, *SUMS, "log_evidence", "ms"} == set(
-        score_meanings()
+    nobody = Truth(
+        np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)), np.zeros(0, np.bool_)
     )
+    assert {
+        *evaluate(nobody, Tracks.empty()).as_dict(),
+        *BY_TRAJECTORY,
+        *SUMS,
+        "log_evidence",
+        "ms",
+    } == set(score_meanings())
 
 
-FRAMES, PEOPLE = 20, 3
+FRAMES = 20
+PEOPLE = 3
 # Neither way: numbers of what there is, and an error with a sign.
-PLAIN = {"frames", "truth_boxes", "output_boxes", "truth_objects", "output_identities", "count_error_mean"}
+PLAIN = {
+    "frames",
+    "truth_boxes",
+    "output_boxes",
+    "truth_objects",
+    "output_identities",
+    "count_error_mean",
+}
 
 
 def walkers() -> Truth:
     frame, who = (grid.ravel() for grid in np.mgrid[1 : FRAMES + 1, 1 : PEOPLE + 1])
     corner = np.stack([5.0 * frame, 150.0 * who], axis=1)
-    return Truth(frame, who, np.hstack([corner, corner + np.array([40, 80])]), np.zeros(len(frame), np.bool_))
+    return Truth(
+        frame, who, np.hstack([corner, corner + np.array([40, 80])]), np.zeros(len(frame), np.bool_)
+    )
 
 
 def tracks(frame: np.ndarray, identity: np.ndarray, xyxy: np.ndarray) -> Tracks:
@@ -182,7 +214,9 @@ def tracks(frame: np.ndarray, identity: np.ndarray, xyxy: np.ndarray) -> Tracks:
 
 def worse(truth: Truth) -> dict[str, Tracks]:
     """The truth with one kind of mistake each."""
-    frame, who, xyxy = truth.frame, truth.identity, truth.xyxy
+    frame = truth.frame
+    who = truth.identity
+    xyxy = truth.xyxy
     held = {
         "late": frame > 4,
         "never": who != 2,
@@ -192,7 +226,11 @@ def worse(truth: Truth) -> dict[str, Tracks]:
     out = {name: tracks(frame[rows], who[rows], xyxy[rows]) for name, rows in held.items()}
     out["shifted"] = tracks(frame, who, xyxy + 3)
     out["switched"] = tracks(frame, np.where(frame > 10, who % PEOPLE + 1, who), xyxy)
-    out["nobody"] = tracks(np.tile(frame, 2), np.append(who, who + 10), np.vstack([xyxy, xyxy + np.array([300, 0, 300, 0])]))
+    out["nobody"] = tracks(
+        np.tile(frame, 2),
+        np.append(who, who + 10),
+        np.vstack([xyxy, xyxy + np.array([300, 0, 300, 0])]),
+    )
     return out
 
 
@@ -200,10 +238,14 @@ def test_every_score_gets_worse_that_way() -> None:
     truth = walkers()
     best = evaluate(truth, tracks(truth.frame, truth.identity, truth.xyxy)).as_dict()
     found = [evaluate(truth, each).as_dict() for each in worse(truth).values()]
-    lower = {name for name, meaning in score_meanings().items() if meaning.endswith("; lower is better")}
+    lower = {
+        name for name, meaning in score_meanings().items() if meaning.endswith("; lower is better")
+    }
     assert set(best) >= PLAIN
     for name in set(best) - PLAIN:
         sign = -1 if name in lower else 1
-        changes = sign * np.array([float(each[name]) - best[name] for each in found if each[name] is not None])
+        changes = sign * np.array(
+            [float(each[name]) - best[name] for each in found if each[name] is not None]
+        )
         assert changes.max() <= 1e-12, name
         assert changes.min() < -1e-6, name

@@ -19,7 +19,9 @@ NOTHING = np.zeros((0, 4))
 
 def test_numbers_of_every_frame_arrive_where_they_belong() -> None:
     frame = np.array([1, 1, 2, 7])
-    truth = Truth(frame, np.array([1, 2, 1, 1]), np.ones((4, 4)), np.array([False, True, False, False]))
+    truth = Truth(
+        frame, np.array([1, 2, 1, 1]), np.ones((4, 4)), np.array([False, True, False, False])
+    )
     recorder = Recorder(INFO, truth)
     for number, boxes in walkers(5, 3, INFO).items():
         recorder.add(None, step(number, boxes[:number], clutter=0.2), 0.5 * number)
@@ -35,7 +37,9 @@ def test_numbers_of_every_frame_arrive_where_they_belong() -> None:
 
 def test_the_range_of_the_number_is_kept_where_the_filter_has_a_distribution() -> None:
     recorder = Recorder(INFO)
-    for number, held in enumerate([(0.04, 0.02, 0.5, 0.4, 0.03, 0.01), (), (1.0,), (0.0, 0.0, 1.0)], start=1):
+    for number, held in enumerate(
+        [(0.04, 0.02, 0.5, 0.4, 0.03, 0.01), (), (1.0,), (0.0, 0.0, 1.0)], start=1
+    ):
         recorder.add(None, step(number, NOTHING, cardinality=held), 0.0)
     found = recorder.record(Tracks.empty(), About()).count_range
     np.testing.assert_array_equal(found, [[1, 3], [np.nan, np.nan], [0, 0], [2, 2]])
@@ -43,8 +47,12 @@ def test_the_range_of_the_number_is_kept_where_the_filter_has_a_distribution() -
 
 
 def test_pictures_are_scaled_down_copies() -> None:
-    for info, shape in ((SequenceInfo(1600, 300, 10.0), (150, 800, 3)), (SequenceInfo(8, 6, 10.0), (6, 8, 3))):
-        recorder, picture = Recorder(info), np.full((info.height, info.width, 3), 80, np.uint8)
+    for info, shape in (
+        (SequenceInfo(1600, 300, 10.0), (150, 800, 3)),
+        (SequenceInfo(8, 6, 10.0), (6, 8, 3)),
+    ):
+        recorder = Recorder(info)
+        picture = np.full((info.height, info.width, 3), 80, np.uint8)
         recorder.add(Frame(1, 0.0, picture), step(1, NOTHING), 0.0)
         picture[:] = 0
         record = recorder.record(Tracks.empty(), About())
@@ -55,7 +63,11 @@ def test_pictures_are_scaled_down_copies() -> None:
 def test_the_picture_is_from_the_second_half() -> None:
     recorder = Recorder(INFO)
     for number in range(1, 8):
-        recorder.add(Frame(number, 0.0, np.full((HIGH, WIDE, 3), number, np.uint8)), step(number, NOTHING), 0.0)
+        recorder.add(
+            Frame(number, 0.0, np.full((HIGH, WIDE, 3), number, np.uint8)),
+            step(number, NOTHING),
+            0.0,
+        )
     assert (recorder.record(Tracks.empty(), About()).background == 4).all()
 
 
@@ -63,7 +75,9 @@ def test_memory_does_not_grow_with_the_pictures() -> None:
     recorder = Recorder(SequenceInfo(160, 120, 10.0))
     tracemalloc.start()
     for number in range(1, 1501):
-        recorder.add(Frame(number, 0.0, np.empty((120, 160, 3), np.uint8)), step(number, NOTHING), 0.0)
+        recorder.add(
+            Frame(number, 0.0, np.empty((120, 160, 3), np.uint8)), step(number, NOTHING), 0.0
+        )
     held, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert held < 160 * 120 * 3 + 1500 * 1000
@@ -72,12 +86,15 @@ def test_memory_does_not_grow_with_the_pictures() -> None:
 def test_frames_that_compiled_are_no_measure_of_the_speed():
     record = run_record(10, 3, about=About(tracking_seconds=0.04, left_out=2))
     assert record.frames_per_second == pytest.approx(200)
-    assert "ran at 200.0 frames per second, not counting 2 frames of start-up." in " ".join(sentences(record))
+    assert "ran at 200.0 frames per second, not counting 2 frames of start-up." in " ".join(
+        sentences(record)
+    )
     assert np.isnan(run_record(10, 3, about=About(left_out=10)).frames_per_second)
 
 
 def test_tracks_that_look_wrong_are_doubted_with_what_helps() -> None:
-    fine, brief = run_record(12, 10), run_record(4, 10)
+    fine = run_record(12, 10)
+    brief = run_record(4, 10)
     assert doubts(fine, background=True) == ()
     assert doubts(run_record(4, 3), background=False) == ()
     (said,) = doubts(brief, background=False)
@@ -99,7 +116,13 @@ def test_of_a_source_without_an_end_figures_are_of_all_frames_and_charts_of_the_
     recorder = Recorder(INFO, most=10)
     for number, boxes in walkers(30, 2, INFO).items():
         recorder.add(None, step(number, boxes), 0.01)
-    rows = Tracks.of(np.repeat(np.arange(1, 31), 2), np.tile([1, 2], 30), np.tile([[0.0, 0, 9, 9]], (60, 1)), 0.5, 0)
+    rows = Tracks.of(
+        np.repeat(np.arange(1, 31), 2),
+        np.tile([1, 2], 30),
+        np.tile([[0.0, 0, 9, 9]], (60, 1)),
+        0.5,
+        0,
+    )
     # Somebody is in several parts, and counts once.
     for first in (1, 11, 21):
         recorder.count(rows.take((rows.frame >= first) & (rows.frame < first + 10)))

@@ -22,7 +22,17 @@ log_evidence_mean log_evidence
 
 
 def test_keys_and_values() -> None:
-    about = About("T", "c", 5, "now", 2.5, (("phdtrack", "1"),), (("MOTA", 0.5), ("GOSPA", float("nan"))), ("w",), ("n",))
+    about = About(
+        "T",
+        "c",
+        5,
+        "now",
+        2.5,
+        (("phdtrack", "1"),),
+        (("MOTA", 0.5), ("GOSPA", float("nan"))),
+        ("w",),
+        ("n",),
+    )
     document = run_document(run_record(9, 2, about=about), {"filter": {"name": "gm"}})
     assert list(document) == KEYS.split()
     assert document["scores"] == {"MOTA": 0.5, "GOSPA": None}
@@ -43,10 +53,16 @@ def test_the_evidence_of_every_frame_is_kept() -> None:
     recorder = Recorder(SequenceInfo(160, 120, 10.0))
     for number, detected in ((1, 1.5), (2, np.nan), (3, 0.5)):
         one = step(number, np.array([[0, 0, 9, 9.0], [20, 20, 30, 40]]))
-        info = replace(one.info, evidence=np.array([0.5, 2.0]), clutter=np.array([0.5, 1.0]), detected=detected)
+        info = replace(
+            one.info, evidence=np.array([0.5, 2.0]), clutter=np.array([0.5, 1.0]), detected=detected
+        )
         recorder.add(None, replace(one, info=info), 0.0)
     document = run_document(recorder.record(Tracks.empty(), About()), {})
-    assert document["log_evidence"] == [pytest.approx(np.log(3) - 1.5), None, pytest.approx(np.log(3) - 0.5)]
+    assert document["log_evidence"] == [
+        pytest.approx(np.log(3) - 1.5),
+        None,
+        pytest.approx(np.log(3) - 0.5),
+    ]
     assert document["log_evidence_mean"] == pytest.approx(np.log(3) - 1)
 
 
@@ -60,7 +76,12 @@ def test_an_empty_run_is_valid_json(tmp_path: Path) -> None:
 
 
 def test_values_of_every_kind_become_json() -> None:
-    value = {"array": np.array([1.0, np.inf]), "truth": np.True_, "tuple": (1, Path("x")), 3: SequenceInfo(1, 2, np.nan)}
+    value = {
+        "array": np.array([1.0, np.inf]),
+        "truth": np.True_,
+        "tuple": (1, Path("x")),
+        3: SequenceInfo(1, 2, np.nan),
+    }
     info = {"width": 1, "height": 2, "fps": None, "frames": 0, "name": ""}
     assert json_value(value) == {"array": [1.0, None], "truth": True, "tuple": [1, "x"], "3": info}
     assert json_value(value)["truth"] is True
@@ -74,8 +95,17 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 
 def test_words_and_numbers() -> None:
     assert grouped(1234567.4) == "1\u00a0234\u00a0567"
-    assert (counted(1, "box", "boxes"), counted(2, "box", "boxes"), counted(0, "frame")) == ("1 box", "2 boxes", "0 frames")
+    assert (counted(1, "box", "boxes"), counted(2, "box", "boxes"), counted(0, "frame")) == (
+        "1 box",
+        "2 boxes",
+        "0 frames",
+    )
     assert (duration(8.24), duration(114), duration(7500)) == ("8.2 s", "1 min 54 s", "2 h 5 min")
-    assert (percent(1, 3), percent(0.05), percent(0, 0), percent(0)) == ("33\u00a0%", "5.0\u00a0%", "–", "0\u00a0%")
+    assert (percent(1, 3), percent(0.05), percent(0, 0), percent(0)) == (
+        "33\u00a0%",
+        "5.0\u00a0%",
+        "–",
+        "0\u00a0%",
+    )
     for sentence in sentences(run_record(5)):
         sentence.encode("cp1252")  # legacy terminals can print it

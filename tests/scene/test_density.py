@@ -6,19 +6,27 @@ from phdtrack.scene import SceneDensity
 from phdtrack.scene.mixture import _mass_inside
 from views import drawn_of
 
-LOW, HIGH = np.array([0.0, 0.0, -2.0]), np.array([10.0, 6.0, 2.0])
+LOW = np.array([0.0, 0.0, -2.0])
+HIGH = np.array([10.0, 6.0, 2.0])
 
 
 def leaking():
     """Two Gaussians with correlated components, of which a good part lies outside."""
-    cov = np.array([[[4.0, 1.5, 0.3], [1.5, 2.0, -0.4], [0.3, -0.4, 0.5]], [[1.0, 0, 0], [0, 1, 0], [0, 0, 4.0]]])
+    cov = np.array(
+        [
+            [[4.0, 1.5, 0.3], [1.5, 2.0, -0.4], [0.3, -0.4, 0.5]],
+            [[1.0, 0, 0], [0, 1, 0], [0, 0, 4.0]],
+        ]
+    )
     mean = np.array([[0.5, 9.5], [3.0, 1.0], [1.5, 0.0]])
     return SceneDensity(LOW, HIGH, 0.2, np.array([0.7, 0.3]), mean, cov)
 
 
 def cells(count):
     """Midpoints of count³ equal cells of the volume, and the volume of one."""
-    axes = [lo + (hi - lo) * (np.arange(count) + 0.5) / count for lo, hi in zip(LOW, HIGH, strict=True)]
+    axes = [
+        lo + (hi - lo) * (np.arange(count) + 0.5) / count for lo, hi in zip(LOW, HIGH, strict=True)
+    ]
     points = np.stack([part.ravel() for part in np.meshgrid(*axes, indexing="ij")])
     return points, np.prod(HIGH - LOW) / count**3
 
@@ -36,19 +44,25 @@ def test_mass_inside_against_drawing():
         drawn = rng.multivariate_normal(p.mean[:, m], p.covariance[m], 400_000).T
         part = ((drawn >= LOW[:, None]) & (drawn <= HIGH[:, None])).all(axis=0).mean()
         # Four standard errors of the drawing, and what the lattice may be off.
-        assert p.truncated_mass[m] == pytest.approx(part, abs=4 * np.sqrt(part * (1 - part) / 400_000) + 1e-3)
+        assert p.truncated_mass[m] == pytest.approx(
+            part, abs=4 * np.sqrt(part * (1 - part) / 400_000) + 1e-3
+        )
 
 
 def test_mass_inside_is_exact_for_independent_components():
     from scipy.stats import norm
 
-    mean, deviation = np.array([[1.0], [2.0], [0.5]]), np.array([3.0, 1.0, 2.0])
+    mean = np.array([[1.0], [2.0], [0.5]])
+    deviation = np.array([3.0, 1.0, 2.0])
     expected = np.prod(norm.cdf(HIGH, mean[:, 0], deviation) - norm.cdf(LOW, mean[:, 0], deviation))
-    assert _mass_inside(mean, np.diag(deviation**2)[None], LOW, HIGH)[0] == pytest.approx(expected, rel=1e-12)
+    assert _mass_inside(mean, np.diag(deviation**2)[None], LOW, HIGH)[0] == pytest.approx(
+        expected, rel=1e-12
+    )
 
 
 def test_draws_follow_the_density():
-    p, rng = leaking(), np.random.default_rng(1)
+    p = leaking()
+    rng = np.random.default_rng(1)
     drawn = drawn_of(p, 200_000, rng)
     assert ((drawn >= LOW[:, None]) & (drawn <= HIGH[:, None])).all()
     points, cell = cells(80)
@@ -56,7 +70,9 @@ def test_draws_follow_the_density():
     for r in range(3):
         mean = (density * points[r]).sum()
         deviation = np.sqrt((density * points[r] ** 2).sum() - mean**2)
-        assert drawn[r].mean() == pytest.approx(mean, abs=5 * deviation / np.sqrt(200_000) + 2e-3 * (HIGH - LOW)[r])
+        assert drawn[r].mean() == pytest.approx(
+            mean, abs=5 * deviation / np.sqrt(200_000) + 2e-3 * (HIGH - LOW)[r]
+        )
 
 
 @pytest.mark.parametrize(
@@ -72,6 +88,9 @@ def test_draws_follow_the_density():
 )
 def test_mistakes_are_told(change, words):
     p = leaking()
-    parts = {name: getattr(p, name) for name in ("low", "high", "uniform", "weight", "mean", "covariance")}
+    parts = {
+        name: getattr(p, name)
+        for name in ("low", "high", "uniform", "weight", "mean", "covariance")
+    }
     with pytest.raises(InputError, match=words):
         SceneDensity(**(parts | change))

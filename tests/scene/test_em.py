@@ -1,4 +1,6 @@
-"""Recursive learning at the sizes and with the grids of the paper; EM with split and merge moves."""
+"""Recursive learning at the sizes and with the grids of the paper; EM with split and merge
+moves.
+"""
 
 import numpy as np
 import pytest
@@ -16,21 +18,25 @@ SPEEDS = np.array([[3.0, -3, 0, 2], [0, 1, -4, 2]])
 SIZES = np.array([[40.0, 40, 50, 30], [90, 100, 120, 80]])
 WEIGHTS = np.array([0.4, 0.3, 0.2, 0.1])
 DEVIATION = np.array([25.0, 20, 1, 1, 6, 12])
-# Births in six dimensions from a 12 x 10 grid, false alarms in four from 16 x 14; samples as many as M09's.
+# Births in six dimensions from a 12 x 10 grid, false alarms in four from 16 x 14; samples as many
+# as M09's.
 CASES = {"births": (6, (12, 10), 320), "clutter": (4, (16, 14), 1800)}
 
 
 def known(dim: int, uniform: float = 1e-3) -> SceneDensity:
     """Four places well apart, with a uniform part beside them."""
     rows = [0, 1, 2, 3, 4, 5] if dim == 6 else [0, 1, 4, 5]
-    low, high = np.array([0.0, 0, -20, -20, 0, 0])[rows], np.array([720.0, 480, 20, 20, 120, 200])[rows]
-    mean, cov = np.vstack([PLACES, SPEEDS, SIZES])[rows], np.diag(DEVIATION[rows] ** 2)
+    low = np.array([0.0, 0, -20, -20, 0, 0])[rows]
+    high = np.array([720.0, 480, 20, 20, 120, 200])[rows]
+    mean = np.vstack([PLACES, SPEEDS, SIZES])[rows]
+    cov = np.diag(DEVIATION[rows] ** 2)
     return SceneDensity(low, high, uniform, WEIGHTS, mean, np.tile(cov, (4, 1, 1)))
 
 
 def begin(p: SceneDensity, counts: tuple[int, int], samples: F8) -> SceneDensity:
     """The paper's start: a grid, zero speed, mean size."""
-    centre, spread = samples.mean(axis=1), samples.std(axis=1)
+    centre = samples.mean(axis=1)
+    spread = samples.std(axis=1)
     if p.dim == 6:
         centre[2:4] = 0
     return grid(p.low, p.high, counts, centre, spread)
@@ -40,8 +46,11 @@ def batch_em(p: SceneDensity, samples: F8, iterations: int = 300) -> SceneDensit
     """Maximum likelihood of the whole model by batch EM, begun at the truth."""
     for _ in range(iterations):
         mixture = Gaussians((1 - p.uniform) * p.weight, p.mean, p.covariance)
-        now = defined.em_step(samples, np.ones(samples.shape[1]), np.full(samples.shape[1], np.log(p.flat)), mixture)
-        uniform, weight = max(1e-3, now.background / samples.shape[1]), now.mass / now.mass.sum()
+        now = defined.em_step(
+            samples, np.ones(samples.shape[1]), np.full(samples.shape[1], np.log(p.flat)), mixture
+        )
+        uniform = max(1e-3, now.background / samples.shape[1])
+        weight = now.mass / now.mass.sum()
         p = SceneDensity(p.low, p.high, uniform, weight, now.mean, now.covariance)
     return p
 
@@ -62,7 +71,9 @@ def test_components_weights_and_means_come_out(case, uniform, seed):
         nearest = heavy[np.argmin(distance)]
         # Four standard errors of a share and of a mean estimated from so many samples.
         share = p.weight[m]
-        assert found.weight[nearest] == pytest.approx(share, abs=4 * np.sqrt(share * (1 - share) / n) + 0.01)
+        assert found.weight[nearest] == pytest.approx(
+            share, abs=4 * np.sqrt(share * (1 - share) / n) + 0.01
+        )
         error = np.abs(found.mean[:, nearest] - p.mean[:, m]) / np.sqrt(np.diag(p.covariance[m]))
         assert (error < 4.5 / np.sqrt(share * n)).all()
 
@@ -73,14 +84,19 @@ def test_explains_what_it_has_not_seen(case, uniform):
     dim, counts, n = CASES[case]
     behind = []
     for seed in range(4, 8):
-        p, rng = known(dim, uniform), np.random.default_rng(seed)
-        samples, unseen = drawn_of(p, n, rng), drawn_of(p, 4000, rng)
+        p = known(dim, uniform)
+        rng = np.random.default_rng(seed)
+        samples = drawn_of(p, n, rng)
+        unseen = drawn_of(p, 4000, rng)
         found = learn(begin(p, counts, samples), samples)
-        ours, batch = found.log(unseen).mean(), batch_em(p, samples).log(unseen).mean()
-        # In nats per sample; the truth itself is 4 (clutter) and 8 to 10 (births) above the uniform density.
+        ours = found.log(unseen).mean()
+        batch = batch_em(p, samples).log(unseen).mean()
+        # In nats per sample; the truth itself is 4 (clutter) and 8 to 10 (births) above the uniform
+        # density.
         assert ours > -np.log(p.volume) + (3 if dim == 4 else 7)
         behind.append(batch - ours)
-    # Of 320 births the smallest place has 32: single sets may keep a component more or less, and lose 0.2.
+    # Of 320 births the smallest place has 32: single sets may keep a component more or less, and
+    # lose 0.2.
     assert np.mean(behind) < 0.1
     assert np.max(behind) < 0.3
 
@@ -120,13 +136,16 @@ def test_mistakes_are_told():
 
 def test_births_of_which_some_have_no_velocity():
     dim, counts, n = CASES["births"]
-    p, rng = known(dim), np.random.default_rng(11)
-    samples, unseen = drawn_of(p, 2 * n, rng), drawn_of(p, 4000, rng)
+    p = known(dim)
+    rng = np.random.default_rng(11)
+    samples = drawn_of(p, 2 * n, rng)
+    unseen = drawn_of(p, 4000, rng)
     start = begin(p, counts, samples)
     some = samples.copy()
     some[2:4, ::2] = np.nan
     found = learn(start, some)
-    # As good as from complete ones alone, and in what they all show nearly as good as from all, complete.
+    # As good as from complete ones alone, and in what they all show nearly as good as from all,
+    # complete.
     half = learn(start, np.ascontiguousarray(samples[:, 1::2]))
     assert found.log(unseen).mean() > half.log(unseen).mean() - 0.1
     place, full = (marginal(q, (0, 1, 4, 5)) for q in (found, learn(start, samples)))
@@ -144,13 +163,18 @@ def test_births_of_which_some_have_no_velocity():
 # Moves
 
 
-LOW, HIGH = np.zeros(4), np.array([640.0, 480, 120, 240])
+LOW = np.zeros(4)
+HIGH = np.array([640.0, 480, 120, 240])
 WIDE = np.diag([180.0, 130, 8, 20]) ** 2
 PLACE = np.diag([3.0, 8, 3, 8]) ** 2
 
 
-def density(mean: list[list[float]], cov: list[F8], weight: list[float], uniform: float = 0.05) -> SceneDensity:
-    return SceneDensity(LOW, HIGH, uniform, np.array(weight), np.array(mean, np.float64).T, np.array(cov))
+def density(
+    mean: list[list[float]], cov: list[F8], weight: list[float], uniform: float = 0.05
+) -> SceneDensity:
+    return SceneDensity(
+        LOW, HIGH, uniform, np.array(weight), np.array(mean, np.float64).T, np.array(cov)
+    )
 
 
 def samples_of(x: F8, floor: float = 1e-4) -> Samples:
@@ -195,7 +219,9 @@ def places(rng: np.random.Generator) -> F8:
     spread = np.array([640.0, 480, 1, 1])[:, None] * rng.uniform(0, 1, (4, 400))
     spread[2:] = np.array([[30.0], [75]]) * np.exp(0.25 * rng.standard_normal(400))
     mean = np.array([[300.0, 200, 32, 80], [500, 330, 28, 70]]).T
-    each = [m[:, None] + np.array([[3.0], [8], [3], [8]]) * rng.standard_normal((4, 20)) for m in mean.T]
+    each = [
+        m[:, None] + np.array([[3.0], [8], [3], [8]]) * rng.standard_normal((4, 20)) for m in mean.T
+    ]
     return np.hstack([spread, *each])[:, rng.permutation(440)]
 
 
@@ -205,7 +231,9 @@ def test_a_place_that_a_wide_component_has_swallowed_is_found(seed):
     found = _improved(density([[320, 240, 30, 75]], [WIDE], [1.0]), seen)
     for place in ([300.0, 200, 32, 80], [500, 330, 28, 70]):
         deviation = np.sqrt(np.einsum("mrr->rm", found.covariance))
-        near = np.flatnonzero((np.abs(found.mean - np.array(place)[:, None]) < [[3], [8], [3], [8]]).all(axis=0))
+        near = np.flatnonzero(
+            (np.abs(found.mean - np.array(place)[:, None]) < [[3], [8], [3], [8]]).all(axis=0)
+        )
         assert len(near) == 1
         assert (deviation[:2, near[0]] < [6, 16]).all()
         assert 440 * (1 - found.uniform) * found.weight[near[0]] == pytest.approx(20, abs=6)
@@ -214,10 +242,17 @@ def test_a_place_that_a_wide_component_has_swallowed_is_found(seed):
 def test_components_too_many_go():
     rng = np.random.default_rng(5)
     flat = rng.uniform(LOW[:, None], HIGH[:, None], (4, 60))
-    place = np.array([[300.0], [200], [32], [80]]) + np.array([[3.0], [8], [3], [8]]) * rng.standard_normal((4, 200))
+    place = np.array([[300.0], [200], [32], [80]]) + np.array(
+        [[3.0], [8], [3], [8]]
+    ) * rng.standard_normal((4, 200))
     seen = samples_of(np.hstack([flat, place]))
     same = [[297, 195, 30, 75], [303, 205, 34, 85]]
-    begun = density([*same, [320, 240, 60, 120]], [PLACE, PLACE, np.diag([180.0, 130, 35, 70]) ** 2], [0.4, 0.4, 0.2], 1e-3)
+    begun = density(
+        [*same, [320, 240, 60, 120]],
+        [PLACE, PLACE, np.diag([180.0, 130, 35, 70]) ** 2],
+        [0.4, 0.4, 0.2],
+        1e-3,
+    )
     found = _improved(begun, seen)
     # One for the place; what is spread evenly over the volume is the uniform part's.
     assert len(found) == 1

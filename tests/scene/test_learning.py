@@ -5,7 +5,8 @@ from phdtrack.errors import InputError
 from phdtrack.scene.training import FALSE_BOXES, OBJECT_BOXES, learn_births, learn_boxes
 
 SIZE = (640.0, 480.0)
-MEAN, DEVIATION = np.array([100.0, 300, 2, 0.5, 40, 90]), np.array([10.0, 15, 0.5, 0.5, 4, 8])
+MEAN = np.array([100.0, 300, 2, 0.5, 40, 90])
+DEVIATION = np.array([10.0, 15, 0.5, 0.5, 4, 8])
 
 
 def door(rng, n):
@@ -15,12 +16,16 @@ def door(rng, n):
 
 def test_births_at_a_door():
     """Some velocities are unknown."""
-    mean, deviation, states = MEAN, DEVIATION, door(np.random.default_rng(4), 200)
+    mean = MEAN
+    deviation = DEVIATION
+    states = door(np.random.default_rng(4), 200)
     lesson = learn_births(states, 5000, SIZE)
-    learned, density = lesson.learned, lesson.learned.density
+    density = lesson.learned.density
+    learned = lesson.learned
     assert (learned.rate, learned.samples) == (200 / 5000, 200)
     assert (np.abs(density.mean[:, np.argmax(density.weight)] - mean) < 0.4 * deviation).all()
-    # The entropy of the uniform density less that of the door's Gaussian, less what 160 samples leave uncertain.
+    # The entropy of the uniform density less that of the door's Gaussian, less what 160 samples
+    # leave uncertain.
     entropy = 0.5 * len(mean) * np.log(2 * np.pi * np.e) + np.log(deviation).sum()
     assert lesson.gain == pytest.approx(np.log(density.volume) - entropy, abs=0.5)
     states[2:4, ::3] = np.nan
@@ -45,8 +50,16 @@ def test_too_little_is_told():
             (np.ones((4, 9)), 40, SIZE, OBJECT_BOXES),
             "at least 10 objects .*, got 9.* Look at",
         ),
-        (learn_boxes, (np.ones((4, 9)), 40, SIZE, FALSE_BOXES), "at least 10 detections marked as false, got 9"),
-        (learn_boxes, (np.ones((4, 20)), 0, SIZE, FALSE_BOXES), "expected frames on which detections were looked at, got 0"),
+        (
+            learn_boxes,
+            (np.ones((4, 9)), 40, SIZE, FALSE_BOXES),
+            "at least 10 detections marked as false, got 9",
+        ),
+        (
+            learn_boxes,
+            (np.ones((4, 20)), 0, SIZE, FALSE_BOXES),
+            "expected frames on which detections were looked at, got 0",
+        ),
     ):
         with pytest.raises(InputError, match=words):
             learn(*arguments)
@@ -66,9 +79,12 @@ def test_objects_are_where_they_were_detected_so_many_a_frame():
 
 
 def test_a_dozen_samples_from_anywhere_are_not_worth_less_than_nothing():
-    """Gaussians explain every sample that they were fitted to; what is kept must not deny the next one its place."""
+    """Gaussians explain every sample that they were fitted to; what is kept must not deny the next
+    one its place.
+    """
     rng = np.random.default_rng(6)
-    low, high = np.array([0.0, 0, -4, -4, 30, 60]), np.array([640.0, 480, 4, 4, 60, 120])
+    low = np.array([0.0, 0, -4, -4, 30, 60])
+    high = np.array([640.0, 480, 4, 4, 60, 120])
     lesson = learn_births(rng.uniform(low[:, None], high[:, None], (6, 15)), 1000, SIZE)
     assert lesson.gain > -0.01
     fresh = rng.uniform(low[:, None], high[:, None], (6, 1000))

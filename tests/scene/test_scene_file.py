@@ -5,15 +5,27 @@ import pytest
 
 from experiments.common import uniform_density
 from phdtrack.errors import InputError
-from phdtrack.scene import LearnedDensity, Scene, SceneDensity, TrackedObjects, read_scene, write_scene
+from phdtrack.scene import (
+    LearnedDensity,
+    Scene,
+    SceneDensity,
+    TrackedObjects,
+    read_scene,
+    write_scene,
+)
 
 
 def scene():
     cov = np.array([[[9.0, 1, 0, 0], [1, 4, 0, 0], [0, 0, 2, 0], [0, 0, 0, 3]]])
-    clutter = SceneDensity(np.zeros(4), np.full(4, 100.0), 0.3, np.ones(1), np.full((4, 1), 50.0), cov)
+    clutter = SceneDensity(
+        np.zeros(4), np.full(4, 100.0), 0.3, np.ones(1), np.full((4, 1), 50.0), cov
+    )
     births = uniform_density(np.full(6, -10.0), np.full(6, 10.0))
     followed = TrackedObjects(
-        0.35, LearnedDensity(4.25, SceneDensity(clutter.low, clutter.high, 0.6, np.ones(1), clutter.mean, cov), 170)
+        0.35,
+        LearnedDensity(
+            4.25, SceneDensity(clutter.low, clutter.high, 0.6, np.ones(1), clutter.mean, cov), 170
+        ),
     )
     learned = LearnedDensity(0.02, births, 320), LearnedDensity(1.5, clutter, 1800)
     return Scene(640, 480, 25.0, "street.mp4", *learned, {"held out": -17.25}, followed)
@@ -55,10 +67,19 @@ def test_parts_may_be_missing_and_older_files_know_of_fewer(tmp_path):
         (lambda document: document.pop("width"), "KeyError 'width'"),
         (lambda document: document["clutter"].update(rate=-1), "a rate from 0"),
         (lambda document: document["clutter"].update(weight=[0.4]), "of sum 1"),
-        (lambda document: document["births"].update(low=[0, 0]), "from 0 and 6 components, got 0.02 and 2"),
+        (
+            lambda document: document["births"].update(low=[0, 0]),
+            "from 0 and 6 components, got 0.02 and 2",
+        ),
         (lambda document: document["followed"].update(share=1.5), "a share from 0 to 1, got 1.5"),
-        (lambda document: document["followed"].update(share=float("nan")), "a share from 0 to 1, got nan"),
-        (lambda document: document["followed"].update(objects=document["births"]), "and 4 components, got 0.02 and 6"),
+        (
+            lambda document: document["followed"].update(share=float("nan")),
+            "a share from 0 to 1, got nan",
+        ),
+        (
+            lambda document: document["followed"].update(objects=document["births"]),
+            "and 4 components, got 0.02 and 6",
+        ),
         (lambda document: document["followed"].pop("share"), "KeyError 'share'"),
     ],
 )

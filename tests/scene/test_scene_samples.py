@@ -31,15 +31,22 @@ def track(identity, first, count, start, velocity, size=(40.0, 80.0)):
 def test_first_states_of_straight_tracks():
     """A frame is 2.5 time units; tracks of the first frame were not born then."""
     walkers = track(1, 3, 70, (50, 60), (2, -1)), track(2, 10, 18, (300, 100), (-4, 0.5), (20, 50))
-    states = births_in(Tracks.concatenate([*walkers, track(3, 1, 30, (200, 200), (9, 0))]), fps=10, rate=25)
-    np.testing.assert_allclose(states.T, [[50, 60, 0.8, -0.4, 40, 80], [300, 100, -1.6, 0.2, 20, 50]])
+    states = births_in(
+        Tracks.concatenate([*walkers, track(3, 1, 30, (200, 200), (9, 0))]), fps=10, rate=25
+    )
+    np.testing.assert_allclose(
+        states.T, [[50, 60, 0.8, -0.4, 40, 80], [300, 100, -1.6, 0.2, 20, 50]]
+    )
     assert births_in(Tracks.empty(), 25, 25).shape == (6, 0)
 
 
 def test_noise_on_single_boxes_is_averaged():
     rng = np.random.default_rng(0)
-    box, seconds = to_cxcywh(track(1, 2, 12, (100, 100), (3, 0)).xyxy), np.arange(12) / 25
-    found = np.array([first_state(box + rng.normal(size=(1, 12)), seconds)[2] / 25 for _ in range(200)])
+    box = to_cxcywh(track(1, 2, 12, (100, 100), (3, 0)).xyxy)
+    seconds = np.arange(12) / 25
+    found = np.array(
+        [first_state(box + rng.normal(size=(1, 12)), seconds)[2] / 25 for _ in range(200)]
+    )
     # A slope through eleven points, steps of one: deviation 1/√110.
     assert found.std() == pytest.approx(1 / np.sqrt(110), rel=0.2)
     assert found.mean() == pytest.approx(3, abs=4 / np.sqrt(110 * 200))
@@ -53,12 +60,17 @@ def test_volumes_are_those_that_uniform_models_use():
 
 
 def test_light_that_trembles_teaches_no_births():
-    """In one place for long, and one that moves but is gone within a second: no target has entered."""
+    """In one place for long, and one that moves but is gone within a second: no target has
+    entered.
+    """
     rng = np.random.default_rng(1)
     light = track(1, 5, 200, (300, 200), (0, 0))
     shaken = light.xyxy + np.tile(rng.normal(size=(200, 2)) * 8, 2)
-    light = Tracks(light.frame, light.identity, shaken, light.confidence, light.detection, light.confirmed)
-    there, brief = track(9, 1, 300, (10, 10), (0, 0)), track(2, 30, 20, (100, 100), (9, 0))
+    light = Tracks(
+        light.frame, light.identity, shaken, light.confidence, light.detection, light.confirmed
+    )
+    there = track(9, 1, 300, (10, 10), (0, 0))
+    brief = track(2, 30, 20, (100, 100), (9, 0))
     walker = track(3, 40, 60, (50, 60), (2, -1))
     states = births_in(Tracks.concatenate([light, there, brief, walker]), fps=25, rate=25)
     assert states.shape == (6, 1)
@@ -70,13 +82,16 @@ def test_light_that_trembles_teaches_no_births():
 
 def learned(samples: int, uniform: float) -> LearnedDensity:
     """One place in a frame of 640x480."""
-    high, mean = np.array([640.0, 480, 640, 480]), np.array([[100.0, 100, 30, 60]]).T
+    high = np.array([640.0, 480, 640, 480])
+    mean = np.array([[100.0, 100, 30, 60]]).T
     p = SceneDensity(np.zeros(4), high, uniform, np.ones(1), mean, np.diag([25.0, 25, 4, 4])[None])
     return LearnedDensity(2.0, p, samples)
 
 
 def test_sizes_are_those_detected_and_somewhat_more():
-    p = with_prior(learned(90, 0.5), np.vstack([np.linspace(20, 40, 1001), np.linspace(50, 100, 1001)])).density
+    p = with_prior(
+        learned(90, 0.5), np.vstack([np.linspace(20, 40, 1001), np.linspace(50, 100, 1001)])
+    ).density
     np.testing.assert_allclose(p.low, [0, 0, 20.2 / WIDENING, 50.5 / WIDENING])
     np.testing.assert_allclose(p.high, [640, 480, 39.8 * WIDENING, 99.5 * WIDENING])
     # One detection of an odd size does not count.
@@ -89,7 +104,9 @@ def test_sizes_are_those_detected_and_somewhat_more():
 
 @pytest.mark.parametrize("samples", [10, 30, 1000])
 def test_few_samples_are_sure_of_little(samples: int):
-    """Of n samples the uniform part is that of PRIOR more that might be anywhere; one that is larger stays."""
+    """Of n samples the uniform part is that of PRIOR more that might be anywhere; one that is
+    larger stays.
+    """
     sizes = np.array([[20.0, 60], [40, 120]])
     small, large = (with_prior(learned(samples, uniform), sizes).density for uniform in (1e-3, 0.7))
     assert small.uniform == pytest.approx(max(1e-3, PRIOR / (samples + PRIOR)))

@@ -19,7 +19,8 @@ CLUTTERED = DetectorModel(clutter_rate=20.0, places=5)
 @pytest.fixture(scope="module")
 def truth() -> Truth:
     rng = np.random.default_rng(0)
-    frame, identity = np.repeat(np.arange(1, 401), 10), np.tile(np.arange(1, 11), 400)
+    frame = np.repeat(np.arange(1, 401), 10)
+    identity = np.tile(np.arange(1, 11), 400)
     size = np.repeat([[30.0], [80.0]], 4000, axis=1) * rng.uniform(0.5, 1.5, 4000)
     centre = rng.random((2, 4000)) * np.array([[640], [480]])
     return truth_rows(frame, identity, to_xyxy(np.concatenate([centre, size])))
@@ -32,14 +33,18 @@ def run(truth: Truth, settings: DetectorModel = PERFECT, **changes: object) -> D
 def targets(found: Detected) -> np.ndarray:
     """Rows (frame, identity, xyxy) of the detections of targets, in the truth's order."""
     real = found.source > 0
-    table = np.column_stack([found.table.frame[real], found.source[real], found.table.detections.xyxy[real]])
+    table = np.column_stack(
+        [found.table.frame[real], found.source[real], found.table.detections.xyxy[real]]
+    )
     return table[np.lexsort((table[:, 1], table[:, 0]))]
 
 
 @pytest.mark.parametrize("p_detect", [0.0, 0.3, 0.9, 1.0])
 def test_detection_probability(truth: Truth, p_detect: float) -> None:
     got = targets(run(truth, p_detect=p_detect))
-    assert abs(len(got) / len(truth) - p_detect) <= 4 * np.sqrt(p_detect * (1 - p_detect) / len(truth))
+    assert abs(len(got) / len(truth) - p_detect) <= 4 * np.sqrt(
+        p_detect * (1 - p_detect) / len(truth)
+    )
     if p_detect == 1:
         assert np.allclose(got[:, 2:], truth.xyxy)
 
@@ -79,7 +84,8 @@ def test_persistent_places_fire_with_their_probability_around_their_box(truth: T
     for p, place in enumerate(to_cxcywh(found.places).T):
         mine = found.source == -(p + 1)
         assert abs(mine.sum() / 400 - 0.5) <= 4 * 0.5 / np.sqrt(400)
-        frame, box = found.table.frame[mine], to_cxcywh(found.table.detections.xyxy[mine])
+        frame = found.table.frame[mine]
+        box = to_cxcywh(found.table.detections.xyxy[mine])
         assert len(np.unique(frame)) == len(frame)
         error = (box[:2].T - place[:2]) / place[2:]
         assert np.abs(error.mean(axis=0)).max() < 4 * 0.1 / np.sqrt(len(error))
@@ -87,7 +93,9 @@ def test_persistent_places_fire_with_their_probability_around_their_box(truth: T
 
 
 def test_parts_draw_from_streams_of_their_own(truth: Truth) -> None:
-    """Targets are the same whatever the clutter, places whatever the Poisson clutter; a higher p_D only adds."""
+    """Targets are the same whatever the clutter, places whatever the Poisson clutter; a higher p_D
+    only adds.
+    """
     plain = targets(run(truth, CLUTTERED, clutter_rate=0.0, places=0))
     for found in (run(truth, CLUTTERED), run(truth, CLUTTERED, clutter_of_all_sizes=True)):
         assert (targets(found) == plain).all()
@@ -95,26 +103,39 @@ def test_parts_draw_from_streams_of_their_own(truth: Truth) -> None:
     assert (a.places == b.places).all()
     box_a, box_b = (np.sort(f.table.detections.xyxy[f.source < 0], axis=0) for f in (a, b))
     assert (box_a == box_b).all()
-    less, more = ({tuple(r) for r in targets(run(truth, CLUTTERED, p_detect=p))} for p in (0.6, 0.8))
+    less, more = (
+        {tuple(r) for r in targets(run(truth, CLUTTERED, p_detect=p))} for p in (0.6, 0.8)
+    )
     assert less < more
 
 
 def test_occlusion_lowers_the_detection_probability() -> None:
-    frame, identity = np.repeat(np.arange(1, 401), 2), np.tile([1, 2], 400)
-    behind, before = [100.0, 100, 200, 300], [100.0, 100, 150, 310]
-    got = targets(run(truth_rows(frame, identity, np.tile([behind, before], (400, 1))), occlusion=2.0))
+    frame = np.repeat(np.arange(1, 401), 2)
+    identity = np.tile([1, 2], 400)
+    behind = [100.0, 100, 200, 300]
+    before = [100.0, 100, 150, 310]
+    got = targets(
+        run(truth_rows(frame, identity, np.tile([behind, before], (400, 1))), occlusion=2.0)
+    )
     expected = (1 - 4 / 9) ** 2  # half of it is hidden, 4 of 9 columns of the grid
     assert (got[:, 1] == 2).sum() == 400
-    assert abs((got[:, 1] == 1).sum() / 400 - expected) < 4 * np.sqrt(expected * (1 - expected) / 400)
+    assert abs((got[:, 1] == 1).sum() / 400 - expected) < 4 * np.sqrt(
+        expected * (1 - expected) / 400
+    )
 
 
 def test_what_makes_no_sense_is_refused(truth: Truth) -> None:
-    rng, none, sizes = np.random.default_rng(0), DetectionTable(np.zeros(0, np.int64), Detections.empty()), np.zeros((0, 2))
+    rng = np.random.default_rng(0)
+    none = DetectionTable(np.zeros(0, np.int64), Detections.empty())
+    sizes = np.zeros((0, 2))
     with pytest.raises(InputError, match="DetectorModel"):
         DetectorModel(p_detect=1.2)
     with pytest.raises(InputError, match="frames"):
         detect(truth, replace(INFO, frames=399), rng, PERFECT)
-    for info, rate, words in ((replace(INFO, frames=0), 1.0, "number of frames"), (INFO, -1.0, "clutter rate")):
+    for info, rate, words in (
+        (replace(INFO, frames=0), 1.0, "number of frames"),
+        (INFO, -1.0, "clutter rate"),
+    ):
         with pytest.raises(InputError, match=words):
             add_clutter(none, info, rate, rng, sizes)
     assert len(add_clutter(none, INFO, 3.0, rng, sizes)) > 1000
@@ -122,9 +143,12 @@ def test_what_makes_no_sense_is_refused(truth: Truth) -> None:
 
 @pytest.mark.parametrize("rate", [0.0, 2.0, 10.0])
 def test_added_clutter_reaches_all_frames_and_keeps_the_detections(rate: float) -> None:
-    rng, sizes = np.random.default_rng(3), np.array([[20.0, 50.0], [30.0, 90.0]])
+    rng = np.random.default_rng(3)
+    sizes = np.array([[20.0, 50.0], [30.0, 90.0]])
     box = np.concatenate([rng.random((2, 500)) * 400, rng.random((2, 500)) * 50 + 5])
-    found = Detections(to_xyxy(box), rng.random(500), rng.integers(0, 3, 500), np.tile(np.eye(4), (500, 1, 1)))
+    found = Detections(
+        to_xyxy(box), rng.random(500), rng.integers(0, 3, 500), np.tile(np.eye(4), (500, 1, 1))
+    )
     table = DetectionTable(np.sort(rng.integers(10, 200, 500)), found)
     more = add_clutter(table, INFO, rate, np.random.default_rng(4), sizes)
     assert abs((len(more) - len(table)) / 400 - rate) <= 4 * np.sqrt(rate / 400)
@@ -132,7 +156,11 @@ def test_added_clutter_reaches_all_frames_and_keeps_the_detections(rate: float) 
     assert more.detections.covariance is not None
     assert more.detections.covariance.shape == (len(more), 4, 4)
     old, new = (
-        {tuple(row) for row in np.column_stack([t.frame, t.detections.xyxy, t.detections.confidence])} for t in (table, more)
+        {
+            tuple(row)
+            for row in np.column_stack([t.frame, t.detections.xyxy, t.detections.confidence])
+        }
+        for t in (table, more)
     )
     assert old <= new
     if rate:

@@ -5,7 +5,16 @@ import numpy as np
 import pytest
 
 from phdtrack.errors import InputError
-from phdtrack.simulate import NAMED, DetectorModel, Look, Rendered, Scenario, Scene, Walk, make_scene
+from phdtrack.simulate import (
+    NAMED,
+    DetectorModel,
+    Look,
+    Rendered,
+    Scenario,
+    Scene,
+    Walk,
+    make_scene,
+)
 
 STILL = Look(noise=0.0, flicker=0.0, plants=0, wave=0.0, lamps=0)
 NOTHING = DetectorModel(clutter_rate=0.0)
@@ -17,9 +26,16 @@ def video(scene: Scene, look: Look | None = None, seed: int = 7):
 
 def difference(scene: Scene, look: Look, number: int) -> np.ndarray:
     """(H, W) what the figures change in a frame, in grey levels."""
-    full, bare = video(scene, look), video(scene, look)
+    full = video(scene, look)
+    bare = video(scene, look)
     none = np.zeros(0, np.int64)
-    empty = replace(scene.figures, frame=none, identity=none, xyxy=np.zeros((0, 4)), distractor=none.astype(bool))
+    empty = replace(
+        scene.figures,
+        frame=none,
+        identity=none,
+        xyxy=np.zeros((0, 4)),
+        distractor=none.astype(bool),
+    )
     bare.scene = replace(scene, figures=empty)
     return np.abs(full.paint(number).astype(int) - bare.paint(number)).max(axis=2)
 
@@ -40,7 +56,9 @@ def test_frames_are_pictures_of_the_stated_size(name: str) -> None:
 def test_same_seed_same_video_also_the_second_time() -> None:
     scene = make_scene("street", 1, frames=60)
     source = video(scene)
-    first, again, same, other = (list(islice(v, 50, 53)) for v in (source, source, video(scene), video(scene, seed=8)))
+    first, again, same, other = (
+        list(islice(v, 50, 53)) for v in (source, source, video(scene), video(scene, seed=8))
+    )
     for a, b, c, d in zip(first, again, same, other, strict=True):
         assert (a.image == b.image).all()
         assert (a.image == c.image).all()
@@ -48,19 +66,26 @@ def test_same_seed_same_video_also_the_second_time() -> None:
 
 
 def test_figures_are_visible_where_the_truth_says() -> None:
-    """In its box a figure changes the picture a lot; away from all figures and their shadows nothing changes."""
+    """In its box a figure changes the picture a lot; away from all figures and their shadows
+    nothing changes.
+    """
     scene = make_scene("street", 2, lead_in=-10.0, frames=80, detector=NOTHING)
     seen = 0
     for number in (5, 40, 80):
         changed = difference(scene, STILL, number)
-        for left, top, right, bottom in np.round(scene.truth.xyxy[scene.truth.frame == number]).astype(int):
+        for left, top, right, bottom in np.round(
+            scene.truth.xyxy[scene.truth.frame == number]
+        ).astype(int):
             inside = changed[max(top, 0) : bottom, max(left, 0) : right]
             assert inside.mean() > 12
             assert (inside > 15).mean() > 0.2
             seen += 1
         for left, top, right, bottom in scene.figures.xyxy[scene.figures.frame == number]:
             wide = 0.3 * (right - left)
-            changed[max(int(top - 2), 0) : int(bottom + wide), max(int(left - 2), 0) : int(right + wide + 2)] = 0
+            changed[
+                max(int(top - 2), 0) : int(bottom + wide),
+                max(int(left - 2), 0) : int(right + wide + 2),
+            ] = 0
         assert (changed == 0).all()
     assert seen >= 6
 
@@ -85,14 +110,19 @@ def test_figure_fills_its_box() -> None:
 
 def test_obstacles_hide_who_is_behind_and_not_who_is_before() -> None:
     for row, hidden in ((0.70, True), (0.95, False)):
-        walks, obstacles = (Walk(((0.5, row), (0.51, row)), speed=1e-6),), ((0.4, 0.2, 0.6, 0.85),)
-        scene = make_scene(Scenario("one", frames=1, arrivals=0.0, walks=walks, obstacles=obstacles), 0, NOTHING)
+        walks = (Walk(((0.5, row), (0.51, row)), speed=1e-6),)
+        obstacles = ((0.4, 0.2, 0.6, 0.85),)
+        scene = make_scene(
+            Scenario("one", frames=1, arrivals=0.0, walks=walks, obstacles=obstacles), 0, NOTHING
+        )
         assert (difference(scene, replace(STILL, shadow=0.0), 1) == 0).all() == hidden
 
 
 def changing(scene: Scene, look: Look, frames: int) -> np.ndarray:
     """(frames - 1, H, W) bool: where neighbouring frames differ by more than 20 grey levels."""
-    grey = np.array([f.image.astype(np.int16).mean(axis=2) for f in islice(video(scene, look), frames)])
+    grey = np.array(
+        [f.image.astype(np.int16).mean(axis=2) for f in islice(video(scene, look), frames)]
+    )
     return np.abs(np.diff(grey, axis=0)) > 20
 
 
@@ -102,11 +132,15 @@ def test_waving_plants_are_seen_as_change_often_but_not_always() -> None:
     moving = changing(scene, look, 150)
     boxes = video(scene, look).plant_boxes
     assert boxes.shape == (5, 4)
-    near, fires = np.zeros(moving.shape[1:], bool), []
+    near = np.zeros(moving.shape[1:], bool)
+    fires = []
     for left, top, right, bottom in np.round(boxes).astype(int):
         fires.append(moving[:, max(top, 0) : bottom, max(left, 0) : right].sum(axis=(1, 2)) > 40)
         reach = 0.35 * (bottom - top)
-        near[max(int(top - reach), 0) : int(bottom) + 1, max(int(left - reach), 0) : int(right + reach)] = True
+        near[
+            max(int(top - reach), 0) : int(bottom) + 1,
+            max(int(left - reach), 0) : int(right + reach),
+        ] = True
     assert (np.mean(fires, axis=1) > 0.1).sum() >= 4
     assert 0.1 < np.mean(fires) < 0.95
     assert not moving[:, ~near].any()
@@ -115,7 +149,10 @@ def test_waving_plants_are_seen_as_change_often_but_not_always() -> None:
 
 def test_blown_leaves_are_elsewhere_in_every_frame_and_change_nothing_else() -> None:
     scene = make_scene("empty", 1, frames=30)
-    calm, windy = (list(Rendered(scene, np.random.default_rng(2), look)) for look in (STILL, replace(STILL, blown=3.0)))
+    calm, windy = (
+        list(Rendered(scene, np.random.default_rng(2), look))
+        for look in (STILL, replace(STILL, blown=3.0))
+    )
     changed = [np.any(a.image != b.image, axis=2) for a, b in zip(calm, windy, strict=True)]
     assert sum(mask.any() for mask in changed) > 20
     share = np.mean(changed, axis=0)
@@ -135,7 +172,9 @@ def test_lamps_blink_flicker_and_noise_have_their_strength() -> None:
     assert np.abs(np.diff(relative)).mean() > 0.005
     clean, *later = (f.image.astype(float) for f in islice(video(scene, STILL), 20))
     assert np.std([image.mean() for image in later]) < 0.1
-    noisy = [f.image.astype(float) - clean for f in islice(video(scene, replace(STILL, noise=3.0)), 2)]
+    noisy = [
+        f.image.astype(float) - clean for f in islice(video(scene, replace(STILL, noise=3.0)), 2)
+    ]
     assert abs(np.std(noisy[0]) - 3.0) < 0.1
     assert abs(np.mean(noisy[0])) < 0.1
     assert abs(np.corrcoef(noisy[0].ravel(), noisy[1].ravel())[0, 1]) < 0.02

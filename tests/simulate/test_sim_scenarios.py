@@ -42,14 +42,18 @@ def test_same_seed_same_scene_other_seed_other_scene() -> None:
     assert (a.truth.xyxy == b.truth.xyxy).all()
     assert (a.detections.detections.xyxy == b.detections.detections.xyxy).all()
     assert not np.array_equal(a.detections.detections.xyxy, c.detections.detections.xyxy)
-    assert (make_scene("street", 5, frames=60, detector=DetectorModel(p_detect=0.3)).truth.xyxy == a.truth.xyxy).all()
+    assert (
+        make_scene("street", 5, frames=60, detector=DetectorModel(p_detect=0.3)).truth.xyxy
+        == a.truth.xyxy
+    ).all()
 
 
 @pytest.mark.parametrize("name", PEOPLE)
 def test_lower_in_the_picture_is_larger(name: str) -> None:
     world = NAMED[name]
     box = world.figures(np.random.default_rng(4)).xyxy
-    tall, foot = box[:, 3] - box[:, 1], box[:, 3]
+    tall = box[:, 3] - box[:, 1]
+    foot = box[:, 3]
     expected = (foot - world.horizon * world.height) / world.camera_height
     assert (np.abs(tall / expected - 1) <= 0.3 + 1e-9).all()
     assert np.corrcoef(tall, foot)[0, 1] > 0.8
@@ -57,14 +61,18 @@ def test_lower_in_the_picture_is_larger(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["street", "crowd", "corridor"])
 def test_people_walk_at_the_speed_that_was_asked_for(name: str) -> None:
-    """On the ground nobody moves faster than his own speed, and the mean of the fastest steps is the scene's speed."""
+    """On the ground nobody moves faster than his own speed, and the mean of the fastest steps is
+    the scene's speed.
+    """
     world = NAMED[name]
     figures = world.figures(np.random.default_rng(8))
     speeds = []
     for identity in np.unique(figures.identity):
         frame, box = of(figures, identity)
         foot = np.stack([(box[:, 0] + box[:, 2]) / 2, box[:, 3]], axis=1)
-        step = np.hypot(*np.diff(world.camera.to_ground(foot), axis=0).T) * world.fps / np.diff(frame)
+        step = (
+            np.hypot(*np.diff(world.camera.to_ground(foot), axis=0).T) * world.fps / np.diff(frame)
+        )
         if len(step) > 10:
             speeds.append(np.quantile(step, 0.9))
     bound = 4 * world.speed_spread / np.sqrt(len(speeds))
@@ -75,7 +83,8 @@ def test_people_walk_at_the_speed_that_was_asked_for(name: str) -> None:
 def test_crossing_pairs_meet() -> None:
     truth = make_scene("crossing", 0).truth
     for a, b in ((1, 2), (3, 4), (5, 6)):
-        (frame_a, box_a), (frame_b, box_b) = of(truth, a), of(truth, b)
+        frame_a, box_a = of(truth, a)
+        frame_b, box_b = of(truth, b)
         _, i, j = np.intersect1d(frame_a, frame_b, return_indices=True)
         overlap = np.array([iou(box_a[[p]], box_b[[q]])[0, 0] for p, q in zip(i, j, strict=True)])
         side = np.sign(box_a[i, 0] - box_b[j, 0])
@@ -91,14 +100,24 @@ def test_occlusion_hides_people_completely_and_keeps_them_in_the_truth() -> None
     for identity in gone:
         frame, _ = of(scene.truth, int(identity))
         assert (np.diff(frame) == 1).all()
-    open_view = make_scene("occlusion", 0, detector=DetectorModel(p_detect=1.0, occlusion=2.0, clutter_rate=0))
-    seen = np.isin(scene.truth.frame * 1000 + scene.truth.identity, open_view.detections.frame * 1000 + open_view.source)
+    open_view = make_scene(
+        "occlusion", 0, detector=DetectorModel(p_detect=1.0, occlusion=2.0, clutter_rate=0)
+    )
+    seen = np.isin(
+        scene.truth.frame * 1000 + scene.truth.identity,
+        open_view.detections.frame * 1000 + open_view.source,
+    )
     assert not seen[hidden > 0.999].any()
     assert seen[hidden == 0].all()
 
 
 def test_doors_are_where_people_appear() -> None:
-    world = Scenario("doors", entrances=(Entrance("door", (0.3, 0.6)), Entrance("right")), arrivals=1.0, pause_rate=0.0)
+    world = Scenario(
+        "doors",
+        entrances=(Entrance("door", (0.3, 0.6)), Entrance("right")),
+        arrivals=1.0,
+        pause_rate=0.0,
+    )
     figures = world.figures(np.random.default_rng(0))
     at_door = 0
     for identity in np.unique(figures.identity):
@@ -119,7 +138,13 @@ def test_unknown_scene_and_setting_name_the_nearest() -> None:
 
 
 @pytest.mark.parametrize(
-    "bad", [{"frames": 0}, {"rows": (0.05, 0.9)}, {"camera_height": 1.0}, {"walks": (Walk(((0.1, 0.0), (0.9, 0.5))),)}]
+    "bad",
+    [
+        {"frames": 0},
+        {"rows": (0.05, 0.9)},
+        {"camera_height": 1.0},
+        {"walks": (Walk(((0.1, 0.0), (0.9, 0.5))),)},
+    ],
 )
 def test_impossible_settings_are_refused(bad: dict[str, object]) -> None:
     with pytest.raises(InputError, match="cenario"):

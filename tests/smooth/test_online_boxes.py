@@ -1,4 +1,6 @@
-"""Boxes of online rows: the learned share against its definition, and the truth nearer than filter and detector have it."""
+"""Boxes of online rows: the learned share against its definition, and the truth nearer than filter
+and detector have it.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +26,13 @@ def plain(then, between, now, ratio, kept, sums):
     for i, name in enumerate(then[0]):
         if name not in between[0] or name not in now[0]:
             continue
-        j, k = between[0].tolist().index(name), now[0].tolist().index(name)
-        z, m, a, b = (sides(x)[0] for x in (then[1][[i]], then[2][[i]], between[1][[j]], now[1][[k]]))
-        steps, told = (m - z) / z[1], (a - (b - a) * ratio - z) / z[1]
+        j = between[0].tolist().index(name)
+        k = now[0].tolist().index(name)
+        z, m, a, b = (
+            sides(x)[0] for x in (then[1][[i]], then[2][[i]], between[1][[j]], now[1][[k]])
+        )
+        steps = (m - z) / z[1]
+        told = (a - (b - a) * ratio - z) / z[1]
         for part, axis in np.ndindex(2, 2):
             step = steps[part, axis]
             sums[part, 2] += 1
@@ -36,7 +42,11 @@ def plain(then, between, now, ratio, kept, sums):
     return sums
 
 
-@given(st.integers(0, 2**32 - 1), st.lists(st.integers(0, 6), min_size=3, max_size=3), st.floats(0.2, 4.0))
+@given(
+    st.integers(0, 2**32 - 1),
+    st.lists(st.integers(0, 6), min_size=3, max_size=3),
+    st.floats(0.2, 4.0),
+)
 @settings(max_examples=60, deadline=None)
 def test_the_sums_are_those_defined(seed: int, counts: list[int], ratio: float):
     rng = np.random.default_rng(seed)
@@ -49,38 +59,58 @@ def test_the_sums_are_those_defined(seed: int, counts: list[int], ratio: float):
     then, between, now = (some(n) for n in counts)
     before = np.abs(rng.normal(0, 1, (2, 4)))
     got = agreement(then, between[:2], now[:2], ratio, 0.9, before)
-    np.testing.assert_allclose(got, plain(then, between, now, ratio, 0.9, before), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        got, plain(then, between, now, ratio, 0.9, before), rtol=1e-9, atol=1e-12
+    )
 
 
 def shown(detector: float, filtered: float, frames: int = 300, targets: int = 5, seconds=0.04):
     """The mean square error of what is shown in the second half, and the shares at the end.
 
-    Targets walk with accelerations; seen boxes and filtered ones have independent errors of these deviations, pixels.
+    Targets walk with accelerations; seen boxes and filtered ones have independent errors of these
+    deviations, pixels.
     """
-    rng, online = np.random.default_rng(5), DetectionShare()
-    state, errors, time = online.start(), [], 0.0
-    place, speed = rng.uniform(100, 500, (targets, 2)), rng.normal(0, 2, (targets, 2))
+    rng = np.random.default_rng(5)
+    online = DetectionShare()
+    state = online.start()
+    errors = []
+    time = 0.0
+    place = rng.uniform(100, 500, (targets, 2))
+    speed = rng.normal(0, 2, (targets, 2))
     for number in range(1, frames + 1):
         step = seconds * (1 + rng.integers(0, 2))
         time += step
         place = place + speed * step / 0.04
         speed = speed + rng.normal(0, 0.05, speed.shape)
         true = np.hstack([place, place + np.array([40.0, 90.0])])
-        seen, m = true + rng.normal(0, detector, true.shape), true + rng.normal(0, filtered, true.shape)
+        seen = true + rng.normal(0, detector, true.shape)
+        m = true + rng.normal(0, filtered, true.shape)
         order = rng.permutation(targets)
         detections = Detections.of(seen[order])
-        rows = Tracks.of(np.full(targets, number), np.arange(1, targets + 1), m, np.ones(targets), np.argsort(order))
+        rows = Tracks.of(
+            np.full(targets, number),
+            np.arange(1, targets + 1),
+            m,
+            np.ones(targets),
+            np.argsort(order),
+        )
         state, rows = online.advance(state, rows, detections, number, time)
         errors.append(np.square(rows.xyxy - true).mean())
     return np.mean(errors[frames // 2 :]), state.share
 
 
 @pytest.mark.parametrize(("detector", "filtered"), [(0.5, 3.0), (3.0, 0.5), (2.0, 2.0)])
-def test_what_is_shown_is_as_near_to_the_truth_as_the_best_share_makes_it(detector: float, filtered: float):
-    """Independent errors of variances r and s are best weighed with a = r/(r + s); then the error is rs/(r + s)."""
+def test_what_is_shown_is_as_near_to_the_truth_as_the_best_share_makes_it(
+    detector: float, filtered: float
+):
+    """Independent errors of variances r and s are best weighed with a = r/(r + s); then the error
+    is rs/(r + s).
+    """
     error, share = shown(detector, filtered)
-    r, s = detector**2, filtered**2
-    # Regressions on 3000 sides, of references with a variance of up to 13 r: the standard error of a is below 0.07.
+    r = detector**2
+    s = filtered**2
+    # Regressions on 3000 sides, of references with a variance of up to 13 r: the standard error of
+    # a is below 0.07.
     np.testing.assert_allclose(share, r / (r + s), atol=0.2)
     # An error of a adds its square times r + s.
     assert error < r * s / (r + s) + (r + s) * 0.1**2
@@ -92,7 +122,8 @@ def test_it_begins_in_the_middle_and_is_never_far_beyond_the_filter():
 
 
 def test_rows_without_a_detection_stay_as_they_are(rng):
-    online, box = DetectionShare(), np.array([[10.0, 20, 30, 60], [50, 50, 80, 120]])
+    online = DetectionShare()
+    box = np.array([[10.0, 20, 30, 60], [50, 50, 80, 120]])
     rows = Tracks.of(np.array([1, 1]), np.array([1, 2]), box, np.ones(2), np.array([-1, 0]))
     _, out = online.advance(online.start(), rows, Detections.of(box[1:] + 2), 1, 0.0)
     np.testing.assert_array_equal(out.xyxy, [box[0], box[1] + 1])
@@ -102,7 +133,9 @@ def test_rows_held_back_show_the_detections_of_their_own_frames():
     scene = street()
     late = tracker_of(preset="default", associate={"output_delay": 3})
     rows = Tracks.concatenate([*feed(late, scene), late.flush()])
-    plainly = tracker_of(preset="default", associate={"output_delay": 3}, smooth={"detection_share": False})
+    plainly = tracker_of(
+        preset="default", associate={"output_delay": 3}, smooth={"detection_share": False}
+    )
     without = Tracks.concatenate([*feed(plainly, scene), plainly.flush()])
     np.testing.assert_array_equal(rows.frame, without.frame)
     seen = np.array([xyxy[k] if k >= 0 else np.full(4, np.nan) for xyxy, k in _named(rows, scene)])
@@ -115,11 +148,17 @@ def test_rows_held_back_show_the_detections_of_their_own_frames():
 
 
 def _named(rows: Tracks, scene):
-    return [(scene[number - 1].xyxy, k) for number, k in zip(rows.frame.tolist(), rows.detection.tolist(), strict=True)]
+    return [
+        (scene[number - 1].xyxy, k)
+        for number, k in zip(rows.frame.tolist(), rows.detection.tolist(), strict=True)
+    ]
 
 
 def test_where_the_filters_boxes_are_shown():
     assert tracker_of().stages.online is not None
     assert tracker_of(preset="mot15").stages.online is None
     # A detection of several targets says of none where it is.
-    assert tracker_of(preset="default", merged_measurements={"kind": "explained"}).stages.online is None
+    assert (
+        tracker_of(preset="default", merged_measurements={"kind": "explained"}).stages.online
+        is None
+    )

@@ -1,4 +1,6 @@
-"""The smoother against the joint density of everything at once, and the evidence for a link against densities."""
+"""The smoother against the joint density of everything at once, and the evidence for a link against
+densities.
+"""
 
 from dataclasses import replace
 
@@ -17,14 +19,18 @@ from reference import smoothing_twin as twin
 
 
 def smoothed(tracks, measured, model):
-    seen, paths = Sequence.of(measured, model), paths_of(tracks, measured)
+    seen = Sequence.of(measured, model)
+    paths = paths_of(tracks, measured)
     return paths, seen.smooth(paths), seen
 
 
-@given(st.integers(0, 2**32 - 1), st.lists(st.booleans(), min_size=0, max_size=12), st.floats(0.2, 3.0))
+@given(
+    st.integers(0, 2**32 - 1), st.lists(st.booleans(), min_size=0, max_size=12), st.floats(0.2, 3.0)
+)
 @settings(max_examples=40, deadline=None)
 def test_states_are_those_of_the_joint_density(seed: int, missed: list[bool], dt: float):
-    rng, model = np.random.default_rng(seed), model_of()
+    rng = np.random.default_rng(seed)
+    model = model_of()
     n = len(missed) + 2
     walked = walk(rng, n, (100, 200), rng.normal(0, 3, 2))
     shown = {k + 1: walked[k] for k in range(n) if k in (0, n - 1) or not missed[k - 1]}
@@ -38,20 +44,26 @@ def test_states_are_those_of_the_joint_density(seed: int, missed: list[bool], dt
 
 def test_paths_side_by_side_are_what_each_is_alone(rng):
     model = model_of(scaled_noise=True, acceleration=0.005, size_noise=0.07)
-    a, b = walk(rng, 30, (100, 200), (2, 0)), walk(rng, 30, (400, 100), (-1, 1))
+    a = walk(rng, 30, (100, 200), (2, 0))
+    b = walk(rng, 30, (400, 100), (-1, 1))
     pieces = [piece(a, 1, (1, 10), (14, 30)), piece(b, 1, (6, 25))]
     both = smoothed(*sequence(pieces, 30, model), model)
     for k, alone in enumerate(pieces):
         _, states, _ = smoothed(*sequence([alone], 30, model), model)
         rows = slice(both[0].start[k], both[0].start[k + 1])
         np.testing.assert_allclose(both[1].mean[rows], states.mean, rtol=1e-9)
-        np.testing.assert_allclose(both[1].covariance[rows], states.covariance, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(
+            both[1].covariance[rows], states.covariance, rtol=1e-9, atol=1e-9
+        )
 
 
 def test_one_path_and_several_go_through_the_same_kernel(rng):
-    """A kernel of its own for one path would be compiled when two tracks are joined for the first time, after hours."""
+    """A kernel of its own for one path would be compiled when two tracks are joined for the first
+    time, after hours.
+    """
     model = model_of()
-    a, b = walk(rng, 30, (100, 200), (2, 0)), walk(rng, 30, (400, 100), (-1, 1))
+    a = walk(rng, 30, (100, 200), (2, 0))
+    b = walk(rng, 30, (400, 100), (-1, 1))
     known = []
     for pieces in ([piece(a, 1, (1, 30)), piece(b, 1, (1, 30))], [piece(a, 1, (1, 30))]):
         paths, _, seen = smoothed(*sequence(pieces, 30, model), model)
@@ -61,9 +73,13 @@ def test_one_path_and_several_go_through_the_same_kernel(rng):
 
 
 def test_errors_are_as_large_as_the_covariance_says():
-    """The normalised squared error of what was drawn from the model itself has the mean of its dimension."""
-    rng, model = np.random.default_rng(3), model_of()
-    errors, n = [], 20
+    """The normalised squared error of what was drawn from the model itself has the mean of its
+    dimension.
+    """
+    rng = np.random.default_rng(3)
+    model = model_of()
+    errors = []
+    n = 20
     for _ in range(150):
         start = np.array([320.0, 240.0, 0, 0, 60, 90])
         # An unknown velocity's prior is what the model says.
@@ -83,16 +99,24 @@ def test_errors_are_as_large_as_the_covariance_says():
 
 
 def test_no_variance_is_negative_where_a_camera_zooms():
-    """Exact boxes of a target that accelerates, and a camera that zooms by factors from frame to frame."""
-    rng, model = np.random.default_rng(0), model_of(scaled_noise=True, acceleration=0.03, size_noise=1e-4)
-    model = replace(model, sensor=replace(model.sensor, box_noise=0.001, min_noise=0.0, birth_speed=10.0))
+    """Exact boxes of a target that accelerates, and a camera that zooms by factors from frame to
+    frame.
+    """
+    rng = np.random.default_rng(0)
+    model = model_of(scaled_noise=True, acceleration=0.03, size_noise=1e-4)
+    model = replace(
+        model, sensor=replace(model.sensor, box_noise=0.001, min_noise=0.0, birth_speed=10.0)
+    )
     least = []
     for _ in range(60):
         walked = np.maximum(walk(rng, 40, (100, 200), (2, 1), noise=0.2), 1.0)
         tracks, still = sequence([piece(walked, 1, (1, 15), (20, 40))], 40, model)
-        zoom, shift = np.exp(rng.normal(0, 1.0, 40)), rng.normal(0, 50, (2, 40))
+        zoom = np.exp(rng.normal(0, 1.0, 40))
+        shift = rng.normal(0, 50, (2, 40))
         none = np.zeros(40)
-        warp = np.array([[zoom, none, shift[0]], [none, zoom, shift[1]], [none, none, none + 1]]).transpose(2, 0, 1)
+        warp = np.array(
+            [[zoom, none, shift[0]], [none, zoom, shift[1]], [none, none, none + 1]]
+        ).transpose(2, 0, 1)
         measured = replace(still, warp=np.ascontiguousarray(warp))
         _, states, _ = smoothed(tracks, measured, model)
         least.append(np.diagonal(states.covariance, axis1=1, axis2=2).min())
@@ -103,9 +127,15 @@ FITTED = (3.0, 0.5, 0.65, 0.4)
 
 
 def with_noises(model: Model, factors) -> Model:
-    """The model with its deviations of acceleration, of size changes, of positions and of sizes times these."""
+    """The model with its deviations of acceleration, of size changes, of positions and of sizes
+    times these.
+    """
     drive, size, position, extent = factors
-    motion = replace(model.motion, acceleration=drive * model.motion.acceleration, size_noise=size * model.motion.size_noise)
+    motion = replace(
+        model.motion,
+        acceleration=drive * model.motion.acceleration,
+        size_noise=size * model.motion.size_noise,
+    )
     blur = (position * model.sensor.fixed_noise[0], extent * model.sensor.fixed_noise[1])
     return replace(model, motion=motion, sensor=replace(model.sensor, fixed_noise=blur))
 
@@ -122,31 +152,43 @@ def drawn(rng, model: Model, n: int) -> np.ndarray:
 def test_noises_of_a_track_are_those_of_a_model_that_has_them(rng):
     model = model_of()
     fine = with_noises(model, FITTED)
-    tracks, measured = sequence([piece(walk(rng, 30, (100, 200), (2, 1)), 1, (1, 9), (13, 30))], 30, model)
+    tracks, measured = sequence(
+        [piece(walk(rng, 30, (100, 200), (2, 1)), 1, (1, 9), (13, 30))], 30, model
+    )
     paths, want, other = smoothed(tracks, measured, fine)
     seen = Sequence.of(measured, model)
     scales = seen._scales(np.array(FITTED)[:, None])
     np.testing.assert_allclose(seen.smooth(paths, scales).mean, want.mean, rtol=1e-9)
-    np.testing.assert_allclose(seen.smooth(paths, scales).covariance, want.covariance, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        seen.smooth(paths, scales).covariance, want.covariance, rtol=1e-9, atol=1e-9
+    )
     # The evidence is the density of all measurements after the first: here 26 of four components.
-    density = twin.log_density(fine.motion, measured.time, other, paths.measurement) + 26 * 2 * np.log(2 * np.pi)
+    density = twin.log_density(
+        fine.motion, measured.time, other, paths.measurement
+    ) + 26 * 2 * np.log(2 * np.pi)
     assert seen._filtered(paths, scales).evidence.sum() == pytest.approx(density, rel=1e-9)
 
 
-@pytest.mark.parametrize("factors", [(1.0, 1.0, 1.0, 1.0), (9.0, 0.25, 0.4, 0.4), (3.0, 0.5, 0.4, 1.0)])
+@pytest.mark.parametrize(
+    "factors", [(1.0, 1.0, 1.0, 1.0), (9.0, 0.25, 0.4, 0.4), (3.0, 0.5, 0.4, 1.0)]
+)
 def test_noises_that_made_a_track_are_found_and_make_it_more_exact(factors):
     """Of 40 tracks of 80 frames, drawn from a model with these noises."""
-    rng, model = np.random.default_rng(11), model_of()
+    rng = np.random.default_rng(11)
+    model = model_of()
     made = with_noises(model, factors)
     position, extent = made.sensor.fixed_noise
-    chosen, gain = [], []
+    chosen = []
+    gain = []
     for _ in range(40):
         x = drawn(rng, made, 80)
         z = x[:, [0, 1, 4, 5]] + rng.normal(0, [position, position, extent, extent], (80, 4))
         tracks, measured = sequence([dict(enumerate(z, start=1))], 80, model)
         paths, before, seen = smoothed(tracks, measured, model)
         fit = seen.fitting(paths)
-        chosen.append([fit.state[0, 0], fit.state[0, 4], fit.measurement[0, 0], fit.measurement[0, 2]])
+        chosen.append(
+            [fit.state[0, 0], fit.state[0, 4], fit.measurement[0, 0], fit.measurement[0, 2]]
+        )
         after = seen.smooth(paths, fit)
         gain.append([np.square(s.mean - x)[:, [0, 1, 4, 5]].mean() for s in (before, after)])
     np.testing.assert_array_equal(np.median(chosen, axis=0), factors)
@@ -159,13 +201,17 @@ def test_noises_that_made_a_track_are_found_and_make_it_more_exact(factors):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_it_is_the_ratio_of_one_trajectorys_density_to_two(seed: int):
-    rng, model, n = np.random.default_rng(seed), model_of(survival_probability=1.0), 24
+    rng = np.random.default_rng(seed)
+    model = model_of(survival_probability=1.0)
+    n = 24
     walked = walk(rng, n, (200, 200), rng.normal(0, 2, 2), noise=2.0)
     walked[14:] += rng.normal(0, 6, 4)
     tracks, measured = sequence([piece(walked, 1, (1, 9)), piece(walked, 1, (15, n))], n, model)
     seen = Sequence.of(measured, model)
     paths = paths_of(tracks, measured)
-    settings = Smoothing(mean_occluded_time=0.4, max_gap=2.0, max_overlap_time=0.0, reentry_probability=0.25)
+    settings = Smoothing(
+        mean_occluded_time=0.4, max_gap=2.0, max_overlap_time=0.0, reentry_probability=0.25
+    )
     before, after, odds = _candidates(paths, seen.smooth(paths), seen, settings)
     assert (before.tolist(), after.tolist()) == ([0], [1])
     one = np.concatenate([np.arange(9), np.full(5, -1), np.arange(9, 19)])
@@ -190,7 +236,9 @@ def test_the_matching_is_the_best_of_all(seed: int):
     def best(row: int, free: frozenset[int]) -> float:
         if row == k:
             return 0.0
-        return max([best(row + 1, free), *(max(odds[row, c], 0) + best(row + 1, free - {c}) for c in free)])
+        return max(
+            [best(row + 1, free), *(max(odds[row, c], 0) + best(row + 1, free - {c}) for c in free)]
+        )
 
     chosen = np.flatnonzero(found >= 0)
     assert len(set(found[chosen].tolist())) == len(chosen)

@@ -1,4 +1,6 @@
-"""Laws of smoothing: what is joined and what is not, which rows there are, what each switch does."""
+"""Laws of smoothing: what is joined and what is not, which rows there are, what each switch
+does.
+"""
 
 from dataclasses import replace
 
@@ -24,15 +26,19 @@ def smoothed(pieces, frames: int = 60, model=MODEL, **settings) -> Tracks:
 @pytest.mark.parametrize("seed", range(4))
 def test_a_track_that_was_cut_is_one_again(missing: int, seed: int):
     rng = np.random.default_rng(seed)
-    a, b = walk(rng, 60, (60, 240), (4, 0)), walk(rng, 60, (600, 60), (-1, 3))
+    a = walk(rng, 60, (60, 240), (4, 0))
+    b = walk(rng, 60, (600, 60), (-1, 3))
     tracks = smoothed(
-        [piece(a, 1, (1, 20)), piece(a, 1, (21 + missing, 60)), piece(b, 1, (1, 60))], max_gap_uncertainty=100.0
+        [piece(a, 1, (1, 20)), piece(a, 1, (21 + missing, 60)), piece(b, 1, (1, 60))],
+        max_gap_uncertainty=100.0,
     )
     assert names(tracks) == {1: list(range(1, 61)), 2: list(range(1, 61))}
     gap = tracks.take((tracks.identity == 1) & (tracks.frame > 20) & (tracks.frame <= 20 + missing))
     assert (gap.detection == -1).all()
     centre = gap.xyxy[:, :2] + gap.xyxy[:, 2:]
-    np.testing.assert_allclose(centre / 2, np.stack([60 + 4 * (gap.frame - 1), np.full(missing, 240)], axis=1), atol=8)
+    np.testing.assert_allclose(
+        centre / 2, np.stack([60 + 4 * (gap.frame - 1), np.full(missing, 240)], axis=1), atol=8
+    )
 
 
 def cut(begin, velocity, *shown: tuple[int, int]):
@@ -45,7 +51,8 @@ def cut(begin, velocity, *shown: tuple[int, int]):
     return make
 
 
-ELSEWHERE, BROKEN = cut((600, 60), (-1, 3), (1, 60)), cut((60, 240), (4, 0), (1, 20), (31, 60))
+ELSEWHERE = cut((600, 60), (-1, 3), (1, 60))
+BROKEN = cut((60, 240), (4, 0), (1, 20), (31, 60))
 
 
 @pytest.mark.parametrize(
@@ -75,14 +82,23 @@ def test_what_is_joined_and_what_is_not(seed: int, walks, count: int, settings):
 
 def test_long_gaps_are_joined_in_name_and_left_open(rng):
     """Late in a long sequence, where frames are more than there are rows of tracks."""
-    a, b = walk(rng, 100, (60, 240), (4, 0)), walk(rng, 100, (600, 60), (-1, 3))
-    tracks = smoothed([piece(a, 301, (301, 320)), piece(a, 301, (361, 400)), piece(b, 301, (301, 400))], 400)
+    a = walk(rng, 100, (60, 240), (4, 0))
+    b = walk(rng, 100, (600, 60), (-1, 3))
+    tracks = smoothed(
+        [piece(a, 301, (301, 320)), piece(a, 301, (361, 400)), piece(b, 301, (301, 400))], 400
+    )
     assert names(tracks)[1] == [*range(301, 321), *range(361, 401)]
 
 
 def test_two_who_cross_out_of_sight_keep_their_ways(rng):
-    a, b = walk(rng, 60, (100, 200), (5, 0)), walk(rng, 60, (395, 206), (-5, 0))
-    pieces = [piece(a, 1, (1, 25)), piece(b, 1, (1, 25)), piece(b, 1, (36, 60)), piece(a, 1, (36, 60))]
+    a = walk(rng, 60, (100, 200), (5, 0))
+    b = walk(rng, 60, (395, 206), (-5, 0))
+    pieces = [
+        piece(a, 1, (1, 25)),
+        piece(b, 1, (1, 25)),
+        piece(b, 1, (36, 60)),
+        piece(a, 1, (36, 60)),
+    ]
     tracks = smoothed(pieces)
     for identity in (1, 2):
         own = tracks.take(tracks.identity == identity)
@@ -93,8 +109,11 @@ def test_two_who_cross_out_of_sight_keep_their_ways(rng):
 
 
 def test_the_order_of_tracks_does_not_matter(rng):
-    a, b = walk(rng, 60, (60, 240), (4, 0)), walk(rng, 60, (600, 60), (-1, 3))
-    tracks, measured = sequence([piece(a, 1, (1, 20)), piece(a, 1, (27, 60)), piece(b, 1, (1, 60))], 60, MODEL)
+    a = walk(rng, 60, (60, 240), (4, 0))
+    b = walk(rng, 60, (600, 60), (-1, 3))
+    tracks, measured = sequence(
+        [piece(a, 1, (1, 20)), piece(a, 1, (27, 60)), piece(b, 1, (1, 60))], 60, MODEL
+    )
     wanted = Smoothing().smooth(tracks, measured, MODEL)
     for order in ([3, 1, 2], [2, 3, 1], [1, 3, 2]):
         other = Tracks.concatenate([replace(tracks, identity=np.array(order)[tracks.identity - 1])])
@@ -115,7 +134,9 @@ def test_each_part_can_be_switched_off(rng):
     straight = Smoothing(stitching=False).smooth(tracks, measured, MODEL)
     assert names(straight) == names(tracks)
     assert np.abs(straight.xyxy - tracks.xyxy).max() > 0.5
-    assert names(Smoothing(max_gap_uncertainty=0).smooth(tracks, measured, MODEL)) == {1: [*range(1, 21), *range(27, 61)]}
+    assert names(Smoothing(max_gap_uncertainty=0).smooth(tracks, measured, MODEL)) == {
+        1: [*range(1, 21), *range(27, 61)]
+    }
 
 
 def test_rows_that_rest_on_nothing_are_smoothed_inside_and_stay_outside(rng):
@@ -131,7 +152,9 @@ def test_rows_that_rest_on_nothing_are_smoothed_inside_and_stay_outside(rng):
 
 
 def test_a_track_says_once_where_it_is(rng):
-    """The first piece goes on without measurements for longer than until the second begins, or ends."""
+    """The first piece goes on without measurements for longer than until the second begins, or
+    ends.
+    """
     a = walk(rng, 60, (60, 240), (4, 0))
     first = piece(a, 1, (1, 20)) | dict.fromkeys(range(21, 31))
     assert names(smoothed([first, piece(a, 1, (27, 60))])) == {1: list(range(1, 61))}
@@ -142,7 +165,8 @@ def test_a_track_says_once_where_it_is(rng):
 
 def test_a_measurement_that_two_share_places_neither(rng):
     """In frames 11 to 13 one box stands for two people."""
-    a, b = walk(rng, 30, (100, 240), (4, 0), noise=0.5), walk(rng, 30, (100, 340), (4, 0), noise=0.5)
+    a = walk(rng, 30, (100, 240), (4, 0), noise=0.5)
+    b = walk(rng, 30, (100, 340), (4, 0), noise=0.5)
     tracks, measured = sequence([piece(a, 1, (1, 30)), piece(b, 1, (1, 30))], 30, MODEL)
     detection = tracks.detection.copy()
     shared = (tracks.frame >= 11) & (tracks.frame <= 13)
@@ -154,7 +178,8 @@ def test_a_measurement_that_two_share_places_neither(rng):
 
 
 def test_nothing_comes_of_nothing():
-    none, start = np.zeros(0, np.int64), np.zeros(1, np.int64)
+    none = np.zeros(0, np.int64)
+    start = np.zeros(1, np.int64)
     empty = MeasurementHistory(none, np.zeros(0), start, np.zeros((4, 0)), np.zeros((0, 3, 3)))
     assert len(Smoothing().smooth(Tracks.empty(), empty, MODEL)) == 0
     tracks, measured = sequence([{1: np.array([50.0, 50, 20, 40])}], 1, MODEL)
@@ -164,13 +189,18 @@ def test_nothing_comes_of_nothing():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_second_track_that_begins_before_the_first_ends_is_the_same(seed: int):
-    """The detector fires twice on one object in frames 25 to 32, and only on the second box from then on."""
+    """The detector fires twice on one object in frames 25 to 32, and only on the second box from
+    then on.
+    """
     rng = np.random.default_rng(seed)
-    a, twice, b = walk(rng, 60, (60, 240), (4, 0)), walk(rng, 60, (60, 240), (4, 0)), walk(rng, 60, (600, 60), (-1, 3))
+    a = walk(rng, 60, (60, 240), (4, 0))
+    twice = walk(rng, 60, (60, 240), (4, 0))
+    b = walk(rng, 60, (600, 60), (-1, 3))
     pieces = [piece(a, 1, (1, 32)), piece(twice, 1, (25, 60)), piece(b, 1, (1, 60))]
     tracks = smoothed(pieces)
     assert names(tracks) == {1: list(range(1, 61)), 2: list(range(1, 61))}
-    # Of the two boxes the first track's is taken up to the middle of the time they share, frame 28, the second's from 29 on.
+    # Of the two boxes the first track's is taken up to the middle of the time they share, frame 28,
+    # the second's from 29 on.
     own = tracks.take(tracks.identity == 1)
     assert own.detection[own.frame == 28].item() == 0
     assert own.detection[own.frame == 29].item() == 1
@@ -181,7 +211,8 @@ def test_a_second_track_that_begins_before_the_first_ends_is_the_same(seed: int)
 
 
 def test_what_never_goes_anywhere_is_left_out_when_asked(rng):
-    going, staying = walk(rng, 60, (60, 240), (4, 0)), walk(rng, 60, (500, 100), (0, 0))
+    going = walk(rng, 60, (60, 240), (4, 0))
+    staying = walk(rng, 60, (500, 100), (0, 0))
     pieces = [piece(staying, 1, (1, 60)), piece(going, 1, (1, 60))]
     assert len(names(smoothed(pieces))) == 2
     for parts in ({}, {"stitching": False, "smoothing": False}):
@@ -191,27 +222,40 @@ def test_what_never_goes_anywhere_is_left_out_when_asked(rng):
 
 
 def test_who_walks_out_slowly_at_the_border_goes_somewhere_by_the_side_that_is_seen(rng):
-    """The head goes down by 60 pixels while the feet are below the picture: the centre moves by half of that."""
+    """The head goes down by 60 pixels while the feet are below the picture: the centre moves by
+    half of that.
+    """
     head = 600.0 + np.arange(60)
     high = 700.0 - head
-    boxes = np.stack([np.full(60, 300.0), head + high / 2, np.full(60, 70.0), high], axis=1) + rng.normal(0, 0.3, (60, 4))
+    boxes = np.stack(
+        [np.full(60, 300.0), head + high / 2, np.full(60, 70.0), high], axis=1
+    ) + rng.normal(0, 0.3, (60, 4))
     pieces = [piece(boxes, 1, (1, 60))]
-    assert names(smoothed(pieces, min_extent=0.75, frame_size=(1000.0, 700.0))) == {1: list(range(1, 61))}
+    assert names(smoothed(pieces, min_extent=0.75, frame_size=(1000.0, 700.0))) == {
+        1: list(range(1, 61))
+    }
     assert not names(smoothed(pieces, min_extent=0.75, frame_size=(1000.0, 900.0)))
 
 
-def at_the_border(*lost: int, known: tuple[int, int] = (15, 40)) -> tuple[Tracks, MeasurementHistory]:
-    """Someone walks from left to right, cut by the picture in frames 2 to 6 and 51 to 56; another stands in the middle.
+def at_the_border(
+    *lost: int, known: tuple[int, int] = (15, 40)
+) -> tuple[Tracks, MeasurementHistory]:
+    """Someone walks from left to right, cut by the picture in frames 2 to 6 and 51 to 56; another
+    stands in the middle.
 
     He is detected in all of them but those ``lost``; his track has only those ``known``.
     """
     left, right = (np.clip(12 * np.arange(1, 57) + side, 0, 640) for side in (-60.0, -20.0))
-    cut = np.stack([(left + right) / 2, np.full(56, 240.0), right - left, np.full(56, 80.0)], axis=1)
+    cut = np.stack(
+        [(left + right) / 2, np.full(56, 240.0), right - left, np.full(56, 80.0)], axis=1
+    )
     seen = {n: cut[n - 1] for n in range(2, 57) if n not in lost}
     stays = {n: np.array([320.0, 100.0, 40.0, 80.0]) for n in range(1, 61)}
     tracks, measurements = sequence([seen, stays], 60, MODEL)
     low, high = known
-    return tracks.take((tracks.identity == 2) | (tracks.frame >= low) & (tracks.frame <= high)), measurements
+    return tracks.take(
+        (tracks.identity == 2) | (tracks.frame >= low) & (tracks.frame <= high)
+    ), measurements
 
 
 @pytest.mark.parametrize(
@@ -225,7 +269,9 @@ def at_the_border(*lost: int, known: tuple[int, int] = (15, 40)) -> tuple[Tracks
         ((7, 8, 47, 48), {}, 9, 46),
     ],
 )
-def test_a_track_goes_on_to_the_border_by_detections_that_are_left(lost, settings, first: int, last: int):
+def test_a_track_goes_on_to_the_border_by_detections_that_are_left(
+    lost, settings, first: int, last: int
+):
     smoothing = Smoothing(**({"max_continuation": 1.0, "frame_size": (640.0, 480.0)} | settings))
     given, measurements = at_the_border(*lost)
     tracks = smoothing.smooth(given, measurements, MODEL)
@@ -241,8 +287,15 @@ def test_a_track_goes_on_to_the_border_by_detections_that_are_left(lost, setting
 
 
 def test_what_another_track_rests_on_carries_nobody_on():
-    """Of two that walk through each other one is not detected any more when they meet, in frame 56."""
-    first, second = ({n: np.array([x + v * n, 240.0, 40.0, 80.0]) for n in range(1, 61)} for x, v in ((96, 4), (544, -4)))
+    """Of two that walk through each other one is not detected any more when they meet, in frame
+    56.
+    """
+    first, second = (
+        {n: np.array([x + v * n, 240.0, 40.0, 80.0]) for n in range(1, 61)}
+        for x, v in ((96, 4), (544, -4))
+    )
     tracks, measurements = sequence([{n: first[n] for n in range(1, 53)}, second], 60, MODEL)
-    out = Smoothing(max_continuation=1.0, frame_size=(640.0, 480.0)).smooth(tracks, measurements, MODEL)
+    out = Smoothing(max_continuation=1.0, frame_size=(640.0, 480.0)).smooth(
+        tracks, measurements, MODEL
+    )
     assert names(out) == {1: list(range(1, 53)), 2: list(range(1, 61))}

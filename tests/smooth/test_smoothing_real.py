@@ -9,7 +9,12 @@ from phdtrack import config, pipeline
 from phdtrack.formats import read_detections, read_seqinfo, read_truth
 from phdtrack.metrics import Scores, evaluate, pool
 
-SEQUENCES = (("TUD-Campus", "public"), ("TUD-Campus", "frcnn"), ("KITTI-17", "public"), ("KITTI-17", "frcnn"))
+SEQUENCES = (
+    ("TUD-Campus", "public"),
+    ("TUD-Campus", "frcnn"),
+    ("KITTI-17", "public"),
+    ("KITTI-17", "frcnn"),
+)
 
 
 def scores(data: Path, filter_name: str, *sets: str) -> Scores:
@@ -17,11 +22,19 @@ def scores(data: Path, filter_name: str, *sets: str) -> Scores:
     found = []
     for name, kind in SEQUENCES:
         folder = data / "mot15" / name
-        info, table = read_seqinfo(folder), read_detections(folder / f"det_{kind}" / "det.txt")
-        stages, rng = config.build(config.load(sets=sets), info, filter_name), np.random.default_rng(1)
+        info = read_seqinfo(folder)
+        table = read_detections(folder / f"det_{kind}" / "det.txt")
+        stages = config.build(config.load(sets=sets), info, filter_name)
+        rng = np.random.default_rng(1)
         frames = ((n, (n - 1) / info.fps, table.at(n)) for n in range(1, info.frames + 1))
         *_, (state, _) = pipeline.run(stages, frames, rng)
-        found.append(evaluate(read_truth(folder / "gt" / "gt.txt"), pipeline.finish(stages, state), frames=info.frames))
+        found.append(
+            evaluate(
+                read_truth(folder / "gt" / "gt.txt"),
+                pipeline.finish(stages, state),
+                frames=info.frames,
+            )
+        )
     return pool(found)
 
 
@@ -29,7 +42,8 @@ def scores(data: Path, filter_name: str, *sets: str) -> Scores:
 @pytest.mark.parametrize("filter_name", ["gm-phd", pytest.param("mht", marks=pytest.mark.slow)])
 def test_joining_and_smoothing_each_earn_their_place(data: Path, filter_name: str):
     both = scores(data, filter_name)
-    apart, rough = scores(data, filter_name, "smooth.stitching=false"), scores(data, filter_name, "smooth.smoothing=false")
+    apart = scores(data, filter_name, "smooth.stitching=false")
+    rough = scores(data, filter_name, "smooth.smoothing=false")
     assert both.IDF1 > apart.IDF1 + 0.005
     assert both.HOTA > apart.HOTA + 0.002
     assert both.HOTA > rough.HOTA + 0.005

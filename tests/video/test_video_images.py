@@ -26,7 +26,12 @@ def test_a_folder_is_read_in_natural_order(tmp_path: Path) -> None:
     assert [frame.number for frame in frames] == [1, 2, 10]
     np.testing.assert_allclose([frame.time for frame in frames], [0, 0.2, 1.8])
     assert all(np.array_equal(frame.image, picture(i)) for i, frame in enumerate(frames))
-    assert (source.info.width, source.info.height, source.info.fps, source.info.frames) == (64, 48, 5, 3)
+    assert (source.info.width, source.info.height, source.info.fps, source.info.frames) == (
+        64,
+        48,
+        5,
+        3,
+    )
     assert (source.info.name, source.note, source.problem) == ("walk", "", "")
 
 
@@ -34,7 +39,11 @@ def test_samples_of_images_are_spread_over_them(tmp_path: Path) -> None:
     for k in range(1, 12):
         cv2.imwrite(str(tmp_path / f"{k}.png"), np.full((8, 8, 3), 20 * k, np.uint8))
     source = open_source(tmp_path)
-    assert [(sample.number, int(sample.image[0, 0, 0])) for sample in source.sample(3)] == [(1, 20), (6, 120), (11, 220)]
+    assert [(sample.number, int(sample.image[0, 0, 0])) for sample in source.sample(3)] == [
+        (1, 20),
+        (6, 120),
+        (11, 220),
+    ]
     assert len(list(source.sample(51))) == 11
 
 
@@ -43,7 +52,10 @@ def test_a_pattern_selects_and_an_assumed_rate_is_stated(tmp_path: Path) -> None
     source = open_source(tmp_path / "SEQ-1" / "img1")
     assert (source.info.name, source.info.fps) == ("SEQ-1", 25)
     assert "25 frames a second assumed" in source.note
-    assert [frame.number for frame in open_source(str(tmp_path / "SEQ-1" / "img1" / "a*.png"))] == [1, 2]
+    assert [frame.number for frame in open_source(str(tmp_path / "SEQ-1" / "img1" / "a*.png"))] == [
+        1,
+        2,
+    ]
     with pytest.raises(InputError, match="no file matches"):
         open_source(str(tmp_path / "c*.png"))
 
@@ -68,7 +80,9 @@ def test_bad_images_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"2\.png: this is not an image"):
         list(open_source(tmp_path / "s"))
     cv2.imwrite(str(tmp_path / "s" / "2.png"), picture(0, 80, 48))
-    with pytest.raises(InputError, match=r"2\.png, frame 2: this frame is 80x48 pixels, the first one 64x48"):
+    with pytest.raises(
+        InputError, match=r"2\.png, frame 2: this frame is 80x48 pixels, the first one 64x48"
+    ):
         list(open_source(tmp_path / "s"))
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="no image"):
@@ -79,4 +93,7 @@ def test_some_frames_are_chosen_by_number(tmp_path: Path) -> None:
     for k in (1, 2, 4, 5, 7):
         cv2.imwrite(str(tmp_path / f"{k:03d}.png"), np.full((8, 8, 3), k, np.uint8))
     found = list(open_source(tmp_path, fps=10, first=3, last=5))
-    assert [(frame.number, frame.time, int(frame.image[0, 0, 0])) for frame in found] == [(4, 0.3, 4), (5, 0.4, 5)]
+    assert [(frame.number, frame.time, int(frame.image[0, 0, 0])) for frame in found] == [
+        (4, 0.3, 4),
+        (5, 0.4, 5),
+    ]

@@ -45,7 +45,8 @@ def noise(count: int) -> list[Image]:
 
 
 def test_a_truncated_file_gives_what_it_has(tmp_path: Path) -> None:
-    whole, short = tmp_path / "whole.mp4", tmp_path / "short.mp4"
+    whole = tmp_path / "whole.mp4"
+    short = tmp_path / "short.mp4"
     with VideoWriter(whole, 64, 48, 25) as out:
         for image in noise(30):
             out.write(image)
@@ -108,7 +109,9 @@ def test_samples_are_frames_of_the_file_spread_over_it(tmp_path: Path) -> None:
 def portrait(clip: Path, path: Path) -> Path:
     """The same clip as a telephone that is held upright marks it."""
     plain = b"".join(n.to_bytes(4, "big") for n in (0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x40000000))
-    turned = b"".join(n.to_bytes(4, "big") for n in (0, 0x10000, 0, 0xFFFF0000, 0, 0, 0, 0, 0x40000000))
+    turned = b"".join(
+        n.to_bytes(4, "big") for n in (0, 0x10000, 0, 0xFFFF0000, 0, 0, 0, 0, 0x40000000)
+    )
     data = clip.read_bytes()
     track = data.index(b"tkhd")
     at = data.index(plain, track)
@@ -136,8 +139,12 @@ def test_caviar_is_counted_by_decoding(data: Path) -> None:
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_small_pictures_are_made_of_what_was_decoded(clip: Path, tmp_path: Path, turned: bool) -> None:
-    """In the size asked for, the mean of what each pixel covers, also as planes, turned as the picture is."""
+def test_small_pictures_are_made_of_what_was_decoded(
+    clip: Path, tmp_path: Path, turned: bool
+) -> None:
+    """In the size asked for, the mean of what each pixel covers, also as planes, turned as the
+    picture is.
+    """
     source = open_source(portrait(clip, tmp_path / "turned.mp4") if turned else clip)
     frame = next(iter(source))
     wide, high = frame.picture.size
@@ -145,7 +152,9 @@ def test_small_pictures_are_made_of_what_was_decoded(clip: Path, tmp_path: Path,
     for size in ((wide, high), (wide // 2, high // 2), (wide // 2 - 1, high // 2 - 1)):
         expected = cv2.resize(frame.image, size, interpolation=cv2.INTER_AREA)
         for planes in (frame.picture.planes(size), planes_of(frame.image, size)):
-            assert len(planes) == size[0] * size[1] + 2 * ((size[0] + 1) // 2) * ((size[1] + 1) // 2)
+            assert len(planes) == size[0] * size[1] + 2 * ((size[0] + 1) // 2) * (
+                (size[1] + 1) // 2
+            )
             found = Planar(size, planes).bgr()
             assert found.shape == expected.shape
             assert np.abs(found.astype(int) - expected).mean() < 4
@@ -153,26 +162,37 @@ def test_small_pictures_are_made_of_what_was_decoded(clip: Path, tmp_path: Path,
     assert 0.5 < source.share <= 1
 
 
-@pytest.mark.parametrize("kind", ["yuv420p", "yuvj420p", "yuv420p10le", "yuv422p", "yuv444p", "nv12", "gray", "full"])
+@pytest.mark.parametrize(
+    "kind", ["yuv420p", "yuvj420p", "yuv420p10le", "yuv422p", "yuv444p", "nv12", "gray", "full"]
+)
 def test_planes_of_all_kinds_of_pictures_are_the_same(kind: str) -> None:
     # Red grows to the right and downwards, green less, blue not.
-    ramp = np.add.outer(np.arange(33), np.arange(21))[..., None] * ((1, 1, 1) if kind == "gray" else (0, 0.5, 1))
+    ramp = np.add.outer(np.arange(33), np.arange(21))[..., None] * (
+        (1, 1, 1) if kind == "gray" else (0, 0.5, 1)
+    )
     image = (3 * ramp + 40).astype(np.uint8)
-    whole, full = av.VideoFrame.from_ndarray(image, format="bgr24"), kind == "full"
-    made = whole.reformat(format="yuv420p" if full else kind, dst_color_range="JPEG" if full else None)
+    whole = av.VideoFrame.from_ndarray(image, format="bgr24")
+    full = kind == "full"
+    made = whole.reformat(
+        format="yuv420p" if full else kind, dst_color_range="JPEG" if full else None
+    )
     made.color_range = 2 if full or kind == "yuvj420p" else 1
     for size in (None, (10, 16)):
-        found, expected = Decoded(made).planes(size).astype(int), planes_of(image, size).astype(int)
+        found = Decoded(made).planes(size).astype(int)
+        expected = planes_of(image, size).astype(int)
         assert found.shape == expected.shape
         assert np.abs(found - expected).mean() < 1.5
         assert abs((found - expected).mean()) < 1
 
 
 @pytest.mark.parametrize("asked", [(20, 12), (40, 24), None])
-def test_planes_that_are_prepared_are_those_that_are_asked_for(asked: tuple[int, int] | None) -> None:
+def test_planes_that_are_prepared_are_those_that_are_asked_for(
+    asked: tuple[int, int] | None,
+) -> None:
     image = np.random.default_rng(0).integers(0, 256, (24, 40, 3), dtype=np.uint8)
     frame = av.VideoFrame.from_ndarray(image, format="bgr24").reformat(format="yuv420p")
-    picture, other = Decoded(frame), Decoded(frame)
+    picture = Decoded(frame)
+    other = Decoded(frame)
     for size in ((20, 12), (40, 24)):
         picture.prepare(size)
         first = picture.planes(asked)
@@ -183,19 +203,25 @@ def test_planes_that_are_prepared_are_those_that_are_asked_for(asked: tuple[int,
 
 
 def coded(path: Path, count: int = 90, *, jump: bool = False) -> Path:
-    """H.264 with pictures between others that they are decoded from, a key every 12, and intervals that vary; with a
-    ``jump`` its stamps begin anew in the middle, as where recordings are joined."""
+    """H.264 with pictures between others that they are decoded from, a key every 12, and intervals
+    that vary; with a ``jump`` its stamps begin anew in the middle, as where recordings are
+    joined."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream(
-            "libx264", rate=25, options={"g": "12", "bf": "3", "x264-params": "keyint=12:open-gop=1"}
+            "libx264",
+            rate=25,
+            options={"g": "12", "bf": "3", "x264-params": "keyint=12:open-gop=1"},
         )
-        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        stream.width = 64
+        stream.height = 48
+        stream.pix_fmt = "yuv420p"
         stream.codec_context.time_base = Fraction(1, 1000)
         moment = 400
         for k in range(count):
             frame = av.VideoFrame.from_ndarray(picture(k), format="bgr24")
             moment += (40, 40, 80)[k % 3]
-            frame.pts, frame.time_base = moment, Fraction(1, 1000)
+            frame.pts = moment
+            frame.time_base = Fraction(1, 1000)
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
     if jump:
@@ -205,15 +231,21 @@ def coded(path: Path, count: int = 90, *, jump: bool = False) -> Path:
 
 @pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.ts", "a.h264", "jump.ts"])
 @pytest.mark.parametrize("given", [0.0, 10.0])
-def test_some_frames_of_a_file_are_those_of_the_whole(name: str, given: float, tmp_path: Path) -> None:
-    """Whether it can jump to them (mp4, mkv), or not (a stream without stamps, or with stamps that begin anew)."""
+def test_some_frames_of_a_file_are_those_of_the_whole(
+    name: str, given: float, tmp_path: Path
+) -> None:
+    """Whether it can jump to them (mp4, mkv), or not (a stream without stamps, or with stamps that
+    begin anew).
+    """
     path = coded(tmp_path / name, jump=name == "jump.ts")
     whole = list(open_source(path, fps=given))
     for first, last in ((1, 5), (2, 2), (12, 14), (47, 60), (len(whole) - 1, 0)):
         found = list(open_source(path, fps=given, first=first, last=last))
         wanted = whole[first - 1 : last or None]
         assert [frame.number for frame in found] == [frame.number for frame in wanted]
-        np.testing.assert_allclose([frame.time for frame in found], [frame.time for frame in wanted], atol=1e-9)
+        np.testing.assert_allclose(
+            [frame.time for frame in found], [frame.time for frame in wanted], atol=1e-9
+        )
         assert all(np.array_equal(a.image, b.image) for a, b in zip(found, wanted, strict=True))
     late = open_source(path, fps=given, first=len(whole) + 5)
     assert not list(late)

@@ -22,10 +22,13 @@ def test_it_is_what_browsers_play(clip: Path) -> None:
     assert data.index(b"moov") < data.index(b"mdat")
 
 
-@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system cannot confine a process to one core")
+@pytest.mark.skipif(
+    not hasattr(os, "sched_setaffinity"), reason="this system cannot confine a process to one core"
+)
 def test_pictures_do_not_depend_on_how_many_cores_there_are(tmp_path: Path) -> None:
     """A rendered scene is the same on every machine, and so is what is found in it."""
-    cores, seen = os.sched_getaffinity(0), []
+    cores = os.sched_getaffinity(0)
+    seen = []
     for allowed in ({min(cores)}, cores):
         os.sched_setaffinity(0, allowed)
         try:
@@ -55,12 +58,22 @@ def test_odd_sizes_and_fractional_rates(tmp_path: Path, fps: float) -> None:
 
 
 @pytest.mark.parametrize(("size", "threads"), [((64, 48), 1), ((2000, 1200), 2)])
-def test_fast_settings_reach_the_encoder(tmp_path: Path, size: tuple[int, int], threads: int) -> None:
+def test_fast_settings_reach_the_encoder(
+    tmp_path: Path, size: tuple[int, int], threads: int
+) -> None:
     """It says of misspelled ones nothing; what it was told stands in the file."""
     with VideoWriter(tmp_path / "a.mp4", *size, 25, fast=True) as out:
         out.write(np.zeros((size[1], size[0], 3), np.uint8))
     told = (tmp_path / "a.mp4").read_bytes()
-    words = (f" threads={threads} ", "sliced_threads=0", "bframes=0", "ref=1 ", "subme=0", "weightp=0", "mbtree=0")
+    words = (
+        f" threads={threads} ",
+        "sliced_threads=0",
+        "bframes=0",
+        "ref=1 ",
+        "subme=0",
+        "weightp=0",
+        "mbtree=0",
+    )
     assert [word for word in words if word.encode() not in told] == []
 
 
@@ -69,7 +82,9 @@ def test_planes_are_written_as_they_are(tmp_path: Path) -> None:
     with VideoWriter(tmp_path / "first.mp4", 64, 48, 25, quality=5) as out:
         for index in range(20):
             out.write(picture(index))
-    frames = [frame.picture.planes().reshape(72, 64) for frame in open_source(tmp_path / "first.mp4")]
+    frames = [
+        frame.picture.planes().reshape(72, 64) for frame in open_source(tmp_path / "first.mp4")
+    ]
     for name in ("second", "third"):
         with VideoWriter(tmp_path / f"{name}.mp4", 64, 48, 25, quality=5, fast=True) as out:
             for planes in frames:
@@ -94,7 +109,11 @@ def test_after_an_error_what_was_written_is_whole_under_another_name(tmp_path: P
 
 def test_other_images_are_refused(tmp_path: Path) -> None:
     with VideoWriter(tmp_path / "x.mp4", 64, 48, 25) as out:
-        for shape, kind in (((48, 64), np.uint8), ((48, 66, 3), np.uint8), ((48, 64, 3), np.float32)):
+        for shape, kind in (
+            ((48, 64), np.uint8),
+            ((48, 66, 3), np.uint8),
+            ((48, 64, 3), np.float32),
+        ):
             with pytest.raises(InputError, match="frame 1: expected an image"):
                 out.write(np.zeros(shape, kind))
 

@@ -17,7 +17,9 @@ def picture(index: int, width: int = 64, height: int = 48) -> Image:
     return image
 
 
-def encode(path: Path, images: Sequence[Image], stamps: Sequence[int], *, per_second: int = 1000) -> None:
+def encode(
+    path: Path, images: Sequence[Image], stamps: Sequence[int], *, per_second: int = 1000
+) -> None:
     """A Matroska file with one picture per time stamp, in units of 1/``per_second`` s."""
     with av.open(str(path), "w", format="matroska") as container:
         stream = container.add_stream("mpeg4", rate=25)
@@ -26,6 +28,7 @@ def encode(path: Path, images: Sequence[Image], stamps: Sequence[int], *, per_se
         stream.codec_context.time_base = Fraction(1, per_second)
         for image, stamp in zip(images, stamps, strict=True):
             frame = av.VideoFrame.from_ndarray(image, format="bgr24")
-            frame.pts, frame.time_base = stamp, Fraction(1, per_second)
+            frame.pts = stamp
+            frame.time_base = Fraction(1, per_second)
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))

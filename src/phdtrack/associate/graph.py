@@ -1,18 +1,21 @@
 """Multi-frame association by graph matching with false-hypothesis correction [M07 §3].
 
-Vertices are the extracted states of the last seconds. An edge joins a vertex to a later one; its gain is the log-density of
-the later state under the j-step transition from the earlier, minus that of leaving both ends open, minus the cost of the
-time that the track then spends without a state. The best set of tracks is the path cover of maximum total gain: with each
-vertex split into an out-side and an in-side, a bipartite matching (Shafique and Shah 2005). It is extended frame by frame,
-by one augmenting path per new vertex (`kernels.linking`).
+Vertices are the extracted states of the last seconds. An edge joins a vertex to a later one; its
+gain is the log-density of the later state under the j-step transition from the earlier, minus that
+of leaving both ends open, minus the cost of the time that the track then spends without a state.
+The best set of tracks is the path cover of maximum total gain: with each vertex split into an
+out-side and an in-side, a bipartite matching (Shafique and Shah 2005). It is extended frame by
+frame, by one augmenting path per new vertex (`kernels.linking`).
 
-The log-density of a loose end is that of a state ``loose_end_distance`` deviations away from a typical one-step prediction,
-so that the setting does not depend on the size of image or target, nor on the frame rate. The degenerate f is convolved with
-the covariances of both states and evaluated on the rows that a measurement shows.
+The log-density of a loose end is that of a state ``loose_end_distance`` deviations away from a
+typical one-step prediction, so that the setting does not depend on the size of image or target, nor
+on the frame rate. The degenerate f is convolved with the covariances of both states and evaluated
+on the rows that a measurement shows.
 
-Online rows, once given, never change; the tracks of `GraphMatching.finish` use all corrections. The identity of a state is
-fixed when the rows of its frame are given: it is that of the state it is then linked to. A later correction only decides
-how the identities go on. Where two states claim one identity, the one that is linked to its last state has it.
+Online rows, once given, never change; the tracks of `GraphMatching.finish` use all corrections. The
+identity of a state is fixed when the rows of its frame are given: it is that of the state it is
+then linked to. A later correction only decides how the identities go on. Where two states claim one
+identity, the one that is linked to its last state has it.
 """
 
 from __future__ import annotations
@@ -23,7 +26,15 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.associate.history import History, Moment, Path, measurements, open_links, rows_of
-from phdtrack.errors import Checked, Count, InputError, NonNegative, Positive, PositiveCount, Probability
+from phdtrack.errors import (
+    Checked,
+    Count,
+    InputError,
+    NonNegative,
+    Positive,
+    PositiveCount,
+    Probability,
+)
 from phdtrack.kernels.gaussian import gaussian_parts
 from phdtrack.kernels.linking import Fresh, Links, Terms, Window, link_states
 from phdtrack.models import warp as warp_of
@@ -68,7 +79,9 @@ class Identities(NamedTuple):
         """These, then the other ones."""
         if not len(self.identity) or not len(other.identity):
             return self if len(self.identity) else other
-        return Identities._make(np.concatenate(pair, axis=-1) for pair in zip(self, other, strict=True))
+        return Identities._make(
+            np.concatenate(pair, axis=-1) for pair in zip(self, other, strict=True)
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,8 +93,8 @@ class Given:
     first : the first vertex that may still be linked to.
     track : (V,) the identity of each vertex from there on.
     known : the identities.
-    returned : (2, AGES) how many identities were without a state for so many frames, and how many of them had one in the
-        next.
+    returned : (2, AGES) how many identities were without a state for so many frames, and how many
+        of them had one in the next.
     used : identities given so far.
     """
 
@@ -94,7 +107,9 @@ class Given:
 
 @dataclass(frozen=True, slots=True)
 class GraphState:
-    """Open links, everything seen, what was given online, the number of vertices and the model time."""
+    """Open links, everything seen, what was given online, the number of vertices and the model
+    time.
+    """
 
     window: Window
     history: History
@@ -110,20 +125,23 @@ class GraphMatching(Checked):
     Parameters
     ----------
     window : seconds over which states are linked; M07's K = 50 frames at 25 Hz.
-    min_track_length : states, and detections that a track is led back to, below which a corrected track is discarded; states
-        below which an online track is not confirmed.
-    loose_end_distance : deviations from a typical prediction at which a link gains as much as two loose ends.
+    min_track_length : states, and detections that a track is led back to, below which a corrected
+        track is discarded; states below which an online track is not confirmed.
+    loose_end_distance : deviations from a typical prediction at which a link gains as much as two
+        loose ends.
     gap_cost : nats per second that a link loses for the time without a state.
-    min_link_gain : share of loose_end_distance²/2 that a track's links must gain on average, or it is discarded (offline) or
-        not confirmed (online). Links between false alarms are poor.
+    min_link_gain : share of loose_end_distance²/2 that a track's links must gain on average, or it
+        is discarded (offline) or not confirmed (online). Links between false alarms are poor.
     max_link_distance : deviations that linked states may be apart.
-    output_delay : frames by which the online output lags, so that what follows can correct links and confirm tracks.
-    max_coast : seconds for which, at most, a confirmed track without a state is continued online by the motion model. It is
-        continued while tracks that were missing as long came back in more than half of the cases.
+    output_delay : frames by which the online output lags, so that what follows can correct links
+        and confirm tracks.
+    max_coast : seconds for which, at most, a confirmed track without a state is continued online by
+        the motion model. It is continued while tracks that were missing as long came back in more
+        than half of the cases.
     bridge_gaps : fill the gaps of tracks with predicted rows.
     back_dating : earlier detections through which a corrected track is led back, at most.
-    history : seconds of the filter's time (`time.longest_interval`) after which the past is forgotten; 0: never. Corrected
-        tracks then go no further back than this and a little more.
+    history : seconds of the filter's time (`time.longest_interval`) after which the past is
+        forgotten; 0: never. Corrected tracks then go no further back than this and a little more.
     """
 
     window: Positive = 2.0
@@ -141,19 +159,25 @@ class GraphMatching(Checked):
     def start(self) -> GraphState:
         """Nothing seen."""
         none = np.zeros(0, np.int64)
-        return GraphState(empty_window(0), History(), Given(0, none, _new(none, Estimates.empty(0), none)))
+        return GraphState(
+            empty_window(0), History(), Given(0, none, _new(none, Estimates.empty(0), none))
+        )
 
     def extend(
         self, state: GraphState, estimates: Estimates, z: F8, number: int, dt: float, model: Model
     ) -> tuple[GraphState, Tracks]:
-        """The state with the states of frame ``number`` linked, and the online rows that are now due [M07 §3].
+        """The state with the states of frame ``number`` linked, and the online rows that are now
+        due [M07 §3].
 
         Raises `InputError` where a position is not finite.
         """
         before = state.window if state.vertices else empty_window(len(estimates.state))
         window, final = self._linked(before, estimates, dt, model)
-        time, vertices = state.time + dt, state.vertices + len(estimates)
-        history = state.history.append(Moment(number, time, state.vertices, estimates, final, z, model.warp))
+        time = state.time + dt
+        vertices = state.vertices + len(estimates)
+        history = state.history.append(
+            Moment(number, time, state.vertices, estimates, final, z, model.warp)
+        )
         extended = GraphState(window, history, state.given, vertices, time)
         due = len(history) - 1 - self.output_delay
         if due < 0:
@@ -163,7 +187,9 @@ class GraphMatching(Checked):
             return extended, tracks
         # What open links and rows that are still due rest on stays.
         needed = history[due].time - (2 * self.window + self.max_coast) * model.rate
-        return replace(extended, history=history.since(min(time - self.history * model.rate, needed))), tracks
+        return replace(
+            extended, history=history.since(min(time - self.history * model.rate, needed))
+        ), tracks
 
     def flush(self, state: GraphState, model: Model) -> Tracks:
         """The online rows of the last ``output_delay`` frames, under the final links."""
@@ -174,10 +200,17 @@ class GraphMatching(Checked):
         return Tracks.concatenate(parts)
 
     def finish(self, state: GraphState, model: Model) -> Tracks:
-        """The corrected tracks: short ones left out, gaps bridged, identities from 1 in order of appearance."""
+        """The corrected tracks: short ones left out, gaps bridged, identities from 1 in order of
+        appearance.
+        """
         moments = list(iter(state.history))
-        start = np.concatenate(([0], np.cumsum([len(m.estimates) for m in moments], dtype=np.int64)))
-        parts, taken, at, name = list[Tracks](), set[tuple[int, int]](), list[int](), list[int]()
+        start = np.concatenate(
+            ([0], np.cumsum([len(m.estimates) for m in moments], dtype=np.int64))
+        )
+        parts = list[Tracks]()
+        taken = set[tuple[int, int]]()
+        at = list[int]()
+        name = list[int]()
         identity = 1
         for path in self._paths(moments, state.window):
             before, boxes = _back_dated(moments, path[0], self.back_dating, taken, model)
@@ -192,27 +225,40 @@ class GraphMatching(Checked):
                 first = moments[path[0][0]].estimates.weight[path[0][1]]
                 parts.append(Tracks.of(numbers, identity, boxes, first, detections))
             identity += 1
-        parts += rows_of(moments, np.array(at, np.int64), np.array(name, np.int64), self.bridge_gaps, model)
+        parts += rows_of(
+            moments, np.array(at, np.int64), np.array(name, np.int64), self.bridge_gaps, model
+        )
         return Tracks.concatenate(parts)
 
     def measurements(self, state: GraphState) -> MeasurementHistory:
         """The measurements of everything that is remembered."""
         return measurements(state.history)
 
-    def _linked(self, window: Window, estimates: Estimates, dt: float, model: Model) -> tuple[Window, Links]:
+    def _linked(
+        self, window: Window, estimates: Estimates, dt: float, model: Model
+    ) -> tuple[Window, Links]:
         """The window with the new states, and the links that can no longer change."""
         rows = np.array(model.sensor.observed)
         if not np.isfinite(estimates.state[rows[:2]]).all():
             raise InputError("expected positions that are finite", where="the extracted states")
-        mean, covariance = window.mean, window.covariance
+        mean = window.mean
+        covariance = window.covariance
         if len(mean):
             mean, covariance, _ = moved(model, mean, covariance, dt, "linear")[2]
         _, _, noise = model.motion.transition(estimates.state, dt)
         typical = noise[:, rows[:, None], rows].copy()
-        typical[:, range(len(rows)), range(len(rows))] += 2 * model.sensor.noise(estimates.state)[rows].T ** 2
-        fresh = Fresh(np.ascontiguousarray(estimates.state.T), np.ascontiguousarray(estimates.covariance), typical, rows)
+        typical[:, range(len(rows)), range(len(rows))] += (
+            2 * model.sensor.noise(estimates.state)[rows].T ** 2
+        )
+        fresh = Fresh(
+            np.ascontiguousarray(estimates.state.T),
+            np.ascontiguousarray(estimates.covariance),
+            typical,
+            rows,
+        )
         # The small addition keeps a state exactly that old.
-        span, gap_cost = self.window * model.rate + 1e-9, self.gap_cost / model.rate
+        span = self.window * model.rate + 1e-9
+        gap_cost = self.gap_cost / model.rate
         terms = Terms(span, self.loose_end_distance, gap_cost, self.max_link_distance)
         after, closed = link_states(window, mean, covariance, fresh, terms, float(dt))
         return after, open_links(window, closed)
@@ -220,13 +266,15 @@ class GraphMatching(Checked):
     def _paths(self, moments: list[Moment], window: Window) -> list[Path]:
         """Tracks in order of appearance whose links gain enough."""
         place = [(k, i) for k, m in enumerate(moments) for i in range(len(m.estimates))]
-        before, gain = np.full(len(place), -1, np.int64), np.zeros(len(place))
+        before = np.full(len(place), -1, np.int64)
+        gain = np.zeros(len(place))
         first = moments[0].first if moments else 0
         for part in (*(m.final for m in moments), open_links(window)):
             # What went before the first moment may be forgotten: tracks then begin here.
             known = part.earlier >= first
             later = part.later[known] - first
-            before[later], gain[later] = part.earlier[known] - first, part.gain[known]
+            before[later] = part.earlier[known] - first
+            gain[later] = part.gain[known]
         ending: dict[int, list[int]] = {}
         paths = []
         for vertex in range(len(place)):
@@ -235,26 +283,40 @@ class GraphMatching(Checked):
                 paths.append(path)
             path.append(vertex)
             ending[vertex] = path
-        return [[place[v] for v in path] for path in paths if self._good(len(path), gain[path].sum())]
+        return [
+            [place[v] for v in path] for path in paths if self._good(len(path), gain[path].sum())
+        ]
 
     def _good(self, states: I8 | int, gain: F8) -> Bool:
-        """Whether the links of tracks gain enough; a perfect typical link gains loose_end_distance²/2."""
+        """Whether the links of tracks gain enough; a perfect typical link gains
+        loose_end_distance²/2.
+        """
         return gain >= self.min_link_gain * 0.5 * self.loose_end_distance**2 * (states - 1)
 
     def _give(self, state: GraphState, place: int, model: Model) -> tuple[GraphState, Tracks]:
-        """The state with what is given for the frame at ``place`` of the history under the present links, and its rows."""
-        given, history, moment = state.given, state.history, state.history[place]
+        """The state with what is given for the frame at ``place`` of the history under the present
+        links, and its rows.
+        """
+        given = state.given
+        moment = state.history[place]
+        history = state.history
         held = [history[k] for k in range(place + 1, len(history))]
         end = moment.first + len(moment.estimates)
         onward, gain = _onward(given.first, state.window, held)
         identity, known, used = _claimed(given, moment, onward, gain)
         known = known._replace(confirmed=self._confirmed(known, onward, gain, given.first, end))
         returned = _returned(given, known)
-        e, confirmed = moment.estimates, known.confirmed[np.searchsorted(known.identity, identity)]
+        e = moment.estimates
+        confirmed = known.confirmed[np.searchsorted(known.identity, identity)]
         parts = [Tracks.of(moment.number, identity, e.xyxy, e.weight, e.detection, confirmed)]
-        after, missing = onward[known.last - given.first], known.last < moment.first
-        absent = missing & known.confirmed & ((after >= end) | ((after < 0) & (known.missed < AGES)))
-        state_of, missed, confidence = known.state.copy(), known.missed.copy(), np.where(missing, 0.0, known.confidence)
+        after = onward[known.last - given.first]
+        missing = known.last < moment.first
+        absent = (
+            missing & known.confirmed & ((after >= end) | ((after < 0) & (known.missed < AGES)))
+        )
+        state_of = known.state.copy()
+        missed = known.missed.copy()
+        confidence = np.where(missing, 0.0, known.confidence)
         if self.bridge_gaps and absent.any():
             bridging = (absent & (after >= 0)).nonzero()[0]
             parts += _bridged(known.take(bridging), after[bridging], history, place, model)
@@ -265,34 +327,58 @@ class GraphMatching(Checked):
             ahead, _, _ = model.motion.transition(ahead, step)
             survive = model.motion.p_survive(ahead, step / model.rate)
             sure = known.confidence[going] * survive
-            state_of[:, going], confidence[going], there = ahead, sure, sure > 0
+            state_of[:, going] = ahead
+            confidence[going] = sure
+            there = sure > 0
             missed[going[~there]] = AGES
-            probability = _return_probability(survive[there], model.sensor.p_detect(ahead)[there], returned)
+            probability = _return_probability(
+                survive[there], model.sensor.p_detect(ahead)[there], returned
+            )
             most = self._max_frames(state, place, probability, model)
             shown = there & (known.missed[going] <= most) & (after[going] < 0)
             boxes = model.sensor.boxes(ahead[:, shown])
-            parts.append(Tracks.of(moment.number, known.identity[going[shown]], boxes, sure[shown], -1))
+            parts.append(
+                Tracks.of(moment.number, known.identity[going[shown]], boxes, sure[shown], -1)
+            )
         known = known._replace(state=state_of, confidence=confidence, missed=missed)
         # The first vertex whose identity a row still to be given may ask for.
-        oldest = min([state.window.column, moment.first, *(int(m.final.earlier.min(initial=moment.first)) for m in held)])
+        oldest = min(
+            [
+                state.window.column,
+                moment.first,
+                *(int(m.final.earlier.min(initial=moment.first)) for m in held),
+            ]
+        )
         track = np.concatenate((given.track, identity))[oldest - given.first :]
         given = Given(oldest, track, known.take(known.last >= oldest), returned, used)
         return replace(state, given=given), Tracks.concatenate(parts)
 
     def _confirmed(self, known: Identities, onward: I8, gain: F8, first: int, end: int) -> Bool:
-        """(A,) whether each identity is confirmed by its states, or together with those that it is linked to later."""
-        confirmed, states, total, here = known.confirmed, known.length, known.gain, known.last - first
+        """(A,) whether each identity is confirmed by its states, or together with those that it is
+        linked to later.
+        """
+        confirmed = known.confirmed
+        states = known.length
+        total = known.gain
+        here = known.last - first
         while True:
             confirmed = confirmed | ((states >= self.min_track_length) & self._good(states, total))
             goes_on = onward[here] >= end
             if not goes_on.any():
                 return confirmed
-            states, total = states + goes_on, total + np.where(goes_on, gain[here], 0.0)
+            states = states + goes_on
+            total = total + np.where(goes_on, gain[here], 0.0)
             here = np.where(goes_on, onward[here] - first, here)
 
-    def _max_frames(self, state: GraphState, place: int, probability: list[float], model: Model) -> int:
-        """For how many frames without a state tracks are continued: while more come back than do not, and ``max_coast``."""
-        history, most, ahead = state.history, 0, len(state.history) - 1 - place
+    def _max_frames(
+        self, state: GraphState, place: int, probability: list[float], model: Model
+    ) -> int:
+        """For how many frames without a state tracks are continued: while more come back than do
+        not, and ``max_coast``.
+        """
+        most = 0
+        ahead = len(state.history) - 1 - place
+        history = state.history
         longest = self.max_coast * model.rate + 1e-9
         while most + 1 + ahead < AGES and probability[most + 1 + ahead] > 0.5:
             earlier = place - most - 1
@@ -304,60 +390,95 @@ class GraphMatching(Checked):
 
 def empty_window(dim: int) -> Window:
     """A window without vertices, for states of ``dim`` components."""
-    none, zero = np.zeros(0, np.int64), np.zeros(0)
+    none = np.zeros(0, np.int64)
+    zero = np.zeros(0)
     begin = np.zeros(1, np.int64)
-    return Window(0, 0, none, zero, zero, none, zero, zero, begin, none, zero, np.zeros((0, dim)), np.zeros((0, dim, dim)))
+    return Window(
+        0,
+        0,
+        none,
+        zero,
+        zero,
+        none,
+        zero,
+        zero,
+        begin,
+        none,
+        zero,
+        np.zeros((0, dim)),
+        np.zeros((0, dim, dim)),
+    )
 
 
 def _new(identity: I8, estimates: Estimates, vertex: I8) -> Identities:
     """New identities, of states that are the vertices ``vertex`` (n,)."""
-    one, zero = np.ones(len(identity), np.int64), np.zeros(len(identity))
+    one = np.ones(len(identity), np.int64)
+    zero = np.zeros(len(identity))
     weight = np.minimum(1.0, estimates.weight)
     return Identities(identity, vertex, one, zero, zero > 0, one - 1, weight, estimates.state)
 
 
 def _onward(first: int, window: Window, held: list[Moment]) -> tuple[I8, F8]:
-    """Of each vertex from ``first`` on the vertex that it is linked to later, −1 for none, and the link's gain."""
+    """Of each vertex from ``first`` on the vertex that it is linked to later, −1 for none, and the
+    link's gain.
+    """
     count = window.row + len(window.previous) - first
-    onward, gain = np.full(count, -1), np.zeros(count)
+    onward = np.full(count, -1)
+    gain = np.zeros(count)
     for links in (open_links(window), *(m.final for m in held)):
         kept = links.earlier >= first
-        onward[links.earlier[kept] - first], gain[links.earlier[kept] - first] = links.later[kept], links.gain[kept]
+        onward[links.earlier[kept] - first] = links.later[kept]
+        gain[links.earlier[kept] - first] = links.gain[kept]
     return onward, gain
 
 
 def _claimed(given: Given, moment: Moment, onward: I8, gain: F8) -> tuple[I8, Identities, int]:
-    """The identities (n,) of the frame's states, all identities with them, and how many were ever used.
+    """The identities (n,) of the frame's states, all identities with them, and how many were ever
+    used.
 
-    A state takes the identity of the one that is linked to it. Of several that claim one, that which is linked to the
-    identity's last state has it, else the first; the others get new ones.
+    A state takes the identity of the one that is linked to it. Of several that claim one, that
+    which is linked to the identity's last state has it, else the first; the others get new ones.
     """
-    known, e, first = given.known, moment.estimates, moment.first
+    known = given.known
+    e = moment.estimates
+    first = moment.first
     earlier = onward[: len(given.track)]
     source = ((earlier >= first) & (earlier < first + len(e))).nonzero()[0]
-    state, name = earlier[source] - first, given.track[source]
+    state = earlier[source] - first
+    name = given.track[source]
     direct = known.last[np.searchsorted(known.identity, name)] - given.first == source
     order = np.lexsort((state, ~direct))
     _, foremost = np.unique(name[order], return_index=True)
     won = order[foremost]
-    source, state, name = source[won], state[won], name[won]
+    source = source[won]
+    state = state[won]
+    name = name[won]
     at = np.searchsorted(known.identity, name)
     identity = np.zeros(len(e), np.int64)
     identity[state] = name
     fresh = (identity == 0).nonzero()[0]
     identity[fresh] = given.used + 1 + np.arange(len(fresh))
     going = Identities._make(column.copy() for column in known._replace(missed=known.missed + 1))
-    going.last[at], going.missed[at] = first + state, 0
+    going.last[at] = first + state
+    going.missed[at] = 0
     going.length[at] += 1
     going.gain[at] += gain[source]
     if len(at):
-        going.state[:, at], going.confidence[at] = e.state[:, state], np.minimum(1.0, e.weight[state])
-    return identity, going.join(_new(identity[fresh], e.take(fresh), first + fresh)), given.used + len(fresh)
+        going.state[:, at] = e.state[:, state]
+        going.confidence[at] = np.minimum(1.0, e.weight[state])
+    return (
+        identity,
+        going.join(_new(identity[fresh], e.take(fresh), first + fresh)),
+        given.used + len(fresh),
+    )
 
 
 def _returned(given: Given, known: Identities) -> I8:
-    """`Given.returned` with this frame: of confirmed identities without a state, how many have one now."""
-    before, returned = given.known, given.returned.copy()
+    """`Given.returned` with this frame: of confirmed identities without a state, how many have one
+    now.
+    """
+    before = given.known
+    returned = given.returned.copy()
     asked = (before.confirmed & (before.missed > 0) & (before.missed < AGES)).nonzero()[0]
     np.add.at(returned[0], before.missed[asked], 1)
     np.add.at(returned[1], before.missed[asked], known.missed[asked] == 0)
@@ -365,14 +486,18 @@ def _returned(given: Given, known: Identities) -> I8:
 
 
 def _return_probability(p_survive: F8, p_detect: F8, returned: I8) -> list[float]:
-    """The probabilities that an identity that has had no state for 0, 1, … frames will have one again.
+    """The probabilities that an identity that has had no state for 0, 1, … frames will have one
+    again.
 
-    They come from how many did so far, age by age (Kaplan and Meier's product of hazards). Each age also counts one that
-    behaves as the model says: it exists with r, survives with p_S, is missed with 1 − p_D, and then exists with
-    r p_S (1 − p_D)/(1 − r p_S p_D), as a Bernoulli filter has it.
+    They come from how many did so far, age by age (Kaplan and Meier's product of hazards). Each age
+    also counts one that behaves as the model says: it exists with r, survives with p_S, is missed
+    with 1 − p_D, and then exists with r p_S (1 − p_D)/(1 − r p_S p_D), as a Bernoulli filter has
+    it.
     """
     stays, seen = (float(p.mean()) if len(p) else 0.0 for p in (p_survive, p_detect))
-    exists, never, out = 1.0, 1.0, []
+    exists = 1.0
+    never = 1.0
+    out = []
     for asked, came in zip(*returned.tolist(), strict=True):
         there = exists * stays
         out.append((came + there * seen) / (asked + 1.0))
@@ -383,37 +508,73 @@ def _return_probability(p_survive: F8, p_detect: F8, returned: I8) -> list[float
     return out
 
 
-def _bridged(known: Identities, after: I8, history: History, place: int, model: Model) -> list[Tracks]:
-    """The rows in the frame at ``place`` of identities whose next state, the vertex ``after`` (a,), is known already."""
-    parts, now = [], history[place]
+def _bridged(
+    known: Identities, after: I8, history: History, place: int, model: Model
+) -> list[Tracks]:
+    """The rows in the frame at ``place`` of identities whose next state, the vertex ``after`` (a,),
+    is known already.
+    """
+    parts = []
+    now = history[place]
     for i, (vertex, later) in enumerate(zip(known.last.tolist(), after.tolist(), strict=True)):
-        behind = next((k for k in range(place - 1, history.forgotten - 1, -1) if history[k].first <= vertex), None)
+        behind = next(
+            (k for k in range(place - 1, history.forgotten - 1, -1) if history[k].first <= vertex),
+            None,
+        )
         if behind is None:
             continue
-        ahead = next(k for k in range(place + 1, len(history)) if later < history[k].first + len(history[k].estimates))
-        a, b = history[behind], history[ahead]
-        x, y, j, k = a.estimates, b.estimates, vertex - a.first, later - b.first
+        ahead = next(
+            k
+            for k in range(place + 1, len(history))
+            if later < history[k].first + len(history[k].estimates)
+        )
+        a = history[behind]
+        b = history[ahead]
+        x = a.estimates
+        y = b.estimates
+        j = vertex - a.first
+        k = later - b.first
         warps = [
-            warp_of.after([history[m].warp for m in between]) if any(len(history[m].warp) for m in between) else STILL
+            warp_of.after([history[m].warp for m in between])
+            if any(len(history[m].warp) for m in between)
+            else STILL
             for between in (range(behind + 1, place + 1), range(place + 1, ahead + 1))
         ]
-        ends = x.state[:, j][None], x.covariance[j][None], y.state[:, k][None], y.covariance[k][None]
-        state = bridge(model.motion, ends, np.array([now.time - a.time, b.time - now.time]), warps)[:, 0]
-        parts.append(Tracks.of(now.number, int(known.identity[i]), model.sensor.boxes(state), x.weight[j], -1))
+        ends = (
+            x.state[:, j][None],
+            x.covariance[j][None],
+            y.state[:, k][None],
+            y.covariance[k][None],
+        )
+        state = bridge(model.motion, ends, np.array([now.time - a.time, b.time - now.time]), warps)[
+            :, 0
+        ]
+        parts.append(
+            Tracks.of(
+                now.number, int(known.identity[i]), model.sensor.boxes(state), x.weight[j], -1
+            )
+        )
     return parts
 
 
 def _back_dated(
-    moments: list[Moment], start: tuple[int, int], most: int, taken: set[tuple[int, int]], model: Model
+    moments: list[Moment],
+    start: tuple[int, int],
+    most: int,
+    taken: set[tuple[int, int]],
+    model: Model,
 ) -> tuple[Path, F8]:
-    """Places (moment, detection) of the detections that lead to a track's first state, latest first, and its boxes there.
+    """Places (moment, detection) of the detections that lead to a track's first state, latest
+    first, and its boxes there.
 
-    A filter that removes clutter confirms a target only after some coherent detections. Here a Kalman filter runs backward
-    in time from the first state: predict by the inverse transition, take the nearest unused detection in the 99 % region,
-    update with it; stop where there is none. There are ``most`` at most, and other tracks have ``taken`` some.
+    A filter that removes clutter confirms a target only after some coherent detections. Here a
+    Kalman filter runs backward in time from the first state: predict by the inverse transition,
+    take the nearest unused detection in the 99 % region, update with it; stop where there is none.
+    There are ``most`` at most, and other tracks have ``taken`` some.
     """
     place, i = start
-    state, cov = moments[place].estimates.state[:, i], moments[place].estimates.covariance[i]
+    state = moments[place].estimates.state[:, i]
+    cov = moments[place].estimates.covariance[i]
     rows = np.array(model.sensor.observed)
     path: Path = []
     states = [np.zeros((len(state), 0))]
@@ -423,16 +584,23 @@ def _back_dated(
         free = [s for s in range(earlier.z.shape[1]) if s not in used and (k, s) not in taken]
         if not free:
             break
-        state, cov = _one_frame_back(state, cov, moments[k + 1], moments[k + 1].time - earlier.time, model)
+        state, cov = _one_frame_back(
+            state, cov, moments[k + 1], moments[k + 1].time - earlier.time, model
+        )
         seen, noise = model.sensor.states(earlier.z[:, free])
         noise = noise[:, rows][:, :, rows]
         innovation = cov[np.ix_(rows, rows)] + noise
-        distance2, _ = gaussian_parts(seen[rows] - state[rows, None], np.ascontiguousarray(innovation))
+        distance2, _ = gaussian_parts(
+            seen[rows] - state[rows, None], np.ascontiguousarray(innovation)
+        )
         best = int(np.argmin(distance2))
         if distance2[best] > REGION:
             break
-        means, covs = update(state[None], cov[None], seen[rows, best][None], noise[best][None], rows)
-        state, cov = means[0], covs[0]
+        means, covs = update(
+            state[None], cov[None], seen[rows, best][None], noise[best][None], rows
+        )
+        state = means[0]
+        cov = covs[0]
         path.append((k, free[best]))
         states.append(state[:, None])
     return path, model.sensor.boxes(np.hstack(states))
@@ -441,7 +609,8 @@ def _back_dated(
 def _one_frame_back(state: F8, cov: F8, later: Moment, dt: float, model: Model) -> tuple[F8, F8]:
     """State (d,) and covariance (d, d) in the frame before ``later``, by the inverse transition."""
     _, jacobian, noise = model.motion.transition(state[:, None], dt)
-    # A component that the transition forgets (a remembered size) cannot be inferred from what came after: it stays.
+    # A component that the transition forgets (a remembered size) cannot be inferred from what came
+    # after: it stays.
     back = np.linalg.pinv(jacobian[0])
     forgotten = ~jacobian[0].any(axis=0)
     state = np.where(forgotten, state, back @ state)
@@ -449,5 +618,6 @@ def _one_frame_back(state: F8, cov: F8, later: Moment, dt: float, model: Model) 
     if len(later.warp):
         homeward = warp_of.back(later.warp)
         slope = model.motion.warp_jacobian(state[:, None], homeward)[0]
-        state, cov = model.motion.warp_states(state[:, None], homeward)[:, 0], slope @ cov @ slope.T
+        state = model.motion.warp_states(state[:, None], homeward)[:, 0]
+        cov = slope @ cov @ slope.T
     return state, cov

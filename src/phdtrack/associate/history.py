@@ -14,7 +14,8 @@ from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, STILL, Estimates, MeasurementHistory, Tracks
 
 NO_LINKS = Links(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
-# Moments in a chunk: adding a moment copies references to less than two chunks and to the chunks before.
+# Moments in a chunk: adding a moment copies references to less than two chunks and to the chunks
+# before.
 CHUNK = 32
 
 # A track: the places (moment, state) of its states.
@@ -32,7 +33,8 @@ class Moment:
     estimates : the states.
     final : the links, between vertices, that can no longer change since this frame.
     z : (m, N) measurements.
-    warp : the camera's motion since the frame before (`Model.warp`); all else lies in the frame's own pixels.
+    warp : the camera's motion since the frame before (`Model.warp`); all else lies in the frame's
+        own pixels.
     """
 
     number: int
@@ -46,7 +48,9 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """All moments so far. Places count from the first frame; the first ``forgotten`` of them are no longer held."""
+    """All moments so far. Places count from the first frame; the first ``forgotten`` of them are no
+    longer held.
+    """
 
     full: tuple[tuple[Moment, ...], ...] = ()
     recent: tuple[Moment, ...] = ()
@@ -64,7 +68,9 @@ class History:
         gone = 0
         while gone < len(self.full) and self.full[gone][-1].time < time:
             gone += 1
-        return History(self.full[gone:], self.recent, self.forgotten + CHUNK * gone) if gone else self
+        return (
+            History(self.full[gone:], self.recent, self.forgotten + CHUNK * gone) if gone else self
+        )
 
     def __len__(self) -> int:
         return self.forgotten + CHUNK * len(self.full) + len(self.recent)
@@ -83,12 +89,17 @@ class History:
 def open_links(window: Window, most: int | None = None) -> Links:
     """The links of the window's rows, or of the first ``most`` of them."""
     linked = (window.previous[:most] >= 0).nonzero()[0]
-    return Links(window.row + linked, window.previous[linked], window.gain[linked]) if len(linked) else NO_LINKS
+    return (
+        Links(window.row + linked, window.previous[linked], window.gain[linked])
+        if len(linked)
+        else NO_LINKS
+    )
 
 
 def measurements(moments: Iterable[Moment]) -> MeasurementHistory:
     """The measurements of all moments."""
-    # As an iterator: by its length, which counts what is forgotten, a list would ask for too much memory.
+    # As an iterator: by its length, which counts what is forgotten, a list would ask for too much
+    # memory.
     held = list(iter(moments))
     shown = [m.z for m in held if m.z.shape[1]] or [m.z for m in held[:1]] or [np.zeros((0, 0))]
     moved = any(len(m.warp) for m in held)
@@ -102,7 +113,9 @@ def measurements(moments: Iterable[Moment]) -> MeasurementHistory:
     )
 
 
-def rows_of(moments: list[Moment], at: I8, name: I8, bridge_gaps: bool, model: Model) -> list[Tracks]:
+def rows_of(
+    moments: list[Moment], at: I8, name: I8, bridge_gaps: bool, model: Model
+) -> list[Tracks]:
     """The rows of tracks: one for each state, and those of gaps.
 
     Parameters
@@ -118,28 +131,45 @@ def rows_of(moments: list[Moment], at: I8, name: I8, bridge_gaps: bool, model: M
     every = [m.estimates for m in moments]
     start = np.concatenate(([0], np.cumsum([len(e) for e in every])))
     place = np.searchsorted(start, at, side="right") - 1
-    number, time = np.array([m.number for m in moments]), np.array([m.time for m in moments])
+    number = np.array([m.number for m in moments])
+    time = np.array([m.time for m in moments])
     weight = np.concatenate([e.weight for e in every])[at]
-    boxes, detection = np.concatenate([e.xyxy for e in every])[at], np.concatenate([e.detection for e in every])[at]
+    boxes = np.concatenate([e.xyxy for e in every])[at]
+    detection = np.concatenate([e.detection for e in every])[at]
     parts = [Tracks.of(number[place], name, boxes, weight, detection)]
-    # Gaps of the same intervals are bridged together, as thousands of them take their time; under a moving camera by place.
+    # Gaps of the same intervals are bridged together, as thousands of them take their time; under a
+    # moving camera by place.
     alike = dict[tuple[float, ...], list[int]]()
-    for before in np.flatnonzero((np.diff(place) > 1) & (np.diff(name) == 0)).tolist() if bridge_gaps else ():
+    for before in (
+        np.flatnonzero((np.diff(place) > 1) & (np.diff(name) == 0)).tolist() if bridge_gaps else ()
+    ):
         k, m = place[before : before + 2].tolist()
         moving = any(len(moment.warp) for moment in moments[k + 1 : m + 1])
-        alike.setdefault((k if moving else -1, *np.diff(time[k : m + 1]).tolist()), []).append(before)
+        alike.setdefault((k if moving else -1, *np.diff(time[k : m + 1]).tolist()), []).append(
+            before
+        )
     for (since, *steps), gaps in alike.items():
-        n, k, length = np.array(gaps), int(since), len(steps) - 1
-        (x, p), (y, q) = (_states(every, place[end], (at - start[place])[end]) for end in (n, n + 1))
+        n = np.array(gaps)
+        k = int(since)
+        length = len(steps) - 1
+        (x, p), (y, q) = (
+            _states(every, place[end], (at - start[place])[end]) for end in (n, n + 1)
+        )
         warps = [moment.warp for moment in moments[k + 1 : k + length + 2]] if k >= 0 else []
         between = bridge(model.motion, (x, p, y, q), np.array(steps), warps).reshape(x.shape[1], -1)
         numbers = number[(place[n][:, None] + np.arange(1, length + 1)).ravel()]
         sure = np.repeat(np.minimum(weight[n], weight[n + 1]), length)
-        parts.append(Tracks.of(numbers, np.repeat(name[n], length), model.sensor.boxes(between), sure, -1))
+        parts.append(
+            Tracks.of(numbers, np.repeat(name[n], length), model.sensor.boxes(between), sure, -1)
+        )
     return parts
 
 
 def _states(every: list[Estimates], place: I8, index: I8) -> tuple[F8, F8]:
-    """(n, d) means and (n, d, d) covariances of the states at ``index`` (n,) of the frames at ``place`` (n,)."""
+    """(n, d) means and (n, d, d) covariances of the states at ``index`` (n,) of the frames at
+    ``place`` (n,).
+    """
     both = list(zip(place.tolist(), index.tolist(), strict=True))
-    return np.stack([every[k].state[:, i] for k, i in both]), np.stack([every[k].covariance[i] for k, i in both])
+    return np.stack([every[k].state[:, i] for k, i in both]), np.stack(
+        [every[k].covariance[i] for k, i in both]
+    )

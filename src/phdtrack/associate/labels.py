@@ -1,16 +1,18 @@
-"""Identities by the labels of filters that follow targets one by one (`Estimates.tag`), instead of links between states.
+"""Identities by the labels of filters that follow targets one by one (`Estimates.tag`), instead of
+links between states.
 
-Where a filter revises the past (`Estimates.past`), its last word stands in corrected tracks and in the online rows that
-``output_delay`` holds back.
+Where a filter revises the past (`Estimates.past`), its last word stands in corrected tracks and in
+the online rows that ``output_delay`` holds back.
 
 With ``coast_by_evidence`` a confirmed track that has been missing for a seconds is shown while
 
     f(a) + PRIOR·[a ≤ max_coast] > SHARE (f(a) + l(a) + PRIOR)
 
-Of the tracks that the filter went on reporting for a seconds or longer without a detection, f were then found where they
-were predicted, and l elsewhere or not in time (`kernels.coasting`). Where a track was predicted is where its box was going.
-A track that the filter has dropped counts for as long as it was reported: what comes later could not have been shown. Old
-verdicts fade with new ones, not with time. Ages are in the model's time: the length of frames makes no difference, nor do
+Of the tracks that the filter went on reporting for a seconds or longer without a detection, f were
+then found where they were predicted, and l elsewhere or not in time (`kernels.coasting`). Where a
+track was predicted is where its box was going. A track that the filter has dropped counts for as
+long as it was reported: what comes later could not have been shown. Old verdicts fade with new
+ones, not with time. Ages are in the model's time: the length of frames makes no difference, nor do
 frames left out.
 """
 
@@ -31,12 +33,16 @@ from phdtrack.models.warp import warp_states
 from phdtrack.protocols import Model
 from phdtrack.types import F8, I8, Bool, Estimates, MeasurementHistory, Tracks
 
-# Verdicts that ``max_coast`` counts for; the share of those found again from which a missing track is shown; how many are
-# remembered of each age.
-PRIOR, SHARE, REMEMBERED = 3.0, 0.5, 200.0
+# Verdicts that ``max_coast`` counts for; the share of those found again from which a missing track
+# is shown; how many are remembered of each age.
+PRIOR = 3.0
+SHARE = 0.5
+REMEMBERED = 200.0
 # Seconds, and frames, after which a missing track is not found in time: the later of the two.
-PATIENCE, PATIENT_FRAMES = 0.8, 20.0
-_NONE, _NO_BOX = np.zeros(0), np.zeros((0, 4))
+PATIENCE = 0.8
+PATIENT_FRAMES = 20.0
+_NONE = np.zeros(0)
+_NO_BOX = np.zeros((0, 4))
 NOBODY = Followed(np.zeros(0, np.int64), _NONE, _NONE, _NO_BOX, _NO_BOX, np.zeros((2, STEPS)))
 
 
@@ -78,10 +84,13 @@ class LabelTable(NamedTuple):
         if not moments:
             return self
         seen = [m.estimates.tag[m.estimates.detection >= 0] for m in moments]
-        place, last = self.places(np.concatenate(seen)), self.last.copy()
+        place = self.places(np.concatenate(seen))
+        last = self.last.copy()
         # Moments are in order of time: of several states with a label the last one's stays.
         last[place] = np.repeat([m.time for m in moments], [len(tag) for tag in seen])
-        return self._replace(states=self.states + np.bincount(place, minlength=len(self.label)), last=last)
+        return self._replace(
+            states=self.states + np.bincount(place, minlength=len(self.label)), last=last
+        )
 
     def places(self, labels: I8) -> I8:
         """(n,) the rows of the labels."""
@@ -101,7 +110,8 @@ class LabelledState:
     history, recent : frames that no revision reaches any more, and those that one may reach.
     table : what is known of the labels in the first.
     time, used : model time; identities given online.
-    followed : who may be missing, and how those that were came back; nobody unless ``coast_by_evidence``.
+    followed : who may be missing, and how those that were came back; nobody unless
+        ``coast_by_evidence``.
     """
 
     history: History = field(default_factory=History)
@@ -125,16 +135,20 @@ class Labelled(Checked):
 
     Parameters
     ----------
-    min_track_length : states that rest on detections below which a track is discarded (offline) or not confirmed (online).
-    output_delay : frames by which the online output lags, so that what follows can revise states and confirm tracks.
-    max_coast : seconds for which, at most, a confirmed track is continued online past its last detection. Corrected tracks
-        end with their last one.
-    coast_by_evidence : such a track is shown while, in this stream, more of those missing as long were found again where
-        they were predicted than not; ``max_coast`` is what is expected before any are known.
-    bridge_gaps : fill the gaps of tracks with predicted rows, smoothed in corrected tracks. Otherwise every row rests on a
-        detection.
-    history : seconds of the filter's time (`time.longest_interval`) after which the past is forgotten; 0: never. Corrected
-        tracks then go no further back than this and a little more, and a label that is seen again later is a new identity.
+    min_track_length : states that rest on detections below which a track is discarded (offline) or
+        not confirmed (online).
+    output_delay : frames by which the online output lags, so that what follows can revise states
+        and confirm tracks.
+    max_coast : seconds for which, at most, a confirmed track is continued online past its last
+        detection. Corrected tracks end with their last one.
+    coast_by_evidence : such a track is shown while, in this stream, more of those missing as long
+        were found again where they were predicted than not; ``max_coast`` is what is expected
+        before any are known.
+    bridge_gaps : fill the gaps of tracks with predicted rows, smoothed in corrected tracks.
+        Otherwise every row rests on a detection.
+    history : seconds of the filter's time (`time.longest_interval`) after which the past is
+        forgotten; 0: never. Corrected tracks then go no further back than this and a little more,
+        and a label that is seen again later is a new identity.
     """
 
     min_track_length: PositiveCount = 5
@@ -149,15 +163,24 @@ class Labelled(Checked):
         return LabelledState()
 
     def extend(
-        self, state: LabelledState, estimates: Estimates, z: F8, number: int, dt: float, model: Model
+        self,
+        state: LabelledState,
+        estimates: Estimates,
+        z: F8,
+        number: int,
+        dt: float,
+        model: Model,
     ) -> tuple[LabelledState, Tracks]:
-        """The state with those of frame ``number`` and what they revise, and the online rows that are now due.
+        """The state with those of frame ``number`` and what they revise, and the online rows that
+        are now due.
 
         The past of the estimates counts, too. Raises `InputError` where states have no label.
         """
-        time, settled = state.time + dt, max(0, len(state.recent) - len(estimates.past))
+        time = state.time + dt
+        settled = max(0, len(state.recent) - len(estimates.past))
         now = Moment(number, time, 0, _one_each(estimates), NO_LINKS, z, model.warp)
-        recent, changed = list(state.recent[settled:]), [now]
+        recent = list(state.recent[settled:])
+        changed = [now]
         for k, seen in enumerate(estimates.past[len(estimates.past) - len(recent) :]):
             if seen is not None:
                 recent[k] = replace(recent[k], estimates=_one_each(seen))
@@ -167,7 +190,11 @@ class Labelled(Checked):
             history = history.append(moment)
         table = state.table.including(changed).counting(state.recent[:settled])
         present = table.counting((*recent, now))
-        followed = self._followed(state.followed, now, present, dt, model) if self.coast_by_evidence else state.followed
+        followed = (
+            self._followed(state.followed, now, present, dt, model)
+            if self.coast_by_evidence
+            else state.followed
+        )
         extended = LabelledState(history, (*recent, now), table, time, state.used, followed)
         due = len(extended) - 1 - self.output_delay
         if due < 0:
@@ -184,13 +211,17 @@ class Labelled(Checked):
         return Tracks.concatenate(parts)
 
     def finish(self, state: LabelledState, model: Model) -> Tracks:
-        """The corrected tracks, identities from 1 in order of appearance, from first to last detection."""
+        """The corrected tracks, identities from 1 in order of appearance, from first to last
+        detection.
+        """
         moments = [*iter(state.history), *state.recent]
         if not moments:
             return Tracks.empty()
         seen = np.flatnonzero(np.concatenate([m.estimates.detection for m in moments]) >= 0)
         label = np.concatenate([m.estimates.tag for m in moments])[seen]
-        _, first, which, count = np.unique(label, return_index=True, return_inverse=True, return_counts=True)
+        _, first, which, count = np.unique(
+            label, return_index=True, return_inverse=True, return_counts=True
+        )
         # One track after the other, by their first states.
         order = np.argsort(first[which], kind="stable")
         order = order[count[which[order]] >= self.min_track_length]
@@ -201,25 +232,35 @@ class Labelled(Checked):
         """The measurements of everything that is remembered."""
         return measurements(itertools.chain(state.history, state.recent))
 
-    def _give(self, state: LabelledState, due: int, present: LabelTable, model: Model) -> tuple[LabelledState, Tracks]:
-        """The state with the identities of the frame at place ``due``, and its rows as it is seen now."""
+    def _give(
+        self, state: LabelledState, due: int, present: LabelTable, model: Model
+    ) -> tuple[LabelledState, Tracks]:
+        """The state with the identities of the frame at place ``due``, and its rows as it is seen
+        now.
+        """
         moment = state[due]
         estimates = moment.estimates
         place = present.places(estimates.tag)
-        confirmed, last = self._confirmed(present, place), present.last[place]
+        confirmed = self._confirmed(present, place)
+        last = present.last[place]
         coasting = moment.time - last <= self.max_coast * model.rate + 1e-9
         if self.coast_by_evidence:
             age = (state.time - last) / model.rate
-            coasting = returning(state.followed.verdicts, age, coasting, PRIOR, SHARE) | (last >= moment.time)
+            coasting = returning(state.followed.verdicts, age, coasting, PRIOR, SHARE) | (
+                last >= moment.time
+            )
         coasting = self.bridge_gaps & confirmed & coasting
         shown = np.flatnonzero((estimates.detection >= 0) | coasting)
-        place, confirmed = place[shown], confirmed[shown]
+        place = place[shown]
+        confirmed = confirmed[shown]
         fresh = place[present.identity[place] == 0]
-        identity, sure = present.identity.copy(), present.confirmed.copy()
+        identity = present.identity.copy()
+        sure = present.confirmed.copy()
         identity[fresh] = state.used + 1 + np.arange(len(fresh))
         sure[place] = confirmed
         order = np.argsort(identity[place])
-        e, name = estimates.take(shown[order]), identity[place[order]]
+        e = estimates.take(shown[order])
+        name = identity[place[order]]
         rows = Tracks.of(moment.number, name, e.xyxy, e.weight, e.detection, confirmed[order])
         table = state.table._replace(identity=identity, confirmed=sure)
         return replace(state, table=table, used=state.used + len(fresh)), rows
@@ -228,17 +269,26 @@ class Labelled(Checked):
         """(n,) whether the labels at these places have been confirmed."""
         return present.confirmed[place] | (present.states[place] >= self.min_track_length)
 
-    def _followed(self, before: Followed, now: Moment, present: LabelTable, dt: float, model: Model) -> Followed:
-        """Who may be missing after the newest frame, and the verdicts, with those that it brings."""
-        e, place = now.estimates, present.places(now.estimates.tag)
-        last, sure = present.last[place] / model.rate, self._confirmed(present, place)
-        reported, interval = Reported(e.tag, np.argsort(e.tag), e.xyxy, last, sure), dt / model.rate
+    def _followed(
+        self, before: Followed, now: Moment, present: LabelTable, dt: float, model: Model
+    ) -> Followed:
+        """Who may be missing after the newest frame, and the verdicts, with those that it
+        brings.
+        """
+        e = now.estimates
+        place = present.places(now.estimates.tag)
+        last = present.last[place] / model.rate
+        sure = self._confirmed(present, place)
+        reported = Reported(e.tag, np.argsort(e.tag), e.xyxy, last, sure)
+        interval = dt / model.rate
         patience = max(PATIENCE, PATIENT_FRAMES * interval)
         if len(model.warp) and len(before.label):
             x, y, w, h = to_cxcywh(before.xyxy)
             x, y, _, _, w, h = warp_states(np.stack([x, y, 0 * x, 0 * y, w, h]), model.warp)
             before = before._replace(xyxy=to_xyxy(np.stack([x, y, w, h])))
-        after: Followed = after_frame(before, reported, now.time / model.rate, interval, patience, 1 - 1 / REMEMBERED)
+        after: Followed = after_frame(
+            before, reported, now.time / model.rate, interval, patience, 1 - 1 / REMEMBERED
+        )
         return after
 
     def _recent(self, state: LabelledState, due: int, model: Model) -> LabelledState:
@@ -247,7 +297,8 @@ class Labelled(Checked):
             return state
         since = min(state.time - self.history * model.rate, state[due].time)
         # A label of a frame that may still be revised has a row.
-        first, label = min(due, len(state.history)), state.table.label
+        first = min(due, len(state.history))
+        label = state.table.label
         here = np.concatenate([state[k].estimates.tag for k in range(first, len(state))])
         kept = state.table.last >= since
         if len(label):

@@ -1,11 +1,13 @@
-"""False-track rejection: tracks are withheld until they have been where real targets are likelier than false tracks.
+"""False-track rejection: tracks are withheld until they have been where real targets are likelier
+than false tracks.
 
-Whether a track is a false alarm's or a target's never changes, and false alarms stay where they are. So the likelihood ratio
-of a track is the least of the places that it has been at, and it is confirmed from the first row on at which this is below
+Whether a track is a false alarm's or a target's never changes, and false alarms stay where they
+are. So the likelihood ratio of a track is the least of the places that it has been at, and it is
+confirmed from the first row on at which this is below
 1. Rows before are left out.
 
-Online, tracks are confirmed after some states, because most of what is detected once or twice is false. A track that has
-been where false alarms of any kind are rare is confirmed at once.
+Online, tracks are confirmed after some states, because most of what is detected once or twice is
+false. A track that has been where false alarms of any kind are rare is confirmed at once.
 """
 
 from __future__ import annotations
@@ -29,7 +31,9 @@ KEPT = 10_000
 
 @dataclass(frozen=True, slots=True)
 class RejectionState(Generic[A]):
-    """The associator's state; and of the identities given online (a,), ascending, the least log-ratios (2, a) so far."""
+    """The associator's state; and of the identities given online (a,), ascending, the least
+    log-ratios (2, a) so far.
+    """
 
     inner: A
     identity: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -44,8 +48,10 @@ class FalseTrackRejection(Checked, Generic[A]):
     ----------
     associator : what gives identities.
     ratio : false alarms over targets, by place.
-    immediate_confirmation : ratio of any false alarm below which an online track is confirmed at once.
-    min_track_length : rows that rest on detections, from its confirmation on, below which a corrected track is discarded.
+    immediate_confirmation : ratio of any false alarm below which an online track is confirmed at
+        once.
+    min_track_length : rows that rest on detections, from its confirmation on, below which a
+        corrected track is discarded.
     """
 
     associator: Associator[A]
@@ -58,7 +64,13 @@ class FalseTrackRejection(Checked, Generic[A]):
         return RejectionState(self.associator.start())
 
     def extend(
-        self, state: RejectionState[A], estimates: Estimates, z: F8, number: int, dt: float, model: Model
+        self,
+        state: RejectionState[A],
+        estimates: Estimates,
+        z: F8,
+        number: int,
+        dt: float,
+        model: Model,
     ) -> tuple[RejectionState[A], Tracks]:
         """The associator's online rows, with what is confirmed."""
         inner, rows = self.associator.extend(state.inner, estimates, z, number, dt, model)
@@ -69,8 +81,12 @@ class FalseTrackRejection(Checked, Generic[A]):
         return self._judged(state, self.associator.flush(state.inner, model))[1]
 
     def finish(self, state: RejectionState[A], model: Model) -> Tracks:
-        """The corrected tracks, each from its confirmation on; identities from 1, in the associator's order."""
-        return without_false_tracks(self.associator.finish(state.inner, model), self.ratio, self.min_track_length)
+        """The corrected tracks, each from its confirmation on; identities from 1, in the
+        associator's order.
+        """
+        return without_false_tracks(
+            self.associator.finish(state.inner, model), self.ratio, self.min_track_length
+        )
 
     def measurements(self, state: RejectionState[A]) -> MeasurementHistory:
         """The measurements of everything that is remembered."""
@@ -85,7 +101,9 @@ class FalseTrackRejection(Checked, Generic[A]):
         return state, replace(rows, confirmed=confirmed)
 
     def _confirmed(self, state: RejectionState[A], rows: Tracks) -> tuple[RejectionState[A], Bool]:
-        """The state with the rows of a frame, and which of them are confirmed. Confirmed tracks are not asked for again."""
+        """The state with the rows of a frame, and which of them are confirmed. Confirmed tracks are
+        not asked for again.
+        """
         known = np.isin(rows.identity, state.identity)
         least = np.full((2, len(rows)), np.inf)
         least[:, known] = state.least[:, np.searchsorted(state.identity, rows.identity[known])]
@@ -100,17 +118,25 @@ class FalseTrackRejection(Checked, Generic[A]):
         values = np.concatenate((state.least[:, others], least[:, asked]), axis=1)
         order = np.argsort(identity)
         # The oldest that are not in this frame are forgotten.
-        spare = np.flatnonzero(~np.isin(identity[order], rows.identity))[: max(len(identity) - KEPT, 0)]
+        spare = np.flatnonzero(~np.isin(identity[order], rows.identity))[
+            : max(len(identity) - KEPT, 0)
+        ]
         order = np.delete(order, spare)
         return RejectionState(state.inner, identity[order], values[:, order]), confirmed
 
     def _sure(self, least: F8, confirmed: Bool) -> Bool:
-        """(n,) rows that the associator has ``confirmed`` and whose track is not false, or that are confirmed at once."""
-        limit = math.log(self.immediate_confirmation) if self.immediate_confirmation > 0 else -math.inf
+        """(n,) rows that the associator has ``confirmed`` and whose track is not false, or that are
+        confirmed at once.
+        """
+        limit = (
+            math.log(self.immediate_confirmation) if self.immediate_confirmation > 0 else -math.inf
+        )
         return np.asarray((confirmed & (least[0] < 0)) | (least[1] < limit))
 
 
-def without_false_tracks(tracks: Tracks, ratio: FalseAlarmRatio, min_track_length: int = 1) -> Tracks:
+def without_false_tracks(
+    tracks: Tracks, ratio: FalseAlarmRatio, min_track_length: int = 1
+) -> Tracks:
     """Tracks, each from its confirmation on; identities from 1, in order.
 
     Parameters

@@ -1,1 +1,3 @@
-"""The commands, one module each: parse, call, print. Heavy imports stand inside the functions, for a quick start."""
+"""The commands, one module each: parse, call, print. Heavy imports stand inside the functions, for
+a quick start.
+"""

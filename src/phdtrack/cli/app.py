@@ -1,8 +1,9 @@
 """The command line: ``phdtrack COMMAND`` and ``python -m phdtrack COMMAND``.
 
-Exit status: 0 the job is done; 1 something failed that is not the user's input; 2 the input or the options cannot be used,
-said in one sentence on stderr; 130 stopped by Ctrl-C, 143 by SIGTERM, 129 by SIGHUP.
-With ``--json`` stdout carries exactly one JSON object, and everything else goes to stderr.
+Exit status: 0 the job is done; 1 something failed that is not the user's input; 2 the input or the
+options cannot be used, said in one sentence on stderr; 130 stopped by Ctrl-C, 143 by SIGTERM, 129
+by SIGHUP. With ``--json`` stdout carries exactly one JSON object, and everything else goes to
+stderr.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ from phdtrack.errors import InputError, absent, interrupted
 
 Command = Callable[..., None]
 
-# What each command does. Its module, of the same name but for these three, is loaded when it is run.
+# What each command does. Its module, of the same name but for these three, is loaded when it is
+# run.
 COMMANDS = {
     "live": "Track cameras without end: events, rows and videos by the hour, and a page.",
     "demo": "Render a street and track the people in it, with the filter and without.",
@@ -43,12 +45,11 @@ COMMANDS = {
     "calibrate": "Make a camera of four or more points of flat ground, and say how well it fits each of them.",
     "settings": "Print settings as TOML, with units and meaning, for --config to read back.",
 }
-# Seconds after which a thread gives the interpreter to one that waits: those of a run need it often, each time briefly.
+# Seconds after which a thread gives the interpreter to one that waits: those of a run need it
+# often, each time briefly.
 _SWITCH = 1e-5
 _MODULES = {"demo": "simulate", "detect": "track", "learn": "label"}
-_SUMMARY = (
-    "From a video, or any detector's boxes, to tracks: a filter of random finite sets between detector and identities."
-)
+_SUMMARY = "From a video, or any detector's boxes, to tracks: a filter of random finite sets between detector and identities."
 
 
 def application(name: str) -> typer.Typer:
@@ -65,7 +66,9 @@ def application(name: str) -> typer.Typer:
     for each, what in COMMANDS.items():
         if each == name:
             module = import_module(f"phdtrack.cli.{_MODULES.get(name, name)}")
-            app.command(each, cls=_Passing if each == "batch" else None)(with_options(guarded(getattr(module, each))))
+            app.command(each, cls=_Passing if each == "batch" else None)(
+                with_options(guarded(getattr(module, each)))
+            )
         else:
             app.command(each, help=what)(lambda: None)
     return app
@@ -109,17 +112,27 @@ def guarded(command: Command) -> Command:
 def with_options(command: Command) -> Command:
     """The command with the fields of each record among its parameters as options of their own."""
     parameters = inspect.signature(command, eval_str=True).parameters
-    records: dict[str, Any] = {name: one.annotation for name, one in parameters.items() if is_dataclass(one.annotation)}
+    records: dict[str, Any] = {
+        name: one.annotation for name, one in parameters.items() if is_dataclass(one.annotation)
+    }
     options = []
     for name, parameter in parameters.items():
-        own = inspect.signature(records[name], eval_str=True).parameters.values() if name in records else [parameter]
+        own = (
+            inspect.signature(records[name], eval_str=True).parameters.values()
+            if name in records
+            else [parameter]
+        )
         options += [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in own]
 
     def run(**values: Any) -> None:
-        made = {name: kind(**{one.name: values.pop(one.name) for one in fields(kind)}) for name, kind in records.items()}
+        made = {
+            name: kind(**{one.name: values.pop(one.name) for one in fields(kind)})
+            for name, kind in records.items()
+        }
         command(**values, **made)
 
-    run.__doc__, run.__annotations__ = command.__doc__, {one.name: one.annotation for one in options}
+    run.__doc__ = command.__doc__
+    run.__annotations__ = {one.name: one.annotation for one in options}
     # Read by `inspect.signature`, and so by typer.
     run.__dict__["__signature__"] = inspect.Signature(options)
     return run
@@ -139,12 +152,15 @@ def version(wanted: bool) -> None:
 
 
 def common(
-    wanted: Annotated[bool, typer.Option("--version", callback=version, is_eager=True, help="Print the version.")] = False,
+    wanted: Annotated[
+        bool, typer.Option("--version", callback=version, is_eager=True, help="Print the version.")
+    ] = False,
 ) -> None:
     """What all commands have in common."""
 
 
-# What typer raises for a command line that cannot be read. Some versions bring a click of their own, others import it.
+# What typer raises for a command line that cannot be read. Some versions bring a click of their
+# own, others import it.
 Misuse: type[Any] = typer.BadParameter.__bases__[0]
 
 
@@ -169,7 +185,9 @@ def main() -> None:
         where = getattr(error, "ctx", None)
         sentence = " ".join(error.format_message().split())
         end = "" if sentence.endswith((".", "?")) else "."
-        status = failed(f"{sentence}{end} See {where.command_path if where else 'phdtrack'} --help.", 2).exit_code
+        status = failed(
+            f"{sentence}{end} See {where.command_path if where else 'phdtrack'} --help.", 2
+        ).exit_code
     except KeyboardInterrupt:
         # While a command was loaded.
         status = failed("stopped", signals.status()).exit_code

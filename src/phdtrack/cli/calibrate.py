@@ -27,12 +27,18 @@ LIMIT = 100.0
 
 
 def calibrate(
-    points: Annotated[Path, typer.Argument(metavar="POINTS", help="Lines of u v X Y: pixels, metres on the ground.")],
+    points: Annotated[
+        Path,
+        typer.Argument(metavar="POINTS", help="Lines of u v X Y: pixels, metres on the ground."),
+    ],
     output: Output,
     out: Annotated[Path, option("FILE", "Where to write the camera.")] = Path("camera.toml"),
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a camera that is there already.")] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace a camera that is there already.")
+    ] = False,
     image_size: Annotated[
-        str, option("WxH", "Frames' size: no point may lie outside.", "--image-size", "--frame-size")
+        str,
+        option("WxH", "Frames' size: no point may lie outside.", "--image-size", "--frame-size"),
     ] = "",
 ) -> None:
     """Make a camera of four or more points of flat ground, and say how well it fits each of them.
@@ -41,12 +47,19 @@ def calibrate(
     """
     size = frame_size(image_size) if image_size else None
     if out.exists() and not overwrite:
-        raise InputError("the file is there already", where=f"--out {out}", cure="Say --overwrite, or choose another --out.")
+        raise InputError(
+            "the file is there already",
+            where=f"--out {out}",
+            cure="Say --overwrite, or choose another --out.",
+        )
     origin, table = read_columns(points, COLUMNS, (4, 5))
-    pixel, world = np.ascontiguousarray(table[:, :2].T), np.ascontiguousarray(table[:, 2:4].T)
+    pixel = np.ascontiguousarray(table[:, :2].T)
+    world = np.ascontiguousarray(table[:, 2:4].T)
     unknown: Bool = np.logical_not(np.isfinite(table).all(axis=1))
     height = np.zeros(len(table)) if table.shape[1] < 5 else table[:, 4]
-    flat = "A homography knows flat ground only: leave out points above it, or calibrate with OpenCV."
+    flat = (
+        "A homography knows flat ground only: leave out points above it, or calibrate with OpenCV."
+    )
     rules = [
         Rule(unknown, "expected finite numbers", height),
         Rule(height != 0, "expected points of the ground, Z = 0, got Z = {:g}", height, flat),
@@ -65,17 +78,31 @@ def calibrate(
     _report(output, fitted, table, out, size)
 
 
-def _report(out: Output, fitted: Calibration, points: F8, file: Path, size: tuple[int, int] | None) -> None:
-    """The residuals of all points in pixels and metres, and what the camera can tell of the ground."""
+def _report(
+    out: Output, fitted: Calibration, points: F8, file: Path, size: tuple[int, int] | None
+) -> None:
+    """The residuals of all points in pixels and metres, and what the camera can tell of the
+    ground.
+    """
     metres = np.linalg.norm(fitted.camera.jacobian(points[:, :2].T), ord=2, axis=(1, 2))
-    table = np.column_stack([points[:, :4], fitted.pixel_error, fitted.ground_error, metres]).tolist()
+    table = np.column_stack(
+        [points[:, :4], fitted.pixel_error, fitted.ground_error, metres]
+    ).tolist()
     form = "{} {:g} {:g} {:g} {:g} {:.2f} {:.3f} {:.3f}"
     rows = [form.format(i, *row).split() for i, row in enumerate(table, start=1)]
     out.table(["point", "u", "v", "X", "Y", "off, px", "off, m", "m per px"], rows, words=())
-    rms_px, rms_m = (float(np.sqrt((error**2).mean())) for error in (fitted.pixel_error, fitted.ground_error))
-    out.say(f"{counted(len(table), 'point')}: {rms_px:.2f} pixels and {rms_m:.3f} m off (root mean square)")
+    rms_px, rms_m = (
+        float(np.sqrt((error**2).mean())) for error in (fitted.pixel_error, fitted.ground_error)
+    )
+    out.say(
+        f"{counted(len(table), 'point')}: {rms_px:.2f} pixels and {rms_m:.3f} m off (root mean square)"
+    )
     if len(table) == 4:
-        out.warn(["four points are always fitted exactly: how good the camera is, only more points can tell"])
+        out.warn(
+            [
+                "four points are always fitted exactly: how good the camera is, only more points can tell"
+            ]
+        )
     seen = None
     if size:
         corners = footprint(fitted.camera, size, LIMIT)
@@ -84,5 +111,9 @@ def _report(out: Output, fitted: Calibration, points: F8, file: Path, size: tupl
     out.say(str(file))
     keys = ("u", "v", "X", "Y", "pixels", "metres", "metres_per_pixel")
     points_said = [dict(zip(keys, row, strict=True)) for row in table]
-    found = {"camera": str(file), "homography": fitted.camera.matrix.tolist(), "points": points_said}
+    found = {
+        "camera": str(file),
+        "homography": fitted.camera.matrix.tolist(),
+        "points": points_said,
+    }
     out.document(found | {"rms_pixels": rms_px, "rms_metres": rms_m, "ground_area": seen})

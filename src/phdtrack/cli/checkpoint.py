@@ -1,12 +1,15 @@
-"""How a run that was killed goes on (``--checkpoint-every`` and ``--resume``), and how the next one need not detect again.
+"""How a run that was killed goes on (``--checkpoint-every`` and ``--resume``), and how the next one
+need not detect again.
 
-What takes time in a run is to detect. So a checkpoint holds no state of the tracker: ``checkpoint.log`` has what was
-detected in every frame, bit for bit, and ``checkpoint.detector`` what the detector knew after one of these frames. A run
-that is resumed tracks the frames up to that one again, from the log, and detects from there on. All that it writes is
-written by the same code from the same numbers as in a run that was never stopped, and so it is the same.
+What takes time in a run is to detect. So a checkpoint holds no state of the tracker:
+``checkpoint.log`` has what was detected in every frame, bit for bit, and ``checkpoint.detector``
+what the detector knew after one of these frames. A run that is resumed tracks the frames up to that
+one again, from the log, and detects from there on. All that it writes is written by the same code
+from the same numbers as in a run that was never stopped, and so it is the same.
 
-When all frames were looked at the log becomes ``detections.cache``. Its first block says what decided it: the file, the
-detector and its settings. A run in which these are the same takes the detections from there.
+When all frames were looked at the log becomes ``detections.cache``. Its first block says what
+decided it: the file, the detector and its settings. A run in which these are the same takes the
+detections from there.
 """
 
 from __future__ import annotations
@@ -46,7 +49,9 @@ _NONE = (LookupError, ArithmeticError, TypeError, ValueError, AttributeError, Re
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """What a detector knew after frame ``number``, where the log of frames up to it is ``size`` bytes long."""
+    """What a detector knew after frame ``number``, where the log of frames up to it is ``size``
+    bytes long.
+    """
 
     number: int
     size: int
@@ -54,37 +59,57 @@ class Known:
 
 
 class Checkpoint:
-    """The checkpoint of a run. Raises `InputError` where what is there cannot be read, or belongs to a run of other inputs
-    or settings.
+    """The checkpoint of a run. Raises `InputError` where what is there cannot be read, or belongs
+    to a run of other inputs or settings.
 
     Parameters
     ----------
     directory : of the run.
-    key, looked : what decides the result, and what the detections, in values that JSON knows; empty: not known.
+    key, looked : what decides the result, and what the detections, in values that JSON knows;
+        empty: not known.
     every : seconds between two times that it is brought to disk.
     resume : go on from what is there; without anything there it is a run from the beginning.
     anew : do not take what an earlier run has detected.
     """
 
     def __init__(
-        self, directory: RunDirectory, key: Key, looked: Key, every: float, *, resume: bool, anew: bool = False
+        self,
+        directory: RunDirectory,
+        key: Key,
+        looked: Key,
+        every: float,
+        *,
+        resume: bool,
+        anew: bool = False,
     ) -> None:
-        self._log, self._known, self._kept = (directory.file(name) for name in (LOG, KNOWN, DETECTED))
-        self._key, self._looked, self._every, self._due = _text(key), _text(looked), every, 0.0
+        self._log, self._known, self._kept = (
+            directory.file(name) for name in (LOG, KNOWN, DETECTED)
+        )
+        self._key = _text(key)
+        self._looked = _text(looked)
+        self._every = every
+        self._due = 0.0
         self._saving: threading.Thread | None = None
         # Why there are no more checkpoints; empty where there are.
         self.problem = ""
         self.known = self._read() if resume and self._known.exists() else None
-        self.reused = bool(looked and not anew and self.known is None and self._kept_first() == self._looked)
+        self.reused = bool(
+            looked and not anew and self.known is None and self._kept_first() == self._looked
+        )
 
     @property
     def number(self) -> int:
         """The frame from which on is detected; 0 where that is the first."""
         return self.known.number + 1 if self.known else 0
 
-    def detected(self, inputs: Inputs, frames: Iterable[Frame], mover: Mover | None) -> Iterator[Detected]:
-        """As `inputs.detected`; frames before the checkpoint come out of the log, and all others go into it."""
-        iterator, known = iter(frames), self.known
+    def detected(
+        self, inputs: Inputs, frames: Iterable[Frame], mover: Mover | None
+    ) -> Iterator[Detected]:
+        """As `inputs.detected`; frames before the checkpoint come out of the log, and all others go
+        into it.
+        """
+        iterator = iter(frames)
+        known = self.known
         if self.reused:
             yield from self._reused(iterator, mover)
             return
@@ -128,7 +153,9 @@ class Checkpoint:
             for frame in frames:
                 one = _made(next(stored, (0, None))[1], frame, self._kept, "Say --detect-again")
                 # How the camera moved may be wanted otherwise than then.
-                yield one._replace(warp=STILL if mover is None else mover(frame, one.found, one.pose))
+                yield one._replace(
+                    warp=STILL if mover is None else mover(frame, one.found, one.pose)
+                )
 
     def _kept_first(self) -> str:
         """What decided the detections that an earlier run has left; empty where there are none."""
@@ -136,10 +163,15 @@ class Checkpoint:
             return str(next(blocks(log))[1]["looked"])
         return ""
 
-    def _again(self, inputs: Inputs, frames: Iterator[Frame], mover: Mover | None, known: Known) -> Iterator[Detected]:
-        """What the log holds, up to the frame that the detector's knowledge is of; the detector knows it then."""
+    def _again(
+        self, inputs: Inputs, frames: Iterator[Frame], mover: Mover | None, known: Known
+    ) -> Iterator[Detected]:
+        """What the log holds, up to the frame that the detector's knowledge is of; the detector
+        knows it then.
+        """
         with self._log.open("rb") as log:
-            stored, pose = blocks(log), STILL
+            stored = blocks(log)
+            pose = STILL
             next(stored, None)
             for (end, plain), frame in zip(stored, frames, strict=False):
                 one = _made(plain, frame, self._log)
@@ -154,14 +186,19 @@ class Checkpoint:
                     yield one
                     return
                 yield one
-        raise InputError("it ends before the checkpoint", where=self._log, cure="Say --overwrite to begin anew.")
+        raise InputError(
+            "it ends before the checkpoint", where=self._log, cure="Say --overwrite to begin anew."
+        )
 
     def _add(self, inputs: Inputs, block: dict[str, Any], log: BinaryIO) -> None:
-        """Write a block, of a frame or the first. Where that fails there are no more checkpoints, and the run goes on."""
+        """Write a block, of a frame or the first. Where that fails there are no more checkpoints,
+        and the run goes on.
+        """
         if self.problem:
             return
         try:
-            # It is to outlast the process. What a power cut takes is what came since the last checkpoint.
+            # It is to outlast the process. What a power cut takes is what came since the last
+            # checkpoint.
             left = memoryview(to_bytes(block))
             while left:
                 # On a disk that is nearly full a part of it is taken.
@@ -172,15 +209,24 @@ class Checkpoint:
             self.problem = f"no checkpoints from frame {block.get('number', 1)} on: {cannot_write(self._log, error)}"
 
     def _save(self, inputs: Inputs, number: int, log: BinaryIO) -> None:
-        """Bring everything to disk, by a thread of its own, if it is time and the last time has ended."""
+        """Bring everything to disk, by a thread of its own, if it is time and the last time has
+        ended.
+        """
         if time.monotonic() < self._due or (self._saving is not None and self._saving.is_alive()):
             return
         self._due = time.monotonic() + self._every
         known = knowledge(inputs.detector)
         if known is None:
             return
-        value = {"format": FORMAT, "key": self._key, "number": number, "size": log.tell(), "detector": known}
-        block, descriptor = to_bytes(value), os.dup(log.fileno())
+        value = {
+            "format": FORMAT,
+            "key": self._key,
+            "number": number,
+            "size": log.tell(),
+            "detector": known,
+        }
+        block = to_bytes(value)
+        descriptor = os.dup(log.fileno())
 
         def save() -> None:
             try:
@@ -197,36 +243,61 @@ class Checkpoint:
         self._saving.start()
 
     def _read(self) -> Known:
-        """The detector's knowledge. Raises `InputError` where it is none, or that of another run."""
-        where, cure = self._known, "Say --overwrite to begin anew."
+        """The detector's knowledge. Raises `InputError` where it is none, or that of another
+        run.
+        """
+        where = self._known
+        cure = "Say --overwrite to begin anew."
         try:
             value = from_bytes(zlib.decompressobj().decompress(where.read_bytes(), _LARGEST), where)
             form, key, number, size = (value[name] for name in ("format", "key", "number", "size"))
-            known, before = Known(int(number), int(size), dict(value["detector"])), dict(json.loads(key))
+            known = Known(int(number), int(size), dict(value["detector"]))
+            before = dict(json.loads(key))
             other = not isinstance(form, int) or form != FORMAT
         except (InputError, OSError, zlib.error, *_NONE) as error:
-            raise InputError(f"no checkpoint can be read from it ({error})", where=where, cure=cure) from None
+            raise InputError(
+                f"no checkpoint can be read from it ({error})", where=where, cure=cure
+            ) from None
         if other:
-            raise InputError("this checkpoint is of another version of phdtrack", where=where, cure=cure)
+            raise InputError(
+                "this checkpoint is of another version of phdtrack", where=where, cure=cure
+            )
         if key != self._key:
             now = json.loads(self._key)
-            different = sorted(name for name in before.keys() | now.keys() if before.get(name) != now.get(name))
+            different = sorted(
+                name for name in before.keys() | now.keys() if before.get(name) != now.get(name)
+            )
             problem = f"this checkpoint is of a run that differs in: {', '.join(different)}"
-            raise InputError(problem, where=where, cure=f"Give the same, or choose another --out. {cure}")
+            raise InputError(
+                problem, where=where, cure=f"Give the same, or choose another --out. {cure}"
+            )
         return known
 
 
 def source_of(path: str) -> list[object]:
-    """What shows whether a file has changed: its name, size and time; of a folder those of what is in it."""
+    """What shows whether a file has changed: its name, size and time; of a folder those of what is
+    in it.
+    """
     file = Path(path)
     if file.is_dir():
-        return [path, sorted((one.name, one.stat().st_size, one.stat().st_mtime_ns) for one in file.iterdir())]
+        return [
+            path,
+            sorted(
+                (one.name, one.stat().st_size, one.stat().st_mtime_ns) for one in file.iterdir()
+            ),
+        ]
     return [path, file.stat().st_size, file.stat().st_mtime_ns] if file.exists() else [path]
 
 
 def _text(key: Key) -> str:
     """What decides a result, as text; empty for nothing."""
-    return "" if not key else json.dumps(json_value({"version": __version__, "format": FORMAT, **key}), sort_keys=True)
+    return (
+        ""
+        if not key
+        else json.dumps(
+            json_value({"version": __version__, "format": FORMAT, **key}), sort_keys=True
+        )
+    )
 
 
 def _plain(one: Detected) -> dict[str, Any]:
@@ -234,19 +305,37 @@ def _plain(one: Detected) -> dict[str, Any]:
     found = one.found
     arrays = {"xyxy": found.xyxy, "confidence": found.confidence, "class_id": found.class_id}
     more = {} if found.covariance is None else {"covariance": found.covariance}
-    state = {"number": one.frame.number, "time": one.frame.time, "observed": found.observed, "seconds": one.seconds}
+    state = {
+        "number": one.frame.number,
+        "time": one.frame.time,
+        "observed": found.observed,
+        "seconds": one.seconds,
+    }
     return {**arrays, **more, **state, "warp": one.warp, "pose": one.pose}
 
 
-def _made(plain: Any, frame: Frame, where: Path, cure: str = "Say --overwrite to begin anew.") -> Detected:
-    """What a block of the log says of the frame. Raises `InputError` where it is of another frame, or no such block."""
+def _made(
+    plain: Any, frame: Frame, where: Path, cure: str = "Say --overwrite to begin anew."
+) -> Detected:
+    """What a block of the log says of the frame. Raises `InputError` where it is of another frame,
+    or no such block.
+    """
     try:
         same = plain["number"] == frame.number and plain["time"] == frame.time
-        warp, pose, seconds, observed = plain["warp"], plain["pose"], float(plain["seconds"]), bool(plain["observed"])
-        found = Detections(plain["xyxy"], plain["confidence"], plain["class_id"], plain.get("covariance"), observed)
-        maps = all(one.dtype == np.float64 and one.shape in ((3, 3), STILL.shape) for one in (warp, pose))
+        warp = plain["warp"]
+        pose = plain["pose"]
+        seconds = float(plain["seconds"])
+        observed = bool(plain["observed"])
+        found = Detections(
+            plain["xyxy"], plain["confidence"], plain["class_id"], plain.get("covariance"), observed
+        )
+        maps = all(
+            one.dtype == np.float64 and one.shape in ((3, 3), STILL.shape) for one in (warp, pose)
+        )
         # A camera that shakes hardly zooms; of a damaged pose there may be no inverse.
-        likely = bool(np.isfinite(pose).all()) and (not len(pose) or 0.5 < np.linalg.det(pose) < 2.0)
+        likely = bool(np.isfinite(pose).all()) and (
+            not len(pose) or 0.5 < np.linalg.det(pose) < 2.0
+        )
         good = same and _sound(found) and maps and likely
     except _NONE:
         good = False
@@ -258,7 +347,12 @@ def _made(plain: Any, frame: Frame, where: Path, cure: str = "Say --overwrite to
 
 def _sound(found: Detections) -> bool:
     """Whether the arrays are of the types and shapes of detections, and boxes finite."""
-    n, covariance = len(found), found.covariance
-    arrays = [(found.xyxy, (n, 4)), (found.confidence, (n,))] + ([] if covariance is None else [(covariance, (n, 4, 4))])
-    finite = all(a.dtype == np.float64 and a.shape == shape and np.isfinite(a).all() for a, shape in arrays)
+    n = len(found)
+    covariance = found.covariance
+    arrays = [(found.xyxy, (n, 4)), (found.confidence, (n,))] + (
+        [] if covariance is None else [(covariance, (n, 4, 4))]
+    )
+    finite = all(
+        a.dtype == np.float64 and a.shape == shape and np.isfinite(a).all() for a, shape in arrays
+    )
     return finite and found.class_id.dtype == np.int64 and found.class_id.shape == (n,)

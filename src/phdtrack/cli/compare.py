@@ -31,7 +31,9 @@ from phdtrack.files import write_text
 from phdtrack.report import About, write_run
 from phdtrack.report.pages import lines
 
-DOCUMENT, CELLS, EACH = "compare.json", "compare.csv", "runs.csv"
+DOCUMENT = "compare.json"
+CELLS = "compare.csv"
+EACH = "runs.csv"
 FILES = {
     rundir.REPORT: "the tables, as a page",
     CELLS: "every score with its interval, a row for each line of the table",
@@ -46,30 +48,45 @@ _VARIANT = "Another method, as few=filter.history=5,preset=m09: the first filter
 class PlanOptions:
     """What is compared on the sequences."""
 
-    filters: Annotated[str, option("NAME,...", "The first is what others are compared to; default: pmb,none.")] = ""
-    detections: Annotated[
-        str, option("NAME|FILE,...", "Sets of the folders, or files, {} for the sequence; default: all.")
+    filters: Annotated[
+        str, option("NAME,...", "The first is what others are compared to; default: pmb,none.")
     ] = ""
-    detectors: Annotated[str, option("NAME,...", "Detectors to run on the videos, each of them once.")] = ""
-    clutter: Annotated[str, option("F,...", "Rates of false alarms to add, Poisson, boxes per frame.")] = "0"
+    detections: Annotated[
+        str,
+        option(
+            "NAME|FILE,...", "Sets of the folders, or files, {} for the sequence; default: all."
+        ),
+    ] = ""
+    detectors: Annotated[
+        str, option("NAME,...", "Detectors to run on the videos, each of them once.")
+    ] = ""
+    clutter: Annotated[
+        str, option("F,...", "Rates of false alarms to add, Poisson, boxes per frame.")
+    ] = "0"
     seeds: Annotated[int, option("N", "How many seeds, from 1.", min=1)] = 5
     variants: Annotated[list[str] | None, option("NAME=SETTINGS", _VARIANT, "--variant")] = None
     preset: given.Preset = ""
     config: given.Config = None
     sets: given.Sets = None
     scene: given.SceneFile = None
-    truth: Annotated[str, option("FILE", "Annotated objects of a video; {} stands for its name.")] = ""
+    truth: Annotated[
+        str, option("FILE", "Annotated objects of a video; {} stands for its name.")
+    ] = ""
     max_width: given.MaxWidth = None
     iou: given.Iou = 0.5
     classes: given.Classes = ""
     max_file_size: given.MaxFileSize = ""
 
     def plan(self, sequences: list[str]) -> Plan:
-        """Every sequence with these detections, methods, rates of clutter and seeds. Raises `InputError` for mistakes."""
+        """Every sequence with these detections, methods, rates of clutter and seeds. Raises
+        `InputError` for mistakes.
+        """
         try:
             rates = tuple(float(part) for part in listed(self.clutter))
         except ValueError:
-            raise InputError(f"expected numbers as 0,5,10, got {self.clutter!r}", where="--clutter") from None
+            raise InputError(
+                f"expected numbers as 0,5,10, got {self.clutter!r}", where="--clutter"
+            ) from None
         wanted = comparing.Request(
             sequences,
             filters=listed(self.filters),
@@ -89,19 +106,26 @@ class PlanOptions:
 
 
 def compare(
-    sequences: Annotated[list[str], typer.Argument(metavar="SEQUENCE", help="MOTChallenge's folders, or videos.")],
+    sequences: Annotated[
+        list[str], typer.Argument(metavar="SEQUENCE", help="MOTChallenge's folders, or videos.")
+    ],
     output: Output,
     options: PlanOptions,
-    scores: Annotated[str, option("NAME,...", "What to show, as MOTA,IDF1,ms; the CSV files hold everything.")] = "",
+    scores: Annotated[
+        str, option("NAME,...", "What to show, as MOTA,IDF1,ms; the CSV files hold everything.")
+    ] = "",
     out: Annotated[Path, option("DIR", "Where everything is kept.")] = Path("runs/compare"),
     jobs: Annotated[int, option("N", "Processes; 0: one per core.", min=0)] = 0,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Run everything anew, also what is kept already.")] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Run everything anew, also what is kept already.")
+    ] = False,
 ) -> None:
     """Compare filters: one table, with confidence intervals over seeds.
 
-    Every run is kept. The same command again takes up what is there, after Ctrl-C too, and runs only what is missing or
-    what is decided by something that has changed: a setting, a file, phdtrack itself. What --scene has taught holds for
-    every filter. A run that fails is named in the table, the others go on, and the exit status is 1.
+    Every run is kept. The same command again takes up what is there, after Ctrl-C too, and runs
+    only what is missing or what is decided by something that has changed: a setting, a file,
+    phdtrack itself. What --scene has taught holds for every filter. A run that fails is named in
+    the table, the others go on, and the exit status is 1.
     """
     ours = (out / DOCUMENT).is_file()
     rundir.check(out, overwrite or ours, FILES)
@@ -114,8 +138,11 @@ def compare(
     info = made.cases[0].info
     for method in {method.settings.kind("filter"): method for method in made.methods}.values():
         detections_needed(build(method.settings, info), info, (info.width / 20, info.height / 10))
-    begun = about("Comparison of " + ", ".join(method.name for method in made.methods), made.seeds[0])
-    clock, processes = time.perf_counter(), jobs or os.cpu_count() or 1
+    begun = about(
+        "Comparison of " + ", ".join(method.name for method in made.methods), made.seeds[0]
+    )
+    clock = time.perf_counter()
+    processes = jobs or os.cpu_count() or 1
     with progress("comparing", comparing.steps(made), PACE) as advance:
         comparison = comparing.run(made, out, processes, anew=overwrite, advance=advance)
     begun = replace(begun, seconds=time.perf_counter() - clock)
@@ -130,14 +157,25 @@ def listed(text: str) -> tuple[str, ...]:
 
 
 def finish(
-    out: Output, comparison: Comparison, wanted: Sequence[str], directory: RunDirectory, begun: About, *, in_turn: bool
+    out: Output,
+    comparison: Comparison,
+    wanted: Sequence[str],
+    directory: RunDirectory,
+    begun: About,
+    *,
+    in_turn: bool,
 ) -> None:
-    """Write everything but the runs, which are there already, and say who is ahead of the first method by how much."""
+    """Write everything but the runs, which are there already, and say who is ahead of the first
+    method by how much.
+    """
     found = Results.of(comparison, wanted)
-    notes, warnings = found.notes(in_turn=in_turn), doubts(comparison)
+    notes = found.notes(in_turn=in_turn)
+    warnings = doubts(comparison)
     found.write_cells(directory.file(CELLS))
     found.write_runs(directory.file(EACH))
-    write_text(directory.file(rundir.REPORT), found.page(replace(begun, warnings=warnings, notes=notes)))
+    write_text(
+        directory.file(rundir.REPORT), found.page(replace(begun, warnings=warnings, notes=notes))
+    )
     document = {
         "complete": True,
         "command": begun.command,
@@ -160,7 +198,9 @@ def finish(
     if (errors := found.errors()).rows:
         out.say("", "Errors by cause:")
         out.table(*errors, words=(0, 1, 3))
-    done = lines("comparison_done.txt", comparison=comparison, seconds=begun.seconds, plan=found.described())
+    done = lines(
+        "comparison_done.txt", comparison=comparison, seconds=begun.seconds, plan=found.described()
+    )
     out.say("", *done, *found.sentences(), *notes, "", *directory.listing())
     out.document(document)
 
@@ -168,7 +208,13 @@ def finish(
 def doubts(comparison: Comparison) -> tuple[str, ...]:
     """What a user should know, each sentence once."""
     said = [f"{run} failed: {reason}" for run, reason in comparison.failed]
-    said += [result.warning for _, result in comparison.runs if isinstance(result, RunResult) and result.warning]
+    said += [
+        result.warning
+        for _, result in comparison.runs
+        if isinstance(result, RunResult) and result.warning
+    ]
     each = tuple(dict.fromkeys(said))
-    more = (f"and {len(each) - MOST_WARNINGS} more, see {EACH}",) if len(each) > MOST_WARNINGS else ()
+    more = (
+        (f"and {len(each) - MOST_WARNINGS} more, see {EACH}",) if len(each) > MOST_WARNINGS else ()
+    )
     return (*each[:MOST_WARNINGS], *more)

@@ -1,4 +1,6 @@
-"""``phdtrack evaluate``: scores of a file of tracks against annotated objects, and how commands show scores."""
+"""``phdtrack evaluate``: scores of a file of tracks against annotated objects, and how commands
+show scores.
+"""
 
 from __future__ import annotations
 
@@ -38,19 +40,36 @@ false_tracks delay_mean frames
 """
 WORST = 5
 NO_TRUTH = Truth(*(np.zeros(0, np.int64),) * 2, np.zeros((0, 4)), np.zeros(0, np.bool_))
-BY_TRAJECTORY = ("TGOSPA", "TGOSPA_localisation", "TGOSPA_missed", "TGOSPA_false", "TGOSPA_switching")
+BY_TRAJECTORY = (
+    "TGOSPA",
+    "TGOSPA_localisation",
+    "TGOSPA_missed",
+    "TGOSPA_false",
+    "TGOSPA_switching",
+)
 
 
 @dataclass(frozen=True, slots=True)
 class EvaluateOptions:
     """What does not count, and what is told of errors."""
 
-    ignore: Annotated[Path | None, option("FILE", "Regions that do not count: CSV frame,x,y,w,h; no frame: all.")] = None
+    ignore: Annotated[
+        Path | None, option("FILE", "Regions that do not count: CSV frame,x,y,w,h; no frame: all.")
+    ] = None
     kitti: Annotated[str, option("TYPE", "Type that is scored of KITTI label files, as Car.")] = ""
-    per_class: Annotated[bool, typer.Option("--per-class", help="Scores of each class; no pair is of two classes.")] = False
-    errors: Annotated[bool, typer.Option("--errors", help="Misses and false boxes by cause, and the worst tracks.")] = False
-    detections: Annotated[Path | None, option("FILE", "For --errors: what the tracker was given.")] = None
-    worst: Annotated[int, option("N", "For --errors: how many objects and tracks are named.", min=0)] = WORST
+    per_class: Annotated[
+        bool, typer.Option("--per-class", help="Scores of each class; no pair is of two classes.")
+    ] = False
+    errors: Annotated[
+        bool,
+        typer.Option("--errors", help="Misses and false boxes by cause, and the worst tracks."),
+    ] = False
+    detections: Annotated[
+        Path | None, option("FILE", "For --errors: what the tracker was given.")
+    ] = None
+    worst: Annotated[
+        int, option("N", "For --errors: how many objects and tracks are named.", min=0)
+    ] = WORST
     max_file_size: given.MaxFileSize = ""
 
 
@@ -60,14 +79,21 @@ def evaluate(
     output: Output,
     asked: EvaluateOptions,
     iou: given.Iou = 0.5,
-    frames: Annotated[int, option("N", "Number of frames; 0: as seqinfo.ini or the last box says.", min=0)] = 0,
-    t_gospa: Annotated[bool, typer.Option("--t-gospa", help="T-GOSPA too: seconds to minutes on long sequences.")] = False,
-    rmse: Annotated[float, option("PX", "RMSE of each object's box centres too, pairs nearer than PX.", min=0.0)] = 0.0,
+    frames: Annotated[
+        int, option("N", "Number of frames; 0: as seqinfo.ini or the last box says.", min=0)
+    ] = 0,
+    t_gospa: Annotated[
+        bool, typer.Option("--t-gospa", help="T-GOSPA too: seconds to minutes on long sequences.")
+    ] = False,
+    rmse: Annotated[
+        float, option("PX", "RMSE of each object's box centres too, pairs nearer than PX.", min=0.0)
+    ] = 0.0,
 ) -> None:
     """Score tracks against annotated objects.
 
-    A row of the truth that the benchmark ignores is ignored here; every row of the tracks counts. --errors says why boxes
-    are missed or false. With --json a score whose denominator is empty is null.
+    A row of the truth that the benchmark ignores is ignored here; every row of the tracks counts.
+    --errors says why boxes are missed or false. With --json a score whose denominator is empty is
+    null.
     """
     if not asked.errors:
         useless = {"--detections": asked.detections, "--worst": asked.worst != WORST}
@@ -78,7 +104,8 @@ def evaluate(
     if asked.per_class:
         output.document(per_class(output, truth, tracks, asked, iou=iou, frames=frames))
         return
-    annotated, found = read_truth(truth, kitti=asked.kitti), read_tracks(tracks, kitti=asked.kitti)
+    annotated = read_truth(truth, kitti=asked.kitti)
+    found = read_tracks(tracks, kitti=asked.kitti)
     annotated = annotated if asked.ignore is None else ignoring(annotated, asked.ignore)
     known = None if frames else find_seqinfo(truth)
     if known is not None:
@@ -86,14 +113,19 @@ def evaluate(
     if not len(annotated):
         output.warn([f"{truth}: the truth holds no object"])
     scores = score(annotated, found, frames=frames, iou=iou)
-    output.say(f"{tracks} against {truth}: {scores.frames} frames, {scores.truth_objects} objects, match from IoU {iou:g}")
+    output.say(
+        f"{tracks} against {truth}: {scores.frames} frames, {scores.truth_objects} objects, match from IoU {iou:g}"
+    )
     output.say()
     score_table(output, {"": scores})
     document: dict[str, object] = {**scores.as_dict()}
     if t_gospa:
         parts = tgospa_boxes(annotated, found, frames=scores.frames)
         values = (parts.distance, parts.localisation, parts.missed, parts.false, parts.switching)
-        whole = {key: value / max(scores.frames, 1) for key, value in zip(BY_TRAJECTORY, values, strict=True)}
+        whole = {
+            key: value / max(scores.frames, 1)
+            for key, value in zip(BY_TRAJECTORY, values, strict=True)
+        }
         _table(output, {"": whole}, BY_TRAJECTORY)
         document |= whole
     if rmse:
@@ -111,13 +143,20 @@ def per_class(
 ) -> dict[str, object]:
     """Scores of each class of the truth and of the tracks, in a table and for JSON."""
     if asked.kitti or asked.errors:
-        raise InputError("it does not go with --kitti or --errors", where="--per-class", cure="Leave one out.")
-    annotated, (found, names) = read_truth_by_class(truth), read_tracks_named(tracks)
+        raise InputError(
+            "it does not go with --kitti or --errors", where="--per-class", cure="Leave one out."
+        )
+    annotated = read_truth_by_class(truth)
+    found, names = read_tracks_named(tracks)
     known = None if frames else find_seqinfo(truth)
-    last = max([found.frame.max(initial=0), *(one.frame.max(initial=0) for one in annotated.values())])
+    last = max(
+        [found.frame.max(initial=0), *(one.frame.max(initial=0) for one in annotated.values())]
+    )
     frames = frames or max(int(last), 0 if known is None else known.frames)
     label = np.array([names.get(one, str(one)).lower() for one in found.class_id.tolist()], np.str_)
-    words = {one: one for one in label.tolist()} | {name.lower(): name for name in (*names.values(), *annotated)}
+    words = {one: one for one in label.tolist()} | {
+        name.lower(): name for name in (*names.values(), *annotated)
+    }
     scores = {}
     for word, name in words.items():
         given = next((one for key, one in annotated.items() if key.lower() == word), NO_TRUTH)
@@ -125,7 +164,10 @@ def per_class(
         mine = found.take(label == word)
         if len(mine) or len(given):
             scores[name] = score(given, mine, frames=frames, iou=iou)
-    output.say(f"{tracks} against {truth}: {frames} frames, each class on its own, match from IoU {iou:g}", "")
+    output.say(
+        f"{tracks} against {truth}: {frames} frames, each class on its own, match from IoU {iou:g}",
+        "",
+    )
     score_table(output, scores)
     return {"classes": {name: one.as_dict() for name, one in scores.items()}}
 
@@ -135,32 +177,60 @@ def score_table(out: Output, runs: Mapping[str, Scores]) -> None:
     _table(out, {title: scores.as_dict() for title, scores in runs.items()}, SHOWN.split())
 
 
-def _table(out: Output, columns: Mapping[str, Mapping[str, float | None]], names: Sequence[str]) -> None:
+def _table(
+    out: Output, columns: Mapping[str, Mapping[str, float | None]], names: Sequence[str]
+) -> None:
     meanings = score_meanings()
-    rows = [[key, *(number(column[key]) for column in columns.values()), meanings[key]] for key in names]
+    rows = [
+        [key, *(number(column[key]) for column in columns.values()), meanings[key]] for key in names
+    ]
     out.table(["", *columns, ""], rows, words=(0, len(columns) + 1))
 
 
 def error_tables(out: Output, errors: Errors, worst: int) -> None:
     """Misses by cause and place, false boxes by cause, and the ``worst`` objects and tracks."""
     table = errors.misses.sum(axis=0)[: len(errors.causes)]
-    rows = [[cause, *map(str, row), str(sum(row))] for cause, row in zip(errors.causes, table.tolist(), strict=True)]
+    rows = [
+        [cause, *map(str, row), str(sum(row))]
+        for cause, row in zip(errors.causes, table.tolist(), strict=True)
+    ]
     out.say("", "Misses by cause, and by place in the object's life:")
-    out.table(["", *PLACES, "all"], [*rows, ["all", *map(str, table.sum(axis=0).tolist()), str(table.sum())]])
+    out.table(
+        ["", *PLACES, "all"],
+        [*rows, ["all", *map(str, table.sum(axis=0).tolist()), str(table.sum())]],
+    )
     false = errors.false.sum(axis=0)
     out.say("", f"False boxes by cause (ignored, counted as nothing: {errors.ignored}):")
     out.table([*FALSE, "all"], [[*map(str, false.tolist()), str(false.sum())]], words=())
-    by_cause, places = errors.misses.sum(axis=2)[:, : len(errors.causes)], errors.misses.sum(axis=1)
-    objects = [errors.objects, errors.boxes, places.sum(axis=1), *by_cause.T, *places.T, errors.last]
-    tracks = [errors.tracks, errors.shown, errors.false.sum(axis=1), *errors.false.T, errors.last_shown]
+    by_cause = errors.misses.sum(axis=2)[:, : len(errors.causes)]
+    places = errors.misses.sum(axis=1)
+    objects = [
+        errors.objects,
+        errors.boxes,
+        places.sum(axis=1),
+        *by_cause.T,
+        *places.T,
+        errors.last,
+    ]
+    tracks = [
+        errors.tracks,
+        errors.shown,
+        errors.false.sum(axis=1),
+        *errors.false.T,
+        errors.last_shown,
+    ]
     head = ["object", "boxes", "misses", *errors.causes, *PLACES, "last"]
     title = "Objects with most misses, and the last frame in which each was followed:"
     _table_of(out, title, head, objects, errors.worst_objects(worst))
     title = "Tracks with most false boxes, and the last frame in which each followed an object:"
-    _table_of(out, title, ["track", "boxes", "false", *FALSE, "last"], tracks, errors.worst_tracks(worst))
+    _table_of(
+        out, title, ["track", "boxes", "false", *FALSE, "last"], tracks, errors.worst_tracks(worst)
+    )
 
 
-def _table_of(out: Output, title: str, head: Sequence[str], columns: Sequence[I8], chosen: I8) -> None:
+def _table_of(
+    out: Output, title: str, head: Sequence[str], columns: Sequence[I8], chosen: I8
+) -> None:
     """The rows ``chosen`` of the columns, where there are any."""
     if len(chosen):
         out.say("", title)
@@ -168,13 +238,27 @@ def _table_of(out: Output, title: str, head: Sequence[str], columns: Sequence[I8
 
 
 def located_errors(out: Output, truth: Truth, tracks: Tracks, gate: float) -> object:
-    """A table of the errors of the boxes' centres in pixels, object by object without distractors; the same for JSON."""
+    """A table of the errors of the boxes' centres in pixels, object by object without distractors;
+    the same for JSON.
+    """
     kept = ~truth.distractor
     centre, found = ((xyxy[:, :2] + xyxy[:, 2:]).T / 2 for xyxy in (truth.xyxy[kept], tracks.xyxy))
-    errors = rmse_per_target(truth.frame[kept], truth.identity[kept], centre, tracks.frame, found, gate)
-    columns = [each.tolist() for each in (errors.identity, errors.frames, errors.mapped, *errors.rmse_axis, errors.rmse)]
+    errors = rmse_per_target(
+        truth.frame[kept], truth.identity[kept], centre, tracks.frame, found, gate
+    )
+    columns = [
+        each.tolist()
+        for each in (errors.identity, errors.frames, errors.mapped, *errors.rmse_axis, errors.rmse)
+    ]
     rows = [[number(value, 2) for value in row] for row in zip(*columns, strict=True)]
-    total = ["all", str(errors.frames.sum()), str(errors.mapped.sum()), "", "", number(errors.overall, 2)]
+    total = [
+        "all",
+        str(errors.frames.sum()),
+        str(errors.mapped.sum()),
+        "",
+        "",
+        number(errors.overall, 2),
+    ]
     out.say("", f"RMSE of box centres in pixels, pairs nearer than {gate:g}:")
     out.table(["object", "frames", "mapped", "x", "y", "RMSE"], [*rows, total])
     return errors.as_dict()

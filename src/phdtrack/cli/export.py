@@ -21,14 +21,27 @@ _TO = f"Format: {', '.join(EXPORTS)}."
 
 
 def export(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="The directory of a run, or a file of tracks.")],
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN", help="The directory of a run, or a file of tracks.")
+    ],
     output: Output,
-    to: Annotated[str, option("FORMAT", _TO, callback=lambda value: one_of(value, *EXPORTS), autocompletion=listed(_TO))],
-    out: Annotated[Path | None, option("FILE", "File to write; default: beside the tracks.")] = None,
+    to: Annotated[
+        str,
+        option(
+            "FORMAT",
+            _TO,
+            callback=lambda value: one_of(value, *EXPORTS),
+            autocompletion=listed(_TO),
+        ),
+    ],
+    out: Annotated[
+        Path | None, option("FILE", "File to write; default: beside the tracks.")
+    ] = None,
     overwrite: given.Overwrite = False,
     size: given.FrameSize = "",
 ) -> None:
-    """Write the tracks of a run, or of a file, in the format of another tool: MOTChallenge, CSV, COCO, CVAT, and others.
+    """Write the tracks of a run, or of a file, in the format of another tool: MOTChallenge, CSV,
+    COCO, CVAT, and others.
 
     phdtrack reads all of these again where a file of tracks, of detections or of truth is given.
     """
@@ -39,8 +52,17 @@ def export(
     if path.name == "-":
         raise InputError("expected the name of a file, got -", where="--out", cure="Name one.")
     if path.exists() and not overwrite:
-        raise InputError("the file is there already", where=path, cure="Say --overwrite, or choose another --out.")
-    export_tracks(path, found.tracks, to, found.names, replace(found.info, width=width, height=height))
-    rows, tracks = len(found.tracks), len(np.unique(found.tracks.identity))
+        raise InputError(
+            "the file is there already",
+            where=path,
+            cure="Say --overwrite, or choose another --out.",
+        )
+    export_tracks(
+        path, found.tracks, to, found.names, replace(found.info, width=width, height=height)
+    )
+    rows = len(found.tracks)
+    tracks = len(np.unique(found.tracks.identity))
     output.say(f"{counted(rows, 'row')} of {counted(tracks, 'track')}: {path}")
-    output.document({"tracks": str(run), "format": to, "rows": rows, "identities": tracks, "file": str(path)})
+    output.document(
+        {"tracks": str(run), "format": to, "rows": rows, "identities": tracks, "file": str(path)}
+    )

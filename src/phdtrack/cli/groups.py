@@ -1,7 +1,7 @@
 """``phdtrack groups``: groups of people on the ground, from a video or detections.
 
-Contours are polygons in WKT (``MULTIPOLYGON``), on the ground in metres and, where there is a camera, in pixels of the
-image. Rings that run clockwise on the ground are holes.
+Contours are polygons in WKT (``MULTIPOLYGON``), on the ground in metres and, where there is a
+camera, in pixels of the image. Rings that run clockwise on the ground are holes.
 """
 
 from __future__ import annotations
@@ -42,12 +42,24 @@ from phdtrack.pipeline import TrackingState
 from phdtrack.protocols import AnyStages, Model
 from phdtrack.report.drawing import Plan, PlanScene, draw_contours
 from phdtrack.report.pages import lines, render
-from phdtrack.types import F8, I8, Detections, GaussianMixture, Image, MeasurementHistory, SequenceInfo, Step, Tracks
+from phdtrack.types import (
+    F8,
+    I8,
+    Detections,
+    GaussianMixture,
+    Image,
+    MeasurementHistory,
+    SequenceInfo,
+    Step,
+    Tracks,
+)
 from phdtrack.video import VideoWriter
 
 INTENSITY_FILTER = "gm-phd"
 # Pictures of the report; smallest and usual height of a plan in pixels.
-_STILLS, _MIN_HEIGHT, _HEIGHT = 4, 480, 720
+_STILLS = 4
+_MIN_HEIGHT = 480
+_HEIGHT = 720
 # Metres around what a plan shows.
 _PLAN_MARGIN = 1.5
 _NOWHERE: F8 = np.zeros((2, 0))
@@ -65,54 +77,83 @@ def groups(
     options: TrackingOptions,
     output: Output,
     to: RunOptions,
-    camera: Annotated[Path | None, option("FILE", "From pixels to the ground: Tsai XML, OpenCV, homography, TOML.")] = None,
-    edges: Annotated[Path | None, option("FILE", "Lines to draw on the plan, as road edges: x y in metres a line.")] = None,
+    camera: Annotated[
+        Path | None,
+        option("FILE", "From pixels to the ground: Tsai XML, OpenCV, homography, TOML."),
+    ] = None,
+    edges: Annotated[
+        Path | None,
+        option("FILE", "Lines to draw on the plan, as road edges: x y in metres a line."),
+    ] = None,
     video: given.Video = True,
     checkpoint_every: given.CheckpointEvery = EVERY,
 ) -> None:
     """Find groups of people on the ground, in a video or in a file of detections.
 
-    The run's directory holds what that of `phdtrack track` does, and groups.csv (counts, places, contours), members.csv,
-    events.csv, warnings.csv and plan.mp4: the ground from above beside the annotated video.
+    The run's directory holds what that of `phdtrack track` does, and groups.csv (counts, places,
+    contours), members.csv, events.csv, warnings.csv and plan.mp4: the ground from above beside the
+    annotated video.
     """
     options = replace(options, sets=[*scene_settings(to.scene), *(options.sets or ())])
     settings = _ground_settings(options, camera)
     job = prepare(source, options, settings, to, video=video)
-    stages, info, reach = job.stages, job.inputs.info, settings.build("camera").max_distance
+    stages = job.stages
+    info = job.inputs.info
+    reach = settings.build("camera").max_distance
     model = stages.model if settings.kind("motion") == "plane" else ground_model(settings, info)
     grouping = build_groups(settings, stages)
     observer = GroupObserver(grouping, info, _read_edges(edges), World(stages, model, reach))
     # A group may have members of several classes.
     kinds = replace(job.kinds, apart=False)
-    job = replace(job, kinds=kinds, ground=model.sensor, observers=(*job.observers, observer), every=checkpoint_every)
+    job = replace(
+        job,
+        kinds=kinds,
+        ground=model.sensor,
+        observers=(*job.observers, observer),
+        every=checkpoint_every,
+    )
     finish(output, job, to)
 
 
 def _ground_settings(options: TrackingOptions, camera: Path | None) -> Settings:
-    """The settings with this camera. Where groups are of an intensity, that of a filter of Gaussians on the ground plane.
+    """The settings with this camera. Where groups are of an intensity, that of a filter of
+    Gaussians on the ground plane.
 
-    Raises `InputError` where there is no camera, or groups of an intensity are asked for in another world or of no filter.
+    Raises `InputError` where there is no camera, or groups of an intensity are asked for in another
+    world or of no filter.
     """
     said = config.load(options.config, options.sets or (), options.preset)
     usual = list[str]()
     if said.kind("groups") == "intensity":
         if said.kind("motion") == "box" and "kind" not in said.given.get("motion", {}):
             usual.append("motion.kind=plane")
-        if not options.filter_name and said.kind("filter") == "pmb" and "kind" not in said.given.get("filter", {}):
+        if (
+            not options.filter_name
+            and said.kind("filter") == "pmb"
+            and "kind" not in said.given.get("filter", {})
+        ):
             usual.append(f"filter.kind={INTENSITY_FILTER}")
     settings = chosen(options, usual)
     if camera is not None:
         settings = config.overlay(settings, {"camera": {"file": str(camera)}}, "--camera")
     if settings.kind("motion") not in ("box", "plane"):
         cure = "Use motion.kind=box or plane, or leave it out."
-        raise InputError("groups are of people in an image or on the ground", where="motion.kind", cure=cure)
+        raise InputError(
+            "groups are of people in an image or on the ground", where="motion.kind", cure=cure
+        )
     if settings.kind("groups") == "intensity":
         if settings.kind("motion") != "plane":
             cure = "Use motion.kind=plane, or groups.kind=pairs."
-            raise InputError("groups of an intensity are found on the ground", where="motion.kind", cure=cure)
+            raise InputError(
+                "groups of an intensity are found on the ground", where="motion.kind", cure=cure
+            )
         if settings.kind("filter") in ("none", "pmb", "mht", "mcmc"):
             cure = f"Use --filter {INTENSITY_FILTER}, or groups.kind=pairs."
-            raise InputError("this filter has no intensity", where=f"--filter {settings.kind('filter')}", cure=cure)
+            raise InputError(
+                "this filter has no intensity",
+                where=f"--filter {settings.kind('filter')}",
+                cure=cure,
+            )
     if not settings.build("camera").file:
         cure = "Name a file of the camera; phdtrack calibrate makes one of four points or more."
         raise InputError("where pixels are on the ground is not known", where="--camera", cure=cure)
@@ -120,7 +161,8 @@ def _ground_settings(options: TrackingOptions, camera: Path | None) -> Settings:
 
 
 def _read_edges(path: Path | None) -> tuple[F8, ...]:
-    """Lines (2, K) in metres: a point ``x y`` or ``x,y`` on each line of text, an empty line between one edge and the next.
+    """Lines (2, K) in metres: a point ``x y`` or ``x,y`` on each line of text, an empty line
+    between one edge and the next.
 
     Raises `InputError` where the file is missing, or a line is not two numbers.
     """
@@ -141,8 +183,8 @@ def _read_edges(path: Path | None) -> tuple[F8, ...]:
 
 
 class World(NamedTuple):
-    """Where detections are followed, and the model of people on the ground, which is shown up to ``max_distance`` metres
-    from the camera."""
+    """Where detections are followed, and the model of people on the ground, which is shown up to
+    ``max_distance`` metres from the camera."""
 
     stages: AnyStages
     ground: Model
@@ -150,9 +192,9 @@ class World(NamedTuple):
 
 
 class _Seen(NamedTuple):
-    """A frame: its ``number``, its ``time`` in seconds, what the ground's sensor measures of all its detections (5, N), as
-    rows of tracks count them, the places (2, n) in metres of those that were tracked, and the Gaussians that count, where
-    groups are of an intensity."""
+    """A frame: its ``number``, its ``time`` in seconds, what the ground's sensor measures of all
+    its detections (5, N), as rows of tracks count them, the places (2, n) in metres of those that
+    were tracked, and the Gaussians that count, where groups are of an intensity."""
 
     number: int
     time: float
@@ -162,77 +204,125 @@ class _Seen(NamedTuple):
 
 
 class GroupObserver(RunObserver):
-    """Finds groups on the ground plane among the corrected tracks when the run has ended, writes, draws and reports them.
+    """Finds groups on the ground plane among the corrected tracks when the run has ended, writes,
+    draws and reports them.
 
-    Until then it keeps of each frame the measurements, of an intensity its Gaussians, and the plan: some hundred bytes a
-    person."""
+    Until then it keeps of each frame the measurements, of an intensity its Gaussians, and the plan:
+    some hundred bytes a person."""
 
     all_tracks = True
 
-    def __init__(self, groups: GroupStages, info: SequenceInfo, edges: tuple[F8, ...], world: World) -> None:
-        self._groups, self._info, self._edges, self._world = groups, info, edges, world
+    def __init__(
+        self, groups: GroupStages, info: SequenceInfo, edges: tuple[F8, ...], world: World
+    ) -> None:
+        self._groups = groups
+        self._info = info
+        self._edges = edges
+        self._world = world
         sensor = world.ground.sensor
-        self._camera, self._field = sensor.camera if isinstance(sensor, PlaneSensor) else None, _NOWHERE
+        self._camera = sensor.camera if isinstance(sensor, PlaneSensor) else None
+        self._field = _NOWHERE
         if self._camera is not None:
             self._field = footprint(self._camera, (info.width, info.height), world.max_distance)
-        self._seen, self._scenes = list[_Seen](), list[PlanScene]()
+        self._seen = list[_Seen]()
+        self._scenes = list[PlanScene]()
 
     def take(self, found: Detections, step: Step, state: TrackingState) -> None:
         """Keep what is needed of a frame."""
-        sensor, grouping, mixture = self._world.ground.sensor, self._groups.grouping, None
+        sensor = self._world.ground.sensor
+        grouping = self._groups.grouping
+        mixture = None
         z = sensor.measure(step.detections)
         if isinstance(grouping, Grouping):
             usable = np.ascontiguousarray(z[:, np.isfinite(z).all(axis=0)])
-            known = mixture_of(state.intensity, step, usable, self._world.stages, grouping.min_weight)
+            known = mixture_of(
+                state.intensity, step, usable, self._world.stages, grouping.min_weight
+            )
             heavy = known.weight >= grouping.min_weight
-            mixture = GaussianMixture(known.weight[heavy], known.mean[:, heavy], known.covariance[heavy])
+            mixture = GaussianMixture(
+                known.weight[heavy], known.mean[:, heavy], known.covariance[heavy]
+            )
         self._seen.append(_Seen(step.number, step.time, sensor.measure(found), z[:2], mixture))
 
     def finish(self, directory: RunDirectory, tracks: Tracks) -> None:
         """Find and write the groups of all frames among the corrected tracks."""
         # What stopped the run may have come between tracking a frame and taking it in here.
-        known, grouping = tracks.take(np.isin(tracks.frame, [seen.number for seen in self._seen])), self._groups.grouping
-        found = self._by_pairs(known, grouping) if isinstance(grouping, Pairs) else self._of_intensity(known, grouping)
+        known = tracks.take(np.isin(tracks.frame, [seen.number for seen in self._seen]))
+        grouping = self._groups.grouping
+        found = (
+            self._by_pairs(known, grouping)
+            if isinstance(grouping, Pairs)
+            else self._of_intensity(known, grouping)
+        )
         with ExitStack() as files, progress("grouping", len(self._seen)) as advance:
             tables = {name: files.enter_context(Lines(directory.file(name))) for name in _HEADS}
             for name, head in _HEADS.items():
                 tables[name].write(head)
-            for done, (seen, (frame, place, identity)) in enumerate(zip(self._seen, found, strict=True), start=1):
+            for done, (seen, (frame, place, identity)) in enumerate(
+                zip(self._seen, found, strict=True), start=1
+            ):
                 self._write(frame, tables)
                 self._scenes.append(PlanScene(frame, seen.places, place, identity))
                 advance(done)
 
     def _by_pairs(self, tracks: Tracks, pairs: Pairs) -> Iterator[tuple[GroupFrame, F8, I8]]:
-        """The groups of each frame, and places (2, n) and identities of its people, by evidence about every two."""
-        model, number = self._world.ground, np.array([seen.number for seen in self._seen], np.int64)
-        start = np.concatenate([[0], np.cumsum([seen.z.shape[1] for seen in self._seen])]).astype(np.int64)
+        """The groups of each frame, and places (2, n) and identities of its people, by evidence
+        about every two.
+        """
+        model = self._world.ground
+        number = np.array([seen.number for seen in self._seen], np.int64)
+        start = np.concatenate([[0], np.cumsum([seen.z.shape[1] for seen in self._seen])]).astype(
+            np.int64
+        )
         time = np.array([seen.time for seen in self._seen]) * model.rate
         z = np.hstack([np.zeros((5, 0)), *(seen.z for seen in self._seen)])
-        frames, weights = on_ground(tracks, MeasurementHistory(number, time, start, z, np.zeros((0, 3, 3))), model)
-        state, labels = LifeCycleState(), pairs.over_time(frames)
-        for each, walkers, label, weight in zip(number.tolist(), frames, labels, weights, strict=True):
+        frames, weights = on_ground(
+            tracks, MeasurementHistory(number, time, start, z, np.zeros((0, 3, 3))), model
+        )
+        state = LifeCycleState()
+        labels = pairs.over_time(frames)
+        for each, walkers, label, weight in zip(
+            number.tolist(), frames, labels, weights, strict=True
+        ):
             state, frame = self._groups.people(state, walkers, label, weight, each)
             yield frame, walkers.mean[:2], walkers.identity
 
-    def _of_intensity(self, tracks: Tracks, grouping: Grouping) -> Iterator[tuple[GroupFrame, F8, I8]]:
+    def _of_intensity(
+        self, tracks: Tracks, grouping: Grouping
+    ) -> Iterator[tuple[GroupFrame, F8, I8]]:
         """The same, frame by frame from the Gaussians that carry the tracks."""
-        state, metres = LifeCycleState(), places(self._world.ground.sensor, tracks.xyxy)
+        state = LifeCycleState()
+        metres = places(self._world.ground.sensor, tracks.xyxy)
         for seen in self._seen:
             assert seen.mixture is not None
             rows = slice(*np.searchsorted(tracks.frame, [seen.number, seen.number + 1]))
-            identity, place = tracks.identity[rows], metres[:, rows]
+            identity = tracks.identity[rows]
+            place = metres[:, rows]
             carrier = carriers(seen.mixture, place, grouping.min_weight)
-            state, frame = self._groups.advance(state, seen.mixture, identity, carrier, seen.number, seen.time)
+            state, frame = self._groups.advance(
+                state, seen.mixture, identity, carrier, seen.number, seen.time
+            )
             yield frame, place, identity
 
     def _write(self, frame: GroupFrame, tables: Mapping[str, Lines]) -> None:
         """A frame into the tables."""
-        n, at, found, camera = frame.number, f"{frame.time:.6f}", frame.groups, self._camera
+        n = frame.number
+        at = f"{frame.time:.6f}"
+        found = frame.groups
+        camera = self._camera
         write = {name: table.write for name, table in tables.items()}
         for g, rings in enumerate(frame.contours):
-            values = ",".join(f"{value:.7g}" for value in (found.count[g], found.deviation[g], *found.mean[:, g]))
-            image = _EMPTY if camera is None else _polygons(rings, [_in_image(camera, ring) for ring in rings])
-            write[rundir.GROUPS](f'{n},{at},{frame.identity[g]},{values},"{_polygons(rings, rings)}","{image}"')
+            values = ",".join(
+                f"{value:.7g}" for value in (found.count[g], found.deviation[g], *found.mean[:, g])
+            )
+            image = (
+                _EMPTY
+                if camera is None
+                else _polygons(rings, [_in_image(camera, ring) for ring in rings])
+            )
+            write[rundir.GROUPS](
+                f'{n},{at},{frame.identity[g]},{values},"{_polygons(rings, rings)}","{image}"'
+            )
         for i in np.lexsort((frame.member, frame.membership)):
             write[rundir.MEMBERS](f"{n},{frame.membership[i]},{frame.member[i]}")
         for e in frame.events:
@@ -241,17 +331,23 @@ class GroupObserver(RunObserver):
             numbers = (w.seconds, w.distance, w.deviation)
             close = ",".join(f"{value:.4g}" for value in numbers)
             place = f"{w.place[0]:.7g},{w.place[1]:.7g}"
-            write[rundir.WARNINGS](f"{n},{at},{w.first},{w.second},{close},{place},{w.probability:.4g}")
+            write[rundir.WARNINGS](
+                f"{n},{at},{w.first},{w.second},{close},{place},{w.probability:.4g}"
+            )
 
     def drawing(self, directory: RunDirectory, files: ExitStack, *, pictures: bool) -> Draw:
         """plan.mp4, with the annotated pictures on its left where there are any."""
-        left, height = 0, _HEIGHT
+        left = 0
+        height = _HEIGHT
         if pictures:
             height = max(self._info.height, _MIN_HEIGHT)
             left = 2 * round(self._info.width * height / self._info.height / 2)
-        plan, scenes = self._plan(height + height % 2), {scene.frame.number: scene for scene in self._scenes}
+        plan = self._plan(height + height % 2)
+        scenes = {scene.frame.number: scene for scene in self._scenes}
         file = directory.file(rundir.PLAN)
-        video = files.enter_context(VideoWriter(file, left + plan.width, plan.height, self._info.fps))
+        video = files.enter_context(
+            VideoWriter(file, left + plan.width, plan.height, self._info.fps)
+        )
 
         def draw(number: int, picture: Image) -> None:
             scene = scenes.get(number)
@@ -273,26 +369,44 @@ class GroupObserver(RunObserver):
             "groups_mean": [frame.named for frame in frames],
             "detections_mean": counts,
         }
-        document: dict[str, object] = {name: float(np.mean(each)) if each else None for name, each in means.items()}
+        document: dict[str, object] = {
+            name: float(np.mean(each)) if each else None for name, each in means.items()
+        }
         document |= {
-            "identities": len({identity for frame in frames for identity in frame.identity.tolist()} - {0}),
+            "identities": len(
+                {identity for frame in frames for identity in frame.identity.tolist()} - {0}
+            ),
             "events": {kind: kinds[kind] for kind in ("appear", "vanish", "merge", "split")},
             "warnings": sum(len(frame.warnings) for frame in frames),
         }
-        known = {"found": document, "frames": frames, "detections": counts, "stills": self._stills()}
-        return Report({"groups": document}, lines("groups.txt", **known), render("groups.html", **known))
+        known = {
+            "found": document,
+            "frames": frames,
+            "detections": counts,
+            "stills": self._stills(),
+        }
+        return Report(
+            {"groups": document}, lines("groups.txt", **known), render("groups.html", **known)
+        )
 
     def _stills(self) -> list[tuple[int, Image]]:
         """The plan at some frames, spread over those with people."""
-        shown, plan = [scene for scene in self._scenes if len(scene.frame)], self._plan(_HEIGHT)
-        chosen = dict.fromkeys(((np.arange(_STILLS) + 0.5) / _STILLS * len(shown)).astype(int).tolist() if shown else ())
+        shown = [scene for scene in self._scenes if len(scene.frame)]
+        plan = self._plan(_HEIGHT)
+        chosen = dict.fromkeys(
+            ((np.arange(_STILLS) + 0.5) / _STILLS * len(shown)).astype(int).tolist()
+            if shown
+            else ()
+        )
         return [(shown[k].frame.number, plan.draw(shown[k])) for k in chosen]
 
     def _plan(self, height: int) -> Plan:
         """A plan of the ground on which people were."""
         people = [scene.people for scene in self._scenes]
         centres = [scene.frame.groups.mean[:2, scene.frame.identity > 0] for scene in self._scenes]
-        return Plan(extent_of(np.hstack([_NOWHERE, *people, *centres])), height, self._field, self._edges)
+        return Plan(
+            extent_of(np.hstack([_NOWHERE, *people, *centres])), height, self._field, self._edges
+        )
 
     def _with_contours(self, picture: Image, frame: GroupFrame) -> Image:
         """The picture with the contours that the camera shows."""
@@ -306,18 +420,21 @@ class GroupObserver(RunObserver):
 def extent_of(places: F8) -> tuple[float, float, float, float]:
     """Left, low, right, high in metres of the ground to show, at least 8 m wide and high.
 
-    It holds all ``places`` (2, N), NaN where not known, but the outermost hundredth on each side, which may be false alarms.
+    It holds all ``places`` (2, N), NaN where not known, but the outermost hundredth on each side,
+    which may be false alarms.
     """
     known = places[:, np.isfinite(places).all(axis=0)]
     low, high = np.quantile(known, [0.01, 0.99], axis=1) if known.size else np.zeros((2, 2))
-    middle, half = (low + high) / 2, np.maximum((high - low) / 2 + _PLAN_MARGIN, 4.0)
-    (left, below), (right, above) = (middle - half).tolist(), (middle + half).tolist()
+    middle = (low + high) / 2
+    half = np.maximum((high - low) / 2 + _PLAN_MARGIN, 4.0)
+    left, below = (middle - half).tolist()
+    right, above = (middle + half).tolist()
     return left, below, right, above
 
 
 def _in_image(camera: Camera, ring: F8) -> F8:
-    """(2, K) the ring (2, K) of ground points in pixels, closed, without the points that no pixel shows; (2, 0) where fewer
-    than three are left."""
+    """(2, K) the ring (2, K) of ground points in pixels, closed, without the points that no pixel
+    shows; (2, 0) where fewer than three are left."""
     pixel = camera.pixels(ring)
     seen = pixel[:, np.isfinite(pixel).all(axis=0)]
     if seen.shape[1] < 3:
@@ -326,18 +443,26 @@ def _in_image(camera: Camera, ring: F8) -> F8:
 
 
 def _polygons(rings: Sequence[F8], drawn: Sequence[F8]) -> str:
-    """WKT of closed rings (2, K) on the ground, the first point last; clockwise ones are holes of the ring around them.
+    """WKT of closed rings (2, K) on the ground, the first point last; clockwise ones are holes of
+    the ring around them.
 
-    ``drawn`` are the rings as they are to be written, maybe in another plane, where they may run the other way round.
+    ``drawn`` are the rings as they are to be written, maybe in another plane, where they may run
+    the other way round.
     """
     text = ["(" + ", ".join(f"{x:.6g} {y:.6g}" for x, y in ring.T) + ")" for ring in drawn]
     shown = [k for k, ring in enumerate(drawn) if ring.shape[1]]
     outer = {k: [text[k]] for k in shown if polygon_area(rings[k]) > 0}
     for k in shown:
-        around = next((o for o in outer if k not in outer and _inside(rings[k][:, 0], rings[o])), None)
+        around = next(
+            (o for o in outer if k not in outer and _inside(rings[k][:, 0], rings[o])), None
+        )
         if around is not None:
             outer[around].append(text[k])
-    return "MULTIPOLYGON (" + ", ".join("(" + ", ".join(part) + ")" for part in outer.values()) + ")" if outer else _EMPTY
+    return (
+        "MULTIPOLYGON (" + ", ".join("(" + ", ".join(part) + ")" for part in outer.values()) + ")"
+        if outer
+        else _EMPTY
+    )
 
 
 def _inside(point: F8, ring: F8) -> bool:

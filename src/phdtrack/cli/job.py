@@ -1,8 +1,9 @@
 """A run: frames through detector and tracker into the files of its directory.
 
-Every frame's detections, states and online track rows go to their files at once. Whatever stops the loop, a frame that
-cannot be used, a full disk or Ctrl-C, the frames done so far are finished like a whole run: corrected tracks, scores,
-annotated video, report, ``run.json``. Decoding, detecting and tracking overlap (`inputs.ahead`), and so does drawing.
+Every frame's detections, states and online track rows go to their files at once. Whatever stops the
+loop, a frame that cannot be used, a full disk or Ctrl-C, the frames done so far are finished like a
+whole run: corrected tracks, scores, annotated video, report, ``run.json``. Decoding, detecting and
+tracking overlap (`inputs.ahead`), and so does drawing.
 """
 
 from __future__ import annotations
@@ -40,7 +41,15 @@ from phdtrack.files import return_memory, write_text
 from phdtrack.formats import DetectionsWriter, StatesWriter, TracksWriter
 from phdtrack.models import PlaneSensor
 from phdtrack.protocols import AnyStages, Sensor
-from phdtrack.report import About, Annotator, Recorder, report_html, run_document, sentences, write_run
+from phdtrack.report import (
+    About,
+    Annotator,
+    Recorder,
+    report_html,
+    run_document,
+    sentences,
+    write_run,
+)
 from phdtrack.report.pages import doubts, lines
 from phdtrack.tracker import FinalTracks, Tracker, uninterrupted
 from phdtrack.types import F8, Detections, Frame, Image, Step, Tracks, Truth
@@ -50,26 +59,28 @@ if TYPE_CHECKING:
     from phdtrack.metrics import Scores
 Stop = Exception | KeyboardInterrupt
 
-_WHICH = (
-    f"{rundir.TRACKS} holds the corrected tracks of the whole run, {rundir.ONLINE} the rows as they came frame by frame."
-)
+_WHICH = f"{rundir.TRACKS} holds the corrected tracks of the whole run, {rundir.ONLINE} the rows as they came frame by frame."
 _LATEST = "The source had no end: figures are of the whole run, charts of its last frames, paths of the last tracks."
 _REUSED = "The detections are those of an earlier run with the same detector; --detect-again detects anew."
 _HIDDEN = "In all pictures {} of detections and tracks are hidden; what was neither detected nor tracked can be seen."
 _SHAKES = "The camera shakes: each picture was laid onto the scene before it was compared with it."
 _STOPPED = "stopped after frame {}; its files are being completed"
-# Frames that are kept, and that the report shows, of endless sources; the shorter side of an annotated video at the least;
-# seconds for which videos are drawn after a signal.
-_SAMPLE, _CHARTED, _LEAST, _SHORTLY = 1000, 100_000, 16, 0.5
+# Frames that are kept, and that the report shows, of endless sources; the shorter side of an
+# annotated video at the least; seconds for which videos are drawn after a signal.
+_SAMPLE = 1000
+_CHARTED = 100_000
+_LEAST = 16
+_SHORTLY = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What is to be run; ``configuration`` and ``read``, what was read and how, decide the result; ``ground`` measures where
-    boxes of tracks in an image stand; ``looked``: what decides the detections, empty where they are not kept; ``anew``:
-    those of an earlier run are not taken; ``every``: seconds between checkpoints, 0 for none; ``delay``:
-    frames by which online rows lag; ``blur``: what is made unrecognisable in pictures; ``video_size``: the longer
-    side of the annotated video in pixels, at most; 0: as the source."""
+    """What is to be run; ``configuration`` and ``read``, what was read and how, decide the result;
+    ``ground`` measures where boxes of tracks in an image stand; ``looked``: what decides the
+    detections, empty where they are not kept; ``anew``: those of an earlier run are not taken;
+    ``every``: seconds between checkpoints, 0 for none; ``delay``: frames by which online rows lag;
+    ``blur``: what is made unrecognisable in pictures; ``video_size``: the longer side of the
+    annotated video in pixels, at most; 0: as the source."""
 
     inputs: Inputs
     kinds: Kinds
@@ -91,7 +102,8 @@ class Job:
     @property
     def key(self) -> dict[str, object]:
         """What decides the result: a checkpoint of another is refused."""
-        seed, file = self.about.seed, source_of(str(self.read["source"]))
+        seed = self.about.seed
+        file = source_of(str(self.read["source"]))
         return {"settings": self.configuration, **self.read, "seed": seed, "file": file}
 
     @property
@@ -111,8 +123,8 @@ class Job:
 
 
 class Outcome(NamedTuple):
-    """What came of a run: the content of run.json, a summary in sentences, scores where there is truth; ``stop`` is what
-    ended it before its time, None where it ran to the end."""
+    """What came of a run: the content of run.json, a summary in sentences, scores where there is
+    truth; ``stop`` is what ended it before its time, None where it ran to the end."""
 
     document: dict[str, object]
     summary: tuple[str, ...]
@@ -132,11 +144,13 @@ class _Seen(NamedTuple):
 
 @dataclass(slots=True)
 class _Progress:
-    """How far it got. ``stop`` ended the loop, ``cut`` the drawing; ``lost`` is what the source said at its end; ``drawn``
-    the last frame of videos that end early because of a signal, or 0. ``seconds`` is what the loop took, but for
-    ``left_out`` frames: the first, and those in which kernels were compiled or loaded. ``unwritten`` ended the writing of
-    files; the others are written all the same. ``final``: corrected rows of a source without an end for an observer.
-    ``resumed``: the frame that it went on from; ``reused``: an earlier run's detections; ``shakes``: the camera does."""
+    """How far it got. ``stop`` ended the loop, ``cut`` the drawing; ``lost`` is what the source
+    said at its end; ``drawn`` the last frame of videos that end early because of a signal, or 0.
+    ``seconds`` is what the loop took, but for ``left_out`` frames: the first, and those in which
+    kernels were compiled or loaded. ``unwritten`` ended the writing of files; the others are
+    written all the same. ``final``: corrected rows of a source without an end for an observer.
+    ``resumed``: the frame that it went on from; ``reused``: an earlier run's detections;
+    ``shakes``: the camera does."""
 
     tracker: Tracker
     recorder: Recorder
@@ -175,12 +189,15 @@ class _Progress:
 
 def about(title: str, seed: int = 0) -> About:
     """What is known of a run that starts now."""
-    now, command = datetime.now(UTC).isoformat(timespec="seconds"), [shown(word) for word in sys.argv[1:]]
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    command = [shown(word) for word in sys.argv[1:]]
     return About(title, shlex.join(["phdtrack", *command]), seed, now, versions=versions())
 
 
 def run(job: Job, directory: RunDirectory, *, resume: bool = False) -> Outcome:
-    """Run the job. Raises only where nothing was computed; the directory is then left without files of this run."""
+    """Run the job. Raises only where nothing was computed; the directory is then left without files
+    of this run.
+    """
     return_memory()
     if job.video and (job.inputs.pictures or job.observers):
         needed("av")  # at the end, perhaps after hours
@@ -190,12 +207,14 @@ def run(job: Job, directory: RunDirectory, *, resume: bool = False) -> Outcome:
 
 def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -> Outcome:
     """As `run`, with the function that says how far it got."""
-    clock, scores = time.perf_counter(), None
+    clock = time.perf_counter()
+    scores = None
     done = _track(job, directory, advance, resume=resume)
     tracked = time.perf_counter()
     return_memory()
     if not (done.seen or done.stop or resume) and job.inputs.source.first > 1:
-        # A segment of a batch, which always resumes, may lie behind the end of a file that is cut short.
+        # A segment of a batch, which always resumes, may lie behind the end of a file that is cut
+        # short.
         done.stop = InputError(job.inputs.source.problem, where="--frames")
     if not done.seen and done.stop is not None:
         if not resume:
@@ -207,7 +226,9 @@ def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -
             file.append(tracks, places(job.sensor, tracks.xyxy))
     for observer in job.observers:
         with done.saving():
-            observer.finish(directory, tracks if job.inputs.again else Tracks.concatenate(done.final))
+            observer.finish(
+                directory, tracks if job.inputs.again else Tracks.concatenate(done.final)
+            )
     if job.truth is not None and done.seen:
         from phdtrack.metrics import evaluate
 
@@ -221,36 +242,59 @@ def _run(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -
     # The note comes first, then the warning if there is one.
     boxes = np.concatenate([np.zeros((0, 4)), *(seen.detections.xyxy for seen in done.seen)])
     confirmed = confirmation(job.stages, job.inputs.info, boxes)
-    wrong = unsuited(job.inputs.detector) or doubts(record, background=job.inputs.described in BACKGROUND)
-    hidden, latest = job.blur and _HIDDEN.format(job.blur), "" if job.inputs.again else _LATEST
+    wrong = unsuited(job.inputs.detector) or doubts(
+        record, background=job.inputs.described in BACKGROUND
+    )
+    hidden = job.blur and _HIDDEN.format(job.blur)
+    latest = "" if job.inputs.again else _LATEST
     said = replace(
         job.about,
         seconds=time.perf_counter() - clock,
         tracking_seconds=done.seconds,
         finishing_seconds=finished,
         left_out=done.left_out,
-        scores=() if scores is None else tuple((k, math.nan if v is None else v) for k, v in scores.as_dict().items()),
+        scores=()
+        if scores is None
+        else tuple((k, math.nan if v is None else v) for k, v in scores.as_dict().items()),
         warnings=(*_problems(job, done), *wrong, *confirmed[1:]),
-        notes=tuple(filter(None, (*confirmed[:1], _WHICH, hidden, latest, _SHAKES if done.shakes else ""))),
+        notes=tuple(
+            filter(None, (*confirmed[:1], _WHICH, hidden, latest, _SHAKES if done.shakes else ""))
+        ),
     )
     reports = [observer.report() for observer in job.observers]
-    record = replace(record, about=replace(said, sections="\n".join(report.section for report in reports)))
+    record = replace(
+        record, about=replace(said, sections="\n".join(report.section for report in reports))
+    )
     with done.saving():
-        write_text(directory.file(rundir.REPORT), report_html(record, job.configuration | {"input": job.read}))
+        write_text(
+            directory.file(rundir.REPORT),
+            report_html(record, job.configuration | {"input": job.read}),
+        )
     complete = done.ended is None
     document = run_document(record, job.configuration) | {"complete": complete, "input": job.read}
     some = {"resumed_from_frame": done.resumed, "detections_reused": done.reused}
-    document |= {"boxes_left_out": done.tracker.left_out._asdict()} | {name: one for name, one in some.items() if one}
+    document |= {"boxes_left_out": done.tracker.left_out._asdict()} | {
+        name: one for name, one in some.items() if one
+    }
     with done.saving():
         document = finish_document(document, directory, *(report.document for report in reports))
     if complete and done.ended is None:
         directory.sweep()
-    summary = (*([_REUSED] * done.reused), *sentences(record), *(one for report in reports for one in report.sentences))
-    warnings = (*said.warnings, *(str(error) for error in done.unwritten if error is not done.ended))
+    summary = (
+        *([_REUSED] * done.reused),
+        *sentences(record),
+        *(one for report in reports for one in report.sentences),
+    )
+    warnings = (
+        *said.warnings,
+        *(str(error) for error in done.unwritten if error is not done.ended),
+    )
     return Outcome(document, summary, scores, warnings, done.ended)
 
 
-def finish_document(document: dict[str, object], directory: RunDirectory, *more: dict[str, object]) -> dict[str, object]:
+def finish_document(
+    document: dict[str, object], directory: RunDirectory, *more: dict[str, object]
+) -> dict[str, object]:
     """Write run.json: the document, where the files are, and what observers add."""
     run = directory.file(rundir.RUN)
     files = {file.name: str(file) for file in directory.written()} | {run.name: str(run)}
@@ -262,23 +306,31 @@ def finish_document(document: dict[str, object], directory: RunDirectory, *more:
 
 
 def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool) -> _Progress:
-    """Every frame through detector and tracker, into files and record, until the source ends or something stops it."""
+    """Every frame through detector and tracker, into files and record, until the source ends or
+    something stops it.
+    """
     inputs = job.inputs
     tracker = Tracker(stages=job.kinds, fps=inputs.info.fps, seed=job.about.seed)
     recorder = Recorder(inputs.info, job.truth, None if inputs.again else _CHARTED, job.blur)
     done = _Progress(tracker, recorder, [] if inputs.again else deque(maxlen=_SAMPLE))
-    found_in, checkpoint = partial(detected, inputs.detector, mover=job.mover), None
+    found_in = partial(detected, inputs.detector, mover=job.mover)
+    checkpoint = None
     if job.every > 0 and inputs.pictures and inputs.again:
-        checkpoint = Checkpoint(directory, job.key, job.looked, job.every, resume=resume, anew=job.anew)
-        found_in, done.resumed = partial(checkpoint.detected, inputs, mover=job.mover), checkpoint.number
+        checkpoint = Checkpoint(
+            directory, job.key, job.looked, job.every, resume=resume, anew=job.anew
+        )
+        found_in = partial(checkpoint.detected, inputs, mover=job.mover)
+        done.resumed = checkpoint.number
         done.reused = checkpoint.reused
     if not inputs.again:
         # What runs for months does not stop for a kernel that it meets late.
         tracker.warm_up()
     with ExitStack() as files:
         written = _Written(job, directory, done, files)
-        # To load or to compile a kernel for arguments of new types Numba takes a lock, which is recorded.
-        locks, clock = files.enter_context(event.install_recorder("numba:compiler_lock")), time.perf_counter()
+        # To load or to compile a kernel for arguments of new types Numba takes a lock, which is
+        # recorded.
+        locks = files.enter_context(event.install_recorder("numba:compiler_lock"))
+        clock = time.perf_counter()
         try:
             if checkpoint is None:
                 learn_scene(inputs)
@@ -286,18 +338,28 @@ def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool)
             pictures = inputs.source if done.reused else prepared(inputs.detector, inputs.source)
             with ahead(pictures) as frames, ahead(found_in(frames)) as looked:
                 for frame, found, warp, seconds, pose in looked:
-                    # No frame stands in one file only; and Numba does not survive Ctrl-C while it makes objects.
+                    # No frame stands in one file only; and Numba does not survive Ctrl-C while it
+                    # makes objects.
                     with uninterrupted():
-                        rows = tracker.update(found, frame.number, frame.time, warp if len(warp) else None)
+                        rows = tracker.update(
+                            found, frame.number, frame.time, warp if len(warp) else None
+                        )
                         step = tracker.step
                         assert step is not None
-                        seen = _Seen(step.number, step.detections, step.info.mass, step.info.clutter_probability)
+                        seen = _Seen(
+                            step.number,
+                            step.detections,
+                            step.info.mass,
+                            step.info.clutter_probability,
+                        )
                         written.take(frame, found, step, seen, rows)
                         done.recorder.add(frame if inputs.pictures else None, step, seconds)
                         done.seen.append(seen)
-                        done.frames, done.shakes = done.frames + 1, done.shakes or len(pose) > 0
+                        done.frames = done.frames + 1
+                        done.shakes = done.shakes or len(pose) > 0
                     advance(done.frames, **expected(inputs.source, done.frames, "tracking"))
-                    before, clock = clock, time.perf_counter()
+                    before = clock
+                    clock = time.perf_counter()
                     if locks.buffer or done.frames == 1:
                         done.left_out += 1
                         locks.buffer.clear()
@@ -309,7 +371,9 @@ def _track(job: Job, directory: RunDirectory, advance: Advance, *, resume: bool)
         written.rest()
         if isinstance(done.stop, KeyboardInterrupt):
             signals.last_chance(_STOPPED.format(done.last))
-        done.lost = ". ".join(filter(None, (inputs.source.problem, checkpoint.problem if checkpoint else "")))
+        done.lost = ". ".join(
+            filter(None, (inputs.source.problem, checkpoint.problem if checkpoint else ""))
+        )
     return done
 
 
@@ -325,17 +389,26 @@ def _smoothed(done: _Progress) -> Tracks:
 
 
 class _Written:
-    """The files that grow while frames come, opened in ``files``; what goes wrong when they are closed is in ``done``."""
+    """The files that grow while frames come, opened in ``files``; what goes wrong when they are
+    closed is in ``done``.
+    """
 
-    def __init__(self, job: Job, directory: RunDirectory, done: _Progress, files: ExitStack) -> None:
-        self._job, self._done, again = job, done, job.inputs.again
+    def __init__(
+        self, job: Job, directory: RunDirectory, done: _Progress, files: ExitStack
+    ) -> None:
+        self._job = job
+        self._done = done
+        again = job.inputs.again
         self._detections = DetectionsWriter(directory.file(rundir.DETECTIONS), job.names)
         self._states = StatesWriter(directory.file(rundir.STATES))
         self._online = TracksWriter(directory.file(rundir.ONLINE), job.names)
-        # Of a source that may never end tracks go to disk when they are final, and the past is forgotten.
+        # Of a source that may never end tracks go to disk when they are final, and the past is
+        # forgotten.
         self._corrected = None if again else TracksWriter(directory.file(rundir.TRACKS), job.names)
         self._final = None if again else FinalTracks(done.tracker)
-        self._once = None if again or not (job.video and job.inputs.pictures) else _DrawnOnce(job, directory)
+        self._once = (
+            None if again or not (job.video and job.inputs.pictures) else _DrawnOnce(job, directory)
+        )
         for writer in (self._detections, self._states, self._online, self._corrected, self._once):
             # What goes wrong when it is closed must not take with it what was computed.
             files.enter_context(done.saving())
@@ -370,7 +443,9 @@ class _Written:
             self._take_final(self._final.rest())
 
     def _take_final(self, rows: Tracks) -> None:
-        """Write corrected rows, count them, and keep them where an observer wants those of the whole run."""
+        """Write corrected rows, count them, and keep them where an observer wants those of the
+        whole run.
+        """
         if self._corrected:
             self._append(self._corrected, rows)
         self._done.recorder.count(rows)
@@ -385,33 +460,61 @@ class _Drawing:
     """Draws frames for the annotated video, shrunk as `Job.video_size` says."""
 
     def __init__(self, job: Job, *, planes: bool = False) -> None:
-        info, sides = job.inputs.info, (job.inputs.info.width, job.inputs.info.height)
+        sides = (job.inputs.info.width, job.inputs.info.height)
+        info = job.inputs.info
         # Encoders take no sides of a few pixels, and even ones only.
-        share, self.size = max(job.video_size / max(sides), _LEAST / min(sides)), sides
+        share = max(job.video_size / max(sides), _LEAST / min(sides))
+        self.size = sides
         if job.video_size and share < 1:
-            self.size = 2 * int(share * info.width / 2 + 1e-9), 2 * int(share * info.height / 2 + 1e-9)
+            self.size = (
+                2 * int(share * info.width / 2 + 1e-9),
+                2 * int(share * info.height / 2 + 1e-9),
+            )
         self._factor = np.tile(np.divide(self.size, (info.width, info.height)), 2)
-        self._annotate = Annotator(replace(info, width=self.size[0], height=self.size[1]), names=job.names, blur=job.blur)
-        # What is drawn on the decoder's planes goes to the encoder as it is; what blurs, and odd sizes, need BGR.
+        self._annotate = Annotator(
+            replace(info, width=self.size[0], height=self.size[1]), names=job.names, blur=job.blur
+        )
+        # What is drawn on the decoder's planes goes to the encoder as it is; what blurs, and odd
+        # sizes, need BGR.
         self._planes = planes and not (job.blur or self.size[0] % 2 or self.size[1] % 2)
 
     def __call__(self, frame: Frame, seen: _Seen, rows: Tracks) -> Image:
-        """The picture with rows of tracks and what else was seen in it: BGR or, where they may be, its `Picture.planes`."""
-        planes, size = self._planes and not isinstance(frame.picture, np.ndarray), self.size
+        """The picture with rows of tracks and what else was seen in it: BGR or, where they may be,
+        its `Picture.planes`.
+        """
+        planes = self._planes and not isinstance(frame.picture, np.ndarray)
+        size = self.size
         # A picture keeps BGR of its own size only.
         own = None if size == size_of(frame) else size
-        image = planes_of(frame.picture, own).reshape(-1, size[0]) if planes else bgr_of(frame.picture, own)
+        image = (
+            planes_of(frame.picture, own).reshape(-1, size[0])
+            if planes
+            else bgr_of(frame.picture, own)
+        )
         rows = replace(rows, xyxy=rows.xyxy * self._factor)
         found = replace(seen.detections, xyxy=seen.detections.xyxy * self._factor)
-        return self._annotate(image, seen.number, rows, found, mass=seen.mass, clutter_probability=seen.clutter_probability)
+        return self._annotate(
+            image,
+            seen.number,
+            rows,
+            found,
+            mass=seen.mass,
+            clutter_probability=seen.clutter_probability,
+        )
 
 
 class _DrawnOnce:
-    """The video of pictures that come only once: the online rows are drawn when they come, and no picture is kept."""
+    """The video of pictures that come only once: the online rows are drawn when they come, and no
+    picture is kept.
+    """
 
     def __init__(self, job: Job, directory: RunDirectory) -> None:
-        self._draw, self._delay, self._waiting = _Drawing(job), job.delay, deque[tuple[Frame, _Seen]]()
-        self._video = VideoWriter(directory.file(rundir.VIDEO), *self._draw.size, job.inputs.info.fps, fast=True)
+        self._draw = _Drawing(job)
+        self._delay = job.delay
+        self._waiting = deque[tuple[Frame, _Seen]]()
+        self._video = VideoWriter(
+            directory.file(rundir.VIDEO), *self._draw.size, job.inputs.info.fps, fast=True
+        )
 
     def take(self, frame: Frame, seen: _Seen, rows: Tracks) -> None:
         """Draw the frame that the rows are of, which the output delay holds back."""
@@ -426,7 +529,9 @@ class _DrawnOnce:
 
     def _write(self, rows: Tracks) -> None:
         frame, seen = self._waiting.popleft()
-        self._video.write(self._draw(frame, seen, rows.take(rows.frame == frame.number)), frame.time)
+        self._video.write(
+            self._draw(frame, seen, rows.take(rows.frame == frame.number)), frame.time
+        )
 
     def __enter__(self) -> Self:
         return self
@@ -435,25 +540,41 @@ class _DrawnOnce:
         self._video.__exit__(*error)
 
 
-def _draw(job: Job, directory: RunDirectory, done: _Progress, tracks: Tracks, advance: Advance) -> None:
-    """The videos of the frames that were tracked, but for pictures that do not come again: they are drawn as they come."""
+def _draw(
+    job: Job, directory: RunDirectory, done: _Progress, tracks: Tracks, advance: Advance
+) -> None:
+    """The videos of the frames that were tracked, but for pictures that do not come again: they are
+    drawn as they come.
+    """
     try:
         with ExitStack() as files:
-            info, again = job.inputs.info, job.inputs.pictures and job.inputs.again
-            draw = [one for observer in job.observers if (one := observer.drawing(directory, files, pictures=again))]
+            info = job.inputs.info
+            again = job.inputs.pictures and job.inputs.again
+            draw = [
+                one
+                for observer in job.observers
+                if (one := observer.drawing(directory, files, pictures=again))
+            ]
             pictures: Iterable[Image] = repeat(NO_PICTURE)
             if again:
                 # Observers draw on the same pictures, and in their coordinates.
                 drawing = _Drawing(replace(job, video_size=0) if draw else job, planes=not draw)
-                video = files.enter_context(VideoWriter(directory.file(rundir.VIDEO), *drawing.size, info.fps, fast=True))
+                video = files.enter_context(
+                    VideoWriter(directory.file(rundir.VIDEO), *drawing.size, info.fps, fast=True)
+                )
                 frames = files.enter_context(ahead(job.inputs.source, 1))
-                pictures = files.enter_context(ahead(_annotated(drawing, done.seen, frames, tracks), 1))
+                pictures = files.enter_context(
+                    ahead(_annotated(drawing, done.seen, frames, tracks), 1)
+                )
                 draw.insert(0, lambda number, picture: video.write(picture))
             if not draw:
                 return
-            end, shortly = math.inf, _SHORTLY if isinstance(done.stop, KeyboardInterrupt) else math.inf
+            end = math.inf
+            shortly = _SHORTLY if isinstance(done.stop, KeyboardInterrupt) else math.inf
             try:
-                for count, (seen, picture) in enumerate(zip(done.seen, pictures, strict=False), start=1):
+                for count, (seen, picture) in enumerate(
+                    zip(done.seen, pictures, strict=False), start=1
+                ):
                     for one in draw:
                         one(seen.number, picture)
                     advance(count, total=done.frames, description="drawing")
@@ -473,27 +594,50 @@ def _draw(job: Job, directory: RunDirectory, done: _Progress, tracks: Tracks, ad
             done.cut = _as_meant(error)
 
 
-def _annotated(draw: _Drawing, seen: Iterable[_Seen], frames: Iterable[Frame], tracks: Tracks) -> Iterator[Image]:
+def _annotated(
+    draw: _Drawing, seen: Iterable[_Seen], frames: Iterable[Frame], tracks: Tracks
+) -> Iterator[Image]:
     """The frames that were seen, drawn on."""
     for one, frame in zip(seen, frames, strict=False):
-        yield draw(frame, one, tracks.take(np.arange(*np.searchsorted(tracks.frame, [one.number, one.number + 1]))))
+        yield draw(
+            frame,
+            one,
+            tracks.take(np.arange(*np.searchsorted(tracks.frame, [one.number, one.number + 1]))),
+        )
 
 
 def _as_meant(stop: Stop) -> Stop:
     """Ctrl-C, in whatever form it comes out of compiled code, or the error itself."""
-    return KeyboardInterrupt() if interrupted(stop) and not isinstance(stop, KeyboardInterrupt) else stop
+    return (
+        KeyboardInterrupt()
+        if interrupted(stop) and not isinstance(stop, KeyboardInterrupt)
+        else stop
+    )
 
 
 def _problems(job: Job, done: _Progress) -> Iterator[str]:
-    """What did not go as it should, in sentences: what the source lost, and what stopped the run."""
+    """What did not go as it should, in sentences: what the source lost, and what stopped the
+    run.
+    """
     yield from filter(None, (*job.inputs.warnings, job.inputs.source.note, done.lost))
-    annotated, asked = 0 if job.truth is None else int(job.truth.frame.max(initial=0)), f"stopped by {signals.which()}"
+    annotated = 0 if job.truth is None else int(job.truth.frame.max(initial=0))
+    asked = f"stopped by {signals.which()}"
     why = [asked if isinstance(stop, KeyboardInterrupt) else stop for stop in (done.stop, done.cut)]
-    yield from lines("problems.txt", stop=why[0], cut=why[1], done=done, annotated=annotated, job=job, video=rundir.VIDEO)
+    yield from lines(
+        "problems.txt",
+        stop=why[0],
+        cut=why[1],
+        done=done,
+        annotated=annotated,
+        job=job,
+        video=rundir.VIDEO,
+    )
     yield from done.tracker.left_out.sentences()
 
 
 def places(sensor: Sensor, xyxy: F8) -> F8:
-    """(2, M) metres: the ground under each box's (M, 4) lower edge, or its centre in a plan; NaN where there is none."""
+    """(2, M) metres: the ground under each box's (M, 4) lower edge, or its centre in a plan; NaN
+    where there is none.
+    """
     plane = isinstance(sensor, PlaneSensor)
     return sensor.measure(Detections.of(xyxy))[:2] if plane else np.full((2, len(xyxy)), np.nan)

@@ -1,7 +1,8 @@
-"""``phdtrack live``: cameras that never end, with events, rolling files and a page, until a signal ends it.
+"""``phdtrack live``: cameras that never end, with events, rolling files and a page, until a signal
+ends it.
 
-A signal is how one leaves: the files are completed within two seconds, and the exit status is 0. It is 1 where a file could
-not be completed.
+A signal is how one leaves: the files are completed within two seconds, and the exit status is 0. It
+is 1 where a file could not be completed.
 """
 
 from __future__ import annotations
@@ -42,9 +43,13 @@ from phdtrack.models import PlaneSensor
 from phdtrack.types import SequenceInfo
 
 Names = Mapping[int, str] | None
-# Seconds that are remembered of tracks; that all cameras may take to end; lines that may wait for a slow reader.
-_REMEMBERED, _ENDING, _LINES = 60.0, 1.5, 10_000
-# Settings that cannot change while it runs, besides the kind of each part: what was learned or is late depends on them.
+# Seconds that are remembered of tracks; that all cameras may take to end; lines that may wait for a
+# slow reader.
+_REMEMBERED = 60.0
+_ENDING = 1.5
+_LINES = 10_000
+# Settings that cannot change while it runs, besides the kind of each part: what was learned or is
+# late depends on them.
 _FIXED = ("detector.", "camera.", "classes.", "associate.output_delay")
 _PLACES = "Lines and zones, read again when they change; NAME=FILE for one camera. Default: places.toml in its folder."
 _QUOTA = "Of rows, and of videos, keep so much of each camera, as 20GB; default: all."
@@ -54,15 +59,30 @@ _SOURCES = "rtsp://…, http://…, a camera's number or a file; NAME=ADDRESS gi
 
 @dataclass(frozen=True, slots=True)
 class LiveOptions:
-    """What is written, sent and shown. Empty text, 0 and None stand for an option that was not given."""
+    """What is written, sent and shown. Empty text, 0 and None stand for an option that was not
+    given.
+    """
 
     places: Annotated[list[str] | None, option("FILE", _PLACES)] = None
-    webhook: Annotated[list[str] | None, option("URL", "Post each event to this address; repeatable.")] = None
-    allow_private: Annotated[bool, typer.Option("--allow-private", help="Webhooks may be in private networks.")] = False
-    mqtt: Annotated[str, option("URL", "Publish each event: mqtt://[user:password@]host[:port]/topic.")] = ""
-    video: Annotated[float, option("FPS", "Pictures a second of the annotated videos; 0: none.", min=0.0, max=60.0)] = 5.0
-    quota: Annotated[str, option("SIZE", _QUOTA, callback=lambda text: text if size(text) else "")] = ""
-    parquet: Annotated[bool, typer.Option("--parquet", help="Hours of rows become Parquet instead of CSV.")] = False
+    webhook: Annotated[
+        list[str] | None, option("URL", "Post each event to this address; repeatable.")
+    ] = None
+    allow_private: Annotated[
+        bool, typer.Option("--allow-private", help="Webhooks may be in private networks.")
+    ] = False
+    mqtt: Annotated[
+        str, option("URL", "Publish each event: mqtt://[user:password@]host[:port]/topic.")
+    ] = ""
+    video: Annotated[
+        float,
+        option("FPS", "Pictures a second of the annotated videos; 0: none.", min=0.0, max=60.0),
+    ] = 5.0
+    quota: Annotated[
+        str, option("SIZE", _QUOTA, callback=lambda text: text if size(text) else "")
+    ] = ""
+    parquet: Annotated[
+        bool, typer.Option("--parquet", help="Hours of rows become Parquet instead of CSV.")
+    ] = False
     blur: given.Blur = ""
     checkpoint_every: Annotated[float, option("S", _SAVED, min=0.0)] = EVERY
     dwell: given.Dwell = 60.0
@@ -75,7 +95,9 @@ def live(
     write: LiveOptions,
     at: PageOptions,
     output: Output,
-    out: Annotated[Path, option("DIR", "Directory to write into, with a folder for each camera.")] = Path("live"),
+    out: Annotated[
+        Path, option("DIR", "Directory to write into, with a folder for each camera.")
+    ] = Path("live"),
     detector: given.Detector = DEFAULT_DETECTOR,
     max_width: given.MaxWidth = None,
     mask: given.Mask = None,
@@ -83,11 +105,12 @@ def live(
     page: Annotated[bool, typer.Option("--page/--no-page", help="Serve the page.")] = True,
     duration: Annotated[float, option("S", "End after so many seconds; 0: never.", min=0.0)] = 0.0,
 ) -> None:
-    """Track cameras without end: events, rows and videos by the hour, and a page with pictures, counts and maps.
+    """Track cameras without end: events, rows and videos by the hour, and a page with pictures,
+    counts and maps.
 
-    Connections that fail are tried again. Changed files of settings and places are read again, and tracks go on. Ctrl-C,
-    SIGTERM and SIGHUP end it with whole files and exit status 0. With --json stdout has a line for each event and for each
-    change of a source's state.
+    Connections that fail are tried again. Changed files of settings and places are read again, and
+    tracks go on. Ctrl-C, SIGTERM and SIGHUP end it with whole files and exit status 0. With --json
+    stdout has a line for each event and for each change of a source's state.
     """
     refuse({"--truth": options.truth}, "a camera has no annotated truth", "phdtrack live")
     make = Maker(options, tuple(scene_settings(scene)), detector, max_width, mask)
@@ -107,7 +130,13 @@ def live(
 
     told = send if output.json else lambda event: None
     cameras = [
-        Camera(name, LiveSource(address), make, _settings(name, write, options.config, out, known), told)
+        Camera(
+            name,
+            LiveSource(address),
+            make,
+            _settings(name, write, options.config, out, known),
+            told,
+        )
         for name, address in addresses.items()
     ]
     try:
@@ -123,16 +152,24 @@ def live(
     _print(lines, output)
     for one in cameras:
         events = counted(one.counted.total(), "event")
-        output.say(f"{one.name}: {counted(one.frames, 'frame')}, {events}: {directory.file(one.name)}")
+        output.say(
+            f"{one.name}: {counted(one.frames, 'frame')}, {events}: {directory.file(one.name)}"
+        )
         output.warn([f"{one.name}: {sentence}" for sentence in one.left_out.sentences()])
     if cut:
-        output.warn([f"not all files of {', '.join(cut)} are complete: those end in .part, and the next run completes them"])
+        output.warn(
+            [
+                f"not all files of {', '.join(cut)} are complete: those end in .part, and the next run completes them"
+            ]
+        )
         raise typer.Exit(1)
 
 
 @dataclass(frozen=True, slots=True)
 class Maker:
-    """Makes detector and stages of a camera by the options; the file of settings is read each time."""
+    """Makes detector and stages of a camera by the options; the file of settings is read each
+    time.
+    """
 
     options: TrackingOptions
     first: tuple[str, ...]
@@ -141,15 +178,20 @@ class Maker:
     mask: Path | None
 
     def settings(self) -> Settings:
-        """Those of `phdtrack track`; the past is forgotten. Raises `InputError` where they cannot be used."""
-        found = config.for_detector(chosen(self.options, self.first, detector=self.detector), self.detector)
+        """Those of `phdtrack track`; the past is forgotten. Raises `InputError` where they cannot
+        be used.
+        """
+        found = config.for_detector(
+            chosen(self.options, self.first, detector=self.detector), self.detector
+        )
         if found.build("associate").history == 0:
             found = config.overlay(found, {"associate": {"history": _REMEMBERED}}, "phdtrack live")
         return found
 
     def looking(self, found: Settings, max_width: int) -> Detector:
         """A detector that has seen nothing yet."""
-        values, only = found.values("detector"), self.options.classes
+        values = found.values("detector")
+        only = self.options.classes
         # A network knows its classes before there is a picture.
         values |= {"classes": only} if only and ":" in self.detector else {}
         return make_detector(self.detector, max_width=max_width, mask=self.mask, **values)
@@ -163,7 +205,11 @@ class Maker:
         ground = isinstance(kinds.usual.model.sensor, PlaneSensor)
         parts = [(part, own) for part, own in found.as_dict().items() if part != "preset"]
         values = {f"{part}.{name}": one for part, own in parts for name, one in own.items()}
-        fixed = {name: one for name, one in values.items() if name.endswith(".kind") or name.startswith(_FIXED)}
+        fixed = {
+            name: one
+            for name, one in values.items()
+            if name.endswith(".kind") or name.startswith(_FIXED)
+        }
         groups = config.build_groups(found, kinds.usual) if ground else None
         delay = found.build("associate").output_delay
         return Making(looking, kinds, info, delay, fixed, groups, self.options.seed)
@@ -181,12 +227,16 @@ def named_sources(given: Sequence[str]) -> dict[str, str]:
             cure = "Name rtsp://…, http://…, a camera's number or a video."
             raise InputError("there is no such file", where=address, cure=cure)
         if name in found:
-            raise InputError(f"two sources are called {name}", where="SOURCE", cure="Say NAME=ADDRESS.")
+            raise InputError(
+                f"two sources are called {name}", where="SOURCE", cure="Say NAME=ADDRESS."
+            )
         found[name] = address
     return found
 
 
-def _settings(name: str, write: LiveOptions, config: Path | None, out: Path, names: Names = None) -> CameraSettings:
+def _settings(
+    name: str, write: LiveOptions, config: Path | None, out: Path, names: Names = None
+) -> CameraSettings:
     """What a camera of this name watches and writes."""
     return CameraSettings(
         folder=out / name,
@@ -210,13 +260,20 @@ def _places(given: Sequence[str], name: str, out: Path) -> Path:
 
 def _receivers(write: LiveOptions) -> Iterator[tuple[str, Send]]:
     """Where events of a camera are sent to, by the names of the receivers."""
-    hooks, brokers = write.webhook or [], [write.mqtt] if write.mqtt else []
+    hooks = write.webhook or []
+    brokers = [write.mqtt] if write.mqtt else []
     names = receivers([*hooks, *brokers])
-    yield from zip(names, [*(Webhook(url, write.allow_private) for url in hooks), *map(Mqtt, brokers)], strict=True)
+    yield from zip(
+        names,
+        [*(Webhook(url, write.allow_private) for url in hooks), *map(Mqtt, brokers)],
+        strict=True,
+    )
 
 
 class _Server:
-    """The page, in a thread of its own. Raises `InputError` where a package or the port is missing."""
+    """The page, in a thread of its own. Raises `InputError` where a package or the port is
+    missing.
+    """
 
     def __init__(self, at: PageOptions) -> None:
         from phdtrack.live.serving import listen
@@ -228,12 +285,18 @@ class _Server:
         from phdtrack.live.page import live_app
         from phdtrack.live.serving import serve
 
-        threading.Thread(target=serve, args=(live_app(cameras), self._address), name="phdtrack page", daemon=True).start()
+        threading.Thread(
+            target=serve, args=(live_app(cameras), self._address), name="phdtrack page", daemon=True
+        ).start()
         # It may have a token that stands nowhere else.
-        (output.note if output.quiet else output.say)(f"the page: {self._address.url}   (Ctrl-C ends)")
+        (output.note if output.quiet else output.say)(
+            f"the page: {self._address.url}   (Ctrl-C ends)"
+        )
 
 
-def _attend(cameras: Sequence[Camera], lines: queue.Queue[dict[str, object]], output: Output, end: float) -> None:
+def _attend(
+    cameras: Sequence[Camera], lines: queue.Queue[dict[str, object]], output: Output, end: float
+) -> None:
     """Say what happens, until the end."""
     said = dict[str, tuple[str, ...]]()
     while time.monotonic() < end:
@@ -244,8 +307,18 @@ def _attend(cameras: Sequence[Camera], lines: queue.Queue[dict[str, object]], ou
                 continue
             said[one.name] = now
             if output.json:
-                line: dict[str, object] = {"width": status.width, "height": status.height, "fps": round(status.fps, 2)}
-                line |= {"kind": "source", "source": one.name, "state": now[0], "problem": now[1], "problems": now[2:]}
+                line: dict[str, object] = {
+                    "width": status.width,
+                    "height": status.height,
+                    "fps": round(status.fps, 2),
+                }
+                line |= {
+                    "kind": "source",
+                    "source": one.name,
+                    "state": now[0],
+                    "problem": now[1],
+                    "problems": now[2:],
+                }
                 line |= {"boxes_left_out": one.left_out._asdict()}
                 with suppress(queue.Full):
                     lines.put_nowait(line)

@@ -1,4 +1,6 @@
-"""What goes along with a run: observers that take in every step and report it at the end, and how the camera moves."""
+"""What goes along with a run: observers that take in every step and report it at the end, and how
+the camera moves.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,8 @@ class Report(NamedTuple):
 class RunObserver:
     """An observer without files and videos; others override what they need.
 
-    ``all_tracks``: `finish` needs the corrected tracks of the whole run; where the source has no end, they are kept for it.
+    ``all_tracks``: `finish` needs the corrected tracks of the whole run; where the source has no
+    end, they are kept for it.
     """
 
     all_tracks: ClassVar[bool] = False
@@ -46,13 +49,17 @@ class RunObserver:
         """Open its files until ``files`` are closed."""
 
     def take(self, found: Detections, step: Step, state: TrackingState) -> None:
-        """Take in a frame: all its detections, as rows count them, its step, and the tracker's state after it."""
+        """Take in a frame: all its detections, as rows count them, its step, and the tracker's
+        state after it.
+        """
 
     def finish(self, directory: RunDirectory, tracks: Tracks) -> None:
         """Take in the corrected tracks of the whole run, before anything is drawn or reported."""
 
     def drawing(self, directory: RunDirectory, files: ExitStack, *, pictures: bool) -> Draw | None:
-        """What draws its video until ``files`` are closed; ``pictures``: there are annotated ones."""
+        """What draws its video until ``files`` are closed; ``pictures``: there are annotated
+        ones.
+        """
         return None
 
     def report(self) -> Report:
@@ -64,7 +71,8 @@ class CameraObserver(RunObserver):
     """Writes the camera's motion for another run to read, and reports how often it is not known."""
 
     def __init__(self, kind: str) -> None:
-        self._kind, self._known = kind, list[bool]()
+        self._kind = kind
+        self._known = list[bool]()
 
     def open(self, directory: RunDirectory, files: ExitStack) -> None:
         """Open the file of the motion."""
@@ -78,20 +86,27 @@ class CameraObserver(RunObserver):
 
     def report(self) -> Report:
         """How often the camera's motion is not known."""
-        frames, unknown = len(self._known[1:]), self._known[1:].count(False)
+        frames = len(self._known[1:])
+        unknown = self._known[1:].count(False)
         said = f"in {unknown} of {frames} frames the camera's motion could not be measured and was taken for none"
         document = {"kind": self._kind, "frames": frames, "frames_unmeasured": unknown}
-        return Report({"camera_motion": document}, (said,), render("camera_motion.html", sentences=(said,)))
+        return Report(
+            {"camera_motion": document}, (said,), render("camera_motion.html", sentences=(said,))
+        )
 
 
 def mover_of(settings: Settings, inputs: Inputs, model: Model) -> Mover | None:
-    """How the camera moves: as the detector finds it to shake, as measured in the pictures, or as a file has it.
+    """How the camera moves: as the detector finds it to shake, as measured in the pictures, or as a
+    file has it.
 
-    Raises `InputError` where there are no pictures, and for settings that hold only while the camera stands still.
+    Raises `InputError` where there are no pictures, and for settings that hold only while the
+    camera stands still.
     """
-    kind, chosen = settings.kind("camera_motion"), settings.build("camera_motion")
+    kind = settings.kind("camera_motion")
+    chosen = settings.build("camera_motion")
     if kind == "none":
-        # A model that lies at pixels, or on the ground, is taken to hold: it is not moved for some pixels.
+        # A model that lies at pixels, or on the ground, is taken to hold: it is not moved for some
+        # pixels.
         with suppress(InputError):
             refuse_standing(model)
             return None if isinstance(model.sensor, PlaneSensor) else _shaking()
@@ -115,7 +130,8 @@ def mover_of(settings: Settings, inputs: Inputs, model: Model) -> Mover | None:
     def read(frame: Frame, found: Detections, pose: F8) -> F8:
         """The motions of the frames since the last one, dropped frames among them."""
         nonlocal last
-        before, last = last or frame.number - 1, frame.number
+        before = last or frame.number - 1
+        last = frame.number
         return warps.between(before, frame.number)
 
     return read
@@ -127,7 +143,8 @@ def _shaking() -> Mover:
 
     def moved(frame: Frame, found: Detections, pose: F8) -> F8:
         nonlocal before
-        last, before = before, pose if len(pose) else before
+        last = before
+        before = pose if len(pose) else before
         return pose @ np.linalg.inv(last) if len(pose) and len(last) else STILL
 
     return moved

@@ -21,19 +21,32 @@ from phdtrack.cli.options import Json, Quiet
 from phdtrack.files import json_value
 
 Advance = Callable[..., None]
-"""Takes the number of frames done so far; ``total`` and ``description`` where they are others than before."""
+"""Takes the number of frames done so far; ``total`` and ``description`` where they are others than
+before.
+"""
 _SHOWN = list[Any]()
 # What is said of work under way, as that kernels are compiled: `Output.quiet` sets its level.
 _WORK = logging.getLogger("phdtrack.kernels")
 # Of what takes hours: the pace of the last half minute would tell nothing of its end.
 PACE = 24 * 3600.0
-_PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "av", "typer", "rich", "pydantic", "matplotlib", "pyarrow")
+_PACKAGES = (
+    "numpy",
+    "scipy",
+    "numba",
+    "opencv-python-headless",
+    "av",
+    "typer",
+    "rich",
+    "pydantic",
+    "matplotlib",
+    "pyarrow",
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """Where a command's words go; ``json``: stdout is kept for one JSON object; ``quiet``: only warnings are said, and from
-    when this is made also no `progress` is shown."""
+    """Where a command's words go; ``json``: stdout is kept for one JSON object; ``quiet``: only
+    warnings are said, and from when this is made also no `progress` is shown."""
 
     json: Json = False
     quiet: Quiet = False
@@ -56,17 +69,26 @@ class Output:
         print(f"phdtrack: {text}", file=sys.stderr, flush=True)
 
     def document(self, value: dict[str, Any]) -> None:
-        """The one JSON object, where it was asked for. What JSON cannot write (NaN, infinities) is null."""
+        """The one JSON object, where it was asked for. What JSON cannot write (NaN, infinities) is
+        null.
+        """
         if self.json:
             print(json.dumps(json_value(value), indent=2, allow_nan=False, ensure_ascii=False))
 
-    def table(self, head: Sequence[str], rows: Sequence[Sequence[str]], *, words: Sequence[int] = (0,)) -> None:
-        """Columns under a head, which is left out where it is blank; ``words`` are the columns aligned left."""
+    def table(
+        self, head: Sequence[str], rows: Sequence[Sequence[str]], *, words: Sequence[int] = (0,)
+    ) -> None:
+        """Columns under a head, which is left out where it is blank; ``words`` are the columns
+        aligned left.
+        """
         lines = [head, *rows] if any(head) else list(rows)
         widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
         for line in lines:
             pairs = zip(line, widths, strict=True)
-            cells = [cell.ljust(width) if i in words else cell.rjust(width) for i, (cell, width) in enumerate(pairs)]
+            cells = [
+                cell.ljust(width) if i in words else cell.rjust(width)
+                for i, (cell, width) in enumerate(pairs)
+            ]
             self.say("  ".join(cells).rstrip())
 
 
@@ -85,9 +107,11 @@ def counted(count: int, noun: str) -> str:
 
 @contextmanager
 def progress(title: str, total: int, pace: float = 30.0) -> Iterator[Advance]:
-    """A bar on stderr when that is a terminal, nothing otherwise or if `Output.quiet`; ``total`` 0: the end is not known.
+    """A bar on stderr when that is a terminal, nothing otherwise or if `Output.quiet`; ``total`` 0:
+    the end is not known.
 
-    Gives the function to call with the number of frames done so far. The end is estimated from the last ``pace`` seconds.
+    Gives the function to call with the number of frames done so far. The end is estimated from the
+    last ``pace`` seconds.
     """
     if not sys.stderr.isatty() or not _WORK.isEnabledFor(logging.WARNING):
         yield lambda done, **_: None
@@ -102,10 +126,23 @@ def progress(title: str, total: int, pace: float = 30.0) -> Iterator[Advance]:
             bar.remove_task(task)
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True, speed_estimate_period=pace) as bar:
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(
+        *columns, console=Console(stderr=True), transient=True, speed_estimate_period=pace
+    ) as bar:
         task = bar.add_task(title, total=total or None)
         _SHOWN.append(bar)
         try:
@@ -115,8 +152,14 @@ def progress(title: str, total: int, pace: float = 30.0) -> Iterator[Advance]:
 
 
 def versions() -> tuple[tuple[str, str], ...]:
-    """Pairs of name and version: phdtrack, Python, the system, and the packages that it rests on and that are there."""
-    found = [("phdtrack", __version__), ("python", platform.python_version()), ("system", platform.platform())]
+    """Pairs of name and version: phdtrack, Python, the system, and the packages that it rests on
+    and that are there.
+    """
+    found = [
+        ("phdtrack", __version__),
+        ("python", platform.python_version()),
+        ("system", platform.platform()),
+    ]
     for name in _PACKAGES:
         with suppress(metadata.PackageNotFoundError):
             found.append((name, metadata.version(name)))

@@ -27,12 +27,26 @@ except ImportError:  # pragma: no cover
     # Windows: two runs at once are not found out there.
     fcntl = None  # type: ignore[assignment]
 
-TRACKS, ONLINE, STATES, DETECTIONS = "tracks.csv", "tracks_online.csv", "states.csv", "detections.csv"
-GROUPS, MEMBERS, EVENTS, WARNINGS = "groups.csv", "members.csv", "events.csv", "warnings.csv"
-VIDEO, PLAN, REPORT, RUN, CAMERA_MOTION = "annotated.mp4", "plan.mp4", "report.html", "run.json", "camera_motion.csv"
-COUNTS, COUNTS_PICTURE, COUNTS_VIDEO, COUNTS_PAGE = "counts.csv", "counts.png", "counts.mp4", "counts.html"
+TRACKS = "tracks.csv"
+ONLINE = "tracks_online.csv"
+STATES = "states.csv"
+DETECTIONS = "detections.csv"
+GROUPS = "groups.csv"
+MEMBERS = "members.csv"
+EVENTS = "events.csv"
+WARNINGS = "warnings.csv"
+VIDEO = "annotated.mp4"
+PLAN = "plan.mp4"
+REPORT = "report.html"
+RUN = "run.json"
+CAMERA_MOTION = "camera_motion.csv"
+COUNTS = "counts.csv"
+COUNTS_PICTURE = "counts.png"
+COUNTS_VIDEO = "counts.mp4"
+COUNTS_PAGE = "counts.html"
 # What a run that was stopped or killed goes on from; removed when it is complete.
-LOG, KNOWN = "checkpoint.log", "checkpoint.detector"
+LOG = "checkpoint.log"
+KNOWN = "checkpoint.detector"
 # What a complete run has detected, for the next one; other runs leave it where it is.
 DETECTED = "detections.cache"
 # Every file that a run may write, and what it is; without words it is not listed for people.
@@ -58,9 +72,9 @@ RUN_FILES = {
 
 
 class GivenTracks(NamedTuple):
-    """The tracks of a run or of a file, what it calls their classes, what is known of the sequence (0 and "" where nothing
-    is; its ``frames`` are the number of the last), the source that it was made of, empty where that is not said, and the
-    first frame that was tracked."""
+    """The tracks of a run or of a file, what it calls their classes, what is known of the sequence
+    (0 and "" where nothing is; its ``frames`` are the number of the last), the source that it was
+    made of, empty where that is not said, and the first frame that was tracked."""
 
     tracks: Tracks
     names: Mapping[int, str]
@@ -75,7 +89,9 @@ def is_run(path: Path) -> bool:
 
 
 def part_of_run(path: Path) -> str:
-    """The frames, as 30-50, of the run in a directory, or of a file there; empty for all, and where that is not said."""
+    """The frames, as 30-50, of the run in a directory, or of a file there; empty for all, and where
+    that is not said.
+    """
     with suppress(OSError, InputError, KeyError, TypeError, AttributeError):
         run = (path if path.is_dir() else path.parent) / RUN
         return str(read_json(run, load(run))["input"].get("frames", ""))
@@ -83,29 +99,39 @@ def part_of_run(path: Path) -> str:
 
 
 def given_tracks(path: Path) -> GivenTracks:
-    """The corrected tracks in the directory of a run, or those in a file. `InputError` where they cannot be read."""
+    """The corrected tracks in the directory of a run, or those in a file. `InputError` where they
+    cannot be read.
+    """
     run = (path if path.is_dir() else path.parent) / RUN
     tracks, names = read_tracks_named(path / TRACKS if is_run(path) else path)
-    info, source, first = find_seqinfo(path) or SequenceInfo(0, 0, 0.0), "", 1
+    info = find_seqinfo(path) or SequenceInfo(0, 0, 0.0)
+    source = ""
+    first = 1
     if run.is_file():
         document = read_json(run, load(run))
         try:
-            known, source = document["source"], document["input"].get("source", "")
+            known = document["source"]
+            source = document["input"].get("source", "")
             first = int(document["input"].get("frames", "").partition("-")[0] or 1)
             last = first - 1 + document["frames"]
             info = SequenceInfo(known["width"], known["height"], known["fps"], last, known["name"])
         except (AttributeError, KeyError, TypeError, ValueError) as error:
-            raise InputError(f"expected what a run writes, and there is no {error}", where=run) from None
+            raise InputError(
+                f"expected what a run writes, and there is no {error}", where=run
+            ) from None
     return GivenTracks(tracks, names, info, source, first)
 
 
 class _Lock:
-    """Keeps other processes from writing into a directory, as long as it lives; ``BlockingIOError`` where one does."""
+    """Keeps other processes from writing into a directory, as long as it lives; ``BlockingIOError``
+    where one does.
+    """
 
     __slots__ = ("__weakref__", "_directory")
 
     def __init__(self, path: Path) -> None:
-        # The directory itself is locked: no file is left behind, and the system lets go when the process ends.
+        # The directory itself is locked: no file is left behind, and the system lets go when the
+        # process ends.
         self._directory = os.open(path, os.O_RDONLY)
         try:
             fcntl.flock(self._directory, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -124,8 +150,8 @@ _HELD = WeakValueDictionary[Path, _Lock]()
 
 @dataclass(frozen=True, slots=True)
 class RunDirectory:
-    """A directory that is ready to be written into; none of its ``files``, by name with what they are, is there yet, but
-    where an earlier run is resumed."""
+    """A directory that is ready to be written into; none of its ``files``, by name with what they
+    are, is there yet, but where an earlier run is resumed."""
 
     path: Path
     files: Mapping[str, str]
@@ -141,16 +167,24 @@ class RunDirectory:
 
     def listing(self) -> list[str]:
         """A line for each of these that says what it is."""
-        return [f"  {file}  {self.files[file.name]}" for file in self.written() if self.files.get(file.name)]
+        return [
+            f"  {file}  {self.files[file.name]}"
+            for file in self.written()
+            if self.files.get(file.name)
+        ]
 
     def clear(self) -> None:
-        """Remove the files again: nothing came of the run, and what is there would be taken for a result."""
+        """Remove the files again: nothing came of the run, and what is there would be taken for a
+        result.
+        """
         for file in self.written():
             file.unlink()
         self.sweep()
 
     def sweep(self) -> None:
-        """Remove what a run that was killed has left of files that it did not complete, and its checkpoint."""
+        """Remove what a run that was killed has left of files that it did not complete, and its
+        checkpoint.
+        """
         for name in self.files:
             part_of(self.file(name)).unlink(missing_ok=True)
         for name in (LOG, KNOWN):
@@ -158,23 +192,37 @@ class RunDirectory:
 
 
 def check(path: Path | None, overwrite: bool, files: Mapping[str, str] = RUN_FILES) -> None:
-    """Raise `InputError` where `claim` would because of what is there already: ``path`` is a file, or holds one of
-    ``files``, or what a killed run left of one, and ``overwrite`` is False."""
+    """Raise `InputError` where `claim` would because of what is there already: ``path`` is a file,
+    or holds one of ``files``, or what a killed run left of one, and ``overwrite`` is False."""
     if path is None:
         return
     where = f"--out {path}"
     if path.exists() and not path.is_dir():
-        raise InputError("a directory was expected, and this is a file", where=where, cure="Choose another --out.")
+        raise InputError(
+            "a directory was expected, and this is a file",
+            where=where,
+            cure="Choose another --out.",
+        )
     held = [name for name in files if (path / name).exists()]
     if folders := [name for name in held if (path / name).is_dir()]:
         raise InputError(f"{folders[0]} is a directory, where a file is to be written", where=where)
-    if not overwrite and ((path / LOG).exists() or any(part_of(path / name).exists() for name in files)):
+    if not overwrite and (
+        (path / LOG).exists() or any(part_of(path / name).exists() for name in files)
+    ):
         cure = "Say --resume to go on with it, --overwrite to begin anew, or choose another --out."
-        raise InputError("the directory holds a run that was not completed, or is still going on", where=where, cure=cure)
+        raise InputError(
+            "the directory holds a run that was not completed, or is still going on",
+            where=where,
+            cure=cure,
+        )
     if held and not overwrite:
         what = "an earlier run" if (path / RUN).exists() else "files of these names"
         problem = f"the directory holds {what} ({', '.join(held)})"
-        raise InputError(problem, where=where, cure="Say --overwrite to replace these files, or choose another --out.")
+        raise InputError(
+            problem,
+            where=where,
+            cure="Say --overwrite to replace these files, or choose another --out.",
+        )
 
 
 def document_of(directory: RunDirectory) -> dict[str, Any]:
@@ -188,7 +236,9 @@ def document_of(directory: RunDirectory) -> dict[str, Any]:
 
 def completed(directory: RunDirectory) -> bool:
     """Whether it holds a run that went to its end, and nothing of a later one."""
-    under_way = directory.file(LOG).exists() or any(part_of(directory.file(name)).exists() for name in directory.files)
+    under_way = directory.file(LOG).exists() or any(
+        part_of(directory.file(name)).exists() for name in directory.files
+    )
     return document_of(directory).get("complete") is True and not under_way
 
 
@@ -201,11 +251,12 @@ def claim(
     resume: bool = False,
     inputs: Iterable[object] = (),
 ) -> RunDirectory:
-    """``out``, or ``runs/NAME``, made ready and locked: files of an earlier run are removed, so that none is taken for one
-    of this run. To ``resume`` nothing is removed.
+    """``out``, or ``runs/NAME``, made ready and locked: files of an earlier run are removed, so
+    that none is taken for one of this run. To ``resume`` nothing is removed.
 
-    Raises `InputError` as `check`, or where one of the ``inputs`` (paths or addresses; None, empty: none) would be replaced,
-    the directory cannot be made or written into, another process writes there, or a package is missing for the report.
+    Raises `InputError` as `check`, or where one of the ``inputs`` (paths or addresses; None, empty:
+    none) would be replaced, the directory cannot be made or written into, another process writes
+    there, or a package is missing for the report.
     """
     path = out or Path("runs") / name
     written = {(path / one).resolve(): one for one in files}
@@ -215,7 +266,9 @@ def claim(
             raise InputError(problem, where=f"--out {path}", cure="Choose another --out.")
     check(path, overwrite or resume, files)
     if REPORT in files and find_spec("matplotlib") is None:
-        needed("matplotlib")  # at the end, perhaps after hours; to import it now takes memory while videos are made
+        needed(
+            "matplotlib"
+        )  # at the end, perhaps after hours; to import it now takes memory while videos are made
     try:
         path.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path):
@@ -228,7 +281,9 @@ def claim(
             directory.clear()
     except BlockingIOError:
         cure = "Wait for it, or choose another --out."
-        raise InputError("another run is writing into this directory now", where=f"--out {path}", cure=cure) from None
+        raise InputError(
+            "another run is writing into this directory now", where=f"--out {path}", cure=cure
+        ) from None
     except OSError as error:
         problem = f"cannot be written into ({error.strerror or error})"
         raise InputError(problem, where=f"--out {path}", cure="Choose another --out.") from error

@@ -1,4 +1,5 @@
-"""From options to settings (`chosen`), and ``phdtrack settings``, which prints them as TOML that ``--config`` reads back.
+"""From options to settings (`chosen`), and ``phdtrack settings``, which prints them as TOML that
+``--config`` reads back.
 
 The meaning of each setting is what the docstring of its class says under Parameters.
 """
@@ -28,8 +29,10 @@ from phdtrack.protocols import AnyStages
 from phdtrack.report.pages import lines
 from phdtrack.types import F8, Detections, SequenceInfo
 
-# An object detected so often in a row must have been reported; after more than _SLOW detections the user is warned.
-_TRIED, _SLOW = 25, 5
+# An object detected so often in a row must have been reported; after more than _SLOW detections the
+# user is warned.
+_TRIED = 25
+_SLOW = 5
 # The settings to know, besides preset, scene and filter.
 MAIN = {
     "motion": ("acceleration", "survival_probability"),
@@ -42,28 +45,38 @@ MAIN = {
 
 
 def chosen(options: TrackingOptions, first: Sequence[str] = (), *, detector: str = "") -> Settings:
-    """The settings: those of preset and file, then of ``first``, then of the options, each in place of those before.
+    """The settings: those of preset and file, then of ``first``, then of the options, each in place
+    of those before.
 
-    ``detector`` is its name, if one of this package looks (`usual_preset`). A network's boxes (onnx:FILE) are as a file's.
+    ``detector`` is its name, if one of this package looks (`usual_preset`). A network's boxes
+    (onnx:FILE) are as a file's.
     """
     sets = [*first, *(options.sets or ()), *only_classes(options.classes)]
     settings = load(options.config, sets, options.preset, options.filter_name)
     if detector and ":" not in detector and options.config is None:
         settings = load(None, sets, usual_preset(settings, options.preset), options.filter_name)
     if options.max_detections is not None:
-        settings = overlay(settings, {"limits": {"max_detections": options.max_detections}}, "--max-detections")
+        settings = overlay(
+            settings, {"limits": {"max_detections": options.max_detections}}, "--max-detections"
+        )
     if options.threads is None:
         return settings
     # Filter and extraction, where they can use more than one.
-    sharing = [name for name in ("filter", "extract") if "threads" in settable(name, settings.kind(name), "")]
+    sharing = [
+        name
+        for name in ("filter", "extract")
+        if "threads" in settable(name, settings.kind(name), "")
+    ]
     return overlay(settings, {name: {"threads": options.threads} for name in sharing}, "--threads")
 
 
 def usual_preset(settings: Settings, preset: str) -> str:
-    """The preset for the boxes of this package's own detectors: ``preset`` where one was named, else ``mot15``.
+    """The preset for the boxes of this package's own detectors: ``preset`` where one was named,
+    else ``mot15``.
 
-    It was chosen on boxes as noisy as theirs, and without scores. On seven pairs of video and detector it is ahead of the
-    default in MOTA on five and in IDF1 on six (docs/results/videos.md). Other filters, and the ground, keep their own.
+    It was chosen on boxes as noisy as theirs, and without scores. On seven pairs of video and
+    detector it is ahead of the default in MOTA on five and in IDF1 on six (docs/results/videos.md).
+    Other filters, and the ground, keep their own.
     """
     usual = settings.kind("filter") == "pmb" and settings.kind("motion") == "box"
     return preset or ("mot15" if usual else "")
@@ -71,7 +84,9 @@ def usual_preset(settings: Settings, preset: str) -> str:
 
 def only_classes(text: str) -> list[str]:
     """What ``--classes`` stands for, as ``--set`` has it."""
-    return [f"classes.only={json.dumps([word.strip() for word in text.split(',')])}"] if text else []
+    return (
+        [f"classes.only={json.dumps([word.strip() for word in text.split(',')])}"] if text else []
+    )
 
 
 def scene_settings(scene: Path | None, camera_motion: str = "") -> list[str]:
@@ -90,11 +105,14 @@ def settings(
     filter_name: given.Filter = "",
     config: given.Config = None,
     sets: given.Sets = None,
-    everything: Annotated[bool, typer.Option("--all", help="Every setting, not only the dozen to know.")] = False,
+    everything: Annotated[
+        bool, typer.Option("--all", help="Every setting, not only the dozen to know.")
+    ] = False,
 ) -> None:
     """Print settings as TOML, with units and meaning, for --config to read back.
 
-    Without options these are the defaults. A preset is a complete set of values; --config and --set put others in place.
+    Without options these are the defaults. A preset is a complete set of values; --config and --set
+    put others in place.
     """
     found = load(config, sets or (), preset, filter_name)
     output.say(as_toml(found, everything=everything))
@@ -102,16 +120,23 @@ def settings(
 
 
 def as_toml(found: Settings, *, everything: bool) -> str:
-    """The settings as a TOML file; all of them, or kinds and the dozen to know with what differs from the preset."""
+    """The settings as a TOML file; all of them, or kinds and the dozen to know with what differs
+    from the preset.
+    """
     names = ", ".join(PRESETS)
-    lines = [f'preset = "{found.preset}"  # {names}', '# scene = "FILE"  # what `phdtrack learn` has learned of this scene']
+    lines = [
+        f'preset = "{found.preset}"  # {names}',
+        '# scene = "FILE"  # what `phdtrack learn` has learned of this scene',
+    ]
     for section, values in found.as_dict().items():
         if section == "preset":
             continue
         said = {*MAIN.get(section, ()), *found.given.get(section, {})}
         if found.given.get(section):
             said.add("kind")
-        meaning = meanings(record(section, found.kind(section))) | {"kind": ", ".join(SECTIONS[section])}
+        meaning = meanings(record(section, found.kind(section))) | {
+            "kind": ", ".join(SECTIONS[section])
+        }
         shown = {name: value for name, value in values.items() if everything or name in said}
         lines += ["", f"[{section}]"] if shown else []
         for name, value in shown.items():
@@ -132,20 +157,26 @@ def toml_value(value: Any) -> str:
 def meanings(kind: type[Any]) -> dict[str, str]:
     """What the docstring of a class says of each of its parameters, in one line."""
     # What a kind has of another stands there.
-    text, above = inspect.cleandoc(kind.__doc__ or ""), [one for one in kind.__mro__[1:-1] if is_dataclass(one)]
+    text = inspect.cleandoc(kind.__doc__ or "")
+    above = [one for one in kind.__mro__[1:-1] if is_dataclass(one)]
     found = {name: words for one in above for name, words in meanings(one).items()}
     found |= dict(re.findall(r"``(\w+)``: ([^;.]+)", text))
     _, _, parameters = text.partition("Parameters\n----------\n")
-    for names, words in re.findall(r"^([\w, ]+?) : (.*(?:\n    .*)*)", parameters.split("\n\n")[0], re.MULTILINE):
+    for names, words in re.findall(
+        r"^([\w, ]+?) : (.*(?:\n    .*)*)", parameters.split("\n\n")[0], re.MULTILINE
+    ):
         found |= dict.fromkeys(names.split(", "), words)
     # The first sentence of each, on one line.
-    said = {name: re.split(r"(?<=[^.\d])\. ", " ".join(words.split()))[0] for name, words in found.items()}
+    said = {
+        name: re.split(r"(?<=[^.\d])\. ", " ".join(words.split()))[0]
+        for name, words in found.items()
+    }
     return {name: words.rstrip(".").replace("`", "") for name, words in said.items()}
 
 
 def confirmation(stages: AnyStages, info: SequenceInfo, boxes: F8) -> tuple[str, ...]:
-    """After how many detections of the usual size of ``boxes`` (n, 4) an object is reported: a note, and a warning where it
-    takes long; nothing without boxes or a filter."""
+    """After how many detections of the usual size of ``boxes`` (n, 4) an object is reported: a
+    note, and a warning where it takes long; nothing without boxes or a filter."""
     if isinstance(stages.filter, NoFilter) or not len(boxes):
         return ()
     width, height = np.median(boxes[:, 2:] - boxes[:, :2], axis=0)
@@ -156,12 +187,18 @@ def confirmation(stages: AnyStages, info: SequenceInfo, boxes: F8) -> tuple[str,
 def detections_needed(stages: AnyStages, info: SequenceInfo, size: tuple[float, float]) -> int:
     """Detections in a row of an object up to its first state; 0 for more than 25.
 
-    The ratio of the densities of births and of clutter decides it, which settings do not show. So it is tried: an object
-    of ``size`` (width, height in pixels) moves through the middle of the frame, by a tenth of its width a frame, and is
-    detected in every frame: what stands still from its first frame on may be a false alarm that lasts.
+    The ratio of the densities of births and of clutter decides it, which settings do not show. So
+    it is tried: an object of ``size`` (width, height in pixels) moves through the middle of the
+    frame, by a tenth of its width a frame, and is detected in every frame: what stands still from
+    its first frame on may be a false alarm that lasts.
     """
-    centre, half = np.array([info.width, info.height]) / 2, np.array(size) / 2
-    box, step = np.concatenate([centre - half, centre + half]), np.array([0.1 * size[0], 0, 0.1 * size[0], 0])
-    frames = ((k, k / info.fps, Detections.of(box + (k - _TRIED / 2) * step)) for k in range(1, _TRIED + 1))
+    centre = np.array([info.width, info.height]) / 2
+    half = np.array(size) / 2
+    box = np.concatenate([centre - half, centre + half])
+    step = np.array([0.1 * size[0], 0, 0.1 * size[0], 0])
+    frames = (
+        (k, k / info.fps, Detections.of(box + (k - _TRIED / 2) * step))
+        for k in range(1, _TRIED + 1)
+    )
     steps = pipeline.run(stages, frames, np.random.default_rng(0))
     return next((step.number for _, step in steps if len(step.estimates)), 0)

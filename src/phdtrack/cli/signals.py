@@ -1,7 +1,9 @@
-"""Signals that end a command: SIGTERM and SIGHUP do what Ctrl-C does, and a second signal ends it at once.
+"""Signals that end a command: SIGTERM and SIGHUP do what Ctrl-C does, and a second signal ends it
+at once.
 
-Python hears of a signal when compiled code has returned. A thread hears of it at once, and ends the process where the main
-thread does not move for a second and a half: in a kernel, in its compilation, or in an encoder that waits for its file.
+Python hears of a signal when compiled code has returned. A thread hears of it at once, and ends the
+process where the main thread does not move for a second and a half: in a kernel, in its
+compilation, or in an encoder that waits for its file.
 """
 
 from __future__ import annotations
@@ -22,13 +24,16 @@ _ENDING = ("SIGINT", "SIGTERM", "SIGHUP")
 _came: list[int] = []
 _answered: list[int] = []
 _listening: list[bool] = []
-# Between two looks at the main thread, seconds; looks without a move after which it hangs. They are counted, not timed: on a
-# busy machine both threads are slow.
-_LOOK, _HANGS = 0.05, 28
+# Between two looks at the main thread, seconds; looks without a move after which it hangs. They are
+# counted, not timed: on a busy machine both threads are slow.
+_LOOK = 0.05
+_HANGS = 28
 
 
 def listen() -> None:
-    """From now on SIGTERM and SIGHUP raise KeyboardInterrupt where Ctrl-C would. Those that are ignored stay so (nohup)."""
+    """From now on SIGTERM and SIGHUP raise KeyboardInterrupt where Ctrl-C would. Those that are
+    ignored stay so (nohup).
+    """
     _listening.append(True)
     for number in _numbers():
         if signal.getsignal(number) not in (signal.SIG_IGN, None):
@@ -42,7 +47,9 @@ def listen() -> None:
 
 
 def last_chance(what: str) -> None:
-    """Say what was stopped; from now on the next signal ends the process at once. Nothing where nobody `listen`s."""
+    """Say what was stopped; from now on the next signal ends the process at once. Nothing where
+    nobody `listen`s.
+    """
     if _listening and threading.current_thread() is threading.main_thread():
         print(f"phdtrack: {what} (again: end at once)", file=sys.stderr, flush=True)
         for number in _numbers():
@@ -61,16 +68,21 @@ def which() -> str:
 
 
 def leave(code: int) -> None:
-    """End the process with an exit status, also where a thread hangs that reads a source. A signal that comes now ends it
-    at once."""
+    """End the process with an exit status, also where a thread hangs that reads a source. A signal
+    that comes now ends it at once."""
     for number in _numbers():
         if signal.getsignal(number) is _end:
             signal.signal(number, signal.SIG_DFL)
-    waiting = [one for one in threading.enumerate() if one is not threading.main_thread() and not one.daemon]
+    waiting = [
+        one
+        for one in threading.enumerate()
+        if one is not threading.main_thread() and not one.daemon
+    ]
     if not waiting and not _came:
         sys.exit(code)
     if not waiting:
-        # Python would say SIGINT of whatever signal came while a text was executed, as where a dataclass is made.
+        # Python would say SIGINT of whatever signal came while a text was executed, as where a
+        # dataclass is made.
         atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
@@ -93,7 +105,9 @@ def _end(number: int, frame: object) -> None:
 
 
 def _again(lost: sys.UnraisableHookArgs) -> None:
-    """A KeyboardInterrupt that came where Python drops what is raised, as while an object is deleted, comes once more."""
+    """A KeyboardInterrupt that came where Python drops what is raised, as while an object is
+    deleted, comes once more.
+    """
     if lost.exc_type is not KeyboardInterrupt:
         sys.__unraisablehook__(lost)
         return
@@ -113,11 +127,14 @@ def _send(number: int) -> None:
 def _watch(told: socket.socket, _: socket.socket) -> None:
     """End the process where a signal came and the main thread hangs."""
     for count in range(1, 1000):
-        number, before, still = told.recv(1)[0], 0, 0
+        number = told.recv(1)[0]
+        before = 0
+        still = 0
         while len(_answered) < count and (DEFERRED or signal.getsignal(number) in (_end, later)):
             time.sleep(_LOOK)
             now = _place()
-            before, still = now, still + 1 if now == before else 0
+            still = still + 1 if now == before else 0
+            before = now
             if still >= _HANGS:
                 said = f"phdtrack: {signal.Signals(number).name}, while a step did not end: .part files hold what was done\n"
                 os.write(2, said.encode())

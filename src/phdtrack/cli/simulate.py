@@ -1,4 +1,6 @@
-"""``phdtrack simulate`` and ``phdtrack demo``: scenes with known truth, as files, and tracked with a filter and without."""
+"""``phdtrack simulate`` and ``phdtrack demo``: scenes with known truth, as files, and tracked with
+a filter and without.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +24,25 @@ from phdtrack.cli.track import prepare
 from phdtrack.errors import InputError, did_you_mean
 from phdtrack.files import write_text
 from phdtrack.formats import write_detections, write_truth
-from phdtrack.simulate import NAMED, Look, Rendered, Scene, default_detector, default_look, make_scene
+from phdtrack.simulate import (
+    NAMED,
+    Look,
+    Rendered,
+    Scene,
+    default_detector,
+    default_look,
+    make_scene,
+)
 from phdtrack.video import VideoWriter
 
-TRUTH, DETECTIONS, SEQINFO, VIDEO = "gt/gt.txt", "det/det.txt", "seqinfo.ini", "scene.mp4"
+TRUTH = "gt/gt.txt"
+DETECTIONS = "det/det.txt"
+SEQINFO = "seqinfo.ini"
+VIDEO = "scene.mp4"
 FILES = dict.fromkeys((TRUTH, DETECTIONS, SEQINFO, VIDEO), "")
-DEMO_TRUTH, WITHOUT, FRAMES = "scene_gt.txt", "without-filter", 300
+DEMO_TRUTH = "scene_gt.txt"
+WITHOUT = "without-filter"
+FRAMES = 300
 
 
 def simulate(
@@ -38,35 +53,63 @@ def simulate(
     seed: given.Seed = 0,
     frames: Annotated[int, option("N", "Number of frames; 0: the scene's own.", min=0)] = 0,
     p_detect: Annotated[float | None, option("P", "Detection probability.")] = None,
-    clutter: Annotated[float | None, option("F", "Expected false alarms per frame, Poisson.")] = None,
+    clutter: Annotated[
+        float | None, option("F", "Expected false alarms per frame, Poisson.")
+    ] = None,
     places: Annotated[int | None, option("N", "Places with persistent false alarms.")] = None,
-    jitter: Annotated[float | None, option("F", "Error of boxes, as a fraction of their size.")] = None,
-    sets: Annotated[list[str] | None, option("NAME=VALUE", "A setting of the scene, as arrivals=0.8.", "--set")] = None,
-    look: Annotated[list[str] | None, option("NAME=VALUE", "Look of the video: wave=0.3, lamps=8, noise, …")] = None,
+    jitter: Annotated[
+        float | None, option("F", "Error of boxes, as a fraction of their size.")
+    ] = None,
+    sets: Annotated[
+        list[str] | None, option("NAME=VALUE", "A setting of the scene, as arrivals=0.8.", "--set")
+    ] = None,
+    look: Annotated[
+        list[str] | None, option("NAME=VALUE", "Look of the video: wave=0.3, lamps=8, noise, …")
+    ] = None,
     video: given.Video = True,
 ) -> None:
     """Simulate a scene: truth, detections of it, and a video.
 
-    The files are laid out as MOTChallenge does (gt/gt.txt, det/det.txt, seqinfo.ini), so that `phdtrack track --detections`
-    finds size and rate.
+    The files are laid out as MOTChallenge does (gt/gt.txt, det/det.txt, seqinfo.ini), so that
+    `phdtrack track --detections` finds size and rate.
     """
     if name not in NAMED:
-        raise InputError(f"no scene is called {name!r}", where="SCENE", cure=did_you_mean(name, NAMED))
-    world, model, picture = NAMED[name], default_detector(NAMED[name]), default_look(name)
-    values = {"p_detect": p_detect, "clutter_rate": clutter, "places": places, "jitter": jitter, "jitter_size": jitter}
+        raise InputError(
+            f"no scene is called {name!r}", where="SCENE", cure=did_you_mean(name, NAMED)
+        )
+    world = NAMED[name]
+    model = default_detector(NAMED[name])
+    picture = default_look(name)
+    values = {
+        "p_detect": p_detect,
+        "clutter_rate": clutter,
+        "places": places,
+        "jitter": jitter,
+        "jitter_size": jitter,
+    }
     said: dict[str, Any] = {key: value for key, value in values.items() if value is not None}
     picture = replace(picture, **_assigned(look or [], picture, "--look"))
     changes = _assigned(sets or [], world, "--set") | ({"frames": frames} if frames else {})
     scene = make_scene(name, seed, replace(model, **said), **changes)
-    target, info = rundir.claim(out, overwrite, FILES, name=name), scene.info
+    target = rundir.claim(out, overwrite, FILES, name=name)
+    info = scene.info
     write_truth(target.file(TRUTH), scene.truth)
     write_detections(target.file(DETECTIONS), scene.detections)
-    lines = ["[Sequence]", f"name={info.name}", f"frameRate={info.fps:g}", f"seqLength={info.frames}"]
+    lines = [
+        "[Sequence]",
+        f"name={info.name}",
+        f"frameRate={info.fps:g}",
+        f"seqLength={info.frames}",
+    ]
     lines += [f"imWidth={info.width}", f"imHeight={info.height}", ""]
     write_text(target.file(SEQINFO), "\n".join(lines))
     if video:
         _render_video(scene, seed, target.file(VIDEO), picture)
-    found = {"frames": info.frames, "objects": len(np.unique(scene.truth.identity)), "detections": len(scene.detections)}
+    found = {
+        "frames": info.frames,
+        "objects": len(np.unique(scene.truth.identity)),
+        "detections": len(scene.detections),
+    }
     files = [str(file) for file in target.written()]
     numbers = ", ".join(counted(count, noun[:-1]) for noun, count in found.items())
     output.say(f"{name}: {numbers}, in {target.path}", *(f"  {file}" for file in files))
@@ -81,31 +124,44 @@ def demo(
 ) -> None:
     """Render a street and track the people in it, with the filter and without.
 
-    Light flickers, leaves wave and are blown past the camera: the detector takes many of them for objects.
-    The directory holds the scene (scene.mp4, scene_gt.txt), the run with the filter, and in without-filter the one
-    without.
+    Light flickers, leaves wave and are blown past the camera: the detector takes many of them for
+    objects. The directory holds the scene (scene.mp4, scene_gt.txt), the run with the filter, and
+    in without-filter the one without.
     """
     rundir.check(out / WITHOUT, overwrite)
     directory = rundir.claim(out, overwrite, {VIDEO: "", DEMO_TRUTH: ""} | rundir.RUN_FILES)
-    movie, truth = directory.file(VIDEO), directory.file(DEMO_TRUTH)
+    movie = directory.file(VIDEO)
+    truth = directory.file(DEMO_TRUTH)
     scene = make_scene("street", seed, frames=FRAMES, arrivals=0.6)
     write_truth(truth, scene.truth)
-    # No blinking lamps: they stay lit for seconds, and what is seen coherently for seconds is an object to any filter.
+    # No blinking lamps: they stay lit for seconds, and what is seen coherently for seconds is an
+    # object to any filter.
     look = Look(flicker=0.05, plants=4, wave=0.06, blown=16.0, lamps=0)
     _render_video(scene, seed, movie, look)
-    output.say(f"The scene: {movie}, {scene.info.frames} frames, flickering light, leaves in the wind.")
+    output.say(
+        f"The scene: {movie}, {scene.info.frames} frames, flickering light, leaves in the wind."
+    )
     places = {"with filter": directory, "without": rundir.claim(out / WITHOUT, overwrite)}
     outcomes = {}
     for (title, place), filter_name in zip(places.items(), ("pmb", "none"), strict=True):
         options = TrackingOptions(filter_name, seed=seed, truth=truth)
         source = SourceOptions(str(movie))
-        job = prepare(source, options, chosen(options, detector=source.looked_by), RunOptions(), video=True)
+        job = prepare(
+            source, options, chosen(options, detector=source.looked_by), RunOptions(), video=True
+        )
         outcome = outcomes[title] = run(job, place)
         output.warn(outcome.warnings)
         if outcome.stop is not None:
             raise outcome.stop
     output.say()
-    score_table(output, {title: outcome.scores for title, outcome in outcomes.items() if outcome.scores is not None})
+    score_table(
+        output,
+        {
+            title: outcome.scores
+            for title, outcome in outcomes.items()
+            if outcome.scores is not None
+        },
+    )
     output.say("", f"Look at {directory.file(rundir.VIDEO)} and {directory.file(rundir.REPORT)},")
     output.say(f"and at the same without the filter in {out / WITHOUT}.")
     with_filter, without_filter = (outcome.document for outcome in outcomes.values())
@@ -114,7 +170,8 @@ def demo(
 
 def _render_video(scene: Scene, seed: int, path: Path, look: Look) -> None:
     """Write the scene as an mp4 file."""
-    info, rng = scene.info, np.random.default_rng(seed)
+    info = scene.info
+    rng = np.random.default_rng(seed)
     with (
         VideoWriter(path, info.width, info.height, info.fps) as writer,
         progress("rendering", info.frames) as advance,
@@ -126,9 +183,12 @@ def _render_video(scene: Scene, seed: int, path: Path, look: Look) -> None:
 
 
 def _assigned(texts: Sequence[str], settings: Any, option: str) -> dict[str, Any]:
-    """What assignments as "frames=100" give to those fields of the record ``settings`` that are numbers."""
+    """What assignments as "frames=100" give to those fields of the record ``settings`` that are
+    numbers.
+    """
     kinds = {field.name: type(getattr(settings, field.name)) for field in fields(settings)}
-    numeric, found = {key: kind for key, kind in kinds.items() if kind in (int, float)}, dict[str, Any]()
+    numeric = {key: kind for key, kind in kinds.items() if kind in (int, float)}
+    found = dict[str, Any]()
     for text in texts:
         key, _, value = (part.strip() for part in text.partition("="))
         where = f"{option} {text}"

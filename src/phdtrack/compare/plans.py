@@ -1,8 +1,8 @@
 """What is compared with what, and how a plan is made of what a user names.
 
-A folder is laid out as MOTChallenge does it: ``seqinfo.ini``, maybe ``gt/gt.txt``, and detections in ``det/det.txt`` or,
-where there are several sets, ``det_NAME/det.txt``. One video in it, or images in ``img1/``, are its pictures. `phdtrack
-simulate` writes such folders.
+A folder is laid out as MOTChallenge does it: ``seqinfo.ini``, maybe ``gt/gt.txt``, and detections
+in ``det/det.txt`` or, where there are several sets, ``det_NAME/det.txt``. One video in it, or
+images in ``img1/``, are its pictures. `phdtrack simulate` writes such folders.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ class Case:
     truth : annotated objects, None without.
     source : video or images, empty where there are none.
     file : the detections; None where the detector called ``detections`` finds them.
-    parameters, max_width : the detector's settings, and the width to which frames are shrunk for it (0: as they are).
+    parameters, max_width : the detector's settings, and the width to which frames are shrunk for it
+        (0: as they are).
     """
 
     sequence: str
@@ -79,7 +80,8 @@ class Method(NamedTuple):
 class Run:
     """One sequence through one method.
 
-    ``rate`` is that of the added clutter in boxes per frame; ``seed`` decides that clutter and whatever the method draws.
+    ``rate`` is that of the added clutter in boxes per frame; ``seed`` decides that clutter and
+    whatever the method draws.
     """
 
     case: Case
@@ -90,7 +92,13 @@ class Run:
     @property
     def place(self) -> Path:
         """Where in the folder of a comparison it is kept; no other run of a plan has the same."""
-        return Path("runs") / self.case.place / f"clutter-{self.rate:g}" / _file_name(self.method.name) / f"seed-{self.seed}"
+        return (
+            Path("runs")
+            / self.case.place
+            / f"clutter-{self.rate:g}"
+            / _file_name(self.method.name)
+            / f"seed-{self.seed}"
+        )
 
     def __str__(self) -> str:
         """For people."""
@@ -100,7 +108,9 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Every case with every rate of clutter, every method and every seed; other methods are compared to the first."""
+    """Every case with every rate of clutter, every method and every seed; other methods are
+    compared to the first.
+    """
 
     cases: tuple[Case, ...]
     methods: tuple[Method, ...]
@@ -110,8 +120,16 @@ class Plan:
 
     def __post_init__(self) -> None:
         parts: tuple[tuple[str, Sequence[Hashable], str], ...] = (
-            ("sequence", [case.place for case in self.cases], "Rename a folder, or name it and its detections once."),
-            ("filter", [_file_name(method.name) for method in self.methods], "Give each variant a name of its own."),
+            (
+                "sequence",
+                [case.place for case in self.cases],
+                "Rename a folder, or name it and its detections once.",
+            ),
+            (
+                "filter",
+                [_file_name(method.name) for method in self.methods],
+                "Give each variant a name of its own.",
+            ),
             ("rate", [f"{rate:g}" for rate in self.rates], ""),
             ("seed", self.seeds, ""),
         )
@@ -123,13 +141,17 @@ class Plan:
                     raise InputError(f"{name}: the same {what} twice", cure=cure)
         for rate in self.rates:
             if not 0 <= rate < math.inf:
-                raise InputError(f"expected boxes per frame, 0 or more, got {rate:g}", where="--clutter")
+                raise InputError(
+                    f"expected boxes per frame, 0 or more, got {rate:g}", where="--clutter"
+                )
         check_threshold(self.iou)
 
     @property
     def runs(self) -> tuple[Run, ...]:
         """Every combination, sequence by sequence."""
-        return tuple(Run(*each) for each in product(self.cases, self.rates, self.methods, self.seeds))
+        return tuple(
+            Run(*each) for each in product(self.cases, self.rates, self.methods, self.seeds)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,15 +162,18 @@ class Request:
     ----------
     sequences : folders as MOTChallenge lays them out, or videos.
     filters : the others are compared to the first. Without any, that of the settings, and none.
-    detections : sets that the folders have, or files; ``{}`` in a file's name stands for the sequence's name.
-    detectors, max_width : what looks at the videos, in frames of at most so many pixels (0: as they are,
-        None: as `working_width` has it). Without
-        detections and detectors: whatever a sequence has.
+    detections : sets that the folders have, or files; ``{}`` in a file's name stands for the
+        sequence's name.
+    detectors, max_width : what looks at the videos, in frames of at most so many pixels (0: as they
+        are, None: as `working_width` has it). Without detections and detectors: whatever a sequence
+        has.
     truth : a file, named as those of detections; empty for that of the folder.
     clutter : rates of added clutter, boxes per frame.
     seeds : how many, from 1.
-    variants : ``NAME=section.name=value,…`` over the first filter's settings, each a further method.
-    preset, file, sets : the settings; one of a filter, its extraction or its association holds for the filters that have it.
+    variants : ``NAME=section.name=value,…`` over the first filter's settings, each a further
+        method.
+    preset, file, sets : the settings; one of a filter, its extraction or its association holds for
+        the filters that have it.
     iou : overlap from which boxes match.
     """
 
@@ -177,20 +202,30 @@ def plan(wanted: Request) -> Plan:
     Raises `InputError` for anything that cannot be read, or that does not go together.
     """
     if not wanted.sequences:
-        raise InputError("nothing to compare on", where="SEQUENCE", cure="Name folders of sequences, or videos.")
+        raise InputError(
+            "nothing to compare on", where="SEQUENCE", cure="Name folders of sequences, or videos."
+        )
     for option, names in (("--detections", wanted.detections), ("--truth", (wanted.truth,))):
         for name in names:
             if len(wanted.sequences) > 1 and _is_file(name) and "{}" not in name:
                 cure = "Write {} where the name of the sequence stands in the names of the files."
-                raise InputError(f"{name} cannot belong to {len(wanted.sequences)} sequences", where=option, cure=cure)
+                raise InputError(
+                    f"{name} cannot belong to {len(wanted.sequences)} sequences",
+                    where=option,
+                    cure=cure,
+                )
     methods = _methods(wanted)
-    parameters = wanted.load([text for text in wanted.sets if _section(text) == "detector"]).values("detector")
+    parameters = wanted.load([text for text in wanted.sets if _section(text) == "detector"]).values(
+        "detector"
+    )
     _detector_parameters(wanted.detectors, parameters)  # raises where one does not exist
     cases = tuple(case for word in wanted.sequences for case in _cases(word, wanted, parameters))
     for case in cases:
         for method in methods:
             config.build(method.settings, case.info)
-    return Plan(cases, methods, tuple(wanted.clutter), tuple(range(1, wanted.seeds + 1)), wanted.iou)
+    return Plan(
+        cases, methods, tuple(wanted.clutter), tuple(range(1, wanted.seeds + 1)), wanted.iou
+    )
 
 
 def _section(text: str) -> str:
@@ -202,10 +237,16 @@ def _methods(wanted: Request) -> tuple[Method, ...]:
     """One method for each filter, then one for each variant."""
     kind = [text for text in wanted.sets if text.replace(" ", "").startswith("filter.kind=")]
     if kind and wanted.filters:
-        raise InputError("--filters says which filters there are", where=f"--set {kind[0]}", cure="Leave one of them out.")
+        raise InputError(
+            "--filters says which filters there are",
+            where=f"--set {kind[0]}",
+            cure="Leave one of them out.",
+        )
     shared = [text for text in wanted.sets if _section(text) not in _OF_FILTERS]
     own = [text for text in wanted.sets if text not in (*shared, *kind)]
-    names = tuple(wanted.filters) or tuple(dict.fromkeys((wanted.load([*shared, *kind]).kind("filter"), "none")))
+    names = tuple(wanted.filters) or tuple(
+        dict.fromkeys((wanted.load([*shared, *kind]).kind("filter"), "none"))
+    )
     for name in names:
         if name not in SECTIONS["filter"]:
             cure = did_you_mean(name, SECTIONS["filter"])
@@ -229,7 +270,9 @@ def _under_filter(used: list[str], own: list[str], wanted: Request) -> list[str]
 
 
 def _variant(text: str, first: list[str], shared: list[str], wanted: Request) -> Method:
-    """A method like the ``first``; like what all filters share where the text names a preset or another filter."""
+    """A method like the ``first``; like what all filters share where the text names a preset or
+    another filter.
+    """
     name, equals, rest = text.partition("=")
     if not name or not equals or "=" not in rest:
         cure = "For example: --variant few=filter.particles_per_target=100"
@@ -238,7 +281,10 @@ def _variant(text: str, first: list[str], shared: list[str], wanted: Request) ->
     presets = [part.partition("=")[2].strip() for part in parts if part.startswith("preset")]
     other = presets or any(part.startswith("filter.kind") for part in parts)
     try:
-        sets = [*(shared if other else first), *(part for part in parts if not part.startswith("preset"))]
+        sets = [
+            *(shared if other else first),
+            *(part for part in parts if not part.startswith("preset")),
+        ]
         return Method(name, wanted.load(sets, presets[-1] if presets else ""))
     except InputError as error:
         raise InputError(error.problem, where=f"--variant {name}", cure=error.cure) from None
@@ -250,31 +296,50 @@ def _cases(word: str, wanted: Request, parameters: Mapping[str, Any]) -> list[Ca
     if not path.exists():
         open_source(word)  # says which name is near
         raise InputError("expected a folder or a video file", where=word)
-    name, source, sets = path.absolute().name if path.is_dir() else path.stem, word, dict[str, Path]()
+    name = path.absolute().name if path.is_dir() else path.stem
+    source = word
+    sets = dict[str, Path]()
     truth = Path(wanted.truth.replace("{}", name)) if wanted.truth else None
     if path.is_dir():
-        annotated, images = path / "gt" / "gt.txt", path / "img1"
+        annotated = path / "gt" / "gt.txt"
+        images = path / "img1"
         truth = annotated if truth is None and annotated.is_file() else truth
-        folders = [folder for folder in sorted(path.glob("det*")) if folder.name == "det" or folder.name.startswith("det_")]
-        sets = {folder.name.removeprefix("det_"): folder / "det.txt" for folder in folders if (folder / "det.txt").is_file()}
+        folders = [
+            folder
+            for folder in sorted(path.glob("det*"))
+            if folder.name == "det" or folder.name.startswith("det_")
+        ]
+        sets = {
+            folder.name.removeprefix("det_"): folder / "det.txt"
+            for folder in folders
+            if (folder / "det.txt").is_file()
+        }
         videos = [file for file in path.iterdir() if file.suffix.lower() in VIDEOS]
         pictures = [images] if images.is_dir() else videos
         source = str(pictures[0]) if len(pictures) == 1 else ""
     files = [_detection_file(text, name, sets) for text in wanted.detections]
     detectors = wanted.detectors
     if not wanted.detections and not detectors:
-        files, detectors = list(sets.items()), () if sets else (DEFAULT_DETECTOR,)
+        files = list(sets.items())
+        detectors = () if sets else (DEFAULT_DETECTOR,)
     if detectors and not source:
         cure = "Name detections with --detections, or put one video, or images in img1, into the folder."
         raise InputError("there are no pictures for a detector to look at", where=word, cure=cure)
-    known, last = find_seqinfo(word), 0 if truth is None else int(read_truth(truth).frame.max(initial=0))
+    known = find_seqinfo(word)
+    last = 0 if truth is None else int(read_truth(truth).frame.max(initial=0))
     seen = open_source(source).info if source and (detectors or known is None) else None
-    found = [Case(name, label, _info(word, file, known or seen, last), truth, source, file) for label, file in files]
+    found = [
+        Case(name, label, _info(word, file, known or seen, last), truth, source, file)
+        for label, file in files
+    ]
     if seen is not None and detectors:
         own = _detector_parameters(detectors, parameters)
         info = replace(seen, frames=0, name=name)
         widths = {each: working_width(each, wanted.max_width, seen) for each in own}
-        found += [Case(name, each, info, truth, source, None, values, widths[each]) for each, values in own.items()]
+        found += [
+            Case(name, each, info, truth, source, None, values, widths[each])
+            for each, values in own.items()
+        ]
     return found
 
 
@@ -282,7 +347,11 @@ def _detection_file(text: str, sequence: str, sets: Mapping[str, Path]) -> tuple
     """Name and file of one of the sequence's sets, or of ``[NAME=]FILE``."""
     if not _is_file(text):
         if text not in sets:
-            cure = f"There are {', '.join(sets)}." if sets else "Name a file, or say --detectors for a video."
+            cure = (
+                f"There are {', '.join(sets)}."
+                if sets
+                else "Name a file, or say --detectors for a video."
+            )
             raise InputError(f"there are no detections called {text}", where=sequence, cure=cure)
         return text, sets[text]
     label, equals, pattern = text.partition("=")
@@ -300,16 +369,22 @@ def _info(word: str, file: Path, known: SequenceInfo | None, last: int) -> Seque
     """Size, rate and length: up to the last frame of what is known, detected or annotated."""
     table = read_detections(file)
     if known is None:
-        cure = "Put a seqinfo.ini into the folder, with frameRate, imWidth, imHeight under [Sequence]."
+        cure = (
+            "Put a seqinfo.ini into the folder, with frameRate, imWidth, imHeight under [Sequence]."
+        )
         raise InputError("size and rate of the frames are not known", where=word, cure=cure)
     info = replace(known, frames=max(known.frames, table.last, last))
     if not info.frames:
-        raise InputError("the number of frames is not known", where=word, cure="Say seqLength in seqinfo.ini.")
+        raise InputError(
+            "the number of frames is not known", where=word, cure="Say seqLength in seqinfo.ini."
+        )
     within_frame(table, info, file)
     return info
 
 
-def _detector_parameters(names: Sequence[str], parameters: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+def _detector_parameters(
+    names: Sequence[str], parameters: Mapping[str, Any]
+) -> dict[str, Mapping[str, Any]]:
     """By the name of a detector those of the settings that it has."""
     out: dict[str, Mapping[str, Any]] = {}
     for name in names:

@@ -1,11 +1,14 @@
-"""A comparison from plan to results: what is kept already and still holds is taken, everything else is run and kept.
+"""A comparison from plan to results: what is kept already and still holds is taken, everything else
+is run and kept.
 
-First every detector looks at every video once. Then each case and method runs with the first seed, and with the others where
-they may give something else, because clutter was added or something was drawn at random. Work is shared out to processes:
-one that dies, of memory for example, takes no other result along.
+First every detector looks at every video once. Then each case and method runs with the first seed,
+and with the others where they may give something else, because clutter was added or something was
+drawn at random. Work is shared out to processes: one that dies, of memory for example, takes no
+other result along.
 
-There is a folder for each run and for each set of detections, whole or not there at all. Its ``run.json`` says what decided
-the result: settings, seed, files by their contents, phdtrack by its version and its sources.
+There is a folder for each run and for each set of detections, whole or not there at all. Its
+``run.json`` says what decided the result: settings, seed, files by their contents, phdtrack by its
+version and its sources.
 """
 
 from __future__ import annotations
@@ -49,9 +52,11 @@ from phdtrack.video import open_source
 from phdtrack.video.files import SUFFIXES
 
 Advance = Callable[[int], object]
-RUN, TRACKS, DETECTIONS = "run.json", "tracks.csv", "detections.csv"
-# Packages on which no result depends, and sections of the settings on which no track depends; the detector's are among what
-# decides the detections.
+RUN = "run.json"
+TRACKS = "tracks.csv"
+DETECTIONS = "detections.csv"
+# Packages on which no result depends, and sections of the settings on which no track depends; the
+# detector's are among what decides the detections.
 _NO_RESULT = ("cli", "label", "report", "groups")
 _NO_TRACK = ("detector", "groups", "contours", "life_cycle", "encounters")
 
@@ -64,8 +69,8 @@ class RunResult:
     ----------
     frames, detections, tracks, rows : numbers of them; detections with the added clutter.
     drawn : whether the method drew at random: another seed may give something else.
-    seconds : the median over the frames of filter, extraction and association together; the first frames of a process
-        load kernels and are no measure.
+    seconds : the median over the frames of filter, extraction and association together; the first
+        frames of a process load kernels and are no measure.
     counts : the sums behind the scores; None without truth.
     iou : the overlap that made a match in them.
     warning : what a user should know; empty where there is nothing.
@@ -97,9 +102,11 @@ class Comparison:
 
     Attributes
     ----------
-    results : by `Run.place`, of the runs that were needed: where nothing is random, the first seed stands for all.
+    results : by `Run.place`, of the runs that were needed: where nothing is random, the first seed
+        stands for all.
     reused : runs that were there already.
-    outdated : what had changed for runs that were there and ran again, by the names that ``run.json`` has for it.
+    outdated : what had changed for runs that were there and ran again, by the names that
+        ``run.json`` has for it.
     """
 
     plan: Plan
@@ -116,7 +123,9 @@ class Comparison:
     @property
     def runs(self) -> list[tuple[Run, RunResult | Failed]]:
         """All runs that were needed, in the plan's order."""
-        return [(run, self.results[run.place]) for run in self.plan.runs if run.place in self.results]
+        return [
+            (run, self.results[run.place]) for run in self.plan.runs if run.place in self.results
+        ]
 
     @property
     def failed(self) -> list[tuple[Run, str]]:
@@ -126,7 +135,9 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True)
 class _Piece:
-    """Work whose result is kept in the folder ``place``; ``work`` writes files into a folder and gives its ``run.json``."""
+    """Work whose result is kept in the folder ``place``; ``work`` writes files into a folder and
+    gives its ``run.json``.
+    """
 
     place: Path
     decided_by: Mapping[str, Any]
@@ -143,24 +154,38 @@ class _Piece:
         return read_about(self.place)
 
 
-def run(plan: Plan, folder: Path, jobs: int = 1, *, anew: bool = False, advance: Advance = lambda done: None) -> Comparison:
-    """Run what is not kept in ``folder`` yet. Whatever ends this call, what is done by then is kept, and reused by the next.
-    Raises `InputError` where the folder cannot be written into, or an input has gone since it was planned.
+def run(
+    plan: Plan,
+    folder: Path,
+    jobs: int = 1,
+    *,
+    anew: bool = False,
+    advance: Advance = lambda done: None,
+) -> Comparison:
+    """Run what is not kept in ``folder`` yet. Whatever ends this call, what is done by then is
+    kept, and reused by the next. Raises `InputError` where the folder cannot be written into, or an
+    input has gone since it was planned.
 
     Parameters
     ----------
     plan : what to run.
     folder : where results are kept.
-    jobs : processes; the results do not depend on it. Above 1 a program calls this under ``if __name__ == "__main__"``.
+    jobs : processes; the results do not depend on it. Above 1 a program calls this under ``if
+        __name__ == "__main__"``.
     anew : whether to run everything again.
     advance : is called with the number of `steps` that are done.
     """
     write_text(probe := folder / ".probe", "")
     probe.unlink()
     _contents.cache_clear()
-    found, done = Comparison(plan, folder), count_from(1)
+    found = Comparison(plan, folder)
+    done = count_from(1)
     looks = {
-        case.place: _Piece(folder / "detections" / case.place, json_value(_decides_detections(case)), partial(_detect, case))
+        case.place: _Piece(
+            folder / "detections" / case.place,
+            json_value(_decides_detections(case)),
+            partial(_detect, case),
+        )
         for case in plan.cases
         if case.file is None
     }
@@ -181,7 +206,9 @@ def run(plan: Plan, folder: Path, jobs: int = 1, *, anew: bool = False, advance:
                     continue
                 advance(next(done))
             for place, document in _documents(found, pieces, jobs, anew):
-                found.results[place] = document if isinstance(document, Failed) else _result(document["outcome"])
+                found.results[place] = (
+                    document if isinstance(document, Failed) else _result(document["outcome"])
+                )
                 advance(next(done))
     finally:
         for part in folder.rglob(".*.part"):  # of work that failed or was stopped
@@ -192,7 +219,9 @@ def run(plan: Plan, folder: Path, jobs: int = 1, *, anew: bool = False, advance:
 def _documents(
     found: Comparison, pieces: Mapping[Path, _Piece], jobs: int, anew: bool
 ) -> Iterator[tuple[Path, dict[str, Any] | Failed]]:
-    """The ``run.json`` of each piece, as it is kept where the same decided it, else of work done now."""
+    """The ``run.json`` of each piece, as it is kept where the same decided it, else of work done
+    now.
+    """
     todo = []
     for place, piece in pieces.items():
         kept = {} if anew else read_about(piece.place)
@@ -202,7 +231,9 @@ def _documents(
             yield place, kept
             continue
         todo.append(place)
-        changed = [name for name, value in piece.decided_by.items() if before and before.get(name) != value]
+        changed = [
+            name for name, value in piece.decided_by.items() if before and before.get(name) != value
+        ]
         found.outdated += [name for name in changed if name not in found.outdated]
     for number, result in outcomes([pieces[place] for place in todo], jobs):
         yield todo[number], result
@@ -223,13 +254,19 @@ def read_about(folder: Path) -> dict[str, Any]:
 def _result(outcome: Mapping[str, Any]) -> RunResult:
     """A result as ``run.json`` has it."""
     sums: dict[str, Any] = outcome["counts"] or {}
-    arrays: dict[str, Any] = {name: np.array(value) for name, value in sums.items() if isinstance(value, list)}
+    arrays: dict[str, Any] = {
+        name: np.array(value) for name, value in sums.items() if isinstance(value, list)
+    }
     return RunResult(**{**outcome, "counts": Counts(**(sums | arrays)) if sums else None})
 
 
 def _detect(case: Case, folder: Path) -> dict[str, object]:
-    """A detector's look at a video, written into the folder: detections, numbers and times of the frames."""
-    numbers, times, began = list[int](), list[float](), time.perf_counter()
+    """A detector's look at a video, written into the folder: detections, numbers and times of the
+    frames.
+    """
+    numbers = list[int]()
+    times = list[float]()
+    began = time.perf_counter()
     detector = make_detector(case.detections, max_width=case.max_width, **case.parameters)
     source = open_source(case.source)
     study(detector, replace(source), source.sample)
@@ -239,13 +276,22 @@ def _detect(case: Case, folder: Path) -> dict[str, object]:
             numbers.append(frame.number)
             times.append(frame.time)
     seconds = (time.perf_counter() - began) / max(len(times), 1)
-    return {"seconds_per_frame": seconds, "warning": source.problem, "numbers": numbers, "times": times}
+    return {
+        "seconds_per_frame": seconds,
+        "warning": source.problem,
+        "numbers": numbers,
+        "times": times,
+    }
 
 
 def _tracking(run: Run, iou: float, folder: Path) -> _Piece:
     """A run, scored."""
     case = run.case
-    settings = {name: value for name, value in run.method.settings.as_dict().items() if name not in _NO_TRACK}
+    settings = {
+        name: value
+        for name, value in run.method.settings.as_dict().items()
+        if name not in _NO_TRACK
+    }
     decided_by = {
         "phdtrack": phdtrack.__version__,
         "sources": _sources(),
@@ -265,21 +311,32 @@ def _track(run: Run, iou: float, kept: Path, folder: Path) -> dict[str, object]:
     """Track, score, and write the tracks into the folder; ``kept`` as in `run_input`."""
     given = run_input(run, kept)
     tracks, drawn, seconds, evidence = tracked(run, given)
-    counts, errors, frames = None, dict[str, int](), given.info.frames
+    counts = None
+    errors = dict[str, int]()
+    frames = given.info.frames
     if given.truth is not None:
         if not frames:
-            raise InputError("no frame was read, and there is nothing to score", where=run.case.name)
+            raise InputError(
+                "no frame was read, and there is nothing to score", where=run.case.name
+            )
         counts = count(build(given.truth, tracks, frames), iou)
         errors = explain(given.truth, tracks, given.table, frames=frames, iou=iou).sums()
     numbers = (frames, len(given.table), len(np.unique(tracks.identity)), len(tracks))
     result = RunResult(*numbers, drawn, seconds, counts, iou, given.warning, errors, evidence)
     scores = {} if result.scores is None else result.scores.as_dict()
     write_tracks(folder / TRACKS, tracks)
-    return {"run": str(run), "scores": scores, "configuration": run.method.settings.as_dict(), "outcome": result}
+    return {
+        "run": str(run),
+        "scores": scores,
+        "configuration": run.method.settings.as_dict(),
+        "outcome": result,
+    }
 
 
 class RunInput(NamedTuple):
-    """What a run works on: detections with the added clutter, ``numbers`` and ``times`` (F,) of the frames, truth if any."""
+    """What a run works on: detections with the added clutter, ``numbers`` and ``times`` (F,) of the
+    frames, truth if any.
+    """
 
     info: SequenceInfo
     table: DetectionTable
@@ -292,15 +349,19 @@ class RunInput(NamedTuple):
 def run_input(run: Run, kept: Path) -> RunInput:
     """What the run works on; ``kept`` is the comparison's folder, which has what detectors saw.
 
-    The clutter depends on the sequence's name, on the rate and on the seed: it is the same for every method, and in the same
-    places for every set of detections.
+    The clutter depends on the sequence's name, on the rate and on the seed: it is the same for
+    every method, and in the same places for every set of detections.
     """
-    case, info, warnings = run.case, run.case.info, tuple[str, ...]()
+    info = run.case.info
+    case = run.case
+    warnings = tuple[str, ...]()
     if case.file is None:
         detected = kept / "detections" / case.place
         about = read_about(detected)
-        table, warnings = read_detections(detected / DETECTIONS), (str(about["warning"]),)
-        times, numbers = np.array(about["times"], np.float64), np.array(about["numbers"], np.int64)
+        table = read_detections(detected / DETECTIONS)
+        warnings = (str(about["warning"]),)
+        times = np.array(about["times"], np.float64)
+        numbers = np.array(about["numbers"], np.int64)
         info = replace(info, frames=int(numbers.max(initial=0)))
     else:
         table, warnings = within_frame(read_detections(case.file), info, case.file)
@@ -308,7 +369,13 @@ def run_input(run: Run, kept: Path) -> RunInput:
     if run.rate:
         sizes = np.zeros((0, 2)) if truth is None else truth.xyxy[:, 2:] - truth.xyxy[:, :2]
         name = zlib.crc32(case.sequence.encode("utf-8", "surrogateescape"))
-        table = add_clutter(table, info, run.rate, np.random.default_rng([run.seed, round(1e6 * run.rate), name]), sizes)
+        table = add_clutter(
+            table,
+            info,
+            run.rate,
+            np.random.default_rng([run.seed, round(1e6 * run.rate), name]),
+            sizes,
+        )
     if case.file is not None:
         numbers = np.fromiter(frames_walked(table, info.frames, info.fps), np.int64)
         times = (numbers - 1) / info.fps
@@ -316,18 +383,31 @@ def run_input(run: Run, kept: Path) -> RunInput:
 
 
 def tracked(run: Run, given: RunInput) -> tuple[Tracks, bool, float, float | None]:
-    """Corrected tracks, whether anything was drawn at random, the median of the seconds per frame, mean log evidence."""
+    """Corrected tracks, whether anything was drawn at random, the median of the seconds per frame,
+    mean log evidence.
+    """
     detector = run.case.detections if run.case.file is None else ""
-    settings, table = config.for_detector(run.method.settings, detector), given.table
-    kinds = config.build_kinds(settings, given.info, table.names, np.unique(table.detections.class_id).tolist())
-    tracker, seconds, evidence = Lanes(kinds, run.seed), list[float](), list[float]()
+    settings = config.for_detector(run.method.settings, detector)
+    table = given.table
+    kinds = config.build_kinds(
+        settings, given.info, table.names, np.unique(table.detections.class_id).tolist()
+    )
+    tracker = Lanes(kinds, run.seed)
+    seconds = list[float]()
+    evidence = list[float]()
     for number, moment in zip(given.numbers.tolist(), given.times.tolist(), strict=True):
         found = table.at(number)
         step = tracker.advance(found.take(kinds.wanted(found)), number, moment)
         seconds.append(sum(step.seconds))
         evidence.append(step.info.log_evidence)
-    mean, tracks = known_mean(np.array(evidence)), tracker.finish()
-    return tracks, tracker.drawn, float(np.median(seconds)) if seconds else 0.0, mean if math.isfinite(mean) else None
+    mean = known_mean(np.array(evidence))
+    tracks = tracker.finish()
+    return (
+        tracks,
+        tracker.drawn,
+        float(np.median(seconds)) if seconds else 0.0,
+        mean if math.isfinite(mean) else None,
+    )
 
 
 def _decides_detections(case: Case) -> dict[str, object]:
@@ -350,13 +430,21 @@ def _decides_detections(case: Case) -> dict[str, object]:
 def _sources() -> str:
     """The digest of phdtrack's sources on which results depend."""
     home = Path(phdtrack.__file__).parent
-    return _digest(file for file in sorted(home.rglob("*.py")) if file.relative_to(home).parts[0] not in _NO_RESULT)
+    return _digest(
+        file
+        for file in sorted(home.rglob("*.py"))
+        if file.relative_to(home).parts[0] not in _NO_RESULT
+    )
 
 
 @lru_cache(maxsize=4096)
 def _contents(path: Path) -> str:
     """The digest of a file's contents; a folder stands for the images in it."""
-    return _digest([path] if path.is_file() else sorted(f for f in path.iterdir() if f.suffix.lower() in SUFFIXES))
+    return _digest(
+        [path]
+        if path.is_file()
+        else sorted(f for f in path.iterdir() if f.suffix.lower() in SUFFIXES)
+    )
 
 
 def _digest(files: Iterable[Path]) -> str:
@@ -364,7 +452,9 @@ def _digest(files: Iterable[Path]) -> str:
     total = hashlib.sha256()
     for file in files:
         with file.open("rb") as content:
-            total.update(os.fsencode(file.name) + b"\0" + hashlib.file_digest(content, "sha256").digest())
+            total.update(
+                os.fsencode(file.name) + b"\0" + hashlib.file_digest(content, "sha256").digest()
+            )
     return total.hexdigest()[:32]
 
 

@@ -1,7 +1,18 @@
-"""Settings, presets, and the objects that are built from them: the one place that knows every name."""
+"""Settings, presets, and the objects that are built from them: the one place that knows every
+name.
+"""
 
 from phdtrack.config.build import build, build_groups, for_detector, ground_model
 from phdtrack.config.classes import build_kinds
 from phdtrack.config.settings import Settings, load, overlay
 
-__all__ = ["Settings", "build", "build_groups", "build_kinds", "for_detector", "ground_model", "load", "overlay"]
+__all__ = [
+    "Settings",
+    "build",
+    "build_groups",
+    "build_kinds",
+    "for_detector",
+    "ground_model",
+    "load",
+    "overlay",
+]

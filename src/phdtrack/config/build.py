@@ -1,8 +1,9 @@
-"""From settings to the stages of the pipeline: the model of the world, filter, extraction, identities, learning.
+"""From settings to the stages of the pipeline: the model of the world, filter, extraction,
+identities, learning.
 
-``motion.kind`` chooses the world: boxes or points in an image, or people on a ground plane. What depends on the sequence
-(the frame's size and rate) and on files (a camera, a learned scene) is put in here. Parts that were not chosen are not
-imported.
+``motion.kind`` chooses the world: boxes or points in an image, or people on a ground plane. What
+depends on the sequence (the frame's size and rate) and on files (a camera, a learned scene) is put
+in here. Parts that were not chosen are not imported.
 """
 
 from __future__ import annotations
@@ -24,16 +25,20 @@ if TYPE_CHECKING:
     from phdtrack.scene import Scene
 
 Size = tuple[float, float]
-# The share of the weight of a person just missed that a Gaussian must have to count as one: E13's 0.25 of 0.297.
+# The share of the weight of a person just missed that a Gaussian must have to count as one: E13's
+# 0.25 of 0.297.
 _MISSED = 0.84
-# For corrected tracks of what a background detector found: how far its centre must get to be an object, and for how long its
-# detections carry it on.
+# For corrected tracks of what a background detector found: how far its centre must get to be an
+# object, and for how long its detections carry it on.
 _OF_BACKGROUND = {"min_extent": 0.75, "max_continuation": 1.0}
 
 
-def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, moving: bool = False) -> AnyStages:
-    """The stages that the settings name, for a sequence. Raises `InputError` where they do not go together, a file cannot be
-    read, or they name a motion of the camera and the caller would not follow it.
+def build(
+    settings: Settings, info: SequenceInfo, filter_name: str = "", *, moving: bool = False
+) -> AnyStages:
+    """The stages that the settings name, for a sequence. Raises `InputError` where they do not go
+    together, a file cannot be read, or they name a motion of the camera and the caller would not
+    follow it.
 
     Parameters
     ----------
@@ -44,30 +49,45 @@ def build(settings: Settings, info: SequenceInfo, filter_name: str = "", *, movi
     """
     if not moving and settings.kind("camera_motion") != "none":
         cure = "Use phdtrack track --camera-motion, or Tracker.update(warp=…)"
-        raise InputError("the camera's motion is not followed here", where="camera_motion.kind", cure=cure)
+        raise InputError(
+            "the camera's motion is not followed here", where="camera_motion.kind", cure=cure
+        )
     if filter_name:
         settings = overlay(settings, {"filter": {"kind": filter_name}}, "--filter")
     size = (float(info.width), float(info.height))
-    model, associator = _model(settings, size, info.fps), _associator(settings, size)
-    smoother, slowest = settings.build("smooth", frame_size=size), settings.build("time").longest_interval
+    model = _model(settings, size, info.fps)
+    associator = _associator(settings, size)
+    smoother = settings.build("smooth", frame_size=size)
+    slowest = settings.build("time").longest_interval
     if settings.kind("filter") == "none":
         from phdtrack.filters.none import Raw
 
-        return Stages(model, settings.build("filter"), Raw(), associator, smoother=smoother, longest_interval=slowest)
+        return Stages(
+            model,
+            settings.build("filter"),
+            Raw(),
+            associator,
+            smoother=smoother,
+            longest_interval=slowest,
+        )
     filter_ = settings.build("filter", frame_size=size)
-    rates, explainer = settings.build("rates"), settings.build("merged_measurements")
+    rates = settings.build("rates")
+    explainer = settings.build("merged_measurements")
     # Births or clutter that lie at pixels hold for a camera that stands still.
     placed = {settings.kind("birth"), settings.kind("clutter")} & {"places", "scene"}
     camera = None if placed else settings.build("common_motion", frame_size=size)
     # A detection of several targets says of none where it is.
     online = DetectionShare() if smoother.detection_share and explainer is None else None
     extractor = settings.build("extract")
-    return Stages(model, filter_, extractor, associator, rates, explainer, smoother, online, camera, slowest)
+    return Stages(
+        model, filter_, extractor, associator, rates, explainer, smoother, online, camera, slowest
+    )
 
 
 def for_detector(settings: Settings, detector: str) -> Settings:
-    """The settings for detections of this detector. Those of a background model get the merged-measurement model; corrected
-    tracks go on while it still sees a part of an object, and what never goes anywhere has none.
+    """The settings for detections of this detector. Those of a background model get the
+    merged-measurement model; corrected tracks go on while it still sees a part of an object, and
+    what never goes anywhere has none.
 
     Settings that choose otherwise, or cannot have it, stay as they are.
     """
@@ -85,32 +105,47 @@ def for_detector(settings: Settings, detector: str) -> Settings:
 
 
 def build_groups(settings: Settings, stages: AnyStages | None = None) -> GroupStages:
-    """What makes groups, their life cycle and warnings; ``stages`` where a filter comes before, None for known positions.
+    """What makes groups, their life cycle and warnings; ``stages`` where a filter comes before,
+    None for known positions.
 
-    Where the intensity of a filter is grouped, ``groups.min_weight`` is, unless given, no more than 0.84 of the weight
-    (1 − p_D) p_S of a person just missed once, at E13's 7 frames a second, so that one miss drops no person whatever the
-    detection probability. With E13's values that is the default.
+    Where the intensity of a filter is grouped, ``groups.min_weight`` is, unless given, no more than
+    0.84 of the weight (1 − p_D) p_S of a person just missed once, at E13's 7 frames a second, so
+    that one miss drops no person whatever the detection probability. With E13's values that is the
+    default.
     """
     from phdtrack.groups.clusters import Grouping
     from phdtrack.groups.pipeline import GroupStages
 
-    read = settings.kind("groups") == "intensity" and "min_weight" not in settings.given.get("groups", {})
+    read = settings.kind("groups") == "intensity" and "min_weight" not in settings.given.get(
+        "groups", {}
+    )
     if stages is not None and read:
         survival = settings.build("motion").survival_probability ** (1 / 7)
         missed = (1 - settings.build("sensor").detection_probability) * survival
-        settings = overlay(settings, {"groups": {"min_weight": min(Grouping().min_weight, _MISSED * missed)}})
-    return GroupStages(*(settings.build(section) for section in ("groups", "contours", "life_cycle", "encounters")))
+        settings = overlay(
+            settings, {"groups": {"min_weight": min(Grouping().min_weight, _MISSED * missed)}}
+        )
+    return GroupStages(
+        *(settings.build(section) for section in ("groups", "contours", "life_cycle", "encounters"))
+    )
 
 
 def ground_model(settings: Settings, info: SequenceInfo) -> Model:
-    """The model of people on the ground that the ``camera`` of the settings shows, whatever world they are tracked in."""
-    ground = overlay(load(None, ("motion.kind=plane",)), {"camera": settings.given.get("camera", {})})
+    """The model of people on the ground that the ``camera`` of the settings shows, whatever world
+    they are tracked in.
+    """
+    ground = overlay(
+        load(None, ("motion.kind=plane",)), {"camera": settings.given.get("camera", {})}
+    )
     return build(ground, info).model
 
 
 def _model(settings: Settings, size: Size, fps: float) -> Model:
-    """The model of the world, in an image or on the ground. Raises `InputError` where its parts do not go together."""
-    rate, plane = settings.build("time").units_per_second, settings.kind("motion") == "plane"
+    """The model of the world, in an image or on the ground. Raises `InputError` where its parts do
+    not go together.
+    """
+    rate = settings.build("time").units_per_second
+    plane = settings.kind("motion") == "plane"
     camera, region = _ground(settings.build("camera"), size) if plane else (None, EVERYWHERE)
     sensor = settings.build("sensor", camera=camera, borders=region, frame_size=size)
     motion = settings.build(
@@ -119,7 +154,8 @@ def _model(settings: Settings, size: Size, fps: float) -> Model:
         # A target that has left what can be seen would else live on, as it is never missed there.
         borders=region if plane and sensor.view else EVERYWHERE,
     )
-    birth, clutter = _birth(settings, size, region), _clutter(settings, size, region)
+    birth = _birth(settings, size, region)
+    clutter = _clutter(settings, size, region)
     if "scene" in (settings.kind("birth"), settings.kind("clutter")):
         from phdtrack.models.scene import in_one_volume
 
@@ -141,13 +177,17 @@ def _ground(ground: CameraSettings, size: Size) -> tuple[Camera | None, Region]:
         problem = f"the camera shows no ground nearer than {ground.max_distance:g} m in an image of {size[0]:g}x{size[1]:g}"
         cure = "Check that the camera is this video's, raise camera.max_distance, or give camera.region"
         raise InputError(problem, where=ground.file, cure=cure)
-    (left, low), (right, high) = corners.min(axis=1).tolist(), corners.max(axis=1).tolist()
+    left, low = corners.min(axis=1).tolist()
+    right, high = corners.max(axis=1).tolist()
     return camera, (left, low, right, high)
 
 
 def _birth(settings: Settings, size: Size, region: Region) -> Birth:
-    """Where targets appear. Raises `InputError` where births were not learned, or for another rate."""
-    kind, birth = settings.kind("birth"), settings.build("birth", frame_size=size, borders=region)
+    """Where targets appear. Raises `InputError` where births were not learned, or for another
+    rate.
+    """
+    kind = settings.kind("birth")
+    birth = settings.build("birth", frame_size=size, borders=region)
     if kind != "scene":
         made: Birth = birth
         return made
@@ -156,9 +196,14 @@ def _birth(settings: Settings, size: Size, region: Region) -> Birth:
     rate = settings.build("time").units_per_second
     scene = _scene(birth.file, size, rate)
     if scene.births is None:
-        raise InputError("births were not learned in this scene", where=birth.file, cure="Leave birth.kind out")
-    among, per_second = None if scene.followed is None else scene.followed.objects.density, scene.births.rate * rate
-    return SceneBirth(per_second, scene.births.density, birth.particles, birth.births_per_detection, among)
+        raise InputError(
+            "births were not learned in this scene", where=birth.file, cure="Leave birth.kind out"
+        )
+    among = None if scene.followed is None else scene.followed.objects.density
+    per_second = scene.births.rate * rate
+    return SceneBirth(
+        per_second, scene.births.density, birth.particles, birth.births_per_detection, among
+    )
 
 
 def _clutter(settings: Settings, size: Size, region: Region) -> Clutter:
@@ -175,12 +220,18 @@ def _clutter(settings: Settings, size: Size, region: Region) -> Clutter:
 
     scene = _scene(given.file, size)
     if scene.clutter is None:
-        raise InputError("false alarms were not learned in this scene", where=given.file, cure="Leave clutter.kind out")
+        raise InputError(
+            "false alarms were not learned in this scene",
+            where=given.file,
+            cure="Leave clutter.kind out",
+        )
     return SceneClutter(scene.clutter.rate, scene.clutter.density, given.clutter_per_detection)
 
 
 def _associator(settings: Settings, size: Size) -> Associator[Any]:
-    """What gives identities; false tracks are rejected where a scene has taught which false alarms are followed."""
+    """What gives identities; false tracks are rejected where a scene has taught which false alarms
+    are followed.
+    """
     associator: Associator[Any] = settings.build("associate")
     given = settings.build("clutter")
     if not isinstance(given, SceneClutterSettings) or not given.reject_false_tracks:
@@ -193,11 +244,18 @@ def _associator(settings: Settings, size: Size) -> Associator[Any]:
         return associator
     same = settings.kind("birth") == "scene" and settings.build("birth").file == given.file
     false = FalseAlarmRatio(scene.clutter, scene.followed, scene.births if same else None)
-    return FalseTrackRejection(associator, false, given.immediate_confirmation, settings.build("associate").min_track_length)
+    return FalseTrackRejection(
+        associator,
+        false,
+        given.immediate_confirmation,
+        settings.build("associate").min_track_length,
+    )
 
 
 def _scene(file: str, size: Size, rate: float = 0.0) -> Scene:
-    """What was learned of a scene whose frames have this size, and its births at ``rate``, if given."""
+    """What was learned of a scene whose frames have this size, and its births at ``rate``, if
+    given.
+    """
     from phdtrack.scene import read_scene
 
     scene = read_scene(Path(file))
@@ -205,7 +263,9 @@ def _scene(file: str, size: Size, rate: float = 0.0) -> Scene:
         problem = f"the scene was learned on frames of {scene.width}x{scene.height}, and these are {size[0]:g}x{size[1]:g}"
         raise InputError(problem, where=file, cure="Learn it on this video: phdtrack learn")
     if rate and scene.births is not None and scene.rate != rate:
-        problem = f"births were learned with {scene.rate:g} time units a second, and there are {rate:g}"
+        problem = (
+            f"births were learned with {scene.rate:g} time units a second, and there are {rate:g}"
+        )
         cure = f"Say --set time.units_per_second={scene.rate:g}, or learn again"
         raise InputError(problem, where=file, cure=cure)
     return scene

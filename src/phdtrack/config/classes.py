@@ -14,7 +14,17 @@ from phdtrack.errors import InputError
 from phdtrack.types import SequenceInfo
 
 # What a class may have of its own.
-_SECTIONS = ("motion", "sensor", "birth", "clutter", "filter", "extract", "associate", "smooth", "rates")
+_SECTIONS = (
+    "motion",
+    "sensor",
+    "birth",
+    "clutter",
+    "filter",
+    "extract",
+    "associate",
+    "smooth",
+    "rates",
+)
 _LIMITS = {"min_score": 0, "min_size": 1}
 
 
@@ -26,8 +36,8 @@ def build_kinds(
     *,
     moving: bool = False,
 ) -> Kinds:
-    """How the classes of a sequence are tracked. Raises `InputError` as `build`, for a class that there is none of, and for
-    a setting that a class cannot have of its own.
+    """How the classes of a sequence are tracked. Raises `InputError` as `build`, for a class that
+    there is none of, and for a setting that a class cannot have of its own.
 
     Parameters
     ----------
@@ -38,43 +48,73 @@ def build_kinds(
     moving : as for `build`.
     """
     given: ClassSettings = settings.build("classes")
-    usual, known = build(settings, info, moving=moving), dict(enumerate(given.names)) | dict(names or {})
+    usual = build(settings, info, moving=moving)
+    known = dict(enumerate(given.names)) | dict(names or {})
     only = tuple(_code(label, known, present, "classes.only") for label in given.only)
     # A file need not have every class that settings speak of.
-    said = [label for group in given.together for label in group] + [text.partition(".")[0] for text in given.each]
+    said = [label for group in given.together for label in group] + [
+        text.partition(".")[0] for text in given.each
+    ]
     words = {str(label).lower() for label in said if names}
-    missing = {word for word in words if not word.isdecimal()} - {name.lower() for name in known.values()}
+    missing = {word for word in words if not word.isdecimal()} - {
+        name.lower() for name in known.values()
+    }
     first = dict[int, int]()
     for group in given.together:
-        members = [_code(label, known, None, "classes.together") for label in group if str(label).lower() not in missing]
+        members = [
+            _code(label, known, None, "classes.together")
+            for label in group
+            if str(label).lower() not in missing
+        ]
         first |= dict.fromkeys(members, members[0] if members else 0)
-    sections, least = dict[int, dict[str, dict[str, Any]]](), dict[int, tuple[float, float]]()
+    sections = dict[int, dict[str, dict[str, Any]]]()
+    least = dict[int, tuple[float, float]]()
     for text in given.each:
         path, _, value = text.partition("=")
         label, _, rest = path.partition(".")
         if label.lower() in missing:
             continue
-        code, (section, _, key) = _code(label, known, None, f"classes.{text}"), rest.partition(".")
+        code = _code(label, known, None, f"classes.{text}")
+        section, _, key = rest.partition(".")
         if section in _LIMITS and not key:
             limits = [*least.get(code, (-math.inf, 0.0))]
             limits[_LIMITS[section]] = _number(value, f"classes.{text}")
             least[code] = limits[0], limits[1]
         elif section in _SECTIONS and key and key != "kind":
-            sections.setdefault(first.get(code, code), {}).setdefault(section, {})[key] = parsed_value(value)
-        else:
-            cure = (
-                f"It may have {', '.join((*_LIMITS, *(f'{name}.…' for name in _SECTIONS)))}; kinds are those of all classes."
+            sections.setdefault(first.get(code, code), {}).setdefault(section, {})[key] = (
+                parsed_value(value)
             )
-            raise InputError(f"a class has no {rest or 'such setting'} of its own", where=f"classes.{text}", cure=cure)
-    own = {code: build(overlay(settings, one, "classes"), info, moving=moving) for code, one in sections.items()}
+        else:
+            cure = f"It may have {', '.join((*_LIMITS, *(f'{name}.…' for name in _SECTIONS)))}; kinds are those of all classes."
+            raise InputError(
+                f"a class has no {rest or 'such setting'} of its own",
+                where=f"classes.{text}",
+                cure=cure,
+            )
+    own = {
+        code: build(overlay(settings, one, "classes"), info, moving=moving)
+        for code, one in sections.items()
+    }
     # Without a camera positions are in metres, which the image's size says nothing of.
     pictured = settings.kind("motion") != "plane" or settings.build("camera").file
     size = (float(info.width), float(info.height)) if pictured else (0.0, 0.0)
-    return Kinds(usual, own, first, only, least, names=known, limits=settings.build("limits", frame_size=size))
+    return Kinds(
+        usual,
+        own,
+        first,
+        only,
+        least,
+        names=known,
+        limits=settings.build("limits", frame_size=size),
+    )
 
 
-def _code(label: Label, names: Mapping[int, str], present: Collection[int] | None, where: str) -> int:
-    """The number of a class. Raises `InputError` where it is not among those ``present``, or no class has this name."""
+def _code(
+    label: Label, names: Mapping[int, str], present: Collection[int] | None, where: str
+) -> int:
+    """The number of a class. Raises `InputError` where it is not among those ``present``, or no
+    class has this name.
+    """
     word = str(label).strip()
     found = {name.lower(): code for code, name in names.items()}.get(word.lower())
     if found is None and word.lstrip("-").isdecimal():
@@ -82,7 +122,11 @@ def _code(label: Label, names: Mapping[int, str], present: Collection[int] | Non
     there = names if present is None else present
     if found is None or (present is not None and found not in there):
         known = ", ".join(names.get(one, str(one)) for one in sorted(there))
-        cure = f"There are {known}." if known else "Say what the numbers stand for: classes.names, from class 0 on."
+        cure = (
+            f"There are {known}."
+            if known
+            else "Say what the numbers stand for: classes.names, from class 0 on."
+        )
         raise InputError(f"there is no class {word} in these detections", where=where, cure=cure)
     return found
 

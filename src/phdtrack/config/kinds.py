@@ -1,9 +1,9 @@
-"""Every name that a configuration may have: sections, their kinds, the settings of each, and which go together, from
-``kinds.toml``.
+"""Every name that a configuration may have: sections, their kinds, the settings of each, and which
+go together, from ``kinds.toml``.
 
-The settings of a kind are the fields of a frozen dataclass, mostly the object itself (``[filter]`` of kind ``pmb`` has the
-fields of `filters.pmb.PMB`). The dataclasses here are of parts that are only built once the sequence, a camera or a learned
-scene is known.
+The settings of a kind are the fields of a frozen dataclass, mostly the object itself (``[filter]``
+of kind ``pmb`` has the fields of `filters.pmb.PMB`). The dataclasses here are of parts that are
+only built once the sequence, a camera or a learned scene is known.
 """
 
 from __future__ import annotations
@@ -29,12 +29,19 @@ Places = list[tuple[float, float, float, float, float]]
 def gaussians_at(places: Places) -> GaussianMixture:
     """Gaussians at rest at given places of the ground."""
     x, y, weight, position, velocity = np.array(places, dtype=np.float64).reshape(-1, 5).T
-    whole = np.isfinite(x + y + weight + position + velocity) & (weight >= 0) & (position > 0) & (velocity > 0)
+    whole = (
+        np.isfinite(x + y + weight + position + velocity)
+        & (weight >= 0)
+        & (position > 0)
+        & (velocity > 0)
+    )
     if not whole.all():
         problem = "expected places as x, y, a weight from 0, deviations of position and of velocity above 0"
         raise InputError(problem, where="places")
     nothing = np.zeros(len(x))
-    cov = np.square(np.stack([position, position, velocity, velocity], axis=1))[:, :, None] * np.eye(4)
+    cov = np.square(np.stack([position, position, velocity, velocity], axis=1))[
+        :, :, None
+    ] * np.eye(4)
     return GaussianMixture(weight.copy(), np.stack([x, y, nothing, nothing]), cov)
 
 
@@ -44,9 +51,10 @@ class TimeSettings(Checked):
 
     Parameters
     ----------
-    units_per_second : time units per second in which noises are stated, the papers' are per frame at 25 Hz.
-    longest_interval : seconds between pictures up to which targets move as in videos. With longer ones the filter's time
-        runs slower, so that they are as long as this. 0: never.
+    units_per_second : time units per second in which noises are stated, the papers' are per frame
+        at 25 Hz.
+    longest_interval : seconds between pictures up to which targets move as in videos. With longer
+        ones the filter's time runs slower, so that they are as long as this. 0: never.
     """
 
     units_per_second: Positive = 25.0
@@ -65,8 +73,8 @@ class CameraSettings:
     Parameters
     ----------
     file : camera, see `ground.read_camera`; empty for detections that are in metres already.
-    region : the ground that counts, left, low, right, high in metres; all 0: what the image shows up to ``max_distance``,
-        no border without a camera.
+    region : the ground that counts, left, low, right, high in metres; all 0: what the image shows
+        up to ``max_distance``, no border without a camera.
     max_distance : metres from the camera up to which the ground counts.
     first_pixel : number of the first pixel in the detections; 1 in MOTChallenge's files.
     """
@@ -89,7 +97,8 @@ class SceneBirthSettings(Checked):
     ----------
     file : what was learned.
     particles : Jmax, newborn particles around a detection, see `models.births.MeasurementBirth`.
-    births_per_detection : births per second in the neighbourhood of a box, where nothing is known of the place; 0: none.
+    births_per_detection : births per second in the neighbourhood of a box, where nothing is known
+        of the place; 0: none.
     """
 
     file: str
@@ -105,9 +114,10 @@ class SceneClutterSettings(Checked):
     ----------
     file : what was learned.
     clutter_per_detection : false alarms in the neighbourhood of a box, in addition to these.
-    reject_false_tracks : withhold tracks that stay where false alarms are followed (`associate.rejection`), where
-        `phdtrack learn` has seen which are.
-    immediate_confirmation : confirm a track at once where there are at most so many false alarms for each object.
+    reject_false_tracks : withhold tracks that stay where false alarms are followed
+        (`associate.rejection`), where `phdtrack learn` has seen which are.
+    immediate_confirmation : confirm a track at once where there are at most so many false alarms
+        for each object.
     """
 
     file: str
@@ -126,10 +136,12 @@ class ClassSettings:
     Parameters
     ----------
     only : classes that are tracked; none: all.
-    together : classes that the detector confuses, as [["car", "truck"]], in which a track may go from one to another.
+    together : classes that the detector confuses, as [["car", "truck"]], in which a track may go
+        from one to another.
     names : what the classes 0, 1, 2, … are called, where the detections have numbers only.
-    each : settings of one class, as "car.sensor.detection_probability=0.9", "car.min_score=0.3" or "car.min_size=20" (longer
-        side, pixels); in a file the table [classes.car.sensor], on the command line classes.car.min_score.
+    each : settings of one class, as "car.sensor.detection_probability=0.9", "car.min_score=0.3" or
+        "car.min_size=20" (longer side, pixels); in a file the table [classes.car.sensor], on the
+        command line classes.car.min_score.
     """
 
     only: tuple[Label, ...] = ()
@@ -147,9 +159,11 @@ _KINDS = {
     section: {"": kinds} if "class" in kinds else kinds
     for section, kinds in read_toml(Path(__file__).with_name("kinds.toml")).items()
 }
-# section → kind → "module:class" of its settings; the first kind is the default. A class is imported when it is chosen.
+# section → kind → "module:class" of its settings; the first kind is the default. A class is
+# imported when it is chosen.
 SECTIONS: Mapping[str, Mapping[str, str]] = {
-    section: {kind: one["class"] for kind, one in kinds.items()} for section, kinds in _KINDS.items()
+    section: {kind: one["class"] for kind, one in kinds.items()}
+    for section, kinds in _KINDS.items()
 }
 # Kinds of other sections that a kind goes together with, the default first.
 FITTING: Mapping[tuple[str, str], Mapping[str, tuple[str, ...]]] = {

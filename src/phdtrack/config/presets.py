@@ -1,6 +1,7 @@
 """Presets, from ``presets.toml``, and the values of one with any filter and kind of motion.
 
-`phdtrack settings --all` prints these values, completed by the defaults of the classes' constructors.
+`phdtrack settings --all` prints these values, completed by the defaults of the classes'
+constructors.
 """
 
 from __future__ import annotations
@@ -41,38 +42,51 @@ PRESETS: Mapping[str, Table] = _complete(_FILE)
 
 
 def _table(preset: str, motion: str, filter_name: str) -> Table:
-    """The preset's values; the default's are of boxes and of its filter, with other filters there are others."""
+    """The preset's values; the default's are of boxes and of its filter, with other filters there
+    are others.
+    """
     if preset != "default" or (motion or "box", filter_name or "pmb") == ("box", "pmb"):
         return PRESETS[preset]
     return _WITH.get(filter_name, _WITH["others"]) if (motion or "box") == "box" else {}
 
 
 def values_of(preset: str, motion: str = "", filter_name: str = "") -> dict[str, dict[str, Any]]:
-    """The values of a preset by section, with their ``kind``; what a section leaves out has its constructor's default.
+    """The values of a preset by section, with their ``kind``; what a section leaves out has its
+    constructor's default.
 
     Parameters
     ----------
     preset : a name of `PRESETS`.
-    motion, filter_name : other kinds of ``[motion]`` and ``[filter]`` than the preset's; empty for the preset's.
-        Sections whose kind does not fit get the first that does, and keep the values that both kinds of a section know.
+    motion, filter_name : other kinds of ``[motion]`` and ``[filter]`` than the preset's; empty for
+        the preset's. Sections whose kind does not fit get the first that does, and keep the values
+        that both kinds of a section know.
     """
-    table = {section: dict(values) for section, values in _table(preset, motion, filter_name).items()}
-    moving, filtering = (table.get(section, {}).get("kind", first_kind(section)) for section in ("motion", "filter"))
-    motion, filter_name = motion or moving, filter_name or filtering
+    table = {
+        section: dict(values) for section, values in _table(preset, motion, filter_name).items()
+    }
+    moving, filtering = (
+        table.get(section, {}).get("kind", first_kind(section)) for section in ("motion", "filter")
+    )
+    motion = motion or moving
+    filter_name = filter_name or filtering
     if motion != moving:
         table["motion"] = {"kind": motion}
         for section, kinds in FITTING["motion", motion].items():
             table[section] = {"kind": kinds[0]}
     if filter_name != filtering:
         # What the default has with a filter is of this one.
-        table["filter"] = {**(table.get("filter", {}) if preset == "default" else {}), "kind": filter_name}
+        table["filter"] = {
+            **(table.get("filter", {}) if preset == "default" else {}),
+            "kind": filter_name,
+        }
         for section, kinds in FITTING["filter", filter_name].items():
             table[section] = table.get(section, {}) | {"kind": kinds[0]}
     more = [_WITH_ALL.get(filter_name, {}), *([_ON_THE_GROUND] if motion == "plane" else [])]
     if (preset, motion, filter_name) == ("default", "plane", "pmb"):
         more.append(_DEFAULT_ON_THE_GROUND)
     if filter_name == "none":
-        # A raw detection has no known velocity, so that the links of true tracks gain less than those of filtered states.
+        # A raw detection has no known velocity, so that the links of true tracks gain less than
+        # those of filtered states.
         more.append({"associate": {"min_link_gain": 0.6}})
     for added in more:
         for section, values in added.items():

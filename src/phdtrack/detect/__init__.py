@@ -1,6 +1,8 @@
-"""From frames to measurements: detectors, interchangeable, each of them settings and what it learned of the scene.
+"""From frames to measurements: detectors, interchangeable, each of them settings and what it
+learned of the scene.
 
-`make_detector` builds one by name. `change` is the default: it needs no model and finds whatever differs from the scene.
+`make_detector` builds one by name. `change` is the default: it needs no model and finds whatever
+differs from the scene.
 """
 
 from __future__ import annotations
@@ -20,6 +22,14 @@ if TYPE_CHECKING:
         restore,
     )
 
-__all__ = ["BACKGROUND", "DETECTORS", "TableDetector", "detector_parameters", "knowledge", "make_detector", "restore"]
+__all__ = [
+    "BACKGROUND",
+    "DETECTORS",
+    "TableDetector",
+    "detector_parameters",
+    "knowledge",
+    "make_detector",
+    "restore",
+]
 
 __getattr__, __dir__ = lazy(__name__, dict.fromkeys(__all__, f"{__name__}.registry"))

@@ -1,31 +1,36 @@
-"""Detection of change: against a reference that adapts [M07] [M09], and against a fixed mean background [D14 §II-B].
+"""Detection of change: against a reference that adapts [M07] [M09], and against a fixed mean
+background [D14 §II-B].
 
-**change** is statistical colour change detection, after Cavallaro and Ebrahimi (2004). Without change, frame and reference
-differ by noise. The difference of each pixel is taken in three channels c that keep brightness apart from colour (logarithm
-of brightness; the two colour differences, which four pixels share as in what decoders give, smoothed), divided by the
-deviation that noise explains there, and summed; the mean of that over a small window W is the statistic, compared with a χ²
+**change** is statistical colour change detection, after Cavallaro and Ebrahimi (2004). Without
+change, frame and reference differ by noise. The difference of each pixel is taken in three channels
+c that keep brightness apart from colour (logarithm of brightness; the two colour differences, which
+four pixels share as in what decoders give, smoothed), divided by the deviation that noise explains
+there, and summed; the mean of that over a small window W is the statistic, compared with a χ²
 quantile of 3 degrees:
 
     T(p) = (1/|W|) Σ_{q∈W} (1/s(q)) Σ_c d_c(q)² / σ_c²   >   χ²₃(1 − false alarm rate)
 
-The noise has three parts: the camera's, σ_c; local light (shadows, reflections), which is relative, hence the logarithm,
-and stronger towards dark; and the scene's, s(q) ≥ 1, learned for each pixel (leaves, edges that tremble). Global
-illumination changes all pixels of a channel by about a gain and an offset, which are fitted to the background.
+The noise has three parts: the camera's, σ_c; local light (shadows, reflections), which is relative,
+hence the logarithm, and stronger towards dark; and the scene's, s(q) ≥ 1, learned for each pixel
+(leaves, edges that tremble). Global illumination changes all pixels of a channel by about a gain
+and an offset, which are fitted to the background.
 
-Of a file the reference and s(q) are learned from some 50 samples (`reference.background`, `registry.study`); where objects
-hid the scene most of the time they say nothing of its noise, which is then that of the rest. A pixel that differs from the
-reference is not changed where those samples often showed the same there, or, where much changes, some pixels away
-(`kernels.change`): leaves, flags, lamps. Where the samples show that the camera shakes, each picture is laid onto the scene
-first (`reference.Anchor`). The samples also teach how high objects are at each place (`components.Heights`), so that two of
-them one above the other are not joined.
+Of a file the reference and s(q) are learned from some 50 samples (`reference.background`,
+`registry.study`); where objects hid the scene most of the time they say nothing of its noise, which
+is then that of the rest. A pixel that differs from the reference is not changed where those samples
+often showed the same there, or, where much changes, some pixels away (`kernels.change`): leaves,
+flags, lamps. Where the samples show that the camera shakes, each picture is laid onto the scene
+first (`reference.Anchor`). The samples also teach how high objects are at each place
+(`components.Heights`), so that two of them one above the other are not joined.
 
-Of a live source the reference is at first the median of samples of the first seconds. Then it adapts exponentially, on
-foreground with a much longer time constant. A component whose outline is a stronger edge in the reference than in the frame
-is where an object stood when the reference was learned and has left since; it is not reported, and when it lasts the
-reference takes it in.
+Of a live source the reference is at first the median of samples of the first seconds. Then it
+adapts exponentially, on foreground with a much longer time constant. A component whose outline is a
+stronger edge in the reference than in the frame is where an object stood when the reference was
+learned and has left since; it is not reported, and when it lasts the reference takes it in.
 
-**mean-background**: the fixed background is the mean of the first n grey frames, or of frames given beforehand. Its
-difference to a frame is smoothed by a Gaussian low-pass and thresholded; connected components give the boxes.
+**mean-background**: the fixed background is the mean of the first n grey frames, or of frames given
+beforehand. Its difference to a frame is smoothed by a Gaussian low-pass and thresholded; connected
+components give the boxes.
 """
 
 from __future__ import annotations
@@ -46,33 +51,58 @@ from phdtrack.detect.reference import Anchor, background, median, middle_of, of_
 from phdtrack.devices import planes_of, size_of
 from phdtrack.errors import InputError, NonNegative, Positive, PositiveCount, check
 from phdtrack.kernels.blobs import edges
-from phdtrack.kernels.change import CHANNELS, MARGIN, OFTEN, REACH, Past, Statistic, changed, compare, follow, often_near
+from phdtrack.kernels.change import (
+    CHANNELS,
+    MARGIN,
+    OFTEN,
+    REACH,
+    Past,
+    Statistic,
+    changed,
+    compare,
+    follow,
+    often_near,
+)
 from phdtrack.kernels.planes import BLACK, COLOURS, GREYS, LOG, LOG_SCALE, colours, luma, smooth
 from phdtrack.types import F8, STILL, Bool, Detections, Frame, Image
 
 F4 = NDArray[np.float32]
 OpenShare = Annotated[float, Gt(0), Lt(1)]
 
-_GRID_POINTS, _SPARSE = 2000, 4
+_GRID_POINTS = 2000
+_SPARSE = 4
 _SAME_LIGHT: F4 = np.eye(3, 4, dtype=np.float32)
-# The side of a square that fits into an object, in its heights; that in heights of the picture, where it is not known.
-_SIDE, _USUAL = 0.3, 0.1
+# The side of a square that fits into an object, in its heights; that in heights of the picture,
+# where it is not known.
+_SIDE = 0.3
+_USUAL = 0.1
 # The median of a third of χ²₃.
 _MEDIAN_OF_CHI2 = 0.789
-_LOUDEST, _BAND_ROWS = 20.0, 64
+_LOUDEST = 20.0
+_BAND_ROWS = 64
 _GHOST_EDGE = 0.8
-# What flies past and hides an edge looks like a ghost for a frame or two: learned at once, it would be one ever after.
+# What flies past and hides an edge looks like a ghost for a frame or two: learned at once, it would
+# be one ever after.
 _GHOST_SECONDS = 0.2
-# Seconds between samples that count as seen at different times, and the share of the threshold below which they are alike.
-_APART, _RESEMBLING = 0.5, 0.45
-# The mean share of pixels that differ from the scene in a sample, and the mean grey level, at which boxes become doubtful.
-_RESTLESS, _DARK = 0.2, 40.0
-# Pixels by which pictures usually move where the camera shakes, the share of the width from which on it does not shake but
-# move, and the share of samples of which it has to be known; seconds for which nothing is said where it is not found.
-_SHAKES, _MOVES, _KNOWN, _LOST = 0.5, 0.05, 0.5, 2.0
+# Seconds between samples that count as seen at different times, and the share of the threshold
+# below which they are alike.
+_APART = 0.5
+_RESEMBLING = 0.45
+# The mean share of pixels that differ from the scene in a sample, and the mean grey level, at which
+# boxes become doubtful.
+_RESTLESS = 0.2
+_DARK = 40.0
+# Pixels by which pictures usually move where the camera shakes, the share of the width from which
+# on it does not shake but move, and the share of samples of which it has to be known; seconds for
+# which nothing is said where it is not found.
+_SHAKES = 0.5
+_MOVES = 0.05
+_KNOWN = 0.5
+_LOST = 2.0
 _TRAINED = "Boxes of a trained detector help: --detections FILE or --detector onnx:FILE"
 # How far an outline reaches on both sides of the border of a component.
-_OUTLINE, _NEAR = 3, np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8)
+_OUTLINE = 3
+_NEAR = np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8)
 # Where pixels `REACH` away lie, and where their colours may, which have half the resolution.
 _NEIGHBOURS = np.zeros((2 * REACH + 1, 2 * REACH + 1), np.uint8)
 _NEIGHBOURS[::REACH, ::REACH] = 1
@@ -87,9 +117,11 @@ class ChangeDetector:
     ----------
     false_alarm : share of unchanged pixels that may pass the test before clean-up.
     window : side of the window W in pixels, odd.
-    shadow, glare : usual relative change of brightness by local light, towards dark and towards bright (one deviation).
+    shadow, glare : usual relative change of brightness by local light, towards dark and towards
+        bright (one deviation).
     chroma : usual change of colour by local light, grey levels (one deviation).
-    learn : seconds over which the first reference is learned; detections come from the second frame on.
+    learn : seconds over which the first reference is learned; detections come from the second frame
+        on.
     samples : frames of which the first reference is the median; odd.
     adapt : time constant in seconds with which the reference follows the background.
     adapt_objects : the same under objects: how long what has stopped stays an object.
@@ -111,8 +143,11 @@ class ChangeDetector:
         check(self)
         for name, value in (("window", self.window), ("samples", self.samples)):
             if value % 2 != 1:
-                raise InputError(f"expected an odd whole number, got {value!r}", where=f"ChangeDetector.{name}")
-        # χ² quantile by the cube-root approximation of Wilson and Hilferty, within 1 % for 3 degrees.
+                raise InputError(
+                    f"expected an odd whole number, got {value!r}", where=f"ChangeDetector.{name}"
+                )
+        # χ² quantile by the cube-root approximation of Wilson and Hilferty, within 1 % for 3
+        # degrees.
         c = 2.0 / (9.0 * CHANNELS)
         z = NormalDist().inv_cdf(1.0 - self.false_alarm)
         threshold = CHANNELS * max(0.0, 1.0 - c + z * c**0.5) ** 3
@@ -143,21 +178,31 @@ class ChangeDetector:
 
     @property
     def pose(self) -> F8:
-        """(3, 3) from pixels of the scene to those of the last frame of a camera that shakes, or `types.STILL`."""
+        """(3, 3) from pixels of the scene to those of the last frame of a camera that shakes, or
+        `types.STILL`.
+        """
         return self._pose if self._samples else STILL
 
     def unsuited(self) -> tuple[str, ...]:
-        """What of the scene of a file makes the boxes doubtful, with what would help, in sentences."""
+        """What of the scene of a file makes the boxes doubtful, with what would help, in
+        sentences.
+        """
         if not self.studied:
             return ()
         share = self._past.differing.mean() / self._past.samples.shape[1]
         light = GREYS * (luma(self._reference, self._shape).mean() - BLACK)
         out = []
         if share > _RESTLESS:
-            what = f"on average {100 * share:.0f} % of the picture changes, as where the camera moves"
-            out.append(f"{what}: this detector is for a still one. {_TRAINED}, with --camera-motion flow")
+            what = (
+                f"on average {100 * share:.0f} % of the picture changes, as where the camera moves"
+            )
+            out.append(
+                f"{what}: this detector is for a still one. {_TRAINED}, with --camera-motion flow"
+            )
         if light < _DARK:
-            out.append(f"the pictures are dark (mean grey level {light:.0f} of 255): much is not seen in them. {_TRAINED}")
+            out.append(
+                f"the pictures are dark (mean grey level {light:.0f} of 255): much is not seen in them. {_TRAINED}"
+            )
         return tuple(out)
 
     def study(self, samples: Iterable[Frame]) -> None:
@@ -167,13 +212,15 @@ class ChangeDetector:
         ----------
         samples : an odd number of frames in order, at least 7; none is kept.
         """
-        pictures, times = list[Image](), list[float]()
+        pictures = list[Image]()
+        times = list[float]()
         for frame in samples:
             if not pictures:
                 self._begin(frame)
             pictures.append(_smooth(frame))
             times.append(frame.time)
-        self._learning, shape = False, self._shape
+        self._learning = False
+        shape = self._shape
         pictures = self._steadied(pictures)
         reference, hidden = background(pictures, shape)
         self._reference = reference.astype(np.float32)
@@ -184,22 +231,36 @@ class ChangeDetector:
         apart = pictures[:: max(1, math.ceil(_APART * (len(times) - 1) / duration))]
         # The samples of a number side by side: it is compared with all of them.
         seen: Image = np.empty((len(reference), len(apart)), np.uint8)
-        extremes = _Extremes(OFTEN, len(reference)), _Extremes(often_near(len(apart)), len(reference))
+        extremes = (
+            _Extremes(OFTEN, len(reference)),
+            _Extremes(often_near(len(apart)), len(reference)),
+        )
         for k, one in enumerate(apart):
             seen[:, k] = planes = _logarithmic(one, shape)
             extremes[0].add(planes, planes)
-            parts = [(luma(planes, shape), _NEIGHBOURS), *((each, _COLOURS_NEAR) for each in colours(planes, shape))]
-            near = [np.concatenate([of(*part).ravel() for part in parts]) for of in (cv2.erode, cv2.dilate)]
+            parts = [
+                (luma(planes, shape), _NEIGHBOURS),
+                *((each, _COLOURS_NEAR) for each in colours(planes, shape)),
+            ]
+            near = [
+                np.concatenate([of(*part).ravel() for part in parts])
+                for of in (cv2.erode, cv2.dilate)
+            ]
             extremes[1].add(*near)
         nowhere: Image = np.zeros(shape, np.uint8)
         self._past = Past(seen, nowhere, *(each.found() for each in extremes))
         height = len(hidden)
-        margin, least = max(3, round(_SIDE * _USUAL * height) | 1), np.full(height, _SIDE * _USUAL * height)
+        margin = max(3, round(_SIDE * _USUAL * height) | 1)
+        least = np.full(height, _SIDE * _USUAL * height)
         places = of_objects(hidden, least, margin)
         self._learn_usual(pictures, apart, places)
         if self._usual is not None:
             # Once more, where what hid something is as large as objects are at its place.
-            again = of_objects(hidden, np.array([max(3.0, _SIDE * self._usual.at(row)) for row in range(height)]), margin)
+            again = of_objects(
+                hidden,
+                np.array([max(3.0, _SIDE * self._usual.at(row)) for row in range(height)]),
+                margin,
+            )
             if (again != places).any():
                 self._learn_usual(pictures, apart, again)
 
@@ -207,14 +268,19 @@ class ChangeDetector:
         """Pictures of the scene (n,), laid onto each other where the camera shakes."""
         grey = [luma(one, self._shape) for one in pictures]
         # Whatever hides one of three does not hide all.
-        known, usual, moves, poses = -1.0, np.zeros(2), 0.0, list[F8]()
+        known = -1.0
+        usual = np.zeros(2)
+        moves = 0.0
+        poses = list[F8]()
         for k in (2, 1, 3):
             anchor = Anchor(grey[k * len(grey) // 4])
             found = [anchor.pose(one) for one in grey]
             share = float(np.mean([len(pose) > 0 for pose in found]))
             if share > known:
                 steps = np.array([anchor.moved(pose) for pose in found])
-                known, usual, poses = share, np.median(steps, axis=0), found
+                known = share
+                usual = np.median(steps, axis=0)
+                poses = found
                 moves = float(np.median(np.abs(steps - usual).max(axis=1)))
             if known > _KNOWN and moves <= _SHAKES:
                 break  # it stands
@@ -222,13 +288,19 @@ class ChangeDetector:
         # The scene lies where it does in most pictures, not where it does in the anchor's.
         back = np.array([[1, 0, -usual[0]], [0, 1, -usual[1]], [0, 0, 1]])
         for k, pose in enumerate(poses if self._shaky else ()):
-            pictures[k] = stabilised(pictures[k], self._shape, pose @ back) if len(pose) else pictures[k]
+            pictures[k] = (
+                stabilised(pictures[k], self._shape, pose @ back) if len(pose) else pictures[k]
+            )
         return pictures
 
     def _learn_usual(self, pictures: Sequence[Image], apart: Sequence[Image], hidden: Bool) -> None:
-        """The scene's noise, how often each pixel differs in the samples that are ``apart``, and how high objects are."""
+        """The scene's noise, how often each pixel differs in the samples that are ``apart``, and
+        how high objects are.
+        """
         self._learn_scene_noise(pictures, hidden)
-        differing = sum((self._compared(one)[1] > self._rule.threshold).astype(np.uint8) for one in apart)
+        differing = sum(
+            (self._compared(one)[1] > self._rule.threshold).astype(np.uint8) for one in apart
+        )
         self._past = self._past._replace(differing=np.asarray(differing, np.uint8))
         masks = [self.blobs.clean(self._compared(one, recall=True)[0]) for one in apart]
         alone = replace(self.blobs, join=0.0)
@@ -242,18 +314,27 @@ class ChangeDetector:
             return Detections.empty()
         check_same_size(frame, self._shape)
         steps = _SPARSE, max(1, round((self._foreground.size / _GRID_POINTS) ** 0.5))
-        picture, known = planes_of(frame.picture), (self._reference, self._scene, self._foreground)
+        picture = planes_of(frame.picture)
+        known = (self._reference, self._scene, self._foreground)
         if self._shaky:
             self._pose = self._anchor.pose(luma(picture, self._shape))
             if len(self._pose):
-                self._steady, picture = frame.time, stabilised(picture, self._shape, self._pose)
+                self._steady = frame.time
+                picture = stabilised(picture, self._shape, self._pose)
             elif frame.time - self._steady < _LOST:
                 return Detections.empty(observed=False)
         how = self.blobs.cleaning(self._shape[0]), self._beyond()
-        mask, energy, lit = changed(picture, self._previous, self._camera, known, self._rule, self._past, steps, *how)
+        mask, energy, lit = changed(
+            picture, self._previous, self._camera, known, self._rule, self._past, steps, *how
+        )
         found = self.blobs.components(mask)
         gone = self._gone(found, mask, picture, lit)
-        self._adapt(frame, picture, energy, [contour for (_, contour), ghost in zip(found, gone, strict=True) if ghost])
+        self._adapt(
+            frame,
+            picture,
+            energy,
+            [contour for (_, contour), ghost in zip(found, gone, strict=True) if ghost],
+        )
         self._sample(frame, picture)
         real = [one for one, ghost in zip(found, gone, strict=True) if not ghost]
         boxes = self.blobs.boxes(real, mask.shape, self._usual)
@@ -263,35 +344,47 @@ class ChangeDetector:
         return Detections.of(boxes)
 
     def _beyond(self) -> tuple[int, int]:
-        """So many columns on both sides, and rows above and below, show nothing of the scene in a picture moved back."""
+        """So many columns on both sides, and rows above and below, show nothing of the scene in a
+        picture moved back.
+        """
         if not len(self._pose):
             return 0, 0
         height, width = self._shape
         corners = np.array([[0, width, 0, width], [0, 0, height, height]])
-        across, down = np.ceil(np.abs(self._pose[:2, :2] @ corners + self._pose[:2, 2:] - corners).max(axis=1)).astype(int)
+        across, down = np.ceil(
+            np.abs(self._pose[:2, :2] @ corners + self._pose[:2, 2:] - corners).max(axis=1)
+        ).astype(int)
         return int(across), int(down)
 
     def _begin(self, frame: Frame) -> None:
         """Take the first frame as the reference."""
-        shape, picture = size_of(frame)[::-1], _smooth(frame)
+        shape = size_of(frame)[::-1]
+        picture = _smooth(frame)
         n = picture.size
         self._foreground: Image = np.zeros(shape, np.uint8)
         self._past = Past(*(np.zeros(size, np.uint8) for size in ((n, 0), shape, (n, 2), (n, 2))))
         self._usual = None
-        self._samples, self._due = [picture], frame.time + self.learn / self.samples
+        self._samples = [picture]
+        self._due = frame.time + self.learn / self.samples
         self._learning = self.samples > 1
         self._reference = picture.astype(np.float32)
         self._scene: F4 = np.full(shape, float(CHANNELS), np.float32)
         self._haunted: F4 = np.zeros(shape, np.float32)
         self._ghostly = self._shaky = False
-        self._pose, self._steady = STILL, frame.time
+        self._pose = STILL
+        self._steady = frame.time
         self._camera: F8 = np.ones(CHANNELS)
-        planes, step = _logarithmic(picture, shape), slice(None, None, _SPARSE // 2)
-        self._previous = np.stack([luma(planes, shape)[::_SPARSE, ::_SPARSE], *colours(planes, shape)[:, step, step]])
+        planes = _logarithmic(picture, shape)
+        step = slice(None, None, _SPARSE // 2)
+        self._previous = np.stack(
+            [luma(planes, shape)[::_SPARSE, ::_SPARSE], *colours(planes, shape)[:, step, step]]
+        )
         self._time = frame.time
 
     def _sample(self, frame: Frame, picture: Image) -> None:
-        """Take the frame for the first reference if one is due; of every other one the median, and the scene's noise."""
+        """Take the frame for the first reference if one is due; of every other one the median, and
+        the scene's noise.
+        """
         if not self._learning or frame.time < self._due:
             return
         self._due += self.learn / self.samples
@@ -306,7 +399,9 @@ class ChangeDetector:
             del self._samples[1:]
 
     def _learn_scene_noise(self, samples: Sequence[Image], hidden: Bool | None = None) -> None:
-        """s(q) from the samples of the first reference; where it was ``hidden`` (H, W) in most of them, as it usually is."""
+        """s(q) from the samples of the first reference; where it was ``hidden`` (H, W) in most of
+        them, as it usually is.
+        """
         typical = np.empty(self._shape, np.float32)
         for first in range(0, len(typical), _BAND_ROWS):
             # In bands: all energies at once would be the largest piece of memory of a run.
@@ -319,17 +414,27 @@ class ChangeDetector:
         spread = cv2.dilate(cv2.blur(typical, (5, 5)), np.ones((3, 3), np.uint8))
         self._scene = np.minimum(spread, np.float32(CHANNELS * _LOUDEST))
 
-    def _compared(self, picture: Image, rows: slice = slice(None), *, recall: bool = False) -> tuple[Image, F4]:
-        """(h, W) the raw mask of ``rows`` of a picture against the reference, the first an even one, and their energy; with
-        what is recalled of other samples, of all rows."""
+    def _compared(
+        self, picture: Image, rows: slice = slice(None), *, recall: bool = False
+    ) -> tuple[Image, F4]:
+        """(h, W) the raw mask of ``rows`` of a picture against the reference, the first an even
+        one, and their energy; with what is recalled of other samples, of all rows."""
         now, then = (_rows(each, self._shape, rows) for each in (picture, self._reference))
         # To recall takes most of the time, and changes no energy.
-        past = self._past if recall else self._past._replace(samples=np.zeros((now.size, 0), np.uint8))
-        mask, energy = compare(now, then, _SAME_LIGHT, self._scene[rows], self._rule, self._camera, past)
+        past = (
+            self._past if recall else self._past._replace(samples=np.zeros((now.size, 0), np.uint8))
+        )
+        mask, energy = compare(
+            now, then, _SAME_LIGHT, self._scene[rows], self._rule, self._camera, past
+        )
         return mask, energy
 
-    def _gone(self, components: Sequence[Component], mask: Image, picture: Image, light: F4) -> list[bool]:
-        """Whether outlines in each component's box are more of an edge in the reference than in the picture: it is gone."""
+    def _gone(
+        self, components: Sequence[Component], mask: Image, picture: Image, light: F4
+    ) -> list[bool]:
+        """Whether outlines in each component's box are more of an edge in the reference than in the
+        picture: it is gone.
+        """
         size = np.array(self._shape)[[1, 0, 1, 0]]
         boxes = np.array([box for box, _ in components], np.int64).reshape(-1, 4)
         wide = np.clip(boxes + np.array([-_OUTLINE, -_OUTLINE, _OUTLINE, _OUTLINE]), 0, size)
@@ -338,24 +443,39 @@ class ChangeDetector:
         return [bool(one < _GHOST_EDGE * light[0, 0] * other) for one, other in found]
 
     def _adapt(self, frame: Frame, picture: Image, energy: F4, ghosts: list[Contour]) -> None:
-        """Let reference and scene noise follow, by the time that has passed; ghosts that last are taken in."""
+        """Let reference and scene noise follow, by the time that has passed; ghosts that last are
+        taken in.
+        """
         passed = max(0.0, frame.time - self._time)
         self._time = frame.time
-        rates = [0.0 if self._learning else min(1.0, passed / each) for each in (self.adapt, self.adapt_objects)]
+        rates = [
+            0.0 if self._learning else min(1.0, passed / each)
+            for each in (self.adapt, self.adapt_objects)
+        ]
         rates += [min(0.2, passed / self.adapt), CHANNELS * _LOUDEST]
-        follow(picture, energy, self._reference, self._scene, self._foreground, np.array(rates, np.float32))
+        follow(
+            picture,
+            energy,
+            self._reference,
+            self._scene,
+            self._foreground,
+            np.array(rates, np.float32),
+        )
         if self._learning or not (ghosts or self._ghostly):
             return
         left: Image = np.zeros(self._shape, np.uint8)
         cv2.drawContours(left, ghosts, -1, 255, cv2.FILLED)
-        # The time since its first frame: however few frames a second there are, one alone is not enough.
+        # The time since its first frame: however few frames a second there are, one alone is not
+        # enough.
         lasted = np.where(self._haunted > 0, self._haunted + np.float32(passed), np.float32(1e-6))
-        self._haunted, self._ghostly = np.where(left > 0, lasted, np.float32(0)), bool(ghosts)
+        self._haunted = np.where(left > 0, lasted, np.float32(0))
+        self._ghostly = bool(ghosts)
         lasting = (self._haunted >= _GHOST_SECONDS).astype(np.uint8)
         if lasting.any():
             where = cv2.dilate(lasting, _NEAR) > 0
             for plane, seen in ((luma, where), (colours, where[::2, ::2])):
-                now, then = plane(picture, self._shape), plane(self._reference, self._shape)
+                now = plane(picture, self._shape)
+                then = plane(self._reference, self._shape)
                 then[..., seen] = now[..., seen]
 
 

@@ -1,17 +1,17 @@
-"""Merged measurements: one detection for each of the targets that a background detector reports as one blob.
+"""Merged measurements: one detection for each of the targets that a background detector reports as
+one blob.
 
-Small groups of blobs and expected targets that touch are explained together. An explanation gives each target one blob or
-none; its log-likelihood is the sum over
+Small groups of blobs and expected targets that touch are explained together. An explanation gives
+each target one blob or none; its log-likelihood is the sum over
 
-    missed target     1 − r (p_D + (1 − p_D) c)      r: probability that it exists; c: share of it that a blob covers
-    blob of one       r p_D N(z; h(x), R + H P Hᵀ)
-    blob of k         ∏ r p_D · ρ^(k−1) · N(edges of the blob; the targets' outermost edges)
-    blob of none      κ(z)
+    missed target     1 − r (p_D + (1 − p_D) c)      r: probability that it exists; c: share of it
+    that a blob covers blob of one       r p_D N(z; h(x), R + H P Hᵀ) blob of k         ∏ r p_D ·
+    ρ^(k−1) · N(edges of the blob; the targets' outermost edges) blob of none      κ(z)
 
-with ρ the probability that targets that touch are reported as one blob. In the best explanation every target of a merged
-blob gets a detection of its expected size where the blob's edges put it. The blob's edge on each side is that of the target
-that is expected to lie outermost there. In the sensor's noise, with the centre's deviation half the size's, the edges of
-one box are independent.
+with ρ the probability that targets that touch are reported as one blob. In the best explanation
+every target of a merged blob gets a detection of its expected size where the blob's edges put it.
+The blob's edge on each side is that of the target that is expected to lie outermost there. In the
+sensor's noise, with the centre's deviation half the size's, the edges of one box are independent.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ class ExpectedTargets:
     ----------
     state : (d, n).      covariance : (n, d, d).
     existence : (n,) probability r that each is there.
-    hidden : (n,) seconds for which neither its left nor its right edge was visible in a merged blob.
+    hidden : (n,) seconds for which neither its left nor its right edge was visible in a merged
+        blob.
     separate : (n,) seconds for which each had a blob to itself.
     """
 
@@ -54,7 +55,9 @@ class ExpectedTargets:
     def take(self, index: I8 | Bool) -> ExpectedTargets:
         """The targets at ``index`` (integers or a mask)."""
         others = (self.covariance, self.existence, self.hidden, self.separate)
-        return ExpectedTargets(np.ascontiguousarray(self.state[:, index]), *(part[index] for part in others))
+        return ExpectedTargets(
+            np.ascontiguousarray(self.state[:, index]), *(part[index] for part in others)
+        )
 
     def joined(self, other: ExpectedTargets) -> ExpectedTargets:
         """The targets of both."""
@@ -70,9 +73,12 @@ class MergedMeasurements(Checked):
 
     Parameters
     ----------
-    merge_probability : ρ, probability that targets that touch are reported as one blob; 0: blobs are never divided.
-    min_separate_time : seconds for which a target must have had a blob to itself before it may share one.
-    max_hidden_time : seconds for which a target may stay hidden in a merged blob, between the edges of others.
+    merge_probability : ρ, probability that targets that touch are reported as one blob; 0: blobs
+        are never divided.
+    min_separate_time : seconds for which a target must have had a blob to itself before it may
+        share one.
+    max_hidden_time : seconds for which a target may stay hidden in a merged blob, between the edges
+        of others.
     """
 
     merge_probability: Probability = 0.5
@@ -81,7 +87,9 @@ class MergedMeasurements(Checked):
 
     def start(self) -> ExpectedTargets:
         """No targets are expected."""
-        return ExpectedTargets(np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0), np.zeros(0), np.zeros(0))
+        return ExpectedTargets(
+            np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros(0), np.zeros(0), np.zeros(0)
+        )
 
     def explain(
         self, state: ExpectedTargets, detections: Detections, model: Model, dt: float
@@ -90,42 +98,78 @@ class MergedMeasurements(Checked):
         targets = _predicted(state, model, dt)
         if not (detections.observed and len(targets) and len(detections)):
             return targets, Explanation.unchanged(detections)
-        sensor, x, seconds = model.sensor, targets.state, dt / model.rate
-        boxes, z = sensor.boxes(x), sensor.measure(detections)
-        known, clutter = np.isfinite(z).all(axis=0), np.ones(len(detections))
+        sensor = model.sensor
+        x = targets.state
+        seconds = dt / model.rate
+        boxes = sensor.boxes(x)
+        z = sensor.measure(detections)
+        known = np.isfinite(z).all(axis=0)
+        clutter = np.ones(len(detections))
         clutter[known] = model.clutter.intensity(np.ascontiguousarray(z[:, known]))
-        noise = np.ascontiguousarray(sensor.target_noise(x)), np.ascontiguousarray(sensor.measurement_noise(z))
+        noise = (
+            np.ascontiguousarray(sensor.target_noise(x)),
+            np.ascontiguousarray(sensor.measurement_noise(z)),
+        )
         rule = Rule(self.merge_probability, self.min_separate_time, self.max_hidden_time)
-        blobs, lives = np.ascontiguousarray(detections.xyxy), targets.lives(model)
+        blobs = np.ascontiguousarray(detections.xyxy)
+        lives = targets.lives(model)
         xyxy, source, part, target, hidden, separate = explained(
-            blobs, known, clutter, boxes, targets.covariance, sensor.observed, noise, lives, rule, seconds
+            blobs,
+            known,
+            clutter,
+            boxes,
+            targets.covariance,
+            sensor.observed,
+            noise,
+            lives,
+            rule,
+            seconds,
         )
         targets = ExpectedTargets(x, targets.covariance, targets.existence, hidden, separate)
         if len(source) == len(detections):
             return targets, Explanation(detections, source, part, target)
-        return targets, Explanation(replace(detections.take(source), xyxy=xyxy), source, part, target, changed=True)
+        return targets, Explanation(
+            replace(detections.take(source), xyxy=xyxy), source, part, target, changed=True
+        )
 
     def advance(
-        self, state: ExpectedTargets, explanation: Explanation, estimates: Estimates, model: Model, dt: float
+        self,
+        state: ExpectedTargets,
+        explanation: Explanation,
+        estimates: Estimates,
+        model: Model,
+        dt: float,
     ) -> ExpectedTargets:
-        """The targets after the frame: the estimates, and expected targets that these do not show but that may be there.
+        """The targets after the frame: the estimates, and expected targets that these do not show
+        but that may be there.
 
         A target that was missed stays with probability r ← r (1 − p_D)/(1 − r p_D).
         """
         if not explanation.detections.observed:
             return state
-        x, covariance, k = np.ascontiguousarray(estimates.state), estimates.covariance, len(estimates)
+        x = np.ascontiguousarray(estimates.state)
+        covariance = estimates.covariance
+        k = len(estimates)
         weight = np.minimum(estimates.weight, MAX_EXISTENCE)
         if not len(state):
             return ExpectedTargets(x, covariance, weight, np.zeros(k), np.zeros(k))
-        found, noise = (explanation.target, estimates.detection, x), model.sensor.noise(state.state)
+        found = (explanation.target, estimates.detection, x)
+        noise = model.sensor.noise(state.state)
         hidden, separate, there, unseen, left = continued(
-            found, state.state, state.covariance, noise, state.lives(model), self.max_hidden_time, dt / model.rate
+            found,
+            state.state,
+            state.covariance,
+            noise,
+            state.lives(model),
+            self.max_hidden_time,
+            dt / model.rate,
         )
         now = ExpectedTargets(x, covariance, weight, hidden, separate)
         if not left.any():
             return now
-        return now.joined(ExpectedTargets(state.state, state.covariance, there, unseen, state.separate).take(left))
+        return now.joined(
+            ExpectedTargets(state.state, state.covariance, there, unseen, state.separate).take(left)
+        )
 
 
 def _predicted(targets: ExpectedTargets, model: Model, dt: float) -> ExpectedTargets:
@@ -136,4 +180,6 @@ def _predicted(targets: ExpectedTargets, model: Model, dt: float) -> ExpectedTar
     mean, jacobian, noise = model.motion.transition(np.ascontiguousarray(state), dt)
     covariance = np.ascontiguousarray(jacobian @ before @ jacobian.transpose(0, 2, 1) + noise)
     there = targets.existence * model.motion.p_survive(targets.state, dt / model.rate)
-    return ExpectedTargets(np.ascontiguousarray(mean), covariance, there, targets.hidden, targets.separate)
+    return ExpectedTargets(
+        np.ascontiguousarray(mean), covariance, there, targets.hidden, targets.separate
+    )

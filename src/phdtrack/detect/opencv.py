@@ -1,9 +1,11 @@
-"""OpenCV's own detectors: the background subtractors MOG2 and KNN, faces by a cascade [M07], pedestrians by gradients.
+"""OpenCV's own detectors: the background subtractors MOG2 and KNN, faces by a cascade [M07],
+pedestrians by gradients.
 
-Shadow pixels of MOG2 and KNN are removed. The pedestrians' support vector machine was trained on windows of 64×128 pixels in
-which the person is 96 high, so the frame is enlarged for smaller people. Its hits have a margin, which is cut off; of
-overlapping ones the strongest stays. Confidence is the margin of the support vector machine, which is not bounded. OpenCV 5
-dropped cascades and pedestrians: `from_opencv` says so.
+Shadow pixels of MOG2 and KNN are removed. The pedestrians' support vector machine was trained on
+windows of 64×128 pixels in which the person is 96 high, so the frame is enlarged for smaller
+people. Its hits have a margin, which is cut off; of overlapping ones the strongest stays.
+Confidence is the margin of the support vector machine, which is not bounded. OpenCV 5 dropped
+cascades and pedestrians: `from_opencv` says so.
 """
 
 from __future__ import annotations
@@ -36,9 +38,11 @@ class SubtractorDetector:
 
     Attributes
     ----------
-    method : "mog2" (a mixture of Gaussians per pixel) or "knn" (nearest neighbours among a pixel's samples).
+    method : "mog2" (a mixture of Gaussians per pixel) or "knn" (nearest neighbours among a pixel's
+        samples).
     adapt : seconds over which the background is learned and forgotten.
-    threshold : squared distance from the background; MOG2 in variances (0: 16), KNN in grey levels² (0: 400).
+    threshold : squared distance from the background; MOG2 in variances (0: 16), KNN in grey levels²
+        (0: 400).
     warmup : seconds before the first detections are given.
     blobs : how the mask becomes boxes.
     """
@@ -57,47 +61,68 @@ class SubtractorDetector:
         """Forget the scene."""
         self._seen = 0
         if self.method == "mog2":
-            self._subtractor: Any = cv2.createBackgroundSubtractorMOG2(varThreshold=self.threshold or 16.0)
+            self._subtractor: Any = cv2.createBackgroundSubtractorMOG2(
+                varThreshold=self.threshold or 16.0
+            )
         else:
-            self._subtractor = cv2.createBackgroundSubtractorKNN(dist2Threshold=self.threshold or 400.0)
+            self._subtractor = cv2.createBackgroundSubtractorKNN(
+                dist2Threshold=self.threshold or 400.0
+            )
 
     def __call__(self, frame: Frame) -> Detections:
         """The boxes of the foreground in ``frame``; none during the warm-up."""
         if not self._seen:
-            self._shape, self._began, self._time = frame.image.shape, frame.time, frame.time
+            self._shape = frame.image.shape
+            self._began = frame.time
+            self._time = frame.time
         check_same_size(frame, self._shape)
         self._seen += 1
-        passed, self._time = frame.time - self._time, frame.time
+        passed = frame.time - self._time
+        self._time = frame.time
         interval = passed if passed > 0 else _FALLBACK_INTERVAL
-        # OpenCV's own rule for early frames (half of what a plain mean would give them), the time constant later.
+        # OpenCV's own rule for early frames (half of what a plain mean would give them), the time
+        # constant later.
         rate = max(0.5 / self._seen, min(1.0, interval / self.adapt))
-        # KNN draws the samples that it replaces from OpenCV's generator, which is global: seeded, a run can be repeated.
+        # KNN draws the samples that it replaces from OpenCV's generator, which is global: seeded, a
+        # run can be repeated.
         cv2.setRNGSeed(self._seen)
         mask = self._subtractor.apply(frame.image, learningRate=rate)
         if frame.time - self._began < self.warmup:
             return Detections.empty()
-        return self.blobs.detections(np.asarray(cv2.compare(mask, _SURELY_FOREGROUND, cv2.CMP_GT), np.uint8))
+        return self.blobs.detections(
+            np.asarray(cv2.compare(mask, _SURELY_FOREGROUND, cv2.CMP_GT), np.uint8)
+        )
 
 
 def from_opencv(name: str) -> Any:
     """``cv2.<name>``; InputError with the pip line where this OpenCV has none."""
     found = getattr(cv2, name, None)
     if found is None:
-        problem = f"OpenCV {cv2.__version__} has no {name}, which this detector needs; OpenCV 4 has it"
+        problem = (
+            f"OpenCV {cv2.__version__} has no {name}, which this detector needs; OpenCV 4 has it"
+        )
         raise InputError(problem, cure=f"Another package may have replaced it. Mend it by: {MEND}")
     return found
 
 
 def cascade_file(name: str) -> Path:
-    """The path of a cascade that OpenCV ships, or of the user's own; InputError where there is none."""
+    """The path of a cascade that OpenCV ships, or of the user's own; InputError where there is
+    none.
+    """
     own = Path(name)
     if own.suffix == ".xml" and own.is_file():
         return own
     folder = Path(from_opencv("data").haarcascades)
     path = folder / f"haarcascade_{name}.xml"
     if not path.is_file():
-        names = sorted(file.stem.removeprefix("haarcascade_") for file in folder.glob("haarcascade_*.xml"))
-        known = f"Shipped are {', '.join(names)}." if names else f"This OpenCV ships none. Mend it by: {MEND}"
+        names = sorted(
+            file.stem.removeprefix("haarcascade_") for file in folder.glob("haarcascade_*.xml")
+        )
+        known = (
+            f"Shipped are {', '.join(names)}."
+            if names
+            else f"This OpenCV ships none. Mend it by: {MEND}"
+        )
         cure = f"{known} An .xml file of your own works too."
         raise InputError(f"there is no cascade {name!r}", where="cascade", cure=cure)
     return path
@@ -109,7 +134,8 @@ class FaceDetector:
 
     Attributes
     ----------
-    cascade : name of a cascade that OpenCV ships ("frontalface_alt2", "profileface", "fullbody", …) or an .xml file.
+    cascade : name of a cascade that OpenCV ships ("frontalface_alt2", "profileface", "fullbody", …)
+        or an .xml file.
     scale : the frame is enlarged by this factor before the search, so that small faces are found.
     step : ratio of successive sizes in the search, above 1; smaller is slower and finds more.
     neighbours : how many overlapping hits make a face.
@@ -134,7 +160,9 @@ class FaceDetector:
 
     def __call__(self, frame: Frame) -> Detections:
         """[M07] The faces in ``frame``."""
-        grey = _enlarged(cv2.equalizeHist(cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)), self.scale)
+        grey = _enlarged(
+            cv2.equalizeHist(cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)), self.scale
+        )
         least = max(1, round(self.min_size * grey.shape[0]))
         found = self._classifier.detectMultiScale(
             grey, scaleFactor=self.step, minNeighbors=self.neighbours, minSize=(least, least)
@@ -146,11 +174,13 @@ class FaceDetector:
 
 @dataclass(eq=False)
 class PersonDetector:
-    """Boxes around pedestrians; it remembers nothing. It takes a third of a second at 768x576: for stills and short clips.
+    """Boxes around pedestrians; it remembers nothing. It takes a third of a second at 768x576: for
+    stills and short clips.
 
     Attributes
     ----------
-    scale : the frame is enlarged by this factor; people below 96 pixels in the enlarged frame are not found.
+    scale : the frame is enlarged by this factor; people below 96 pixels in the enlarged frame are
+        not found.
     step : ratio of successive sizes in the search, above 1.
     stride : pixels between windows in the enlarged frame, a multiple of 8.
     threshold : least margin of the support vector machine.
@@ -166,7 +196,9 @@ class PersonDetector:
     def __post_init__(self) -> None:
         check(self)
         if self.stride % 8:
-            raise InputError(f"expected a multiple of 8, got {self.stride}", where="PersonDetector.stride")
+            raise InputError(
+                f"expected a multiple of 8, got {self.stride}", where="PersonDetector.stride"
+            )
         self._hog: Any = from_opencv("HOGDescriptor")()
         self._hog.setSVMDetector(from_opencv("HOGDescriptor_getDefaultPeopleDetector")())
 
@@ -179,16 +211,28 @@ class PersonDetector:
         if image.shape[1] < _WINDOW[0] or image.shape[0] < _WINDOW[1]:
             return Detections.empty()
         windows, margins = self._hog.detectMultiScale(
-            image, hitThreshold=self.threshold, winStride=(self.stride, self.stride), scale=self.step, groupThreshold=0
+            image,
+            hitThreshold=self.threshold,
+            winStride=(self.stride, self.stride),
+            scale=self.step,
+            groupThreshold=0,
         )
         corner, size = np.hsplit(np.array(windows, np.float64).reshape(-1, 4) / self.scale, 2)
-        score, middle, reach = np.array(margins, np.float64).reshape(-1), corner + size / 2, size * _BODY / 2
+        score = np.array(margins, np.float64).reshape(-1)
+        middle = corner + size / 2
+        reach = size * _BODY / 2
         # OpenCV leaves out scores that are not above the least one, 0, which margins may well be.
         above = score - score.min(initial=0.0) + 1.0
-        kept = cv2.dnn.NMSBoxes(np.hstack([middle - reach, 2 * reach]).tolist(), above.tolist(), 0.0, self.overlap)
-        return Detections.of(np.hstack([middle - reach, middle + reach]), score).take(np.array(kept, np.int64))
+        kept = cv2.dnn.NMSBoxes(
+            np.hstack([middle - reach, 2 * reach]).tolist(), above.tolist(), 0.0, self.overlap
+        )
+        return Detections.of(np.hstack([middle - reach, middle + reach]), score).take(
+            np.array(kept, np.int64)
+        )
 
 
 def _enlarged(image: Image, scale: float) -> Image:
     """The picture, enlarged."""
-    return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR), np.uint8)
+    return np.asarray(
+        cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR), np.uint8
+    )

@@ -1,14 +1,16 @@
 """The empty scene from samples of a video, also where objects stand or come all the time.
 
-The median of each pixel over the samples is the scene wherever it is seen in most of them. Where it is not, the scene's
-edges still are: an object hides an edge behind it, and has edges of its own, only where it stands just then. So the median
-of the gradients over the samples is the scene's gradient long after the median of the values is not (Weiss, 2001, whose
-intrinsic images these are). Where samples disagree, the picture is integrated from these gradients,
+The median of each pixel over the samples is the scene wherever it is seen in most of them. Where it
+is not, the scene's edges still are: an object hides an edge behind it, and has edges of its own,
+only where it stands just then. So the median of the gradients over the samples is the scene's
+gradient long after the median of the values is not (Weiss, 2001, whose intrinsic images these are).
+Where samples disagree, the picture is integrated from these gradients,
 
-    min_P Σ ‖P(q) − P(p) − median_k (S_k(q) − S_k(p))‖²   over neighbours p, q, one of them or both in U,
-    P = median_k S_k outside of U,
+    min_P Σ ‖P(q) − P(p) − median_k (S_k(q) − S_k(p))‖²   over neighbours p, q, one of them or both
+    in U, P = median_k S_k outside of U,
 
-on a smaller picture, because it only has to say which of the values that a pixel had is the scene's.
+on a smaller picture, because it only has to say which of the values that a pixel had is the
+scene's.
 """
 
 from __future__ import annotations
@@ -26,40 +28,61 @@ from phdtrack.kernels.planes import BLACK, FROM_BGR, TO_BGR, colours, luma
 from phdtrack.types import F8, STILL, Bool, Image
 
 F4 = NDArray[np.float32]
-# Grey levels within which two samples show the same, and the share of samples that must for the median to be certain.
-_SAME, _CERTAIN = 12, 0.9
+# Grey levels within which two samples show the same, and the share of samples that must for the
+# median to be certain.
+_SAME = 12
+_CERTAIN = 0.9
 # Grey levels of the two pictures' difference from which the median is not the scene.
 _WRONG = 12.0
 # Grey levels by which the scene differs from the median where something hid it most of the time.
 _HIDDEN = 6.0
 # Pixels of the smaller picture; bytes of which the median is made at a time.
-_COARSE, _BAND = 12_000, 4_000_000
+_COARSE = 12_000
+_BAND = 4_000_000
 _RING = np.ones((3, 3), np.uint8)
-# Corners that are followed at most, and share of the width that they are apart; window and levels of the pyramids.
-_CORNERS, _APART, _LOOK, _LEVELS = 150, 0.03, (15, 15), 3
-# The fewest corners that tell of a motion, the pixels within which they agree with it, the share that has to; by what share
-# a camera that stands may zoom, and by what share of the width it may move the picture.
-_FEWEST, _AGREE, _MOST, _ZOOM, _FARTHEST = 12, 1.0, 0.25, 0.1, 0.15
+# Corners that are followed at most, and share of the width that they are apart; window and levels
+# of the pyramids.
+_CORNERS = 150
+_APART = 0.03
+_LOOK = (15, 15)
+_LEVELS = 3
+# The fewest corners that tell of a motion, the pixels within which they agree with it, the share
+# that has to; by what share a camera that stands may zoom, and by what share of the width it may
+# move the picture.
+_FEWEST = 12
+_AGREE = 1.0
+_MOST = 0.25
+_ZOOM = 0.1
+_FARTHEST = 0.15
 # Brightness and colour differences of black.
 _ZERO: F8 = np.array([BLACK, 128.0, 128.0])
 
 
 class Anchor:
-    """Corners of a picture, by which it is told where others of the same scene lie: a camera in the wind shakes.
+    """Corners of a picture, by which it is told where others of the same scene lie: a camera in the
+    wind shakes.
 
-    Each is followed by pyramids of Lucas and Kanade's method. RANSAC finds the similarity that most of them agree on:
-    objects hide some.
+    Each is followed by pyramids of Lucas and Kanade's method. RANSAC finds the similarity that most
+    of them agree on: objects hide some.
     """
 
     def __init__(self, picture: Image) -> None:
         """``picture`` : (H, W) uint8, brightness."""
-        corners = cv2.goodFeaturesToTrack(picture, _CORNERS, 0.01, max(3.0, _APART * picture.shape[1]))
-        self._corners = np.zeros((0, 1, 2), np.float32) if corners is None else np.asarray(corners, np.float32)
+        corners = cv2.goodFeaturesToTrack(
+            picture, _CORNERS, 0.01, max(3.0, _APART * picture.shape[1])
+        )
+        self._corners = (
+            np.zeros((0, 1, 2), np.float32) if corners is None else np.asarray(corners, np.float32)
+        )
         self._picture = picture.copy()
-        self.middle: F8 = np.append(self._corners.reshape(-1, 2).sum(axis=0) / max(1, len(self._corners)), 1.0)
+        self.middle: F8 = np.append(
+            self._corners.reshape(-1, 2).sum(axis=0) / max(1, len(self._corners)), 1.0
+        )
 
     def pose(self, picture: Image) -> F8:
-        """(3, 3) from pixels of the anchor's picture to those of another one (H, W); `types.STILL` where it is not found."""
+        """(3, 3) from pixels of the anchor's picture to those of another one (H, W); `types.STILL`
+        where it is not found.
+        """
         if len(self._corners) < _FEWEST:
             return STILL
         there, found, _ = cv2.calcOpticalFlowPyrLK(
@@ -68,11 +91,16 @@ class Anchor:
         good = found.ravel() == 1
         if good.sum() < _FEWEST:
             return STILL
-        matrix, inside = cv2.estimateAffinePartial2D(self._corners[good], there[good], ransacReprojThreshold=_AGREE)
+        matrix, inside = cv2.estimateAffinePartial2D(
+            self._corners[good], there[good], ransacReprojThreshold=_AGREE
+        )
         if matrix is None or inside.mean() < _MOST or inside.sum() < _FEWEST:
             return STILL
         pose = np.vstack([matrix, [0.0, 0.0, 1.0]])
-        near = np.abs(self.moved(pose)).max() < _FARTHEST * picture.shape[1] and abs(math.hypot(*matrix[:, 0]) - 1) < _ZOOM
+        near = (
+            np.abs(self.moved(pose)).max() < _FARTHEST * picture.shape[1]
+            and abs(math.hypot(*matrix[:, 0]) - 1) < _ZOOM
+        )
         return pose if near else STILL
 
     def moved(self, pose: F8) -> F8:
@@ -81,7 +109,8 @@ class Anchor:
 
 
 def stabilised(picture: Image, shape: tuple[int, int], pose: F8) -> Image:
-    """(n,) the planes of a picture moved back from where it lies; what comes in is as at the border.
+    """(n,) the planes of a picture moved back from where it lies; what comes in is as at the
+    border.
 
     Parameters
     ----------
@@ -94,7 +123,9 @@ def stabilised(picture: Image, shape: tuple[int, int], pose: F8) -> Image:
     for now, was, scale in zip(*planes, (1.0, 0.5, 0.5), strict=True):
         matrix = pose[:2] * [1, 1, scale]
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        now[:] = cv2.warpAffine(was, matrix, was.shape[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE)
+        now[:] = cv2.warpAffine(
+            was, matrix, was.shape[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE
+        )
     return out
 
 
@@ -119,7 +150,8 @@ def background(samples: Sequence[Image], shape: tuple[int, int]) -> tuple[Image,
     samples : an odd number of pictures (n,), planes as in `kernels.change`, far apart in time.
     shape : (H, W) of them.
     """
-    typical, (height, width) = median(samples), shape
+    typical = median(samples)
+    height, width = shape
     scale = min(1.0, (_COARSE / (height * width)) ** 0.5)
     size = (max(8, round(width * scale)), max(8, round(height * scale)))
     small = np.stack([_shrunk(one, shape, size) for one in samples])
@@ -134,13 +166,16 @@ def background(samples: Sequence[Image], shape: tuple[int, int]) -> tuple[Image,
     whole = np.stack([y * width + x, first, first + (height + 1) // 2 * ((width + 1) // 2)], axis=2)
     places = whole[wrong]
     aim = cv2.resize(integrated, (width, height))[wrong]
-    nearest, least = np.asarray(aim @ FROM_BGR.T + _ZERO, np.float32), np.full(len(aim), 2 * _WRONG, np.float32)
+    nearest = np.asarray(aim @ FROM_BGR.T + _ZERO, np.float32)
+    least = np.full(len(aim), 2 * _WRONG, np.float32)
     for one in samples:
         values = one[places]
         distance = np.abs(_bgr(values) - aim).max(axis=1)
         closer = distance < least
-        nearest[closer], least[closer] = values[closer], distance[closer]
-    out, chosen = typical.copy(), np.zeros((*shape, 3), np.uint8)
+        nearest[closer] = values[closer]
+        least[closer] = distance[closer]
+    out = typical.copy()
+    chosen = np.zeros((*shape, 3), np.uint8)
     # A pixel that chose otherwise than all around it chose by noise.
     chosen[wrong] = np.clip(np.rint(nearest), 0, 255)
     chosen[~wrong] = typical[whole][~wrong]
@@ -164,7 +199,8 @@ def _bgr(planes: NDArray[Any]) -> F4:
 
 
 def of_objects(hidden: Bool, least: F8, margin: int) -> Bool:
-    """(H, W) what objects hid, for leaves hide some pixels each: parts into which a square fits, widened.
+    """(H, W) what objects hid, for leaves hide some pixels each: parts into which a square fits,
+    widened.
 
     Parameters
     ----------
@@ -174,37 +210,53 @@ def of_objects(hidden: Bool, least: F8, margin: int) -> Bool:
     """
     spots = hidden.astype(np.uint8)
     # From the edge of the picture on it is taken to go on.
-    inside = cv2.distanceTransform(cv2.copyMakeBorder(spots, 1, 1, 1, 1, cv2.BORDER_REPLICATE), cv2.DIST_C, 3)[1:-1, 1:-1]
+    inside = cv2.distanceTransform(
+        cv2.copyMakeBorder(spots, 1, 1, 1, 1, cv2.BORDER_REPLICATE), cv2.DIST_C, 3
+    )[1:-1, 1:-1]
     _, part = cv2.connectedComponents(cv2.morphologyEx(spots, cv2.MORPH_OPEN, _RING))
     large = np.setdiff1d(part[2 * inside - 1 >= least[:, None]], 0)
-    return np.asarray(cv2.dilate(np.isin(part, large).astype(np.uint8), np.ones((margin, margin), np.uint8)) > 0)
+    return np.asarray(
+        cv2.dilate(np.isin(part, large).astype(np.uint8), np.ones((margin, margin), np.uint8)) > 0
+    )
 
 
 def middle_of(values: NDArray[Any]) -> NDArray[Any]:
     """The median along the first axis, of an odd number of values."""
-    return np.asarray(middle(np.ascontiguousarray(values).reshape(len(values), -1))).reshape(values.shape[1:])
+    return np.asarray(middle(np.ascontiguousarray(values).reshape(len(values), -1))).reshape(
+        values.shape[1:]
+    )
 
 
 def _integrated(samples: Image) -> F4:
-    """(h, w, 3) the picture of the median gradients of samples (n, h, w, 3), within the median where that is certain."""
+    """(h, w, 3) the picture of the median gradients of samples (n, h, w, 3), within the median
+    where that is certain.
+    """
     # They take long to import, and a live source needs neither.
     from scipy.sparse import diags, eye, kron, vstack
     from scipy.sparse.linalg import cg
 
-    typical, values = middle_of(samples).astype(np.float32), samples.astype(np.int16)
+    typical = middle_of(samples).astype(np.float32)
+    values = samples.astype(np.int16)
     agree = (np.abs(values - typical).max(axis=3) <= _SAME).mean(axis=0)
     unknown: Bool = cv2.dilate((agree < _CERTAIN).astype(np.uint8), _RING) > 0
     # Without a certain pixel anywhere the picture would be known but for a constant.
     if not unknown.any() or unknown.mean() > 0.95:
         return typical
-    hidden, known = unknown.ravel(), typical.reshape(-1, 3)
+    hidden = unknown.ravel()
+    known = typical.reshape(-1, 3)
     down, along = (diags([-1.0, 1.0], [0, 1], (side - 1, side)) for side in unknown.shape)
     # An equation for each pair of neighbours: the second one less the first is the median gradient.
     steps = vstack([kron(eye(unknown.shape[0]), along), kron(down, eye(unknown.shape[1]))]).tocsc()
-    gradient = np.concatenate([middle_of(np.diff(values, axis=axis)).reshape(-1, 3) for axis in (2, 1)])
-    free, right = steps[:, hidden], gradient - steps[:, ~hidden] @ known[~hidden]
-    normal, out = (free.T @ free).tocsr(), typical.copy()
+    gradient = np.concatenate(
+        [middle_of(np.diff(values, axis=axis)).reshape(-1, 3) for axis in (2, 1)]
+    )
+    free = steps[:, hidden]
+    right = gradient - steps[:, ~hidden] @ known[~hidden]
+    normal = (free.T @ free).tocsr()
+    out = typical.copy()
     for channel in range(3):
         start = known[hidden, channel]
-        out[unknown, channel] = cg(normal, free.T @ right[:, channel], start, rtol=1e-3, maxiter=300)[0]
+        out[unknown, channel] = cg(
+            normal, free.T @ right[:, channel], start, rtol=1e-3, maxiter=300
+        )[0]
     return out

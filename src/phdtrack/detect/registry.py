@@ -1,4 +1,6 @@
-"""Detectors by name; detections from a table; detectors of a smaller picture, or of a region of interest only."""
+"""Detectors by name; detections from a table; detectors of a smaller picture, or of a region of
+interest only.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +26,13 @@ from phdtrack.types import F8, STILL, Bool, Detections, DetectionTable, Frame, I
 
 _WORDS = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
 _INSIDE = 0.5
-# Seconds without a detection after which empty frames are passed over, and the least and largest number of these frames.
-_EMPTY, _FEWEST_EMPTY, _MOST_EMPTY = 60.0, 250, 100_000
-# Pixels on a side below which no detector sees anything, and the clean-up's windows are larger than the picture.
+# Seconds without a detection after which empty frames are passed over, and the least and largest
+# number of these frames.
+_EMPTY = 60.0
+_FEWEST_EMPTY = 250
+_MOST_EMPTY = 100_000
+# Pixels on a side below which no detector sees anything, and the clean-up's windows are larger than
+# the picture.
 _SMALLEST = 16
 _BUILD: dict[str, Any] = {
     "change": ChangeDetector,
@@ -39,7 +45,8 @@ _BUILD: dict[str, Any] = {
 DETECTORS = tuple(_BUILD)
 # What the name of a network begins with; its file follows.
 _NETWORK = "onnx:"
-# Those whose detections are blobs of what differs from the background, one or several objects, or a piece of one.
+# Those whose detections are blobs of what differs from the background, one or several objects, or a
+# piece of one.
 BACKGROUND = ("change", "mean-background", "mog2", "knn")
 # Pixels of the longer side that are enough for these.
 _WORKING = 640
@@ -47,13 +54,18 @@ _WORKING = 640
 _LARGEST = 1e30
 # What a detector knows by its settings, or by `study`, which can be done again.
 _NEVER_KEPT = ("_rule", "_past", "_usual", "_anchor", "_pose", "_shaky")
-# Frames of a file that its scene is learned from, the fewest, and pixels that are decoded for them in some seconds.
-_SAMPLES, _FEWEST_SAMPLES, _QUICKLY = 51, 7, 2e9
+# Frames of a file that its scene is learned from, the fewest, and pixels that are decoded for them
+# in some seconds.
+_SAMPLES = 51
+_FEWEST_SAMPLES = 7
+_QUICKLY = 2e9
 
 
 @dataclass(frozen=True)
 class TableDetector:
-    """The rows of ``table`` by frame number; frames without rows are empty. The picture is not looked at."""
+    """The rows of ``table`` by frame number; frames without rows are empty. The picture is not
+    looked at.
+    """
 
     table: DetectionTable
 
@@ -66,11 +78,13 @@ class TableDetector:
 
 
 def frames_walked(table: DetectionTable, last: int, fps: float) -> Iterator[int]:
-    """The numbers of the frames 1 … ``last`` that a tracker goes through where there are detections and no video.
+    """The numbers of the frames 1 … ``last`` that a tracker goes through where there are detections
+    and no video.
 
-    After a minute without a detection (and 250 frames) no target is left that one more empty frame could change: of each it
-    would be known that it was missed so often. The frames up to the next detection are passed over, as one interval without
-    frames, so that a gap takes no time however long it is. The last frame counts as one with detections.
+    After a minute without a detection (and 250 frames) no target is left that one more empty frame
+    could change: of each it would be known that it was missed so often. The frames up to the next
+    detection are passed over, as one interval without frames, so that a gap takes no time however
+    long it is. The last frame counts as one with detections.
 
     Parameters
     ----------
@@ -89,7 +103,8 @@ def frames_walked(table: DetectionTable, last: int, fps: float) -> Iterator[int]
 
 
 def frames_up_to(number: int, before: int, fps: float) -> Iterator[int]:
-    """The frames after ``before`` up to ``number`` that `frames_walked` gives, where none in between has detections.
+    """The frames after ``before`` up to ``number`` that `frames_walked` gives, where none in
+    between has detections.
 
     Parameters
     ----------
@@ -108,7 +123,8 @@ def frames_up_to(number: int, before: int, fps: float) -> Iterator[int]:
 
 @dataclass(frozen=True)
 class Rescaled:
-    """``detector`` on frames shrunk to ``max_width`` pixels; boxes come back in the coordinates of the original.
+    """``detector`` on frames shrunk to ``max_width`` pixels; boxes come back in the coordinates of
+    the original.
 
     Narrower frames are left as they are.
     """
@@ -118,7 +134,9 @@ class Rescaled:
 
     def __post_init__(self) -> None:
         if self.max_width < 1:
-            raise InputError(f"the width must be at least one pixel, not {self.max_width}", where="max_width")
+            raise InputError(
+                f"the width must be at least one pixel, not {self.max_width}", where="max_width"
+            )
 
     def reset(self) -> None:
         """Reset the detector inside."""
@@ -140,8 +158,14 @@ class Rescaled:
             problem = f"frames of {width}x{height} pixels would be shrunk to {small[0]}x{small[1]}"
             cure = f"At least {_SMALLEST} pixels must be left on either side; 320 is a usual width."
             raise InputError(problem, where="max_width", cure=cure)
-        planar = isinstance(self.detector, ChangeDetector) and not isinstance(frame.picture, np.ndarray)
-        picture = Planar(small, planes_of(frame.picture, small)) if planar else bgr_of(frame.picture, small)
+        planar = isinstance(self.detector, ChangeDetector) and not isinstance(
+            frame.picture, np.ndarray
+        )
+        picture = (
+            Planar(small, planes_of(frame.picture, small))
+            if planar
+            else bgr_of(frame.picture, small)
+        )
         return Frame(frame.number, frame.time, picture)
 
     def __call__(self, frame: Frame) -> Detections:
@@ -150,9 +174,12 @@ class Rescaled:
         if width <= self.max_width:
             return self.detector(frame)
         smaller = self.shrunk(frame)
-        found, small = self.detector(smaller), size_of(smaller)
+        found = self.detector(smaller)
+        small = size_of(smaller)
         factor = np.tile([width / small[0], height / small[1]], 2)
-        covariance = None if found.covariance is None else found.covariance * np.outer(factor, factor)
+        covariance = (
+            None if found.covariance is None else found.covariance * np.outer(factor, factor)
+        )
         return replace(found, xyxy=found.xyxy * factor, covariance=covariance)
 
 
@@ -162,8 +189,8 @@ def working_width(name: str, given: int | None, info: SequenceInfo) -> int:
     Parameters
     ----------
     name : of the detector.
-    given : what was asked for; None leaves it to the video: for detectors of `BACKGROUND` it is shrunk by the largest whole
-        factor that leaves 640 pixels on the longer side.
+    given : what was asked for; None leaves it to the video: for detectors of `BACKGROUND` it is
+        shrunk by the largest whole factor that leaves 640 pixels on the longer side.
     info : the video.
 
     Returns
@@ -177,7 +204,8 @@ def working_width(name: str, given: int | None, info: SequenceInfo) -> int:
 
 
 class Masked:
-    """``detector``, which sees the whole picture; boxes at least half inside a region of interest are kept.
+    """``detector``, which sees the whole picture; boxes at least half inside a region of interest
+    are kept.
 
     ``mask``, an (H, W) array or image file of the frame's size, is not 0 in the region.
     """
@@ -187,10 +215,16 @@ class Masked:
         self._where = str(mask) if isinstance(mask, str | Path) else "mask"
         region = _read_mask(Path(mask)) if isinstance(mask, str | Path) else np.asarray(mask)
         if region.ndim != 2:
-            raise InputError(f"a mask has the shape (height, width), this one {region.shape}", where=self._where)
+            raise InputError(
+                f"a mask has the shape (height, width), this one {region.shape}", where=self._where
+            )
         if not region.any():
             cure = "White is where to look, black is left out."
-            raise InputError("the mask is black all over: nothing could be reported", where=self._where, cure=cure)
+            raise InputError(
+                "the mask is black all over: nothing could be reported",
+                where=self._where,
+                cure=cure,
+            )
         self._region = region != 0
 
     def reset(self) -> None:
@@ -202,12 +236,24 @@ class Masked:
         rows, columns = self._region.shape
         if size_of(frame) != (columns, rows):
             width, height = size_of(frame)
-            problem = f"the mask is {columns}x{rows} pixels, frame {frame.number} is {width}x{height}"
-            raise InputError(problem, where=self._where, cure="Draw the mask on a frame of this video, at its full size.")
+            problem = (
+                f"the mask is {columns}x{rows} pixels, frame {frame.number} is {width}x{height}"
+            )
+            raise InputError(
+                problem,
+                where=self._where,
+                cure="Draw the mask on a frame of this video, at its full size.",
+            )
         found = self._detector(frame)
-        corners = np.clip(np.rint(found.xyxy), 0, [columns, rows, columns, rows]).astype(np.int64).tolist()
+        corners = (
+            np.clip(np.rint(found.xyxy), 0, [columns, rows, columns, rows])
+            .astype(np.int64)
+            .tolist()
+        )
         parts = [self._region[top:bottom, left:right] for left, top, right, bottom in corners]
-        return found.take(np.array([part.sum() >= _INSIDE * max(part.size, 1) for part in parts], np.bool_))
+        return found.take(
+            np.array([part.sum() >= _INSIDE * max(part.size, 1) for part in parts], np.bool_)
+        )
 
 
 def _read_mask(path: Path) -> Image:
@@ -215,7 +261,9 @@ def _read_mask(path: Path) -> Image:
     data = np.frombuffer(load(path), np.uint8)
     image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
     if image is None:
-        raise InputError("this is not an image that can be read", where=path, cure="A mask is a PNG file, say.")
+        raise InputError(
+            "this is not an image that can be read", where=path, cure="A mask is a PNG file, say."
+        )
     return np.asarray(image, np.uint8)
 
 
@@ -228,18 +276,27 @@ def detector_parameters(name: str) -> dict[str, Any]:
         cure = f"Say {_NETWORK}{name}" if name.endswith(".onnx") else cure
         raise InputError(f"there is no detector {name!r}", cure=cure)
     known = {field.name: field.default for field in fields(_BUILD[name]) if field.name != "method"}
-    return known | ({field.name: field.default for field in fields(BlobSettings)} if known.pop("blobs", None) else {})
+    return known | (
+        {field.name: field.default for field in fields(BlobSettings)}
+        if known.pop("blobs", None)
+        else {}
+    )
 
 
 def make_detector(
-    name: str, *, max_width: int = 0, mask: Image | Bool | str | Path | None = None, **parameters: Any
+    name: str,
+    *,
+    max_width: int = 0,
+    mask: Image | Bool | str | Path | None = None,
+    **parameters: Any,
 ) -> Detector:
     """The detector called ``name``.
 
     Parameters
     ----------
     name : one of `DETECTORS`, or ``onnx:`` and the file of a network.
-    max_width : above 0, wider frames are shrunk to this many pixels for the search; boxes stay in original coordinates.
+    max_width : above 0, wider frames are shrunk to this many pixels for the search; boxes stay in
+        original coordinates.
     mask : (H, W) array or image file; only boxes at least half inside its region are reported.
     parameters : fields of the detector, and of `BlobSettings` for those that clean a mask.
 
@@ -249,13 +306,17 @@ def make_detector(
 
     Raises
     ------
-    InputError : an unknown name or parameter (the nearest one is suggested), or a value of another type or out of range.
+    InputError : an unknown name or parameter (the nearest one is suggested), or a value of another
+        type or out of range.
     """
     known = detector_parameters(name)
-    own, blobs = dict[str, Any](), dict[str, Any]()
+    own = dict[str, Any]()
+    blobs = dict[str, Any]()
     for key, value in parameters.items():
         if key not in known:
-            raise InputError(f"detector {name!r} has no parameter {key!r}", cure=did_you_mean(key, known))
+            raise InputError(
+                f"detector {name!r} has no parameter {key!r}", cure=did_you_mean(key, known)
+            )
         kind = type(known[key])
         value = float(value) if kind is float and type(value) is int else value
         if not isinstance(value, kind) or isinstance(value, bool) > (kind is bool):
@@ -274,13 +335,17 @@ def make_detector(
 
 
 def class_names(detector: Detector) -> Mapping[int, str] | None:
-    """What a detector calls the classes that it tells apart, as far as it says; None for those that know one only."""
+    """What a detector calls the classes that it tells apart, as far as it says; None for those that
+    know one only.
+    """
     inner, _ = _inner(detector)
     return inner.names if isinstance(inner, OnnxDetector) else None
 
 
 def unsuited(detector: Detector) -> tuple[str, ...]:
-    """What of a file's scene makes a detector's boxes doubtful, in sentences, as far as it has learned it."""
+    """What of a file's scene makes a detector's boxes doubtful, in sentences, as far as it has
+    learned it.
+    """
     inner, _ = _inner(detector)
     return inner.unsuited() if isinstance(inner, ChangeDetector) else ()
 
@@ -294,13 +359,18 @@ def _inner(detector: Detector) -> tuple[Detector, Rescaled | None]:
     return detector, small
 
 
-def looked_at(detector: Detector, frames: Iterable[Frame]) -> Iterator[tuple[Frame, Detections, float]]:
-    """Each frame with what ``detector`` sees in it, and in how many seconds; a network may look at several in one call.
+def looked_at(
+    detector: Detector, frames: Iterable[Frame]
+) -> Iterator[tuple[Frame, Detections, float]]:
+    """Each frame with what ``detector`` sees in it, and in how many seconds; a network may look at
+    several in one call.
 
     Where the frames end in an error, those before it come first.
     """
     network = detector if isinstance(detector, OnnxDetector) else None
-    iterator, stop, most = iter(frames), None, network.together if network else 1
+    iterator = iter(frames)
+    stop = None
+    most = network.together if network else 1
     while stop is None:
         batch = list[Frame]()
         try:
@@ -317,7 +387,8 @@ def looked_at(detector: Detector, frames: Iterable[Frame]) -> Iterator[tuple[Fra
 
 
 def prepared(detector: Detector, frames: Iterable[Frame]) -> Iterator[Frame]:
-    """The frames, with the planes that the detector will ask for, where it is one that looks at planes.
+    """The frames, with the planes that the detector will ask for, where it is one that looks at
+    planes.
 
     To be used in the thread that decodes: the detector's has enough to do.
     """
@@ -329,7 +400,9 @@ def prepared(detector: Detector, frames: Iterable[Frame]) -> Iterator[Frame]:
 
 
 def pose_of(detector: Detector, frame: Frame) -> F8:
-    """(3, 3) from pixels of the scene to those of a detector's last frame, `types.STILL` where the camera does not shake."""
+    """(3, 3) from pixels of the scene to those of a detector's last frame, `types.STILL` where the
+    camera does not shake.
+    """
     inner, small = _inner(detector)
     pose = inner.pose if isinstance(inner, ChangeDetector) else STILL
     if small is None or not len(pose):
@@ -356,11 +429,16 @@ def knowledge(detector: Detector) -> dict[str, Any] | None:
     return {}
 
 
-def study(detector: Detector, frames: Iterable[Frame], sample: Callable[[int], Iterable[Frame]] = lambda count: ()) -> None:
+def study(
+    detector: Detector,
+    frames: Iterable[Frame],
+    sample: Callable[[int], Iterable[Frame]] = lambda count: (),
+) -> None:
     """Let a detector that learns the scene see some 50 frames of a file before its first one.
 
-    They are spread over all of it where it can jump to as many places, or to half as many. Else they are spread over a short
-    file, or over as much of the beginning of a long one as is decoded in some seconds. Fewer than 7 are not enough.
+    They are spread over all of it where it can jump to as many places, or to half as many. Else
+    they are spread over a short file, or over as much of the beginning of a long one as is decoded
+    in some seconds. Fewer than 7 are not enough.
 
     Parameters
     ----------
@@ -395,8 +473,12 @@ def study(detector: Detector, frames: Iterable[Frame], sample: Callable[[int], I
 
 
 def _thinned(frames: Iterable[Frame], seen: Callable[[Frame], Frame]) -> list[Frame]:
-    """Frames as far as they are decoded quickly, evenly spaced, as they are ``seen``; between 51 and 102 of many."""
-    kept, every, pixels = list[Frame](), 1, 0
+    """Frames as far as they are decoded quickly, evenly spaced, as they are ``seen``; between 51
+    and 102 of many.
+    """
+    kept = list[Frame]()
+    every = 1
+    pixels = 0
     with suppress(InputError, OSError):
         for count, frame in enumerate(frames):
             width, height = size_of(frame)
@@ -404,7 +486,8 @@ def _thinned(frames: Iterable[Frame], seen: Callable[[Frame], Frame]) -> list[Fr
             if count % every == 0:
                 kept.append(seen(frame))
             if len(kept) > 2 * _SAMPLES:
-                kept, every = kept[::2], 2 * every
+                kept = kept[::2]
+                every = 2 * every
             if pixels > _QUICKLY:
                 break
     return kept
@@ -428,15 +511,25 @@ def restore(detector: Detector, known: dict[str, Any], frame: Frame) -> None:
         detector.reset()
         detector(frame)
     usual = knowledge(inner)
-    if usual is None or usual.keys() != known.keys() or not all(_alike(known[name], usual[name]) for name in usual):
-        raise InputError("what the detector knew is not that of this detector, or of frames of another size")
+    if (
+        usual is None
+        or usual.keys() != known.keys()
+        or not all(_alike(known[name], usual[name]) for name in usual)
+    ):
+        raise InputError(
+            "what the detector knew is not that of this detector, or of frames of another size"
+        )
     vars(inner).update(known)
 
 
 def _alike(value: Any, usual: Any) -> bool:
     """Whether a value is of the type and shape of another one, and such that it can be squared."""
     if isinstance(usual, np.ndarray):
-        same = isinstance(value, np.ndarray) and value.dtype == usual.dtype and value.shape == usual.shape
+        same = (
+            isinstance(value, np.ndarray)
+            and value.dtype == usual.dtype
+            and value.shape == usual.shape
+        )
         return same and (value.dtype.kind != "f" or bool((np.abs(value) < _LARGEST).all()))
     if isinstance(usual, list | tuple):
         same = type(value) is type(usual) and (isinstance(usual, list) or len(value) == len(usual))

@@ -1,4 +1,6 @@
-"""The filters: one recursion a file, its equations in the docstrings, with its state and what reads it."""
+"""The filters: one recursion a file, its equations in the docstrings, with its state and what reads
+it.
+"""
 
 from __future__ import annotations
 

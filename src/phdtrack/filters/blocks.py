@@ -1,4 +1,6 @@
-"""Particles in blocks of neighbours: how they are cut, joined, and carried along; and threads for ranges of them."""
+"""Particles in blocks of neighbours: how they are cut, joined, and carried along; and threads for
+ranges of them.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +27,11 @@ class UpdatedParticles:
     Attributes
     ----------
     blocks : the particles that were there, and the newborn, with their weights before the update.
-    parts, sums : these as the kernels take them, with the detections near each block and sums over it.
+    parts, sums : these as the kernels take them, with the detections near each block and sums over
+        it.
     numbers : the sensor's.
-    missed, detected : factors of the terms of missed targets and of each detection, see `particles.weigh`.
+    missed, detected : factors of the terms of missed targets and of each detection, see
+        `particles.weigh`.
     threads : that share the work.
     """
 
@@ -46,7 +50,9 @@ class UpdatedParticles:
     def masses(self) -> F8:
         """(B,) of all blocks."""
         pairs = zip(self.blocks, self.sums, strict=True)
-        return np.concatenate([blocks.unit * masses(sums, self.missed, self.detected) for blocks, sums in pairs])
+        return np.concatenate(
+            [blocks.unit * masses(sums, self.missed, self.detected) for blocks, sums in pairs]
+        )
 
     @property
     def mass(self) -> float:
@@ -64,7 +70,15 @@ class UpdatedParticles:
         out = []
         for blocks, part, sums in zip(self.blocks, self.parts, self.sums, strict=True):
             share = np.empty(len(blocks), blocks.state.dtype)
-            given = (part, sums, self.numbers.model, self.numbers.table, self.missed, self.detected, share)
+            given = (
+                part,
+                sums,
+                self.numbers.model,
+                self.numbers.table,
+                self.missed,
+                self.detected,
+                share,
+            )
             in_ranges(weigh, given, len(part.start) - 1, self.threads)
             out.append(blocks.unit * share.astype(np.float64))
         return np.concatenate(out)
@@ -82,12 +96,17 @@ def cut(state: F8, most: int = BLOCK) -> tuple[I8, I8]:
     most : particles of a block, which lie in neighbouring cells of one row of a grid.
     """
     x, y = state[:2] - state[:2].min(axis=1, keepdims=True)
-    wide, high, n = float(x.max()) + 1e-9, float(y.max()) + 1e-9, len(x)
-    # About four particles to a cell if they lay everywhere; they do not, and so a cloud of them fills some cells.
+    wide = float(x.max()) + 1e-9
+    high = float(y.max()) + 1e-9
+    n = len(x)
+    # About four particles to a cell if they lay everywhere; they do not, and so a cloud of them
+    # fills some cells.
     side = np.sqrt(wide * high / (0.25 * n + 1.0))
-    columns, rows = int(min(wide / side, 0.25 * n)) + 1, int(min(high / side, 0.25 * n)) + 1
+    columns = int(min(wide / side, 0.25 * n)) + 1
+    rows = int(min(high / side, 0.25 * n)) + 1
     column = np.minimum((x / wide * columns).astype(np.int64), columns - 1)
-    # A column more than there are, so that the last cell of a row is no neighbour of the next row's first.
+    # A column more than there are, so that the last cell of a row is no neighbour of the next row's
+    # first.
     cell = np.minimum((y / high * rows).astype(np.int64), rows - 1) * (columns + 1) + column
     order = cell.argsort(kind="stable")
     apart = np.flatnonzero(np.diff(cell[order]) > 1) + 1
@@ -95,7 +114,9 @@ def cut(state: F8, most: int = BLOCK) -> tuple[I8, I8]:
 
 
 def divided(start: I8, most: int = BLOCK) -> I8:
-    """(B + 1,) where blocks of at most ``most`` particles begin, into which the runs ``start`` (R + 1,) are divided."""
+    """(B + 1,) where blocks of at most ``most`` particles begin, into which the runs ``start`` (R +
+    1,) are divided.
+    """
     blocks = -(-np.diff(start) // most)
     before = np.concatenate([[0], np.cumsum(blocks)])
     rank = np.arange(before[-1]) - np.repeat(before[:-1], blocks)
@@ -110,18 +131,22 @@ def in_blocks(state: Intensity, dtype: np.dtype[np.floating]) -> ParticleBlocks:
         state = Particles(state.state.astype(np.float64), state.weight)
     if len(state) == 0:
         return ParticleBlocks.empty(len(state.state), dtype)
-    x, weight = state.state, state.weight
+    x = state.state
+    weight = state.weight
     if len(state.start):
         start = divided(state.start)
     else:
         order, start = cut(x)
-        x, weight = x[:, order], weight[order]
+        x = x[:, order]
+        weight = weight[order]
     x = np.ascontiguousarray(x, dtype)
     if weight.dtype == dtype:
         return ParticleBlocks(x, start, 1.0, weight)
     unit = float(weight.max())
     equal = bool((weight == unit).all())
-    return ParticleBlocks(x, start, unit, np.zeros(0, dtype) if equal else (weight / (unit or 1.0)).astype(dtype))
+    return ParticleBlocks(
+        x, start, unit, np.zeros(0, dtype) if equal else (weight / (unit or 1.0)).astype(dtype)
+    )
 
 
 @lru_cache(maxsize=4)

@@ -1,18 +1,23 @@
-"""The number of targets in the cardinalised PHD recursion [V07]: beside the intensity D goes its distribution p(n).
+"""The number of targets in the cardinalised PHD recursion [V07]: beside the intensity D goes its
+distribution p(n).
 
-Equations: docs/methods.md, CPHD, with M, p⁺ and D⁺ those with the newborn, and with φ = ∫ (1 − p_D) D⁺ / M
+Equations: docs/methods.md, CPHD, with M, p⁺ and D⁺ those with the newborn, and with φ = ∫ (1 − p_D)
+D⁺ / M
 
     Υᵘ[Z](n) = Σ_j n!/(n − j − u)! φⁿ⁻ʲ⁻ᵘ E_j(Z),  E_j(Z) = [tʲ] Π_z (κ(z) + t C(z)/M)
 
-for clutter whose number is Poisson distributed: but for κ(z) everything drops out of it. E_j(Z) is e_j of C/(Mκ), multiplied
-with Πκ, so that κ = 0 needs no rule of its own. The mean of p is the mass of D after every update.
+for clutter whose number is Poisson distributed: but for κ(z) everything drops out of it. E_j(Z) is
+e_j of C/(Mκ), multiplied with Πκ, so that κ = 0 needs no rule of its own. The mean of p is the mass
+of D after every update.
 
-Births that are driven by measurements are drawn around the detections only: D⁺ lacks the part of γT that is born where
-nothing was detected. In p⁺ and in M it counts, as seen by no detection and missed like the others: a number without births
-would take newborn targets for those that existed. The mean of p is then larger than the mass of D by what was born unseen.
+Births that are driven by measurements are drawn around the detections only: D⁺ lacks the part of γT
+that is born where nothing was detected. In p⁺ and in M it counts, as seen by no detection and
+missed like the others: a number without births would take newborn targets for those that existed.
+The mean of p is then larger than the mass of D by what was born unseen.
 
-Everything is summed in logarithms of positive terms (`kernels.esf`). Detections that nothing in the intensity explains
-(C = 0: outside of every gate) change no ratio and are left out: the cost is O(m² + m n), m the number of the others.
+Everything is summed in logarithms of positive terms (`kernels.esf`). Detections that nothing in the
+intensity explains (C = 0: outside of every gate) change no ratio and are left out: the cost is O(m²
++ m n), m the number of the others.
 """
 
 from __future__ import annotations
@@ -35,7 +40,8 @@ TINY = float(np.finfo(np.float64).tiny)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UpdateTerms:
-    """The terms of an update before they are weighed, which the PHD filter [V06, M07] and the cardinalised one share.
+    """The terms of an update before they are weighed, which the PHD filter [V06, M07] and the
+    cardinalised one share.
 
     D = a (1 − p_D) D⁺ + Σ_z b_z p_D g(z|·) D⁺; for the PHD filter a = 1, b_z = 1/(κ(z) + C(z)).
 
@@ -58,7 +64,9 @@ class UpdateTerms:
     def info(self, mass: float, vanished: int = 0) -> UpdateInfo:
         """What the update learned, ``mass`` being that after it."""
         detected = self.mass - self.missed
-        return UpdateInfo(self.mass, self.born, mass, self.evidence, self.clutter, vanished, detected=detected)
+        return UpdateInfo(
+            self.mass, self.born, mass, self.evidence, self.clutter, vanished, detected=detected
+        )
 
     def phd(self) -> tuple[Any, UpdateInfo]:
         """The intensity after the update of a PHD filter, and what it learned."""
@@ -70,15 +78,18 @@ class UpdateTerms:
         """(N,) 1/(κ + C) [V06 (32); M07 (5)], and how many are 0 because κ + C is."""
         total = self.clutter + self.evidence
         known = total >= self.least
-        return np.divide(1.0, total, out=np.zeros_like(total), where=known), int(np.count_nonzero(~known))
+        return np.divide(1.0, total, out=np.zeros_like(total), where=known), int(
+            np.count_nonzero(~known)
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cardinalised:
-    """An intensity with the distribution of the number of targets: what the cardinalised PHD filters carry.
+    """An intensity with the distribution of the number of targets: what the cardinalised PHD
+    filters carry.
 
-    ``cardinality`` (n,) holds the probabilities of 0, 1, 2, … targets; its mean is the mass of ``intensity`` and of what may
-    have been born where nothing was detected.
+    ``cardinality`` (n,) holds the probabilities of 0, 1, 2, … targets; its mean is the mass of
+    ``intensity`` and of what may have been born where nothing was detected.
     """
 
     intensity: Intensity | GaussianMixture
@@ -95,10 +106,11 @@ class Cardinalised:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weighing:
-    """Factors of the update of the intensity, and the distribution of the number of targets after it.
+    """Factors of the update of the intensity, and the distribution of the number of targets after
+    it.
 
-    ``missed`` is the factor of (1 − p_D) D⁺, ``detected`` (N,) that of p_D g(z|·) D⁺ of each detection, and ``cardinality``
-    (n,) the probabilities of 0, 1, 2, … targets.
+    ``missed`` is the factor of (1 − p_D) D⁺, ``detected`` (N,) that of p_D g(z|·) D⁺ of each
+    detection, and ``cardinality`` (n,) the probabilities of 0, 1, 2, … targets.
     """
 
     missed: float
@@ -109,7 +121,11 @@ class Weighing:
 def poisson(mean: float, more: int = 0) -> F8:
     """Poisson probabilities of 0, 1, 2, … as far as they count, and of ``more``."""
     number = np.arange(math.ceil(mean + 10 * math.sqrt(mean) + 20) + more)
-    return np.exp(number * math.log(mean) - mean - log_factorials(len(number))) if mean > 0 else np.ones(1)
+    return (
+        np.exp(number * math.log(mean) - mean - log_factorials(len(number)))
+        if mean > 0
+        else np.ones(1)
+    )
 
 
 def weigh(cardinality: F8, terms: UpdateTerms, births: float) -> Weighing:
@@ -119,12 +135,17 @@ def weigh(cardinality: F8, terms: UpdateTerms, births: float) -> Weighing:
     ----------
     cardinality : (n,) probabilities of 0, 1, 2, … targets before births and scan.
     terms : of the intensity, births that it holds included.
-    births : expected number of births; those that the intensity does not hold are missed like the others.
+    births : expected number of births; those that the intensity does not hold are missed like the
+        others.
     """
-    known, evidence = terms.mass, terms.evidence
+    known = terms.mass
+    evidence = terms.evidence
     # Births reach beyond what is likely: what a scan shows may be very unlikely before it is seen.
-    grown, whole = np.convolve(cardinality, poisson(births, len(evidence))), known + max(births - terms.born, 0.0)
-    return factors(grown, whole, terms.missed * whole / known if known > 0 else whole, evidence, terms.clutter)
+    grown = np.convolve(cardinality, poisson(births, len(evidence)))
+    whole = known + max(births - terms.born, 0.0)
+    return factors(
+        grown, whole, terms.missed * whole / known if known > 0 else whole, evidence, terms.clutter
+    )
 
 
 def factors(cardinality: F8, mass: float, missed: float, evidence: F8, clutter: F8) -> Weighing:
@@ -136,8 +157,8 @@ def factors(cardinality: F8, mass: float, missed: float, evidence: F8, clutter: 
     mass, missed : M = ∫D⁺ and ∫(1 − p_D) D⁺.
     evidence, clutter : (N,) C(z) and κ(z), per unit of measurement volume.
 
-    Where p⁺ makes the scan impossible (more detections than targets can be, no births and no clutter), it is taken for
-    Poisson: the factors are those of the PHD filter then.
+    Where p⁺ makes the scan impossible (more detections than targets can be, no births and no
+    clutter), it is taken for Poisson: the factors are those of the PHD filter then.
     """
     if mass < TINY:
         return Weighing(1.0, np.zeros(len(evidence)), np.ones(1))
@@ -176,7 +197,8 @@ def log_factorials(count: int) -> F8:
 def _shares(evidence: F8, clutter: F8) -> tuple[F8, F8]:
     """(m,) each: log of κ/(κ + c) and of c/(κ + c), exact however much smaller one is."""
     with np.errstate(divide="ignore"):
-        low, high = np.log(clutter), np.log(evidence)
+        low = np.log(clutter)
+        high = np.log(evidence)
     both = np.logaddexp(low, high)
     return low - both, high - both
 

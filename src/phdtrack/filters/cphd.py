@@ -1,8 +1,9 @@
 """The cardinalised PHD filters [V07], of Gaussians and of particles.
 
-The intensity goes the way of `phd_gaussian` or `phd_particle`, and with it the distribution of the number of targets
-(`cardinality`). What a scan says of the number bears on all weights at once: the count hardly jumps when a target is missed
-or a false alarm appears. The price is that a missed target's weight goes to the others for that scan, wherever they are.
+The intensity goes the way of `phd_gaussian` or `phd_particle`, and with it the distribution of the
+number of targets (`cardinality`). What a scan says of the number bears on all weights at once: the
+count hardly jumps when a target is missed or a false alarm appears. The price is that a missed
+target's weight goes to the others for that scan, wherever they are.
 """
 
 from __future__ import annotations
@@ -34,12 +35,16 @@ class _CPHD(Checked, Filter[Cardinalised]):
         intensity = _intensity(self).start(model, rng)
         return Cardinalised(intensity, trimmed(poisson(intensity.mass)))
 
-    def predict(self, state: Cardinalised, model: Model, dt: float, rng: np.random.Generator) -> Cardinalised:
+    def predict(
+        self, state: Cardinalised, model: Model, dt: float, rng: np.random.Generator
+    ) -> Cardinalised:
         """The intensity moved and weighed with p_S; the number thinned by the mean of p_S [V07]."""
         if len(state) == 0:
             return state
         intensity = _intensity(self).predict(state.intensity, model, dt, rng)
-        return Cardinalised(intensity, thinned(state.cardinality, min(max(intensity.mass / state.mass, 0.0), 1.0)))
+        return Cardinalised(
+            intensity, thinned(state.cardinality, min(max(intensity.mass / state.mass, 0.0), 1.0))
+        )
 
     def update(
         self, state: Cardinalised, z: F8, model: Model, dt: float, rng: np.random.Generator
@@ -64,10 +69,11 @@ class GMCPHD(_CPHD):
     Parameters
     ----------
     weight_threshold : Gaussians that weigh less are dropped.
-    merge_distance : Mahalanobis distance (not squared) up to which a Gaussian is united with a stronger one, in its own
-        covariance.
+    merge_distance : Mahalanobis distance (not squared) up to which a Gaussian is united with a
+        stronger one, in its own covariance.
     max_components : J_max, Gaussians kept, the heaviest; 0: 3000.
-    gate_probability : part of the measurements of a Gaussian inside its gate; those beyond do not touch it; 1: no gate.
+    gate_probability : part of the measurements of a Gaussian inside its gate; those beyond do not
+        touch it; 1: no gate.
     transform : ``linear`` by Jacobians, or ``unscented`` by sigma points.
     initial : the intensity before the first frame; its number is Poisson distributed.
     """
@@ -87,8 +93,10 @@ class ParticleCPHD(_CPHD):
     Parameters
     ----------
     particles_per_target : ρ, particles per expected target after resampling.
-    min_particles, max_particles : bounds on the number of particles; 0 stands for none and for 300 000.
-    threads : threads that share a frame's work, 0 for one per core; the result is the same to the bit.
+    min_particles, max_particles : bounds on the number of particles; 0 stands for none and for 300
+        000.
+    threads : threads that share a frame's work, 0 for one per core; the result is the same to the
+        bit.
     initial : the intensity before the first frame; its number is Poisson distributed.
     """
 

@@ -1,21 +1,26 @@
-"""Peaks of an intensity: modified K-means [M07 §3], a Gaussian mixture by EM [M09 §III-B], or a mixture's components.
+"""Peaks of an intensity: modified K-means [M07 §3], a Gaussian mixture by EM [M09 §III-B], or a
+mixture's components.
 
-**Clusters of particles** start on the frame's detections at rest, and on particles that no detection is near. A cluster
-heavier than the split mass is divided; clusters lighter than a threshold are dropped. Distances are scaled by the noise of
-the measurement and of the velocity, component by component; without that, position would drown in size. A particle is
-compared only with the centres near it, within `REACH` deviations in position. The paper splits above mass 1. But one
-well-seen target settles at up to 1/(1 − p_M p_S): 1.05 at p_D = 0.95 and 1.42 at p_D = 0.7, so its halves would both fall
-below the threshold of 0.6 and it would vanish. The split mass here is 1.5: above what one target can weigh down to p_D =
-0.67, below what two weigh once they are established, and half of it is still above the threshold.
+**Clusters of particles** start on the frame's detections at rest, and on particles that no
+detection is near. A cluster heavier than the split mass is divided; clusters lighter than a
+threshold are dropped. Distances are scaled by the noise of the measurement and of the velocity,
+component by component; without that, position would drown in size. A particle is compared only with
+the centres near it, within `REACH` deviations in position. The paper splits above mass 1. But one
+well-seen target settles at up to 1/(1 − p_M p_S): 1.05 at p_D = 0.95 and 1.42 at p_D = 0.7, so its
+halves would both fall below the threshold of 0.6 and it would vanish. The split mass here is 1.5:
+above what one target can weigh down to p_D = 0.67, below what two weigh once they are established,
+and half of it is still above the threshold.
 
-**Joining.** A detector that suppresses overlapping boxes never reports two objects whose boxes overlap by much. Where two
-states do, it has fired twice on one object, at two scales or on two parts of it, and the filter, for which every detection
-is another target, follows both. Joining them gives up the second of two objects in line while they cover each other; the
-association bridges that gap.
+**Joining.** A detector that suppresses overlapping boxes never reports two objects whose boxes
+overlap by much. Where two states do, it has fired twice on one object, at two scales or on two
+parts of it, and the filter, for which every detection is another target, follows both. Joining them
+gives up the second of two objects in line while they cover each other; the association bridges that
+gap.
 
-**Counting.** A cardinalised filter knows the number of targets better than the weight of any single peak shows it: the peak
-of a target that was just missed is light. So peaks are found with a low threshold and without division of heavy ones, and
-as many are reported as the most probable number of targets [V07].
+**Counting.** A cardinalised filter knows the number of targets better than the weight of any single
+peak shows it: the peak of a target that was just missed is light. So peaks are found with a low
+threshold and without division of heavy ones, and as many are reported as the most probable number
+of targets [V07].
 """
 
 from __future__ import annotations
@@ -40,43 +45,56 @@ from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, I8, Bool, Estimates, GaussianMixture, ParticleBlocks, Particles
 
 Intensity = Particles | ParticleBlocks
-# A cluster reaches this many deviations of the measurement noise. Wide, because a target that was missed spreads.
+# A cluster reaches this many deviations of the measurement noise. Wide, because a target that was
+# missed spreads.
 REACH = 8.0
 # A component of less mass has no shape; its particles fall to its neighbours.
 SHAPELESS = 1e-3
-# Lightest peak that is a candidate where peaks are counted: a component of a mixture, and a K-means cluster.
-LIGHTEST_COMPONENT, LIGHTEST_CLUSTER = 0.05, 0.1
+# Lightest peak that is a candidate where peaks are counted: a component of a mixture, and a K-means
+# cluster.
+LIGHTEST_COMPONENT = 0.05
+LIGHTEST_CLUSTER = 0.1
 # Heavier than any cluster: none is divided for its mass.
 NEVER_SPLIT = 1e9
-# Mahalanobis distance up to which a fitted component is part of a heavier one, as in the Gaussian-mixture filters.
+# Mahalanobis distance up to which a fitted component is part of a heavier one, as in the
+# Gaussian-mixture filters.
 MERGE_DISTANCE = 2.0
 
 
 class _Extraction(Checked):
-    """What the extractions share: peaks are counted where the state is of a cardinalised filter and the settings say so."""
+    """What the extractions share: peaks are counted where the state is of a cardinalised filter and
+    the settings say so.
+    """
 
     __slots__ = ()
 
     def extract(self, state: Any, z: F8, model: Model) -> Estimates:
-        """The peaks heavy enough to be targets, or as many as there are targets; see `protocols.Extractor`."""
+        """The peaks heavy enough to be targets, or as many as there are targets; see
+        `protocols.Extractor`.
+        """
         settings: Any = self
         known = isinstance(state, Cardinalised)
         counting = known and settings.counted
-        found: Estimates = settings._peaks(state.intensity if known else state, z, model, counting=counting)
+        found: Estimates = settings._peaks(
+            state.intensity if known else state, z, model, counting=counting
+        )
         return heaviest(found, state.cardinality) if counting else found
 
 
 @dataclass(frozen=True, slots=True)
 class KMeans(_Extraction):
-    """Settings of the modified K-means: states are the centres of clusters, weighted means of full states [M07 §3].
+    """Settings of the modified K-means: states are the centres of clusters, weighted means of full
+    states [M07 §3].
 
     Parameters
     ----------
     min_weight : T, clusters of less mass are not targets; M07's 0.6.
     split_weight : clusters of more mass are several targets.
     iterations : how often a cluster's centre may move, and again after each split of it.
-    merge_iou : states whose boxes overlap by more (IoU) are one object that the detector saw twice; 1 for never.
-    counted : of a cardinalised filter, report as many states as its number of targets says; of others it changes nothing.
+    merge_iou : states whose boxes overlap by more (IoU) are one object that the detector saw twice;
+        1 for never.
+    counted : of a cardinalised filter, report as many states as its number of targets says; of
+        others it changes nothing.
     """
 
     min_weight: Positive = 0.6
@@ -87,20 +105,26 @@ class KMeans(_Extraction):
 
     def _peaks(self, state: Intensity, z: F8, model: Model, *, counting: bool) -> Estimates:
         """The clusters heavy enough, the heaviest divided unless peaks are counted."""
-        lightest, split = (LIGHTEST_CLUSTER, NEVER_SPLIT) if counting else (self.min_weight, self.split_weight)
+        lightest, split = (
+            (LIGHTEST_CLUSTER, NEVER_SPLIT) if counting else (self.min_weight, self.split_weight)
+        )
         if state.mass < lightest:
             return Estimates.empty(model.motion.dim)
-        sensor, blocks = model.sensor, known_blocks(state)
+        sensor = model.sensor
+        blocks = known_blocks(state)
         centres, _ = _seeds(blocks, z, sensor, lightest)
         scales = np.ascontiguousarray(sensor.noise(centres).T)
-        found = kmeans(blocks, np.ascontiguousarray(centres.T), scales, Rule(REACH, split, self.iterations))
+        found = kmeans(
+            blocks, np.ascontiguousarray(centres.T), scales, Rule(REACH, split, self.iterations)
+        )
         heavy = _heavy_enough(found, sensor, lightest, split)
         return finish(join_unresolved(heavy, sensor, self.merge_iou)[0], z, model)
 
 
 @dataclass(frozen=True, slots=True)
 class Mixture(_Extraction):
-    """Settings of the Gaussian mixture extraction: states are the means of components fitted by EM [M09 §III-B].
+    """Settings of the Gaussian mixture extraction: states are the means of components fitted by EM
+    [M09 §III-B].
 
     Parameters
     ----------
@@ -116,14 +140,20 @@ class Mixture(_Extraction):
     counted: bool = True
 
     def _peaks(self, state: Intensity, z: F8, model: Model, *, counting: bool) -> Estimates:
-        """The components heavy enough, the heaviest divided; where they are counted, one for each place."""
-        lightest, split = (LIGHTEST_COMPONENT, NEVER_SPLIT) if counting else (self.min_weight, self.split_weight)
+        """The components heavy enough, the heaviest divided; where they are counted, one for each
+        place.
+        """
+        lightest, split = (
+            (LIGHTEST_COMPONENT, NEVER_SPLIT) if counting else (self.min_weight, self.split_weight)
+        )
         if state.mass < lightest:
             return Estimates.empty(model.motion.dim)
-        sensor, blocks = model.sensor, known_blocks(state)
+        sensor = model.sensor
+        blocks = known_blocks(state)
         centres, free = _seeds(blocks, z, sensor, lightest)
         if free.any():
-            # A block with one component in reach is all that component's, but for the remnants that nothing reaches.
+            # A block with one component in reach is all that component's, but for the remnants that
+            # nothing reaches.
             blocks = _without(blocks, free)
         scales = np.ascontiguousarray(sensor.noise(centres).T)
         start = kmeans(blocks, np.ascontiguousarray(centres.T), scales, Rule(REACH, math.inf, 0))
@@ -137,16 +167,21 @@ class Mixture(_Extraction):
         found = finish(join_unresolved(heavy, sensor, self.merge_iou)[0], z, model)
         return united(found, sensor) if counting else found
 
-    def _fit(self, blocks: Blocks, known: Gaussians, mixture: Gaussians, sensor: Sensor) -> Gaussians:
+    def _fit(
+        self, blocks: Blocks, known: Gaussians, mixture: Gaussians, sensor: Sensor
+    ) -> Gaussians:
         """EM iterations from a mixture, with a floor under the covariances [M09 §III-B]."""
         nothing = np.zeros(0)
         for _ in range(self.iterations):
             mixture, scale = _floored(mixture, sensor)
             if len(mixture.weight) == 0:
                 break
-            at, reach = mixture.mean[:2], REACH * scale[:2]
+            at = mixture.mean[:2]
+            reach = REACH * scale[:2]
             near = reaching(blocks, at - reach, at + reach)
-            mass, mean, cov, *_ = em_step(blocks.state, blocks.weight, nothing, mixture, near, known)
+            mass, mean, cov, *_ = em_step(
+                blocks.state, blocks.weight, nothing, mixture, near, known
+            )
             mixture = Gaussians(mass, mean, cov)
         return _floored(mixture, sensor)[0]
 
@@ -155,14 +190,16 @@ class Mixture(_Extraction):
 class Components(_Extraction):
     """Settings of the extraction from a mixture: the means of its components [V06 Table III].
 
-    Where the filter has merged what lies together, a component is a target, or several that no measurement has parted yet:
-    one of weight 2.3 stands for two [V06 Table III, E13 §4]. Vo and Ma report it twice; two states in one place are of no
-    use to a tracker, which is why it is reported once unless ``repeat`` says otherwise.
+    Where the filter has merged what lies together, a component is a target, or several that no
+    measurement has parted yet: one of weight 2.3 stands for two [V06 Table III, E13 §4]. Vo and Ma
+    report it twice; two states in one place are of no use to a tracker, which is why it is reported
+    once unless ``repeat`` says otherwise.
 
     Parameters
     ----------
     min_weight : components of less weight are not targets; Vo and Ma's 0.5.
-    repeat : report a component as often as its weight says, rounded, as Vo and Ma do. Joining is off then.
+    repeat : report a component as often as its weight says, rounded, as Vo and Ma do. Joining is
+        off then.
     merge_iou, counted : as of `KMeans`.
     """
 
@@ -173,7 +210,9 @@ class Components(_Extraction):
 
     def _peaks(self, state: GaussianMixture, z: F8, model: Model, *, counting: bool) -> Estimates:
         """The components of enough weight, in their order."""
-        heavy = np.flatnonzero(state.weight >= (LIGHTEST_COMPONENT if counting else self.min_weight))
+        heavy = np.flatnonzero(
+            state.weight >= (LIGHTEST_COMPONENT if counting else self.min_weight)
+        )
         if self.repeat:
             heavy = np.repeat(heavy, np.maximum(np.rint(state.weight[heavy]).astype(np.int64), 1))
         peaks = kept(Gaussians(state.weight, state.mean, state.covariance), heavy)
@@ -185,7 +224,9 @@ class Components(_Extraction):
 
 
 def known_blocks(intensity: Intensity) -> Blocks:
-    """The particles of an intensity that is not empty in blocks; `ValueError` where a state is NaN or infinite."""
+    """The particles of an intensity that is not empty in blocks; `ValueError` where a state is NaN
+    or infinite.
+    """
     if not isinstance(intensity, ParticleBlocks):
         if not np.isfinite(intensity.state).all():
             raise ValueError("states must be finite")
@@ -207,12 +248,14 @@ def _without(blocks: Blocks, which: Bool) -> Blocks:
 
 
 def _seeds(blocks: Blocks, z: F8, sensor: Sensor, lightest: float) -> tuple[F8, Bool]:
-    """First centres (d, k): the detections, at rest [M07 §3], then the middle of what none is near; and which are free (L,).
+    """First centres (d, k): the detections, at rest [M07 §3], then the middle of what none is near;
+    and which are free (L,).
 
-    A target that was missed has no detection to start from, and its particles would be drawn into a far cluster or lost.
-    While more than ``lightest`` mass, that of the lightest target, is out of every centre's reach, some of these particles
-    become centres: every half of it along their cumulative weight one claims what is in its reach and not claimed yet. Free
-    are particles that no centre reaches.
+    A target that was missed has no detection to start from, and its particles would be drawn into a
+    far cluster or lost. While more than ``lightest`` mass, that of the lightest target, is out of
+    every centre's reach, some of these particles become centres: every half of it along their
+    cumulative weight one claims what is in its reach and not claimed yet. Free are particles that
+    no centre reaches.
     """
     centres = sensor.states(z)[0]
     low, high = _windows(centres, sensor)
@@ -220,7 +263,11 @@ def _seeds(blocks: Blocks, z: F8, sensor: Sensor, lightest: float) -> tuple[F8, 
     # Once finds every target whose particles lie together, as blocks do; again, to be sure.
     for _ in range(2):
         left = np.flatnonzero(free)
-        mass = np.cumsum(blocks.weight[left] if len(blocks.weight) > 1 else np.full(len(left), float(blocks.weight[0])))
+        mass = np.cumsum(
+            blocks.weight[left]
+            if len(blocks.weight) > 1
+            else np.full(len(left), float(blocks.weight[0]))
+        )
         if len(left) == 0 or mass[-1] < lightest:
             break
         marks = np.searchsorted(mass, np.arange(0.25 * lightest, mass[-1], 0.5 * lightest))
@@ -238,22 +285,33 @@ def _windows(centres: F8, sensor: Sensor) -> tuple[F8, F8]:
 
 
 def _heavy_enough(found: Gaussians, sensor: Sensor, lightest: float, split: float) -> Gaussians:
-    """The clusters of at least the mass ``lightest``, after light ones that are near each other have been joined.
+    """The clusters of at least the mass ``lightest``, after light ones that are near each other
+    have been joined.
 
-    Clusters start on every detection, so one target beside a false alarm, or detected twice, may lie in two halves that are
-    each too light. The nearest, in units of the noise, are joined first, while one of the two is too light and both are not
-    above ``split``, too heavy for one.
+    Clusters start on every detection, so one target beside a false alarm, or detected twice, may
+    lie in two halves that are each too light. The nearest, in units of the noise, are joined first,
+    while one of the two is too light and both are not above ``split``, too heavy for one.
     """
     light = np.flatnonzero((found.weight > 0) & (found.weight < lightest))
-    at, scale = found.mean[:, light], sensor.noise(found.mean[:, light])
-    low, high, place = at[:2] - REACH * scale[:2], at[:2] + REACH * scale[:2], np.ascontiguousarray(at[:2])
+    at = found.mean[:, light]
+    scale = sensor.noise(found.mean[:, light])
+    low = at[:2] - REACH * scale[:2]
+    high = at[:2] + REACH * scale[:2]
+    place = np.ascontiguousarray(at[:2])
     first, second = overlapping_pairs(low, high, make_grid(place, place))
     first, second = first[first < second], second[first < second]
     distance2 = np.square((at[:, first] - at[:, second]) / scale[:, first]).sum(axis=0)
-    mass, group = found.weight.copy(), np.arange(len(found.weight))
+    mass = found.weight.copy()
+    group = np.arange(len(found.weight))
     for pair in distance2.argsort(kind="stable"):
-        i, j = group[light[first[pair]]], group[light[second[pair]]]
-        if distance2[pair] <= REACH**2 and i != j and min(mass[i], mass[j]) < lightest and mass[i] + mass[j] <= split:
+        i = group[light[first[pair]]]
+        j = group[light[second[pair]]]
+        if (
+            distance2[pair] <= REACH**2
+            and i != j
+            and min(mass[i], mass[j]) < lightest
+            and mass[i] + mass[j] <= split
+        ):
             mass[i] += mass[j]
             mass[j] = 0.0
             group[group == j] = i
@@ -264,7 +322,9 @@ def _heavy_enough(found: Gaussians, sensor: Sensor, lightest: float, split: floa
 
 
 def _floored(mixture: Gaussians, sensor: Sensor) -> tuple[Gaussians, F8]:
-    """The components that have a shape, with a floor under their covariances, and the noise (d, k) at their means."""
+    """The components that have a shape, with a floor under their covariances, and the noise (d, k)
+    at their means.
+    """
     alive = mixture.weight > SHAPELESS
     mixture = mixture if alive.all() else kept(mixture, alive)
     scale = sensor.noise(mixture.mean)
@@ -272,12 +332,17 @@ def _floored(mixture: Gaussians, sensor: Sensor) -> tuple[Gaussians, F8]:
 
 
 def _divided(mixture: Gaussians, sensor: Sensor, split: float) -> Gaussians:
-    """Components heavier than ``split`` divided: a deviation to either side on the longest axis in units of the noise."""
+    """Components heavier than ``split`` divided: a deviation to either side on the longest axis in
+    units of the noise.
+    """
     heavy = mixture.weight > split
     scale = sensor.noise(mixture.mean[:, heavy]).T
-    length2, axes = np.linalg.eigh(mixture.covariance[heavy] / (scale[:, :, None] * scale[:, None, :]))
+    length2, axes = np.linalg.eigh(
+        mixture.covariance[heavy] / (scale[:, :, None] * scale[:, None, :])
+    )
     step = (scale * axes[:, :, -1] * np.sqrt(length2[:, -1:])).T
-    weight, mean = np.where(heavy, mixture.weight / 2, mixture.weight), mixture.mean.copy()
+    weight = np.where(heavy, mixture.weight / 2, mixture.weight)
+    mean = mixture.mean.copy()
     mean[:, heavy] -= step
     return Gaussians(
         np.concatenate([weight, weight[heavy]]),
@@ -287,34 +352,51 @@ def _divided(mixture: Gaussians, sensor: Sensor, split: float) -> Gaussians:
 
 
 def finish(peaks: Gaussians, z: F8, model: Model) -> Estimates:
-    """States, in the order of the clusters: a floor under their covariances, their boxes, the detection that each rests on.
+    """States, in the order of the clusters: a floor under their covariances, their boxes, the
+    detection that each rests on.
 
-    A state rests on the nearest detection in whose 99 % region it lies; a detection serves one state, the closest first.
+    A state rests on the nearest detection in whose 99 % region it lies; a detection serves one
+    state, the closest first.
 
     Parameters
     ----------
     peaks : k masses, means and covariances.
     z, model : (m, N) measurements; its sensor says what is near.
     """
-    sensor, mean = model.sensor, peaks.mean
+    sensor = model.sensor
+    mean = peaks.mean
     at = np.ascontiguousarray(mean[:2])
     z_of, state_of = overlapping_pairs(*sensor.gate(z), make_grid(at, at))
-    of, seen = z.take(z_of, axis=1), mean.take(state_of, axis=1)
-    distance2, _ = gaussian_parts(sensor.innovation(of, sensor.expected(seen)), sensor.covariance(of, seen))
-    region, free = chi2_quantile(len(sensor.observed), 0.99), np.ones(z.shape[1], np.bool_)
+    of = z.take(z_of, axis=1)
+    seen = mean.take(state_of, axis=1)
+    distance2, _ = gaussian_parts(
+        sensor.innovation(of, sensor.expected(seen)), sensor.covariance(of, seen)
+    )
+    region = chi2_quantile(len(sensor.observed), 0.99)
+    free = np.ones(z.shape[1], np.bool_)
     detection = np.full(mean.shape[1], -1)
     for pair in distance2.argsort(kind="stable"):
         if distance2[pair] > region:
             break
-        i, j = z_of[pair], state_of[pair]
+        i = z_of[pair]
+        j = state_of[pair]
         if free[i] and detection[j] < 0:
-            detection[j], free[i] = i, False
+            detection[j] = i
+            free[i] = False
     # Resampled particles can pile up on few points; a covariance of zero would claim certainty.
-    return Estimates(mean, with_floor(peaks.covariance, sensor.noise(mean)), peaks.weight, sensor.boxes(mean), detection)
+    return Estimates(
+        mean,
+        with_floor(peaks.covariance, sensor.noise(mean)),
+        peaks.weight,
+        sensor.boxes(mean),
+        detection,
+    )
 
 
 def with_floor(cov: F8, noise: F8) -> F8:
-    """Covariances (k, d, d) with a tenth of the deviations ``noise`` (d, k), squared, added to the diagonals."""
+    """Covariances (k, d, d) with a tenth of the deviations ``noise`` (d, k), squared, added to the
+    diagonals.
+    """
     out = cov.copy()
     np.einsum("jrr->jr", out)[...] += np.square(0.1 * noise).T
     return out
@@ -322,23 +404,29 @@ def with_floor(cov: F8, noise: F8) -> F8:
 
 def kept(peaks: Gaussians, which: I8 | Bool) -> Gaussians:
     """The peaks at an index or a mask (k,)."""
-    return Gaussians(peaks.weight[which], np.ascontiguousarray(peaks.mean[:, which]), peaks.covariance[which])
+    return Gaussians(
+        peaks.weight[which], np.ascontiguousarray(peaks.mean[:, which]), peaks.covariance[which]
+    )
 
 
 def union(peaks: Gaussians, group: I8) -> Gaussians:
-    """One peak for each group of peaks, with their mass, mean and covariance; ``group`` (k,) numbers them from 0."""
+    """One peak for each group of peaks, with their mass, mean and covariance; ``group`` (k,)
+    numbers them from 0.
+    """
     if len(group) == 0:
         return peaks
     mass = np.bincount(group, peaks.weight).astype(np.float64)
     mean = np.array([np.bincount(group, peaks.weight * row) for row in peaks.mean]) / mass
     apart = peaks.mean - mean[:, group]
     cov = peaks.weight[:, None, None] * (peaks.covariance + np.einsum("ik,jk->kij", apart, apart))
-    order, first = np.argsort(group, kind="stable"), np.concatenate([[0], np.cumsum(np.bincount(group))[:-1]])
+    order = np.argsort(group, kind="stable")
+    first = np.concatenate([[0], np.cumsum(np.bincount(group))[:-1]])
     return Gaussians(mass, mean, np.add.reduceat(cov[order], first) / mass[:, None, None])
 
 
 def join_unresolved(peaks: Gaussians, sensor: Sensor, overlap: float) -> tuple[Gaussians, I8]:
-    """The m ≤ k peaks with those joined whose boxes overlap by too much, most first; and the heaviest part of each (m,).
+    """The m ≤ k peaks with those joined whose boxes overlap by too much, most first; and the
+    heaviest part of each (m,).
 
     Parameters
     ----------
@@ -351,16 +439,23 @@ def join_unresolved(peaks: Gaussians, sensor: Sensor, overlap: float) -> tuple[G
     if k < 2 or overlap >= 1:
         return peaks, group
     boxes = sensor.boxes(peaks.mean)
-    lower, upper = np.ascontiguousarray(boxes[:, :2].T), np.ascontiguousarray(boxes[:, 2:].T)
+    lower = np.ascontiguousarray(boxes[:, :2].T)
+    upper = np.ascontiguousarray(boxes[:, 2:].T)
     first, second = overlapping_pairs(lower, upper, make_grid(lower, upper))
     first, second = first[first < second], second[first < second]
     # By overlap, then by number; pairs of a peak that has been joined since are passed over.
     shares = iou_of_pairs(boxes[first], boxes[second])
-    queue = [(-s, int(i), int(j), 0, 0) for i, j, s in zip(first, second, shares, strict=True) if s > overlap]
+    queue = [
+        (-s, int(i), int(j), 0, 0)
+        for i, j, s in zip(first, second, shares, strict=True)
+        if s > overlap
+    ]
     if not queue:
         return peaks, group
     heapq.heapify(queue)
-    boxes, mass, joined = boxes.copy(), peaks.weight.copy(), [0] * k
+    boxes = boxes.copy()
+    mass = peaks.weight.copy()
+    joined = [0] * k
     while queue:
         _, i, j, *before = heapq.heappop(queue)
         if before != [joined[i], joined[j]]:
@@ -374,7 +469,8 @@ def join_unresolved(peaks: Gaussians, sensor: Sensor, overlap: float) -> tuple[G
         shared = iou(boxes[i : i + 1], boxes)[0]
         shared[i] = 0.0
         for c in np.flatnonzero(shared > overlap).tolist():
-            low, high = min(i, c), max(i, c)
+            low = min(i, c)
+            high = max(i, c)
             heapq.heappush(queue, (-shared[c], low, high, joined[low], joined[high]))
     heads, group = np.unique(group, return_inverse=True)
     order = np.lexsort((-np.arange(k), peaks.weight))
@@ -384,7 +480,8 @@ def join_unresolved(peaks: Gaussians, sensor: Sensor, overlap: float) -> tuple[G
 
 
 def heaviest(peaks: Estimates, cardinality: F8) -> Estimates:
-    """The heaviest states, as many as the most probable number of targets, in the order that they had.
+    """The heaviest states, as many as the most probable number of targets, in the order that they
+    had.
 
     ``cardinality`` (n,) : probabilities of 0, 1, 2, … targets.
     """
@@ -395,17 +492,23 @@ def heaviest(peaks: Estimates, cardinality: F8) -> Estimates:
 
 
 def united(peaks: Estimates, sensor: Sensor) -> Estimates:
-    """The states, each with the lighter ones within `MERGE_DISTANCE` of it by its covariance; heaviest first.
+    """The states, each with the lighter ones within `MERGE_DISTANCE` of it by its covariance;
+    heaviest first.
 
-    Weights add up, states are averaged, the covariance stays that of the heaviest, and so does its detection, unless it had
-    none.
+    Weights add up, states are averaged, the covariance stays that of the heaviest, and so does its
+    detection, unless it had none.
     """
-    left, heads = np.argsort(-peaks.weight, kind="stable"), []
-    weight, state, detection = peaks.weight.copy(), peaks.state.copy(), peaks.detection.copy()
+    left = np.argsort(-peaks.weight, kind="stable")
+    heads = []
+    weight = peaks.weight.copy()
+    state = peaks.state.copy()
+    detection = peaks.detection.copy()
     while len(left):
         head = left[0]
         step = peaks.state[:, left] - peaks.state[:, [head]]
-        near = (step * np.linalg.solve(peaks.covariance[head], step)).sum(axis=0) <= MERGE_DISTANCE**2
+        near = (step * np.linalg.solve(peaks.covariance[head], step)).sum(
+            axis=0
+        ) <= MERGE_DISTANCE**2
         members = left[near]
         weight[head] = peaks.weight[members].sum()
         state[:, head] = peaks.state[:, members] @ peaks.weight[members] / weight[head]
@@ -414,4 +517,6 @@ def united(peaks: Estimates, sensor: Sensor) -> Estimates:
         heads.append(head)
         left = left[~near]
     xyxy = sensor.boxes(state)
-    return replace(peaks, weight=weight, state=state, xyxy=xyxy, detection=detection).take(np.array(heads, np.int64))
+    return replace(peaks, weight=weight, state=state, xyxy=xyxy, detection=detection).take(
+        np.array(heads, np.int64)
+    )

@@ -1,9 +1,11 @@
-"""Association hypotheses in clusters: the state of the MHT, how it branches with measurements, and how it is pruned.
+"""Association hypotheses in clusters: the state of the MHT, how it branches with measurements, and
+how it is pruned.
 
-A track begins with a measurement and branches wherever it may have gone on in more than one way. The nodes of all tracks'
-trees stand in layers, one for each of the last frames; the leaves are the last layer. A hypothesis says of every track of a
-cluster which leaf is true, or that there is none. Clusters are independent of each other, so that a hypothesis of everything
-is any choice of one from each, and its probability the product. Most clusters are one track with one leaf: ``lone`` leaves.
+A track begins with a measurement and branches wherever it may have gone on in more than one way.
+The nodes of all tracks' trees stand in layers, one for each of the last frames; the leaves are the
+last layer. A hypothesis says of every track of a cluster which leaf is true, or that there is none.
+Clusters are independent of each other, so that a hypothesis of everything is any choice of one from
+each, and its probability the product. Most clusters are one track with one leaf: ``lone`` leaves.
 """
 
 from __future__ import annotations
@@ -18,10 +20,11 @@ from phdtrack.kernels.association import competing, components
 from phdtrack.kernels.branching import children, equal_rows
 from phdtrack.types import F8, I8, Bool, GaussianMixture
 
-# Steps that a cluster's assignments may take, about: a larger cluster keeps fewer hypotheses. With 300 of them it is reached
-# where about 150 measurements compete.
+# Steps that a cluster's assignments may take, about: a larger cluster keeps fewer hypotheses. With
+# 300 of them it is reached where about 150 measurements compete.
 WORK = 4e7
-# A target that has existed with no greater probability in any frame has never been reported by anyone.
+# A target that has existed with no greater probability in any frame has never been reported by
+# anyone.
 BELIEVED = 0.1
 
 
@@ -64,8 +67,8 @@ class Nodes:
 class Cluster:
     """Hypotheses about tracks that have competed for measurements.
 
-    ``leaf`` (H, T): the leaf of each of T tracks in each of H hypotheses, −1: there is no such track in it. ``weight`` (H,):
-    their probabilities, falling, of sum 1.
+    ``leaf`` (H, T): the leaf of each of T tracks in each of H hypotheses, −1: there is no such
+    track in it. ``weight`` (H,): their probabilities, falling, of sum 1.
     """
 
     leaf: I8
@@ -83,7 +86,8 @@ class Hypotheses:
     clusters : the other tracks.
     next_label : the label that the next new track is given.
     undetected : intensity of targets that have never been detected; always empty in an MHT.
-    steps : of each layer the interval before it, in the model's time unit, and the camera's motion (3, 3) in it.
+    steps : of each layer the interval before it, in the model's time unit, and the camera's motion
+        (3, 3) in it.
     """
 
     layers: tuple[Nodes, ...]
@@ -106,7 +110,12 @@ class Hypotheses:
     def probability(self) -> F8:
         """(L,) probability that each leaf's history is true."""
         held = np.concatenate([self.lone, *(c.leaf.ravel() for c in self.clusters)])
-        weight = np.concatenate([np.ones(len(self.lone)), *(np.repeat(c.weight, c.leaf.shape[1]) for c in self.clusters)])
+        weight = np.concatenate(
+            [
+                np.ones(len(self.lone)),
+                *(np.repeat(c.weight, c.leaf.shape[1]) for c in self.clusters),
+            ]
+        )
         # The first place is for what a hypothesis does not hold.
         return sum_by(held + 1, weight, len(self) + 1)[1:]
 
@@ -129,7 +138,8 @@ class Scores:
     Attributes
     ----------
     leaf, measurement : (P,) pairs within the gate.
-    gain : (P,) log r p_D q(z) − log(1 − r p_D): the leaf's detection by the measurement against its being missed.
+    gain : (P,) log r p_D q(z) − log(1 − r p_D): the leaf's detection by the measurement against its
+        being missed.
     missed : (L,) log(1 − r p_D).
     unassigned : (N,) log(κ + γ̂): a false alarm or a new target.
     p_new : (N,) γ̂/(κ + γ̂).
@@ -145,7 +155,9 @@ class Scores:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Hypotheses per cluster, their least weight as a share of the best's, least probability that a target exists."""
+    """Hypotheses per cluster, their least weight as a share of the best's, least probability that a
+    target exists.
+    """
 
     max_hypotheses: int
     hypothesis_threshold: float
@@ -156,9 +168,9 @@ class Limits:
 class Branches:
     """The hypotheses of the next frame, made of branches: a leaf and the measurement that it took.
 
-    A branch has the number (leaf + 1)(N + 1) + measurement + 1, where −1 stands for a new track and for a miss. ``lone``
-    (n,), ``clusters``: as in `Hypotheses`, with branches for leaves. ``unassigned`` (N,): the probability that each
-    measurement is no earlier track's.
+    A branch has the number (leaf + 1)(N + 1) + measurement + 1, where −1 stands for a new track and
+    for a miss. ``lone`` (n,), ``clusters``: as in `Hypotheses`, with branches for leaves.
+    ``unassigned`` (N,): the probability that each measurement is no earlier track's.
     """
 
     lone: I8
@@ -167,7 +179,9 @@ class Branches:
 
 
 def before(nodes: Nodes, index: I8) -> I8:
-    """(n,) where the parents of nodes at ``index`` (n,) are in the frame before; −1 where the track began or index is −1."""
+    """(n,) where the parents of nodes at ``index`` (n,) are in the frame before; −1 where the track
+    began or index is −1.
+    """
     return np.where(index >= 0, nodes.parent[index], -1) if len(nodes) else np.full(len(index), -1)
 
 
@@ -179,7 +193,8 @@ def branched(state: Hypotheses, scores: Scores, limits: Limits) -> Branches:
     state : predicted.
     scores, limits : of the frame, and how much is kept.
     """
-    lone, count = len(state.lone), len(scores.unassigned)
+    lone = len(state.lone)
+    count = len(scores.unassigned)
     many = lone + len(state.clusters)
     cluster_of = np.zeros(len(state), np.int64)
     cluster_of[state.lone] = np.arange(lone)
@@ -191,9 +206,13 @@ def branched(state: Hypotheses, scores: Scores, limits: Limits) -> Branches:
     left = state.lone[apart[:lone]]
     free = np.flatnonzero(apart[many:] & (scores.p_new >= limits.existence_threshold))
     out = [_missed(state.clusters[c], scores, limits) for c in np.flatnonzero(apart[lone:many])]
-    unassigned, begins = np.ones(count), scores.p_new >= limits.existence_threshold
-    members, measured = _lists(part[:many], joint), _lists(part[many:], joint)
-    for clusters, pairs, columns in zip(members, _lists(part[cluster_of[scores.leaf]], joint), measured, strict=True):
+    unassigned = np.ones(count)
+    begins = scores.p_new >= limits.existence_threshold
+    members = _lists(part[:many], joint)
+    measured = _lists(part[many:], joint)
+    for clusters, pairs, columns in zip(
+        members, _lists(part[cluster_of[scores.leaf]], joint), measured, strict=True
+    ):
         alone = state.lone[clusters[clusters < lone]]
         parts = [state.clusters[c - lone] for c in clusters if c >= lone]
         size = len(columns) * (len(pairs) + len(alone) + sum(one.leaf.shape[1] for one in parts))
@@ -205,13 +224,18 @@ def branched(state: Hypotheses, scores: Scores, limits: Limits) -> Branches:
             scores.missed, scores.unassigned, begins, most,
         )  # fmt: skip
         out.append(Cluster(leaf, weight))
-    return Branches(np.concatenate([_numbers(left, np.full(len(left), -1), count), free + 1]), tuple(out), unassigned)
+    return Branches(
+        np.concatenate([_numbers(left, np.full(len(left), -1), count), free + 1]),
+        tuple(out),
+        unassigned,
+    )
 
 
 def _lists(part: I8, wanted: I8) -> list[I8]:
     """Of each wanted part the places that are in it."""
     order = np.argsort(part, kind="stable")
-    low, high = np.searchsorted(part[order], wanted), np.searchsorted(part[order], wanted, side="right")
+    low = np.searchsorted(part[order], wanted)
+    high = np.searchsorted(part[order], wanted, side="right")
     return [order[a:b] for a, b in zip(low, high, strict=True)]
 
 
@@ -224,9 +248,12 @@ def _product(clusters: list[Cluster], limits: Limits) -> Cluster:
     """One cluster of all: every choice of a hypothesis from each, the most probable first."""
     whole = clusters[0]
     for other in clusters[1:]:
-        a, b = len(whole.weight), len(other.weight)
+        a = len(whole.weight)
+        b = len(other.weight)
         # Both fall: the product of the i-th and the j-th has i·j − 1 others before it.
-        first, second = np.nonzero(np.arange(1, a + 1)[:, None] * np.arange(1, b + 1) <= limits.max_hypotheses)
+        first, second = np.nonzero(
+            np.arange(1, a + 1)[:, None] * np.arange(1, b + 1) <= limits.max_hypotheses
+        )
         weight = whole.weight[first] * other.weight[second]
         kept = _best(weight, limits)
         leaf = np.hstack([whole.leaf[first[kept]], other.leaf[second[kept]]])
@@ -250,10 +277,12 @@ def _missed(cluster: Cluster, scores: Scores, limits: Limits) -> Cluster:
 
 
 def decided(state: Hypotheses) -> Hypotheses:
-    """Of each cluster the hypotheses that agree with the best about the oldest layer (N-scan pruning).
+    """Of each cluster the hypotheses that agree with the best about the oldest layer (N-scan
+    pruning).
 
-    Of every track they hold the node that it holds there, or none any more: a hypothesis without a track says nothing of
-    where it was. A node of a track that the best has not is one that the best denies, and its hypotheses go.
+    Of every track they hold the node that it holds there, or none any more: a hypothesis without a
+    track says nothing of where it was. A node of a track that the best has not is one that the best
+    denies, and its hypotheses go.
     """
     root = np.arange(len(state))
     for nodes in state.layers[:0:-1]:
@@ -262,20 +291,24 @@ def decided(state: Hypotheses) -> Hypotheses:
     for cluster in state.clusters:
         held = np.where(cluster.leaf >= 0, root[cluster.leaf], -1)
         agree = ((held < 0) | (held == held[0])).all(axis=1)
-        clusters.append(cluster if agree.all() else _cluster(cluster.leaf[agree], cluster.weight[agree]))
+        clusters.append(
+            cluster if agree.all() else _cluster(cluster.leaf[agree], cluster.weight[agree])
+        )
     return replace(state, clusters=tuple(clusters))
 
 
 def ended(state: Hypotheses, existence_threshold: float) -> Hypotheses:
-    """Targets below the threshold do not exist; when their last detection is too old, they are forgotten.
+    """Targets below the threshold do not exist; when their last detection is too old, they are
+    forgotten.
 
-    Until then they remain as leaves: their measurements are no others', and the past that is reported shows them. Of those
-    that nobody has ever believed in nothing is shown.
+    Until then they remain as leaves: their measurements are no others', and the past that is
+    reported shows them. Of those that nobody has ever believed in nothing is shown.
     """
     leaves = state.leaves
     nodes = replace(leaves, r=np.where(leaves.r >= existence_threshold, leaves.r, 0.0))
     over = np.flatnonzero(nodes.r == 0)
-    believed, at = np.zeros(len(over)), over
+    believed = np.zeros(len(over))
+    at = over
     for then in reversed(state.layers):
         known = at >= 0
         believed[known] = np.maximum(believed[known], then.r[at[known]])
@@ -285,8 +318,15 @@ def ended(state: Hypotheses, existence_threshold: float) -> Hypotheses:
     clusters = []
     for cluster in state.clusters:
         lost = (cluster.leaf >= 0) & gone[cluster.leaf]
-        clusters.append(_summed(np.where(lost, -1, cluster.leaf), cluster.weight) if lost.any() else cluster)
-    return replace(state, layers=(*state.layers[:-1], nodes), lone=state.lone[~gone[state.lone]], clusters=tuple(clusters))
+        clusters.append(
+            _summed(np.where(lost, -1, cluster.leaf), cluster.weight) if lost.any() else cluster
+        )
+    return replace(
+        state,
+        layers=(*state.layers[:-1], nodes),
+        lone=state.lone[~gone[state.lone]],
+        clusters=tuple(clusters),
+    )
 
 
 def _cluster(leaf: I8, weight: F8) -> Cluster:
@@ -306,18 +346,27 @@ def _summed(leaf: I8, weight: F8) -> Cluster:
 
 
 def parted(state: Hypotheses) -> Hypotheses:
-    """Clusters divided where tracks have not competed for any measurement of the window: what is left is independent.
+    """Clusters divided where tracks have not competed for any measurement of the window: what is
+    left is independent.
 
     The probability of a part of a hypothesis is the sum over all that have it.
     """
-    lone, clusters = [state.lone], []
-    trace = _trace(state) if any(c.leaf.shape[1] > 1 and len(c.weight) > 1 for c in state.clusters) else None
+    lone = [state.lone]
+    clusters = []
+    trace = (
+        _trace(state)
+        if any(c.leaf.shape[1] > 1 and len(c.weight) > 1 for c in state.clusters)
+        else None
+    )
     for cluster in state.clusters:
         parts = [cluster]
         if trace is not None and cluster.leaf.shape[1] > 1 and len(cluster.weight) > 1:
             part = competing(cluster.leaf, *trace)
             if part.max() > 0:
-                parts = [_summed(cluster.leaf[:, part == k], cluster.weight) for k in range(int(part.max()) + 1)]
+                parts = [
+                    _summed(cluster.leaf[:, part == k], cluster.weight)
+                    for k in range(int(part.max()) + 1)
+                ]
         for one in parts:
             if len(one.weight) > 1:
                 clusters.append(one)
@@ -327,7 +376,9 @@ def parted(state: Hypotheses) -> Hypotheses:
 
 
 def _trace(state: Hypotheses) -> tuple[I8, int]:
-    """(L, W) the measurement that each leaf's history rests on in each frame, −1: none; and a number above all of them."""
+    """(L, W) the measurement that each leaf's history rests on in each frame, −1: none; and a
+    number above all of them.
+    """
     out = np.full((len(state), len(state.layers)), -1)
     at = np.arange(len(state))
     for k, nodes in enumerate(reversed(state.layers)):
@@ -338,13 +389,16 @@ def _trace(state: Hypotheses) -> tuple[I8, int]:
 
 
 def compact(state: Hypotheses) -> Hypotheses:
-    """Without leaves that no hypothesis has, and earlier nodes without descendants where they are the greater part."""
+    """Without leaves that no hypothesis has, and earlier nodes without descendants where they are
+    the greater part.
+    """
     used = np.zeros(len(state), np.bool_)
     used[state.lone] = True
     for cluster in state.clusters:
         used[cluster.leaf[cluster.leaf >= 0]] = True
     number = np.append(np.where(used, np.cumsum(used) - 1, -1), -1)
-    nodes, layers = state.leaves.take(used), []
+    nodes = state.leaves.take(used)
+    layers = []
     for earlier in state.layers[-2::-1]:
         reached = np.zeros(len(earlier), np.bool_)
         reached[nodes.parent[nodes.parent >= 0]] = True

@@ -1,20 +1,22 @@
 """The MCMC particle filter: Metropolis–Hastings over the joint state of all targets [K05].
 
-Equations: docs/methods.md, MCMC. A Markov chain (`kernels.mcmc`) draws which targets exist, which measurement each gave, and
-where each is, given what the frame before left and this scan. Unlike the PHD filters this one knows its targets one by one:
-a label is one for a target's life.
+Equations: docs/methods.md, MCMC. A Markov chain (`kernels.mcmc`) draws which targets exist, which
+measurement each gave, and where each is, given what the frame before left and this scan. Unlike the
+PHD filters this one knows its targets one by one: a label is one for a target's life.
 
-* For a target of the frame before, p_t is what `predict` left: N weighted states, together e_t, the probability that it
-  still exists. Targets come and go and move independently of each other until the scan couples them [K05].
-* A newborn target is one that this scan shows: one at most at each measurement, p_t = γ(x) as drawn by the birth model. All
-  samples that add it there give it the same label.
+* For a target of the frame before, p_t is what `predict` left: N weighted states, together e_t, the
+  probability that it still exists. Targets come and go and move independently of each other until
+  the scan couples them [K05].
+* A newborn target is one that this scan shows: one at most at each measurement, p_t = γ(x) as drawn
+  by the birth model. All samples that add it there give it the same label.
 
-The law is discrete: every candidate has a table of states for each measurement that it may have given and for none. So the
-moves of the reversible-jump form need no tuning: a step draws a free option of a candidate by weight, and then a state from
-its table (add, delete, leave, come back, update, reassign), or options of two candidates at once (exchange). This is the
-conditional law but for the interaction, whose ratio is what is left of Hastings' [K05]: α = min(1, Π ψ' / Π ψ). Adding and
-deleting need no Jacobian: each draws what the other drops. Of each kept sample a target's state is kept, and its ``chance``,
-the probability that it exists given the rest of the sample.
+The law is discrete: every candidate has a table of states for each measurement that it may have
+given and for none. So the moves of the reversible-jump form need no tuning: a step draws a free
+option of a candidate by weight, and then a state from its table (add, delete, leave, come back,
+update, reassign), or options of two candidates at once (exchange). This is the conditional law but
+for the interaction, whose ratio is what is left of Hastings' [K05]: α = min(1, Π ψ' / Π ψ). Adding
+and deleting need no Jacobian: each draws what the other drops. Of each kept sample a target's state
+is kept, and its ``chance``, the probability that it exists given the rest of the sample.
 """
 
 from __future__ import annotations
@@ -24,7 +26,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phdtrack.arrays import chi2_quantile, draw, sum_by
-from phdtrack.errors import Checked, Count, InputError, NonNegative, Positive, PositiveCount, Probability, Share, check
+from phdtrack.errors import (
+    Checked,
+    Count,
+    InputError,
+    NonNegative,
+    Positive,
+    PositiveCount,
+    Probability,
+    Share,
+    check,
+)
 from phdtrack.filters.extract import finish, join_unresolved
 from phdtrack.filters.phd_particle import ParticlePHD
 from phdtrack.kernels.grid import points_in_rectangles
@@ -33,7 +45,8 @@ from phdtrack.kernels.mixtures import Gaussians
 from phdtrack.protocols import Filter, Model, Sensor
 from phdtrack.types import F8, I8, Estimates, GaussianMixture, Particles, UpdateInfo
 
-# The least density of clutter: where there is none, everything else that explains a measurement wins.
+# The least density of clutter: where there is none, everything else that explains a measurement
+# wins.
 LEAST_CLUTTER = 1e-100
 # The least weight of a target's absence: the chain passes through it.
 SURELY = 1e-12
@@ -46,7 +59,8 @@ class JointSamples:
     Attributes
     ----------
     state : (d, n·N) the N states of each of n targets, those of a target side by side.
-    chance : (n, N) the probability that the target exists, given its state and the others' in that sample.
+    chance : (n, N) the probability that the target exists, given its state and the others' in that
+        sample.
     label : (n,) int64 ascending, one for a target's life.
     fresh : the next new target's label: none that was ever given is as large.
     """
@@ -87,14 +101,15 @@ class MCMC(Filter[JointSamples]):
     Parameters
     ----------
     samples : N, joint samples that are kept of a frame's chain.
-    burn_in : B, sweeps before the first that is kept. A sweep has as many steps as there are candidates: targets of the last
-        frame and measurements.
+    burn_in : B, sweeps before the first that is kept. A sweep has as many steps as there are
+        candidates: targets of the last frame and measurements.
     thin : sweeps for each kept sample.
     swap_probability : the share of steps that move two candidates that compete for a measurement.
-    interaction_strength : how much boxes that overlap keep apart; 0: not at all, which is faster. Where the detector fires
-        twice on one person it keeps the two apart.
+    interaction_strength : how much boxes that overlap keep apart; 0: not at all, which is faster.
+        Where the detector fires twice on one person it keeps the two apart.
     min_weight : targets less probable than that are dropped.
-    initial : targets before the first frame, one a Gaussian, its weight the probability that it exists.
+    initial : targets before the first frame, one a Gaussian, its weight the probability that it
+        exists.
     """
 
     samples: PositiveCount = 1000
@@ -123,8 +138,12 @@ class MCMC(Filter[JointSamples]):
         chance = np.repeat(self.initial.weight[:, None], self.samples, axis=1)
         return JointSamples(state, chance, np.arange(n), n)
 
-    def predict(self, state: JointSamples, model: Model, dt: float, rng: np.random.Generator) -> JointSamples:
-        """Every target of every sample moved by f, its probability to exist multiplied by p_S [K05], as of a PHD."""
+    def predict(
+        self, state: JointSamples, model: Model, dt: float, rng: np.random.Generator
+    ) -> JointSamples:
+        """Every target of every sample moved by f, its probability to exist multiplied by p_S
+        [K05], as of a PHD.
+        """
         particles = Particles(state.state, state.chance.ravel(), np.array([0, len(state)]))
         moved = ParticlePHD().predict(particles, model, dt, rng).particles()
         return replace(state, state=moved.state, chance=moved.weight.reshape(state.chance.shape))
@@ -149,7 +168,13 @@ class MCMC(Filter[JointSamples]):
         box = model.sensor.boxes(x) if self.interaction_strength > 0 else np.zeros((0, 4))
         can = make_options(candidate, which, member, weight, absent, np.ascontiguousarray(box))
         pairs = _rivals(can.first, can.seen_by)
-        chain = Chain(self.burn_in, self.thin, self.samples, float(self.swap_probability), float(self.interaction_strength))
+        chain = Chain(
+            self.burn_in,
+            self.thin,
+            self.samples,
+            float(self.swap_probability),
+            float(self.interaction_strength),
+        )
         options, states, chance = jump_chain(z.shape[1], can, pairs, chain, rng)
         kept = np.flatnonzero(chance.mean(axis=1) >= self.min_weight)
         x = np.ascontiguousarray(x[:, states[kept].ravel()])
@@ -158,23 +183,34 @@ class MCMC(Filter[JointSamples]):
         number = (options > can.first[:-1, None]).sum(axis=0)
         histogram = np.bincount(number) / len(number)
         mass = state.mass + born.mass
-        return samples, UpdateInfo(mass, born.mass, samples.mass, evidence, kappa, vanished, histogram)
+        return samples, UpdateInfo(
+            mass, born.mass, samples.mass, evidence, kappa, vanished, histogram
+        )
 
 
 def _pairs(x: F8, z: F8, sensor: Sensor) -> tuple[I8, I8, F8, F8]:
-    """State, measurement, d² and g(z|x) (P,) of the pairs of states (d, L) and measurements within the gates."""
-    x, numbers = np.ascontiguousarray(x, np.float64), sensor.particle_model(z)
+    """State, measurement, d² and g(z|x) (P,) of the pairs of states (d, L) and measurements within
+    the gates.
+    """
+    x = np.ascontiguousarray(x, np.float64)
+    numbers = sensor.particle_model(z)
     member, which = points_in_rectangles(x[:2], *sensor.gate(z))
     return member, which, *pair_likelihoods(x, numbers.model, numbers.table, member, which)
 
 
 def _entries(
-    state: JointSamples, born: Particles, near: tuple[I8, I8, F8, F8], z: F8, kappa: F8, model: Model
+    state: JointSamples,
+    born: Particles,
+    near: tuple[I8, I8, F8, F8],
+    z: F8,
+    kappa: F8,
+    model: Model,
 ) -> tuple[I8, I8, I8, F8, F8]:
-    """Entries (T,), sorted by candidate and measurement, of what every candidate may be, and the states (d, L).
+    """Entries (T,), sorted by candidate and measurement, of what every candidate may be, and the
+    states (d, L).
 
-    Whose state, seen in which measurement (−1: in none), which column of the states, and how likely. Newborn candidate n + j
-    is at measurement j.
+    Whose state, seen in which measurement (−1: in none), which column of the states, and how
+    likely. Newborn candidate n + j is at measurement j.
     """
     n, count = state.chance.shape
     x = np.hstack([state.state, born.state])
@@ -182,7 +218,9 @@ def _entries(
     shown = model.sensor.p_detect(x)
     unseen = np.arange(n * count)
     new = _pairs(born.state, z, model.sensor)
-    member, which, _, g = (np.concatenate(parts) for parts in zip(near, (new[0] + n * count, *new[1:]), strict=True))
+    member, which, _, g = (
+        np.concatenate(parts) for parts in zip(near, (new[0] + n * count, *new[1:]), strict=True)
+    )
     ratio = g / kappa[which]
     candidate = np.where(member < n * count, member // max(1, count), n + which)
     entry = np.concatenate([(weight * (1 - shown))[unseen], (weight * shown)[member] * ratio])
@@ -197,7 +235,8 @@ def _entries(
 
 def _rivals(first: I8, seen_by: I8) -> I8:
     """(K, 2) pairs of candidates that may have given the same measurement, a < b."""
-    candidate, order = np.repeat(np.arange(len(first) - 1), np.diff(first)), np.argsort(seen_by, kind="stable")
+    candidate = np.repeat(np.arange(len(first) - 1), np.diff(first))
+    order = np.argsort(seen_by, kind="stable")
     order = order[seen_by[order] >= 0]
     parts = [np.zeros((0, 2), np.int64)]
     for some in np.split(candidate[order], np.flatnonzero(np.diff(seen_by[order])) + 1):
@@ -208,19 +247,22 @@ def _rivals(first: I8, seen_by: I8) -> I8:
 
 @dataclass(frozen=True, slots=True)
 class Joint(Checked):
-    """Settings of the extraction from joint samples: the targets that exist in most of them, at their mean states [K05].
+    """Settings of the extraction from joint samples: the targets that exist in most of them, at
+    their mean states [K05].
 
     Parameters
     ----------
     min_weight : targets that exist with less probability are not reported.
-    merge_iou : states whose boxes overlap by more (IoU) are one object that the detector saw twice; 1 for never.
+    merge_iou : states whose boxes overlap by more (IoU) are one object that the detector saw twice;
+        1 for never.
     """
 
     min_weight: Positive = 0.5
     merge_iou: Share = 0.4
 
     def extract(self, state: JointSamples, z: F8, model: Model) -> Estimates:
-        """Mean and covariance of the samples of every target that probably exists, with its label [K05].
+        """Mean and covariance of the samples of every target that probably exists, with its label
+        [K05].
 
         They are in the order of the labels.
         """

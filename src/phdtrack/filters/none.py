@@ -1,4 +1,6 @@
-"""No filter: the detections themselves are the states. M07's baseline MT, M09's DA (``--filter none``)."""
+"""No filter: the detections themselves are the states. M07's baseline MT, M09's DA (``--filter
+none``).
+"""
 
 from __future__ import annotations
 
@@ -12,13 +14,17 @@ from phdtrack.types import F8, Estimates, Particles, UpdateInfo
 
 @dataclass(frozen=True, slots=True)
 class NoFilter(Filter[Particles]):
-    """Each detection is a target of weight 1, at rest; nothing is remembered and nothing doubted."""
+    """Each detection is a target of weight 1, at rest; nothing is remembered and nothing
+    doubted.
+    """
 
     def start(self, model: Model, rng: np.random.Generator) -> Particles:
         """Nothing."""
         return Particles(np.zeros((model.motion.dim, 0)), np.zeros(0))
 
-    def predict(self, state: Particles, model: Model, dt: float, rng: np.random.Generator) -> Particles:
+    def predict(
+        self, state: Particles, model: Model, dt: float, rng: np.random.Generator
+    ) -> Particles:
         """Nothing outlives its frame."""
         return self.start(model, rng)
 
@@ -28,7 +34,9 @@ class NoFilter(Filter[Particles]):
         """The states that would give the detections, weight 1 each."""
         n = z.shape[1]
         seen, _ = model.sensor.states(z)
-        return Particles(seen, np.ones(n)), UpdateInfo(float(n), float(n), float(n), np.ones(n), np.zeros(n))
+        return Particles(seen, np.ones(n)), UpdateInfo(
+            float(n), float(n), float(n), np.ones(n), np.zeros(n)
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,9 @@
-"""The Gaussian-mixture PHD filter [V06, E13 §4]: the intensity is a mixture, each Gaussian of which has a Kalman filter.
+"""The Gaussian-mixture PHD filter [V06, E13 §4]: the intensity is a mixture, each Gaussian of which
+has a Kalman filter.
 
-Equations: docs/methods.md, PHD. A measurement touches only the Gaussians in whose gate it is, so that the cost grows
-linearly with the number of targets. A mixture grows with every measurement; `GMPHD.reduce` prunes, merges and caps it.
+Equations: docs/methods.md, PHD. A measurement touches only the Gaussians in whose gate it is, so
+that the cost grows linearly with the number of targets. A mixture grows with every measurement;
+`GMPHD.reduce` prunes, merges and caps it.
 """
 
 from __future__ import annotations
@@ -23,13 +25,15 @@ from phdtrack.models.gaussian import Transform, expected, measurements, moved, r
 from phdtrack.protocols import Filter, Model
 from phdtrack.types import F8, GaussianMixture, UpdateInfo
 
-# Mass within this region of a detection explains it, M(z), and births around it have the mass of γ there.
+# Mass within this region of a detection explains it, M(z), and births around it have the mass of γ
+# there.
 REGION = 0.99
 # Gaussians at most, where nothing else is said.
 MOST = 3000
 # Pairs of a Gaussian and a measurement from which on light ones are left out at once.
 HEAP = 50_000
-_NONE, _NOTHING = np.zeros((0, 0)), np.zeros((0, 0, 0))
+_NONE = np.zeros((0, 0))
+_NOTHING = np.zeros((0, 0, 0))
 
 
 class Frame(NamedTuple):
@@ -58,12 +62,13 @@ class GMPHD(Checked, Filter[GaussianMixture]):
     Parameters
     ----------
     weight_threshold : Gaussians that weigh less are dropped.
-    merge_distance : Mahalanobis distance (not squared) up to which a Gaussian is united with a stronger one, in its own
-        covariance.
-    max_components : J_max, Gaussians kept, the heaviest; 0: 3000. In practice there are some for each target, and for each
-        false alarm as long as one that was not seen again takes to fade, log(weight / weight_threshold) / −log(1 − p_D)
-        frames. E13's is 100.
-    gate_probability : part of the measurements of a Gaussian inside its gate; those beyond do not touch it; 1: no gate.
+    merge_distance : Mahalanobis distance (not squared) up to which a Gaussian is united with a
+        stronger one, in its own covariance.
+    max_components : J_max, Gaussians kept, the heaviest; 0: 3000. In practice there are some for
+        each target, and for each false alarm as long as one that was not seen again takes to fade,
+        log(weight / weight_threshold) / −log(1 − p_D) frames. E13's is 100.
+    gate_probability : part of the measurements of a Gaussian inside its gate; those beyond do not
+        touch it; 1: no gate.
     transform : ``linear`` by Jacobians, or ``unscented`` by sigma points.
     initial : the intensity before the first frame.
     """
@@ -79,7 +84,9 @@ class GMPHD(Checked, Filter[GaussianMixture]):
         """The initial intensity; empty where none was given."""
         return self.initial or GaussianMixture.empty(model.motion.dim)
 
-    def predict(self, state: GaussianMixture, model: Model, dt: float, rng: np.random.Generator) -> GaussianMixture:
+    def predict(
+        self, state: GaussianMixture, model: Model, dt: float, rng: np.random.Generator
+    ) -> GaussianMixture:
         """Every Gaussian through f, weighed with p_S [V06 (24)–(29)]."""
         if len(state) == 0:
             return state
@@ -90,15 +97,18 @@ class GMPHD(Checked, Filter[GaussianMixture]):
     def update(
         self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[GaussianMixture, UpdateInfo]:
-        """Add the births, then update every Gaussian with every measurement within its gate [V06 (32)–(38)].
+        """Add the births, then update every Gaussian with every measurement within its gate [V06
+        (32)–(38)].
 
-        The mass that explains a detection, which decides where targets are born, is that of the Gaussians within the 99 %
-        region of it. Where κ(z) + C(z) = 0 the detection's term is 0 and counted in ``info.vanished``.
-        The mixture is not reduced.
+        The mass that explains a detection, which decides where targets are born, is that of the
+        Gaussians within the 99 % region of it. Where κ(z) + C(z) = 0 the detection's term is 0 and
+        counted in ``info.vanished``. The mixture is not reduced.
         """
         return self.terms(state, z, model, dt, rng).phd()
 
-    def terms(self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator) -> UpdateTerms:
+    def terms(
+        self, state: GaussianMixture, z: F8, model: Model, dt: float, rng: np.random.Generator
+    ) -> UpdateTerms:
         """The terms of the update with the births.
 
         Parameters
@@ -116,10 +126,13 @@ class GMPHD(Checked, Filter[GaussianMixture]):
                 rows = rows._replace(weight=rows.weight * (mass / rows.weight.sum()))
             return _mixture(rows)
 
-        return UpdateTerms(t.predicted, t.born, t.missed, t.evidence, frame.measurements.clutter, weighed)
+        return UpdateTerms(
+            t.predicted, t.born, t.missed, t.evidence, frame.measurements.clutter, weighed
+        )
 
     def reduce(self, state: GaussianMixture, rng: np.random.Generator) -> GaussianMixture:
-        """Prune, merge, cap: the strongest first, with all that are near it, moment-matched [V06 Table II, E13 §4].
+        """Prune, merge, cap: the strongest first, with all that are near it, moment-matched [V06
+        Table II, E13 §4].
 
         What is dropped is given to the rest, so that the expected number stays.
         """
@@ -133,7 +146,8 @@ class GMPHD(Checked, Filter[GaussianMixture]):
         frame = self._frame(self._predicted(state, model, dt), z, model, dt)
         axes = tuple(range(frame.rows.mean.shape[1]))
         new = frame.newborn
-        # As plain tuples: Numba looks up the class of every named one, which takes a quarter of a step of ten targets.
+        # As plain tuples: Numba looks up the class of every named one, which takes a quarter of a
+        # step of ten targets.
         weight, mean, covariance, evidence, (predicted, born, mass), vanished = phd_step(
             tuple(frame.rows), tuple(frame.expected), tuple(frame.measurements),
             (tuple(new.around), *new[1:-1], tuple(new.expected)), tuple(frame.reach), tuple(self._merging), axes,
@@ -151,11 +165,13 @@ class GMPHD(Checked, Filter[GaussianMixture]):
 
     def _frame(self, rows: Rows, z: F8, model: Model, dt: float) -> Frame:
         """What the model says of a frame of these measurements, with the predicted Gaussians."""
-        sensor, predicted = model.sensor, len(rows.weight)
+        sensor = model.sensor
+        predicted = len(rows.weight)
         born = model.birth.gaussians(z, sensor, model.birth_seconds(dt))
         if len(born.weight):
             rows = Rows(*(np.concatenate(parts) for parts in zip(rows, born[1:], strict=True)))
-        around, seen = born.around, measurements(model, z)
+        around = born.around
+        seen = measurements(model, z)
         observed = row_numbers(sensor.observed)
         volume, stretch = _newborn_shape(len(observed))
         said = expected(sensor, rows.mean, rows.covariance, self.transform)
@@ -167,14 +183,20 @@ class GMPHD(Checked, Filter[GaussianMixture]):
             p_detect = sensor.p_detect(np.ascontiguousarray(around.mean.T))
             newborn = Expected(observed, _NONE, _NOTHING, _NOTHING, _NOTHING, p_detect)
         r = len(seen.period)
-        gate, region = math.sqrt(chi2_quantile(r, self.gate_probability)), chi2_quantile(r, REGION)
+        gate = math.sqrt(chi2_quantile(r, self.gate_probability))
+        region = chi2_quantile(r, REGION)
         reach = Reach(gate, region, predicted)
         return Frame(rows, said, seen, Newborn(around, observed, volume, stretch, newborn), reach)
 
     @property
     def _merging(self) -> Merging:
         """What a reduction needs."""
-        return Merging(float(self.weight_threshold), float(self.merge_distance), self.max_components or MOST, True)
+        return Merging(
+            float(self.weight_threshold),
+            float(self.merge_distance),
+            self.max_components or MOST,
+            True,
+        )
 
 
 @lru_cache(maxsize=8)

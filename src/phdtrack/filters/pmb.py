@@ -1,46 +1,55 @@
-"""The Poisson multi-Bernoulli filter with hypotheses about each target: labels and existence inside the recursion [W15].
+"""The Poisson multi-Bernoulli filter with hypotheses about each target: labels and existence inside
+the recursion [W15].
 
-Equations: docs/methods.md, Poisson multi-Bernoulli. The result is the product of Bernoulli densities that is nearest to the
-posterior [W15], but the hypotheses of a target are kept with their pasts instead of being replaced by their mean. So targets
-that cannot be separated for some frames are not blurred, and the past is read from the hypothesis that wins.
+Equations: docs/methods.md, Poisson multi-Bernoulli. The result is the product of Bernoulli
+densities that is nearest to the posterior [W15], but the hypotheses of a target are kept with their
+pasts instead of being replaced by their mean. So targets that cannot be separated for some frames
+are not blurred, and the past is read from the hypothesis that wins.
 
 Two things that a constant p_D does not say about detectors are hidden states of a hypothesis.
 
-*Occlusion*: misses come in rows. A visible target is detected with the sensor's p_D, an occluded one never. It changes at
-rates 1/``mean_visible_time`` and 1/``mean_occluded_time``, a Markov chain in continuous time that is visible at a first
-detection.
+*Occlusion*: misses come in rows. A visible target is detected with the sensor's p_D, an occluded
+one never. It changes at rates 1/``mean_visible_time`` and 1/``mean_occluded_time``, a Markov chain
+in continuous time that is visible at a first detection.
 
-*Static clutter*: some false alarms come again and again in one place. A first detection is static clutter with probability
-``static_clutter_prior``. It stays where it is, which is never known exactly, and is detected with probability
-``static_clutter_detection_probability`` in each frame. What moves, or is detected more often, is soon known to be a target.
-Static clutter competes for measurements like targets do and is never reported.
+*Static clutter*: some false alarms come again and again in one place. A first detection is static
+clutter with probability ``static_clutter_prior``. It stays where it is, which is never known
+exactly, and is detected with probability ``static_clutter_detection_probability`` in each frame.
+What moves, or is detected more often, is soon known to be a target. Static clutter competes for
+measurements like targets do and is never reported.
 
-*Lasting clutter*: what a detector takes for a target again and again moves and is detected like one. Only its scores give it
-away. With the odds of a score s against lasting false alarms, l(s) = p(s|target)/p(s|lasting), and against those of a single
-frame, o(s), a hypothesis that is genuine with probability ρ has the likelihood q(z)(ρ o(s) + 1 − ρ), and
+*Lasting clutter*: what a detector takes for a target again and again moves and is detected like
+one. Only its scores give it away. With the odds of a score s against lasting false alarms, l(s) =
+p(s|target)/p(s|lasting), and against those of a single frame, o(s), a hypothesis that is genuine
+with probability ρ has the likelihood q(z)(ρ o(s) + 1 − ρ), and
 
     log ρ/(1 − ρ) ← log ρ₀/(1 − ρ₀) + k (log ρ/(1 − ρ) − log ρ₀/(1 − ρ₀)) + log l(s)
 
-with ρ₀ = 1 − ``lasting_clutter_prior``; k forgets what scores have said, because those of one target are alike, and change
-when it comes nearer. What high scores have once raised far above the prior is genuine for good: low scores say then that it
-is partly hidden. Targets are present as far as they are genuine.
+with ρ₀ = 1 − ``lasting_clutter_prior``; k forgets what scores have said, because those of one
+target are alike, and change when it comes nearer. What high scores have once raised far above the
+prior is genuine for good: low scores say then that it is partly hidden. Targets are present as far
+as they are genuine.
 
-Two things that a model cannot know about every stream and target are hidden states, too, where the settings ask for them.
+Two things that a model cannot know about every stream and target are hidden states, too, where the
+settings ask for them.
 
-*How noisy it is.* All variances of a hypothesis, of its motion and of its measurements, are c times the model's. What is
-known of 1/c is what n observations of a variance tell, a gamma distribution. Innovations then follow Student's t, whose
-tails keep a target that jumps [WH97 §10.8]. Every detection adds two observations, of the centre and of the size apart:
+*How noisy it is.* All variances of a hypothesis, of its motion and of its measurements, are c times
+the model's. What is known of 1/c is what n observations of a variance tell, a gamma distribution.
+Innovations then follow Student's t, whose tails keep a target that jumps [WH97 §10.8]. Every
+detection adds two observations, of the centre and of the size apart:
 
     q(z) = |2πS|^(−½) c^(−1) (1 + d²/(nc))^(−n/2 − 1),   c ← (nc + d²)/(n + 2),   n ← n + 2
 
-for each two components, S and d² by the model's noises. Between frames what is known fades towards the model's noises,
-which count for n₀ observations: n ← kn + (1 − k)n₀. A new target has n₀ and c = 1. States and gains do not depend on c,
-covariances are c times as large.
+for each two components, S and d² by the model's noises. Between frames what is known fades towards
+the model's noises, which count for n₀ observations: n ← kn + (1 − k)n₀. A new target has n₀ and c =
+1. States and gains do not depend on c, covariances are c times as large.
 
-*How agile it is.* A new target has a hypothesis for each factor of the acceleration, all equally probable; the innovations
-decide between them. A bank of filters, each with its motion for good [B01 §11.6].
+*How agile it is.* A new target has a hypothesis for each factor of the acceleration, all equally
+probable; the innovations decide between them. A bank of filters, each with its motion for good [B01
+§11.6].
 
-The filter knows a model by the arrays that it answers (`models.gaussian`); `kernels.pmb` computes with them.
+The filter knows a model by the arrays that it answers (`models.gaussian`); `kernels.pmb` computes
+with them.
 """
 
 from __future__ import annotations
@@ -51,7 +60,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phdtrack.arrays import GATE, chi2_quantile
-from phdtrack.errors import Checked, InputError, NonNegative, Positive, PositiveCount, Probability, Share
+from phdtrack.errors import (
+    Checked,
+    InputError,
+    NonNegative,
+    Positive,
+    PositiveCount,
+    Probability,
+    Share,
+)
 from phdtrack.filters.undetected import recycled, still_undetected, survived, with_births
 from phdtrack.kernels import Records
 from phdtrack.kernels.box import apart
@@ -81,9 +98,11 @@ class Bernoullis:
     Attributes
     ----------
     layers : the targets of the last frames, oldest first.
-    ended : (E, 2) frame and hypothesis there of targets that were once confirmed and have been deleted since.
+    ended : (E, 2) frame and hypothesis there of targets that were once confirmed and have been
+        deleted since.
     next_label : the label that the next new target is given.
-    undetected : intensity of targets that have never been detected, where births are a mixture (`filters.undetected`).
+    undetected : intensity of targets that have never been detected, where births are a mixture
+        (`filters.undetected`).
     frame : number of the last layer: how many frames have been predicted.
     """
 
@@ -114,29 +133,37 @@ class PMB(Checked, Filter[Bernoullis]):
 
     Parameters
     ----------
-    existence_threshold : targets that exist with less probability are deleted, and given back to those never detected where
-        births are a mixture; unless that probability has just risen: a detection that no existing target explains better may
-        start a target, however rare births are.
+    existence_threshold : targets that exist with less probability are deleted, and given back to
+        those never detected where births are a mixture; unless that probability has just risen: a
+        detection that no existing target explains better may start a target, however rare births
+        are.
     hypothesis_threshold : hypotheses of a target that are less probable are dropped.
     max_hypotheses : hypotheses kept of a target, the most probable.
-    merge_distance : hypotheses of a target that are within so many deviations of a heavier one are counted as that one.
+    merge_distance : hypotheses of a target that are within so many deviations of a heavier one are
+        counted as that one.
     gate_probability : part of the measurements of a hypothesis inside its gate; 1: no gate.
     transform : ``linear`` by Jacobians, or ``unscented`` by sigma points.
-    mean_visible_time : seconds for which, on average, a target can be detected at a stretch; 0: for ever.
+    mean_visible_time : seconds for which, on average, a target can be detected at a stretch; 0: for
+        ever.
     mean_occluded_time : seconds for which, on average, it then cannot.
-    static_clutter_prior : probability that a first detection which is no single false alarm is static clutter; over an
-        interval of T > 1 time units 1/T of it, as targets of slow streams stand still from frame to frame, too. Where scores
-        tell lasting false alarms (`ScoredClutter`), none is.
+    static_clutter_prior : probability that a first detection which is no single false alarm is
+        static clutter; over an interval of T > 1 time units 1/T of it, as targets of slow streams
+        stand still from frame to frame, too. Where scores tell lasting false alarms
+        (`ScoredClutter`), none is.
     static_clutter_detection_probability : probability that static clutter is detected in a frame.
-    lasting_clutter_prior : probability that a target is a false alarm that lasts, before its scores are known; 0, and where
-        scores say nothing: none is.
+    lasting_clutter_prior : probability that a target is a false alarm that lasts, before its scores
+        are known; 0, and where scores say nothing: none is.
     score_memory : frames after which what a score has said of that counts for 37 %.
     history : frames for which the hypotheses of the past are kept: so far back the past is revised.
-    noise_freedom : degrees of freedom with which the noises of a new target are known, see above; 0: they are the model's.
-    noise_memory : frames after which what an innovation has shown of a target's noises counts for 37 %.
-    acceleration_factors : a target is followed with each of these multiples of the model's acceleration.
-    clutter_decay : false alarms are T^−clutter_decay times the model's where the interval T is longer than a time unit: of a
-        slow stream's, fewer come again in the next frame. 0: as the model says.
+    noise_freedom : degrees of freedom with which the noises of a new target are known, see above;
+        0: they are the model's.
+    noise_memory : frames after which what an innovation has shown of a target's noises counts for
+        37 %.
+    acceleration_factors : a target is followed with each of these multiples of the model's
+        acceleration.
+    clutter_decay : false alarms are T^−clutter_decay times the model's where the interval T is
+        longer than a time unit: of a slow stream's, fewer come again in the next frame. 0: as the
+        model says.
     initial : targets before the first frame; a weight is the probability that there is one.
     """
 
@@ -166,37 +193,66 @@ class PMB(Checked, Filter[Bernoullis]):
             raise InputError(problem, where="filter.lasting_clutter_prior")
         if not self.acceleration_factors:
             cure = "Leave it out, or (1,)"
-            raise InputError("expected at least one factor", where="filter.acceleration_factors", cure=cure)
+            raise InputError(
+                "expected at least one factor", where="filter.acceleration_factors", cure=cure
+            )
 
     def start(self, model: Model, rng: np.random.Generator) -> Bernoullis:
-        """The initial targets, with one hypothesis for each factor of the acceleration; none where none were given."""
+        """The initial targets, with one hypothesis for each factor of the acceleration; none where
+        none were given.
+        """
         given = self.initial or GaussianMixture.empty(model.motion.dim)
-        n, motions = len(given), len(self.acceleration_factors)
-        number, place = np.arange(n), np.arange(n * motions) // motions
-        targets, hypotheses = np.zeros(n, TARGET), np.zeros(n * motions, HYPOTHESIS)
+        n = len(given)
+        motions = len(self.acceleration_factors)
+        number = np.arange(n)
+        place = np.arange(n * motions) // motions
+        targets = np.zeros(n, TARGET)
+        hypotheses = np.zeros(n * motions, HYPOTHESIS)
         targets["r"] = targets["presence"] = targets["max_presence"] = np.minimum(given.weight, 1.0)
-        targets["label"], targets["begin"], targets["end"] = number, number * motions, (number + 1) * motions
+        targets["label"] = number
+        targets["begin"] = number * motions
+        targets["end"] = (number + 1) * motions
         targets["best"] = targets["begin"]
-        hypotheses["target"], hypotheses["weight"] = place, 1 / motions
+        hypotheses["target"] = place
+        hypotheses["weight"] = 1 / motions
         hypotheses["motion"] = np.arange(n * motions) % motions
-        hypotheses["position_scale"], hypotheses["size_scale"], hypotheses["freedom"] = 1.0, 1.0, self.noise_freedom
+        hypotheses["position_scale"] = 1.0
+        hypotheses["size_scale"] = 1.0
+        hypotheses["freedom"] = self.noise_freedom
         hypotheses["detection"] = hypotheses["parent"] = -1
         hypotheses["genuine"] = CERTAIN
-        layer = Layer(targets, hypotheses, np.ascontiguousarray(given.mean.T[place]), given.covariance[place])
-        return Bernoullis((layer,), np.zeros((0, 2), np.int64), n, GaussianMixture.empty(model.motion.dim))
+        layer = Layer(
+            targets, hypotheses, np.ascontiguousarray(given.mean.T[place]), given.covariance[place]
+        )
+        return Bernoullis(
+            (layer,), np.zeros((0, 2), np.int64), n, GaussianMixture.empty(model.motion.dim)
+        )
 
-    def predict(self, state: Bernoullis, model: Model, dt: float, rng: np.random.Generator) -> Bernoullis:
-        """A further layer: every hypothesis through f, with p_S of its probability; static clutter stays where it is."""
+    def predict(
+        self, state: Bernoullis, model: Model, dt: float, rng: np.random.Generator
+    ) -> Bernoullis:
+        """A further layer: every hypothesis through f, with p_S of its probability; static clutter
+        stays where it is.
+        """
         now = state.present
         factors = self.acceleration_factors
         factor = SAME if factors == (1.0,) else np.square(factors)[now.hypotheses["motion"]]
         mean, covariance, after = moved(model, now.mean, now.covariance, dt, self.transform, factor)
-        now, noise = Layer(now.targets, now.hypotheses, mean, covariance), model.sensor.noise(np.ascontiguousarray(mean.T))
+        now = Layer(now.targets, now.hypotheses, mean, covariance)
+        noise = model.sensor.noise(np.ascontiguousarray(mean.T))
         freedom = self.noise_freedom, math.exp(-1 / self.noise_memory)
         genuine = self._prior, math.exp(-1 / self.score_memory)
-        layer = predicted_layer(now, after, noise, *self._changes(dt / model.rate), freedom, genuine)
+        layer = predicted_layer(
+            now, after, noise, *self._changes(dt / model.rate), freedom, genuine
+        )
         unseen = survived(state.undetected, model, dt, self.transform)
-        return Bernoullis((*state.layers[-self.history :], layer), state.ended, state.next_label, unseen, state.frame + 1)
+        return Bernoullis(
+            (*state.layers[-self.history :], layer),
+            state.ended,
+            state.next_label,
+            unseen,
+            state.frame + 1,
+        )
 
     @property
     def _prior(self) -> float:
@@ -205,7 +261,9 @@ class PMB(Checked, Filter[Bernoullis]):
         return math.log(1 / lasting - 1) if lasting > 0 else CERTAIN
 
     def _changes(self, seconds: float) -> tuple[float, float]:
-        """Probabilities to be occluded ``seconds`` after being visible, and visible after being occluded."""
+        """Probabilities to be occluded ``seconds`` after being visible, and visible after being
+        occluded.
+        """
         if self.mean_visible_time == 0:
             return 0.0, 1.0
         rate = 1 / self.mean_visible_time + 1 / self.mean_occluded_time
@@ -215,18 +273,25 @@ class PMB(Checked, Filter[Bernoullis]):
     def update(
         self, state: Bernoullis, z: F8, model: Model, dt: float, rng: np.random.Generator
     ) -> tuple[Bernoullis, UpdateInfo]:
-        """Every target with the probabilities of the measurements that it may have, and new targets.
+        """Every target with the probabilities of the measurements that it may have, and new
+        targets.
 
-        `UpdateInfo.clutter_probability` is that of a false alarm, static clutter and clutter that lasts included.
+        `UpdateInfo.clutter_probability` is that of a false alarm, static clutter and clutter that
+        lasts included.
         """
-        now, label, seen = state.present, state.next_label, measurements(model, z)
+        now = state.present
+        label = state.next_label
+        seen = measurements(model, z)
         if self.clutter_decay and dt > 1:
             seen = seen._replace(clutter=seen.clutter * dt**-self.clutter_decay)
         if self.noise_freedom and len(seen.period) not in (2, 4):
             problem = f"noises are learned of measurements with 2 or 4 components, these have {len(seen.period)}"
-            raise InputError(problem, where="filter.noise_freedom", cure="Use 0, the model's noises")
+            raise InputError(
+                problem, where="filter.noise_freedom", cure="Use 0, the model's noises"
+            )
         gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
-        # Where scores tell false alarms that last, nothing is static clutter; else no others that last are known.
+        # Where scores tell false alarms that last, nothing is static clutter; else no others that
+        # last are known.
         telling = isinstance(model.clutter, ScoredClutter) and bool(model.clutter.log_odds.any())
         settings = Settings(
             self.existence_threshold, self.hypothesis_threshold, float(self.max_hypotheses), self.merge_distance, gate,
@@ -237,11 +302,19 @@ class PMB(Checked, Filter[Bernoullis]):
         said = expected(model.sensor, now.mean, now.covariance, self.transform)
         births = with_births(state.undetected, model, z, dt)
         new = new_targets(model, births, seen, gate, self.transform)
-        # As plain tuples: Numba looks up the class of every named one, which takes as long as some kernels.
-        nothing, clutter = np.zeros(len(seen.z)), model.clutter
-        scored = (clutter.odds, clutter.log_odds) if isinstance(clutter, ScoredClutter) else (nothing + 1, nothing)
+        # As plain tuples: Numba looks up the class of every named one, which takes as long as some
+        # kernels.
+        nothing = np.zeros(len(seen.z))
+        clutter = model.clutter
+        scored = (
+            (clutter.odds, clutter.log_odds)
+            if isinstance(clutter, ScoredClutter)
+            else (nothing + 1, nothing)
+        )
         scores = Scores(*scored, self._prior if telling else CERTAIN)
-        layer, learned, gone, weak = updated_layer(*map(tuple, (now, said, seen, new, scores, settings)), label)
+        layer, learned, gone, weak = updated_layer(
+            *map(tuple, (now, said, seen, new, scores, settings)), label
+        )
         if len(layer.targets):
             label = max(label, int(layer.targets[-1]["label"]) + 1)
         ended = state.ended
@@ -249,20 +322,36 @@ class PMB(Checked, Filter[Bernoullis]):
         if len(ended) and state.frame - ended[0, 0] > self.history:
             ended = ended[state.frame - ended[:, 0] <= self.history]
         if len(gone):
-            ended = np.vstack([ended, np.stack([np.full(len(gone), state.frame - 1), gone], axis=1)])
+            ended = np.vstack(
+                [ended, np.stack([np.full(len(gone), state.frame - 1), gone], axis=1)]
+            )
         h = now.hypotheses
-        p_detect = np.where(h["static"], self.static_clutter_detection_probability, (1 - h["occluded"]) * said.p_detect)
+        p_detect = np.where(
+            h["static"],
+            self.static_clutter_detection_probability,
+            (1 - h["occluded"]) * said.p_detect,
+        )
         detected = float((now.targets["r"][h["target"]] * h["weight"]) @ p_detect)
         info = replace(UpdateInfo(*learned), detected=detected)
-        unseen = self._undetected(births, model, now, weak) if len(births.weight) else state.undetected
+        unseen = (
+            self._undetected(births, model, now, weak) if len(births.weight) else state.undetected
+        )
         return Bernoullis((*state.layers[:-1], layer), ended, label, unseen, state.frame), info
 
     def _undetected(self, births: Births, model: Model, now: Layer, weak: F8) -> GaussianMixture:
-        """What is left of the births, and of the targets ``now`` those that are deleted, which exist with ``weak`` (T,)."""
+        """What is left of the births, and of the targets ``now`` those that are deleted, which
+        exist with ``weak`` (T,).
+        """
         target = np.flatnonzero((weak > 0) & (now.targets["best"] >= 0))
-        at, r = now.targets["best"][target], now.targets["r"][target]
+        at = now.targets["best"][target]
+        r = now.targets["r"][target]
         weight = weak[target] * now.targets["presence"][target] / np.maximum(r, TINY)
-        return recycled(still_undetected(births, model), weight, now.mean[at], scaled(now.covariance, now.hypotheses, at))
+        return recycled(
+            still_undetected(births, model),
+            weight,
+            now.mean[at],
+            scaled(now.covariance, now.hypotheses, at),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,26 +360,39 @@ class BestBernoullis(Checked):
 
     Parameters
     ----------
-    min_weight : targets that exist with less probability are not reported. A target that was detected again later existed.
-    merge_iou : of targets whose boxes overlap by more (IoU) the one that has been followed for longer is reported; 1: all.
+    min_weight : targets that exist with less probability are not reported. A target that was
+        detected again later existed.
+    merge_iou : of targets whose boxes overlap by more (IoU) the one that has been followed for
+        longer is reported; 1: all.
     """
 
     min_weight: Share = 0.5
     merge_iou: Share = 0.5
 
     def extract(self, state: Bernoullis, z: F8, model: Model) -> Estimates:
-        """The best hypothesis of each target, by label; their weight is the probability that the target exists.
+        """The best hypothesis of each target, by label; their weight is the probability that the
+        target exists.
 
-        `Estimates.past` are the same targets, and those that have ended since, in the frames before; None for frames of
-        which the same is reported as a frame ago.
+        `Estimates.past` are the same targets, and those that have ended since, in the frames
+        before; None for frames of which the same is reported as a frame ago.
         """
-        layers, frames = state.layers, list[Estimates | None]()
+        layers = state.layers
+        frames = list[Estimates | None]()
         present = now = _best(layers[-1])
         before = _best(layers[-2]) if len(layers) > 1 else now
         for back in range(1, len(layers)):
-            after, then, past = layers[-back], layers[-back - 1], (state.ended, state.frame - back)
+            after = layers[-back]
+            then = layers[-back - 1]
+            past = (state.ended, state.frame - back)
             now, before, same = earlier(
-                now, before, after.hypotheses, then.targets, then.hypotheses, past, back == 1, self.min_weight
+                now,
+                before,
+                after.hypotheses,
+                then.targets,
+                then.hypotheses,
+                past,
+                back == 1,
+                self.min_weight,
             )
             if same:
                 break
@@ -298,7 +400,9 @@ class BestBernoullis(Checked):
         unchanged = (None,) * (len(layers) - 1 - len(frames))
         return self._estimates(layers[-1], present, model, (*unchanged, *reversed(frames)))
 
-    def _estimates(self, layer: Layer, trace: Records, model: Model, past: tuple[Estimates | None, ...] = ()) -> Estimates:
+    def _estimates(
+        self, layer: Layer, trace: Records, model: Model, past: tuple[Estimates | None, ...] = ()
+    ) -> Estimates:
         """The targets of enough presence, without those that overlap one followed for longer."""
         target = np.flatnonzero((trace["place"] >= 0) & (trace["presence"] >= self.min_weight))
         at = trace["place"][target]
@@ -307,21 +411,30 @@ class BestBernoullis(Checked):
         # Labels rise with the frame in which a target began.
         left = without_overlaps(boxes, self.merge_iou)
         if len(left) < len(at):
-            target, at, boxes, mean = target[left], at[left], boxes[left], np.ascontiguousarray(mean[:, left])
-        weight, label = trace["presence"][target], layer.targets["label"][target]
+            target = target[left]
+            at = at[left]
+            boxes = boxes[left]
+            mean = np.ascontiguousarray(mean[:, left])
+        weight = trace["presence"][target]
+        label = layer.targets["label"][target]
         covariance = scaled(layer.covariance, layer.hypotheses, at)
-        return Estimates(mean, covariance, weight, boxes, layer.hypotheses["detection"][at], label, past)
+        return Estimates(
+            mean, covariance, weight, boxes, layer.hypotheses["detection"][at], label, past
+        )
 
 
 def _best(layer: Layer) -> Records:
     """The best hypothesis and the presence of each target."""
     trace = np.empty(len(layer.targets), TRACE)
-    trace["place"], trace["presence"] = layer.targets["best"], layer.targets["presence"]
+    trace["place"] = layer.targets["best"]
+    trace["presence"] = layer.targets["presence"]
     return trace
 
 
 def without_overlaps(boxes: F8, merge_iou: float) -> I8:
-    """Which of the boxes (n, 4) are left without those that overlap an earlier one that is left by more; 1: all."""
+    """Which of the boxes (n, 4) are left without those that overlap an earlier one that is left by
+    more; 1: all.
+    """
     if merge_iou >= 1 or len(boxes) < 2:
         return np.arange(len(boxes))
     return np.asarray(apart(boxes, boxes[:, 0].argsort(), merge_iou))

@@ -1,27 +1,30 @@
-"""The Poisson multi-Bernoulli mixture filter [W15; G18]: the exact posterior of targets that are born as a Poisson process.
+"""The Poisson multi-Bernoulli mixture filter [W15; G18]: the exact posterior of targets that are
+born as a Poisson process.
 
-Symbols: docs/methods.md, Poisson multi-Bernoulli. Targets that have been detected are a mixture of multi-Bernoulli
-densities, one for each global hypothesis about which measurements were of which target. The probability of a hypothesis, but
-for a constant, is the product over frames of
+Symbols: docs/methods.md, Poisson multi-Bernoulli. Targets that have been detected are a mixture of
+multi-Bernoulli densities, one for each global hypothesis about which measurements were of which
+target. The probability of a hypothesis, but for a constant, is the product over frames of
 
     r p_D N(z; ẑ, S)    of each target with a measurement,        1 − r p_D    of each without
     κ(z) + λ̂(z)         of each measurement that no earlier target has
 
-with r the probability that the target exists, if the hypothesis is true: p_S r a frame later, 1 after a measurement, r (1 −
-p_D)/(1 − r p_D) after a miss, λ̂/(κ + λ̂) where it is first measured. So whether such a measurement was a false alarm, and
-when a target left that has not been measured since, is summed over: 50 false alarms are 50 targets of little weight and not
-2⁵⁰ hypotheses.
+with r the probability that the target exists, if the hypothesis is true: p_S r a frame later, 1
+after a measurement, r (1 − p_D)/(1 − r p_D) after a miss, λ̂/(κ + λ̂) where it is first measured.
+So whether such a measurement was a false alarm, and when a target left that has not been measured
+since, is summed over: 50 false alarms are 50 targets of little weight and not 2⁵⁰ hypotheses.
 
-Targets that compete for no measurement stand in different clusters, whose hypotheses are independent. Where a measurement is
-near targets of several, they become one; where the targets of one no longer share a measurement of the window, it falls
-apart. In each cluster the best assignments over all hypotheses are found in order (`kernels.association`, Murty), up to
-``max_hypotheses`` and down to ``hypothesis_threshold`` of the best. Targets whose existence has become improbable are given
-back to λ.
+Targets that compete for no measurement stand in different clusters, whose hypotheses are
+independent. Where a measurement is near targets of several, they become one; where the targets of
+one no longer share a measurement of the window, it falls apart. In each cluster the best
+assignments over all hypotheses are found in order (`kernels.association`, Murty), up to
+``max_hypotheses`` and down to ``hypothesis_threshold`` of the best. Targets whose existence has
+become improbable are given back to λ.
 
-*Trajectories* [T20]. A hypothesis keeps the nodes of each target in the last ``history`` frames: Gaussian densities of its
-states, linked by the motion, which together are the density of its trajectory. `BestHypothesis` reads it: with ``smoothed``
-the states of the past given all measurements since (the smoother of Rauch, Tung and Striebel is exact for a linear model),
-and the probability that the target was there, which for a target that may have left in the meantime is
+*Trajectories* [T20]. A hypothesis keeps the nodes of each target in the last ``history`` frames:
+Gaussian densities of its states, linked by the motion, which together are the density of its
+trajectory. `BestHypothesis` reads it: with ``smoothed`` the states of the past given all
+measurements since (the smoother of Rauch, Tung and Striebel is exact for a linear model), and the
+probability that the target was there, which for a target that may have left in the meantime is
 
     e_j = e_{j+1} + (1 − e_{j+1}) r_j (1 − p_S) / (1 − p_S r_j),    e_k = r_k
 
@@ -52,7 +55,15 @@ from phdtrack.filters.hypotheses import (
 )
 from phdtrack.filters.pmb import without_overlaps
 from phdtrack.filters.undetected import recycled, still_undetected, survived, with_births
-from phdtrack.kernels.gaussian import GAUSSIAN, PAIR, Expected, Measurements, NewTargets, all_gated, all_posteriors
+from phdtrack.kernels.gaussian import (
+    GAUSSIAN,
+    PAIR,
+    Expected,
+    Measurements,
+    NewTargets,
+    all_gated,
+    all_posteriors,
+)
 from phdtrack.kernels.pmb import NEVER, TINY
 from phdtrack.models.gaussian import Transform, expected, measurements, moved, new_targets
 from phdtrack.models.rts import predict as ahead_of
@@ -68,9 +79,12 @@ class PMBM(Checked, Filter[Hypotheses]):
     Parameters
     ----------
     max_hypotheses : global hypotheses kept of a cluster, the most probable.
-    hypothesis_threshold : hypotheses less probable than this share of their cluster's best are dropped.
-    history : frames for which the states of the past are kept: so far back trajectories are revised.
-    existence_threshold : targets that exist with less probability are given back to the undetected ones.
+    hypothesis_threshold : hypotheses less probable than this share of their cluster's best are
+        dropped.
+    history : frames for which the states of the past are kept: so far back trajectories are
+        revised.
+    existence_threshold : targets that exist with less probability are given back to the undetected
+        ones.
     gate_probability : part of the measurements of a target inside its gate; 1: no gate.
     transform : ``linear`` by Jacobians, or ``unscented`` by sigma points.
     initial : intensity of targets before the first frame, none of which has been detected.
@@ -89,14 +103,22 @@ class PMBM(Checked, Filter[Hypotheses]):
         nothing = GaussianMixture.empty(model.motion.dim)
         return begun(nothing, self.initial or nothing)
 
-    def predict(self, state: Hypotheses, model: Model, dt: float, rng: np.random.Generator) -> Hypotheses:
-        """A further layer: every leaf through f, with p_S of its probability to exist; and the undetected targets."""
-        leaves, n = state.leaves, len(state)
+    def predict(
+        self, state: Hypotheses, model: Model, dt: float, rng: np.random.Generator
+    ) -> Hypotheses:
+        """A further layer: every leaf through f, with p_S of its probability to exist; and the
+        undetected targets.
+        """
+        leaves = state.leaves
+        n = len(state)
         _, _, after = moved(model, leaves.mean, leaves.covariance, dt, self.transform)
-        missed, none = leaves.missed + 1, np.full(n, -1)
+        missed = leaves.missed + 1
+        none = np.full(n, -1)
         survival = self._survival(after.p_survive, missed)
         r = leaves.r * survival
-        nodes = Nodes(after.mean, after.covariance, r, none, np.arange(n), leaves.label, missed, survival)
+        nodes = Nodes(
+            after.mean, after.covariance, r, none, np.arange(n), leaves.label, missed, survival
+        )
         return replace(
             state,
             layers=(*state.layers[-self.history :], nodes),
@@ -105,7 +127,9 @@ class PMBM(Checked, Filter[Hypotheses]):
         )
 
     def _survival(self, p_survive: F8, missed: I8) -> F8:
-        """(L,) probabilities that targets survive which have not been measured for so many frames, this one included."""
+        """(L,) probabilities that targets survive which have not been measured for so many frames,
+        this one included.
+        """
         return p_survive
 
     def update(
@@ -115,7 +139,8 @@ class PMBM(Checked, Filter[Hypotheses]):
 
         `UpdateInfo.clutter_probability` is that of a false alarm over all hypotheses.
         """
-        leaves, seen = state.leaves, measurements(model, z)
+        leaves = state.leaves
+        seen = measurements(model, z)
         gate = math.sqrt(chi2_quantile(len(seen.period), self.gate_probability))
         seen, new, undetected = self._unassigned(state.undetected, seen, z, model, dt, gate)
         e = expected(model.sensor, leaves.mean, leaves.covariance, self.transform)
@@ -127,17 +152,30 @@ class PMBM(Checked, Filter[Hypotheses]):
         return grown, _info(state, grown, branches, scores, seen.clutter, new)
 
     def _unassigned(
-        self, undetected: GaussianMixture, seen: Measurements, z: F8, model: Model, dt: float, gate: float
+        self,
+        undetected: GaussianMixture,
+        seen: Measurements,
+        z: F8,
+        model: Model,
+        dt: float,
+        gate: float,
     ) -> tuple[Measurements, NewTargets, GaussianMixture]:
-        """Measurements with κ, the new targets that they may show, and the intensity that is left undetected."""
+        """Measurements with κ, the new targets that they may show, and the intensity that is left
+        undetected.
+        """
         births = with_births(undetected, model, z, dt)
         new = new_targets(model, births, seen, gate, self.transform)
         return seen, new, still_undetected(births, model)
 
     def reduce(self, state: Hypotheses, rng: np.random.Generator) -> Hypotheses:
-        """Improbable targets are given back, clusters that have become independent part, nodes that nothing rests on go."""
-        leaves, probability = state.leaves, state.probability
-        weak = np.flatnonzero((leaves.r > 0) & (leaves.r < self.existence_threshold) & (probability > 0))
+        """Improbable targets are given back, clusters that have become independent part, nodes that
+        nothing rests on go.
+        """
+        leaves = state.leaves
+        probability = state.probability
+        weak = np.flatnonzero(
+            (leaves.r > 0) & (leaves.r < self.existence_threshold) & (probability > 0)
+        )
         given = probability[weak] * leaves.r[weak], leaves.mean[weak], leaves.covariance[weak]
         state = replace(state, undetected=recycled(state.undetected, *given))
         return compact(parted(ended(state, self.existence_threshold)))
@@ -145,23 +183,28 @@ class PMBM(Checked, Filter[Hypotheses]):
 
 @dataclass(frozen=True, slots=True)
 class MHT(PMBM):
-    """Settings of the multiple hypothesis tracker [R79; C96], those of `PMBM` among them: a PMBM with Reid's rules.
+    """Settings of the multiple hypothesis tracker [R79; C96], those of `PMBM` among them: a PMBM
+    with Reid's rules.
 
-    A hypothesis assigns every measurement of every frame: to a track, as a new target's, or as a false alarm. Summed over
-    what has no consequence, its probability is that of a global hypothesis of the mixture. What is Reid's and Cox and
-    Hingorani's own: a target that is not detected when it is born is forgotten; new targets and false alarms may be stated
-    as densities, and survival by the time since the last measurement; and what the best hypothesis says of the frame
-    ``history`` frames back is decided, hypotheses that say something else are dropped (N-scan pruning). How many hypotheses,
-    down to which share of the best, and how many frames are M09's [M09 §V].
+    A hypothesis assigns every measurement of every frame: to a track, as a new target's, or as a
+    false alarm. Summed over what has no consequence, its probability is that of a global hypothesis
+    of the mixture. What is Reid's and Cox and Hingorani's own: a target that is not detected when
+    it is born is forgotten; new targets and false alarms may be stated as densities, and survival
+    by the time since the last measurement; and what the best hypothesis says of the frame
+    ``history`` frames back is decided, hypotheses that say something else are dropped (N-scan
+    pruning). How many hypotheses, down to which share of the best, and how many frames are M09's
+    [M09 §V].
 
     Parameters
     ----------
-    new_target_density : density of new targets' first measurements per frame and unit of area (pixel², m²), with any size
-        up to the frame's; 0: as the model's births have it.
+    new_target_density : density of new targets' first measurements per frame and unit of area
+        (pixel², m²), with any size up to the frame's; 0: as the model's births have it.
     false_alarm_density : the same of false alarms; 0: as the model's clutter has it.
-    termination_frames : λ_x, a target survives the k-th frame in a row in which it is not measured with probability
-        e^(−k/λ_x), as Cox and Hingorani have it; 0: with the motion's p_S. Where p_S is 0 it does not survive.
-    frame_size : the image's width and height in pixels, which both densities need where sizes are measured.
+    termination_frames : λ_x, a target survives the k-th frame in a row in which it is not measured
+        with probability e^(−k/λ_x), as Cox and Hingorani have it; 0: with the motion's p_S. Where
+        p_S is 0 it does not survive.
+    frame_size : the image's width and height in pixels, which both densities need where sizes are
+        measured.
     """
 
     new_target_density: NonNegative = 0.0
@@ -181,11 +224,21 @@ class MHT(PMBM):
         return p_survive
 
     def _unassigned(
-        self, undetected: GaussianMixture, seen: Measurements, z: F8, model: Model, dt: float, gate: float
+        self,
+        undetected: GaussianMixture,
+        seen: Measurements,
+        z: F8,
+        model: Model,
+        dt: float,
+        gate: float,
     ) -> tuple[Measurements, NewTargets, GaussianMixture]:
-        """By the model or by the stated densities; nothing is remembered of targets that were not detected."""
+        """By the model or by the stated densities; nothing is remembered of targets that were not
+        detected.
+        """
         if self.false_alarm_density > 0:
-            seen = seen._replace(clutter=np.full(z.shape[1], self.false_alarm_density / self._sizes(model)))
+            seen = seen._replace(
+                clutter=np.full(z.shape[1], self.false_alarm_density / self._sizes(model))
+            )
         if self.new_target_density > 0:
             mean, cov = model.sensor.states(z)
             density = np.full(z.shape[1], self.new_target_density / self._sizes(model))
@@ -213,64 +266,111 @@ class MHT(PMBM):
         return width * height
 
     def reduce(self, state: Hypotheses, rng: np.random.Generator) -> Hypotheses:
-        """Ended tracks are forgotten, clusters that have become independent part, nodes that nothing rests on go."""
+        """Ended tracks are forgotten, clusters that have become independent part, nodes that
+        nothing rests on go.
+        """
         return compact(parted(ended(state, self.existence_threshold)))
 
 
 def begun(detected: GaussianMixture, undetected: GaussianMixture) -> Hypotheses:
-    """Before the first frame: Bernoulli targets, whose weights are the probabilities that they exist, and the intensity."""
+    """Before the first frame: Bernoulli targets, whose weights are the probabilities that they
+    exist, and the intensity.
+    """
     n = len(detected)
-    none, mean, cov = np.full(n, -1), np.ascontiguousarray(detected.mean.T), np.ascontiguousarray(detected.covariance)
+    none = np.full(n, -1)
+    mean = np.ascontiguousarray(detected.mean.T)
+    cov = np.ascontiguousarray(detected.covariance)
     r = np.minimum(detected.weight, 1.0)
     nodes = Nodes(mean, cov, r, none, none, np.arange(n), np.zeros(n, np.int64), np.ones(n))
     return Hypotheses((nodes,), np.arange(n), (), n, undetected, ((0.0, STILL),))
 
 
 def _scores(e: Expected, m: Measurements, new: NewTargets, p_detect: F8, gate: float) -> Scores:
-    """What measurements, leaves, and pairs contribute to log-weights; ``p_detect`` (L,) is r p_D."""
-    pairs = all_gated(e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, gate, p_detect, GAUSSIAN)
-    leaf, measurement = np.ascontiguousarray(pairs["gaussian"]), np.ascontiguousarray(pairs["measurement"])
+    """What measurements, leaves, and pairs contribute to log-weights; ``p_detect`` (L,) is r
+    p_D.
+    """
+    pairs = all_gated(
+        e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, gate, p_detect, GAUSSIAN
+    )
+    leaf = np.ascontiguousarray(pairs["gaussian"])
+    measurement = np.ascontiguousarray(pairs["measurement"])
     missed = np.log1p(-p_detect)
     gain = np.log(p_detect[leaf]) + pairs["log_density"] - missed[leaf]
     total = np.maximum(m.clutter + new.density, TINY)
     return Scores(leaf, measurement, gain, missed, np.log(total), new.density / total)
 
 
-def _grown(state: Hypotheses, branches: Branches, p_detect: F8, e: Expected, m: Measurements, new: NewTargets) -> Hypotheses:
+def _grown(
+    state: Hypotheses,
+    branches: Branches,
+    p_detect: F8,
+    e: Expected,
+    m: Measurements,
+    new: NewTargets,
+) -> Hypotheses:
     """The hypotheses with the branches as leaves; ``p_detect`` (L,) is r p_D."""
-    leaves, count = state.leaves, len(m.z)
-    number = np.unique(np.concatenate([branches.lone, *(c.leaf[c.leaf >= 0] for c in branches.clusters)]))
-    source, which = number // (count + 1) - 1, number % (count + 1) - 1
-    begins, missed, n = source < 0, which < 0, len(number)
+    leaves = state.leaves
+    count = len(m.z)
+    number = np.unique(
+        np.concatenate([branches.lone, *(c.leaf[c.leaf >= 0] for c in branches.clusters)])
+    )
+    source = number // (count + 1) - 1
+    which = number % (count + 1) - 1
+    begins = source < 0
+    missed = which < 0
+    n = len(number)
     d = leaves.mean.shape[1]
-    mean, cov, r, since = np.empty((n, d)), np.empty((n, d, d)), np.ones(n), np.zeros(n, np.int64)
-    mean[begins], cov[begins] = new.mean[which[begins]], new.covariance[which[begins]]
+    mean = np.empty((n, d))
+    cov = np.empty((n, d, d))
+    r = np.ones(n)
+    since = np.zeros(n, np.int64)
+    mean[begins] = new.mean[which[begins]]
+    cov[begins] = new.covariance[which[begins]]
     density = new.density[which[begins]]
     r[begins] = density / np.maximum(m.clutter[which[begins]] + density, TINY)
     at = source[missed]
-    mean[missed], cov[missed], since[missed] = leaves.mean[at], leaves.covariance[at], leaves.missed[at]
+    mean[missed] = leaves.mean[at]
+    cov[missed] = leaves.covariance[at]
+    since[missed] = leaves.missed[at]
     r[missed] = np.clip((leaves.r[at] - p_detect[at]) / (1 - p_detect[at]), 0.0, 1.0)
     # Of branches without a measurement of an earlier track nothing is written.
     pairs = np.empty(n, PAIR)
-    pairs["gaussian"], pairs["measurement"] = source, np.where(begins, -1, which)
+    pairs["gaussian"] = source
+    pairs["measurement"] = np.where(begins, -1, which)
     all_posteriors(leaves.mean, leaves.covariance, e, m, pairs, mean, cov)
     # The last place stands for new tracks.
-    label = np.where(begins, state.next_label + np.cumsum(begins) - 1, np.append(leaves.label, -1)[source])
-    parent, survival = np.append(leaves.parent, -1)[source], np.append(leaves.survival, 1.0)[source]
+    label = np.where(
+        begins, state.next_label + np.cumsum(begins) - 1, np.append(leaves.label, -1)[source]
+    )
+    parent = np.append(leaves.parent, -1)[source]
+    survival = np.append(leaves.survival, 1.0)[source]
     nodes = Nodes(mean, cov, r, which, parent, label, since, survival)
     clusters = tuple(
-        Cluster(np.where(c.leaf >= 0, np.searchsorted(number, c.leaf), -1), c.weight) for c in branches.clusters
+        Cluster(np.where(c.leaf >= 0, np.searchsorted(number, c.leaf), -1), c.weight)
+        for c in branches.clusters
     )
     lone = np.searchsorted(number, branches.lone)
     label_after = state.next_label + int(begins.sum())
-    return replace(state, layers=(*state.layers[:-1], nodes), lone=lone, clusters=clusters, next_label=label_after)
+    return replace(
+        state,
+        layers=(*state.layers[:-1], nodes),
+        lone=lone,
+        clusters=clusters,
+        next_label=label_after,
+    )
 
 
 def _info(
-    state: Hypotheses, grown: Hypotheses, branches: Branches, scores: Scores, clutter: F8, new: NewTargets
+    state: Hypotheses,
+    grown: Hypotheses,
+    branches: Branches,
+    scores: Scores,
+    clutter: F8,
+    new: NewTargets,
 ) -> UpdateInfo:
     """What the update of ``state`` to ``grown`` learned."""
-    probability, count = state.probability, len(clutter)
+    probability = state.probability
+    count = len(clutter)
     share = probability[scores.leaf] * np.exp(scores.gain + scores.missed[scores.leaf])
     total = clutter + new.density + sum_by(scores.measurement, share, count)
     born = float(branches.unassigned @ scores.p_new)
@@ -279,7 +379,13 @@ def _info(
     detected = float(probability @ -np.expm1(scores.missed))
     mass = float(probability @ state.leaves.r) + born
     return UpdateInfo(
-        mass, born, grown.mass, (1 - false) * total, false * total, int(np.count_nonzero(total == 0)), detected=detected
+        mass,
+        born,
+        grown.mass,
+        (1 - false) * total,
+        false * total,
+        int(np.count_nonzero(total == 0)),
+        detected=detected,
     )
 
 
@@ -289,10 +395,13 @@ class BestHypothesis(Checked):
 
     Parameters
     ----------
-    min_weight : targets that exist with less probability, if the hypothesis is true, are not reported. In the frames before
-        the probability is given all that has been measured since: a target that was detected again later existed.
-    merge_iou : of targets whose boxes overlap by more (IoU) the one that has been followed for longer is reported; 1: all.
-    smoothed : states of the frames before are given all that has been measured since, too; False: as they were then.
+    min_weight : targets that exist with less probability, if the hypothesis is true, are not
+        reported. In the frames before the probability is given all that has been measured since: a
+        target that was detected again later existed.
+    merge_iou : of targets whose boxes overlap by more (IoU) the one that has been followed for
+        longer is reported; 1: all.
+    smoothed : states of the frames before are given all that has been measured since, too; False:
+        as they were then.
     """
 
     min_weight: Share = 0.5
@@ -300,19 +409,26 @@ class BestHypothesis(Checked):
     smoothed: bool = False
 
     def extract(self, state: Hypotheses, z: F8, model: Model) -> Estimates:
-        """The targets of each cluster's best hypothesis, by label; their weight is the probability that they exist.
+        """The targets of each cluster's best hypothesis, by label; their weight is the probability
+        that they exist.
 
-        `Estimates.past` are the same targets, and those that have ended since, in the frames before.
+        `Estimates.past` are the same targets, and those that have ended since, in the frames
+        before.
         """
         at: I8 = state.best()
-        exists, given = state.leaves.r[at], (state.leaves.mean[at], state.leaves.covariance[at])
+        exists = state.leaves.r[at]
+        given = (state.leaves.mean[at], state.leaves.covariance[at])
         frames = [self._estimates(state.leaves, at, exists, given, model)]
         for k in range(len(state.layers) - 2, -1, -1):
-            later, nodes = state.layers[k + 1].take(at), state.layers[k]
+            later = state.layers[k + 1].take(at)
+            nodes = state.layers[k]
             at = later.parent
             known = at >= 0
-            at, later, exists = at[known], later.take(known), exists[known]
-            then, there = nodes.take(at), nodes.r[at]
+            at = at[known]
+            later = later.take(known)
+            exists = exists[known]
+            then = nodes.take(at)
+            there = nodes.r[at]
             left = there * (1 - later.survival) / np.maximum(1 - later.survival * there, TINY)
             exists = np.minimum(exists + (1 - exists) * left, 1.0)
             given = given[0][known], given[1][known]
@@ -324,11 +440,19 @@ class BestHypothesis(Checked):
             frames.append(self._estimates(nodes, at, exists, given, model))
         return replace(frames[0], past=tuple(frames[:0:-1]))
 
-    def _estimates(self, nodes: Nodes, at: I8, exists: F8, given: tuple[F8, F8], model: Model) -> Estimates:
-        """Those of the nodes ``at`` (n,), that exist with these probabilities in these states, which are reported."""
+    def _estimates(
+        self, nodes: Nodes, at: I8, exists: F8, given: tuple[F8, F8], model: Model
+    ) -> Estimates:
+        """Those of the nodes ``at`` (n,), that exist with these probabilities in these states,
+        which are reported.
+        """
         reported: Bool = exists >= self.min_weight
-        mean, at = np.ascontiguousarray(given[0][reported].T), at[reported]
-        boxes, label = model.sensor.boxes(mean), nodes.label[at]
-        found = Estimates(mean, given[1][reported], exists[reported], boxes, nodes.detection[at], label)
+        mean = np.ascontiguousarray(given[0][reported].T)
+        at = at[reported]
+        boxes = model.sensor.boxes(mean)
+        label = nodes.label[at]
+        found = Estimates(
+            mean, given[1][reported], exists[reported], boxes, nodes.detection[at], label
+        )
         # Labels rise with the frame in which a track began.
         return found.take(without_overlaps(found.xyxy, self.merge_iou))

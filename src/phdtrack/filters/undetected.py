@@ -1,11 +1,14 @@
-"""Targets that have never been detected: a Poisson process whose intensity has a recursion of its own [W15 §III].
+"""Targets that have never been detected: a Poisson process whose intensity has a recursion of its
+own [W15 §III].
 
-Equations: docs/methods.md, Poisson multi-Bernoulli. Detected targets whose existence has become improbable are given back to
-it: their density, times that probability, is added to λ (recycling). A Bernoulli target of small probability and a Poisson
-process of that mass differ in the second order of it.
+Equations: docs/methods.md, Poisson multi-Bernoulli. Detected targets whose existence has become
+improbable are given back to it: their density, times that probability, is added to λ (recycling). A
+Bernoulli target of small probability and a Poisson process of that mass differ in the second order
+of it.
 
-λ is a mixture where γ is one. Where γ is stated as a density at the measurements (uniform, or around the detections) it is
-the intensity of undetected targets itself: a constant γ makes λ⁺ = γ / (1 − p_S (1 − p_D)), the same but for a factor.
+λ is a mixture where γ is one. Where γ is stated as a density at the measurements (uniform, or
+around the detections) it is the intensity of undetected targets itself: a constant γ makes λ⁺ = γ /
+(1 − p_S (1 − p_D)), the same but for a factor.
 """
 
 from __future__ import annotations
@@ -17,11 +20,16 @@ from phdtrack.models.gaussian import Transform, moved
 from phdtrack.protocols import Model
 from phdtrack.types import F8, GaussianMixture
 
-# Gaussians that weigh less are dropped; of those nearer than so many deviations one is made; so many are kept.
-LEAST, NEAR, MOST = 1e-6, 0.5, 200
+# Gaussians that weigh less are dropped; of those nearer than so many deviations one is made; so
+# many are kept.
+LEAST = 1e-6
+NEAR = 0.5
+MOST = 200
 
 
-def survived(unseen: GaussianMixture, model: Model, dt: float, transform: Transform) -> GaussianMixture:
+def survived(
+    unseen: GaussianMixture, model: Model, dt: float, transform: Transform
+) -> GaussianMixture:
     """∫ p_S f λ, the intensity ``unseen`` after an interval, without the targets born in it.
 
     Parameters
@@ -31,8 +39,12 @@ def survived(unseen: GaussianMixture, model: Model, dt: float, transform: Transf
     """
     if len(unseen) == 0:
         return unseen
-    _, _, after = moved(model, np.ascontiguousarray(unseen.mean.T), unseen.covariance, dt, transform)
-    return GaussianMixture(unseen.weight * after.p_survive, np.ascontiguousarray(after.mean.T), after.covariance)
+    _, _, after = moved(
+        model, np.ascontiguousarray(unseen.mean.T), unseen.covariance, dt, transform
+    )
+    return GaussianMixture(
+        unseen.weight * after.p_survive, np.ascontiguousarray(after.mean.T), after.covariance
+    )
 
 
 def with_births(unseen: GaussianMixture, model: Model, z: F8, dt: float) -> Births:
@@ -58,7 +70,9 @@ def still_undetected(births: Births, model: Model) -> GaussianMixture:
     if len(births.weight) == 0:
         return GaussianMixture.empty(births.mean.shape[1])
     mean = np.ascontiguousarray(births.mean.T)
-    return _reduced(births.weight * (1 - model.sensor.p_detect(mean)), births.mean, births.covariance)
+    return _reduced(
+        births.weight * (1 - model.sensor.p_detect(mean)), births.mean, births.covariance
+    )
 
 
 def recycled(unseen: GaussianMixture, weight: F8, mean: F8, covariance: F8) -> GaussianMixture:
@@ -67,7 +81,8 @@ def recycled(unseen: GaussianMixture, weight: F8, mean: F8, covariance: F8) -> G
     Parameters
     ----------
     unseen : λ.
-    weight, mean, covariance : (n,), (n, d), (n, d, d) of the targets; weights are the probabilities that they exist.
+    weight, mean, covariance : (n,), (n, d), (n, d, d) of the targets; weights are the probabilities
+        that they exist.
     """
     if len(weight) == 0:
         return unseen
@@ -83,5 +98,6 @@ def _reduced(weight: F8, mean: F8, covariance: F8) -> GaussianMixture:
     # Imported here: most users' births are no mixture, and a tracker starts without it.
     from phdtrack.kernels.gm_merge import Merging, Rows, merged_rows
 
-    axes, rows = tuple(range(mean.shape[1])), Rows(weight, mean, covariance)
+    axes = tuple(range(mean.shape[1]))
+    rows = Rows(weight, mean, covariance)
     return GaussianMixture(*merged_rows(rows, axes, Merging(LEAST, NEAR, MOST, False), -1.0))

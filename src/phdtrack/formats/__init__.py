@@ -1,4 +1,6 @@
-"""Files of detections, truth, tracks, states: MOTChallenge, KITTI, CSV, Parquet, JSON lines, COCO, CVAT, CVML."""
+"""Files of detections, truth, tracks, states: MOTChallenge, KITTI, CSV, Parquet, JSON lines, COCO,
+CVAT, CVML.
+"""
 
 from phdtrack.formats.columns import Warps, WarpsWriter, read_warps
 from phdtrack.formats.read import read_detections, read_tracks, read_tracks_named

@@ -1,6 +1,7 @@
 """Where the rows of a file stand in it, and the checks that all formats share.
 
-The first bad row is reported, by its place in the file, with the number of further rows that have the same fault.
+The first bad row is reported, by its place in the file, with the number of further rows that have
+the same fault.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ _LARGEST = 2.0**53  # beyond it a float no longer tells neighbouring integers ap
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Origin:
-    """Where rows came from: ``path``, and for each row the 1-based ``number`` (M,) of its ``unit`` ("line", "row") there."""
+    """Where rows came from: ``path``, and for each row the 1-based ``number`` (M,) of its ``unit``
+    ("line", "row") there.
+    """
 
     path: Path
     unit: str
@@ -32,7 +35,9 @@ class Origin:
 
 
 class Rule(NamedTuple):
-    """A fault: the rows that have it (M,), its description with places for the row's ``values`` (M,) or (M, k), a cure."""
+    """A fault: the rows that have it (M,), its description with places for the row's ``values``
+    (M,) or (M, k), a cure.
+    """
 
     bad: Bool
     problem: str
@@ -42,7 +47,9 @@ class Rule(NamedTuple):
 
 @dataclass(slots=True)
 class WrongRows:
-    """What is wrong in a file and was left out: how many ``rows``, and the ``first`` error, at ``place`` among the rows."""
+    """What is wrong in a file and was left out: how many ``rows``, and the ``first`` error, at
+    ``place`` among the rows.
+    """
 
     rows: int = 0
     first: InputError | None = None
@@ -52,7 +59,8 @@ class WrongRows:
         """Count the rows at these places, of which the first has this error."""
         self.rows += len(places)
         if places[0] < self.place:
-            self.first, self.place = error, places[0]
+            self.first = error
+            self.place = places[0]
 
     def document(self) -> dict[str, object]:
         """For run.json; empty where nothing was left out."""
@@ -60,7 +68,9 @@ class WrongRows:
 
     def sentences(self) -> tuple[str, ...]:
         """What was left out, for people."""
-        many = "1 row that is wrong is" if self.rows == 1 else f"{self.rows} rows that are wrong are"
+        many = (
+            "1 row that is wrong is" if self.rows == 1 else f"{self.rows} rows that are wrong are"
+        )
         return (f"{many} left out, the first: {self.first}",) if self.rows else ()
 
 
@@ -76,8 +86,11 @@ def enforce(origin: Origin, *rules: Rule) -> None:
     raise InputError(problem + more, where=origin.at(row), cure=rule.cure)
 
 
-def whole(values: F8, name: str, *, low: float = -_LARGEST, high: float = _LARGEST, cure: str = "") -> Rule:
-    """The fault of a value that is no whole number, is below ``low`` or above ``high``, or too large to be exact.
+def whole(
+    values: F8, name: str, *, low: float = -_LARGEST, high: float = _LARGEST, cure: str = ""
+) -> Rule:
+    """The fault of a value that is no whole number, is below ``low`` or above ``high``, or too
+    large to be exact.
 
     Parameters
     ----------
@@ -90,16 +103,22 @@ def whole(values: F8, name: str, *, low: float = -_LARGEST, high: float = _LARGE
         good = (np.floor(values) == values) & (values >= low) & (values <= high)
     limits = f" of {low:.0f} or more" if low > -_LARGEST else ""
     limits = f" from {low:.0f} to {high:.0f}" if high < _LARGEST else limits
-    return Rule(~good, f"expected a whole number{limits} for the {name}, came {{:.15g}}", values, cure)
+    return Rule(
+        ~good, f"expected a whole number{limits} for the {name}, came {{:.15g}}", values, cure
+    )
 
 
 def far(frame: F8) -> Rule:
     """The fault of a frame number beyond `LAST_FRAME`."""
-    return Rule(frame > LAST_FRAME, f"expected frame {LAST_FRAME:,} or earlier, came {{:.15g}}", frame)
+    return Rule(
+        frame > LAST_FRAME, f"expected frame {LAST_FRAME:,} or earlier, came {{:.15g}}", frame
+    )
 
 
 def repeated(*columns: F8 | I8) -> I8:
-    """(M,) for each row an earlier one with the same values in all columns (M,); −1 where there is none."""
+    """(M,) for each row an earlier one with the same values in all columns (M,); −1 where there is
+    none.
+    """
     order = np.lexsort(columns)
     same = np.all([np.diff(column[order]) == 0 for column in columns], axis=0)
     before = np.full(len(order), -1)
@@ -109,4 +128,6 @@ def repeated(*columns: F8 | I8) -> I8:
 
 def flag(values: F8, name: str) -> Rule:
     """The fault of a value that is neither 0 nor 1."""
-    return Rule((values != 0) & (values != 1), f"expected 0 or 1 for {name}, came {{:.15g}}", values)
+    return Rule(
+        (values != 0) & (values != 1), f"expected 0 or 1 for {name}, came {{:.15g}}", values
+    )

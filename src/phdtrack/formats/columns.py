@@ -2,9 +2,10 @@
 
     frame,g11,g12,g13,g21,g22,g23,g31,g32,g33
 
-with this header or without; the last three may be left out (affine maps). Row k takes pixels of frame k − 1 to pixels of
-frame k, both as (x, y, 1) from the upper left corner of the picture; frames count from 1. Frames without a line, the first
-among them, are frames in which the camera stood still.
+with this header or without; the last three may be left out (affine maps). Row k takes pixels of
+frame k − 1 to pixels of frame k, both as (x, y, 1) from the upper left corner of the picture;
+frames count from 1. Frames without a line, the first among them, are frames in which the camera
+stood still.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ _WARP = ("frame", *(f"g{row}{column}" for row in (1, 2, 3) for column in (1, 2, 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Warps:
-    """``frame`` (K,) from 1, ascending, and the ``matrix`` (K, 3, 3) that leads to each from the one before."""
+    """``frame`` (K,) from 1, ascending, and the ``matrix`` (K, 3, 3) that leads to each from the
+    one before.
+    """
 
     frame: I8
     matrix: F8
@@ -39,8 +42,8 @@ class Warps:
 def read_warps(path: AnyPath) -> Warps:
     """The motion of a camera in a file.
 
-    Raises `InputError` where the file cannot be read, a line has other than 7 or 10 numbers, a frame number is none or comes
-    twice, or a matrix is no motion of a camera.
+    Raises `InputError` where the file cannot be read, a line has other than 7 or 10 numbers, a
+    frame number is none or comes twice, or a matrix is no motion of a camera.
     """
     origin, values = read_columns(path, _WARP, (7, 10))
     number = values[:, 0]
@@ -53,7 +56,9 @@ def read_warps(path: AnyPath) -> Warps:
 
 
 class WarpsWriter(Lines):
-    """Writes the motion of a camera, frame by frame. Raises `InputError` where it cannot be written."""
+    """Writes the motion of a camera, frame by frame. Raises `InputError` where it cannot be
+    written.
+    """
 
     def __init__(self, path: AnyPath) -> None:
         super().__init__(path)

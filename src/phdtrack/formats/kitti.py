@@ -1,7 +1,8 @@
-"""KITTI's label files: 17 columns separated by blanks, from which the rows of one type and its neighbours are read.
+"""KITTI's label files: 17 columns separated by blanks, from which the rows of one type and its
+neighbours are read.
 
-Frame from 0, identity, type, truncated, occluded, angle, left, top, right, bottom, and seven of the object in space; in
-results an 18th column is the score. DontCare rows are regions.
+Frame from 0, identity, type, truncated, occluded, angle, left, top, right, bottom, and seven of the
+object in space; in results an 18th column is the score. DontCare rows are regions.
 """
 
 from __future__ import annotations
@@ -21,23 +22,35 @@ _HEADER = ("frame", "id", "left", "top", "right", "bottom", "confidence")
 
 def is_kitti(text: Text) -> bool:
     """Whether the columns are those of a KITTI label file."""
-    return len(text) > 0 and text.width in (17, 18) and not text.header and not is_number(text.cells(0)[2])
+    return (
+        len(text) > 0
+        and text.width in (17, 18)
+        and not text.header
+        and not is_number(text.cells(0)[2])
+    )
 
 
 def rows_of_kitti(text: Text, kind: str | None) -> Text:
-    """The rows of a type, its neighbours and regions; None: of all types but regions, with a class. A table with a header.
+    """The rows of a type, its neighbours and regions; None: of all types but regions, with a class.
+    A table with a header.
 
-    The only type needs no name. Raises `InputError` where none of several types was named, a row is cut short, or one of a
-    type has no number for truncated or occluded.
+    The only type needs no name. Raises `InputError` where none of several types was named, a row is
+    cut short, or one of a type has no number for truncated or occluded.
     """
     if kind == "":
-        types = sorted({"".join(text.cells(row)[2:3]) for row in range(len(text))} - {"", "DontCare"})
+        types = sorted(
+            {"".join(text.cells(row)[2:3]) for row in range(len(text))} - {"", "DontCare"}
+        )
         if len(types) > 1:
-            where, cure = text.origin.path, f"Say --kitti {types[0]}, or in Python kitti={types[0]!r}."
+            where = text.origin.path
+            cure = f"Say --kitti {types[0]}, or in Python kitti={types[0]!r}."
             problem = f"this KITTI label file has several types of objects ({', '.join(types[:9])}), and none was named"
             raise InputError(problem, where=where, cure=cure)
         kind = "".join(types)
-    every, wanted, lines, kept = kind is None, (kind or "").lower(), list[str](), list[int]()
+    every = kind is None
+    wanted = (kind or "").lower()
+    lines = list[str]()
+    kept = list[int]()
     # A row without a type is cut short, which is said below.
     chosen = ("", wanted, _REGION, *_NEIGHBOURS.get(wanted, ()))
     for row in range(len(text)):
@@ -53,7 +66,9 @@ def rows_of_kitti(text: Text, kind: str | None) -> Text:
         if not every:
             hidden = float(cells[3]) > 0 or float(cells[4]) > _MOST_OCCLUDED
             more = [str(int(name != wanted or hidden)), str(int(name == _REGION))]
-        lines.append(",".join([*cells[:2], *cells[6:10], cells[17] if text.width == 18 else "1", *more]))
+        lines.append(
+            ",".join([*cells[:2], *cells[6:10], cells[17] if text.width == 18 else "1", *more])
+        )
         kept.append(row)
     header = (*_HEADER, "class") if every else (*_HEADER, "distractor", "region")
     return replace(text.take(kept), lines=lines, delimiter=",", width=len(header), header=header)

@@ -1,10 +1,11 @@
 """Reading detections, truth and tracks: one function each, for every format.
 
-The content decides what a file is: Parquet by its first bytes, XML by ``<``, JSON by ``[`` or ``{``, JSON lines where its
-first line is an object with a frame; anything else is a text table, MOTChallenge, KITTI or CSV. An empty file is a file
-without rows. Frames are numbered from 1 in what is returned.
-``first_frame`` is the number that the file gives the first frame, for tools that count otherwise than their format does:
-0 in CVML, CVAT and KITTI, 1 elsewhere. Truth is read in `truth.py`.
+The content decides what a file is: Parquet by its first bytes, XML by ``<``, JSON by ``[`` or
+``{``, JSON lines where its first line is an object with a frame; anything else is a text table,
+MOTChallenge, KITTI or CSV. An empty file is a file without rows. Frames are numbered from 1 in what
+is returned. ``first_frame`` is the number that the file gives the first frame, for tools that count
+otherwise than their format does: 0 in CVML, CVAT and KITTI, 1 elsewhere. Truth is read in
+`truth.py`.
 """
 
 from __future__ import annotations
@@ -27,26 +28,36 @@ from phdtrack.types import I8, Bool, Detections, DetectionTable, Tracks
 NO_ROWS = Table(Origin(Path(), "line", np.zeros(0, np.int64)), 1, {}, np.zeros((0, 0)))
 
 
-def read_detections(path: AnyPath, *, first_frame: int | None = None, left_out: WrongRows | None = None) -> DetectionTable:
-    """The detections in a MOTChallenge ``det.txt``, CSV, Parquet, JSON, CVML or CVAT file, sorted by frame.
+def read_detections(
+    path: AnyPath, *, first_frame: int | None = None, left_out: WrongRows | None = None
+) -> DetectionTable:
+    """The detections in a MOTChallenge ``det.txt``, CSV, Parquet, JSON, CVML or CVAT file, sorted
+    by frame.
 
-    Boxes in pixels, xyxy. Confidence is 1 and class 0 where the file has none; confidence has no bounds. Classes that are
-    words get numbers, see `DetectionTable.names`; KITTI's label files have all types but regions. Real detectors give boxes
-    of width or height 0 now and then: they are left out and counted in `DetectionTable.empty`. Raises `InputError` where the
-    file is missing or malformed, or no row is right; the message names the line.
+    Boxes in pixels, xyxy. Confidence is 1 and class 0 where the file has none; confidence has no
+    bounds. Classes that are words get numbers, see `DetectionTable.names`; KITTI's label files have
+    all types but regions. Real detectors give boxes of width or height 0 now and then: they are
+    left out and counted in `DetectionTable.empty`. Raises `InputError` where the file is missing or
+    malformed, or no row is right; the message names the line.
 
     Parameters
     ----------
     path : the file.
     first_frame : the number that the file gives the first frame; None: what is usual in its format.
-    left_out : counts rows that are wrong, and these are left out; None: the first of them is an error.
+    left_out : counts rows that are wrong, and these are left out; None: the first of them is an
+        error.
     """
-    return detections_of(table_of(Path(path), Kind.DETECTIONS, first_frame, left_out=left_out), left_out)
+    return detections_of(
+        table_of(Path(path), Kind.DETECTIONS, first_frame, left_out=left_out), left_out
+    )
 
 
 def detections_of(table: Table, left_out: WrongRows | None = None) -> DetectionTable:
-    """The detections in a table, sorted by frame; `InputError` names the first row that is none, if none is left out."""
-    label, covariance = table.get(Column.CLASS), None
+    """The detections in a table, sorted by frame; `InputError` names the first row that is none, if
+    none is left out.
+    """
+    label = table.get(Column.CLASS)
+    covariance = None
     rules = [*box_rules(table, least=0.0), whole(label, "class")]
     if table.triangle.shape[1]:
         covariance = np.empty((len(label), 4, 4))
@@ -56,7 +67,9 @@ def detections_of(table: Table, left_out: WrongRows | None = None) -> DetectionT
         matrix = np.where(finite[:, None, None], covariance, 0.0)
         lowest = np.linalg.eigvalsh(matrix).min(axis=1, initial=0.0)
         wrong = ~finite | (lowest < -1e-6 * np.abs(matrix).max(axis=(1, 2), initial=0.0))
-        problem = "expected a covariance that is finite and positive semidefinite, came another matrix"
+        problem = (
+            "expected a covariance that is finite and positive semidefinite, came another matrix"
+        )
         rules.append(Rule(wrong, problem, lowest))
     try:
         enforce(table.origin, *rules)
@@ -65,11 +78,13 @@ def detections_of(table: Table, left_out: WrongRows | None = None) -> DetectionT
             raise
         bad = np.any([rule.bad for rule in rules], axis=0)
         left_out.take(error, *table.origin.number[bad].tolist())
-        table, label = table.take(~bad), label[~bad]
+        table = table.take(~bad)
+        label = label[~bad]
         covariance = None if covariance is None else covariance[~bad]
     if left_out is not None and left_out.first is not None and not len(label):
         raise left_out.first
-    frame, box = frames_of(table), table.xyxy()
+    frame = frames_of(table)
+    box = table.xyxy()
     order = np.argsort(frame, kind="stable")
     order = order[np.all(box[order, 2:] > box[order, :2], axis=1)]
     found = Detections(box, table.get(Column.CONFIDENCE), label.astype(np.int64), covariance)
@@ -77,10 +92,12 @@ def detections_of(table: Table, left_out: WrongRows | None = None) -> DetectionT
 
 
 def read_tracks(path: AnyPath, *, first_frame: int | None = None, kitti: str = "") -> Tracks:
-    """The tracks in a MOTChallenge (6 to 12 columns), KITTI, CSV, Parquet, JSON, CVML or CVAT file, by frame, then identity.
+    """The tracks in a MOTChallenge (6 to 12 columns), KITTI, CSV, Parquet, JSON, CVML or CVAT file,
+    by frame, then identity.
 
-    Where the file does not say, ``confidence`` is 1, ``detection`` −1 (none known) and ``confirmed`` true. Raises
-    `InputError` where the file is missing or malformed; the message names the line.
+    Where the file does not say, ``confidence`` is 1, ``detection`` −1 (none known) and
+    ``confirmed`` true. Raises `InputError` where the file is missing or malformed; the message
+    names the line.
 
     Parameters
     ----------
@@ -100,23 +117,36 @@ def read_tracks_named(path: AnyPath) -> tuple[Tracks, Mapping[int, str]]:
 def _tracks_of(table: Table) -> Tracks:
     """The tracks in a table, by frame, then identity; `InputError` where a row cannot be one.
 
-    Of truth, what is not to be counted is left out: distractors, regions, and rows of confidence 0 in 8 or 9 columns. Of
-    KITTI files only regions are: a tracker's rows of hidden objects count.
+    Of truth, what is not to be counted is left out: distractors, regions, and rows of confidence 0
+    in 8 or 9 columns. Of KITTI files only regions are: a tracker's rows of hidden objects count.
     """
-    ignore, confidence = table.get(Column.DISTRACTOR), table.get(Column.CONFIDENCE)
+    ignore = table.get(Column.DISTRACTOR)
+    confidence = table.get(Column.CONFIDENCE)
     enforce(table.origin, flag(ignore, "distractor"))
     scored = (table.get(Column.MOT_CLASS) == -1) | (confidence != 0)
     table = table.take(scored & ((ignore == 0) | table.kitti) & (table.get(Column.REGION) == 0))
-    used, confirmed, label = (table.get(column) for column in (Column.DETECTION, Column.CONFIRMED, Column.CLASS))
+    used, confirmed, label = (
+        table.get(column) for column in (Column.DETECTION, Column.CONFIRMED, Column.CLASS)
+    )
     rules = whole(used, "detection", low=-1), flag(confirmed, "confirmed"), whole(label, "class")
     frame, identity = identified(table, *rules)
-    box, score = table.xyxy(), table.get(Column.CONFIDENCE)
-    found = Tracks(frame, identity, box, score, used.astype(np.int64), confirmed != 0, label.astype(np.int64))
+    box = table.xyxy()
+    score = table.get(Column.CONFIDENCE)
+    found = Tracks(
+        frame, identity, box, score, used.astype(np.int64), confirmed != 0, label.astype(np.int64)
+    )
     return found.take(np.lexsort((identity, frame)))
 
 
-def table_of(path: Path, kind: Kind, first_frame: int | None, kitti: str = "", left_out: WrongRows | None = None) -> Table:
-    """The rows of a file, not checked yet. Raises `InputError` where the file is missing, or cannot be understood.
+def table_of(
+    path: Path,
+    kind: Kind,
+    first_frame: int | None,
+    kitti: str = "",
+    left_out: WrongRows | None = None,
+) -> Table:
+    """The rows of a file, not checked yet. Raises `InputError` where the file is missing, or cannot
+    be understood.
 
     Parameters
     ----------
@@ -146,7 +176,9 @@ def table_of(path: Path, kind: Kind, first_frame: int | None, kitti: str = "", l
         rows = rows_of_kitti(text, kitti if kitti or kind is Kind.TRUTH else None)
         return replace(table_of_text(source, rows), kitti=True)
     if kitti and kind is Kind.TRUTH:
-        problem = f"expected a KITTI label file of 17 columns with types as {kitti}, came another table"
+        problem = (
+            f"expected a KITTI label file of 17 columns with types as {kitti}, came another table"
+        )
         raise InputError(problem, where=path, cure="Leave out --kitti, or in Python kitti.")
     return table_of_text(source, text)
 
@@ -157,11 +189,15 @@ def frames_of(table: Table) -> I8:
 
 
 def identified(table: Table, *rules: Rule) -> tuple[I8, I8]:
-    """Frames and identities (M,) of rows that obey the rules and have one box for an identity in a frame."""
-    values, origin = table.get(Column.IDENTITY), table.origin
+    """Frames and identities (M,) of rows that obey the rules and have one box for an identity in a
+    frame.
+    """
+    values = table.get(Column.IDENTITY)
+    origin = table.origin
     cure = "An identity of −1 means that there is none: is this a file of detections?"
     enforce(origin, *box_rules(table), whole(values, "identity", low=0, cure=cure), *rules)
-    frame, identity = frames_of(table), values.astype(np.int64)
+    frame = frames_of(table)
+    identity = values.astype(np.int64)
     before = repeated(identity, frame)
     problem = f"identity {{}} is in frame {{}} (counted from 1) already, in {origin.unit} {{}}"
     cure = "One object has one box in a frame: remove one, or give it an identity of its own."
@@ -171,12 +207,22 @@ def identified(table: Table, *rules: Rule) -> tuple[I8, I8]:
 
 
 def box_rules(table: Table, *, least: float | None = None) -> list[Rule]:
-    """The faults of frame numbers, boxes and confidences; widths and heights are above 0, or at ``least`` so much."""
-    first, frame, box, confidence = table.first, table.get(Column.FRAME), table.xyxy(), table.get(Column.CONFIDENCE)
+    """The faults of frame numbers, boxes and confidences; widths and heights are above 0, or at
+    ``least`` so much.
+    """
+    first = table.first
+    frame = table.get(Column.FRAME)
+    box = table.xyxy()
+    confidence = table.get(Column.CONFIDENCE)
     number = whole(frame, "frame number")
-    cure = "Where the file counts from 0, add 1, or in Python read it with first_frame=0." if first == 1 else ""
+    cure = (
+        "Where the file counts from 0, add 1, or in Python read it with first_frame=0."
+        if first == 1
+        else ""
+    )
     with np.errstate(invalid="ignore", over="ignore"):
-        early, size = frame < first, box[:, 2:] - box[:, :2]
+        early = frame < first
+        size = box[:, 2:] - box[:, :2]
         flat = ~(size > 0 if least is None else size >= least).all(axis=1)
     finite: Bool = np.isfinite(np.abs(box).max(axis=1))  # a NaN is the largest
     came = "left {:.7g}, top {:.7g}, right {:.7g}, bottom {:.7g}"

@@ -1,4 +1,6 @@
-"""seqinfo.ini: what MOTChallenge says about a sequence. It stands beside the folders ``gt`` and ``det``."""
+"""seqinfo.ini: what MOTChallenge says about a sequence. It stands beside the folders ``gt`` and
+``det``.
+"""
 
 from __future__ import annotations
 
@@ -16,19 +18,23 @@ _NAME = "seqinfo.ini"
 def find_seqinfo(path: AnyPath) -> SequenceInfo | None:
     """What is known about the sequence of a file of detections or truth, or of a folder.
 
-    The file ``seqinfo.ini`` is looked for beside it and one folder up (``seq/det/det.txt``); None where there is none.
-    Raises `InputError` where there is one, and it is malformed.
+    The file ``seqinfo.ini`` is looked for beside it and one folder up (``seq/det/det.txt``); None
+    where there is none. Raises `InputError` where there is one, and it is malformed.
     """
     path = Path(path).absolute()
     folder = path if path.is_dir() else path.parent
-    found = next((place / _NAME for place in (folder, folder.parent) if (place / _NAME).is_file()), None)
+    found = next(
+        (place / _NAME for place in (folder, folder.parent) if (place / _NAME).is_file()), None
+    )
     return None if found is None else read_seqinfo(found)
 
 
 def read_seqinfo(path: AnyPath) -> SequenceInfo:
-    """Size in pixels, frame rate in Hz, number of frames (0 where not given) and name, from the file or its folder.
+    """Size in pixels, frame rate in Hz, number of frames (0 where not given) and name, from the
+    file or its folder.
 
-    Raises `InputError` where there is no such file, it is malformed, or size or frame rate are missing or not above 0.
+    Raises `InputError` where there is no such file, it is malformed, or size or frame rate are
+    missing or not above 0.
     """
     path = Path(path)
     path = path / _NAME if path.is_dir() else path
@@ -42,9 +48,15 @@ def read_seqinfo(path: AnyPath) -> SequenceInfo:
         line = re.search(r"line[: ]+(\d+)", str(error))
         where = f"{path}, line {line[1]}" if line else path
         reason = str(error.message).splitlines()[0]
-        raise InputError(f"expected lines such as frameRate=25 under [Sequence], came: {reason}", where=where) from None
+        raise InputError(
+            f"expected lines such as frameRate=25 under [Sequence], came: {reason}", where=where
+        ) from None
     if not ini.has_section("Sequence"):
-        raise InputError("expected a section [Sequence], came none", where=path, cure="Put [Sequence] in the first line.")
+        raise InputError(
+            "expected a section [Sequence], came none",
+            where=path,
+            cure="Put [Sequence] in the first line.",
+        )
     section = ini["Sequence"]
 
     def number(key: str, kind: str = "whole number") -> float:

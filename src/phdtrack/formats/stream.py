@@ -23,18 +23,25 @@ _MOST = 100_000
 
 
 def stream_detections(file: BinaryIO, name: str) -> Iterator[DetectionTable]:
-    """Detections as they come, of one or more whole frames: a frame is whole when a row of a later one has come.
+    """Detections as they come, of one or more whole frames: a frame is whole when a row of a later
+    one has come.
 
-    Raises `InputError` where a line cannot be understood, or is of a frame that was before; the message names the line.
+    Raises `InputError` where a line cannot be understood, or is of a frame that was before; the
+    message names the line.
 
     Parameters
     ----------
     file : MOTChallenge or CSV rows in the order of their frames, which count from 1.
     name : of it, in messages.
     """
-    path, cut, read, header = Path(name), b"", 0, list[bytes]()
+    path = Path(name)
+    cut = b""
+    read = 0
+    header = list[bytes]()
     # The lines that are not given yet, and their numbers; the frame that was given last.
-    lines, numbers, last = list[bytes](), list[int](), 0
+    lines = list[bytes]()
+    numbers = list[int]()
+    last = 0
     going = True
     while going:
         new = os.read(file.fileno(), _AT_ONCE)
@@ -58,10 +65,19 @@ def stream_detections(file: BinaryIO, name: str) -> Iterator[DetectionTable]:
         frame = frames_of(table)
         before = np.concatenate([[last + 1], frame[:-1]])
         problem = "expected the rows of a stream in the order of their frames, came frame {:.0f} after frame {:.0f}"
-        enforce(text.origin, Rule(frame < before, problem, np.stack([frame, np.concatenate([[last], frame[:-1]])], axis=1)))
+        enforce(
+            text.origin,
+            Rule(
+                frame < before,
+                problem,
+                np.stack([frame, np.concatenate([[last], frame[:-1]])], axis=1),
+            ),
+        )
         kept = int(np.searchsorted(frame, frame[-1])) if going else len(frame)
         if len(frame) - kept > _MOST:
-            raise InputError(f"expected at most {_MOST} rows of a frame, came more", where=text.origin.at(kept))
+            raise InputError(
+                f"expected at most {_MOST} rows of a frame, came more", where=text.origin.at(kept)
+            )
         if kept:
             last = int(frame[kept - 1])
             yield detections_of(table.take(np.arange(kept)))

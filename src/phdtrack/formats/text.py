@@ -1,11 +1,13 @@
 """Tables in text: any usual delimiter, with or without a header, and errors that name the line.
 
-Values are separated by semicolons, tabs, commas or blanks, found from the first line that is neither empty nor a comment
-(``#``). That line is a header when no value in it is a number. Windows line ends, a byte order mark, quotes and an empty
-value at the end of every line are understood. Numbers have a decimal point.
+Values are separated by semicolons, tabs, commas or blanks, found from the first line that is
+neither empty nor a comment (``#``). That line is a header when no value in it is a number. Windows
+line ends, a byte order mark, quotes and an empty value at the end of every line are understood.
+Numbers have a decimal point.
 
-There are two ways through a file. NumPy parses a clean one in one go. Where that fails, the lines are read one by one:
-either the reason is found and reported with its line, or it was harmless (quotes, say).
+There are two ways through a file. NumPy parses a clean one in one go. Where that fails, the lines
+are read one by one: either the reason is found and reported with its line, or it was harmless
+(quotes, say).
 """
 
 from __future__ import annotations
@@ -32,7 +34,8 @@ class Text:
     origin : the file, and for each line its 1-based number there.
     lines : the M lines with values, without header, comments and empty lines.
     delimiter : None for any number of blanks.
-    width : the number of columns: of values in the first line, header or not, without empty ones at its end.
+    width : the number of columns: of values in the first line, header or not, without empty ones at
+        its end.
     header : the names of the columns in lower case, empty where the file has no header.
     """
 
@@ -46,7 +49,9 @@ class Text:
         return len(self.lines)
 
     def cells(self, row: int) -> list[str]:
-        """The values of line ``row`` (0-based among ``lines``) as text, without empty ones beyond the last column."""
+        """The values of line ``row`` (0-based among ``lines``) as text, without empty ones beyond
+        the last column.
+        """
         cells = _split(self.lines[row], self.delimiter)
         return cells[: max(self.width, _filled(cells))]
 
@@ -56,7 +61,9 @@ class Text:
         return replace(self, origin=origin, lines=[self.lines[row] for row in rows])
 
     def readable(self, columns: Mapping[int, str], left_out: WrongRows) -> Text:
-        """The lines that have values for the ``columns`` (see `numbers`); the others go to ``left_out``."""
+        """The lines that have values for the ``columns`` (see `numbers`); the others go to
+        ``left_out``.
+        """
         kept = []
         for row in range(len(self)):
             try:
@@ -72,9 +79,15 @@ class Text:
 
 
 def scan(path: Path, content: bytes) -> Text:
-    """Find delimiter, header and the lines with values; `InputError` where the content is not UTF-8 text."""
+    """Find delimiter, header and the lines with values; `InputError` where the content is not UTF-8
+    text.
+    """
     everything = _decode(path, content).replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    kept = [i for i, line in enumerate(everything) if line and not line.isspace() and line.lstrip()[0] != "#"]
+    kept = [
+        i
+        for i, line in enumerate(everything)
+        if line and not line.isspace() and line.lstrip()[0] != "#"
+    ]
     lines = [everything[i] for i in kept]
     number = np.array(kept, dtype=np.int64) + 1
     if not lines:
@@ -83,7 +96,9 @@ def scan(path: Path, content: bytes) -> Text:
     first = _split(lines[0], delimiter)
     named = not any(is_number(cell) for cell in first)
     header = tuple(normalise(cell) for cell in first) if named else ()
-    return Text(Origin(path, "line", number[named:]), lines[named:], delimiter, _filled(first), header)
+    return Text(
+        Origin(path, "line", number[named:]), lines[named:], delimiter, _filled(first), header
+    )
 
 
 def normalise(name: str) -> str:
@@ -92,9 +107,11 @@ def normalise(name: str) -> str:
 
 
 def numbers(text: Text, columns: Mapping[int, str]) -> F8:
-    """(M, k) the values of the k ``columns``, by place from 0, with the names that messages call them by.
+    """(M, k) the values of the k ``columns``, by place from 0, with the names that messages call
+    them by.
 
-    Raises `InputError` where a value is not a number, or a line has more or fewer values than the first.
+    Raises `InputError` where a value is not a number, or a line has more or fewer values than the
+    first.
     """
     if not len(text):
         return np.zeros((0, len(columns)))
@@ -109,10 +126,11 @@ def numbers(text: Text, columns: Mapping[int, str]) -> F8:
 
 
 def read_columns(path: AnyPath, names: Sequence[str], widths: Sequence[int]) -> tuple[Origin, F8]:
-    """Where each row of a table stands, and the values (M, k) of its columns in the order of ``names``.
+    """Where each row of a table stands, and the values (M, k) of its columns in the order of
+    ``names``.
 
-    They are found by the names in its header or else by position. Raises `InputError` where the file is missing, has other
-    columns, or a value is not a number.
+    They are found by the names in its header or else by position. Raises `InputError` where the
+    file is missing, has other columns, or a value is not a number.
 
     Parameters
     ----------
@@ -121,9 +139,17 @@ def read_columns(path: AnyPath, names: Sequence[str], widths: Sequence[int]) -> 
     widths : how many of them, from the first, a file may have.
     """
     text = scan(Path(path), load(path))
-    found = [name for name in names if name in text.header] if text.header else list(names[: text.width or min(widths)])
+    found = (
+        [name for name in names if name in text.header]
+        if text.header
+        else list(names[: text.width or min(widths)])
+    )
     width = len(found) if text.header or not len(text) else text.width
-    if width not in widths or found != list(names[:width]) or max(map(text.header.count, found), default=0) > 1:
+    if (
+        width not in widths
+        or found != list(names[:width])
+        or max(map(text.header.count, found), default=0) > 1
+    ):
         wanted = " or ".join(map(str, widths))
         came = ", ".join(text.header) or f"{width} numbers a line"
         where = text.origin.at(0) if len(text) else str(path)
@@ -152,7 +178,11 @@ def _parse(text: Text, row: int, columns: Mapping[int, str]) -> list[float]:
 def _split(line: str, delimiter: str | None) -> list[str]:
     if delimiter is None:
         return [cell.strip('"') for cell in line.split()]
-    parts = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True)) if '"' in line else line.split(delimiter)
+    parts = (
+        next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+        if '"' in line
+        else line.split(delimiter)
+    )
     return [cell.strip() for cell in parts]
 
 

@@ -1,18 +1,22 @@
-"""Reading annotated objects, and what of a benchmark's truth counts neither for nor against a tracker.
+"""Reading annotated objects, and what of a benchmark's truth counts neither for nor against a
+tracker.
 
-MOT16, MOT17 and MOT20 have a flag in column 7 and a class in column 8. Pedestrians (class 1) with flag 1 are scored. People
-on vehicles (2), static persons (7), distractors (8), reflections (12), and in MOT20 other vehicles (6), whatever their flag,
-are not scored, and neither is output that matches them. All others are left out. This is the benchmark's own preprocessing
-as TrackEval does it, with one difference that a `Truth` cannot express: there, rows that are left out still take part in the
-matching by which distractors find the output to remove. MOT15 has no classes: a row with 0 in column 7 is left out, all
-others are scored.
+MOT16, MOT17 and MOT20 have a flag in column 7 and a class in column 8. Pedestrians (class 1) with
+flag 1 are scored. People on vehicles (2), static persons (7), distractors (8), reflections (12),
+and in MOT20 other vehicles (6), whatever their flag, are not scored, and neither is output that
+matches them. All others are left out. This is the benchmark's own preprocessing as TrackEval does
+it, with one difference that a `Truth` cannot express: there, rows that are left out still take part
+in the matching by which distractors find the output to remove. MOT15 has no classes: a row with 0
+in column 7 is left out, all others are scored.
 
-KITTI label files (`kitti.py`) are scored of one type, as TrackEval does it: objects of a neighbouring type (Van for Car, a
-sitting person for Pedestrian), truncated ones and those of occlusion above 2 are distractors; output that matches no row is
-removed where more than half of it lies in a DontCare region, or where it is at most 25 pixels high.
+KITTI label files (`kitti.py`) are scored of one type, as TrackEval does it: objects of a
+neighbouring type (Van for Car, a sitting person for Pedestrian), truncated ones and those of
+occlusion above 2 are distractors; output that matches no row is removed where more than half of it
+lies in a DontCare region, or where it is at most 25 pixels high.
 
-A list of what to ignore is a CSV file ``frame,x,y,w,h``: regions, in all frames where the frame is empty. With a column for
-the identity, or as a MOTChallenge file, rows of an identity from 0 on are distractors, those of −1 regions.
+A list of what to ignore is a CSV file ``frame,x,y,w,h``: regions, in all frames where the frame is
+empty. With a column for the identity, or as a MOTChallenge file, rows of an identity from 0 on are
+distractors, those of −1 regions.
 """
 
 from __future__ import annotations
@@ -31,17 +35,21 @@ from phdtrack.formats.table import Column, Kind, Source, Table, table_of_text
 from phdtrack.formats.text import Text, scan
 from phdtrack.types import F8, Truth
 
-_DISTRACTORS, _MOT20_DISTRACTORS = (2, 7, 8, 12), (2, 6, 7, 8, 12)
-_PEDESTRIAN, _LAST_CLASS = 1, 13
+_DISTRACTORS = (2, 7, 8, 12)
+_MOT20_DISTRACTORS = (2, 6, 7, 8, 12)
+_PEDESTRIAN = 1
+_LAST_CLASS = 13
 
 
 def read_truth(path: AnyPath, *, first_frame: int | None = None, kitti: str = "") -> Truth:
-    """The annotated objects in a MOTChallenge ``gt.txt``, KITTI, CSV, Parquet, JSON, CVML or CVAT file, sorted by frame.
+    """The annotated objects in a MOTChallenge ``gt.txt``, KITTI, CSV, Parquet, JSON, CVML or CVAT
+    file, sorted by frame.
 
-    Rows of confidence 0 that are no distractors are left out. In truth with classes (MOT16 and later) pedestrians are
-    scored, rows of the benchmark's distractors are marked, all others left out. The distractors are the classes 2, 7, 8, 12,
-    and 6 too where the path has a folder called MOT20-something. Raises `InputError` where the file is missing or malformed;
-    the message names the line.
+    Rows of confidence 0 that are no distractors are left out. In truth with classes (MOT16 and
+    later) pedestrians are scored, rows of the benchmark's distractors are marked, all others left
+    out. The distractors are the classes 2, 7, 8, 12, and 6 too where the path has a folder called
+    MOT20-something. Raises `InputError` where the file is missing or malformed; the message names
+    the line.
 
     Parameters
     ----------
@@ -53,7 +61,8 @@ def read_truth(path: AnyPath, *, first_frame: int | None = None, kitti: str = ""
 
 
 def read_truth_by_class(path: AnyPath) -> dict[str, Truth]:
-    """The annotated objects of each class, by its name or number, in a file that says their classes.
+    """The annotated objects of each class, by its name or number, in a file that says their
+    classes.
 
     Raises `InputError` as `read_truth`, and where the file says no classes.
     """
@@ -67,7 +76,10 @@ def read_truth_by_class(path: AnyPath) -> dict[str, Truth]:
     table = table_of(path, Kind.TRUTH, None)
     label = table.get(Column.CLASS)
     enforce(table.origin, whole(label, "class"))
-    return {table.names.get(int(one), f"{one:.0f}"): _truth_of(table.take(label == one), path) for one in np.unique(label)}
+    return {
+        table.names.get(int(one), f"{one:.0f}"): _truth_of(table.take(label == one), path)
+        for one in np.unique(label)
+    }
 
 
 def _truth_of(table: Table, path: Path) -> Truth:
@@ -75,7 +87,9 @@ def _truth_of(table: Table, path: Path) -> Truth:
     region = table.get(Column.REGION) != 0
     enforce(table.origin, *box_rules(table))
     table, regions = table.take(~region), _regions(table.take(region))
-    confidence, ignore, label = (table.get(c) for c in (Column.CONFIDENCE, Column.DISTRACTOR, Column.MOT_CLASS))
+    confidence, ignore, label = (
+        table.get(c) for c in (Column.CONFIDENCE, Column.DISTRACTOR, Column.MOT_CLASS)
+    )
     rules = [flag(ignore, "distractor")]
     if (label != -1).any():
         cure = "Truth of 8 or 9 columns has a MOTChallenge class in column 8; with 10 columns (MOT15) it has none."
@@ -87,7 +101,9 @@ def _truth_of(table: Table, path: Path) -> Truth:
     order = np.argsort(frame, kind="stable")
     order = order[(confidence[order] != 0) | (ignore[order] != 0)]
     height = LEAST_HEIGHT if table.kitti else 0.0
-    return Truth(frame[order], identity[order], table.xyxy()[order], ignore[order] != 0, regions, height)
+    return Truth(
+        frame[order], identity[order], table.xyxy()[order], ignore[order] != 0, regions, height
+    )
 
 
 def ignoring(truth: Truth, path: AnyPath) -> Truth:
@@ -101,16 +117,26 @@ def ignoring(truth: Truth, path: AnyPath) -> Truth:
     table = table_of_text(Source(path, b"", Kind.IGNORED, 0), text) if len(text) else NO_ROWS
     enforce(table.origin, *box_rules(table), whole(table.get(Column.IDENTITY), "identity", low=-1))
     region = table.get(Column.IDENTITY) < 0
-    distractors, frame = table.take(~region), table.get(Column.FRAME).astype(np.int64)
-    enforce(distractors.origin, Rule(frame[~region] == 0, "a row with an identity needs a frame", frame[~region]))
-    frames, count = np.concatenate([truth.frame, frame[~region]]), len(distractors.origin.number)
+    distractors = table.take(~region)
+    frame = table.get(Column.FRAME).astype(np.int64)
+    enforce(
+        distractors.origin,
+        Rule(frame[~region] == 0, "a row with an identity needs a frame", frame[~region]),
+    )
+    frames = np.concatenate([truth.frame, frame[~region]])
+    count = len(distractors.origin.number)
     order = np.argsort(frames, kind="stable")
     identity = np.concatenate([truth.identity, distractors.get(Column.IDENTITY).astype(np.int64)])
     marked = np.concatenate([truth.distractor, np.ones(count, np.bool_)])
     xyxy = np.concatenate([truth.xyxy, distractors.xyxy()])
     regions = np.concatenate([truth.regions, _regions(table.take(region), first=1)])
     return replace(
-        truth, frame=frames[order], identity=identity[order], xyxy=xyxy[order], distractor=marked[order], regions=regions
+        truth,
+        frame=frames[order],
+        identity=identity[order],
+        xyxy=xyxy[order],
+        distractor=marked[order],
+        regions=regions,
     )
 
 
@@ -121,9 +147,13 @@ def _regions(table: Table, first: int | None = None) -> F8:
 
 
 def _list(text: Text) -> Text:
-    """A list of what to ignore with a header and an identity in each row, −1 for regions, and frame 0 for all frames."""
+    """A list of what to ignore with a header and an identity in each row, −1 for regions, and frame
+    0 for all frames.
+    """
     names = text.header or (
-        ("frame", "x", "y", "w", "h") if text.width == 5 else ("frame", "id", "left", "top", "width", "height")
+        ("frame", "x", "y", "w", "h")
+        if text.width == 5
+        else ("frame", "id", "left", "top", "width", "height")
     )
     at = next((names.index(name) for name in Column.FRAME.names if name in names), 0)
     known = any(name in names for name in Column.IDENTITY.names)

@@ -1,4 +1,6 @@
-"""Between pixels and the ground: Tsai, OpenCV and homography cameras, terrain, covariances, calibration from points."""
+"""Between pixels and the ground: Tsai, OpenCV and homography cameras, terrain, covariances,
+calibration from points.
+"""
 
 from phdtrack.ground.cameras import (
     CountedFrom,

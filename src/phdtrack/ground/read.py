@@ -1,21 +1,25 @@
-"""Cameras from files, whose kind is recognised by their content, and a homography from clicked points.
+"""Cameras from files, whose kind is recognised by their content, and a homography from clicked
+points.
 
-    XML with <Camera>              Tsai's parameters in millimetres and radians, as PETS has them [E13 §3.2]
-    XML with <opencv_storage>      OpenCV's intrinsics and pose; also YAML as cv2.FileStorage writes it, JSON, TOML
-    MATLAB 4 to 7                  a homography or a transform, row vectors; SciPy reads it, in a process of its own
-    three lines of three numbers   a homography, column vectors, metres (H.txt of ETH and UCY: row and column)
-    TOML or JSON                   a description by keys and values
+    XML with <Camera>              Tsai's parameters in millimetres and radians, as PETS has them
+    [E13 §3.2] XML with <opencv_storage>      OpenCV's intrinsics and pose; also YAML as
+    cv2.FileStorage writes it, JSON, TOML MATLAB 4 to 7                  a homography or a
+    transform, row vectors; SciPy reads it, in a process of its own three lines of three numbers   a
+    homography, column vectors, metres (H.txt of ETH and UCY: row and column) TOML or JSON
+    a description by keys and values
 
 A description is of one of three kinds, by its keys:
 
-    homography = [[...], [...], [...]]      with maps, vectors, pixel, unit (see `MatrixForm`) and inside = [u, v]
-    camera_matrix, distortion_coefficients  with rvec or R, and tvec (in unit, default "m")
-    file = "View_001.xml"                   another file, as seen from this one's folder, with the form of its matrix
+    homography = [[...], [...], [...]]      with maps, vectors, pixel, unit (see `MatrixForm`) and
+    inside = [u, v] camera_matrix, distortion_coefficients  with rvec or R, and tvec (in unit,
+    default "m") file = "View_001.xml"                   another file, as seen from this one's
+    folder, with the form of its matrix
 
 and ``terrain = "hill.asc"``, an elevation map, beside the latter two.
 
-From clicked points, the direct linear transform in normalised coordinates gives a first matrix; least squares on the
-distances in the image, where the clicks err, gives the final one. Layouts that leave the matrix open are refused.
+From clicked points, the direct linear transform in normalised coordinates gives a first matrix;
+least squares on the distances in the image, where the clicks err, gives the final one. Layouts that
+leave the matrix open are refused.
 """
 
 from __future__ import annotations
@@ -43,7 +47,8 @@ from phdtrack.ground.cameras import HomographyCamera, OpenCVLens, PosedCamera, T
 from phdtrack.ground.terrain import Line, read_terrain
 from phdtrack.types import F8
 
-# Points whose spread across is this small beside that along lie on a line, as far as clicks can tell.
+# Points whose spread across is this small beside that along lie on a line, as far as clicks can
+# tell.
 _LINE = 0.01
 # The second smallest singular value beside the largest, below which more than one homography fits.
 _OPEN = 1e-4
@@ -53,7 +58,8 @@ _OPEN = 1e-4
 class Calibration:
     """A fitted camera and how well it fits.
 
-    ``pixel_error`` (N,) distances in the image, pixels; ``ground_error`` (N,) distances on the ground, metres.
+    ``pixel_error`` (N,) distances in the image, pixels; ``ground_error`` (N,) distances on the
+    ground, metres.
     """
 
     camera: HomographyCamera
@@ -62,26 +68,33 @@ class Calibration:
 
 
 def fit_homography(pixel: F8, world: F8) -> Calibration:
-    """The homography with the least sum of squared distances in the image from four or more pairs, and how well it fits.
+    """The homography with the least sum of squared distances in the image from four or more pairs,
+    and how well it fits.
 
-    ``pixel`` (2, N) are clicked pixels, ``world`` (2, N) their places on the ground, metres. Raises `InputError` for fewer
-    than four pairs, a layout that leaves the matrix open, or pairs that no camera in front of a plane can show.
+    ``pixel`` (2, N) are clicked pixels, ``world`` (2, N) their places on the ground, metres. Raises
+    `InputError` for fewer than four pairs, a layout that leaves the matrix open, or pairs that no
+    camera in front of a plane can show.
     """
-    pixel, world = np.asarray(pixel, dtype=np.float64), np.asarray(world, dtype=np.float64)
+    pixel = np.asarray(pixel, dtype=np.float64)
+    world = np.asarray(world, dtype=np.float64)
     _check(pixel, world)
-    to_image, to_ground = _normaliser(pixel), _normaliser(world)
+    to_image = _normaliser(pixel)
+    to_ground = _normaliser(world)
     forward = _homography(_through(to_ground, world), _through(to_image, pixel))
     matrix = np.linalg.inv(to_ground) @ np.linalg.inv(forward) @ to_image
     matrix /= np.abs(matrix).max()
     camera = HomographyCamera(matrix, inside=(float(pixel[0].mean()), float(pixel[1].mean())))
-    missed, off = camera.pixels(world) - pixel, camera.ground(pixel) - world
+    missed = camera.pixels(world) - pixel
+    off = camera.ground(pixel) - world
     return Calibration(camera, np.hypot(*missed), np.hypot(*off))
 
 
 def _check(pixel: F8, world: F8) -> None:
     """Raise `InputError` where the points cannot be those of a plane seen by a camera."""
     if pixel.ndim != 2 or len(pixel) != 2 or pixel.shape != world.shape:
-        raise InputError(f"expected two arrays (2, N), came {pixel.shape} and {world.shape}", where="points")
+        raise InputError(
+            f"expected two arrays (2, N), came {pixel.shape} and {world.shape}", where="points"
+        )
     if not (np.isfinite(pixel).all() and np.isfinite(world).all()):
         raise InputError("expected finite numbers", where="points")
     if pixel.shape[1] < 4:
@@ -91,7 +104,9 @@ def _check(pixel: F8, world: F8) -> None:
         spread = np.linalg.svd(points - points.mean(axis=1, keepdims=True), compute_uv=False)
         if spread[1] <= _LINE * spread[0]:
             problem = f"expected points that spread over an area, came points on one line {name}"
-            raise InputError(problem, where="points", cure="Add points to both sides of the line, far from it.")
+            raise InputError(
+                problem, where="points", cure="Add points to both sides of the line, far from it."
+            )
 
 
 def _normaliser(points: F8) -> F8:
@@ -108,12 +123,19 @@ def _through(h: F8, point: F8) -> F8:
 
 
 def _homography(source: F8, target: F8) -> F8:
-    """(3, 3) the homography of the points (2, N), about 0, with the least squared distances to the target points."""
+    """(3, 3) the homography of the points (2, N), about 0, with the least squared distances to the
+    target points.
+    """
     from scipy.optimize import least_squares  # takes long to import
 
     x = np.vstack([source, np.ones(source.shape[1])]).T
     none = np.zeros_like(x)
-    rows = np.vstack([np.hstack([x, none, -target[0][:, None] * x]), np.hstack([none, x, -target[1][:, None] * x])])
+    rows = np.vstack(
+        [
+            np.hstack([x, none, -target[0][:, None] * x]),
+            np.hstack([none, x, -target[1][:, None] * x]),
+        ]
+    )
     _, values, axes = np.linalg.svd(rows)
     h = axes[-1].reshape(3, 3)
     if values[7] <= _OPEN * values[0] or np.linalg.cond(h) > 1 / _OPEN:
@@ -144,15 +166,22 @@ _METRES: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 # The names that programs give the same thing; the first is ours.
 _NAMES = {
     "camera_matrix": ("camera_matrix", "cameraMatrix", "K", "intrinsic_matrix", "mtx"),
-    "distortion_coefficients": ("distortion_coefficients", "distCoeffs", "dist_coeffs", "D", "dist"),
+    "distortion_coefficients": (
+        "distortion_coefficients",
+        "distCoeffs",
+        "dist_coeffs",
+        "D",
+        "dist",
+    ),
     "rvec": ("rvec", "rotation_vector"),
     "R": ("R", "rotation", "rotation_matrix"),
     "tvec": ("tvec", "T", "t", "translation", "translation_vector"),
 }
 _types = cache(get_type_hints)
 _EXPECTED = "expected a camera: Tsai XML, OpenCV YAML, XML or JSON, a homography in text or MATLAB 4 to 7, or camera.toml"
-# Prints the 3 x 3 matrices and transforms (`maketform`) of a MATLAB file by name. A damaged file can make SciPy's reader
-# crash, or take all memory: so it runs in a process of its own, with a bound.
+# Prints the 3 x 3 matrices and transforms (`maketform`) of a MATLAB file by name. A damaged file
+# can make SciPy's reader crash, or take all memory: so it runs in a process of its own, with a
+# bound.
 _MATLAB = """
 import io, json, sys
 try:
@@ -182,9 +211,12 @@ class MatrixForm:
     Attributes
     ----------
     maps : ``pixel-to-ground`` (usual) or ``ground-to-pixel``.
-    vectors : ``column``, H·[u v 1]ᵀ (usual in text), or ``row``, [u v 1]·T (usual in MATLAB's files).
-    pixel : ``xy`` (usual) or ``row-column`` (usual for an H.txt that lies beside an obsmat.txt, the layout of ETH and UCY).
-    unit : of lengths on the ground: ``m`` (usual in text), ``cm`` or ``mm``; must be said for MATLAB's files.
+    vectors : ``column``, H·[u v 1]ᵀ (usual in text), or ``row``, [u v 1]·T (usual in MATLAB's
+        files).
+    pixel : ``xy`` (usual) or ``row-column`` (usual for an H.txt that lies beside an obsmat.txt, the
+        layout of ETH and UCY).
+    unit : of lengths on the ground: ``m`` (usual in text), ``cm`` or ``mm``; must be said for
+        MATLAB's files.
     variable : name of the variable in a MATLAB file; must be said where there are several.
     """
 
@@ -196,7 +228,8 @@ class MatrixForm:
 
     def __post_init__(self) -> None:
         for name, kind in _types(MatrixForm).items():
-            value, known = getattr(self, name), get_args(kind)
+            value = getattr(self, name)
+            known = get_args(kind)
             if not isinstance(value, str) or (known and value not in known):
                 expected = f"expected {name} = {' or '.join(known[1:]) or 'a name'}, came {reprlib.repr(value)}"
                 raise InputError(expected, where="form of the homography")
@@ -205,8 +238,8 @@ class MatrixForm:
 def read_camera(path: AnyPath, form: MatrixForm | None = None) -> Camera:
     """The camera of a file; ``form`` is what a bare matrix means, where it is not what is usual.
 
-    A file that says nothing of the ground has it flat, at height 0. Raises `InputError` where there is no such file, it is
-    of no known kind, or something in it is missing or wrong.
+    A file that says nothing of the ground has it flat, at height 0. Raises `InputError` where there
+    is no such file, it is of no known kind, or something in it is missing or wrong.
     """
     path = Path(path)
     try:
@@ -220,9 +253,14 @@ def read_camera(path: AnyPath, form: MatrixForm | None = None) -> Camera:
 
 
 def calibration_text(fitted: Calibration, frame_size: tuple[int, int] | None = None) -> str:
-    """A description, in TOML, of a calibrated camera; `read_camera` gives it back to the last bit."""
-    rows = ",\n".join(f"  [{', '.join(repr(float(value)) for value in row)}]" for row in fitted.camera.matrix)
-    off, missed = np.max(fitted.ground_error), np.max(fitted.pixel_error)
+    """A description, in TOML, of a calibrated camera; `read_camera` gives it back to the last
+    bit.
+    """
+    rows = ",\n".join(
+        f"  [{', '.join(repr(float(value)) for value in row)}]" for row in fitted.camera.matrix
+    )
+    off = np.max(fitted.ground_error)
+    missed = np.max(fitted.pixel_error)
     of = f" of a frame of {frame_size[0]}x{frame_size[1]}" if frame_size else ""
     return (
         f"# Fitted to {len(fitted.pixel_error)} points{of}; the worst is {missed:.2f} pixels and {off:.3f} m off.\n"
@@ -233,14 +271,20 @@ def calibration_text(fitted: Calibration, frame_size: tuple[int, int] | None = N
 
 
 def _read(path: Path, form: MatrixForm, *, nested: bool = False) -> Camera:
-    """The camera of a file; ``nested``: a description has named it, so that it must not name another one."""
+    """The camera of a file; ``nested``: a description has named it, so that it must not name
+    another one.
+    """
     content = load(path)
     if content.startswith((b"MATLAB", b"\x89HDF")) or path.suffix.lower() == ".mat":
-        return _homography_camera(_matlab_matrix(path, content, form), replace(form, vectors=form.vectors or "row"))
+        return _homography_camera(
+            _matlab_matrix(path, content, form), replace(form, vectors=form.vectors or "row")
+        )
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise InputError(f"{_EXPECTED}, came bytes that are no UTF-8 text", cure="Is it the right file?") from None
+        raise InputError(
+            f"{_EXPECTED}, came bytes that are no UTF-8 text", cure="Is it the right file?"
+        ) from None
     start = text.lstrip()
     if start.startswith("<"):
         elements = read_xml(path, content)
@@ -253,7 +297,9 @@ def _read(path: Path, form: MatrixForm, *, nested: bool = False) -> Camera:
     if start.startswith("{"):
         return _described(path, read_json(path, content), nested)
     if re.match(r"(\s*(#.*)?\n)*\s*[-+]?(\d|\.\d|nan\b|inf\b)", text, re.IGNORECASE):
-        usual: Literal["xy", "row-column"] = "row-column" if (path.parent / "obsmat.txt").is_file() else "xy"
+        usual: Literal["xy", "row-column"] = (
+            "row-column" if (path.parent / "obsmat.txt").is_file() else "xy"
+        )
         return _homography_camera(_text_matrix(text), replace(form, pixel=form.pixel or usual))
     return _described(path, _toml(path, content), nested)
 
@@ -263,12 +309,16 @@ def _described(path: Path, values: Description, nested: bool) -> Camera:
     kinds = [kind for kind in ("file", "homography") if kind in values]
     kinds += ["camera_matrix"] * any(name in values for name in _NAMES["camera_matrix"])
     if len(kinds) != 1:
-        raise InputError(f"expected one of file, homography and camera_matrix, came {' and '.join(kinds) or 'none of them'}")
+        raise InputError(
+            f"expected one of file, homography and camera_matrix, came {' and '.join(kinds) or 'none of them'}"
+        )
     if kinds == ["file"] and nested:
         raise InputError("expected a camera, came a description of yet another file")
     for key in ("file", "terrain"):
         if not isinstance(values.get(key, ""), str):
-            raise InputError(f"expected the name of a file, came {reprlib.repr(values[key])}", where=key)
+            raise InputError(
+                f"expected the name of a file, came {reprlib.repr(values[key])}", where=key
+            )
     form = {field.name: values[field.name] for field in fields(MatrixForm) if field.name in values}
     if kinds == ["camera_matrix"]:
         camera: Camera = _opencv_camera(values)
@@ -276,7 +326,9 @@ def _described(path: Path, values: Description, nested: bool) -> Camera:
         camera = _read(path.parent / values["file"], MatrixForm(**form), nested=True)
     else:
         inside = tuple(_array(values, "inside", (2,)).tolist()) if "inside" in values else None
-        camera = _homography_camera(_array(values, "homography", (3, 3)), MatrixForm(**form), inside)
+        camera = _homography_camera(
+            _array(values, "homography", (3, 3)), MatrixForm(**form), inside
+        )
     if "terrain" not in values:
         return camera
     if not isinstance(camera, PosedCamera):
@@ -285,7 +337,9 @@ def _described(path: Path, values: Description, nested: bool) -> Camera:
     return replace(camera, surface=read_terrain(path.parent / values["terrain"]))
 
 
-def _homography_camera(matrix: F8, form: MatrixForm, inside: tuple[float, float] | None = None) -> HomographyCamera:
+def _homography_camera(
+    matrix: F8, form: MatrixForm, inside: tuple[float, float] | None = None
+) -> HomographyCamera:
     """The camera of a matrix in the given form, which refuses one that cannot be inverted."""
     h = matrix.T if form.vectors == "row" else matrix
     if form.maps == "ground-to-pixel":
@@ -299,15 +353,19 @@ def _homography_camera(matrix: F8, form: MatrixForm, inside: tuple[float, float]
 
 def _opencv_camera(values: Description) -> PosedCamera:
     """The camera of a description with a camera matrix."""
-    named = {ours: next((name for name in names if name in values), "") for ours, names in _NAMES.items()}
+    named = {
+        ours: next((name for name in names if name in values), "") for ours, names in _NAMES.items()
+    }
     if not named["distortion_coefficients"]:
         cure = "Write distortion_coefficients = [] for a lens without distortion."
         raise InputError("expected distortion_coefficients, came none", cure=cure)
     if not named["tvec"] or bool(named["rvec"]) == bool(named["R"]):
         cure = "cv2.solvePnP gives both from points; without a lens, `phdtrack calibrate` needs nothing but points."
         raise InputError("expected the pose of the camera, tvec and either rvec or R", cure=cure)
-    matrix, distortion = _array(values, named["camera_matrix"], (3, 3)), _array(values, named["distortion_coefficients"])
-    translation, unit = _array(values, named["tvec"], (3,)), str(values.get("unit", "m"))
+    matrix = _array(values, named["camera_matrix"], (3, 3))
+    distortion = _array(values, named["distortion_coefficients"])
+    translation = _array(values, named["tvec"], (3,))
+    unit = str(values.get("unit", "m"))
     if unit not in _METRES:
         raise InputError(f"expected unit = {' or '.join(_METRES)}, came {unit!r}")
     if named["R"]:
@@ -325,14 +383,19 @@ def _array(values: Description, name: str, shape: tuple[int, ...] | None = None)
     try:
         value = np.asarray(values[name], dtype=np.float64)
     except (ValueError, TypeError, OverflowError):
-        raise InputError(f"expected {wanted}, came {reprlib.repr(values[name])[:60]}", where=name) from None
+        raise InputError(
+            f"expected {wanted}, came {reprlib.repr(values[name])[:60]}", where=name
+        ) from None
     if not np.isfinite(value).all():
         raise InputError(f"expected {wanted}, came some that are not finite", where=name)
     if shape is None:
         return value.ravel()
-    # OpenCV writes vectors as columns or rows; a matrix in one row is refused, its order would be a guess.
+    # OpenCV writes vectors as columns or rows; a matrix in one row is refused, its order would be a
+    # guess.
     if value.shape != shape and not (len(shape) == 1 and value.size == shape[0]):
-        raise InputError(f"expected {wanted}, came {' x '.join(map(str, value.shape)) or 'one'}", where=name)
+        raise InputError(
+            f"expected {wanted}, came {' x '.join(map(str, value.shape)) or 'one'}", where=name
+        )
     return value.reshape(shape)
 
 
@@ -344,7 +407,14 @@ def _toml(path: Path, content: bytes) -> Description:
         problem = f"{_EXPECTED}; as TOML it breaks here: {error.problem.removeprefix('not TOML: ')}"
         raise InputError(problem, where=error.where) from None
     names = [name for group in _NAMES.values() for name in group]
-    known = ["homography", "inside", *(field.name for field in fields(MatrixForm)), "file", "terrain", *names]
+    known = [
+        "homography",
+        "inside",
+        *(field.name for field in fields(MatrixForm)),
+        "file",
+        "terrain",
+        *names,
+    ]
     for key in values:
         if key not in known:
             raise InputError(f"a camera has no setting {key}", cure=did_you_mean(key, known))
@@ -371,34 +441,67 @@ def _storage(text: str) -> Description:
     except (cv2.error, SystemError) as error:
         reason = str(error.__cause__ or error).strip().splitlines()[0]
         place = re.search(r"\((\d+)\): ", reason)
-        where = f"line {place[1]}" if place and "persistence" not in reason.partition(place[0])[0][-20:] else ""
-        raise InputError("expected a file as cv2.FileStorage writes it, which OpenCV cannot read", where=where) from None
+        where = (
+            f"line {place[1]}"
+            if place and "persistence" not in reason.partition(place[0])[0][-20:]
+            else ""
+        )
+        raise InputError(
+            "expected a file as cv2.FileStorage writes it, which OpenCV cannot read", where=where
+        ) from None
 
 
 def _text_matrix(text: str) -> F8:
-    """(3, 3) the numbers of a text: three lines of three, separated by blanks, commas, semicolons or tabs."""
+    """(3, 3) the numbers of a text: three lines of three, separated by blanks, commas, semicolons
+    or tabs.
+    """
     lines = [re.sub("[,;]|#.*", " ", line).split() for line in text.splitlines()]
-    rows = [Line(f"line {number}", words).numbers(3) for number, words in enumerate(lines, 1) if words]
+    rows = [
+        Line(f"line {number}", words).numbers(3) for number, words in enumerate(lines, 1) if words
+    ]
     if len(rows) != 3:
-        problem = f"expected the three lines of three numbers of a homography, came {len(rows)} lines"
+        problem = (
+            f"expected the three lines of three numbers of a homography, came {len(rows)} lines"
+        )
         raise InputError(problem, cure="Is the file complete?")
     return np.array(rows)
 
 
 def _matlab_matrix(path: Path, content: bytes, form: MatrixForm) -> F8:
-    """(3, 3) the matrix of a MATLAB file, or of a transform (`maketform`); the form must say which, and its unit."""
+    """(3, 3) the matrix of a MATLAB file, or of a transform (`maketform`); the form must say which,
+    and its unit.
+    """
     if content.startswith((b"MATLAB 7.3", b"\x89HDF")):
-        raise InputError("expected a file of MATLAB 4 to 7, came one of version 7.3 (HDF5)", cure="Save it with -v7.")
+        raise InputError(
+            "expected a file of MATLAB 4 to 7, came one of version 7.3 (HDF5)",
+            cure="Save it with -v7.",
+        )
     # -P: nothing is imported from the folder that the user is in.
-    command, environment = [sys.executable, "-P", "-c", _MATLAB], os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+    command = [sys.executable, "-P", "-c", _MATLAB]
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
     try:
-        done = subprocess.run(command, input=content, capture_output=True, env=environment, timeout=_SECONDS, check=True)
+        done = subprocess.run(
+            command,
+            input=content,
+            capture_output=True,
+            env=environment,
+            timeout=_SECONDS,
+            check=True,
+        )
     except subprocess.SubprocessError as error:
-        said = (getattr(error, "stderr", None) or b"").decode(errors="replace").strip().rpartition("\n")[2]
-        problem = f"expected a file of MATLAB 4 to 7, which SciPy cannot read ({said or 'it crashed'})"
+        said = (
+            (getattr(error, "stderr", None) or b"")
+            .decode(errors="replace")
+            .strip()
+            .rpartition("\n")[2]
+        )
+        problem = (
+            f"expected a file of MATLAB 4 to 7, which SciPy cannot read ({said or 'it crashed'})"
+        )
         raise InputError(problem, cure="Is it complete? Save it again, with -v7.") from None
     found = {name: np.array(rows, np.float64) for name, rows in json.loads(done.stdout).items()}
-    name, others = form.variable or next(iter(found), "NAME"), ", ".join(found)
+    name = form.variable or next(iter(found), "NAME")
+    others = ", ".join(found)
     if form.variable and name not in found:
         problem = f"expected a 3 x 3 matrix or a transform by the name {name}, came none"
         raise InputError(problem, cure=f"There are {others or 'none at all'}.")
@@ -408,20 +511,31 @@ def _matlab_matrix(path: Path, content: bytes, form: MatrixForm) -> F8:
     if not form.variable and len(found) != 1:
         problem = f"expected one homography, came {others or 'none'}"
     cure = "Say what is meant in a file camera.toml, in three lines, and name that one: "
-    raise InputError(problem, cure=f'{cure}file = "{path.name}", variable = "{name}", unit = "cm" (or "m", "mm").')
+    raise InputError(
+        problem,
+        cure=f'{cure}file = "{path.name}", variable = "{name}", unit = "cm" (or "m", "mm").',
+    )
 
 
 def _tsai_camera(found: Mapping[str, Element]) -> PosedCamera:
     """The camera of the elements of a calibration file, in millimetres and radians [E13 §3.2]."""
     for name in ("Geometry", "Intrinsic", "Extrinsic"):
         if name not in found:
-            raise InputError(f"expected an element <{name}>, came none", cure="Is it a Tsai calibration?")
-    geometry, intrinsic, extrinsic = found["Geometry"], found["Intrinsic"], found["Extrinsic"]
-    # dpx is the width of a pixel of the frame: that of the sensor's elements, dx, by their number over that of the pixels.
-    dx, dy = geometry.number("dpx", "dx"), geometry.number("dpy", "dy")
+            raise InputError(
+                f"expected an element <{name}>, came none", cure="Is it a Tsai calibration?"
+            )
+    geometry = found["Geometry"]
+    intrinsic = found["Intrinsic"]
+    extrinsic = found["Extrinsic"]
+    # dpx is the width of a pixel of the frame: that of the sensor's elements, dx, by their number
+    # over that of the pixels.
+    dx = geometry.number("dpx", "dx")
+    dy = geometry.number("dpy", "dy")
     if "dpx" not in geometry.attributes and {"ncx", "nfx"} <= geometry.attributes.keys():
         dx *= geometry.number("ncx") / (geometry.number("nfx") or np.inf)
-    focal, kappa, cx, cy, sx = (intrinsic.number(name) for name in ("focal", "kappa1", "cx", "cy", "sx"))
+    focal, kappa, cx, cy, sx = (
+        intrinsic.number(name) for name in ("focal", "kappa1", "cx", "cy", "sx")
+    )
     lens = TsaiLens(1e-3 * focal, 1e-3 * dx, 1e-3 * dy, 1e6 * kappa, cx, cy, sx)
     rotation = np.eye(3)
     for axis, name in zip(np.eye(3), ("rx", "ry", "rz"), strict=True):

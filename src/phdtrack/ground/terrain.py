@@ -1,12 +1,15 @@
-"""The ground: flat, or an elevation map z(x, y) on a regular grid, bilinear between its points [E13 §3.3].
+"""The ground: flat, or an elevation map z(x, y) on a regular grid, bilinear between its points [E13
+§3.3].
 
-Where a ray p + s d meets terrain, s is the least root of h(s) = p_z + s d_z − z(x(s), y(s)). Gauss–Newton steps from the
-flat solution, as E13 takes them, may end behind a hill that is in the way. So the line of sight is sampled in half steps of
-the grid, and the first place where it goes below the ground is halved down to it.
+Where a ray p + s d meets terrain, s is the least root of h(s) = p_z + s d_z − z(x(s), y(s)).
+Gauss–Newton steps from the flat solution, as E13 takes them, may end behind a hill that is in the
+way. So the line of sight is sampled in half steps of the grid, and the first place where it goes
+below the ground is halved down to it.
 
-Elevation maps in files are ASCII grids, as geographic programs write them: lines of a name and a number (ncols, nrows,
-xllcorner or xllcenter, yllcorner or yllcenter, cellsize, and maybe NODATA_value), followed by the heights, the northernmost
-row first. All lengths are in metres, in the camera's world.
+Elevation maps in files are ASCII grids, as geographic programs write them: lines of a name and a
+number (ncols, nrows, xllcorner or xllcenter, yllcorner or yllcenter, cellsize, and maybe
+NODATA_value), followed by the heights, the northernmost row first. All lengths are in metres, in
+the camera's world.
 """
 
 from __future__ import annotations
@@ -28,7 +31,16 @@ _HIGHEST = 1e7
 _BLOCK = 1 << 20
 # A ray this flat, relative to its length, is the horizon for all that float64 can say.
 _LEVEL = 1e-12
-_HEAD = ("ncols", "nrows", "xllcorner", "xllcenter", "yllcorner", "yllcenter", "cellsize", "nodata_value")
+_HEAD = (
+    "ncols",
+    "nrows",
+    "xllcorner",
+    "xllcenter",
+    "yllcorner",
+    "yllcenter",
+    "cellsize",
+    "nodata_value",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +58,9 @@ class Flat:
         return np.repeat([[0.0], [0.0], [1.0]], np.shape(xy)[1], axis=1)
 
     def meet(self, origin: F8, direction: F8) -> F8:
-        """(N,) the s > 0 at which the ray comes to the level; NaN at the horizon and beyond [E13 (7)]."""
+        """(N,) the s > 0 at which the ray comes to the level; NaN at the horizon and beyond [E13
+        (7)].
+        """
         fall = self.level - origin[2]
         length = np.linalg.norm(direction, axis=0)
         meets = (direction[2] * fall > 0) & (np.abs(direction[2]) > _LEVEL * length)
@@ -55,13 +69,15 @@ class Flat:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Terrain:
-    """An elevation map; outside of it, and beside unknown heights, nothing is known and nothing is seen.
+    """An elevation map; outside of it, and beside unknown heights, nothing is known and nothing is
+    seen.
 
     Attributes
     ----------
     origin : (2,) x and y of the first grid point, metres.
     step : (2,) spacing of the grid along x and y, metres, above 0.
-    heights : (ny, nx) elevation in metres, row by row in growing y, at least 2 x 2; NaN where unknown.
+    heights : (ny, nx) elevation in metres, row by row in growing y, at least 2 x 2; NaN where
+        unknown.
     """
 
     origin: F8
@@ -70,15 +86,28 @@ class Terrain:
     _levels: tuple[float, float, float] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        origin, step, heights = np.asarray(self.origin), np.asarray(self.step), np.asarray(self.heights)
-        if heights.ndim != 2 or min(heights.shape) < 2 or (np.abs(heights) > _HIGHEST).any() or np.isnan(heights).all():
+        origin = np.asarray(self.origin)
+        step = np.asarray(self.step)
+        heights = np.asarray(self.heights)
+        if (
+            heights.ndim != 2
+            or min(heights.shape) < 2
+            or (np.abs(heights) > _HIGHEST).any()
+            or np.isnan(heights).all()
+        ):
             raise InputError(
                 f"expected 2 x 2 heights or more, within {_HIGHEST:g} m or NaN, not all NaN, came shape {heights.shape}",
                 where="terrain",
             )
-        if origin.shape != (2,) or step.shape != (2,) or not np.isfinite([origin, step]).all() or not (step > 0).all():
+        if (
+            origin.shape != (2,)
+            or step.shape != (2,)
+            or not np.isfinite([origin, step]).all()
+            or not (step > 0).all()
+        ):
             raise InputError(
-                "expected a finite origin (x, y) and finite steps (along x, along y) above 0, in metres", where="terrain"
+                "expected a finite origin (x, y) and finite steps (along x, along y) above 0, in metres",
+                where="terrain",
             )
         levels = float(np.nanmin(heights)), float(np.nanmean(heights)), float(np.nanmax(heights))
         object.__setattr__(self, "_levels", levels)
@@ -89,9 +118,13 @@ class Terrain:
         return np.asarray(self.origin + self.step * (np.array(self.heights.shape[::-1]) - 1))
 
     def height(self, xy: F8) -> F8:
-        """(N,) elevation at the points (2, N), metres; NaN outside of the map and beside unknown heights."""
+        """(N,) elevation at the points (2, N), metres; NaN outside of the map and beside unknown
+        heights.
+        """
         x, y = np.asarray(xy, dtype=np.float64)
-        inside = (x >= self.origin[0]) & (x <= self.end[0]) & (y >= self.origin[1]) & (y <= self.end[1])
+        inside = (
+            (x >= self.origin[0]) & (x <= self.end[0]) & (y >= self.origin[1]) & (y <= self.end[1])
+        )
         return np.where(inside, self._patch(x, y)[0], np.nan)
 
     def normal(self, xy: F8) -> F8:
@@ -105,26 +138,41 @@ class Terrain:
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
             above = self._above(origin, direction, middle) > 0
-            low, high = np.where(above, middle, low), np.where(above, high, middle)
+            low = np.where(above, middle, low)
+            high = np.where(above, high, middle)
         s = (low + high) / 2
         # Beside unknown heights the halving may end at their edge.
-        on_ground = np.abs(self._above(origin, direction, s)) <= 1e-9 * (1 + np.abs(origin[2] + s * direction[2]))
+        on_ground = np.abs(self._above(origin, direction, s)) <= 1e-9 * (
+            1 + np.abs(origin[2] + s * direction[2])
+        )
         return np.where(on_ground, s, np.nan)
 
     def _patch(self, x: F8, y: F8) -> tuple[F8, F8, F8]:
-        """Elevation and slopes along x and y of the patch at the points; outside, those of the nearest edge."""
+        """Elevation and slopes along x and y of the patch at the points; outside, those of the
+        nearest edge.
+        """
         ny, nx = self.heights.shape
         column = np.clip(np.nan_to_num((x - self.origin[0]) / self.step[0]), 0, nx - 1)
         row = np.clip(np.nan_to_num((y - self.origin[1]) / self.step[1]), 0, ny - 1)
-        i, j = np.minimum(row.astype(np.int64), ny - 2), np.minimum(column.astype(np.int64), nx - 2)
-        a, b = column - j, row - i
+        i = np.minimum(row.astype(np.int64), ny - 2)
+        j = np.minimum(column.astype(np.int64), nx - 2)
+        a = column - j
+        b = row - i
         h = self.heights
-        rise, rise_next = h[i, j + 1] - h[i, j], h[i + 1, j + 1] - h[i + 1, j]
-        near, far = h[i, j] + a * rise, h[i + 1, j] + a * rise_next
-        return near + b * (far - near), ((1 - b) * rise + b * rise_next) / self.step[0], (far - near) / self.step[1]
+        rise = h[i, j + 1] - h[i, j]
+        rise_next = h[i + 1, j + 1] - h[i + 1, j]
+        near = h[i, j] + a * rise
+        far = h[i + 1, j] + a * rise_next
+        return (
+            near + b * (far - near),
+            ((1 - b) * rise + b * rise_next) / self.step[0],
+            (far - near) / self.step[1],
+        )
 
     def _above(self, origin: F8, direction: F8, s: F8) -> F8:
-        """Height of the points origin + s·direction over the ground, counted from the camera's side of it."""
+        """Height of the points origin + s·direction over the ground, counted from the camera's side
+        of it.
+        """
         x, y, z = (origin[k] + s * direction[k] for k in range(3))
         side = 1.0 if origin[2] >= self._levels[1] else -1.0
         return np.asarray(side * (z - self._patch(x, y)[0]))
@@ -134,27 +182,32 @@ class Terrain:
 
         NaN for those that never do, and for those that come onto the map below its ground.
         """
-        # Rays are followed from where they enter the box around the map to where they leave it. The box has a margin, or
-        # flat terrain would have no room between its lowest and highest point.
+        # Rays are followed from where they enter the box around the map to where they leave it. The
+        # box has a margin, or flat terrain would have no room between its lowest and highest point.
         lowest, _, highest = self._levels
         margin = 1e-3 * (1 + highest - lowest)
         corners = np.array([[*self.origin, lowest - margin], [*self.end, highest + margin]])
         with np.errstate(divide="ignore", invalid="ignore"):
             a, b = (corners - origin)[:, :, None] / direction
-        enter, leave = np.maximum(np.fmin(a, b).max(axis=0), 0), np.fmax(a, b).min(axis=0)
+        enter = np.maximum(np.fmin(a, b).max(axis=0), 0)
+        leave = np.fmax(a, b).min(axis=0)
         enter, leave = (np.where(enter < leave, s, np.nan) for s in (enter, leave))
         across = np.hypot(direction[0], direction[1]) * (leave - enter)
         count = int(np.ceil(2 * np.max(np.nan_to_num(across), initial=0.0) / self.step.min())) + 2
-        low, high, share = np.full(len(enter), np.nan), np.full(len(enter), np.nan), np.linspace(0, 1, count)
+        low = np.full(len(enter), np.nan)
+        high = np.full(len(enter), np.nan)
+        share = np.linspace(0, 1, count)
         block = max(1, _BLOCK // count)
         for first in range(0, len(enter), block):
             rows = slice(first, first + block)
             s = enter[rows, None] + share * (leave - enter)[rows, None]
             above = self._above(origin, direction[:, rows, None], s)
             falls = (above[:, :-1] > 0) & (above[:, 1:] <= 0)
-            each, at = np.arange(len(falls)), np.argmax(falls, axis=1)
+            each = np.arange(len(falls))
+            at = np.argmax(falls, axis=1)
             seen = falls[each, at] & ~(above[:, 0] < 0)
-            low[rows], high[rows] = np.where(seen, s[each, at], np.nan), np.where(seen, s[each, at + 1], np.nan)
+            low[rows] = np.where(seen, s[each, at], np.nan)
+            high[rows] = np.where(seen, s[each, at + 1], np.nan)
         return low, high
 
 
@@ -191,20 +244,40 @@ def read_terrain(path: AnyPath) -> Terrain:
 def _grid(path: Path, content: bytes) -> tuple[F8, F8, F8]:
     """Origin, step and heights of an ASCII grid."""
     text = content.decode(errors="replace").splitlines()
-    lines = [Line(f"{path}, line {i}", line.split()) for i, line in enumerate(text, 1) if line.strip()]
+    lines = [
+        Line(f"{path}, line {i}", line.split()) for i, line in enumerate(text, 1) if line.strip()
+    ]
     head: dict[str, float] = {}
     while lines and (name := lines[0].words[0].lower()) in _HEAD:
         line = lines.pop(0)
         head[name] = Line(line.where, line.words[1:]).numbers(1)[0]
-    for names in (("ncols",), ("nrows",), ("cellsize",), ("xllcorner", "xllcenter"), ("yllcorner", "yllcenter")):
+    for names in (
+        ("ncols",),
+        ("nrows",),
+        ("cellsize",),
+        ("xllcorner", "xllcenter"),
+        ("yllcorner", "yllcenter"),
+    ):
         if not any(name in head for name in names):
-            raise InputError(f"expected an ASCII grid that states {' or '.join(names)}, came none", where=path)
-        if names[0] in ("ncols", "nrows") and not (head[names[0]] >= 0 and head[names[0]].is_integer()):
-            raise InputError(f"expected a whole number for {names[0]}, came {head[names[0]]:g}", where=path)
-    columns, rows, cell = int(head["ncols"]), int(head["nrows"]), head["cellsize"]
+            raise InputError(
+                f"expected an ASCII grid that states {' or '.join(names)}, came none", where=path
+            )
+        if names[0] in ("ncols", "nrows") and not (
+            head[names[0]] >= 0 and head[names[0]].is_integer()
+        ):
+            raise InputError(
+                f"expected a whole number for {names[0]}, came {head[names[0]]:g}", where=path
+            )
+    columns = int(head["ncols"])
+    rows = int(head["nrows"])
+    cell = head["cellsize"]
     table = [line.numbers(columns) for line in lines]
     if len(table) != rows:
-        raise InputError(f"expected {rows} rows of heights, came {len(table)}", where=path, cure="Is the file complete?")
+        raise InputError(
+            f"expected {rows} rows of heights, came {len(table)}",
+            where=path,
+            cure="Is the file complete?",
+        )
     heights = np.array(table).reshape(rows, columns)[::-1]
     known = np.where(heights == head.get("nodata_value", np.nan), np.nan, heights)
     origin = [head.get(f"{a}llcenter", head.get(f"{a}llcorner", 0.0) + cell / 2) for a in "xy"]

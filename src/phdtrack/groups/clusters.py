@@ -1,13 +1,14 @@
 """From the intensity to groups and their shapes [E13 §5].
 
-Components of the mixture above a weight are the nodes of a graph. Two are connected when they are closer than T_p and move
-relative to each other slower than T_v; a group is a connected component, and its head count the sum of its weights. Its
-shape is the level curve of its position intensity, velocity integrated out:
+Components of the mixture above a weight are the nodes of a graph. Two are connected when they are
+closer than T_p and move relative to each other slower than T_v; a group is a connected component,
+and its head count the sum of its weights. Its shape is the level curve of its position intensity,
+velocity integrated out:
 
     v(p) = Σ_i w_i N(p; m_i, P_i)  over position alone,   contour = {p : v(p) = level}
 
-At E13's level of 0.1 people per square metre one person has a contour while w/(2π√|P|) exceeds it, and none where the
-position is less certain than that; a loose group may have several.
+At E13's level of 0.1 people per square metre one person has a contour while w/(2π√|P|) exceeds it,
+and none where the position is less certain than that; a loose group may have several.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ class Groups:
     count : (G,) expected number of people, Σ w.
     deviation : (G,) standard deviation of that number.
     mean : (4, G) centre in metres and velocity in metres per second, averaged by weight.
-    covariance : (G, 4, 4) of a member about the centre: the components' own and that of their means.
+    covariance : (G, 4, 4) of a member about the centre: the components' own and that of their
+        means.
     """
 
     label: I8
@@ -51,8 +53,9 @@ class Grouping(Checked):
     ----------
     max_distance : T_p, metres: connected components are closer.
     max_speed_difference : T_v, metres per second: and slower apart.
-    min_weight : components of less weight do not count. No paper gives it. It must lie below p_M·p_S = 0.297 (E13's values),
-        the weight of a person missed once, or one miss drops a person.
+    min_weight : components of less weight do not count. No paper gives it. It must lie below
+        p_M·p_S = 0.297 (E13's values), the weight of a person missed once, or one miss drops a
+        person.
     """
 
     max_distance: Positive = 2.0
@@ -60,7 +63,9 @@ class Grouping(Checked):
     min_weight: NonNegative = 0.25
 
     def groups(self, mixture: GaussianMixture) -> Groups:
-        """The groups of a mixture over (px, py, vx, vy): connected components of the graph [E13 §5]."""
+        """The groups of a mixture over (px, py, vx, vy): connected components of the graph [E13
+        §5].
+        """
         heavy = np.flatnonzero(mixture.weight >= self.min_weight)
         a, b = self.connected(mixture.mean[:, heavy])
         label = np.full(len(mixture), -1, np.int64)
@@ -68,9 +73,13 @@ class Grouping(Checked):
         return group_moments(mixture, label)
 
     def connected(self, mean: F8) -> tuple[I8, I8]:
-        """Pairs (i, j), i < j, of columns of (4, n) states that are near and slow apart. Linear in n through a grid."""
+        """Pairs (i, j), i < j, of columns of (4, n) states that are near and slow apart. Linear in
+        n through a grid.
+        """
         position = np.ascontiguousarray(mean[:2])
-        a, b = points_in_rectangles(position, position - self.max_distance, position + self.max_distance)
+        a, b = points_in_rectangles(
+            position, position - self.max_distance, position + self.max_distance
+        )
         a, b = a[a < b], b[a < b]
         apart2 = ((mean[:, a] - mean[:, b]) ** 2).reshape(2, 2, -1).sum(1)
         joined = (apart2[0] < self.max_distance**2) & (apart2[1] < self.max_speed_difference**2)
@@ -78,20 +87,26 @@ class Grouping(Checked):
 
 
 def group_moments(mixture: GaussianMixture, label: I8) -> Groups:
-    """The groups that ``label`` (J,), from 0, −1 for none, makes of the components of a mixture over (px, py, vx, vy).
+    """The groups that ``label`` (J,), from 0, −1 for none, makes of the components of a mixture
+    over (px, py, vx, vy).
 
-    A component of weight w is taken for a person who is there with probability w, independent of the others, and one above 1
-    for its whole part of people and one more with the rest: the variance of the number is Σ r(1 − r), r the part behind the
-    point. (A Poisson point process, as which the filter treats the posterior, would have Σ w.)
+    A component of weight w is taken for a person who is there with probability w, independent of
+    the others, and one above 1 for its whole part of people and one more with the rest: the
+    variance of the number is Σ r(1 − r), r the part behind the point. (A Poisson point process, as
+    which the filter treats the posterior, would have Σ w.)
     """
-    used, number = label >= 0, int(label.max(initial=-1)) + 1
-    of, weight = label[used], mixture.weight[used]
-    mean, cov = mixture.mean[:4, used], mixture.covariance[used][:, :4, :4]
+    used = label >= 0
+    number = int(label.max(initial=-1)) + 1
+    of = label[used]
+    weight = mixture.weight[used]
+    mean = mixture.mean[:4, used]
+    cov = mixture.covariance[used][:, :4, :4]
     count: F8 = np.bincount(of, weight, number).astype(np.float64)
     part = weight - np.floor(weight)
     deviation = np.sqrt(np.bincount(of, part * (1 - part), number))
     share = weight / count[of]
-    centre, spread = np.zeros((4, number)), np.zeros((number, 4, 4))
+    centre = np.zeros((4, number))
+    spread = np.zeros((number, 4, 4))
     np.add.at(centre.T, of, (share * mean).T)
     off = (mean - centre[:, of]).T
     np.add.at(spread, of, share[:, None, None] * (cov + off[:, :, None] * off[:, None, :]))
@@ -106,8 +121,10 @@ class Contours(Checked):
     ----------
     level : people per square metre on the curve.
     grid_density : grid points per standard deviation of the narrowest component of a group.
-    max_grid : grid points along each side at most; a group that is wider than it is sharp gets a coarser grid.
-    tolerance : metres by which a polygon may stray from the curve on the grid, to have fewer corners (Douglas and Peucker).
+    max_grid : grid points along each side at most; a group that is wider than it is sharp gets a
+        coarser grid.
+    tolerance : metres by which a polygon may stray from the curve on the grid, to have fewer
+        corners (Douglas and Peucker).
     """
 
     level: Positive = 0.1
@@ -116,12 +133,15 @@ class Contours(Checked):
     tolerance: NonNegative = 0.02
 
     def of(self, mixture: GaussianMixture, members: Bool) -> tuple[F8, ...]:
-        """Closed polygons (2, K), metres, first point = last, of the group of the components ``members`` (J,).
+        """Closed polygons (2, K), metres, first point = last, of the group of the components
+        ``members`` (J,).
 
-        They run counter-clockwise around what is inside (x to the right, y up) and clockwise around holes. There are none
-        where the intensity stays below the level.
+        They run counter-clockwise around what is inside (x to the right, y up) and clockwise around
+        holes. There are none where the intensity stays below the level.
         """
-        weight, mean, cov = mixture.weight[members], mixture.mean[:2, members], mixture.covariance[members][:, :2, :2]
+        weight = mixture.weight[members]
+        mean = mixture.mean[:2, members]
+        cov = mixture.covariance[members][:, :2, :2]
         peak = weight / (2 * math.pi * np.sqrt(np.linalg.det(cov)))
         if peak.sum() <= self.level:
             return ()
@@ -132,11 +152,14 @@ class Contours(Checked):
         off = np.stack(np.meshgrid(x, y))[:, None] - mean[:, :, None, None]
         distance2 = np.einsum("ijyx,jik,kjyx->jyx", off, np.linalg.inv(cov), off)
         intensity = (peak[:, None, None] * np.exp(-0.5 * distance2)).sum(axis=0)
-        found, lines = [], contour_generator(x, y, intensity).lines(self.level)
+        found = []
+        lines = contour_generator(x, y, intensity).lines(self.level)
         for line in map(np.asarray, lines):
             # Single precision about the line's own place keeps micrometres.
             corners = (line[:-1] - line[0]).astype(np.float32)[:, None]
-            kept = cv2.approxPolyDP(corners, self.tolerance, True)[:, 0] + np.asarray(line[0], np.float64)
+            kept = cv2.approxPolyDP(corners, self.tolerance, True)[:, 0] + np.asarray(
+                line[0], np.float64
+            )
             found.append(np.ascontiguousarray(np.vstack([kept, kept[:1]]).T))
         return tuple(found)
 
@@ -148,7 +171,11 @@ class Contours(Checked):
         narrowest = math.sqrt(float(np.linalg.eigvalsh(cov)[:, 0].min()))
         axes = []
         for low, high in zip((mean - half).min(1), (mean + half).max(1), strict=True):
-            points = int(np.clip(math.ceil((high - low) * self.grid_density / narrowest) + 1, 8, self.max_grid))
+            points = int(
+                np.clip(
+                    math.ceil((high - low) * self.grid_density / narrowest) + 1, 8, self.max_grid
+                )
+            )
             axes.append(np.linspace(low, high, points))
         return axes
 

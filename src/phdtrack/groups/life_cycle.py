@@ -1,20 +1,22 @@
 """Groups over time: identities, the events of their lives, and warnings before two meet.
 
-Clusters flicker: two people at two metres are one group in one frame and two in the next. So a group's identity is kept by
-its members. In every frame each cluster proposes an identity to its members: that of the group from which most of them come,
-or a new one. A member accepts it once the same has been proposed for ``hold_time`` seconds. The accepted identities are the
-groups, and their changes are the events:
+Clusters flicker: two people at two metres are one group in one frame and two in the next. So a
+group's identity is kept by its members. In every frame each cluster proposes an identity to its
+members: that of the group from which most of them come, or a new one. A member accepts it once the
+same has been proposed for ``hold_time`` seconds. The accepted identities are the groups, and their
+changes are the events:
 
     appear   members who were in no group have one that is new
     split    some members leave for a new group while others stay
     merge    the last members leave for a group that was there before
     vanish   the last members have not been seen for ``hold_time`` seconds
 
-An event carries the time at which it began, ``hold_time`` earlier than it was certain. With 0 the groups are the clusters.
+An event carries the time at which it began, ``hold_time`` earlier than it was certain. With 0 the
+groups are the clusters.
 
-Early warning (E13's conclusion asks for it): two people at relative position Δ and velocity δ, who keep their velocities,
-are closest after τ = −Δ·δ / |δ|², at the distance |Δ + δτ|. Two groups meet when any member of one comes that close to any
-of the other.
+Early warning (E13's conclusion asks for it): two people at relative position Δ and velocity δ, who
+keep their velocities, are closest after τ = −Δ·δ / |δ|², at the distance |Δ + δτ|. Two groups meet
+when any member of one comes that close to any of the other.
 """
 
 from __future__ import annotations
@@ -50,7 +52,9 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """One person's membership: the ``group`` accepted, the one ``proposed`` and since when, and when last seen."""
+    """One person's membership: the ``group`` accepted, the one ``proposed`` and since when, and
+    when last seen.
+    """
 
     group: int
     proposed: int
@@ -60,7 +64,9 @@ class Member:
 
 @dataclass(frozen=True, slots=True)
 class LifeCycleState:
-    """The state between frames: members by identity, groups announced, groups to be announced, and the next number."""
+    """The state between frames: members by identity, groups announced, groups to be announced, and
+    the next number.
+    """
 
     members: Mapping[int, Member] = field(default_factory=lambda: MappingProxyType({}))
     announced: frozenset[int] = frozenset()
@@ -77,8 +83,8 @@ class GroupLifeCycle(Checked):
     def extend(
         self, state: LifeCycleState, member: I8, label: I8, weight: F8, frame: int, time: float
     ) -> tuple[LifeCycleState, I8, tuple[Event, ...]]:
-        """The state with one frame's clusters, the group (n,) of each member, and the events that became certain with this
-        frame.
+        """The state with one frame's clusters, the group (n,) of each member, and the events that
+        became certain with this frame.
 
         Parameters
         ----------
@@ -89,7 +95,9 @@ class GroupLifeCycle(Checked):
         frame, time : number of the frame, and its time in seconds.
         """
         proposed, following = _proposals(state, member, label, weight)
-        now, members, moves = (frame, time), dict(state.members), list[tuple[int, int, When]]()
+        now = (frame, time)
+        members = dict(state.members)
+        moves = list[tuple[int, int, When]]()
         for person, group in zip(member.tolist(), proposed.tolist(), strict=True):
             old = members.get(person, Member(group, group, now, now))
             since = old.since if group == old.proposed else now
@@ -102,8 +110,13 @@ class GroupLifeCycle(Checked):
         living: dict[int, float] = {}
         for m in members.values():
             living[m.group] = max(m.seen[1], living.get(m.group, 0.0))
-        born = {group: state.born.get(group, now) for group in living if group in state.born or group not in state.announced}
-        announced, events = set(state.announced), list[Event]()
+        born = {
+            group: state.born.get(group, now)
+            for group in living
+            if group in state.born or group not in state.announced
+        }
+        announced = set(state.announced)
+        events = list[Event]()
         for source, target, since in dict.fromkeys(sorted(moves, key=lambda move: move[2][0])):
             if source in living and source in announced and target not in announced:
                 events.append(Event(*since, "split", target, source))
@@ -116,20 +129,32 @@ class GroupLifeCycle(Checked):
                 events.append(Event(*since, "appear", group))
                 announced.add(group)
         for group in sorted(announced - living.keys()):
-            # No member has moved on: the last have not been seen. (Or all left for groups that are not certain yet.)
-            events.append(Event(*max((m.seen for m in lost if m.group == group), default=now), "vanish", group))
+            # No member has moved on: the last have not been seen. (Or all left for groups that are
+            # not certain yet.)
+            events.append(
+                Event(
+                    *max((m.seen for m in lost if m.group == group), default=now), "vanish", group
+                )
+            )
         announced &= living.keys()
         born = {group: since for group, since in born.items() if group not in announced}
-        after = LifeCycleState(MappingProxyType(members), frozenset(announced), MappingProxyType(born), following)
-        return after, np.array([members[person].group for person in member.tolist()], np.int64), tuple(events)
+        after = LifeCycleState(
+            MappingProxyType(members), frozenset(announced), MappingProxyType(born), following
+        )
+        return (
+            after,
+            np.array([members[person].group for person in member.tolist()], np.int64),
+            tuple(events),
+        )
 
 
 def _proposals(state: LifeCycleState, member: I8, label: I8, weight: F8) -> tuple[I8, int]:
     """The identity that each member's cluster proposes, and the next number that is free.
 
-    Clusters and groups are matched one to one with the largest total weight in common. A member speaks for the group last
-    proposed and, at half its weight, for the one accepted: two groups that touch for a moment have their old identities
-    afterwards. A cluster without a match takes a new number.
+    Clusters and groups are matched one to one with the largest total weight in common. A member
+    speaks for the group last proposed and, at half its weight, for the one accepted: two groups
+    that touch for a moment have their old identities afterwards. A cluster without a match takes a
+    new number.
     """
     from scipy.optimize import linear_sum_assignment
 
@@ -156,8 +181,9 @@ def _proposals(state: LifeCycleState, member: I8, label: I8, weight: F8) -> tupl
 class Encounter:
     """Groups ``first`` < ``second`` are expected to meet.
 
-    Of the two members that are likeliest to: ``seconds`` from now until they are closest, ``distance`` then and its
-    ``deviation``, metres, the ``place`` half-way between them, and the ``probability`` that they come near.
+    Of the two members that are likeliest to: ``seconds`` from now until they are closest,
+    ``distance`` then and its ``deviation``, metres, the ``place`` half-way between them, and the
+    ``probability`` that they come near.
     """
 
     first: int
@@ -185,19 +211,26 @@ class EncounterWarning(Checked):
     probability: Share = 0.5
 
     def expected(self, group: I8, members: GaussianMixture) -> tuple[Encounter, ...]:
-        """Warnings, at most one for each pair of groups, in order; groups that are near already do not count.
+        """Warnings, at most one for each pair of groups, in order; groups that are near already do
+        not count.
 
-        ``group`` (J,) is that of each of the ``members`` over (px, py, vx, vy), 0 for none. The deviation is that of the
-        distance along the line of closest approach, P_a + P_b carried on to that time.
+        ``group`` (J,) is that of each of the ``members`` over (px, py, vx, vy), 0 for none. The
+        deviation is that of the distance along the line of closest approach, P_a + P_b carried on
+        to that time.
         """
         from scipy.special import ndtr
 
-        named, mean, covariance = np.flatnonzero(group), members.mean, members.covariance
+        named = np.flatnonzero(group)
+        mean = members.mean
+        covariance = members.covariance
         i, j = named[np.stack(np.triu_indices(len(named), 1))]
         i, j = i[group[i] != group[j]], j[group[i] != group[j]]
-        apart, drift = mean[:2, i] - mean[:2, j], mean[2:4, i] - mean[2:4, j]
+        apart = mean[:2, i] - mean[:2, j]
+        drift = mean[2:4, i] - mean[2:4, j]
         with np.errstate(divide="ignore", invalid="ignore"):
-            after = np.clip(np.nan_to_num(-(apart * drift).sum(0) / (drift**2).sum(0)), 0, self.horizon)
+            after = np.clip(
+                np.nan_to_num(-(apart * drift).sum(0) / (drift**2).sum(0)), 0, self.horizon
+            )
             then = apart + drift * after
             distance = np.hypot(then[0], then[1])
             line = np.where(distance > 0, then / distance, [[1.0], [0.0]])
@@ -212,7 +245,10 @@ class EncounterWarning(Checked):
             key = (int(pair[0, k]), int(pair[1, k]))
             if key in met or (key in best and best[key].probability >= chance[k]):
                 continue
-            x, y = (0.5 * (mean[:2, i[k]] + mean[:2, j[k]] + (mean[2:4, i[k]] + mean[2:4, j[k]]) * after[k])).tolist()
+            x, y = (
+                0.5
+                * (mean[:2, i[k]] + mean[:2, j[k]] + (mean[2:4, i[k]] + mean[2:4, j[k]]) * after[k])
+            ).tolist()
             numbers = float(after[k]), float(distance[k]), float(deviation[k])
             best[key] = Encounter(*key, *numbers, (x, y), float(chance[k]))
         return tuple(best[key] for key in sorted(best))

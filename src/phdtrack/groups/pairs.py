@@ -1,22 +1,25 @@
-"""Who walks with whom: evidence about every two people that adds up while both are seen, and groups from it.
+"""Who walks with whom: evidence about every two people that adds up while both are seen, and groups
+from it.
 
-Two people are together, as companions, or apart, as strangers. A row in which both are seen, Δ and δ apart in place and
-velocity, multiplies the odds that they are together by
+Two people are together, as companions, or apart, as strangers. A row in which both are seen, Δ and
+δ apart in place and velocity, multiplies the odds that they are together by
 
     N(Δ; 0, (σ² + P_Δ) I) / ρ  ·  t(δ; (s² + P_δ) I) / t(δ; (s² + P_δ + |v_a|² + |v_b|²) I)
 
-A companion is near and keeps step; strangers are anywhere, ρ of them per square metre as in this frame's neighbourhood, and
-have velocities of their own: of two who stand, nothing is learned from their velocities. P is the variance of what is known
-of the two, the mean of both axes: uncertain people say less. The densities of velocities are Student's, as people stumble
-and turn, and that of places has a wide part, for a row of companions abreast. Rows that follow each other say nearly the
+A companion is near and keeps step; strangers are anywhere, ρ of them per square metre as in this
+frame's neighbourhood, and have velocities of their own: of two who stand, nothing is learned from
+their velocities. P is the variance of what is known of the two, the mean of both axes: uncertain
+people say less. The densities of velocities are Student's, as people stumble and turn, and that of
+places has a wide part, for a row of companions abreast. Rows that follow each other say nearly the
 same: one counts for its interval over ``memory``.
 
-Before the first row the odds are ``prior_odds``, less by e for each ``arrival_time`` by which one had been there before the
-other; after the last the same holds for leaving. In between companions part, and strangers join, seldom: a Markov chain of
-two states. Forward it gives the odds by what was seen up to a row (`Pairs.extend`); with what followed, the odds given all
-(`Pairs.over_time`). Groups are the clusters with the largest sum of log-odds within them, in which one pair counts at most
-``max_log_odds`` for, and ``apart_cost`` against, being together: companions at the two ends of a row are far apart, but a
-chain of strangers needs stronger links the longer it is.
+Before the first row the odds are ``prior_odds``, less by e for each ``arrival_time`` by which one
+had been there before the other; after the last the same holds for leaving. In between companions
+part, and strangers join, seldom: a Markov chain of two states. Forward it gives the odds by what
+was seen up to a row (`Pairs.extend`); with what followed, the odds given all (`Pairs.over_time`).
+Groups are the clusters with the largest sum of log-odds within them, in which one pair counts at
+most ``max_log_odds`` for, and ``apart_cost`` against, being together: companions at the two ends of
+a row are far apart, but a chain of strangers needs stronger links the longer it is.
 """
 
 from __future__ import annotations
@@ -31,12 +34,15 @@ from phdtrack.errors import Checked, Positive
 from phdtrack.kernels.clustering import clusters
 from phdtrack.types import F8, I8
 
-# Metres around a person in which strangers are counted; pairs that never were as near are strangers.
+# Metres around a person in which strangers are counted; pairs that never were as near are
+# strangers.
 NEIGHBOURHOOD = 5.0
 # The wide part of companions' places: its share and its deviation in metres.
-WIDE_SHARE, WIDE = 0.02, 2.9
+WIDE_SHARE = 0.02
+WIDE = 2.9
 # Degrees of freedom of Student's t; how often strangers join, over how often companions part.
-FREEDOM, JOINING = 4.0, 0.1
+FREEDOM = 4.0
+JOINING = 0.1
 
 
 class Walkers(NamedTuple):
@@ -57,7 +63,9 @@ class Walkers(NamedTuple):
 
 
 class _Known(NamedTuple):
-    """A value of each pair, or person, and when it was seen last: ``key`` ascending, ``value``, ``time``, (K,) each."""
+    """A value of each pair, or person, and when it was seen last: ``key`` ascending, ``value``,
+    ``time``, (K,) each.
+    """
 
     key: I8
     value: F8
@@ -95,7 +103,9 @@ class PairState:
 
 
 class PairRows(NamedTuple):
-    """Pairs of a frame (P,): people ``a`` < ``b``, the ``key`` of both identities, and the ``evidence`` of the row."""
+    """Pairs of a frame (P,): people ``a`` < ``b``, the ``key`` of both identities, and the
+    ``evidence`` of the row.
+    """
 
     a: I8
     b: I8
@@ -111,13 +121,15 @@ class Pairs(Checked):
     ----------
     prior_odds : that two who are first seen at the same time are together, places not considered.
     distance : σ, metres: deviation of a companion's place on each axis.
-    speed_difference : s, metres per second: deviation of the relative velocity of companions on each axis.
+    speed_difference : s, metres per second: deviation of the relative velocity of companions on
+        each axis.
     memory : seconds after which what is seen of two people counts as new.
     arrival_time : seconds by which companions come, or leave, one after the other.
     parting_time : seconds for which companions stay together on average.
     max_log_odds : of a pair at most, for or against.
     apart_cost : how much a pair that is apart counts against a group in which both are, at most.
-    forget : seconds after which people who are not seen are forgotten while groups are found frame by frame.
+    forget : seconds after which people who are not seen are forgotten while groups are found frame
+        by frame.
     """
 
     prior_odds: Positive = 5.0
@@ -131,44 +143,66 @@ class Pairs(Checked):
     forget: Positive = 60.0
 
     def extend(self, state: PairState, walkers: Walkers) -> tuple[PairState, I8]:
-        """The state with a frame, and the group (n,) of each of its people, from 0, by what was seen so far."""
+        """The state with a frame, and the group (n,) of each of its people, from 0, by what was
+        seen so far.
+        """
         state, rows, forward = self._forward(state, walkers, since=walkers.time - self.forget)
         return state, self._groups(len(walkers.identity), rows, forward)
 
     def over_time(self, frames: Sequence[Walkers]) -> list[I8]:
-        """The group (n,) of each person of all frames, in order of time, by what was seen before and after."""
+        """The group (n,) of each person of all frames, in order of time, by what was seen before
+        and after.
+        """
         found = self.log_odds(frames)
-        return [self._groups(len(walkers.identity), rows, odds) for walkers, (odds, rows) in zip(frames, found, strict=True)]
+        return [
+            self._groups(len(walkers.identity), rows, odds)
+            for walkers, (odds, rows) in zip(frames, found, strict=True)
+        ]
 
     def log_odds(self, frames: Sequence[Walkers]) -> list[tuple[F8, PairRows]]:
-        """Of each frame the log-odds (P,) of its pairs, given all frames, and which pairs they are."""
-        state, passed, last = PairState(), list[tuple[PairRows, F8]](), _NOTHING
+        """Of each frame the log-odds (P,) of its pairs, given all frames, and which pairs they
+        are.
+        """
+        state = PairState()
+        passed = list[tuple[PairRows, F8]]()
+        last = _NOTHING
         for walkers in frames:
             state, rows, forward = self._forward(state, walkers)
             passed.append((rows, forward))
-            last = last.having(np.sort(walkers.identity), np.full(len(walkers.identity), walkers.time), walkers.time)
-        after, out = _NOTHING, list[tuple[F8, PairRows]]()
+            last = last.having(
+                np.sort(walkers.identity),
+                np.full(len(walkers.identity), walkers.time),
+                walkers.time,
+            )
+        after = _NOTHING
+        out = list[tuple[F8, PairRows]]()
         for walkers, (rows, forward) in zip(reversed(frames), reversed(passed), strict=True):
             ends, _ = last.at(walkers.identity)
             value, time = after.at(rows.key)
             met = np.isnan(value)
             leaving = -np.abs(ends[rows.a] - ends[rows.b]) / self.arrival_time
-            before = self._before(np.where(met, 0.0, value), np.where(met, 0.0, time - walkers.time))
+            before = self._before(
+                np.where(met, 0.0, value), np.where(met, 0.0, time - walkers.time)
+            )
             backward = np.where(met, leaving, before)
             out.append((forward + backward, rows))
             # What the row before may be told holds this row's own evidence.
             after = after.having(*_sorted(rows.key, backward + rows.evidence), walkers.time)
         return out[::-1]
 
-    def _forward(self, state: PairState, walkers: Walkers, since: float = -np.inf) -> tuple[PairState, PairRows, F8]:
+    def _forward(
+        self, state: PairState, walkers: Walkers, since: float = -np.inf
+    ) -> tuple[PairState, PairRows, F8]:
         """The state with a frame, its pairs, and their log-odds (P,) by what was seen so far."""
-        who, time = walkers.identity, walkers.time
+        who = walkers.identity
+        time = walkers.time
         first, _ = state.people.at(who)
         first = np.where(np.isnan(first), time, first)
         place = walkers.mean[:2]
         apart = np.hypot(place[0][:, None] - place[0], place[1][:, None] - place[1])
         near = apart < NEIGHBOURHOOD
-        low, high = np.minimum(who[:, None], who), np.maximum(who[:, None], who)
+        low = np.minimum(who[:, None], who)
+        high = np.maximum(who[:, None], who)
         keys = (low << 32) | high
         a, b = np.nonzero(np.triu(near | np.isin(keys, state.pairs.key), k=1))
         key = keys[a, b]
@@ -189,10 +223,13 @@ class Pairs(Checked):
 
     def _evidence(self, walkers: Walkers, a: I8, b: I8, density: F8) -> F8:
         """(P,) log-odds that the places and velocities of one row add."""
-        away, variance = walkers.mean[:, a] - walkers.mean[:, b], np.diagonal(walkers.covariance, axis1=1, axis2=2)
+        away = walkers.mean[:, a] - walkers.mean[:, b]
+        variance = np.diagonal(walkers.covariance, axis1=1, axis2=2)
         variance = variance[a] + variance[b]
-        place2, speed2 = (away[:2] ** 2).sum(axis=0), (away[2:] ** 2).sum(axis=0)
-        at, of = variance[:, :2].mean(axis=1), variance[:, 2:].mean(axis=1)
+        place2 = (away[:2] ** 2).sum(axis=0)
+        speed2 = (away[2:] ** 2).sum(axis=0)
+        at = variance[:, :2].mean(axis=1)
+        of = variance[:, 2:].mean(axis=1)
         companion = sum(
             share * np.exp(-0.5 * place2 / (width**2 + at)) / (2 * np.pi * (width**2 + at))
             for share, width in ((1 - WIDE_SHARE, self.distance), (WIDE_SHARE, WIDE))
@@ -200,28 +237,38 @@ class Pairs(Checked):
         step = self.speed_difference**2 + of
         own = step + (walkers.mean[2:, a] ** 2 + walkers.mean[2:, b] ** 2).sum(axis=0)
         power = (FREEDOM + 2) / 2
-        keeps = power * (np.log1p(speed2 / (FREEDOM * own)) - np.log1p(speed2 / (FREEDOM * step))) + np.log(own / step)
+        keeps = power * (
+            np.log1p(speed2 / (FREEDOM * own)) - np.log1p(speed2 / (FREEDOM * step))
+        ) + np.log(own / step)
         return np.asarray(np.log(np.maximum(companion / density, 1e-300)) + keeps)
 
     def _chances(self, interval: F8) -> tuple[F8, F8]:
-        """(P,) probabilities that companions have parted after so many seconds, and that strangers have joined."""
+        """(P,) probabilities that companions have parted after so many seconds, and that strangers
+        have joined.
+        """
         parted = -np.expm1(-interval / self.parting_time)
         return parted, JOINING * parted
 
     def _later(self, odds: F8, interval: F8) -> F8:
         """(P,) log-odds after an interval in which nothing was seen."""
-        (parted, joined), ratio = self._chances(interval), np.exp(np.clip(odds, -500.0, 500.0))
+        parted, joined = self._chances(interval)
+        ratio = np.exp(np.clip(odds, -500.0, 500.0))
         return np.log((ratio * (1 - parted) + joined) / (ratio * parted + 1 - joined))
 
     def _before(self, odds: F8, interval: F8) -> F8:
-        """(P,) log of how much better two together explain what follows than two apart, from the same after an interval."""
-        (parted, joined), ratio = self._chances(interval), np.exp(np.clip(odds, -500.0, 500.0))
+        """(P,) log of how much better two together explain what follows than two apart, from the
+        same after an interval.
+        """
+        parted, joined = self._chances(interval)
+        ratio = np.exp(np.clip(odds, -500.0, 500.0))
         return np.log((ratio * (1 - parted) + parted) / (ratio * joined + 1 - joined))
 
     def _groups(self, count: int, rows: PairRows, odds: F8) -> I8:
         """(n,) the groups of a frame."""
         gain = np.full((count, count), -self.apart_cost)
-        gain[rows.a, rows.b] = gain[rows.b, rows.a] = np.clip(odds, -self.apart_cost, self.max_log_odds)
+        gain[rows.a, rows.b] = gain[rows.b, rows.a] = np.clip(
+            odds, -self.apart_cost, self.max_log_odds
+        )
         return np.asarray(clusters(gain))
 
 

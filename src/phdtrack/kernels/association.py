@@ -1,22 +1,27 @@
-"""Which measurement belongs to which track: clusters that compete, the k best assignments, and marginal probabilities.
+"""Which measurement belongs to which track: clusters that compete, the k best assignments, and
+marginal probabilities.
 
-*Assignment* by shortest augmenting paths (Jonker and Volgenant). Rows may stay unassigned at gain 0. Dual variables certify
-that the total gain is the maximum: u_r + v_c ≤ −gain on every edge, with equality where the row has the column; u_r ≤ 0,
-with equality where the row is unassigned; v_c ≤ 0, and 0 where the column is free.
+*Assignment* by shortest augmenting paths (Jonker and Volgenant). Rows may stay unassigned at gain
+0. Dual variables certify that the total gain is the maximum: u_r + v_c ≤ −gain on every edge, with
+equality where the row has the column; u_r ≤ 0, with equality where the row is unassigned; v_c ≤ 0,
+and 0 where the column is free.
 
-*The k best assignments* (Murty 1968) over all hypotheses of a cluster. Every measurement goes to a track or to none, every
-track takes one at most. The best assignment of each hypothesis is a node; the best node of all is given out and what remains
-of its set is divided: the s-th part has the first s measurements where the node has them and the s-th elsewhere. Assignments
-below a share of the best, or below those that will fill the remaining places, are not needed; and the dual variables of a
-node bound what a part can gain before it is solved.
+*The k best assignments* (Murty 1968) over all hypotheses of a cluster. Every measurement goes to a
+track or to none, every track takes one at most. The best assignment of each hypothesis is a node;
+the best node of all is given out and what remains of its set is divided: the s-th part has the
+first s measurements where the node has them and the s-th elsewhere. Assignments below a share of
+the best, or below those that will fill the remaining places, are not needed; and the dual variables
+of a node bound what a part can gain before it is solved.
 
-*Marginal probabilities* by loopy belief propagation [W14; W15]. With ψ_e the odds of a pair e = (target, measurement)
-against the target being missed and the measurement being no earlier target's, the messages are
+*Marginal probabilities* by loopy belief propagation [W14; W15]. With ψ_e the odds of a pair e =
+(target, measurement) against the target being missed and the measurement being no earlier target's,
+the messages are
 
-    μ_e = ψ_e / (1 + Σ_{other pairs of the target} ψ ν)      ν_e = 1 / (1 + Σ_{other pairs of the measurement} μ)
+    μ_e = ψ_e / (1 + Σ_{other pairs of the target} ψ ν)      ν_e = 1 / (1 + Σ_{other pairs of the
+    measurement} μ)
 
-They converge, whatever ψ [W14], and are exact where pairs form a tree; a round costs as many steps as there are pairs whose
-messages still change.
+They converge, whatever ψ [W14], and are exact where pairs form a tree; a round costs as many steps
+as there are pairs whose messages still change.
 """
 
 from __future__ import annotations
@@ -31,20 +36,29 @@ from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.gaussian import records
 
 # A column without a row, and one that no row may take any more.
-UNUSED, CLOSED = -1, -2
+UNUSED = -1
+CLOSED = -2
 # What a search has seen of a column: nothing, that an edge leads to it, the shortest path to it.
-UNSEEN, TOUCHED, REACHED = 0, 1, 2
+UNSEEN = 0
+TOUCHED = 1
+REACHED = 2
 # A place for a node: without one, with one, with one that was given out.
-FREE, OPEN, DONE = 0, 1, 2
+FREE = 0
+OPEN = 1
+DONE = 2
 # Rounds at most, and the change of every message below which they are enough.
-ROUNDS, SETTLED = 50, 1e-6
-# A pair: its odds ψ and its messages, of which the first is at the end the probability that the target has the
-# measurement; its two ends; and a number that all pairs share which are joined by targets and measurements.
+ROUNDS = 50
+SETTLED = 1e-6
+# A pair: its odds ψ and its messages, of which the first is at the end the probability that the
+# target has the measurement; its two ends; and a number that all pairs share which are joined by
+# targets and measurements.
 EDGE = records("odds mu nu", "target measurement island")
 
 
 class Edges(NamedTuple):
-    """Row r may have the columns target[start[r]:start[r + 1]], at these gains; columns below 0 count for none."""
+    """Row r may have the columns target[start[r]:start[r + 1]], at these gains; columns below 0
+    count for none.
+    """
 
     start: I8
     target: I8
@@ -52,7 +66,9 @@ class Edges(NamedTuple):
 
 
 class Matching(NamedTuple):
-    """``column`` (m,) of each row, −1: none; ``row`` (n,) of each column, or UNUSED or CLOSED; ``u`` (m,) and ``v`` (n,)."""
+    """``column`` (m,) of each row, −1: none; ``row`` (n,) of each column, or UNUSED or CLOSED;
+    ``u`` (m,) and ``v`` (n,).
+    """
 
     column: I8
     row: I8
@@ -61,7 +77,9 @@ class Matching(NamedTuple):
 
 
 class Paths(NamedTuple):
-    """Working space of searches, each (n,): rows and lengths of the paths, columns seen (all 0 at first), and which."""
+    """Working space of searches, each (n,): rows and lengths of the paths, columns seen (all 0 at
+    first), and which.
+    """
 
     via: I8
     distance: F8
@@ -72,8 +90,9 @@ class Paths(NamedTuple):
 class Nodes(NamedTuple):
     """Sets of assignments, each with its best one; the k-th has ``status`` FREE, OPEN or DONE.
 
-    ``value`` of its best assignment; ``parent`` the hypothesis; rows before ``fixed`` are fixed, and row ``fixed`` may not
-    have the columns ``banned``. ``choice``, ``u``, ``v`` are the best assignments, by row.
+    ``value`` of its best assignment; ``parent`` the hypothesis; rows before ``fixed`` are fixed,
+    and row ``fixed`` may not have the columns ``banned``. ``choice``, ``u``, ``v`` are the best
+    assignments, by row.
     """
 
     status: I8
@@ -97,44 +116,65 @@ def new_paths(columns: int) -> Paths:
 def augment(edges: Edges, row: int, first: int, banned: Bool, x: Matching, paths: Paths) -> bool:
     """Assign ``row`` too, in place, by the shortest augmenting path; False where it cannot be done.
 
-    Row ``first`` may not have the columns ``banned``, and not stay unassigned where the last of them is true.
+    Row ``first`` may not have the columns ``banned``, and not stay unassigned where the last of
+    them is true.
     """
     start, target, gain = edges
-    u, v, (via, distance, seen, touched) = x.u, x.v, paths
+    u = x.u
+    v = x.v
+    via, distance, seen, touched = paths
     u[row] = np.inf if row == first and banned[-1] else 0.0
     for e in range(start[row], start[row + 1]):
         c = target[e]
-        if c >= 0 and x.row[c] != CLOSED and not (row == first and banned[c]) and -gain[e] - v[c] < u[row]:
+        if (
+            c >= 0
+            and x.row[c] != CLOSED
+            and not (row == first and banned[c])
+            and -gain[e] - v[c] < u[row]
+        ):
             u[row] = -gain[e] - v[c]
     if u[row] == np.inf:
         return False
     # The best end so far: the row that it leaves unassigned, or a free column.
-    here, reached, count, shortest, loser, end = row, 0.0, 0, np.inf, -1, -1
+    here = row
+    reached = 0.0
+    count = 0
+    shortest = np.inf
+    loser = -1
+    end = -1
     while True:
         if not (here == first and banned[-1]) and reached - u[here] < shortest:
-            shortest, loser = reached - u[here], here
+            shortest = reached - u[here]
+            loser = here
         for e in range(start[here], start[here + 1]):
             c = target[e]
             if c < 0 or seen[c] == REACHED or x.row[c] == CLOSED or (here == first and banned[c]):
                 continue
             if seen[c] == UNSEEN:
-                seen[c], touched[count], distance[c] = TOUCHED, c, np.inf
+                seen[c] = TOUCHED
+                touched[count] = c
+                distance[c] = np.inf
                 count += 1
             along = reached - gain[e] - u[here] - v[c]
             if along < distance[c]:
-                distance[c], via[c] = along, here
-        nearest, chosen = np.inf, -1
+                distance[c] = along
+                via[c] = here
+        nearest = np.inf
+        chosen = -1
         for t in range(count):
             c = touched[t]
             if seen[c] == TOUCHED and distance[c] < nearest:
-                nearest, chosen = distance[c], c
+                nearest = distance[c]
+                chosen = c
         if chosen < 0 or shortest <= nearest:
             break
         seen[chosen] = REACHED
         if x.row[chosen] < 0:
-            shortest, end = nearest, chosen
+            shortest = nearest
+            end = chosen
             break
-        here, reached = x.row[chosen], nearest
+        here = x.row[chosen]
+        reached = nearest
     u[row] += shortest
     for t in range(count):
         c = touched[t]
@@ -151,7 +191,8 @@ def augment(edges: Edges, row: int, first: int, banned: Bool, x: Matching, paths
     while end >= 0:
         owner = via[end]
         before = -1 if owner == row else x.column[owner]
-        x.column[owner], x.row[end] = end, owner
+        x.column[owner] = end
+        x.row[end] = owner
         end = before
     return True
 
@@ -168,13 +209,15 @@ def gain_of(edges: Edges, row: int, column: int) -> float:
 
 @njit(**INNER)
 def _assign(edges: Edges, n: int, first: int, banned: Bool, x: Matching, paths: Paths) -> float:
-    """Assign the rows from ``first`` on to n columns; the sum of all rows' gains, −∞ where it cannot be done.
+    """Assign the rows from ``first`` on to n columns; the sum of all rows' gains, −∞ where it
+    cannot be done.
 
-    Rows before ``first`` have the columns that ``x`` says, in which the assignment is written; row ``first`` may not have
-    the columns ``banned`` as of `augment`.
+    Rows before ``first`` have the columns that ``x`` says, in which the assignment is written; row
+    ``first`` may not have the columns ``banned`` as of `augment`.
     """
     for c in range(n):
-        x.row[c], x.v[c] = UNUSED, 0.0
+        x.row[c] = UNUSED
+        x.v[c] = 0.0
     for r in range(x.column.size):
         if r >= first:
             x.column[r] = -1
@@ -191,25 +234,32 @@ def _assign(edges: Edges, n: int, first: int, banned: Bool, x: Matching, paths: 
 
 @njit(**ENTRY)
 def best_pairs(row: I8, column: I8, gain: F8, count: int) -> I8:
-    """(count,) the column of each of ``count`` rows, −1: none, so that the sum of the gains is the largest.
+    """(count,) the column of each of ``count`` rows, −1: none, so that the sum of the gains is the
+    largest.
 
-    ``row``, ``column``, ``gain`` (E,): the pairs that there may be, in the order of their rows; columns are below ``count``.
+    ``row``, ``column``, ``gain`` (E,): the pairs that there may be, in the order of their rows;
+    columns are below ``count``.
     """
-    start, none = np.zeros(count + 1, np.int64), np.zeros(count + 1, np.bool_)
+    start = np.zeros(count + 1, np.int64)
+    none = np.zeros(count + 1, np.bool_)
     for r in row:
         start[r + 1] += 1
     for r in range(count):
         start[r + 1] += start[r]
-    x = Matching(np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count), np.empty(count))
+    x = Matching(
+        np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count), np.empty(count)
+    )
     _assign(Edges(start, column, gain), count, 0, none, x, new_paths(count))
     return x.column
 
 
 @njit(**INNER)
 def _bound(edges: Edges, row: int, fixed: int, banned: Bool, choice: I8, u: F8, v: F8) -> float:
-    """What a node loses at least if ``row`` may no longer have what it has: the smallest slack of what else it could have.
+    """What a node loses at least if ``row`` may no longer have what it has: the smallest slack of
+    what else it could have.
 
-    ``fixed`` is the row of the node to which ``banned`` applies; the columns of rows before ``row`` are taken.
+    ``fixed`` is the row of the node to which ``banned`` applies; the columns of rows before ``row``
+    are taken.
     """
     least = -u[row] if choice[row] >= 0 and not (row == fixed and banned[-1]) else np.inf
     for e in range(edges.start[row], edges.start[row + 1]):
@@ -226,33 +276,49 @@ def _bound(edges: Edges, row: int, fixed: int, banned: Bool, choice: I8, u: F8, 
 
 @njit(**INNER)
 def _place(status: I8, value: F8, fresh: float) -> int:
-    """A place for a node of value ``fresh``: a free one, or that of the worst open one if that is worse; else −1."""
-    worst, found = fresh, -1
+    """A place for a node of value ``fresh``: a free one, or that of the worst open one if that is
+    worse; else −1.
+    """
+    worst = fresh
+    found = -1
     for i in range(status.size):
         if status[i] == FREE:
             return i
         if status[i] == OPEN and value[i] < worst:
-            worst, found = value[i], i
+            worst = value[i]
+            found = i
     return found
 
 
 @njit(**INNER)
-def _keep(nodes: Nodes, total: float, least: float, parent: int, fixed: int, banned: Bool, x: Matching) -> None:
-    """Keep the assignment as an open node, where its value ``total`` is ``least`` or more and there is room."""
+def _keep(
+    nodes: Nodes, total: float, least: float, parent: int, fixed: int, banned: Bool, x: Matching
+) -> None:
+    """Keep the assignment as an open node, where its value ``total`` is ``least`` or more and there
+    is room.
+    """
     at = _place(nodes.status, nodes.value, total) if total > -np.inf and total >= least else -1
     if at >= 0:
-        nodes.status[at], nodes.value[at], nodes.parent[at], nodes.fixed[at] = OPEN, total, parent, fixed
+        nodes.status[at] = OPEN
+        nodes.value[at] = total
+        nodes.parent[at] = parent
+        nodes.fixed[at] = fixed
         for r in range(x.column.size):
-            nodes.choice[at, r], nodes.u[at, r] = x.column[r], x.u[r]
+            nodes.choice[at, r] = x.column[r]
+            nodes.u[at, r] = x.u[r]
         for c in range(x.v.size):
-            nodes.v[at, c], nodes.banned[at, c] = x.v[c], banned[c]
+            nodes.v[at, c] = x.v[c]
+            nodes.banned[at, c] = banned[c]
         nodes.banned[at, -1] = banned[-1]
 
 
 @njit(**INNER)
 def _write_edges(gain: F8, held: I8, edges: Edges, number: I8) -> int:
-    """How many tracks a hypothesis holds; their numbers into ``number``, and the edges of the measurements to them."""
-    n, count = 0, 0
+    """How many tracks a hypothesis holds; their numbers into ``number``, and the edges of the
+    measurements to them.
+    """
+    n = 0
+    count = 0
     for t in range(held.size):
         if held[t] >= 0:
             number[n] = held[t]
@@ -260,20 +326,35 @@ def _write_edges(gain: F8, held: I8, edges: Edges, number: I8) -> int:
     for j in range(gain.shape[0]):
         for c in range(n):
             if gain[j, number[c]] > -np.inf:
-                edges.target[count], edges.gain[count] = c, gain[j, number[c]]
+                edges.target[count] = c
+                edges.gain[count] = gain[j, number[c]]
                 count += 1
         edges.start[j + 1] = count
     return n
 
 
 @njit(**INNER)
-def _divide(nodes: Nodes, node: int, edges: Edges, n: int, limits: tuple[float, float], x: Matching, paths: Paths) -> None:
-    """Keep the parts of what remains of a node's set: the s-th has the first rows as the node and the s-th otherwise.
+def _divide(
+    nodes: Nodes,
+    node: int,
+    edges: Edges,
+    n: int,
+    limits: tuple[float, float],
+    x: Matching,
+    paths: Paths,
+) -> None:
+    """Keep the parts of what remains of a node's set: the s-th has the first rows as the node and
+    the s-th otherwise.
 
     ``limits``: the value of leaving all rows unassigned, and the least value that is kept.
     """
-    parent, fixed, banned = nodes.parent[node], nodes.fixed[node], np.empty(nodes.banned.shape[1], np.bool_)
-    choice, u, v, old = nodes.choice[node].copy(), nodes.u[node].copy(), nodes.v[node].copy(), nodes.banned[node].copy()
+    parent = nodes.parent[node]
+    fixed = nodes.fixed[node]
+    banned = np.empty(nodes.banned.shape[1], np.bool_)
+    choice = nodes.choice[node].copy()
+    u = nodes.u[node].copy()
+    v = nodes.v[node].copy()
+    old = nodes.banned[node].copy()
     for row in range(fixed, choice.size):
         most = nodes.value[node] - _bound(edges, row, fixed, old, choice, u, v)
         if most < limits[1] or _place(nodes.status, nodes.value, most) < 0:
@@ -289,31 +370,41 @@ def _divide(nodes: Nodes, node: int, edges: Edges, n: int, limits: tuple[float, 
 
 
 @njit(**ENTRY)
-def best_assignments(gain: F8, unassigned: F8, held: I8, base: F8, most: int, log_ratio: float) -> tuple[I8, I8, F8]:
+def best_assignments(
+    gain: F8, unassigned: F8, held: I8, base: F8, most: int, log_ratio: float
+) -> tuple[I8, I8, F8]:
     """The best assignments of the measurements of a cluster, over all its hypotheses, best first.
 
-    ``gain`` (m, A): log-weight of each measurement from each of the cluster's tracks, in all their forms, against its being
-    unassigned and the track's being missed; −∞ outside the gate. ``unassigned`` (m,): log-weight of each measurement as a
-    false alarm or a new target. ``held`` (P, T): which of the A each hypothesis holds, −1: none. ``base`` (P,): log-weight
-    of each hypothesis if all its tracks are missed. At ``most`` so many are given, and none whose log-weight is below the
-    best's plus ``log_ratio`` (below 0): the hypothesis (K,) of each, which of the A each measurement goes to (K, m), −1:
-    none, and their log-weights (K,).
+    ``gain`` (m, A): log-weight of each measurement from each of the cluster's tracks, in all their
+    forms, against its being unassigned and the track's being missed; −∞ outside the gate.
+    ``unassigned`` (m,): log-weight of each measurement as a false alarm or a new target. ``held``
+    (P, T): which of the A each hypothesis holds, −1: none. ``base`` (P,): log-weight of each
+    hypothesis if all its tracks are missed. At ``most`` so many are given, and none whose
+    log-weight is below the best's plus ``log_ratio`` (below 0): the hypothesis (K,) of each, which
+    of the A each measurement goes to (K, m), −1: none, and their log-weights (K,).
     """
-    m, width = gain.shape[0], held.shape[1]
+    m = gain.shape[0]
+    width = held.shape[1]
     nodes = Nodes(
         np.zeros(most, np.int64), np.empty(most), np.empty(most, np.int64), np.empty(most, np.int64),
         np.empty((most, m), np.int64), np.empty((most, m)), np.empty((most, width)), np.empty((most, width + 1), np.bool_),
     )  # fmt: skip
     x = Matching(np.empty(m, np.int64), np.empty(width, np.int64), np.empty(m), np.empty(width))
     edges = Edges(np.zeros(m + 1, np.int64), np.empty(m * width, np.int64), np.empty(m * width))
-    paths, number, none = new_paths(width), np.empty(width, np.int64), np.zeros(width + 1, np.bool_)
-    rest, best = unassigned.sum(), -np.inf
+    paths = new_paths(width)
+    number = np.empty(width, np.int64)
+    none = np.zeros(width + 1, np.bool_)
+    rest = unassigned.sum()
+    best = -np.inf
     for p in range(base.size):
         n = _write_edges(gain, held[p], edges, number)
         total = base[p] + rest + _assign(edges, n, 0, none, x, paths)
         _keep(nodes, total, best + log_ratio, p, 0, none, x)
         best = max(best, total)
-    parent, choice, weight, given = np.empty(most, np.int64), np.empty((most, m), np.int64), np.empty(most), 0
+    parent = np.empty(most, np.int64)
+    choice = np.empty((most, m), np.int64)
+    weight = np.empty(most)
+    given = 0
     while given < most:
         node = -1
         for i in range(most):
@@ -324,7 +415,8 @@ def best_assignments(gain: F8, unassigned: F8, held: I8, base: F8, most: int, lo
         nodes.status[node] = DONE
         p = nodes.parent[node]
         n = _write_edges(gain, held[p], edges, number)
-        parent[given], weight[given] = p, nodes.value[node]
+        parent[given] = p
+        weight[given] = nodes.value[node]
         for j in range(m):
             c = nodes.choice[node, j]
             choice[given, j] = number[c] if c >= 0 else -1
@@ -345,14 +437,16 @@ def root(parent: I8, i: int) -> int:
 @njit(**INNER)
 def unite(parent: I8, i: int, j: int) -> None:
     """Make one of the sets of ``i`` and ``j``; the smaller number represents it."""
-    i, j = root(parent, i), root(parent, j)
+    i = root(parent, i)
+    j = root(parent, j)
     parent[max(i, j)] = min(i, j)
 
 
 @njit(**INNER)
 def numbered(parent: I8) -> I8:
     """(n,) the number of the set of each, from 0 in order of appearance."""
-    out, count = np.empty(parent.size, np.int64), 0
+    out = np.empty(parent.size, np.int64)
+    count = 0
     for i in range(parent.size):
         first = root(parent, i)
         if first == i:
@@ -365,7 +459,9 @@ def numbered(parent: I8) -> I8:
 
 @njit(**ENTRY)
 def components(count: int, first: I8, second: I8) -> I8:
-    """(count,) the component of each vertex of a graph with edges ``first``–``second`` (E,), from 0 by first appearance."""
+    """(count,) the component of each vertex of a graph with edges ``first``–``second`` (E,), from 0
+    by first appearance.
+    """
     parent = np.arange(count)
     for e in range(first.size):
         unite(parent, first[e], second[e])
@@ -375,10 +471,12 @@ def components(count: int, first: I8, second: I8) -> I8:
 
 @njit(**ENTRY)
 def competing(leaf: I8, trace: I8, most: int) -> I8:
-    """(T,) the component of each track of a cluster; tracks that have ever taken the same measurement are in one.
+    """(T,) the component of each track of a cluster; tracks that have ever taken the same
+    measurement are in one.
 
-    ``leaf`` (H, T): the form in which each hypothesis holds each track, −1: not at all. ``trace`` (L, W): the measurement,
-    below ``most``, that each form rests on in each frame of the window, −1: none.
+    ``leaf`` (H, T): the form in which each hypothesis holds each track, −1: not at all. ``trace``
+    (L, W): the measurement, below ``most``, that each form rests on in each frame of the window,
+    −1: none.
     """
     hypotheses, tracks = leaf.shape
     window = trace.shape[1]
@@ -410,7 +508,8 @@ def _start(edges: Records, live: I8, parent: I8, targets: int) -> None:
         parent[i] = i
     for e in range(edges.size):
         edge = edges[e]
-        edge.nu, live[e] = 1.0, e
+        edge.nu = 1.0
+        live[e] = e
         unite(parent, edge.target, targets + edge.measurement)
     for e in range(edges.size):
         edges[e].island = root(parent, edges[e].target)
@@ -418,19 +517,27 @@ def _start(edges: Records, live: I8, parent: I8, targets: int) -> None:
 
 @njit(**INNER)
 def beliefs(edges: Records, targets: int, measurements: int) -> tuple[F8, F8]:
-    """The probabilities that each target has no measurement, and (N,) that each measurement is no earlier target's.
+    """The probabilities that each target has no measurement, and (N,) that each measurement is no
+    earlier target's.
 
-    ``edges`` (E,) of `EDGE`: odds ψ ≥ 0, target and measurement are given, no pair twice; the rest is written.
+    ``edges`` (E,) of `EDGE`: odds ψ ≥ 0, target and measurement are given, no pair twice; the rest
+    is written.
     """
-    seen, claimed, moved = np.empty(targets), np.empty(measurements), np.empty(targets)
-    live, count, turn = np.empty(edges.size, np.int64), edges.size, 0 * targets
+    seen = np.empty(targets)
+    claimed = np.empty(measurements)
+    moved = np.empty(targets)
+    live = np.empty(edges.size, np.int64)
+    count = edges.size
+    turn = 0 * targets
     _start(edges, live, np.empty(targets + measurements, np.int64), targets)
     for j in range(measurements):
         claimed[j] = 0.0
     while True:
         for k in range(count):
             edge = edges[live[k]]
-            seen[edge.target], claimed[edge.measurement], moved[edge.island] = 0.0, 0.0, 0.0
+            seen[edge.target] = 0.0
+            claimed[edge.measurement] = 0.0
+            moved[edge.island] = 0.0
         for k in range(count):
             edge = edges[live[k]]
             seen[edge.target] += edge.odds * edge.nu
@@ -445,12 +552,14 @@ def beliefs(edges: Records, targets: int, measurements: int) -> tuple[F8, F8]:
             edge = edges[live[k]]
             others = claimed[edge.measurement] - edge.mu
             value = 1.0 / (1.0 + others) if others > 0.0 else 1.0
-            step, edge.nu = abs(value - edge.nu), value
+            step = abs(value - edge.nu)
+            edge.nu = value
             moved[edge.island] = step if step > moved[edge.island] else moved[edge.island]
             change = step if step > change else change
         if change <= SETTLED or turn == ROUNDS:
             break
-        # Where nothing has changed, nothing will: most islands are small, and one that is not would keep all others waiting.
+        # Where nothing has changed, nothing will: most islands are small, and one that is not would
+        # keep all others waiting.
         left = 0 * count
         for k in range(count):
             if moved[edges[live[k]].island] > 0.0:

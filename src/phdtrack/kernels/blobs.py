@@ -1,8 +1,9 @@
-"""Masks cleaned, and their components measured: where they are, where one falls into two, how much of an edge
-they have.
+"""Masks cleaned, and their components measured: where they are, where one falls into two, how much
+of an edge they have.
 
-A mask is cleaned with 64 pixels in a number, which takes a tenth of the time of OpenCV's bytes. A frame has many components,
-and they are small: several calls of OpenCV for each take longer than the work that these do.
+A mask is cleaned with 64 pixels in a number, which takes a tenth of the time of OpenCV's bytes. A
+frame has many components, and they are small: several calls of OpenCV for each take longer than the
+work that these do.
 """
 
 from __future__ import annotations
@@ -17,14 +18,27 @@ from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER, VECTOR, D, F
 
 _2 = F(2)
-# Pixels in a number; the lowest bit of each of its bytes, all others but the highest, all; bit k of byte k.
-_BITS, _FLAGS, _FULL, _ALL, _EACH = 64, D(0x0101010101010101), D(0x7F7F7F7F7F7F7F7F), D(2**64 - 1), D(0x8040201008040201)
-_0, _1, _2_BITS, _4, _7, _14, _28, _BYTE = D(0), D(1), D(2), D(4), D(7), D(14), D(28), D(255)
+# Pixels in a number; the lowest bit of each of its bytes, all others but the highest, all; bit k of
+# byte k.
+_BITS = 64
+_FLAGS = D(0x0101010101010101)
+_FULL = D(0x7F7F7F7F7F7F7F7F)
+_ALL = D(2**64 - 1)
+_EACH = D(0x8040201008040201)
+_0 = D(0)
+_1 = D(1)
+_2_BITS = D(2)
+_4 = D(4)
+_7 = D(7)
+_14 = D(14)
+_28 = D(28)
+_BYTE = D(255)
 
 
 class Cleaning(NamedTuple):
-    """How a mask is cleaned: ``peel``, half the side of the square of the erosion, and half the width of each row of the
-    elements of opening and closing, which are symmetric and have an odd number of rows. All are below 64."""
+    """How a mask is cleaned: ``peel``, half the side of the square of the erosion, and half the
+    width of each row of the elements of opening and closing, which are symmetric and have an odd
+    number of rows. All are below 64."""
 
     peel: int
     opening: I8
@@ -33,11 +47,13 @@ class Cleaning(NamedTuple):
 
 @njit(**ENTRY)
 def cleaned(mask: U1, cleaning: Cleaning, margin: int) -> tuple[U1, U1]:
-    """(H, W) 255 where a mask (H, W) is left by erosion, opening and closing, and at most ``margin`` pixels from there.
+    """(H, W) 255 where a mask (H, W) is left by erosion, opening and closing, and at most
+    ``margin`` pixels from there.
 
     Outside of the picture all is as it would suit, as in OpenCV.
     """
-    width, bits = mask.shape[1], _packed(mask)
+    width = mask.shape[1]
+    bits = _packed(mask)
     bits = _eroded(bits, width, np.full(2 * cleaning.peel + 1, cleaning.peel))
     bits = _dilated(_eroded(bits, width, cleaning.opening), width, cleaning.opening)
     bits = _eroded(_dilated(bits, width, cleaning.closing), width, cleaning.closing)
@@ -48,34 +64,46 @@ def cleaned(mask: U1, cleaning: Cleaning, margin: int) -> tuple[U1, U1]:
 
 @njit(**ENTRY)
 def measured(points: I4, ends: I8) -> tuple[I8, F8]:
-    """(n, 4) left, top, right and bottom, one beyond the last, of n closed contours, and (n,) the areas that they enclose.
+    """(n, 4) left, top, right and bottom, one beyond the last, of n closed contours, and (n,) the
+    areas that they enclose.
 
     ``points`` (m, 2) are all their corners, those of a contour up to its of the ``ends`` (n,).
     """
-    boxes, areas, start = np.empty((len(ends), 4), np.int64), np.zeros(len(ends)), 0
+    boxes = np.empty((len(ends), 4), np.int64)
+    areas = np.zeros(len(ends))
+    start = 0
     for i, end in enumerate(ends):
-        x, y = np.int64(points[end - 1, 0]), np.int64(points[end - 1, 1])
-        boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3] = x, y, x + 1, y + 1
+        x = np.int64(points[end - 1, 0])
+        y = np.int64(points[end - 1, 1])
+        boxes[i, 0] = x
+        boxes[i, 1] = y
+        boxes[i, 2] = x + 1
+        boxes[i, 3] = y + 1
         for k in range(start, end):
-            a, b = np.int64(points[k, 0]), np.int64(points[k, 1])
+            a = np.int64(points[k, 0])
+            b = np.int64(points[k, 1])
             areas[i] += x * b - a * y
-            x, y = a, b
+            x = a
+            y = b
             boxes[i, 0], boxes[i, 1] = min(boxes[i, 0], x), min(boxes[i, 1], y)
             boxes[i, 2], boxes[i, 3] = max(boxes[i, 2], x + 1), max(boxes[i, 3], y + 1)
-        areas[i], start = abs(areas[i]) / 2, end
+        areas[i] = abs(areas[i]) / 2
+        start = end
     return boxes, areas
 
 
 @njit(**ENTRY)
 def valley(filled: U1, depth: float, smooth: int, margin: int, least: float) -> int:
-    """The column at which ``filled`` (h, w), not 0 in a component, is lowest between two higher parts; −1: none is so deep.
+    """The column at which ``filled`` (h, w), not 0 in a component, is lowest between two higher
+    parts; −1: none is so deep.
 
-    ``depth``: the column has at most this share of the lower of the highest columns on its two sides. ``smooth``: columns
-    over whose windows the mean is taken, odd. ``margin``, ``least``: columns, and the share of the area, on either side at
-    the least.
+    ``depth``: the column has at most this share of the lower of the highest columns on its two
+    sides. ``smooth``: columns over whose windows the mean is taken, odd. ``margin``, ``least``:
+    columns, and the share of the area, on either side at the least.
     """
     height, width = filled.shape
-    counts, profile = np.zeros(width), np.zeros(width)
+    counts = np.zeros(width)
+    profile = np.zeros(width)
     for i in range(height):
         for j in range(width):
             counts[j] += filled[i, j] != 0
@@ -83,26 +111,35 @@ def valley(filled: U1, depth: float, smooth: int, margin: int, least: float) -> 
         for k in range(j - smooth // 2, j + smooth // 2 + 1):
             profile[j] += counts[mirrored(k, width)]
     profile /= smooth
-    right, total, before, left = profile.copy(), profile.sum(), 0.0, 0.0
+    right = profile.copy()
+    total = profile.sum()
+    before = 0.0
+    left = 0.0
     for j in range(width - 2, -1, -1):
         right[j] = max(right[j], right[j + 1])
-    found, lowest = -1, depth
+    found = -1
+    lowest = depth
     for j in range(width):
-        before, left = before + profile[j], max(left, profile[j])
+        before = before + profile[j]
+        left = max(left, profile[j])
         inside = margin <= j < width - margin and least * total < before < (1 - least) * total
         ratio = profile[j] / max(min(left, right[j]), 1.0)
         if inside and (ratio < lowest or (found < 0 and ratio == lowest)):
-            found, lowest = j, ratio
+            found = j
+            lowest = ratio
     return found
 
 
 @njit(**ENTRY)
 def edges(now: U1, reference: F4, mask: U1, reach: int, boxes: I8) -> F8:
-    """(n, 2) mean gradient (Sobel) of ``now`` and of the ``reference`` (H, W) at most ``reach`` pixels from both sides of
-    the outline of a mask (H, W), in every other row of each box; n ``boxes`` of left, top, right and bottom."""
+    """(n, 2) mean gradient (Sobel) of ``now`` and of the ``reference`` (H, W) at most ``reach``
+    pixels from both sides of the outline of a mask (H, W), in every other row of each box; n
+    ``boxes`` of left, top, right and bottom."""
     height, width = mask.shape
-    element, bits = np.full(2 * reach + 1, reach), _packed(mask)
-    outside, inside = _dilated(bits, width, element), _eroded(bits, width, element)
+    element = np.full(2 * reach + 1, reach)
+    bits = _packed(mask)
+    outside = _dilated(bits, width, element)
+    inside = _eroded(bits, width, element)
     out = np.zeros((len(boxes), 2))
     for k, (left, top, right, bottom) in enumerate(boxes):
         count = 0
@@ -119,11 +156,16 @@ def edges(now: U1, reference: F4, mask: U1, reach: int, boxes: I8) -> F8:
 
 
 @njit(**INNER)
-def _gradient(picture: NDArray[Any], rows: tuple[int, int, int], columns: tuple[int, int, int]) -> Any:
+def _gradient(
+    picture: NDArray[Any], rows: tuple[int, int, int], columns: tuple[int, int, int]
+) -> Any:
     """Of the pixel in the middle of three rows and three columns."""
-    (above, row, below), (left, column, right) = rows, columns
-    a, b = F(picture[above, left]), F(picture[above, right])
-    c, d = F(picture[below, left]), F(picture[below, right])
+    above, row, below = rows
+    left, column, right = columns
+    a = F(picture[above, left])
+    b = F(picture[above, right])
+    c = F(picture[below, left])
+    d = F(picture[below, right])
     x = b - a + _2 * (F(picture[row, right]) - F(picture[row, left])) + d - c
     y = c - a + _2 * (F(picture[below, column]) - F(picture[above, column])) + d - b
     return np.sqrt(x * x + y * y)
@@ -131,7 +173,9 @@ def _gradient(picture: NDArray[Any], rows: tuple[int, int, int], columns: tuple[
 
 @njit(**INNER)
 def mirrored(k: int, size: int) -> int:
-    """The index within 0 … size − 1 that k is when the picture is mirrored at its outermost pixels."""
+    """The index within 0 … size − 1 that k is when the picture is mirrored at its outermost
+    pixels.
+    """
     while k < 0 or k >= size:
         k = 0 if size == 1 else (-k if k < 0 else 2 * size - 2 - k)
     return k
@@ -141,10 +185,12 @@ def mirrored(k: int, size: int) -> int:
 def _packed(mask: U1) -> U8:
     """(H, W / 64, rounded up) the mask with bit j of number k for pixel 64 k + j."""
     height, width = mask.shape
-    whole, out = width // 8, np.zeros((height, (width + _BITS - 1) // _BITS), np.uint64)
+    whole = width // 8
+    out = np.zeros((height, (width + _BITS - 1) // _BITS), np.uint64)
     if width % 8 == 0:
         # To take a row out of an array costs as much as to work on it.
-        eights, bits = mask.reshape(-1).view(np.uint64), out.reshape(-1).view(np.uint8)
+        eights = mask.reshape(-1).view(np.uint64)
+        bits = out.reshape(-1).view(np.uint8)
         for y in range(height):
             _gather(eights, y * whole, bits, y * 8 * out.shape[1], whole)
         return out
@@ -159,9 +205,11 @@ def _packed(mask: U1) -> U8:
 @njit(**INNER)
 def _unpacked(bits: U8, width: int) -> U1:
     """The mask (H, W) of 0 and 255."""
-    out, whole = np.empty((len(bits), width), np.uint8), width // 8
+    out = np.empty((len(bits), width), np.uint8)
+    whole = width // 8
     if width % 8 == 0:
-        packed, eights = bits.reshape(-1).view(np.uint8), out.reshape(-1).view(np.uint64)
+        packed = bits.reshape(-1).view(np.uint8)
+        eights = out.reshape(-1).view(np.uint64)
         for y in range(len(bits)):
             _scatter(packed, y * 8 * bits.shape[1], eights, y * whole, whole)
         return out
@@ -175,7 +223,8 @@ def _unpacked(bits: U8, width: int) -> U1:
 @njit(**VECTOR)
 def _gather(eights: U8, first: int, out: U1, start: int, count: int) -> None:
     """Whether each byte of ``count`` numbers is not 0: eight bits side by side in a byte."""
-    a, b = D(first), D(start)
+    a = D(first)
+    b = D(start)
     for k in range(D(count)):
         # All bits of a byte to its lowest one.
         x = eights[a + k] | (eights[a + k] >> _4)
@@ -189,7 +238,8 @@ def _gather(eights: U8, first: int, out: U1, start: int, count: int) -> None:
 @njit(**VECTOR)
 def _scatter(packed: U1, first: int, out: U8, start: int, count: int) -> None:
     """A byte of 0 or 255 for each bit of ``count`` bytes."""
-    a, b = D(first), D(start)
+    a = D(first)
+    b = D(start)
     for k in range(D(count)):
         # Bit j to byte j, from there to its highest bit, and down to all of it.
         out[b + k] = ((((D(packed[a + k]) * _FLAGS & _EACH) + _FULL) >> _7) & _FLAGS) * _BYTE
@@ -205,7 +255,8 @@ def _eroded(bits: U8, width: int, element: I8) -> U8:
 @njit(**INNER)
 def _inverse(bits: U8, width: int) -> U8:
     """The background, within the picture."""
-    out, last = np.empty(bits.shape, np.uint64), bits.shape[1] - 1
+    out = np.empty(bits.shape, np.uint64)
+    last = bits.shape[1] - 1
     inside = _ALL >> D(_BITS * (last + 1) - width)
     for y in range(len(bits)):
         for k in range(last + 1):
@@ -216,9 +267,13 @@ def _inverse(bits: U8, width: int) -> U8:
 @njit(**INNER)
 def _dilated(bits: U8, width: int, element: I8) -> U8:
     """Where an element meets the foreground: rows of so many pixels to both sides, below 64."""
-    height, out, spread, last = len(bits), np.zeros(bits.shape, np.uint64), bits.copy(), bits.shape[1] - 1
+    height = len(bits)
+    out = np.zeros(bits.shape, np.uint64)
+    spread = bits.copy()
+    last = bits.shape[1] - 1
     for reach in range(element.max() + 1):
-        ahead, back = D(reach), D(_BITS - reach)
+        ahead = D(reach)
+        back = D(_BITS - reach)
         for y in range(height) if reach else range(0):
             for k in range(last + 1):
                 x = spread[y, k] | (bits[y, k] << ahead) | (bits[y, k] >> ahead)

@@ -1,8 +1,10 @@
-"""Blocks of neighbouring particles: what is known of one without looking at its particles again, and which windows reach it.
+"""Blocks of neighbouring particles: what is known of one without looking at its particles again,
+and which windows reach it.
 
-A block is a run of columns of the state whose particles lie close together, so that what is near one of them is found once
-for all. Sums inside a block are taken in the state's own precision about a point of the block, everything beyond in float64.
-A window is a closed rectangle of positions, about a cluster's centre.
+A block is a run of columns of the state whose particles lie close together, so that what is near
+one of them is found once for all. Sums inside a block are taken in the state's own precision about
+a point of the block, everything beyond in float64. A window is a closed rectangle of positions,
+about a cluster's centre.
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ from phdtrack.kernels.fast32 import ENTRY, FAST, LANES, VECTOR, extent, whole
 from phdtrack.kernels.grid import Grid, make_grid, overlapping, overlapping_pairs
 from phdtrack.kernels.mixtures import Candidates, Gaussians
 
-# Columns are counted without a sign: one that might be negative is checked, and the check keeps loops from being vectorised.
+# Columns are counted without a sign: one that might be negative is checked, and the check keeps
+# loops from being vectorised.
 U = np.uint64
 TINY = 1e-300
 
@@ -25,11 +28,11 @@ TINY = 1e-300
 class Blocks(NamedTuple):
     """Particles in B blocks.
 
-    ``state`` (d, L), ``weight`` (L,) of each or (1,) of all; ``start`` (B + 1,): block b holds the columns start[b] …
-    start[b + 1] − 1. ``mass`` (B,) Σw; ``low``, ``high`` (B, d) corners of the box that holds the particles; ``middle``
-    (B, d) of that box, exact in the state's precision; ``first`` (B, d), ``second`` (B, d, d) Σw·(x − middle) and
-    Σw·(x − middle)(x − middle)ᵀ, its lower triangle; zeros for an empty block. ``grid`` over the
-    boxes of positions.
+    ``state`` (d, L), ``weight`` (L,) of each or (1,) of all; ``start`` (B + 1,): block b holds the
+    columns start[b] … start[b + 1] − 1. ``mass`` (B,) Σw; ``low``, ``high`` (B, d) corners of the
+    box that holds the particles; ``middle`` (B, d) of that box, exact in the state's precision;
+    ``first`` (B, d), ``second`` (B, d, d) Σw·(x − middle) and Σw·(x − middle)(x − middle)ᵀ, its
+    lower triangle; zeros for an empty block. ``grid`` over the boxes of positions.
     """
 
     state: Real
@@ -46,14 +49,25 @@ class Blocks(NamedTuple):
 
 @njit(**(ENTRY | {"fastmath": FAST}))
 def summarise(state: Real, weight: Real, start: I8) -> Blocks:
-    """The blocks of particles ``state`` (d, L), ``weight`` (L,) or (1,), ``start`` (B + 1,), with what is known of each."""
-    d, blocks, unit = state.shape[0], start.size - 1, float(weight[0]) if weight.size == 1 else 1.0
-    mass, low, high = np.zeros(blocks), np.zeros((blocks, d)), np.zeros((blocks, d))
-    middle, first, second = np.zeros((blocks, d)), np.zeros((blocks, d)), np.zeros((blocks, d, d))
-    even, widest = d + d % 2, whole(max(np.max(np.diff(start)), 1)) if blocks > 0 else LANES
-    row, zero = np.zeros((2 * even + 1, widest), state.dtype), np.zeros(d)
+    """The blocks of particles ``state`` (d, L), ``weight`` (L,) or (1,), ``start`` (B + 1,), with
+    what is known of each.
+    """
+    d = state.shape[0]
+    blocks = start.size - 1
+    unit = float(weight[0]) if weight.size == 1 else 1.0
+    mass = np.zeros(blocks)
+    low = np.zeros((blocks, d))
+    high = np.zeros((blocks, d))
+    middle = np.zeros((blocks, d))
+    first = np.zeros((blocks, d))
+    second = np.zeros((blocks, d, d))
+    even = d + d % 2
+    widest = whole(max(np.max(np.diff(start)), 1)) if blocks > 0 else LANES
+    row = np.zeros((2 * even + 1, widest), state.dtype)
+    zero = np.zeros(d)
     for b in range(blocks):
-        begin, n = start[b], start[b + 1] - start[b]
+        begin = start[b]
+        n = start[b + 1] - start[b]
         if n == 0:
             continue
         full = load_steps(state, begin, n, zero, row)
@@ -61,7 +75,8 @@ def summarise(state: Real, weight: Real, start: I8) -> Blocks:
             low[b, r], high[b, r] = extent(row, r, 0, full)
             middle[b, r] = state.dtype.type(0.5 * (low[b, r] + high[b, r]))
             shift(row, r, n, full, state.dtype.type(middle[b, r]))
-        mass[b], by = n * unit, 0
+        mass[b] = n * unit
+        by = 0
         if weight.size > 1:
             by = even + 1
             load_row(row, even, n, weight, begin)
@@ -90,7 +105,9 @@ def shift(row: Real, r: int, n: int, full: int, by: Real) -> None:
 
 @njit(**VECTOR)
 def load_row(row: Real, r: int, n: int, values: Real, begin: int) -> None:
-    """Write n of the values, from number ``begin`` on, into a row; zeros follow to fill the vector registers."""
+    """Write n of the values, from number ``begin`` on, into a row; zeros follow to fill the vector
+    registers.
+    """
     at = U(begin)
     for i in range(U(min(whole(n), values.size - begin))):
         row[r, i] = values[at + i]
@@ -109,7 +126,8 @@ def row_sum(row: Real, r: int, n: int) -> float:
 
 @njit(**VECTOR)
 def load_steps(state: Real, begin: int, n: int, middle: F8, row: Real) -> int:
-    """Write n states, from column ``begin`` on, less ``middle`` (d,) into the first rows of ``row``.
+    """Write n states, from column ``begin`` on, less ``middle`` (d,) into the first rows of
+    ``row``.
 
     Copies of the last fill the vector registers; gives how many there are then.
     """
@@ -126,16 +144,25 @@ def load_steps(state: Real, begin: int, n: int, middle: F8, row: Real) -> int:
 
 @njit(**VECTOR)
 def add_products(row: Real, weighted: int, n: int, second: F8) -> None:
-    """Add the lower triangle of Σ w·s·sᵀ to ``second`` (d, d); steps s in the first rows, w·s from row ``weighted`` on.
+    """Add the lower triangle of Σ w·s·sᵀ to ``second`` (d, d); steps s in the first rows, w·s from
+    row ``weighted`` on.
 
-    The row behind each of them is zeros where d is odd: two rows by two, each number that is read serves two products.
+    The row behind each of them is zeros where d is odd: two rows by two, each number that is read
+    serves two products.
     """
-    d, zero = second.shape[0], row.dtype.type(0)
+    d = second.shape[0]
+    zero = row.dtype.type(0)
     for r in range(0, d, 2):
         for q in range(0, r + 1, 2):
-            ae, af, be, bf = zero, zero, zero, zero
+            ae = zero
+            af = zero
+            be = zero
+            bf = zero
             for i in range(U(n)):
-                a, b, e, f = row[weighted + r, i], row[weighted + r + 1, i], row[q, i], row[q + 1, i]
+                a = row[weighted + r, i]
+                b = row[weighted + r + 1, i]
+                e = row[q, i]
+                f = row[q + 1, i]
                 ae += a * e
                 af += a * f
                 be += b * e
@@ -160,16 +187,20 @@ def weigh(row: Real, weight: int, n: int, d: int) -> None:
 def block_moments(blocks: Blocks) -> Gaussians:
     """Masses, means and covariances of the blocks."""
     mass = np.maximum(blocks.mass, TINY)[:, None]
-    step, lower = blocks.first / mass, np.tril(blocks.second)
+    step = blocks.first / mass
+    lower = np.tril(blocks.second)
     second = (lower + np.tril(lower, -1).transpose(0, 2, 1)) / mass[:, :, None]
-    return Gaussians(blocks.mass, (blocks.middle + step).T.copy(), second - step[:, :, None] * step[:, None, :])
+    return Gaussians(
+        blocks.mass, (blocks.middle + step).T.copy(), second - step[:, :, None] * step[:, None, :]
+    )
 
 
 @njit(**ENTRY)
 def reaching(blocks: Blocks, low: F8, high: F8) -> Candidates:
     """The windows ``low``, ``high`` (2, k) that overlap each block, ascending."""
     window, block = overlapping_pairs(low, high, blocks.grid)
-    first, which = np.zeros(blocks.start.size, np.int64), np.empty(window.size, np.int64)
+    first = np.zeros(blocks.start.size, np.int64)
+    which = np.empty(window.size, np.int64)
     for p in range(block.size):
         first[block[p] + 1] += 1
     for b in range(first.size - 1):
@@ -184,10 +215,14 @@ def reaching(blocks: Blocks, low: F8, high: F8) -> Candidates:
 @njit(**ENTRY)
 def unreached(blocks: Blocks, low: F8, high: F8) -> Bool:
     """(L,) which particles lie in none of the windows ``low``, ``high`` (2, k)."""
-    x, y, near = blocks.state[0], blocks.state[1], reaching(blocks, low, high)
+    x = blocks.state[0]
+    y = blocks.state[1]
+    near = reaching(blocks, low, high)
     free = np.empty(x.size, np.bool_)
     for b in range(blocks.start.size - 1):
-        covered, begin, end = False, blocks.start[b], blocks.start[b + 1]
+        covered = False
+        begin = blocks.start[b]
+        end = blocks.start[b + 1]
         windows = near.component[near.first[b] : near.first[b + 1]]
         for j in windows:
             across = low[0, j] <= blocks.low[b, 0] and blocks.high[b, 0] <= high[0, j]
@@ -196,7 +231,12 @@ def unreached(blocks: Blocks, low: F8, high: F8) -> Bool:
             free[i] = not covered
         for j in windows[: 0 if covered else windows.size]:
             for i in range(begin, end):
-                free[i] &= not ((x[i] >= low[0, j]) & (x[i] <= high[0, j]) & (y[i] >= low[1, j]) & (y[i] <= high[1, j]))
+                free[i] &= not (
+                    (x[i] >= low[0, j])
+                    & (x[i] <= high[0, j])
+                    & (y[i] >= low[1, j])
+                    & (y[i] <= high[1, j])
+                )
     return free
 
 
@@ -204,21 +244,32 @@ def unreached(blocks: Blocks, low: F8, high: F8) -> Bool:
 def claim(blocks: Blocks, free: Bool, asked: I8, low: F8, high: F8) -> tuple[F8, Bool]:
     """Centres (d, m) among the particles that are ``free`` (L,), and which are left.
 
-    Each of the particles ``asked`` (k,) that is still free claims the free ones in its window (2, k): their mean is a
-    centre.
+    Each of the particles ``asked`` (k,) that is still free claims the free ones in its window (2,
+    k): their mean is a centre.
     """
-    state, d, left, count = blocks.state, blocks.state.shape[0], free.copy(), 0
-    found, centre, total = np.empty(blocks.start.size, np.int64), np.empty((d, asked.size)), np.empty(d)
+    d = blocks.state.shape[0]
+    state = blocks.state
+    left = free.copy()
+    count = 0
+    found = np.empty(blocks.start.size, np.int64)
+    centre = np.empty((d, asked.size))
+    total = np.empty(d)
     for a in range(asked.size):
-        own, mass = asked[a], 0.0
+        own = asked[a]
+        mass = 0.0
         if not left[own]:
             continue
         for r in range(d):
             total[r] = 0.0
-        for m in range(overlapping(low[0, a], low[1, a], high[0, a], high[1, a], blocks.grid, found)):
+        for m in range(
+            overlapping(low[0, a], low[1, a], high[0, a], high[1, a], blocks.grid, found)
+        ):
             b = found[m]
             for i in range(blocks.start[b], blocks.start[b + 1]):
-                inside = low[0, a] <= state[0, i] <= high[0, a] and low[1, a] <= state[1, i] <= high[1, a]
+                inside = (
+                    low[0, a] <= state[0, i] <= high[0, a]
+                    and low[1, a] <= state[1, i] <= high[1, a]
+                )
                 if not (inside and left[i]):
                     continue
                 left[i] = False

@@ -1,4 +1,5 @@
-"""What boxes in the image are for motion, sensor and clutter: predictions, noises, overlaps, neighbours.
+"""What boxes in the image are for motion, sensor and clutter: predictions, noises, overlaps,
+neighbours.
 
 The formulas stand in `models.box`. States are (px, py, vx, vy, w, h).
 """
@@ -20,26 +21,34 @@ ROWS = (0, 1, 4, 5)
 PARTICLE, DETECTION, FIXED, GIVEN = range(4)
 TINY_VARIANCE = 1e-12
 LEAST_SPEED = 1e-6
-# Steps of boxes that are this many times their mean count half in `agreement`; the mean is of the last so many.
-LARGE, MEMORY = 3.0, 200.0
-# Where D is less, a point is about to pass the horizon of the map: it is taken this far, out of any image, and no further.
+# Steps of boxes that are this many times their mean count half in `agreement`; the mean is of the
+# last so many.
+LARGE = 3.0
+MEMORY = 200.0
+# Where D is less, a point is about to pass the horizon of the map: it is taken this far, out of any
+# image, and no further.
 LEAST = 0.05
 
 
 @njit(**ENTRY)
 def apart(boxes: F8, order: I8, overlap: float) -> I8:
-    """(k,) which of the boxes (n, 4) are left if each goes that overlaps one left before it by more than ``overlap`` (IoU).
+    """(k,) which of the boxes (n, 4) are left if each goes that overlaps one left before it by more
+    than ``overlap`` (IoU).
 
-    ``order`` (n,): their numbers by left sides, rising. Only boxes that begin left of its end and reach beyond
-    its beginning are compared with a box.
+    ``order`` (n,): their numbers by left sides, rising. Only boxes that begin left of its end and
+    reach beyond its beginning are compared with a box.
     """
     n = order.size
-    place, reach, left = np.empty(n, np.int64), np.empty(n), np.empty(n, np.int64)
-    farthest, k = -np.inf, 0 * n
+    place = np.empty(n, np.int64)
+    reach = np.empty(n)
+    left = np.empty(n, np.int64)
+    farthest = -np.inf
+    k = 0 * n
     for p in range(n):
         right = boxes[order[p], 2]
         farthest = right if right > farthest else farthest
-        place[order[p]], reach[p] = p, farthest
+        place[order[p]] = p
+        reach[p] = farthest
     for j in range(n):
         p = place[j]
         while p > 0 and reach[p - 1] > boxes[j, 0]:
@@ -63,14 +72,19 @@ def following(before: F8, after: F8, overlap: float) -> I8:
     Each is the one that overlaps the other most, by at least ``overlap`` (IoU).
     """
     m = len(after)
-    best, most, other, other_most = np.full(m, -1), np.zeros(m), np.full(len(before), -1), np.zeros(len(before))
+    best = np.full(m, -1)
+    most = np.zeros(m)
+    other = np.full(len(before), -1)
+    other_most = np.zeros(len(before))
     for i in range(len(before)):
         for j in range(m):
             share = overlap_of(before, i, after, j)
             if share >= overlap and share > most[j]:
-                best[j], most[j] = i, share
+                best[j] = i
+                most[j] = share
             if share >= overlap and share > other_most[i]:
-                other[i], other_most[i] = j, share
+                other[i] = j
+                other_most[i] = share
     for j in range(m):
         if best[j] >= 0 and other[best[j]] != j:
             best[j] = -1
@@ -79,12 +93,19 @@ def following(before: F8, after: F8, overlap: float) -> I8:
 
 @njit(**ENTRY)
 def agreement(
-    then: tuple[I8, F8, F8], between: tuple[I8, F8], now: tuple[I8, F8], ratio: float, kept: float, before: F8
+    then: tuple[I8, F8, F8],
+    between: tuple[I8, F8],
+    now: tuple[I8, F8],
+    ratio: float,
+    kept: float,
+    before: F8,
 ) -> F8:
-    """(2, 4) the sums ``before`` of `smooth.online`, with what the boxes of three frames add, those of one target each.
+    """(2, 4) the sums ``before`` of `smooth.online`, with what the boxes of three frames add, those
+    of one target each.
 
-    ``then``: identities (n,), boxes seen and filtered (n, 4). The others: identities and boxes seen. ``ratio``: of their
-    intervals; ``kept``: the share of all sums but the last that is remembered.
+    ``then``: identities (n,), boxes seen and filtered (n, 4). The others: identities and boxes
+    seen. ``ratio``: of their intervals; ``kept``: the share of all sums but the last that is
+    remembered.
     """
     sums = before.copy()
     sums[:, :3] *= kept
@@ -104,10 +125,12 @@ def agreement(
             sign = 1.0 - 2 * part
             for axis in range(2):
                 side = seen[i, 2 + axis] - seen[i, axis]
-                z, m = seen[i, 2 + axis] + sign * seen[i, axis], filtered[i, 2 + axis] + sign * filtered[i, axis]
+                z = seen[i, 2 + axis] + sign * seen[i, axis]
+                m = filtered[i, 2 + axis] + sign * filtered[i, axis]
                 a = seen_between[j, 2 + axis] + sign * seen_between[j, axis]
                 b = seen_now[k, 2 + axis] + sign * seen_now[k, axis]
-                step, told = (m - z) / side, (a - (b - a) * ratio - z) / side
+                step = (m - z) / side
+                told = (a - (b - a) * ratio - z) / side
                 sums[part, 2] += 1
                 most = sums[part, 2] if sums[part, 2] < MEMORY else MEMORY
                 sums[part, 3] += (abs(step) - sums[part, 3]) / most
@@ -120,24 +143,36 @@ def agreement(
 
 @njit(**ENTRY)
 def between(seen: F8, filtered: F8, centre: float, size: float) -> F8:
-    """(n, 4) boxes with these shares of the way from those ``seen`` to those ``filtered``, of centres and of sizes."""
+    """(n, 4) boxes with these shares of the way from those ``seen`` to those ``filtered``, of
+    centres and of sizes.
+    """
     out = np.empty(seen.shape)
     for i in range(seen.shape[0]):
         for axis in range(2):
-            low, high = filtered[i, axis] - seen[i, axis], filtered[i, 2 + axis] - seen[i, 2 + axis]
-            middle, half = centre * (low + high) / 2, size * (high - low) / 2
-            out[i, axis], out[i, 2 + axis] = seen[i, axis] + middle - half, seen[i, 2 + axis] + middle + half
+            low = filtered[i, axis] - seen[i, axis]
+            high = filtered[i, 2 + axis] - seen[i, 2 + axis]
+            middle = centre * (low + high) / 2
+            half = size * (high - low) / 2
+            out[i, axis] = seen[i, axis] + middle - half
+            out[i, 2 + axis] = seen[i, 2 + axis] + middle + half
     return out
 
 
 @njit(**INNER)
 def overlap_of(boxes: F8, i: int, others: F8, j: int) -> float:
     """IoU of box i of (n, 4) and j of ``others`` (m, 4); 0 of such as have no area."""
-    left, top, right, bottom = others[j, 0], others[j, 1], others[j, 2], others[j, 3]
+    left = others[j, 0]
+    top = others[j, 1]
+    right = others[j, 2]
+    bottom = others[j, 3]
     area = (right - left) * (bottom - top)
     # Conditionals and not min and max: they compile faster.
-    wide = (boxes[i, 2] if boxes[i, 2] < right else right) - (boxes[i, 0] if boxes[i, 0] > left else left)
-    high = (boxes[i, 3] if boxes[i, 3] < bottom else bottom) - (boxes[i, 1] if boxes[i, 1] > top else top)
+    wide = (boxes[i, 2] if boxes[i, 2] < right else right) - (
+        boxes[i, 0] if boxes[i, 0] > left else left
+    )
+    high = (boxes[i, 3] if boxes[i, 3] < bottom else bottom) - (
+        boxes[i, 1] if boxes[i, 1] > top else top
+    )
     if not (wide > 0.0 and high > 0.0):
         return 0.0
     union = (boxes[i, 2] - boxes[i, 0]) * (boxes[i, 3] - boxes[i, 1]) + area
@@ -145,10 +180,12 @@ def overlap_of(boxes: F8, i: int, others: F8, j: int) -> float:
     return share
 
 
-# The two records come as plain tuples: Numba looks up the class of every named one, which takes as long as some kernels.
+# The two records come as plain tuples: Numba looks up the class of every named one, which takes as
+# long as some kernels.
 class BoxDynamics(NamedTuple):
-    """Motion of boxes over one interval: variances of position, of position with velocity, of velocity and of size along an
-    axis, of a target of size 1 where ``scaled``; ``p_survive`` inside the frame of this size (0: no border)."""
+    """Motion of boxes over one interval: variances of position, of position with velocity, of
+    velocity and of size along an axis, of a target of size 1 where ``scaled``; ``p_survive`` inside
+    the frame of this size (0: no border)."""
 
     dt: float
     position: float
@@ -163,8 +200,8 @@ class BoxDynamics(NamedTuple):
 
 
 class BoxNoise(NamedTuple):
-    """Noise of measured boxes: what its deviations follow, settings of `BoxSensor`, constant variances of position and
-    size."""
+    """Noise of measured boxes: what its deviations follow, settings of `BoxSensor`, constant
+    variances of position and size."""
 
     scaling: int
     box_noise: float
@@ -181,15 +218,19 @@ def predicted_boxes(mean: F8, covariance: F8, motion: tuple[Any, ...], factor: F
     """
     motion = BoxDynamics(*motion)
     n, d = mean.shape
-    out_mean, out_cov, p_survive = np.empty((n, d)), np.empty((n, d, d)), np.empty(n)
-    dt, bordered = motion.dt, motion.width > 0.0 and motion.height > 0.0
+    out_mean = np.empty((n, d))
+    out_cov = np.empty((n, d, d))
+    p_survive = np.empty(n)
+    dt = motion.dt
+    bordered = motion.width > 0.0 and motion.height > 0.0
     axes = d // 3
     for i in range(n):
         for r in range(d):
             out_mean[i, r] = mean[i, r]
             for s in range(d):
                 out_cov[i, r, s] = covariance[i, r, s]
-        # Rows first, then columns: P → F P → F P Fᵀ. Axes are counted, as the compiler would write loops of two out.
+        # Rows first, then columns: P → F P → F P Fᵀ. Axes are counted, as the compiler would write
+        # loops of two out.
         for a in range(axes):
             out_mean[i, a] += dt * mean[i, a + 2]
             for s in range(d):
@@ -207,7 +248,8 @@ def predicted_boxes(mean: F8, covariance: F8, motion: tuple[Any, ...], factor: F
             out_cov[i, a + 2, a] += motion.mixed * agile
             out_cov[i, a + 2, a + 2] += motion.velocity * agile
             out_cov[i, a + 4, a + 4] += motion.extent * unit
-            half, end = 0.5 * size, motion.width if a == 0 else motion.height
+            half = 0.5 * size
+            end = motion.width if a == 0 else motion.height
             inside &= -half < mean[i, a] < end + half
         p_survive[i] = motion.p_survive if inside or not bordered else 0.0
     return Predicted(out_mean, out_cov, p_survive)
@@ -215,10 +257,21 @@ def predicted_boxes(mean: F8, covariance: F8, motion: tuple[Any, ...], factor: F
 
 @njit(**ENTRY)
 def moved_boxes(
-    x: F8, dt: float, position: float, mixed: float, velocity: float, extent: float, min_size: float, scaled: bool
+    x: F8,
+    dt: float,
+    position: float,
+    mixed: float,
+    velocity: float,
+    extent: float,
+    min_size: float,
+    scaled: bool,
 ) -> tuple[F8, F8, F8]:
-    """Means (6, n), the Jacobian (6, 6) of all, and noises (6, 6, n) of boxes (6, n) after an interval [M09 (11)]."""
-    mean, jacobian, noise = x.copy(), np.eye(len(x)), np.zeros((len(x), len(x), x.shape[1]))
+    """Means (6, n), the Jacobian (6, 6) of all, and noises (6, 6, n) of boxes (6, n) after an
+    interval [M09 (11)].
+    """
+    mean = x.copy()
+    jacobian = np.eye(len(x))
+    noise = np.zeros((len(x), len(x), x.shape[1]))
     for a in range(2):
         jacobian[a, a + 2] = dt
         for n in range(x.shape[1]):
@@ -237,18 +290,31 @@ def box_variances(noise: BoxNoise, w: float, h: float) -> tuple[float, float, fl
     """Variances of (px, py, w, h) of a measured box whose noise follows the size ``w``, ``h``."""
     if noise.scaling == FIXED:
         return noise.fixed_position, noise.fixed_position, noise.fixed_size, noise.fixed_size
-    sw, sh, least = noise.box_noise * w, noise.box_noise * h, noise.min_noise
-    sw, sh = sw if sw > least else least, sh if sh > least else least
+    sw = noise.box_noise * w
+    sh = noise.box_noise * h
+    least = noise.min_noise
+    sw = sw if sw > least else least
+    sh = sh if sh > least else least
     # Without a floor the noise of a vanishing box would be none, and no density.
-    vw, vh = sw * sw, sh * sh
-    vw, vh = vw if vw > TINY_VARIANCE else TINY_VARIANCE, vh if vh > TINY_VARIANCE else TINY_VARIANCE
-    px, py = 0.25 * vw, 0.25 * vh
-    return px if px > TINY_VARIANCE else TINY_VARIANCE, py if py > TINY_VARIANCE else TINY_VARIANCE, vw, vh
+    vw = sw * sw
+    vh = sh * sh
+    vw = vw if vw > TINY_VARIANCE else TINY_VARIANCE
+    vh = vh if vh > TINY_VARIANCE else TINY_VARIANCE
+    px = 0.25 * vw
+    py = 0.25 * vh
+    return (
+        px if px > TINY_VARIANCE else TINY_VARIANCE,
+        py if py > TINY_VARIANCE else TINY_VARIANCE,
+        vw,
+        vh,
+    )
 
 
 @njit(**ENTRY)
 def box_covariances(size: F8, noise: Noise) -> F8:
-    """(L, 4, 4) noise covariances of (px, py, w, h) of measured boxes whose noise follows sizes (2, L)."""
+    """(L, 4, 4) noise covariances of (px, py, w, h) of measured boxes whose noise follows sizes (2,
+    L).
+    """
     noise = BoxNoise(*noise)
     n = size.shape[1]
     m = len(ROWS)
@@ -257,7 +323,9 @@ def box_covariances(size: F8, noise: Noise) -> F8:
         for a in range(m):
             for b in range(m):
                 out[i, a, b] = 0.0
-        out[i, 0, 0], out[i, 1, 1], out[i, 2, 2], out[i, 3, 3] = box_variances(noise, size[0, i], size[1, i])
+        out[i, 0, 0], out[i, 1, 1], out[i, 2, 2], out[i, 3, 3] = box_variances(
+            noise, size[0, i], size[1, i]
+        )
     return out
 
 
@@ -265,11 +333,14 @@ def box_covariances(size: F8, noise: Noise) -> F8:
 def states_of_boxes(z: F8, noise: Noise, speed: float) -> tuple[F8, F8]:
     """States at rest (6, N) that boxes ``z`` (m, N) alone show, and their covariances (N, 6, 6).
 
-    ``speed`` is the deviation of each velocity component, in √(wh), or in pixels where the noise is constant.
+    ``speed`` is the deviation of each velocity component, in √(wh), or in pixels where the noise is
+    constant.
     """
     noise = BoxNoise(*noise)
-    n, dim = z.shape[1], 6
-    x, cov = np.empty((dim, n)), np.empty((n, dim, dim))
+    n = z.shape[1]
+    dim = 6
+    x = np.empty((dim, n))
+    cov = np.empty((n, dim, dim))
     for j in range(n):
         for a in range(dim):
             x[a, j] = 0.0
@@ -282,23 +353,29 @@ def states_of_boxes(z: F8, noise: Noise, speed: float) -> tuple[F8, F8]:
         moving = speed * size
         moving = moving * moving if moving > LEAST_SPEED else LEAST_SPEED * LEAST_SPEED
         for a in range(2):
-            x[a, j], cov[j, a, a], cov[j, a + 2, a + 2] = z[a, j], here[a], moving
+            x[a, j] = z[a, j]
+            cov[j, a, a] = here[a]
+            cov[j, a + 2, a + 2] = moving
         for c in range(4, dim):
             a = 2 + c % 2
-            x[c, j], cov[j, c, c] = z[a, j], here[a]
+            x[c, j] = z[a, j]
+            cov[j, c, c] = here[a]
     return x, cov
 
 
 @njit(**ENTRY)
 def box_deviations(x: F8, noise: Noise, speed: float) -> F8:
-    """(d, n) deviations by which boxes ``x`` (d, n) are resolved: measured ones', and ``speed`` as of `states_of_boxes`."""
+    """(d, n) deviations by which boxes ``x`` (d, n) are resolved: measured ones', and ``speed`` as
+    of `states_of_boxes`.
+    """
     noise = BoxNoise(*noise)
     out = np.empty(x.shape)
     for i in range(x.shape[1]):
         variance = box_variances(noise, x[4, i], x[5, i])
         moving = speed * (1.0 if noise.scaling == FIXED else np.sqrt(x[4, i] * x[5, i]))
         for a in range(2):
-            out[a, i], out[a + 2, i] = np.sqrt(variance[a]), moving if moving > LEAST_SPEED else LEAST_SPEED
+            out[a, i] = np.sqrt(variance[a])
+            out[a + 2, i] = moving if moving > LEAST_SPEED else LEAST_SPEED
         for c in range(4, x.shape[0]):
             out[c, i] = np.sqrt(variance[2 + c % 2])
     return out
@@ -307,12 +384,16 @@ def box_deviations(x: F8, noise: Noise, speed: float) -> F8:
 # States carried by a homography: the formulas stand in `models.warp`.
 @njit(**ENTRY)
 def warped_states(x: F8, warp: F8, areas: float) -> F8:
-    """(d, n) states after the homography (3, 3), whose determinant is ``areas``; rows behind the velocities are lengths."""
+    """(d, n) states after the homography (3, 3), whose determinant is ``areas``; rows behind the
+    velocities are lengths.
+    """
     out = np.empty(x.shape)
     for i in range(x.shape[1]):
         px, py, depth, a, b, c, d = _local(warp, x[0, i], x[1, i])
-        out[0, i], out[1, i] = px, py
-        out[2, i], out[3, i] = a * x[2, i] + b * x[3, i], c * x[2, i] + d * x[3, i]
+        out[0, i] = px
+        out[1, i] = py
+        out[2, i] = a * x[2, i] + b * x[3, i]
+        out[3, i] = c * x[2, i] + d * x[3, i]
         scale = np.sqrt(areas / (depth * depth * depth))
         for row in range(4, len(x)):
             out[row, i] = scale * x[row, i]
@@ -323,22 +404,32 @@ def warped_states(x: F8, warp: F8, areas: float) -> F8:
 def warped_slopes(x: F8, warp: F8, areas: float) -> F8:
     """(n, d, d) the Jacobians of `warped_states`."""
     rows, n = x.shape
-    out, g, h = np.zeros((n, rows, rows)), warp[2, 0], warp[2, 1]
+    out = np.zeros((n, rows, rows))
+    g = warp[2, 0]
+    h = warp[2, 1]
     for i in range(n):
         _, _, depth, a, b, c, d = _local(warp, x[0, i], x[1, i])
-        vx, vy = x[2, i], x[3, i]
+        vx = x[2, i]
+        vy = x[3, i]
         for place in range(0, 4, 2):
-            out[i, place, place], out[i, place, place + 1] = a, b
-            out[i, place + 1, place], out[i, place + 1, place + 1] = c, d
+            out[i, place, place] = a
+            out[i, place, place + 1] = b
+            out[i, place + 1, place] = c
+            out[i, place + 1, place + 1] = d
         # ∂(J v)/∂p = −(J gᵀv + (J v) gᵀ)/D
-        along, wx, wy = g * vx + h * vy, a * vx + b * vy, c * vx + d * vy
-        out[i, 2, 0], out[i, 2, 1] = -(a * along + wx * g) / depth, -(b * along + wx * h) / depth
-        out[i, 3, 0], out[i, 3, 1] = -(c * along + wy * g) / depth, -(d * along + wy * h) / depth
+        along = g * vx + h * vy
+        wx = a * vx + b * vy
+        wy = c * vx + d * vy
+        out[i, 2, 0] = -(a * along + wx * g) / depth
+        out[i, 2, 1] = -(b * along + wx * h) / depth
+        out[i, 3, 0] = -(c * along + wy * g) / depth
+        out[i, 3, 1] = -(d * along + wy * h) / depth
         scale = np.sqrt(areas / (depth * depth * depth))
         for row in range(4, rows):
             out[i, row, row] = scale
             tilt = -1.5 * scale * x[row, i] / depth
-            out[i, row, 0], out[i, row, 1] = tilt * g, tilt * h
+            out[i, row, 0] = tilt * g
+            out[i, row, 1] = tilt * h
     return out
 
 
@@ -348,6 +439,8 @@ def _local(warp: F8, x: float, y: float) -> tuple[float, float, float, float, fl
     depth = max(warp[2, 0] * x + warp[2, 1] * y + 1.0, LEAST)
     px = (warp[0, 0] * x + warp[0, 1] * y + warp[0, 2]) / depth
     py = (warp[1, 0] * x + warp[1, 1] * y + warp[1, 2]) / depth
-    a, b = (warp[0, 0] - px * warp[2, 0]) / depth, (warp[0, 1] - px * warp[2, 1]) / depth
-    c, d = (warp[1, 0] - py * warp[2, 0]) / depth, (warp[1, 1] - py * warp[2, 1]) / depth
+    a = (warp[0, 0] - px * warp[2, 0]) / depth
+    b = (warp[0, 1] - px * warp[2, 1]) / depth
+    c = (warp[1, 0] - py * warp[2, 0]) / depth
+    d = (warp[1, 1] - py * warp[2, 1]) / depth
     return px, py, depth, a, b, c, d

@@ -11,12 +11,17 @@ from phdtrack.kernels.fast32 import ENTRY, INNER
 
 
 @njit(**INNER)
-def _gains(leaf: I8, pair: tuple[I8, I8, F8], columns: I8, unassigned: F8, place: I8) -> tuple[F8, I8, I8]:
-    """Gains (m, A) of a cluster's forms that have a measurement in their gate, which each hypothesis holds, and the tracks.
+def _gains(
+    leaf: I8, pair: tuple[I8, I8, F8], columns: I8, unassigned: F8, place: I8
+) -> tuple[F8, I8, I8]:
+    """Gains (m, A) of a cluster's forms that have a measurement in their gate, which each
+    hypothesis holds, and the tracks.
 
-    ``leaf`` and the others as of `children`; ``place`` (L,) of −1 becomes the place of each leaf among the forms.
+    ``leaf`` and the others as of `children`; ``place`` (L,) of −1 becomes the place of each leaf
+    among the forms.
     """
-    row, forms = np.full(unassigned.size, -1), 0
+    row = np.full(unassigned.size, -1)
+    forms = 0
     for i in range(columns.size):
         row[columns[i]] = i
     for q in range(pair[0].size):
@@ -27,7 +32,8 @@ def _gains(leaf: I8, pair: tuple[I8, I8, F8], columns: I8, unassigned: F8, place
     for q in range(pair[0].size):
         j = pair[1][q]
         gain[row[j], place[pair[0][q]]] = pair[2][q] - unassigned[j]
-    track, used = np.empty(leaf.shape[1], np.int64), 0
+    track = np.empty(leaf.shape[1], np.int64)
+    used = 0
     for t in range(leaf.shape[1]):
         for h in range(leaf.shape[0]):
             if leaf[h, t] >= 0 and place[leaf[h, t]] >= 0:
@@ -49,26 +55,35 @@ def children(
 ) -> tuple[I8, F8, F8]:  # fmt: skip
     """The best hypotheses that follow from a cluster's, the most probable first.
 
-    ``leaf`` (H, T), ``weight`` (H,): the cluster. ``pair`` (P,): leaf, measurement and gain of the pairs in the gates of its
-    leaves; ``columns`` (m,): the measurements of these. ``missed`` (L,), ``unassigned`` (N,): log-weights of leaves that are
-    missed, and of measurements that no earlier track has; ``begins`` (N,): whether a measurement may begin a track.
-    ``limits``: how many are given at most, and the log of the least weight as a share of the best's.
+    ``leaf`` (H, T), ``weight`` (H,): the cluster. ``pair`` (P,): leaf, measurement and gain of the
+    pairs in the gates of its leaves; ``columns`` (m,): the measurements of these. ``missed`` (L,),
+    ``unassigned`` (N,): log-weights of leaves that are missed, and of measurements that no earlier
+    track has; ``begins`` (N,): whether a measurement may begin a track. ``limits``: how many are
+    given at most, and the log of the least weight as a share of the best's.
 
-    Back come the hypotheses (K, T'), in which (leaf + 1)(N + 1) + measurement + 1 stands for a leaf and its measurement,
-    where −1 is for none, and −1 for no track; their weights (K,); and the probability (m,) that each measurement is no
-    earlier track's.
+    Back come the hypotheses (K, T'), in which (leaf + 1)(N + 1) + measurement + 1 stands for a leaf
+    and its measurement, where −1 is for none, and −1 for no track; their weights (K,); and the
+    probability (m,) that each measurement is no earlier track's.
     """
-    place, number = np.full(missed.size, -1), unassigned.size + 1
+    place = np.full(missed.size, -1)
+    number = unassigned.size + 1
     gain, held, track = _gains(leaf, pair, columns, unassigned, place)
-    base, tracks, m = np.empty(weight.size), leaf.shape[1], columns.size
+    base = np.empty(weight.size)
+    tracks = leaf.shape[1]
+    m = columns.size
     for h in range(weight.size):
         base[h] = np.log(weight[h])
         for t in range(tracks):
             if leaf[h, t] >= 0:
                 base[h] += missed[leaf[h, t]]
-    parent, choice, log_weight = best_assignments(gain, unassigned[columns], held, base, limits[0], limits[1])
-    count, total = parent.size, 0.0
-    share, alone, out = np.empty(count), np.zeros(m), np.full((count, tracks + m), -1)
+    parent, choice, log_weight = best_assignments(
+        gain, unassigned[columns], held, base, limits[0], limits[1]
+    )
+    count = parent.size
+    total = 0.0
+    share = np.empty(count)
+    alone = np.zeros(m)
+    out = np.full((count, tracks + m), -1)
     for k in range(count):
         share[k] = np.exp(log_weight[k] - log_weight[0])
         total += share[k]
@@ -92,7 +107,8 @@ def children(
 @njit(**INNER)
 def without_empty(rows: I8) -> I8:
     """The columns of ``rows`` (H, T) that are not −1 everywhere."""
-    kept, count = np.empty(rows.shape[1], np.int64), 0
+    kept = np.empty(rows.shape[1], np.int64)
+    count = 0
     for t in range(rows.shape[1]):
         for h in range(rows.shape[0]):
             if rows[h, t] >= 0:
@@ -108,9 +124,13 @@ def without_empty(rows: I8) -> I8:
 
 @njit(**ENTRY)
 def equal_rows(rows: I8) -> I8:
-    """(H,) the first row that each of ``rows`` (H, T) of numbers from −1 on is equal to: itself, or an earlier one."""
-    count, size = rows.shape[0], 2 * rows.shape[0] + 1
-    place, out = np.full(size, -1, np.int64), np.empty(count, np.int64)
+    """(H,) the first row that each of ``rows`` (H, T) of numbers from −1 on is equal to: itself, or
+    an earlier one.
+    """
+    count = rows.shape[0]
+    size = 2 * rows.shape[0] + 1
+    place = np.full(size, -1, np.int64)
+    out = np.empty(count, np.int64)
     for h in range(count):
         key = 0
         for t in range(rows.shape[1]):

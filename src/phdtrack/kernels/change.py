@@ -1,8 +1,10 @@
-"""A frame against the reference: one pass that says where it changed, and one by which reference and noise follow it.
+"""A frame against the reference: one pass that says where it changed, and one by which reference
+and noise follow it.
 
-What each computes is said in `detect.change`. Pictures are as decoders have them, YUV 4:2:0 in one row (n,): brightness
-(H·W), and below it the blue and the red colour difference, each a plane of half width and height, rounded up. Each row goes
-through short loops over a few arrays, which vectorise; between them it stays in the cache.
+What each computes is said in `detect.change`. Pictures are as decoders have them, YUV 4:2:0 in one
+row (n,): brightness (H·W), and below it the blue and the red colour difference, each a plane of
+half width and height, rounded up. Each row goes through short loops over a few arrays, which
+vectorise; between them it stays in the cache.
 """
 
 from __future__ import annotations
@@ -17,35 +19,60 @@ from phdtrack.kernels import F4, F8, I8, U1
 from phdtrack.kernels.blobs import Cleaning, cleaned, mirrored
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER, INT, ONE, VECTOR, D, F, log32
-from phdtrack.kernels.planes import BLACK, GREYS, LIFT, LOG, LOG_SCALE, lighting, noise, quartile, smooth
+from phdtrack.kernels.planes import (
+    BLACK,
+    GREYS,
+    LIFT,
+    LOG,
+    LOG_SCALE,
+    lighting,
+    noise,
+    quartile,
+    smooth,
+)
 
 Pixel = tuple[np.int32, np.int32, np.int32]
 Weights = tuple[np.float32, np.float32, np.float32, np.float32]
 Reaches = tuple[np.int32, np.int32, np.int32, np.int32]
-# A pixel is not changed where it resembles samples in at least `OFTEN` runs, and at least the share `SHARE` of the samples
-# that differ from the reference there: passers-by hardly resemble each other, leaves do.
-OFTEN, SHARE = 4, 0.35
-# Where at least the share `BUSY` of the samples differs, samples count too that it resembles `REACH` pixels away: leaves
-# sway. Then it takes the share `NEAR` of all samples, and as many as differ there: no more resemble a passer-by than pass.
-BUSY, NEAR, REACH = 0.1, 0.33, 3
+# A pixel is not changed where it resembles samples in at least `OFTEN` runs, and at least the share
+# `SHARE` of the samples that differ from the reference there: passers-by hardly resemble each
+# other, leaves do.
+OFTEN = 4
+SHARE = 0.35
+# Where at least the share `BUSY` of the samples differs, samples count too that it resembles
+# `REACH` pixels away: leaves sway. Then it takes the share `NEAR` of all samples, and as many as
+# differ there: no more resemble a passer-by than pass.
+BUSY = 0.1
+NEAR = 0.33
+REACH = 3
 CHANNELS = 3
 # What is so many pixels from the foreground counts as such.
 MARGIN = 2
-# Columns whose medians are made together: their samples stay in the cache. Pixels that are passed over at once.
-_BLOCK, _PIXELS = 512, 64
-_NONE, _BLACK, _WHITE, _MIDDLE, _THIRD = F(0), F(BLACK), F(235), F(128), F(1 / CHANNELS)
+# Columns whose medians are made together: their samples stay in the cache. Pixels that are passed
+# over at once.
+_BLOCK = 512
+_PIXELS = 64
+_NONE = F(0)
+_BLACK = F(BLACK)
+_WHITE = F(235)
+_MIDDLE = F(128)
+_THIRD = F(1 / CHANNELS)
 # `_ORIGIN`: the brightness at which grey level + `_LIFT` would be 0.
-_LOG_SCALE, _ORIGIN = F(LOG_SCALE), F(BLACK - LIFT / GREYS)
-# The third quartile of |difference of two numbers| of deviation 1; how much of the camera's noise is kept in each frame.
-_QUARTILE_OF_DIFFERENCES, _MEMORY = 1.1503 * 2**0.5, 0.9
+_LOG_SCALE = F(LOG_SCALE)
+_ORIGIN = F(BLACK - LIFT / GREYS)
+# The third quartile of |difference of two numbers| of deviation 1; how much of the camera's noise
+# is kept in each frame.
+_QUARTILE_OF_DIFFERENCES = 1.1503 * 2**0.5
+_MEMORY = 0.9
 _1 = D(1)
 
 
 class Statistic(NamedTuple):
     """What decides that a pixel changed.
 
-    ``local`` (4,): variances by local light of differences of brightness towards dark and bright, and of blue and red;
-    ``window`` its side, odd; ``threshold`` of the window's mean; ``alike``: energy below which a sample resembles a pixel.
+    ``local`` (4,): variances by local light of differences of brightness towards dark and bright,
+    and of blue and red; ``window`` its side, odd; ``threshold`` of the window's mean; ``alike``:
+    energy below which a sample resembles a pixel.
     """
 
     local: F8
@@ -55,9 +82,9 @@ class Statistic(NamedTuple):
 
 
 class Past(NamedTuple):
-    """``samples`` (n, K) of other times in order, their brightness as its logarithm, how many of them differ from the
-    reference (H, W), and the ``OFTEN``-th smallest and largest of each number (n, 2); ``near``: the same of the smallest and
-    largest within `REACH`, the `often_near`-th."""
+    """``samples`` (n, K) of other times in order, their brightness as its logarithm, how many of
+    them differ from the reference (H, W), and the ``OFTEN``-th smallest and largest of each number
+    (n, 2); ``near``: the same of the smallest and largest within `REACH`, the `often_near`-th."""
 
     samples: U1
     differing: U1
@@ -66,8 +93,9 @@ class Past(NamedTuple):
 
 
 class Alike(NamedTuple):
-    """What decides that a sample resembles a pixel: ``weights`` 1/σ² as of `Statistic.local`, ``limit`` of the energy, and
-    ``reaches``, the least differences of each alone that are too large."""
+    """What decides that a sample resembles a pixel: ``weights`` 1/σ² as of `Statistic.local`,
+    ``limit`` of the energy, and ``reaches``, the least differences of each alone that are too
+    large."""
 
     weights: Weights
     limit: np.float32
@@ -91,20 +119,25 @@ def changed(
     cleaning: Cleaning,
     beyond: tuple[int, int],
 ) -> tuple[U1, F4, F4]:
-    """The next frame: its mask, cleaned, its energy as of `compare`, and the light (3, 4) of `lighting`.
+    """The next frame: its mask, cleaned, its energy as of `compare`, and the light (3, 4) of
+    `lighting`.
 
-    All of it in one call: a thread that runs Python beside this one is in its way at each begin and end of one.
+    All of it in one call: a thread that runs Python beside this one is in its way at each begin and
+    end of one.
 
     Parameters
     ----------
     image : (n,), whose colours are smoothed.
     before : (3, h, w) sparse pixels of the frame before, which become those of this one.
     camera : (3,) deviations of brightness and colours by the camera's noise, which follow.
-    known : reference (n,), usual energy (H, W), and the frame before's foreground (H, W), which becomes this one's.
+    known : reference (n,), usual energy (H, W), and the frame before's foreground (H, W), which
+        becomes this one's.
     rule, past : as for `compare`.
-    steps : every so many pixels both ways are looked at for the camera's noise, even, and for the light.
+    steps : every so many pixels both ways are looked at for the camera's noise, even, and for the
+        light.
     cleaning : as for `cleaned`.
-    beyond : so many columns on the left and on the right, and rows above and below, show nothing of the scene.
+    beyond : so many columns on the left and on the right, and rows above and below, show nothing of
+        the scene.
     """
     reference, scene, foreground = known
     smooth(image, scene.shape)
@@ -121,23 +154,35 @@ def changed(
 
 
 @njit(**ENTRY)
-def compare(image: U1, reference: F4, light: F4, scene: F4, rule: Statistic, camera: F8, past: Past) -> tuple[U1, F4]:
-    """(H, W) 255 where ``image`` changed against the ``reference`` in another ``light``, and (H, W) its energy.
+def compare(
+    image: U1, reference: F4, light: F4, scene: F4, rule: Statistic, camera: F8, past: Past
+) -> tuple[U1, F4]:
+    """(H, W) 255 where ``image`` changed against the ``reference`` in another ``light``, and (H, W)
+    its energy.
 
-    ``image``, ``reference`` (n,); ``light`` (3, 4) as `lighting` has it; ``scene`` (H, W): energy that is usual there, three
-    times s; ``rule``, ``past``: as above; ``camera`` (3,): deviations by the camera's noise of brightness and of colours.
+    ``image``, ``reference`` (n,); ``light`` (3, 4) as `lighting` has it; ``scene`` (H, W): energy
+    that is usual there, three times s; ``rule``, ``past``: as above; ``camera`` (3,): deviations by
+    the camera's noise of brightness and of colours.
     """
     height, width = scene.shape
-    mask, energy = np.empty((height, width), np.uint8), np.empty((height, width), np.float32)
-    window, reach, across = rule.window, rule.window // 2, (width + 1) // 2
-    limit, least = F(rule.threshold * window * window), F(rule.threshold / 2)
-    weights, count = _weights(rule.local, camera), past.samples.shape[1]
+    mask = np.empty((height, width), np.uint8)
+    energy = np.empty((height, width), np.float32)
+    reach = rule.window // 2
+    window = rule.window
+    across = (width + 1) // 2
+    limit = F(rule.threshold * window * window)
+    least = F(rule.threshold / 2)
+    weights = _weights(rule.local, camera)
+    count = past.samples.shape[1]
     alike = Alike(weights, F(rule.alike), _reaches(weights, F(rule.alike)))
-    # Of a row: its brightness, the colours' part of the energy and the colours' part of the light, of every other pixel; the
-    # last two of all pixels; and the sums over columns of the window, with a margin.
-    half, whole = np.zeros((3, across), np.float32), np.zeros((2, 2 * across), np.float32)
+    # Of a row: its brightness, the colours' part of the energy and the colours' part of the light,
+    # of every other pixel; the last two of all pixels; and the sums over columns of the window,
+    # with a margin.
+    half = np.zeros((3, across), np.float32)
+    whole = np.zeros((2, 2 * across), np.float32)
     column = np.empty(width + 2 * reach, np.float32)
-    normal, total = np.empty((window, width), np.float32), np.empty(width, np.float32)
+    normal = np.empty((window, width), np.float32)
+    total = np.empty(width, np.float32)
     work = np.empty(count, np.uint8), np.empty((2, 9), np.int64)
     for y in range(height + reach):
         if y < height:
@@ -158,12 +203,15 @@ def compare(image: U1, reference: F4, light: F4, scene: F4, rule: Statistic, cam
 
 @njit(**ENTRY)
 def follow(image: U1, energy: F4, reference: F4, scene: F4, foreground: U1, rates: F4) -> None:
-    """Move ``reference`` (n,) towards ``image``, and outside of the ``foreground`` ``scene`` (H, W) towards ``energy``.
+    """Move ``reference`` (n,) towards ``image``, and outside of the ``foreground`` ``scene`` (H, W)
+    towards ``energy``.
 
-    ``rates``: of the reference outside of the foreground and in it, and of the scene; the largest value of that.
+    ``rates``: of the reference outside of the foreground and in it, and of the scene; the largest
+    value of that.
     """
     height, width = scene.shape
-    low, across = (height + 1) // 2, (width + 1) // 2
+    low = (height + 1) // 2
+    across = (width + 1) // 2
     _approach(image, foreground.reshape(-1), rates, reference, 0)
     _settle(energy.reshape(-1), foreground.reshape(-1), rates[2], rates[3], scene.reshape(-1))
     colours = np.empty((low, across), np.uint8)
@@ -176,25 +224,33 @@ def follow(image: U1, energy: F4, reference: F4, scene: F4, foreground: U1, rate
 @njit(**INNER)
 def _border(mask: U1, beyond: tuple[int, int], value: int) -> None:
     """Write a value into so many columns on both sides, and rows above and below."""
-    (height, width), (across, down) = mask.shape, beyond
+    height, width = mask.shape
+    across, down = beyond
     for y in range(height):
         for x in range(width) if y < down or y >= height - down else range(0):
             mask[y, x] = value
         for x in range(min(across, width)):
-            mask[y, x], mask[y, width - 1 - x] = value, value
+            mask[y, x] = value
+            mask[y, width - 1 - x] = value
 
 
 @njit(**INNER)
 def _weights(local: F8, camera: F8) -> Weights:
     """1/σ² of the differences whose variances by local light these are."""
     grey = camera[0] ** 2
-    blue, red = F(1 / (local[2] + camera[1] ** 2)), F(1 / (local[3] + camera[2] ** 2))
+    blue = F(1 / (local[2] + camera[1] ** 2))
+    red = F(1 / (local[3] + camera[2] ** 2))
     return F(1 / (local[0] + grey)), F(1 / (local[1] + grey)), blue, red
 
 
 @njit(**INNER)
 def _reaches(weights: Weights, limit: np.float32) -> Reaches:
-    return _reach(weights[0], limit), _reach(weights[1], limit), _reach(weights[2], limit), _reach(weights[3], limit)
+    return (
+        _reach(weights[0], limit),
+        _reach(weights[1], limit),
+        _reach(weights[2], limit),
+        _reach(weights[3], limit),
+    )
 
 
 @njit(**INNER)
@@ -208,9 +264,12 @@ def _reach(weight: np.float32, limit: np.float32) -> np.int32:
 
 @njit(**ENTRY)
 def middle(samples: NDArray[np.integer[Any]]) -> NDArray[np.integer[Any]]:
-    """(n,) the median of each column of an odd number of ``samples`` (K, n), by exchanges of neighbours."""
+    """(n,) the median of each column of an odd number of ``samples`` (K, n), by exchanges of
+    neighbours.
+    """
     count, n = samples.shape
-    out, part = np.empty(n, samples.dtype), np.empty((count, _BLOCK), samples.dtype)
+    out = np.empty(n, samples.dtype)
+    part = np.empty((count, _BLOCK), samples.dtype)
     for start in range(0, n, _BLOCK):
         width = min(_BLOCK, n - start)
         for k in range(count):
@@ -231,24 +290,43 @@ def _halved(foreground: U1, row: int, out: U1) -> None:
         out[row, i] = foreground[2 * row, i + i]
 
 
-# The functions of a row take whole arrays and where it is in them: to take a row out costs as much as to work on it.
+# The functions of a row take whole arrays and where it is in them: to take a row out costs as much
+# as to work on it.
 @njit(**VECTOR)
-def _colour_energy(y: int, image: U1, reference: F4, light: F4, weights: Weights, scene: F4, half: F4, whole: F4) -> None:
-    """The part of the energy that colours have, and what they add to the brightness of the reference in another light."""
+def _colour_energy(
+    y: int, image: U1, reference: F4, light: F4, weights: Weights, scene: F4, half: F4, whole: F4
+) -> None:
+    """The part of the energy that colours have, and what they add to the brightness of the
+    reference in another light.
+    """
     height, width = scene.shape
-    across, row = (width + 1) // 2, D(y * width)
+    across = (width + 1) // 2
+    row = D(y * width)
     blue = D(height * width + y // 2 * across)
-    red, n = blue + D((height + 1) // 2 * across), D(across)
-    a, b, c, d = light[1, 0], light[1, 1], light[1, 2], light[1, 3]
-    e, f, g, h = light[2, 0], light[2, 1], light[2, 2], light[2, 3]
-    v, w, by_blue, by_red = weights[2], weights[3], light[0, 1], light[0, 2]
+    red = blue + D((height + 1) // 2 * across)
+    n = D(across)
+    a = light[1, 0]
+    b = light[1, 1]
+    c = light[1, 2]
+    d = light[1, 3]
+    e = light[2, 0]
+    f = light[2, 1]
+    g = light[2, 2]
+    h = light[2, 3]
+    v = weights[2]
+    w = weights[3]
+    by_blue = light[0, 1]
+    by_red = light[0, 2]
     for i in range(n):
         half[0, i] = reference[row + i + i]
     for i in range(n):
-        x, t, u = half[0, i] - _BLACK, reference[blue + i] - _MIDDLE, reference[red + i] - _MIDDLE
+        x = half[0, i] - _BLACK
+        t = reference[blue + i] - _MIDDLE
+        u = reference[red + i] - _MIDDLE
         q = F(image[blue + i]) - _MIDDLE - (a * x + b * t + c * u + d)
         r = F(image[red + i]) - _MIDDLE - (e * x + f * t + g * u + h)
-        half[1, i], half[2, i] = q * q * v + r * r * w, t * by_blue + u * by_red
+        half[1, i] = q * q * v + r * r * w
+        half[2, i] = t * by_blue + u * by_red
     for i in range(n):
         whole[0, i + i] = half[1, i]
         whole[0, i + i + _1] = half[1, i]
@@ -259,13 +337,27 @@ def _colour_energy(y: int, image: U1, reference: F4, light: F4, weights: Weights
 
 @njit(**VECTOR)
 def _energy(
-    y: int, image: U1, reference: F4, light: F4, weights: Weights, scene: F4, whole: F4, energy: F4, normal: F4
+    y: int,
+    image: U1,
+    reference: F4,
+    light: F4,
+    weights: Weights,
+    scene: F4,
+    whole: F4,
+    energy: F4,
+    normal: F4,
 ) -> None:
     """The energy of a row, and what it is over what is usual there."""
-    dark, bright, slot, start = weights[0], weights[1], y % normal.shape[0], D(y * scene.shape[1])
-    gain, offset = light[0, 0], light[0, 3] + _BLACK - light[0, 0] * _BLACK
+    dark = weights[0]
+    bright = weights[1]
+    slot = y % normal.shape[0]
+    start = D(y * scene.shape[1])
+    gain = light[0, 0]
+    offset = light[0, 3] + _BLACK - light[0, 0] * _BLACK
     for i in range(D(scene.shape[1])):
-        usual = min(max(reference[start + i] * gain + whole[1, i] + offset, _BLACK), _WHITE) - _ORIGIN
+        usual = (
+            min(max(reference[start + i] * gain + whole[1, i] + offset, _BLACK), _WHITE) - _ORIGIN
+        )
         d = _LOG_SCALE * log32((min(max(F(image[start + i]), _BLACK), _WHITE) - _ORIGIN) / usual)
         value = d * d * (dark if d < _NONE else bright) + whole[0, i]
         energy[y, i] = value
@@ -274,14 +366,19 @@ def _energy(
 
 @njit(**VECTOR)
 def _columns(at: int, height: int, normal: F4, column: F4) -> None:
-    """The sums of the rows of the window around a row, and beyond its ends what they are mirrored."""
+    """The sums of the rows of the window around a row, and beyond its ends what they are
+    mirrored.
+    """
     window, width = normal.shape
-    reach, n = window // 2, D(width)
-    start, here = D(reach), at % window
+    reach = window // 2
+    n = D(width)
+    start = D(reach)
+    here = at % window
     for i in range(n):
         column[start + i] = normal[here, i]
     for k in range(1, reach + 1):
-        above, below = mirrored(at - k, height) % window, mirrored(at + k, height) % window
+        above = mirrored(at - k, height) % window
+        below = mirrored(at + k, height) % window
         for i in range(n):
             column[start + i] += normal[above, i] + normal[below, i]
     for k in range(reach):
@@ -297,7 +394,8 @@ def _copy(column: F4, start: int, total: F4) -> None:
 
 @njit(**VECTOR)
 def _add(column: F4, a: int, b: int, total: F4) -> None:
-    x, y = D(a), D(b)
+    x = D(a)
+    y = D(b)
     for i in range(D(total.size)):
         total[i] += column[x + i] + column[y + i]
 
@@ -307,25 +405,33 @@ def _passed(at: int, normal: F4, total: F4, limit: np.float32, least: np.float32
     """The window's mean must pass, and half of it the pixel itself, which keeps outlines sharp."""
     slot = at % normal.shape[0]
     for i in range(D(total.size)):
-        mask[at, i] = np.uint8(255) if (total[i] > limit) & (normal[slot, i] > least) else np.uint8(0)
+        mask[at, i] = (
+            np.uint8(255) if (total[i] > limit) & (normal[slot, i] > least) else np.uint8(0)
+        )
 
 
 @njit(**INNER)
 def _recall(image: U1, alike: Alike, past: Past, y: int, work: tuple[U1, I8], mask: U1) -> None:
     """Take what was seen before out of row ``y`` of the mask; ``work`` is overwritten."""
-    (seen, near), samples, reaches = work, past.samples, alike.reaches
+    seen, near = work
+    samples = past.samples
+    reaches = alike.reaches
     height, width = past.differing.shape
-    across, plane = (width + 1) // 2, (height + 1) // 2 * ((width + 1) // 2)
+    across = (width + 1) // 2
+    plane = (height + 1) // 2 * ((width + 1) // 2)
     for start in range(0, width, _PIXELS):
         stop = min(start + _PIXELS, width)
         # Most of a picture has not changed.
         for x in range(start, stop) if _any(mask, y, start, stop) else range(0):
             if mask[y, x] == 0:
                 continue
-            p, q, differing = y * width + x, height * width + y // 2 * across + x // 2, past.differing[y, x]
+            p = y * width + x
+            q = height * width + y // 2 * across + x // 2
+            differing = past.differing[y, x]
             pixel = INT(LOG[image[p]]), INT(image[q]), INT(image[q + plane])
             if not _beyond(pixel, past.extremes, (p, q, q + plane), reaches):
-                near[0, 0], near[1, 0] = p, q
+                near[0, 0] = p
+                near[1, 0] = q
                 count = _resembling(pixel, samples, near, 1, plane, alike, seen)
                 if _often(count, seen, SHARE * differing):
                     mask[y, x] = 0
@@ -335,7 +441,8 @@ def _recall(image: U1, alike: Alike, past: Past, y: int, work: tuple[U1, I8], ma
                 for i in (y - REACH, y, y + REACH):
                     for j in (x - REACH, x, x + REACH):
                         if 0 <= i < height and 0 <= j < width:
-                            near[0, n], near[1, n] = i * width + j, height * width + i // 2 * across + j // 2
+                            near[0, n] = i * width + j
+                            near[1, n] = height * width + i // 2 * across + j // 2
                             n += 1
                 count = _resembling(pixel, samples, near, n, plane, alike, seen)
                 if _often(count, seen, max(NEAR * seen.size, differing)):
@@ -353,9 +460,12 @@ def _any(mask: U1, y: int, start: int, stop: int) -> bool:
 
 @njit(**INNER)
 def _beyond(pixel: Pixel, extremes: U1, at: tuple[int, int, int], reaches: Reaches) -> bool:
-    """Whether a pixel is too far below the first or above the second of two values of a plane to resemble those between."""
+    """Whether a pixel is too far below the first or above the second of two values of a plane to
+    resemble those between.
+    """
     for c in range(3):
-        low, high = INT(extremes[at[c], 0]), INT(extremes[at[c], 1])
+        low = INT(extremes[at[c], 0])
+        high = INT(extremes[at[c], 1])
         if low - pixel[c] >= reaches[0 if c == 0 else c + 1] or pixel[c] - high >= reaches[c + 1]:
             return True
     return False
@@ -366,25 +476,34 @@ def _often(count: int, seen: U1, least: float) -> bool:
     """Whether the ``count`` of ones is at least so large, and they are in at least `OFTEN` runs."""
     if count < least or count < OFTEN:
         return False
-    runs, before = 0, np.uint8(0)
+    runs = 0
+    before = np.uint8(0)
     for one in seen:
-        runs, before = runs + (one > before), one
+        runs = runs + (one > before)
+        before = one
     return runs >= OFTEN
 
 
 @njit(**VECTOR)
-def _resembling(pixel: Pixel, samples: U1, near: I8, places: int, plane: int, alike: Alike, out: U1) -> Any:
-    """1 for each of the samples that a pixel resembles at one of the places ``near``, of brightness and of blue, and their
-    number; red is a ``plane`` behind blue."""
-    (a, b, c), (dark, bright, v, w), limit, count = pixel, alike.weights, alike.limit, INT(0)
+def _resembling(
+    pixel: Pixel, samples: U1, near: I8, places: int, plane: int, alike: Alike, out: U1
+) -> Any:
+    """1 for each of the samples that a pixel resembles at one of the places ``near``, of brightness
+    and of blue, and their number; red is a ``plane`` behind blue."""
+    a, b, c = pixel
+    dark, bright, v, w = alike.weights
+    limit = alike.limit
+    count = INT(0)
     for k in range(D(out.size)):
         out[k] = 0
     for m in range(places):
         # No rows are taken out of the array, which would take longer than to compare them.
-        i, j = D(near[0, m]), D(near[1, m])
+        i = D(near[0, m])
+        j = D(near[1, m])
         red = j + D(plane)
         for k in range(D(out.size)):
-            d, e = F(INT(a - INT(samples[i, k]))), F(INT(b - INT(samples[j, k])))
+            d = F(INT(a - INT(samples[i, k])))
+            e = F(INT(b - INT(samples[j, k])))
             f = F(INT(c - INT(samples[red, k])))
             same = d * d * (dark if d < _NONE else bright) + e * e * v + f * f * w < limit
             out[k] |= np.uint8(1) if same else np.uint8(0)
@@ -396,7 +515,9 @@ def _resembling(pixel: Pixel, samples: U1, near: I8, places: int, plane: int, al
 @njit(**VECTOR)
 def _approach(image: U1, foreground: U1, rates: F4, reference: F4, start: int) -> None:
     """Of the numbers from ``start`` on, as many as there are of the foreground."""
-    outside, inside, first = rates[0], rates[1], D(start)
+    outside = rates[0]
+    inside = rates[1]
+    first = D(start)
     for i in range(D(foreground.size)):
         k = first + i
         reference[k] += (F(image[k]) - reference[k]) * (outside if foreground[i] == 0 else inside)
@@ -412,5 +533,7 @@ def _settle(energy: F4, foreground: U1, rate: np.float32, most: np.float32, scen
 @njit(**VECTOR)
 def _exchange(low: NDArray[np.integer[Any]], high: NDArray[np.integer[Any]]) -> None:
     for i in range(D(low.size)):
-        a, b = low[i], high[i]
-        low[i], high[i] = min(a, b), max(a, b)
+        a = low[i]
+        b = high[i]
+        low[i] = min(a, b)
+        high[i] = max(a, b)

@@ -1,4 +1,6 @@
-"""Clusters from log-odds of pairs: those with the largest sum of the log-odds within them (correlation clustering)."""
+"""Clusters from log-odds of pairs: those with the largest sum of the log-odds within them
+(correlation clustering).
+"""
 
 from __future__ import annotations
 
@@ -8,22 +10,28 @@ from phdtrack.kernels import F8, I8
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 
-# Nodes up to which all partitions are compared; beyond it clusters are merged while that gains, then single nodes move.
+# Nodes up to which all partitions are compared; beyond it clusters are merged while that gains,
+# then single nodes move.
 EXACT = 9
 
 
 @njit(**ENTRY)
 def clusters(gain: F8) -> I8:
-    """(n,) the cluster of each node, numbered from 0 by their first node; ``gain`` (n, n) symmetric, the log-odds of pairs.
+    """(n,) the cluster of each node, numbered from 0 by their first node; ``gain`` (n, n)
+    symmetric, the log-odds of pairs.
 
-    Nodes that no chain of pairs with a positive gain connects are never together, so each connected part is solved alone.
+    Nodes that no chain of pairs with a positive gain connects are never together, so each connected
+    part is solved alone.
     """
     n = gain.shape[0]
-    out, place, queue = np.full(n, -1, np.int64), np.full(n, -1, np.int64), np.empty(n, np.int64)
+    out = np.full(n, -1, np.int64)
+    place = np.full(n, -1, np.int64)
+    queue = np.empty(n, np.int64)
     for first in range(n):
         if out[first] >= 0:
             continue
-        count, done = 1, 0
+        count = 1
+        done = 0
         queue[0] = first
         place[first] = first
         while done < count:
@@ -55,10 +63,14 @@ def clusters(gain: F8) -> I8:
 
 @njit(**INNER)
 def _best(gain: F8) -> I8:
-    """(n,) the best clusters of few nodes: by dynamic programming over the sets of those that are placed."""
+    """(n,) the best clusters of few nodes: by dynamic programming over the sets of those that are
+    placed.
+    """
     n = gain.shape[0]
     size = 1 << n
-    within, value, last = np.zeros(size), np.zeros(size), np.zeros(size, np.int64)
+    within = np.zeros(size)
+    value = np.zeros(size)
+    last = np.zeros(size, np.int64)
     for some in range(1, size):
         first = 0
         while not (some >> first) & 1:
@@ -69,16 +81,23 @@ def _best(gain: F8) -> I8:
             if (rest >> j) & 1:
                 total += gain[first, j]
         within[some] = total
-        # The cluster of the first node: every set of the others with it. All together is tried first and wins ties.
-        best, chosen, others = total, some, rest
+        # The cluster of the first node: every set of the others with it. All together is tried
+        # first and wins ties.
+        best = total
+        chosen = some
+        others = rest
         while others > 0:
             others = (others - 1) & rest
             here = others | (1 << first)
             total = within[here] + value[some & ~here]
             if total > best:
-                best, chosen = total, here
-        value[some], last[some] = best, chosen
-    label, left, number = np.zeros(n, np.int64), size - 1, 0
+                best = total
+                chosen = here
+        value[some] = best
+        last[some] = chosen
+    label = np.zeros(n, np.int64)
+    left = size - 1
+    number = 0
     while left > 0:
         for i in range(n):
             if (last[left] >> i) & 1:
@@ -92,14 +111,20 @@ def _best(gain: F8) -> I8:
 def _merged(gain: F8) -> I8:
     """(n,) good clusters of many nodes."""
     n = gain.shape[0]
-    label, between, alive = np.arange(n), gain.copy(), np.ones(n, np.bool_)
+    label = np.arange(n)
+    between = gain.copy()
+    alive = np.ones(n, np.bool_)
     while True:
-        most, a, b = 0.0, -1, -1
+        most = 0.0
+        a = -1
+        b = -1
         for i in range(n):
             if alive[i]:
                 for j in range(i + 1, n):
                     if alive[j] and between[i, j] > most:
-                        most, a, b = between[i, j], i, j
+                        most = between[i, j]
+                        a = i
+                        b = j
         if a < 0:
             break
         alive[b] = False
@@ -108,7 +133,8 @@ def _merged(gain: F8) -> I8:
             between[k, a] = between[a, k]
             if label[k] == b:
                 label[k] = a
-    total, empty = np.zeros(n), np.zeros(n, np.int64)
+    total = np.zeros(n)
+    empty = np.zeros(n, np.int64)
     # Every move gains, so it ends; the bound is for gains that are rounding.
     for _ in range(n):
         moved = False

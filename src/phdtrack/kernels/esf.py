@@ -1,11 +1,13 @@
 """Elementary symmetric functions in logarithms, and sums over all but one of their arguments.
 
-The cardinalised PHD filter needs the coefficients of Π_i (a_i + b_i t) of a scan, with a = κ(z) and b = C(z). They span
-hundreds of orders of magnitude, so everything is a logarithm (−∞ for zero), and nothing is ever subtracted.
+The cardinalised PHD filter needs the coefficients of Π_i (a_i + b_i t) of a scan, with a = κ(z) and
+b = C(z). They span hundreds of orders of magnitude, so everything is a logarithm (−∞ for zero), and
+nothing is ever subtracted.
 
-For each detection z it needs the same without z, through one sum Σ_j w_j [t^j]. That is the derivative of the whole sum by
-a_z: one sweep backwards through the products gives it for all z in O(m²), by additions only. Dividing (a_z + b_z t) out
-would lose every digit where b_z/a_z is large, and multiplying anew for each z would cost O(m³).
+For each detection z it needs the same without z, through one sum Σ_j w_j [t^j]. That is the
+derivative of the whole sum by a_z: one sweep backwards through the products gives it for all z in
+O(m²), by additions only. Dividing (a_z + b_z t) out would lose every digit where b_z/a_z is large,
+and multiplying anew for each z would cost O(m³).
 """
 
 from __future__ import annotations
@@ -29,7 +31,9 @@ def _log_add(a: float, b: float) -> float:
 
 @njit(**ENTRY)
 def log_products(log_a: F8, log_b: F8, most: int) -> F8:
-    """(m + 1, J + 1) row k: the logarithms of the coefficients of Π_{i<k} (a_i + b_i t), up to t^J, J = min(m, most)."""
+    """(m + 1, J + 1) row k: the logarithms of the coefficients of Π_{i<k} (a_i + b_i t), up to t^J,
+    J = min(m, most).
+    """
     m = log_a.size
     top = min(m, most)
     out = np.full((m + 1, top + 1), -np.inf)
@@ -45,9 +49,11 @@ def log_products(log_a: F8, log_b: F8, most: int) -> F8:
 def log_sums_without(log_a: F8, log_b: F8, products: F8, log_w: F8) -> F8:
     """(m,) for each k the logarithm of Σ_j w_j [t^j] Π_{i≠k} (a_i + b_i t).
 
-    ``products`` from `log_products` with ``most`` at least J; ``log_w`` (J + 1,) the weights, zero beyond.
+    ``products`` from `log_products` with ``most`` at least J; ``log_w`` (J + 1,) the weights, zero
+    beyond.
     """
-    m, top = log_a.size, min(log_w.size, products.shape[1])
+    m = log_a.size
+    top = min(log_w.size, products.shape[1])
     after = np.full(top + 1, -np.inf)
     after[:top] = log_w[:top]
     out = np.empty(m)
@@ -61,7 +67,8 @@ def log_sums_without(log_a: F8, log_b: F8, products: F8, log_w: F8) -> F8:
             for j in range(min(k + 1, top)):
                 total += np.exp(products[k, j] + after[j] - largest)
             out[k] += np.log(total)
-        # What the factors behind k make of w: the coefficient j before k is led on to j or, by b_k t, to j + 1.
+        # What the factors behind k make of w: the coefficient j before k is led on to j or, by b_k
+        # t, to j + 1.
         for j in range(top):
             after[j] = _log_add(log_a[k] + after[j], log_b[k] + after[j + 1])
     return out
@@ -69,7 +76,8 @@ def log_sums_without(log_a: F8, log_b: F8, products: F8, log_w: F8) -> F8:
 
 @njit(**ENTRY)
 def thinned(probability: F8, keep: float) -> F8:
-    """(n,) distribution of how many are left of a number with distribution ``probability`` (n,), each kept with ``keep``.
+    """(n,) distribution of how many are left of a number with distribution ``probability`` (n,),
+    each kept with ``keep``.
 
     Horner's rule on Σ_l p_l (1 − keep + keep t)^l.
     """

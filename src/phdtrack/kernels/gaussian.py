@@ -1,22 +1,24 @@
-"""Gaussians and measurements of one frame as arrays, and what all Gaussian filters compute of them [V06 (24)–(38)].
+"""Gaussians and measurements of one frame as arrays, and what all Gaussian filters compute of them
+[V06 (24)–(38)].
 
-A model answers for one frame with four records, which `models.gaussian` asks it for: `Predicted` (its motion), `Expected`
-(its sensor), `Measurements` (its sensor and its clutter) and `Births`. GM-PHD, GM-CPHD, PMB and MHT are compiled over these
-records and know nothing else of the model: boxes, ground plane, points and bearings, linear or by sigma points, are all the
-same here.
+A model answers for one frame with four records, which `models.gaussian` asks it for: `Predicted`
+(its motion), `Expected` (its sensor), `Measurements` (its sensor and its clutter) and `Births`.
+GM-PHD, GM-CPHD, PMB and MHT are compiled over these records and know nothing else of the model:
+boxes, ground plane, points and bearings, linear or by sigma points, are all the same here.
 
-For Gaussian i with expected measurement ẑ_i, spread H P Hᵀ (or that of its sigma points) and cross-covariance C = P Hᵀ, and
-measurement j, with R = R_i + R_j
+For Gaussian i with expected measurement ẑ_i, spread H P Hᵀ (or that of its sigma points) and
+cross-covariance C = P Hᵀ, and measurement j, with R = R_i + R_j
 
-    S = H P Hᵀ + R = L D Lᵀ,   y = L⁻¹ (z_j − ẑ_i),   W = L⁻¹ Cᵀ
-    d² = yᵀ D⁻¹ y,   log N(z_j; ẑ_i, S) = −(d² + log |2πS|)/2,   m' = m + Wᵀ D⁻¹ y,   P' = P − Wᵀ D⁻¹ W
+    S = H P Hᵀ + R = L D Lᵀ,   y = L⁻¹ (z_j − ẑ_i),   W = L⁻¹ Cᵀ d² = yᵀ D⁻¹ y,   log N(z_j; ẑ_i, S)
+    = −(d² + log |2πS|)/2,   m' = m + Wᵀ D⁻¹ y,   P' = P − Wᵀ D⁻¹ W
 
-which is symmetric by construction and needs no inverse. Where no noise belongs to a measurement, S is the same for all
-measurements and factored once for each Gaussian.
+which is symmetric by construction and needs no inverse. Where no noise belongs to a measurement, S
+is the same for all measurements and factored once for each Gaussian.
 
-Arrays are C-contiguous, float64 or int64; the first axis counts Gaussians (J), births (B), measurements (N) or pairs (P). A
-state has d components, and r components of a measurement are compared. The functions here are for kernels (`INNER`): a
-filter calls them in a kernel that is compiled for it.
+Arrays are C-contiguous, float64 or int64; the first axis counts Gaussians (J), births (B),
+measurements (N) or pairs (P). A state has d components, and r components of a measurement are
+compared. The functions here are for kernels (`INNER`): a filter calls them in a kernel that is
+compiled for it.
 """
 
 from __future__ import annotations
@@ -40,7 +42,8 @@ LOG_2PI = math.log(2 * math.pi)
 class Predicted(NamedTuple):
     """Gaussians after an interval [V06 (24)–(29)].
 
-    ``mean`` (J, d), ``covariance`` (J, d, d), ``p_survive`` (J,): probability that the target is still there.
+    ``mean`` (J, d), ``covariance`` (J, d, d), ``p_survive`` (J,): probability that the target is
+    still there.
     """
 
     mean: F8
@@ -51,13 +54,15 @@ class Predicted(NamedTuple):
 class Expected(NamedTuple):
     """What Gaussians say about measurements.
 
-    ``rows`` (r,), int64: what is compared with the components of a measurement. ``z`` (J, n): ``rows`` of it are the
-    expected measurement. ``covariance`` (J, n, n) of it without noise, H P Hᵀ in these rows and columns; ``cross``
-    (J, d, n): of state and measurement, P Hᵀ in these columns. ``noise`` (J, r, r): part of R that belongs to the target,
-    (0, r, r) where none does. ``p_detect`` (J,): at the mean.
+    ``rows`` (r,), int64: what is compared with the components of a measurement. ``z`` (J, n):
+    ``rows`` of it are the expected measurement. ``covariance`` (J, n, n) of it without noise, H P
+    Hᵀ in these rows and columns; ``cross`` (J, d, n): of state and measurement, P Hᵀ in these
+    columns. ``noise`` (J, r, r): part of R that belongs to the target, (0, r, r) where none does.
+    ``p_detect`` (J,): at the mean.
 
-    A linear sensor shows ``rows`` of the state: ``z`` is the mean then, and ``covariance`` and ``cross`` are the covariance
-    of the Gaussians themselves. Of any other they are made of sigma points, and ``rows`` are 0, 1, …, r − 1.
+    A linear sensor shows ``rows`` of the state: ``z`` is the mean then, and ``covariance`` and
+    ``cross`` are the covariance of the Gaussians themselves. Of any other they are made of sigma
+    points, and ``rows`` are 0, 1, …, r − 1.
     """
 
     rows: I8
@@ -71,10 +76,11 @@ class Expected(NamedTuple):
 class Measurements(NamedTuple):
     """The measurements of a frame.
 
-    ``z`` (N, r) is compared with `Expected.z`. ``noise`` (N, r, r): part of R that belongs to the measurement, added to that
-    of the target, or (0, r, r). ``clutter`` (N,): κ(z), expected false alarms per unit of measurement volume. ``period``: r
-    numbers, 2π for angles, whose differences are taken the short way round, else 0. A tuple: its length is known when a
-    kernel is compiled, and loops over it are unrolled.
+    ``z`` (N, r) is compared with `Expected.z`. ``noise`` (N, r, r): part of R that belongs to the
+    measurement, added to that of the target, or (0, r, r). ``clutter`` (N,): κ(z), expected false
+    alarms per unit of measurement volume. ``period``: r numbers, 2π for angles, whose differences
+    are taken the short way round, else 0. A tuple: its length is known when a kernel is compiled,
+    and loops over it are unrolled.
     """
 
     z: F8
@@ -86,8 +92,8 @@ class Measurements(NamedTuple):
 class NewTargets(NamedTuple):
     """Targets whose first detection is measurement j.
 
-    ``density`` (N,): theirs at the measurement, per unit of its volume. ``mean`` (N, d), ``covariance`` (N, d, d): of their
-    state.
+    ``density`` (N,): theirs at the measurement, per unit of its volume. ``mean`` (N, d),
+    ``covariance`` (N, d, d): of their state.
     """
 
     density: F8
@@ -98,9 +104,10 @@ class NewTargets(NamedTuple):
 class Births(NamedTuple):
     """γT, the intensity of targets that appeared in the interval.
 
-    ``around``: γT at each measurement, and what the measurement says of a target there that nothing else is known of.
-    Filters leave out those whose measurement existing targets explain. ``weight`` (B,), ``mean`` (B, d), ``covariance``
-    (B, d, d): expected number of births of each Gaussian that was given, wherever measurements are, and its moments.
+    ``around``: γT at each measurement, and what the measurement says of a target there that nothing
+    else is known of. Filters leave out those whose measurement existing targets explain. ``weight``
+    (B,), ``mean`` (B, d), ``covariance`` (B, d, d): expected number of births of each Gaussian that
+    was given, wherever measurements are, and its moments.
     """
 
     around: NewTargets
@@ -110,13 +117,15 @@ class Births(NamedTuple):
 
 
 def records(floats: str, integers: str) -> np.dtype[np.void]:
-    """The type of arrays of records with these fields; where nothing is compiled, Python must read them as attributes."""
+    """The type of arrays of records with these fields; where nothing is compiled, Python must read
+    them as attributes.
+    """
     fields = [(name, "f8") for name in floats.split()] + [(name, "i8") for name in integers.split()]
     return np.dtype((np.record, fields)) if config.DISABLE_JIT else np.dtype(fields)
 
 
-# A Gaussian and a measurement within the gate of each other: d², the first two components' part of it, the log of the
-# measurement's density, and what a filter weighs the pair with.
+# A Gaussian and a measurement within the gate of each other: d², the first two components' part of
+# it, the log of the measurement's density, and what a filter weighs the pair with.
 PAIR = records("distance2 first log_density weight", "gaussian measurement")
 # For those whose noises are as the model says.
 GAUSSIAN = np.zeros((0, 3))
@@ -126,7 +135,8 @@ SPOT = records("along across", "measurement")
 
 @njit(**INNER)
 def factor(cov: F8, root: F8) -> float:
-    """Log-determinant of ``cov`` (m, m), whose Cholesky factor is written into the lower part of ``root`` (m, m).
+    """Log-determinant of ``cov`` (m, m), whose Cholesky factor is written into the lower part of
+    ``root`` (m, m).
 
     NaN where the matrix is not positive definite, −∞ or NaN where it is singular.
     """
@@ -144,7 +154,9 @@ def factor(cov: F8, root: F8) -> float:
 
 @njit(**INNER)
 def norm2(step: F8, root: F8, y: F8) -> float:
-    """Squared Mahalanobis norm of ``step`` (m,) under the matrix that ``root`` factors; ``y`` (m,) becomes L⁻¹ step."""
+    """Squared Mahalanobis norm of ``step`` (m,) under the matrix that ``root`` factors; ``y`` (m,)
+    becomes L⁻¹ step.
+    """
     total = 0.0
     for r in range(step.size):
         value = step[r]
@@ -157,13 +169,16 @@ def norm2(step: F8, root: F8, y: F8) -> float:
 
 @njit(**ENTRY)
 def gaussian_parts(step: F8, cov: F8) -> tuple[F8, F8]:
-    """(P,) squared Mahalanobis norms and log-determinants: ``step`` (m, P), ``cov`` (P, m, m) positive definite.
+    """(P,) squared Mahalanobis norms and log-determinants: ``step`` (m, P), ``cov`` (P, m, m)
+    positive definite.
 
     NaN where a matrix is not positive definite.
     """
     m, count = step.shape
-    distance2, log_det = np.empty(count), np.empty(count)
-    root, y = np.empty((m, m)), np.empty(m)
+    distance2 = np.empty(count)
+    log_det = np.empty(count)
+    root = np.empty((m, m))
+    y = np.empty(m)
     for p in range(count):
         log_det[p] = factor(cov[p], root)
         distance2[p] = norm2(step[:, p], root, y)
@@ -172,9 +187,11 @@ def gaussian_parts(step: F8, cov: F8) -> tuple[F8, F8]:
 
 @njit(**INNER)
 def factored(s: F8, axes: Axes) -> float:
-    """The determinant of S, whose lower part is in ``s`` (r, r), which becomes the factors of S = L D Lᵀ.
+    """The determinant of S, whose lower part is in ``s`` (r, r), which becomes the factors of S = L
+    D Lᵀ.
 
-    L below the diagonal, D⁻¹ in it, (L D)ᵀ above it. NaN where S is not positive definite. ``axes`` has r elements.
+    L below the diagonal, D⁻¹ in it, (L D)ᵀ above it. NaN where S is not positive definite. ``axes``
+    has r elements.
     """
     product = 1.0
     for a in range(len(axes)):
@@ -192,13 +209,17 @@ def factored(s: F8, axes: Axes) -> float:
     return product
 
 
-# The functions of one pair take arrays and no records: a record in a loop would have all of its arrays counted again.
+# The functions of one pair take arrays and no records: a record in a loop would have all of its
+# arrays counted again.
 @njit(**INNER)
-def innovation(spread: F8, rows: I8, noise: F8, extra: F8, i: int, j: int, period: Axes, s: F8) -> float:
-    """|S| of Gaussian i and measurement j, whose factors are written into ``s`` (r, r), see `factored`.
+def innovation(
+    spread: F8, rows: I8, noise: F8, extra: F8, i: int, j: int, period: Axes, s: F8
+) -> float:
+    """|S| of Gaussian i and measurement j, whose factors are written into ``s`` (r, r), see
+    `factored`.
 
-    ``spread``, ``rows`` and ``noise`` are of `Expected`, ``extra`` is the noise and ``period`` that of `Measurements`.
-    Without noise of measurements j does not count.
+    ``spread``, ``rows`` and ``noise`` are of `Expected`, ``extra`` is the noise and ``period`` that
+    of `Measurements`. Without noise of measurements j does not count.
     """
     for a in range(len(period)):
         for b in range(a + 1):
@@ -215,7 +236,8 @@ def innovation(spread: F8, rows: I8, noise: F8, extra: F8, i: int, j: int, perio
 def whitened(seen: F8, rows: I8, z: F8, i: int, j: int, period: Axes, s: F8, y: F8) -> float:
     """d² of Gaussian i and measurement j, and L⁻¹ (z − ẑ) into ``y`` (r,).
 
-    ``seen`` and ``rows`` are of `Expected`, ``z`` and ``period`` of `Measurements`, ``s`` of `innovation`.
+    ``seen`` and ``rows`` are of `Expected`, ``z`` and ``period`` of `Measurements`, ``s`` of
+    `innovation`.
     """
     total = 0.0
     for a in range(len(period)):
@@ -231,25 +253,40 @@ def whitened(seen: F8, rows: I8, z: F8, i: int, j: int, period: Axes, s: F8, y: 
 
 @njit(**INNER)
 def places_of(z: F8, period: Axes) -> tuple[Records, I8, int, int, float, float, bool]:
-    """The measurements by cells along one of their first two components, the one on which they are spread most.
+    """The measurements by cells along one of their first two components, the one on which they are
+    spread most.
 
-    (N,) of `SPOT`, about one in each cell; where each begins (cells + 1,); that component, and the other one; low and scale,
-    a value lies in cell (value − low)·scale; whether what is far along an axis is far altogether: not of angles, which are
-    all in one cell. Raises ValueError where a measurement is NaN or infinite.
+    (N,) of `SPOT`, about one in each cell; where each begins (cells + 1,); that component, and the
+    other one; low and scale, a value lies in cell (value − low)·scale; whether what is far along an
+    axis is far altogether: not of angles, which are all in one cell. Raises ValueError where a
+    measurement is NaN or infinite.
     """
-    n, along, low, widest, near = len(z), 0 * len(z), 0.0, 0.0, False
+    n = len(z)
+    along = 0 * len(z)
+    low = 0.0
+    widest = 0.0
+    near = False
     for a in range(len(period)):
-        least, most, total = np.inf, -np.inf, 0.0
+        least = np.inf
+        most = -np.inf
+        total = 0.0
         for j in range(n):
             value = z[j, a]
-            least, most, total = value if value < least else least, value if value > most else most, total + value
+            least = value if value < least else least
+            most = value if value > most else most
+            total = total + value
         if not np.isfinite(total):
             raise ValueError("measurements must be finite")
         if period[a] == 0.0 and a < 2 and most - least > widest:
-            along, low, widest, near = a, least, most - least, True
+            along = a
+            low = least
+            widest = most - least
+            near = True
     across = 1 - along if len(period) > 1 and period[1 - along] == 0.0 else along
     count = n if near else 1
-    scale, begin, spots = count / widest if near else 0.0, np.empty(count + 1, np.int64), np.empty(n, SPOT)
+    scale = count / widest if near else 0.0
+    begin = np.empty(count + 1, np.int64)
+    spots = np.empty(n, SPOT)
     for c in range(count + 1):
         begin[c] = 0
     for j in range(n):
@@ -262,7 +299,9 @@ def places_of(z: F8, period: Axes) -> tuple[Records, I8, int, int, float, float,
         c = cell_of(z[j, along], low, scale, count)
         begin[c] -= 1
         spot = spots[begin[c]]
-        spot.along, spot.across, spot.measurement = z[j, along], z[j, across], j
+        spot.along = z[j, along]
+        spot.across = z[j, across]
+        spot.measurement = j
     return spots, begin, along, across, low, scale, near
 
 
@@ -270,12 +309,15 @@ def places_of(z: F8, period: Axes) -> tuple[Records, I8, int, int, float, float,
 def with_tails(
     first: float, rest: float, count: int, position_scale: float, size_scale: float, freedom: float
 ) -> tuple[float, float]:
-    """d² by noises whose variances are c times the model's, and the log-density without −log(2π)^(m/2)√|S| [WH97 §10.8].
+    """d² by noises whose variances are c times the model's, and the log-density without
+    −log(2π)^(m/2)√|S| [WH97 §10.8].
 
-    Each two of the ``count`` components, 2 or 4, are Student's t: −log c − (n/2 + 1) log(1 + d²/(nc)), with d² by the
-    model's noises ``first`` and ``rest``, c the two scales, and n the ``freedom`` with which they are known.
+    Each two of the ``count`` components, 2 or 4, are Student's t: −log c − (n/2 + 1) log(1 +
+    d²/(nc)), with d² by the model's noises ``first`` and ``rest``, c the two scales, and n the
+    ``freedom`` with which they are known.
     """
-    own, power = first / position_scale, 0.5 * freedom + 1.0
+    own = first / position_scale
+    power = 0.5 * freedom + 1.0
     value = -np.log(position_scale) - power * np.log1p(own / freedom)
     if count > 2:
         value -= np.log(size_scale) + power * np.log1p(rest / size_scale / freedom)
@@ -285,73 +327,130 @@ def with_tails(
 
 @njit(**INNER)
 def gated(
-    rows: I8, seen: F8, spread: F8, noise: F8, z: F8, extra: F8, period: Axes, gate: float, active: F8, tails: F8
+    rows: I8,
+    seen: F8,
+    spread: F8,
+    noise: F8,
+    z: F8,
+    extra: F8,
+    period: Axes,
+    gate: float,
+    active: F8,
+    tails: F8,
 ) -> Records:
-    """(P,) of `PAIR`, the pairs (Gaussian, measurement) with d ≤ ``gate``, in time linear in Gaussians and pairs.
+    """(P,) of `PAIR`, the pairs (Gaussian, measurement) with d ≤ ``gate``, in time linear in
+    Gaussians and pairs.
 
-    They are ordered by Gaussian. Their weight is not written. The first arguments are as `Expected` and `Measurements` have
-    them. Gaussians at which ``active`` (J,) is 0 are left out. ``tails`` (J, 3): c of the first two components and of two
-    others, and n, see `with_tails`; `GAUSSIAN` for none.
+    They are ordered by Gaussian. Their weight is not written. The first arguments are as `Expected`
+    and `Measurements` have them. Gaussians at which ``active`` (J,) is 0 are left out. ``tails``
+    (J, 3): c of the first two components and of two others, and n, see `with_tails`; `GAUSSIAN` for
+    none.
     """
     spots, begin, along, across, low, scale, near = places_of(z, period)
-    s, y, wide, high = np.empty((rows.size, rows.size)), np.empty(rows.size), 0.0, 0.0
+    s = np.empty((rows.size, rows.size))
+    y = np.empty(rows.size)
+    wide = 0.0
+    high = 0.0
     for j in range(len(extra)):
         wide = extra[j, along, along] if extra[j, along, along] > wide else wide
         high = extra[j, across, across] if extra[j, across, across] > high else high
-    row, other, found, cells, limit = rows[along], rows[across], 0 * len(z), begin.size - 1, gate * gate
+    row = rows[along]
+    other = rows[across]
+    found = 0 * len(z)
+    cells = begin.size - 1
+    limit = gate * gate
     pairs = np.empty(2 * len(seen) + 2 * len(z) + 16, PAIR)
     for i in range(len(seen)):
         if not active[i] > 0.0:
             continue
-        reach, width = spread[i, row, row] + wide, spread[i, other, other] + high
+        reach = spread[i, row, row] + wide
+        width = spread[i, other, other] + high
         if len(noise) > 0:
-            reach, width = reach + noise[i, along, along], width + noise[i, across, across]
+            reach = reach + noise[i, along, along]
+            width = width + noise[i, across, across]
         if len(tails) > 0:
-            reach, width = reach * tails[i, 0], width * tails[i, 0]
-        reach, width = gate * np.sqrt(reach) if near else np.inf, gate * np.sqrt(width) if near else np.inf
-        x, middle = seen[i, row], seen[i, other]
-        log_det, known = 0.0, False
-        for k in range(begin[cell_of(x - reach, low, scale, cells)], begin[cell_of(x + reach, low, scale, cells) + 1]):
+            reach = reach * tails[i, 0]
+            width = width * tails[i, 0]
+        reach = gate * np.sqrt(reach) if near else np.inf
+        width = gate * np.sqrt(width) if near else np.inf
+        x = seen[i, row]
+        middle = seen[i, other]
+        log_det = 0.0
+        known = False
+        for k in range(
+            begin[cell_of(x - reach, low, scale, cells)],
+            begin[cell_of(x + reach, low, scale, cells) + 1],
+        ):
             spot = spots[k]
             if abs(spot.along - x) > reach or abs(spot.across - middle) > width:
                 continue
             j = spot.measurement
             if len(extra) > 0 or not known:
-                log_det = np.log(innovation(spread, rows, noise, extra, i, j, period, s)) + len(period) * LOG_2PI
+                log_det = (
+                    np.log(innovation(spread, rows, noise, extra, i, j, period, s))
+                    + len(period) * LOG_2PI
+                )
                 known = True
             d2 = first = whitened(seen, rows, z, i, j, period, s, y)
-            reached, value = d2, -0.5 * (d2 + log_det)
+            reached = d2
+            value = -0.5 * (d2 + log_det)
             if len(tails) > 0:
                 first = y[0] * y[0] * s[0, 0] + y[1] * y[1] * s[1, 1] if len(period) > 2 else d2
-                reached, value = with_tails(first, d2 - first, len(period), tails[i, 0], tails[i, 1], tails[i, 2])
+                reached, value = with_tails(
+                    first, d2 - first, len(period), tails[i, 0], tails[i, 1], tails[i, 2]
+                )
                 value -= 0.5 * log_det
             if reached <= limit:
                 if found == pairs.size:
                     more = np.empty(2 * found, PAIR)
-                    # In a loop: an assignment of a slice would compile Numba's code for its error messages.
+                    # In a loop: an assignment of a slice would compile Numba's code for its error
+                    # messages.
                     for q in range(found):
                         more[q] = pairs[q]
                     pairs = more
                 pair = pairs[found]
-                pair.gaussian, pair.measurement, pair.distance2, pair.first, pair.log_density = i, j, d2, first, value
+                pair.gaussian = i
+                pair.measurement = j
+                pair.distance2 = d2
+                pair.first = first
+                pair.log_density = value
                 found += 1
     return pairs[:found]
 
 
 @njit(**INNER)
 def write_posteriors(
-    mean: F8, covariance: F8, e: Expected, m: Measurements, pairs: Records, out_mean: F8, out_covariance: F8
+    mean: F8,
+    covariance: F8,
+    e: Expected,
+    m: Measurements,
+    pairs: Records,
+    out_mean: F8,
+    out_covariance: F8,
 ) -> None:
-    """Means and covariances of pairs after the update [V06 (37), (38)], into the first rows of the outputs.
+    """Means and covariances of pairs after the update [V06 (37), (38)], into the first rows of the
+    outputs.
 
-    ``pairs`` (P,) of `PAIR`: faster where those of one Gaussian follow each other. Those of measurement −1 are left out.
+    ``pairs`` (P,) of `PAIR`: faster where those of one Gaussian follow each other. Those of
+    measurement −1 are left out.
     """
-    rows, seen, spread = e.rows, e.z, e.covariance
-    cross, noise, z = e.cross, e.noise, m.z
-    extra, period, last, d = m.noise, m.period, -1, mean.shape[1]
-    s, y, w = np.empty((rows.size, rows.size)), np.empty(rows.size), np.empty((d, rows.size))
+    rows = e.rows
+    seen = e.z
+    spread = e.covariance
+    cross = e.cross
+    noise = e.noise
+    z = m.z
+    extra = m.noise
+    period = m.period
+    last = -1
+    d = mean.shape[1]
+    s = np.empty((rows.size, rows.size))
+    y = np.empty(rows.size)
+    w = np.empty((d, rows.size))
     for p in range(pairs.size):
-        i, j, k = pairs[p].gaussian, pairs[p].measurement, p
+        i = pairs[p].gaussian
+        j = pairs[p].measurement
+        k = p
         if j < 0:
             continue
         if len(extra) > 0 or i != last:
@@ -376,27 +475,40 @@ def write_posteriors(
 
 
 # The same two for callers in Python.
-all_gated, all_posteriors = (njit(**ENTRY)(getattr(kernel, "py_func", kernel)) for kernel in (gated, write_posteriors))
+all_gated, all_posteriors = (
+    njit(**ENTRY)(getattr(kernel, "py_func", kernel)) for kernel in (gated, write_posteriors)
+)
 
 
 @njit(**ENTRY)
-def first_states(births: Births, p_detect: F8, e: Expected, m: Measurements, gate: float) -> NewTargets:
+def first_states(
+    births: Births, p_detect: F8, e: Expected, m: Measurements, gate: float
+) -> NewTargets:
     """γ̂(z) = ∫ p_D g(z|x) γ(x) dx, and mean and covariance of p_D g(z|x) γ(x) given z.
 
-    ``p_detect`` (N,): of targets around each measurement. ``e``: what the births that are given say of measurements.
+    ``p_detect`` (N,): of targets around each measurement. ``e``: what the births that are given say
+    of measurements.
     """
-    around, n, d = births.around, len(m.z), births.mean.shape[1]
-    pairs = gated(e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, gate, births.weight, GAUSSIAN)
-    states, covs = np.empty((pairs.size, d)), np.empty((pairs.size, d, d))
+    around = births.around
+    n = len(m.z)
+    d = births.mean.shape[1]
+    pairs = gated(
+        e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, gate, births.weight, GAUSSIAN
+    )
+    states = np.empty((pairs.size, d))
+    covs = np.empty((pairs.size, d, d))
     write_posteriors(births.mean, births.covariance, e, m, pairs, states, covs)
     density = np.empty(n)
     for j in range(n):
         density[j] = p_detect[j] * around.density[j]
     for q in range(pairs.size):
         pair = pairs[q]
-        pair.weight = births.weight[pair.gaussian] * e.p_detect[pair.gaussian] * np.exp(pair.log_density)
+        pair.weight = (
+            births.weight[pair.gaussian] * e.p_detect[pair.gaussian] * np.exp(pair.log_density)
+        )
         density[pair.measurement] += pair.weight
-    mean, cov = np.zeros((n, d)), np.zeros((n, d, d))
+    mean = np.zeros((n, d))
+    cov = np.zeros((n, d, d))
     # First the means, then the covariances about them.
     for turn in range(2):
         for q in range(pairs.size + n):

@@ -1,9 +1,10 @@
 """Fewer Gaussians for the same intensity: prune, merge, cap, in time linear in their number.
 
-Merging as printed takes the strongest remaining Gaussian j and unites with it all i of small (m_i − m_j)ᵀ P_i⁻¹ (m_i − m_j),
-then the strongest of the rest, and so on. Asked the other way round: each Gaussian, by descending weight, joins the
-strongest head that it is near, or becomes a head itself. The groups are the same, and because the distance is in its own
-covariance, the heads that can be near lie in a rectangle about its mean: a grid of heads answers at once.
+Merging as printed takes the strongest remaining Gaussian j and unites with it all i of small (m_i −
+m_j)ᵀ P_i⁻¹ (m_i − m_j), then the strongest of the rest, and so on. Asked the other way round: each
+Gaussian, by descending weight, joins the strongest head that it is near, or becomes a head itself.
+The groups are the same, and because the distance is in its own covariance, the heads that can be
+near lie in a rectangle about its mean: a grid of heads answers at once.
 """
 
 from __future__ import annotations
@@ -18,13 +19,15 @@ from phdtrack.kernels.fast32 import ENTRY, INNER
 from phdtrack.kernels.gaussian import factored
 from phdtrack.kernels.grid import cell_of
 
-# ``axes`` is (0, 1, …, d − 1): the length of a tuple is known when a function is compiled, and loops of known length are
-# unrolled, which saves a third of the time.
+# ``axes`` is (0, 1, …, d − 1): the length of a tuple is known when a function is compiled, and
+# loops of known length are unrolled, which saves a third of the time.
 Axes = tuple[int, ...]
 
 
 class Rows(NamedTuple):
-    """A Gaussian mixture, a Gaussian a row: ``weight`` (J,), ``mean`` (J, d), ``covariance`` (J, d, d)."""
+    """A Gaussian mixture, a Gaussian a row: ``weight`` (J,), ``mean`` (J, d), ``covariance`` (J, d,
+    d).
+    """
 
     weight: F8
     mean: F8
@@ -51,8 +54,8 @@ DIGITS = 8
 def descending(weight: F8) -> I8:
     """(J,) indices by descending weight (each ≥ 0, no NaN), the lower index first where equal.
 
-    The bits of positive floats sort like integers: a radix sort by bytes. A digit in which all agree, as of the
-    exponents of most mixtures, is skipped.
+    The bits of positive floats sort like integers: a radix sort by bytes. A digit in which all
+    agree, as of the exponents of most mixtures, is skipped.
     """
     n = weight.size
     order = np.empty(n, np.int64)
@@ -65,7 +68,9 @@ def descending(weight: F8) -> I8:
             order[k] = i
         return order
     bits = weight.view(np.int64)
-    key, spare_key, spare = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    key = np.empty(n, np.int64)
+    spare_key = np.empty(n, np.int64)
+    spare = np.empty(n, np.int64)
     count = np.empty(DIGITS * SIZE, np.int64)
     for b in range(DIGITS * SIZE):
         count[b] = 0
@@ -75,7 +80,8 @@ def descending(weight: F8) -> I8:
         for digit in range(DIGITS):
             count[digit * SIZE + ((key[i] >> (BITS * digit)) & (SIZE - 1))] += 1
     for digit in range(DIGITS):
-        shift, first = BITS * digit, digit * SIZE
+        shift = BITS * digit
+        first = digit * SIZE
         if count[first + ((key[0] >> shift) & (SIZE - 1))] == n:
             continue
         place = 0
@@ -85,7 +91,8 @@ def descending(weight: F8) -> I8:
             place += here
         for k in range(n):
             b = first + ((key[k] >> shift) & (SIZE - 1))
-            spare[count[b]], spare_key[count[b]] = order[k], key[k]
+            spare[count[b]] = order[k]
+            spare_key[count[b]] = key[k]
             count[b] += 1
         order, spare, key, spare_key = spare, order, spare_key, key
     return order
@@ -93,7 +100,9 @@ def descending(weight: F8) -> I8:
 
 @njit(**INNER)
 def _apart(step: F8, cov: F8, i: int, limit: float, axes: Axes) -> bool:
-    """Whether a single component shows that stepᵀ cov_i⁻¹ step is above ``limit``: it is at least step_r² / cov_rr."""
+    """Whether a single component shows that stepᵀ cov_i⁻¹ step is above ``limit``: it is at least
+    step_r² / cov_rr.
+    """
     far = False
     for r in range(len(axes)):
         far |= step[r] * step[r] > limit * cov[i, r, r]
@@ -102,7 +111,9 @@ def _apart(step: F8, cov: F8, i: int, limit: float, axes: Axes) -> bool:
 
 @njit(**INNER)
 def _distance2(step: F8, factors: F8, axes: Axes) -> float:
-    """stepᵀ cov⁻¹ step from the factors as of `gaussian.factored`; overwrites ``step`` with L⁻¹ step."""
+    """stepᵀ cov⁻¹ step from the factors as of `gaussian.factored`; overwrites ``step`` with L⁻¹
+    step.
+    """
     total = 0.0
     for r in range(len(axes)):
         for t in range(r):
@@ -113,34 +124,54 @@ def _distance2(step: F8, factors: F8, axes: Axes) -> float:
 
 @njit(**INNER)
 def _cells(x: F8, cov: F8, alive: I8) -> tuple[float, float, float, float, int, int]:
-    """Origin, inverse cell size and number of cells of the heads' grid: about four deviations, at most 2 a Gaussian."""
+    """Origin, inverse cell size and number of cells of the heads' grid: about four deviations, at
+    most 2 a Gaussian.
+    """
     n = alive.size
-    x0, y0, x1, y1 = np.inf, np.inf, -np.inf, -np.inf
-    wide, high, sums = 0.0, 0.0, 0.0
+    x0 = np.inf
+    y0 = np.inf
+    x1 = -np.inf
+    y1 = -np.inf
+    wide = 0.0
+    high = 0.0
+    sums = 0.0
     for i in alive:
-        x0, x1 = min(x0, x[i, 0]), max(x1, x[i, 0])
-        y0, y1 = min(y0, x[i, 1]), max(y1, x[i, 1])
+        x0 = min(x0, x[i, 0])
+        x1 = max(x1, x[i, 0])
+        y0 = min(y0, x[i, 1])
+        y1 = max(y1, x[i, 1])
         sums += x[i, 0] + x[i, 1]
         wide += np.sqrt(cov[i, 0, 0])
         high += np.sqrt(cov[i, 1, 1])
     # A cell made of NaN would be written through.
     if not np.isfinite(sums + wide + high):
         raise ValueError("means and variances must be finite, and variances not negative")
-    width, height = max(4.0 * wide / n, 1e-9), max(4.0 * high / n, 1e-9)
-    columns, lines = (x1 - x0) / width + 1.0, (y1 - y0) / height + 1.0
+    width = max(4.0 * wide / n, 1e-9)
+    height = max(4.0 * high / n, 1e-9)
+    columns = (x1 - x0) / width + 1.0
+    lines = (y1 - y0) / height + 1.0
     most = 2.0 * n
     if columns * lines > most:
         shrink = np.sqrt(columns / most * lines)
-        columns, lines = max(1.0, min(columns / shrink, most)), max(1.0, min(lines / shrink, most))
-    nx, ny = int(columns), int(lines)
+        columns = max(1.0, min(columns / shrink, most))
+        lines = max(1.0, min(lines / shrink, most))
+    nx = int(columns)
+    ny = int(lines)
     return x0, y0, nx / max(x1 - x0, 1e-9), ny / max(y1 - y0, 1e-9), nx, ny
 
 
 @njit(**INNER)
-def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes) -> tuple[I8, I8, I8]:
-    """Indices by descending weight (n,), the number of the group of each of these (n,), the head of each group (k,)."""
-    n, d = alive.size, len(axes)
-    own, group, head = np.empty(n), np.empty(n, np.int64), np.empty(n, np.int64)
+def _groups(
+    weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes
+) -> tuple[I8, I8, I8]:
+    """Indices by descending weight (n,), the number of the group of each of these (n,), the head of
+    each group (k,).
+    """
+    n = alive.size
+    d = len(axes)
+    own = np.empty(n)
+    group = np.empty(n, np.int64)
+    head = np.empty(n, np.int64)
     for k in range(n):
         own[k] = weight[alive[k]]
     order = descending(own)
@@ -148,23 +179,33 @@ def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes) 
         order[k] = alive[order[k]]
     limit = distance * distance
     x0, y0, sx, sy, nx, ny = _cells(x, cov, alive)
-    first, after = np.empty(nx * ny, np.int64), np.empty(n, np.int64)
+    first = np.empty(nx * ny, np.int64)
+    after = np.empty(n, np.int64)
     for c in range(nx * ny):
         first[c] = -1
-    factors, step = np.empty((d, d)), np.empty(d)
+    factors = np.empty((d, d))
+    step = np.empty(d)
     count = 0
     for k in range(n):
         i = order[k]
-        px, py = x[i, 0], x[i, 1]
-        reach_x, reach_y = distance * np.sqrt(cov[i, 0, 0]), distance * np.sqrt(cov[i, 1, 1])
-        best, known = n, False
-        left, right = cell_of(px - reach_x, x0, sx, nx), cell_of(px + reach_x, x0, sx, nx)
+        px = x[i, 0]
+        py = x[i, 1]
+        reach_x = distance * np.sqrt(cov[i, 0, 0])
+        reach_y = distance * np.sqrt(cov[i, 1, 1])
+        best = n
+        known = False
+        left = cell_of(px - reach_x, x0, sx, nx)
+        right = cell_of(px + reach_x, x0, sx, nx)
         for line in range(cell_of(py - reach_y, y0, sy, ny), cell_of(py + reach_y, y0, sy, ny) + 1):
             for column in range(left, right + 1):
                 g = first[line * nx + column]
                 while g >= 0:
                     # The strongest head counts; a weaker one than found already need not be asked.
-                    if g < best and abs(x[head[g], 0] - px) <= reach_x and abs(x[head[g], 1] - py) <= reach_y:
+                    if (
+                        g < best
+                        and abs(x[head[g], 0] - px) <= reach_x
+                        and abs(x[head[g], 1] - py) <= reach_y
+                    ):
                         for r in range(d):
                             step[r] = x[head[g], r] - x[i, r]
                         if not _apart(step, cov, i, limit, axes):
@@ -181,7 +222,8 @@ def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes) 
             best = count
             head[count] = i
             home = cell_of(py, y0, sy, ny) * nx + cell_of(px, x0, sx, nx)
-            after[count], first[home] = first[home], count
+            after[count] = first[home]
+            first[home] = count
             count += 1
         group[k] = best
     return order, group, head[:count]
@@ -191,15 +233,24 @@ def _groups(weight: F8, x: F8, cov: F8, alive: I8, distance: float, axes: Axes) 
 def _united(
     weight: F8, x: F8, cov: F8, order: I8, group: I8, head: I8, axes: Axes, most: int, wanted: float
 ) -> tuple[F8, F8, F8]:
-    """Mass (k,), mean (d, k) and covariance (k, d, d) of the groups, the ``most`` heaviest; see `merged_rows`."""
-    d, count = len(axes), head.size
-    mass, step, members = np.empty(count), np.empty(d), np.empty(count, np.int64)
-    about, spread = np.empty((count, d)), np.empty((count, d, d))
+    """Mass (k,), mean (d, k) and covariance (k, d, d) of the groups, the ``most`` heaviest; see
+    `merged_rows`.
+    """
+    d = len(axes)
+    count = head.size
+    mass = np.empty(count)
+    step = np.empty(d)
+    members = np.empty(count, np.int64)
+    about = np.empty((count, d))
+    spread = np.empty((count, d, d))
     for g in range(count):
-        mass[g], members[g] = 0.0, 0
+        mass[g] = 0.0
+        members[g] = 0
     for k in range(order.size):
-        i, g = order[k], group[k]
-        w, h = weight[i], head[g]
+        i = order[k]
+        g = group[k]
+        w = weight[i]
+        h = head[g]
         mass[g] += w
         members[g] += 1
         if members[g] == 1:
@@ -222,7 +273,9 @@ def _united(
     for k in range(size):
         total += mass[kept[k] if capped else k]
     scale = wanted / total if wanted >= 0.0 and total > 0.0 else 1.0
-    out_mass, out_mean, out_cov = np.empty(size), np.empty((d, size)), np.empty((size, d, d))
+    out_mass = np.empty(size)
+    out_mean = np.empty((d, size))
+    out_cov = np.empty((size, d, d))
     for k in range(size):
         g = kept[k] if capped else k
         i = head[g]
@@ -244,12 +297,13 @@ def _united(
 def merged_rows(rows: Rows, axes: Axes, s: Merging, mass: float) -> tuple[F8, F8, F8]:
     """Prune, merge and cap: weight (k,), mean (d, k), covariance (k, d, d).
 
-    Each group has mass, mean and covariance of its members; they are ordered by the weights of their strongest. The weights
-    are scaled to the sum ``mass``; where it is negative they stay. ValueError where a mean or a variance is NaN or infinite,
-    or a variance negative.
+    Each group has mass, mean and covariance of its members; they are ordered by the weights of
+    their strongest. The weights are scaled to the sum ``mass``; where it is negative they stay.
+    ValueError where a mean or a variance is NaN or infinite, or a variance negative.
     """
     weight, x, cov = rows
-    alive, count = np.empty(weight.size, np.int64), 0 * weight.size
+    alive = np.empty(weight.size, np.int64)
+    count = 0 * weight.size
     for i in range(weight.size):
         if weight[i] >= s.weight_threshold:
             alive[count] = i
@@ -258,5 +312,7 @@ def merged_rows(rows: Rows, axes: Axes, s: Merging, mass: float) -> tuple[F8, F8
     if count == 0:
         return np.empty(0), np.empty((len(axes), 0)), np.empty((0, len(axes), len(axes)))
     order, group, head = _groups(weight, x, cov, alive, s.merge_distance, axes)
-    out: tuple[F8, F8, F8] = _united(weight, x, cov, order, group, head, axes, s.max_components, mass)
+    out: tuple[F8, F8, F8] = _united(
+        weight, x, cov, order, group, head, axes, s.max_components, mass
+    )
     return out

@@ -1,7 +1,8 @@
 """The one spatial grid: which rectangles or points of the position plane overlap a given rectangle.
 
-Rectangles are sorted into the cells of a regular grid by counting; a point is a rectangle whose corners are equal. A query
-looks at the cells that it reaches into and returns exactly what overlaps it: the grid only saves looking.
+Rectangles are sorted into the cells of a regular grid by counting; a point is a rectangle whose
+corners are equal. A query looks at the cells that it reaches into and returns exactly what overlaps
+it: the grid only saves looking.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ class Grid(NamedTuple):
     x0, y0 : the grid's lowest corner.
     per_x, per_y : cells per unit length.
     columns, rows : number of cells along x and y.
-    start, item : the rectangles in cell c = row · columns + column are item[start[c]] … item[start[c + 1] − 1], ascending.
+    start, item : the rectangles in cell c = row · columns + column are item[start[c]] …
+        item[start[c + 1] − 1], ascending.
     corner : (2, N) the first column and row of each rectangle.
     """
 
@@ -41,7 +43,9 @@ class Grid(NamedTuple):
 
 @njit(**INNER)
 def cell_of(value: float, origin: float, per_cell: float, count: int) -> int:
-    """Index of the cell that holds ``value``, clamped to the grid; ``per_cell`` is one over the cell's size."""
+    """Index of the cell that holds ``value``, clamped to the grid; ``per_cell`` is one over the
+    cell's size.
+    """
     position = (value - origin) * per_cell
     if not position > 0.0:  # also NaN
         return 0
@@ -52,8 +56,13 @@ def cell_of(value: float, origin: float, per_cell: float, count: int) -> int:
 
 @njit(**INNER)
 def _axis(lower: F8, upper: F8, axis: int, size: float) -> tuple[float, float, float]:
-    """Origin, extent and cell size along an axis: the rectangles' mean extent, at least ``size`` and a thousandth of all."""
-    n, low, high, total = lower.shape[1], np.inf, -np.inf, 0.0
+    """Origin, extent and cell size along an axis: the rectangles' mean extent, at least ``size``
+    and a thousandth of all.
+    """
+    n = lower.shape[1]
+    low = np.inf
+    high = -np.inf
+    total = 0.0
     for j in range(n):
         # Conditionals and not min and max: they compile faster.
         low = lower[axis, j] if lower[axis, j] < low else low
@@ -70,30 +79,43 @@ def _axis(lower: F8, upper: F8, axis: int, size: float) -> tuple[float, float, f
 def make_grid(lower: F8, upper: F8, width: float = 0.0, height: float = 0.0) -> Grid:
     """A grid over N closed rectangles, with finite corners (2, N); the same array twice for points.
 
-    It has at most 4 N + 16 cells, as large as the rectangles are on average where these are few enough, and no smaller than
-    ``width`` and ``height``.
+    It has at most 4 N + 16 cells, as large as the rectangles are on average where these are few
+    enough, and no smaller than ``width`` and ``height``.
     """
     n = lower.shape[1]
     x0, wide, width = _axis(lower, upper, 0, width)
     y0, high, height = _axis(lower, upper, 1, height)
-    nx, ny = 1.0 + np.floor(wide / width), 1.0 + np.floor(high / height)
-    per_x, per_y = 1.0 / width, 1.0 / height
+    nx = 1.0 + np.floor(wide / width)
+    ny = 1.0 + np.floor(high / height)
+    per_x = 1.0 / width
+    per_y = 1.0 / height
     if nx * ny > 4 * n + 16:
         shrink = np.sqrt((4 * n + 16) / (nx * ny))
-        fewer_x, fewer_y = np.floor(nx * shrink), np.floor(ny * shrink)
-        fewer_x, fewer_y = fewer_x if fewer_x > 1.0 else 1.0, fewer_y if fewer_y > 1.0 else 1.0
-        per_x, per_y, nx, ny = per_x * fewer_x / nx, per_y * fewer_y / ny, fewer_x, fewer_y
-    columns, rows = int(nx), int(ny)
-    start, corner, last = np.zeros(columns * rows + 1, np.int64), np.empty((2, n), np.int64), np.empty((2, n), np.int64)
+        fewer_x = np.floor(nx * shrink)
+        fewer_y = np.floor(ny * shrink)
+        fewer_x = fewer_x if fewer_x > 1.0 else 1.0
+        fewer_y = fewer_y if fewer_y > 1.0 else 1.0
+        per_x = per_x * fewer_x / nx
+        per_y = per_y * fewer_y / ny
+        nx = fewer_x
+        ny = fewer_y
+    columns = int(nx)
+    rows = int(ny)
+    start = np.zeros(columns * rows + 1, np.int64)
+    corner = np.empty((2, n), np.int64)
+    last = np.empty((2, n), np.int64)
     for j in range(n):
-        corner[0, j], last[0, j] = cell_of(lower[0, j], x0, per_x, columns), cell_of(upper[0, j], x0, per_x, columns)
-        corner[1, j], last[1, j] = cell_of(lower[1, j], y0, per_y, rows), cell_of(upper[1, j], y0, per_y, rows)
+        corner[0, j] = cell_of(lower[0, j], x0, per_x, columns)
+        last[0, j] = cell_of(upper[0, j], x0, per_x, columns)
+        corner[1, j] = cell_of(lower[1, j], y0, per_y, rows)
+        last[1, j] = cell_of(upper[1, j], y0, per_y, rows)
         for row in range(corner[1, j], last[1, j] + 1):
             for column in range(corner[0, j], last[0, j] + 1):
                 start[row * columns + column + 1] += 1
     for c in range(columns * rows):
         start[c + 1] += start[c]
-    place, item = start.copy(), np.empty(start[columns * rows], np.int64)
+    place = start.copy()
+    item = np.empty(start[columns * rows], np.int64)
     for j in range(n):
         for row in range(corner[1, j], last[1, j] + 1):
             for column in range(corner[0, j], last[0, j] + 1):
@@ -104,20 +126,37 @@ def make_grid(lower: F8, upper: F8, width: float = 0.0, height: float = 0.0) -> 
 
 @njit(**INNER)
 def overlapping(left: float, top: float, right: float, bottom: float, grid: Grid, found: I8) -> int:
-    """Write into ``found`` (N,) the rectangles that the closed box overlaps, each once, by cells; returns how many."""
-    lower, upper, corner, count = grid.lower, grid.upper, grid.corner, 0
-    x0, x1 = cell_of(left, grid.x0, grid.per_x, grid.columns), cell_of(right, grid.x0, grid.per_x, grid.columns)
-    y0, y1 = cell_of(top, grid.y0, grid.per_y, grid.rows), cell_of(bottom, grid.y0, grid.per_y, grid.rows)
+    """Write into ``found`` (N,) the rectangles that the closed box overlaps, each once, by cells;
+    returns how many.
+    """
+    lower = grid.lower
+    upper = grid.upper
+    corner = grid.corner
+    count = 0
+    x0, x1 = (
+        cell_of(left, grid.x0, grid.per_x, grid.columns),
+        cell_of(right, grid.x0, grid.per_x, grid.columns),
+    )
+    y0, y1 = (
+        cell_of(top, grid.y0, grid.per_y, grid.rows),
+        cell_of(bottom, grid.y0, grid.per_y, grid.rows),
+    )
     for row in range(y0, y1 + 1):
         for column in range(x0, x1 + 1):
             cell = row * grid.columns + column
             for k in range(grid.start[cell], grid.start[cell + 1]):
                 j = grid.item[k]
                 # A rectangle in several cells counts in the first that it shares with the box.
-                first_x, first_y = corner[0, j] if corner[0, j] > x0 else x0, corner[1, j] if corner[1, j] > y0 else y0
+                first_x = corner[0, j] if corner[0, j] > x0 else x0
+                first_y = corner[1, j] if corner[1, j] > y0 else y0
                 if column != first_x or row != first_y:
                     continue
-                if lower[0, j] <= right and upper[0, j] >= left and lower[1, j] <= bottom and upper[1, j] >= top:
+                if (
+                    lower[0, j] <= right
+                    and upper[0, j] >= left
+                    and lower[1, j] <= bottom
+                    and upper[1, j] >= top
+                ):
                     found[count] = j
                     count += 1
     return count
@@ -125,27 +164,36 @@ def overlapping(left: float, top: float, right: float, bottom: float, grid: Grid
 
 @njit(**ENTRY)
 def overlapping_pairs(low: F8, high: F8, grid: Grid) -> tuple[I8, I8]:
-    """Pairs (i, j) (P,) of rectangles i, with corners ``low`` and ``high`` (2, M), and j of the grid that overlap.
+    """Pairs (i, j) (P,) of rectangles i, with corners ``low`` and ``high`` (2, M), and j of the
+    grid that overlap.
 
     They are ordered by i, then by cell.
     """
-    m, count = low.shape[1], 0
+    m = low.shape[1]
+    count = 0
     found = np.empty(grid.lower.shape[1], np.int64)
-    first, second = np.empty(4 * m + 16, np.int64), np.empty(4 * m + 16, np.int64)
+    first = np.empty(4 * m + 16, np.int64)
+    second = np.empty(4 * m + 16, np.int64)
     for i in range(m):
         some = overlapping(low[0, i], low[1, i], high[0, i], high[1, i], grid, found)
         if count + some > first.size:
-            longer_first, longer_second = np.empty(2 * (count + some), np.int64), np.empty(2 * (count + some), np.int64)
-            longer_first[:count], longer_second[:count] = first[:count], second[:count]
-            first, second = longer_first, longer_second
-        first[count : count + some], second[count : count + some] = i, found[:some]
+            longer_first = np.empty(2 * (count + some), np.int64)
+            longer_second = np.empty(2 * (count + some), np.int64)
+            longer_first[:count] = first[:count]
+            longer_second[:count] = second[:count]
+            first = longer_first
+            second = longer_second
+        first[count : count + some] = i
+        second[count : count + some] = found[:some]
         count += some
     return first[:count].copy(), second[:count].copy()
 
 
 @njit(**ENTRY)
 def points_in_rectangles(at: F8, lower: F8, upper: F8) -> tuple[I8, I8]:
-    """Pairs (P,) of points (2, L) and closed rectangles (2, N) that hold them, by rectangle; ValueError if not finite."""
+    """Pairs (P,) of points (2, L) and closed rectangles (2, N) that hold them, by rectangle;
+    ValueError if not finite.
+    """
     # Cells made of infinities would lie outside the grid.
     if not np.isfinite(at.sum() + lower.sum() + upper.sum()):
         raise ValueError("positions and rectangles must be finite")
@@ -155,19 +203,25 @@ def points_in_rectangles(at: F8, lower: F8, upper: F8) -> tuple[I8, I8]:
 
 @njit(**ENTRY)
 def uncrowded(at: F8, half: F8, most: int) -> Bool:
-    """(N,) which points are kept, in their order: those that with fewer than ``most`` kept ones lie in each other's boxes.
+    """(N,) which points are kept, in their order: those that with fewer than ``most`` kept ones lie
+    in each other's boxes.
 
-    ``at``, ``half`` (2, N): the points, and half the sides of a closed box about each, finite. ``most``: from 1.
+    ``at``, ``half`` (2, N): the points, and half the sides of a closed box about each, finite.
+    ``most``: from 1.
     """
-    grid, kept = make_grid(at - half, at + half, 0.0, 0.0), np.ones(at.shape[1], np.bool_)
+    grid = make_grid(at - half, at + half, 0.0, 0.0)
+    kept = np.ones(at.shape[1], np.bool_)
     for i in range(at.shape[1]):
-        row, column = cell_of(at[1, i], grid.y0, grid.per_y, grid.rows), cell_of(at[0, i], grid.x0, grid.per_x, grid.columns)
-        cell, near = row * grid.columns + column, 0
+        row = cell_of(at[1, i], grid.y0, grid.per_y, grid.rows)
+        column = cell_of(at[0, i], grid.x0, grid.per_x, grid.columns)
+        cell = row * grid.columns + column
+        near = 0
         for k in range(grid.start[cell], grid.start[cell + 1]):
             j = grid.item[k]
             if j >= i or near == most:
                 break
-            x, y = abs(at[0, j] - at[0, i]), abs(at[1, j] - at[1, i])
+            x = abs(at[0, j] - at[0, i])
+            y = abs(at[1, j] - at[1, i])
             mutual = x <= half[0, i] and x <= half[0, j] and y <= half[1, i] and y <= half[1, j]
             near += kept[j] and mutual
         kept[i] = near < most

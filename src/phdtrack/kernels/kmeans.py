@@ -1,9 +1,11 @@
-"""Modified K-means on particles in blocks: assignment, means, and the division of clusters that are too heavy [M07 §3].
+"""Modified K-means on particles in blocks: assignment, means, and the division of clusters that are
+too heavy [M07 §3].
 
-Distances are measured in units of the noise at the centre where a cluster began; a new centre takes over those of the
-cluster that it divides. A cluster holds particles in a window of positions about the place where it began. Most blocks have
-one centre in reach, or lie nearer to it than to any other by all of their box: their sums are known, and none of their
-particles is looked at. Only blocks near a centre that has moved are looked at again.
+Distances are measured in units of the noise at the centre where a cluster began; a new centre takes
+over those of the cluster that it divides. A cluster holds particles in a window of positions about
+the place where it began. Most blocks have one centre in reach, or lie nearer to it than to any
+other by all of their box: their sums are known, and none of their particles is looked at. Only
+blocks near a centre that has moved are looked at again.
 """
 
 from __future__ import annotations
@@ -20,18 +22,22 @@ from phdtrack.kernels.mixtures import Candidates, Gaussians
 
 # A centre that has moved by less than this many deviations has not moved.
 STILL = 0.02
-# A cluster with less than this share of all mass does not move: the difference of larger sums says nothing of its place.
+# A cluster with less than this share of all mass does not move: the difference of larger sums says
+# nothing of its place.
 DUST = 1e-12
-# A cluster is not divided any more after this many divisions in which one part got less than this share of the split
-# mass: its farthest particles were strays, and peeling them off one by one would not end.
-PATIENCE, STRAY = 4, 0.05
-# Pairs of a block and a centre in its reach after which nothing is divided any more: hundreds of targets in one heap.
+# A cluster is not divided any more after this many divisions in which one part got less than this
+# share of the split mass: its farthest particles were strays, and peeling them off one by one would
+# not end.
+PATIENCE = 4
+STRAY = 0.05
+# Pairs of a block and a centre in its reach after which nothing is divided any more: hundreds of
+# targets in one heap.
 MOST_PAIRS = 400_000
 
 
 class Rule(NamedTuple):
-    """``reach``: half a window's side in deviations. ``split``: heavier clusters are divided. ``iterations``: how often a
-    centre may move, and again after each division of its cluster."""
+    """``reach``: half a window's side in deviations. ``split``: heavier clusters are divided.
+    ``iterations``: how often a centre may move, and again after each division of its cluster."""
 
     reach: float
     split: float
@@ -39,8 +45,8 @@ class Rule(NamedTuple):
 
 
 class Centres(NamedTuple):
-    """k centres: ``at``, ``per`` (k, d) with one over the deviations for distances; ``window`` (4, k): left, top, right and
-    bottom of each one's window."""
+    """k centres: ``at``, ``per`` (k, d) with one over the deviations for distances; ``window`` (4,
+    k): left, top, right and bottom of each one's window."""
 
     at: F8
     per: F8
@@ -50,9 +56,10 @@ class Centres(NamedTuple):
 class Scratch(NamedTuple):
     """Of one block, in whole registers.
 
-    ``row`` (2e + 4, n), e = d or d + 1 even: steps from the block's middle, distance², the least of them, weights, weights
-    of one cluster, and these times the steps; ``which`` (n,) the place in ``among`` of each particle's cluster; ``among``
-    (2, ≥ k): entries of candidates and their centres.
+    ``row`` (2e + 4, n), e = d or d + 1 even: steps from the block's middle, distance², the least of
+    them, weights, weights of one cluster, and these times the steps; ``which`` (n,) the place in
+    ``among`` of each particle's cluster; ``among`` (2, ≥ k): entries of candidates and their
+    centres.
     """
 
     row: Real
@@ -68,15 +75,25 @@ def even(d: int) -> int:
 
 @njit(**VECTOR)
 def _least_excess(at: F8, per: F8, a: int, b: int, box: F8, block: int) -> float:
-    """The least of |x − c_b|² − |x − c_a|², each in its own deviations, over a block's box: above 0 nothing is nearer to b.
+    """The least of |x − c_b|² − |x − c_a|², each in its own deviations, over a block's box: above 0
+    nothing is nearer to b.
 
-    A sum over components of parabolas, each of which is least at an end of its side or at its vertex.
+    A sum over components of parabolas, each of which is least at an end of its side or at its
+    vertex.
     """
-    total, i, j, p = 0.0, U(a), U(b), U(block)
+    total = 0.0
+    i = U(a)
+    j = U(b)
+    p = U(block)
     for r in range(U(at.shape[1])):
-        pa, pb, ca, cb = per[i, r] * per[i, r], per[j, r] * per[j, r], at[i, r], at[j, r]
-        left, right = box[p, U(0), r], box[p, U(1), r]
-        # Without a branch, which would be missed; one that is no number, or outside, becomes an end.
+        pa = per[i, r] * per[i, r]
+        pb = per[j, r] * per[j, r]
+        ca = at[i, r]
+        cb = at[j, r]
+        left = box[p, U(0), r]
+        right = box[p, U(1), r]
+        # Without a branch, which would be missed; one that is no number, or outside, becomes an
+        # end.
         vertex = (pb * cb - pa * ca) / (pb - pa)
         vertex = vertex if vertex > left else left
         vertex = vertex if vertex < right else right
@@ -92,25 +109,31 @@ def _least_excess(at: F8, per: F8, a: int, b: int, box: F8, block: int) -> float
 def _contenders(
     at: F8, per: F8, window: F8, box: F8, component: I8, begin: int, end: int, b: int, among: I8
 ) -> tuple[int, bool]:  # fmt: skip
-    """Write the entries that may own a particle of block b, and their centres, into ``among``: how many; if one owns all.
+    """Write the entries that may own a particle of block b, and their centres, into ``among``: how
+    many; if one owns all.
 
     ``box`` (B, 3, d): the blocks' corners and middles; ``component``: the centres of the entries.
     """
-    best, least, kept = begin, np.inf, 0
+    best = begin
+    least = np.inf
+    kept = 0
     for e in range(begin, end if end > begin + 1 else begin):
-        j, distance2 = U(component[e]), 0.0
+        j = U(component[e])
+        distance2 = 0.0
         for r in range(U(at.shape[1])):
             step = (box[U(b), U(2), r] - at[j, r]) * per[j, r]
             distance2 += step * step
         if distance2 < least:
-            best, least = e, distance2
+            best = e
+            least = distance2
     if end == begin:
         return 0, False
     owner = component[best]
     held = _holds(window, owner, box, b)
     for e in range(begin, end):
         if not held or e == best or not (_least_excess(at, per, owner, component[e], box, b) > 0.0):
-            among[0, kept], among[1, kept] = e, component[e]
+            among[0, kept] = e
+            among[1, kept] = component[e]
             kept += 1
     return kept, held and kept == 1
 
@@ -125,9 +148,12 @@ def _holds(window: F8, j: int, box: F8, b: int) -> bool:
 
 @njit(**VECTOR)
 def _load(state: Real, weight: Real, start: I8, box: F8, b: int, row: Real) -> int:
-    """Write the steps of the particles of block b from its middle, and their weights, in whole registers: how many."""
+    """Write the steps of the particles of block b from its middle, and their weights, in whole
+    registers: how many.
+    """
     begin: int = start[b]
-    n, w = start[b + 1] - begin, even(state.shape[0]) + 2
+    n = start[b + 1] - begin
+    w = even(state.shape[0]) + 2
     full: int = load_steps(state, begin, n, box[b, 2], row)
     if weight.size > 1:
         load_row(row, w, n, weight, begin)
@@ -142,28 +168,38 @@ def _load(state: Real, weight: Real, start: I8, box: F8, b: int, row: Real) -> i
 @njit(**VECTOR)
 def _distances2(row: Real, n: int, box: F8, b: int, centres: F8, per: F8, j: int) -> None:
     """Write the scaled squared distances of n particles from centre j: two components at a time."""
-    e, real, d = even(centres.shape[1]), row.dtype.type, centres.shape[1]
+    e = even(centres.shape[1])
+    real = row.dtype.type
+    d = centres.shape[1]
     for r in range(0, d, 2):
         s = r + 1 if r + 1 < d else r
-        x, y = real(centres[j, r] - box[b, 2, r]), real(centres[j, s] - box[b, 2, s])
-        per_x, per_y = real(per[j, r]), real(per[j, s] if s > r else 0.0)
+        x = real(centres[j, r] - box[b, 2, r])
+        y = real(centres[j, s] - box[b, 2, s])
+        per_x = real(per[j, r])
+        per_y = real(per[j, s] if s > r else 0.0)
         if r == 0:
             for i in range(U(n)):
-                p, q = (row[r, i] - x) * per_x, (row[r + 1, i] - y) * per_y
+                p = (row[r, i] - x) * per_x
+                q = (row[r + 1, i] - y) * per_y
                 row[e, i] = p * p + q * q
         else:
             for i in range(U(n)):
-                p, q = (row[r, i] - x) * per_x, (row[r + 1, i] - y) * per_y
+                p = (row[r, i] - x) * per_x
+                q = (row[r + 1, i] - y) * per_y
                 row[e, i] += p * p + q * q
 
 
 @njit(**VECTOR)
-def _only_inside(row: Real, e: int, n: int, left: Real, top: Real, right: Real, bottom: Real) -> None:
+def _only_inside(
+    row: Real, e: int, n: int, left: Real, top: Real, right: Real, bottom: Real
+) -> None:
     """Make the squared distances of particles outside of a window infinite."""
     beyond = row.dtype.type(np.inf)
     for i in range(U(n)):
         # Read before it is asked for: a reading that depends on a condition becomes a branch.
-        now, x, y = row[e, i], row[0, i], row[1, i]
+        now = row[e, i]
+        x = row[0, i]
+        y = row[1, i]
         row[e, i] = now if (x >= left) & (x <= right) & (y >= top) & (y <= bottom) else beyond
 
 
@@ -172,7 +208,9 @@ def _keep_closer(row: Real, which: I4, e: int, n: int, c: int) -> None:
     """Give the c-th contender the particles that are nearer to it than to those before."""
     name = np.int32(c)
     for i in range(U(n)):
-        now, least, before = row[e, i], row[e + 1, i], which[i]
+        now = row[e, i]
+        least = row[e + 1, i]
+        before = which[i]
         closer = now < least
         row[e + 1, i] = now if closer else least
         which[i] = name if closer else before
@@ -182,16 +220,23 @@ def _keep_closer(row: Real, which: I4, e: int, n: int, c: int) -> None:
 def _nearest(
     row: Real, which: I4, n: int, at: F8, per: F8, window: F8, box: F8, among: I8, some: int, b: int
 ) -> None:  # fmt: skip
-    """Write the nearest of the first ``some`` contenders in whose window each of n loaded particles is (−1: none)."""
-    e, real, none = even(at.shape[1]), row.dtype.type, np.int32(-1)
-    x, y = box[b, 2, 0], box[b, 2, 1]
+    """Write the nearest of the first ``some`` contenders in whose window each of n loaded particles
+    is (−1: none).
+    """
+    e = even(at.shape[1])
+    real = row.dtype.type
+    none = np.int32(-1)
+    x = box[b, 2, 0]
+    y = box[b, 2, 1]
     for i in range(U(n)):
-        row[e + 1, i], which[i] = real(np.inf), none
+        row[e + 1, i] = real(np.inf)
+        which[i] = none
     for c in range(some):
         j = among[1, c]
         _distances2(row, n, box, b, at, per, j)
         if not _holds(window, j, box, b):
-            left, right = real(window[0, j] - x), real(window[2, j] - x)
+            left = real(window[0, j] - x)
+            right = real(window[2, j] - x)
             _only_inside(row, e, n, left, real(window[1, j] - y), right, real(window[3, j] - y))
         _keep_closer(row, which, e, n, c)
 
@@ -199,7 +244,8 @@ def _nearest(
 @njit(**VECTOR)
 def _all_equal(which: I4, n: int) -> bool:
     """Whether n particles have the same cluster."""
-    differs, first = np.int32(0), which[0]
+    differs = np.int32(0)
+    first = which[0]
     for i in range(U(n)):
         differs |= which[i] ^ first
     equal: bool = differs == 0
@@ -209,7 +255,8 @@ def _all_equal(which: I4, n: int) -> bool:
 @njit(**VECTOR)
 def _share(row: Real, which: I4, e: int, n: int, c: int) -> None:
     """Write the weights of the particles of the c-th contender, 0 for the others'."""
-    name, nothing = np.int32(c), row.dtype.type(0)
+    name = np.int32(c)
+    nothing = row.dtype.type(0)
     for i in range(U(n)):
         weight = row[e + 2, i]
         row[e + 3, i] = weight if which[i] == name else nothing
@@ -218,7 +265,8 @@ def _share(row: Real, which: I4, e: int, n: int, c: int) -> None:
 @njit(**VECTOR)
 def _sums(row: Real, n: int, out: F8, at: int) -> None:
     """Write Σw and Σw·s of one cluster into row ``at`` of ``out`` (P, 1 + d)."""
-    d, total = out.shape[1] - 1, row.dtype.type(0)
+    d = out.shape[1] - 1
+    total = row.dtype.type(0)
     w = even(d) + 3
     for i in range(U(n)):
         total += row[w, i]
@@ -234,15 +282,22 @@ def _sums(row: Real, n: int, out: F8, at: int) -> None:
 def _move(
     box: F8, near: Candidates, sums: F8, centres: Centres, mass: F8, steps: I8, moved: I8, stale: I8, limit: int
 ) -> bool:  # fmt: skip
-    """Put the ``stale`` centres that may still move on their means; whether any has. Writes ``mass``, ``moved`` (k,)."""
-    at, per, first, component = centres.at, centres.per, near.first, near.component
+    """Put the ``stale`` centres that may still move on their means; whether any has. Writes
+    ``mass``, ``moved`` (k,).
+    """
+    at = centres.at
+    per = centres.per
+    first = near.first
+    component = near.component
     k, d = at.shape
-    mean, going = np.zeros((k, d)), False
+    mean = np.zeros((k, d))
+    going = False
     for j in range(k):
         mass[j] = 0.0 if stale[j] else mass[j]
     for b in range(first.size - 1):
         for e in range(first[b], first[b + 1]):
-            j, m = component[e], sums[e, 0]
+            j = component[e]
+            m = sums[e, 0]
             if stale[j]:
                 mass[j] += m
                 for r in range(d):
@@ -266,28 +321,44 @@ def _move(
 def _settle(
     blocks: Blocks, box: F8, near: Candidates, centres: Centres, moved: I8, steps: I8, limit: int, scratch: Scratch, sums: F8
 ) -> F8:  # fmt: skip
-    """Assignment and means in turn until no centre moves, each ``limit`` times at most: (k,) the masses of the clusters.
+    """Assignment and means in turn until no centre moves, each ``limit`` times at most: (k,) the
+    masses of the clusters.
 
-    ``moved`` (k,): whose blocks are to be looked at first. ``sums`` (P, 1 + d), mass and Σw·(x − middle) of the entries of
-    ``near``, are kept up.
+    ``moved`` (k,): whose blocks are to be looked at first. ``sums`` (P, 1 + d), mass and Σw·(x −
+    middle) of the entries of ``near``, are kept up.
     """
-    (at, per, window), (row, which, among), first, component = centres, scratch, near.first, near.component
-    state, weight, start, known, known_first = blocks.state, blocks.weight, blocks.start, blocks.mass, blocks.first
-    mass, stale, going, d = np.empty(moved.size), np.ones(moved.size, np.int64), True, state.shape[0]
+    at, per, window = centres
+    row, which, among = scratch
+    first = near.first
+    component = near.component
+    state = blocks.state
+    weight = blocks.weight
+    start = blocks.start
+    known = blocks.mass
+    known_first = blocks.first
+    mass = np.empty(moved.size)
+    stale = np.ones(moved.size, np.int64)
+    going = True
+    d = state.shape[0]
     while going:
         for b in range(first.size - 1):
-            begin, end, changed = first[b], first[b + 1], 0
+            begin = first[b]
+            end = first[b + 1]
+            changed = 0
             for e in range(begin, end):
                 changed |= moved[component[e]]
-            # Windows do not move: what lies in the only one that reaches a block is its centre's for good.
+            # Windows do not move: what lies in the only one that reaches a block is its centre's
+            # for good.
             if changed == 0 or (end == begin + 1 and sums[begin, 0] > 0.0):
                 continue
             some, owned = _contenders(at, per, window, box, component, begin, end, b, among)
-            owner, n = 0, 0
+            owner = 0
+            n = 0
             if not owned:
                 n = _load(state, weight, start, box, b, row)
                 _nearest(row, which, n, at, per, window, box, among, some, b)
-                owner, owned = which[0], which[0] >= 0 and _all_equal(which, n)
+                owner = which[0]
+                owned = which[0] >= 0 and _all_equal(which, n)
             for e in range(begin, end):
                 stale[component[e]] = 1
                 for r in range(1 + d):
@@ -306,11 +377,19 @@ def _settle(
 
 
 @njit(**INNER)
-def _farthest(blocks: Blocks, box: F8, near: Candidates, centres: Centres, heavy: I8, scratch: Scratch) -> I8:
-    """(k,) of each ``heavy`` cluster the particle farthest from its centre; −1 of the others, or where all are there."""
-    (at, per, window), (row, which, among), (start, first, component) = centres, scratch, near
+def _farthest(
+    blocks: Blocks, box: F8, near: Candidates, centres: Centres, heavy: I8, scratch: Scratch
+) -> I8:
+    """(k,) of each ``heavy`` cluster the particle farthest from its centre; −1 of the others, or
+    where all are there.
+    """
+    at, per, window = centres
+    row, which, among = scratch
+    start, first, component = near
     k, d = at.shape
-    apart, far, least = np.zeros(k), np.full(k, -1), even(d) + 1
+    apart = np.zeros(k)
+    far = np.full(k, -1)
+    least = even(d) + 1
     for b in range(first.size - 1):
         concerned = 0
         for e in range(first[b], first[b + 1]):
@@ -318,11 +397,23 @@ def _farthest(blocks: Blocks, box: F8, near: Candidates, centres: Centres, heavy
         if not concerned:
             continue
         some, _ = _contenders(at, per, window, box, component, first[b], first[b + 1], b, among)
-        _nearest(row, which, _load(blocks.state, blocks.weight, start, box, b, row), at, per, window, box, among, some, b)
+        _nearest(
+            row,
+            which,
+            _load(blocks.state, blocks.weight, start, box, b, row),
+            at,
+            per,
+            window,
+            box,
+            among,
+            some,
+            b,
+        )
         for i in range(start[b + 1] - start[b]):
             j = among[1, which[i]] if which[i] >= 0 else -1
             if j >= 0 and heavy[j] and row[least, i] > apart[j]:
-                apart[j], far[j] = row[least, i], start[b] + i
+                apart[j] = row[least, i]
+                far[j] = start[b] + i
     return far
 
 
@@ -331,7 +422,8 @@ def _begun(at: F8, per: F8, reach: float) -> Centres:
     """Centres with windows about where they are."""
     window = np.empty((4, at.shape[0]))
     for r in range(2):
-        window[r], window[2 + r] = at[:, r] - reach / per[:, r], at[:, r] + reach / per[:, r]
+        window[r] = at[:, r] - reach / per[:, r]
+        window[2 + r] = at[:, r] + reach / per[:, r]
     return Centres(at, per, window)
 
 
@@ -348,13 +440,17 @@ def _divided(blocks: Blocks, centres: Centres, far: I8, parent: I8, reach: float
 
 @njit(**INNER)
 def _grown(old: Candidates, sums: F8, new: Candidates, k: int) -> tuple[Candidates, F8]:
-    """The entries of each block and their sums, with those of new centres, from number k on, behind them."""
+    """The entries of each block and their sums, with those of new centres, from number k on, behind
+    them.
+    """
     first = old.first + new.first
-    component, out = np.empty(first[-1], np.int64), np.zeros((first[-1], sums.shape[1]))
+    component = np.empty(first[-1], np.int64)
+    out = np.zeros((first[-1], sums.shape[1]))
     for b in range(first.size - 1):
         at = first[b]
         for e in range(old.first[b], old.first[b + 1]):
-            component[at], out[at] = old.component[e], sums[e]
+            component[at] = old.component[e]
+            out[at] = sums[e]
             at += 1
         for e in range(new.first[b], new.first[b + 1]):
             component[at] = k + new.component[e]
@@ -371,17 +467,32 @@ def _with_zeros(numbers: I8, size: int) -> I8:
 
 
 @njit(**INNER)
-def _moments(blocks: Blocks, box: F8, near: Candidates, centres: Centres, scratch: Scratch, sums: F8) -> Gaussians:
-    """Masses, means and covariances of the clusters, of which ``sums`` are known; one without particles keeps its centre."""
-    (at, per, window), (row, which, among), (start, near_first, component) = centres, scratch, near
+def _moments(
+    blocks: Blocks, box: F8, near: Candidates, centres: Centres, scratch: Scratch, sums: F8
+) -> Gaussians:
+    """Masses, means and covariances of the clusters, of which ``sums`` are known; one without
+    particles keeps its centre.
+    """
+    at, per, window = centres
+    row, which, among = scratch
+    start, near_first, component = near
     k, d = at.shape
-    mean, mass, first, cov = at.T.copy(), np.zeros(k), np.zeros((k, d)), np.zeros((k, d, d))
-    e, part, shift = even(d), np.empty((d, d)), np.empty(d)
+    mean = at.T.copy()
+    mass = np.zeros(k)
+    first = np.zeros((k, d))
+    cov = np.zeros((k, d, d))
+    e = even(d)
+    part = np.empty((d, d))
+    shift = np.empty(d)
     for b in range(near_first.size - 1):
-        begin, end, some, n = near_first[b], near_first[b + 1], 0, 0
+        begin = near_first[b]
+        end = near_first[b + 1]
+        some = 0
+        n = 0
         for entry in range(begin, end):
             if sums[entry, 0] > 0.0:
-                among[0, some], among[1, some] = entry, component[entry]
+                among[0, some] = entry
+                among[1, some] = component[entry]
                 some += 1
         owned = some == 1 and sums[among[0, 0], 0] == blocks.mass[b]
         if some > 0 and not owned:
@@ -389,7 +500,9 @@ def _moments(blocks: Blocks, box: F8, near: Candidates, centres: Centres, scratc
             n = _load(blocks.state, blocks.weight, start, box, b, row)
             _nearest(row, which, n, at, per, window, box, among, some, b)
         for c in range(some):
-            entry, j, second = among[0, c], among[1, c], blocks.second[b]
+            entry = among[0, c]
+            j = among[1, c]
+            second = blocks.second[b]
             m = sums[entry, 0]
             if not m > 0.0:
                 continue
@@ -405,7 +518,11 @@ def _moments(blocks: Blocks, box: F8, near: Candidates, centres: Centres, scratc
                 one = sums[entry, 1 + r]
                 first[j, r] += one + m * shift[r]
                 for q in range(r + 1):
-                    cov[j, r, q] += second[r, q] + one * shift[q] + shift[r] * (sums[entry, 1 + q] + m * shift[q])
+                    cov[j, r, q] += (
+                        second[r, q]
+                        + one * shift[q]
+                        + shift[r] * (sums[entry, 1 + q] + m * shift[q])
+                    )
     for j in range(k):
         for r in range(d if mass[j] > 0.0 else 0):
             first[j, r] /= mass[j]
@@ -422,14 +539,24 @@ def kmeans(blocks: Blocks, centres: F8, scales: F8, rule: Rule) -> Gaussians:
 
     ``scales`` (k, d) are the deviations for distances from them.
     """
-    widest, k, d = whole(max(np.max(np.diff(blocks.start)), 1)), centres.shape[0], centres.shape[1]
-    row, which = np.zeros((2 * even(d) + 4, widest), blocks.state.dtype), np.empty(widest, np.int32)
+    widest = whole(max(np.max(np.diff(blocks.start)), 1))
+    k = centres.shape[0]
+    d = centres.shape[1]
+    row = np.zeros((2 * even(d) + 4, widest), blocks.state.dtype)
+    which = np.empty(widest, np.int32)
     box = np.empty((blocks.mass.size, 3, d))
-    box[:, 0], box[:, 1], box[:, 2] = blocks.low, blocks.high, blocks.middle
-    now, steps, strays = _begun(centres.copy(), 1.0 / scales, rule.reach), np.zeros(k, np.int64), np.zeros(k, np.int64)
-    near, moved = reaching(blocks, now.window[:2], now.window[2:]), np.ones(k, np.int64)
-    sums, parent = np.zeros((near.component.size, 1 + d)), np.empty(0, np.int64)
-    far, pairs = parent, 0 * k
+    box[:, 0] = blocks.low
+    box[:, 1] = blocks.high
+    box[:, 2] = blocks.middle
+    now = _begun(centres.copy(), 1.0 / scales, rule.reach)
+    steps = np.zeros(k, np.int64)
+    strays = np.zeros(k, np.int64)
+    near = reaching(blocks, now.window[:2], now.window[2:])
+    moved = np.ones(k, np.int64)
+    sums = np.zeros((near.component.size, 1 + d))
+    parent = np.empty(0, np.int64)
+    far = parent
+    pairs = 0 * k
     for turn in range(1 + int(np.ceil(2.0 * blocks.mass.sum() / rule.split))):
         if turn > 0:
             new = _divided(blocks, now, far, parent, rule.reach)
@@ -440,13 +567,16 @@ def kmeans(blocks: Blocks, centres: F8, scales: F8, rule: Rule) -> Gaussians:
                 np.concatenate((now.window, new.window), axis=1),
             )
             k += parent.size
-            strays, steps = _with_zeros(strays, k), _with_zeros(steps, k)
-            steps[parent], moved = 0, _with_zeros(moved, k)
+            strays = _with_zeros(strays, k)
+            steps = _with_zeros(steps, k)
+            steps[parent] = 0
+            moved = _with_zeros(moved, k)
             moved[k - parent.size :] = 1
         scratch = Scratch(row, which, np.empty((2, k), np.int64))
         mass = _settle(blocks, box, near, now, moved, steps, rule.iterations, scratch, sums)
         for c in range(parent.size):
-            i, j = parent[c], k - parent.size + c
+            i = parent[c]
+            j = k - parent.size + c
             if max(mass[i], mass[j]) > rule.split and min(mass[i], mass[j]) < STRAY * rule.split:
                 strays[i] += 1
                 strays[j] = strays[i]

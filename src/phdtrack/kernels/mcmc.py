@@ -1,7 +1,8 @@
-"""The chain of the MCMC filter: Metropolis–Hastings over which targets exist and which measurement each gave [K05].
+"""The chain of the MCMC filter: Metropolis–Hastings over which targets exist and which measurement
+each gave [K05].
 
-See `filters.mcmc`. The potential that keeps two targets apart is exp(−strength · overlap), where the overlap is the
-intersection over union of their boxes.
+See `filters.mcmc`. The potential that keeps two targets apart is exp(−strength · overlap), where
+the overlap is the intersection over union of their boxes.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ from phdtrack.kernels.particle_models import BLOCK, distance, prepare, seen
 class Chain(NamedTuple):
     """How a chain runs.
 
-    ``burn`` sweeps before the first that is kept, one of every ``thin``, until ``samples`` are kept; ``share`` of steps that
-    move two candidates; ``strength`` of the interaction, 0: none.
+    ``burn`` sweeps before the first that is kept, one of every ``thin``, until ``samples`` are
+    kept; ``share`` of steps that move two candidates; ``strength`` of the interaction, 0: none.
     """
 
     burn: int
@@ -35,11 +36,13 @@ class Chain(NamedTuple):
 class Options(NamedTuple):
     """What C candidates may be: options, and the states (entries) of each.
 
-    Candidate c's options are ``first``[c] … first[c + 1] − 1, the first of them that the target does not exist. ``seen_by``,
-    ``total`` (O,): measurement of each option, −1 for none, and its weight; its entries are ``start``[o] … start[o + 1] − 1.
-    ``running``, ``member`` (T,): sums of weights within each option, and the state of each entry. ``box`` (L, 4): left, top,
-    right, bottom of each state. The candidates with a box that may overlap one of candidate c, ascending, are
-    ``near``[near_start[c]] … near[``near_start``[c + 1] − 1]. Without interaction both are empty.
+    Candidate c's options are ``first``[c] … first[c + 1] − 1, the first of them that the target
+    does not exist. ``seen_by``, ``total`` (O,): measurement of each option, −1 for none, and its
+    weight; its entries are ``start``[o] … start[o + 1] − 1. ``running``, ``member`` (T,): sums of
+    weights within each option, and the state of each entry. ``box`` (L, 4): left, top, right,
+    bottom of each state. The candidates with a box that may overlap one of candidate c, ascending,
+    are ``near``[near_start[c]] … near[``near_start``[c + 1] − 1]. Without interaction both are
+    empty.
     """
 
     first: I8
@@ -54,7 +57,9 @@ class Options(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """The chain's present sample: option and state (−1: none) of each candidate, and the candidate of each measurement."""
+    """The chain's present sample: option and state (−1: none) of each candidate, and the candidate
+    of each measurement.
+    """
 
     option: I8
     state: I8
@@ -63,8 +68,12 @@ class Sample(NamedTuple):
 
 @njit(**ENTRY)
 def pair_likelihoods(x: F8, sensor: Any, table: Any, member: I8, which: I8) -> tuple[F8, F8]:
-    """(P,) squared distances and g(z|x) of pairs of states, columns of ``x`` (d, L), and measurements of ``table``."""
-    distance2, likelihood, s = np.empty(member.size), np.empty(member.size), np.empty(16 * BLOCK)
+    """(P,) squared distances and g(z|x) of pairs of states, columns of ``x`` (d, L), and
+    measurements of ``table``.
+    """
+    distance2 = np.empty(member.size)
+    likelihood = np.empty(member.size)
+    s = np.empty(16 * BLOCK)
     for p in range(member.size):
         for r in range(x.shape[0]):
             s[r * BLOCK] = x[r, member[p]]
@@ -78,42 +87,66 @@ def pair_likelihoods(x: F8, sensor: Any, table: Any, member: I8, which: I8) -> t
 def make_options(candidate: I8, which: I8, member: I8, weight: F8, absent: F8, box: F8) -> Options:
     """The options of T entries, which ascend in their candidate and measurement.
 
-    ``which`` (T,): the measurement, −1: none; ``member`` (T,): the state. ``absent`` (C,): weight of each candidate's not
-    existing. ``box`` (L, 4): of the states.
+    ``which`` (T,): the measurement, −1: none; ``member`` (T,): the state. ``absent`` (C,): weight
+    of each candidate's not existing. ``box`` (L, 4): of the states.
     """
-    count, entries = absent.size, candidate.size
-    first, most = np.empty(count + 1, np.int64), count + entries
-    seen_by, total, start = np.full(most, -1), np.zeros(most), np.empty(most + 1, np.int64)
+    count = absent.size
+    entries = candidate.size
+    first = np.empty(count + 1, np.int64)
+    most = count + entries
+    seen_by = np.full(most, -1)
+    total = np.zeros(most)
+    start = np.empty(most + 1, np.int64)
     running = np.empty(entries)
-    o, e = 0, 0
+    o = 0
+    e = 0
     for c in range(count):
-        first[c], total[o], start[o] = o, absent[c], e
+        first[c] = o
+        total[o] = absent[c]
+        start[o] = e
         o += 1
         while e < entries and candidate[e] == c:
-            seen_by[o], start[o] = which[e], e
+            seen_by[o] = which[e]
+            start[o] = e
             while e < entries and candidate[e] == c and which[e] == seen_by[o]:
                 total[o] += weight[e]
                 running[e] = total[o]
                 e += 1
             o += 1
-    first[count], start[o] = o, e
+    first[count] = o
+    start[o] = e
     near, near_start = _neighbours(candidate, member, box, count)
     return Options(
-        first, seen_by[:o].copy(), total[:o].copy(), start[: o + 1].copy(), running, member, box, near, near_start
+        first,
+        seen_by[:o].copy(),
+        total[:o].copy(),
+        start[: o + 1].copy(),
+        running,
+        member,
+        box,
+        near,
+        near_start,
     )
 
 
 @njit(**INNER)
 def _neighbours(candidate: I8, member: I8, box: F8, count: int) -> tuple[I8, I8]:
-    """The candidates near each of ``count``, as `Options` has them: those whose states' boxes together overlap its own."""
-    low, high, start = np.full((2, count), np.inf), np.full((2, count), -np.inf), np.zeros(count + 1, np.int64)
-    near, found = np.empty(0, np.int64), np.empty(count, np.int64)
+    """The candidates near each of ``count``, as `Options` has them: those whose states' boxes
+    together overlap its own.
+    """
+    low = np.full((2, count), np.inf)
+    high = np.full((2, count), -np.inf)
+    start = np.zeros(count + 1, np.int64)
+    near = np.empty(0, np.int64)
+    found = np.empty(count, np.int64)
     if len(box) == 0:
         return near, start
     for e in range(candidate.size):
-        c, i = candidate[e], member[e]
+        c = candidate[e]
+        i = member[e]
         for a in range(2):
-            low[a, c], high[a, c] = min(low[a, c], box[i, a]), max(high[a, c], box[i, a + 2])
+            low[a, c] = min(low[a, c], box[i, a])
+            high[a, c] = max(high[a, c], box[i, a + 2])
     grid = make_grid(low, high, 0.0, 0.0)
     for c in range(count):
         some = overlapping(low[0, c], low[1, c], high[0, c], high[1, c], grid, found)
@@ -124,7 +157,9 @@ def _neighbours(candidate: I8, member: I8, box: F8, count: int) -> tuple[I8, I8]
 
 @njit(**INNER)
 def _free(o: int, a: int, b: int, can: Options, now: Sample) -> float:
-    """Weight of an option for candidates a or b; 0 where its measurement belongs to another target."""
+    """Weight of an option for candidates a or b; 0 where its measurement belongs to another
+    target.
+    """
     j = can.seen_by[o]
     free = j < 0 or now.taken[j] < 0 or now.taken[j] == a or now.taken[j] == b
     weight: float = can.total[o] if free else 0.0
@@ -142,9 +177,16 @@ def _state(o: int, can: Options, rng: np.random.Generator) -> int:
 
 
 @njit(**INNER)
-def _choose(a: int, b: int, begin: int, can: Options, now: Sample, rng: np.random.Generator) -> tuple[int, int]:
-    """Free options of ``a`` from ``begin`` on and of ``b``, by weight; without ``b`` (−1) the second is −1."""
-    end, chosen, other, reached = can.first[a + 1], -1, -1, 0.0
+def _choose(
+    a: int, b: int, begin: int, can: Options, now: Sample, rng: np.random.Generator
+) -> tuple[int, int]:
+    """Free options of ``a`` from ``begin`` on and of ``b``, by weight; without ``b`` (−1) the
+    second is −1.
+    """
+    end = can.first[a + 1]
+    chosen = -1
+    other = -1
+    reached = 0.0
     low, high = (can.first[b], can.first[b + 1]) if b >= 0 else (0, 1)
     for again in range(2):
         aim = rng.random() * reached if again else np.inf
@@ -157,7 +199,8 @@ def _choose(a: int, b: int, begin: int, can: Options, now: Sample, rng: np.rando
                 if not again:
                     reached += weight
                 elif weight > 0.0:
-                    chosen, other = o, p if b >= 0 else -1
+                    chosen = o
+                    other = p if b >= 0 else -1
                     aim -= weight
                     if aim < 0.0:
                         return chosen, other
@@ -166,14 +209,23 @@ def _choose(a: int, b: int, begin: int, can: Options, now: Sample, rng: np.rando
 
 @njit(**INNER)
 def _crowd(a: int, b: int, i: int, k: int, can: Options, now: Sample) -> float:
-    """Overlaps of ``a`` in state ``i`` and ``b`` in state ``k`` (−1: none) with all other targets and each other."""
+    """Overlaps of ``a`` in state ``i`` and ``b`` in state ``k`` (−1: none) with all other targets
+    and each other.
+    """
     total = overlap_of(can.box, i, can.box, k) if i >= 0 and k >= 0 else 0.0
-    p, q, ends = can.near_start[a], 0 * a, (can.near_start[a + 1], 0 * a)
+    p = can.near_start[a]
+    q = 0 * a
+    ends = (can.near_start[a + 1], 0 * a)
     if b >= 0:
-        q, ends = can.near_start[b], (ends[0], can.near_start[b + 1])
+        q = can.near_start[b]
+        ends = (ends[0], can.near_start[b + 1])
     while p < ends[0] or q < ends[1]:
         # The next candidate that is near one of the two.
-        c = can.near[p] if q == ends[1] or (p < ends[0] and can.near[p] <= can.near[q]) else can.near[q]
+        c = (
+            can.near[p]
+            if q == ends[1] or (p < ends[0] and can.near[p] <= can.near[q])
+            else can.near[q]
+        )
         there = now.state[c] >= 0 and c != a and c != b
         if p < ends[0] and can.near[p] == c:
             total += overlap_of(can.box, i, can.box, now.state[c]) if there and i >= 0 else 0.0
@@ -187,20 +239,27 @@ def _crowd(a: int, b: int, i: int, k: int, can: Options, now: Sample) -> float:
 @njit(**INNER)
 def _take(c: int, o: int, i: int, can: Options, now: Sample) -> None:
     """Candidate ``c`` has option ``o`` and state ``i`` from now on."""
-    now.option[c], now.state[c] = o, i
+    now.option[c] = o
+    now.state[c] = i
     j = can.seen_by[o]
     if j >= 0:
         now.taken[j] = c
 
 
 @njit(**INNER)
-def _redraw(a: int, b: int, can: Options, now: Sample, chain: Chain, rng: np.random.Generator) -> None:
-    """A step that moves candidate ``a``, or ``a`` and ``b`` at once (b < 0: ``a`` only), given all others."""
+def _redraw(
+    a: int, b: int, can: Options, now: Sample, chain: Chain, rng: np.random.Generator
+) -> None:
+    """A step that moves candidate ``a``, or ``a`` and ``b`` at once (b < 0: ``a`` only), given all
+    others.
+    """
     o, p = _choose(a, b, can.first[a], can, now, rng)
     i = -1 if o == can.first[a] else _state(o, can, rng)
-    k, was = -1, -1
+    k = -1
+    was = -1
     if b >= 0:
-        k, was = -1 if p == can.first[b] else _state(p, can, rng), now.state[b]
+        k = -1 if p == can.first[b] else _state(p, can, rng)
+        was = now.state[b]
     elif i < 0 and now.state[a] < 0:
         return
     if chain.strength > 0.0:
@@ -217,9 +276,14 @@ def _redraw(a: int, b: int, can: Options, now: Sample, chain: Chain, rng: np.ran
 
 
 @njit(**INNER)
-def _chance(c: int, can: Options, now: Sample, chain: Chain, rng: np.random.Generator) -> tuple[int, float]:
-    """A target's state, drawn where it does not exist, and the probability that it exists, given that and all others."""
-    exists, absence = 0.0, can.first[c]
+def _chance(
+    c: int, can: Options, now: Sample, chain: Chain, rng: np.random.Generator
+) -> tuple[int, float]:
+    """A target's state, drawn where it does not exist, and the probability that it exists, given
+    that and all others.
+    """
+    exists = 0.0
+    absence = can.first[c]
     for o in range(absence + 1, can.first[c + 1]):
         exists += _free(o, c, c, can, now)
     if exists <= 0.0:
@@ -234,21 +298,26 @@ def _chance(c: int, can: Options, now: Sample, chain: Chain, rng: np.random.Gene
 
 
 @njit(**ENTRY)
-def jump_chain(measurements: int, can: Options, pairs: I8, chain: Chain, rng: np.random.Generator) -> tuple[I8, I8, F8]:
+def jump_chain(
+    measurements: int, can: Options, pairs: I8, chain: Chain, rng: np.random.Generator
+) -> tuple[I8, I8, F8]:
     """Samples of the options and states of all candidates.
 
-    A step picks a candidate and draws one of its free options by weight, and of that a state; with probability
-    ``chain.share`` it picks one of ``pairs`` and draws for both together. Without interaction that is a draw from the
-    conditional law and always accepted; with it, the probability is min(1, ψ of the new state / ψ of the old one). A sweep
-    has as many steps as there are candidates.
+    A step picks a candidate and draws one of its free options by weight, and of that a state; with
+    probability ``chain.share`` it picks one of ``pairs`` and draws for both together. Without
+    interaction that is a draw from the conditional law and always accepted; with it, the
+    probability is min(1, ψ of the new state / ψ of the old one). A sweep has as many steps as there
+    are candidates.
 
-    ``pairs`` (K, 2) compete for one of so many ``measurements``. Back come (C, N) each candidate's options and states in
-    each kept sample, where a target does not exist a draw of its state, and the probability (C, N) that it exists, given
-    that state and all the others in the sample.
+    ``pairs`` (K, 2) compete for one of so many ``measurements``. Back come (C, N) each candidate's
+    options and states in each kept sample, where a target does not exist a draw of its state, and
+    the probability (C, N) that it exists, given that state and all the others in the sample.
     """
-    many, kept = can.first.size - 1, chain.samples
+    many = can.first.size - 1
+    kept = chain.samples
     now = Sample(can.first[:-1].copy(), np.full(many, -1), np.full(measurements, -1))
-    options, states = np.empty((many, kept), np.int64), np.empty((many, kept), np.int64)
+    options = np.empty((many, kept), np.int64)
+    states = np.empty((many, kept), np.int64)
     chance = np.empty((many, kept))
     for sweep in range(chain.burn + chain.thin * kept):
         for _ in range(many):

@@ -1,6 +1,8 @@
-"""Merged measurements: which targets each blob shows, where it puts them, and which estimates continue them.
+"""Merged measurements: which targets each blob shows, where it puts them, and which estimates
+continue them.
 
-The model is that of `detect.merged`. N blobs and n targets have boxes of four edges: left, top, right, bottom.
+The model is that of `detect.merged`. N blobs and n targets have boxes of four edges: left, top,
+right, bottom.
 """
 
 from __future__ import annotations
@@ -18,11 +20,15 @@ from phdtrack.kernels.gm_merge import descending
 
 # See `explained`.
 Parts = tuple[F8, I8, I8, I8, F8, F8]
-# Squared deviations beyond which a blob does not fit; blobs and targets that are explained together, at most.
-GATE2, GROUP = 25.0, 6
+# Squared deviations beyond which a blob does not fit; blobs and targets that are explained
+# together, at most.
+GATE2 = 25.0
+GROUP = 6
 # Largest probability of existence; targets of a smaller one than the least are expected no more.
-MAX_EXISTENCE, MIN_EXISTENCE = 0.99, 0.1
-# Squared Mahalanobis distance in the plane within which an estimate can be an expected target: 99 % of two dimensions.
+MAX_EXISTENCE = 0.99
+MIN_EXISTENCE = 0.1
+# Squared Mahalanobis distance in the plane within which an estimate can be an expected target: 99 %
+# of two dimensions.
 NEAR = 9.21
 TINY = 1e-300
 # Log-likelihoods that differ by less are equal: sums of the same numbers in another order.
@@ -49,8 +55,9 @@ class Lives(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """What log-likelihoods are made of: the boxes (N, 4), (n, 4), the covariances (k, 4, 4) of their edges, of noise those
-    of the targets and those of the blobs, each perhaps none; κ (N,); log-probabilities (n,) of missing and of detecting."""
+    """What log-likelihoods are made of: the boxes (N, 4), (n, 4), the covariances (k, 4, 4) of
+    their edges, of noise those of the targets and those of the blobs, each perhaps none; κ (N,);
+    log-probabilities (n,) of missing and of detecting."""
 
     blobs: F8
     boxes: F8
@@ -69,18 +76,24 @@ def explained(
     blobs: F8, known: Bool, clutter: F8, boxes: F8, covariance: F8, rows: tuple[int, ...], noise: tuple[F8, F8],
     lives: Lives, rule: Rule, seconds: float,
 ) -> Parts:  # fmt: skip
-    """The boxes (N′, 4) that the filter gets, ``source``, ``part`` and ``target`` of an `Explanation`, and the seconds (n,)
-    for which each target has been hidden and has had a blob to itself.
+    """The boxes (N′, 4) that the filter gets, ``source``, ``part`` and ``target`` of an
+    `Explanation`, and the seconds (n,) for which each target has been hidden and has had a blob to
+    itself.
 
-    ``known`` (N,): which blobs show a possible state; κ is not read elsewhere. ``covariance`` (n, d, d) is of the states,
-    whose ``rows`` are centre and size; ``noise`` that of centre and size, which belongs to targets and to blobs.
+    ``known`` (N,): which blobs show a possible state; κ is not read elsewhere. ``covariance`` (n,
+    d, d) is of the states, whose ``rows`` are centre and size; ``noise`` that of centre and size,
+    which belongs to targets and to blobs.
     """
-    spread, of, order = _of_edges(covariance, rows), np.full(len(boxes), -1, np.int64), np.arange(len(boxes))
+    spread = _of_edges(covariance, rows)
+    of = np.full(len(boxes), -1, np.int64)
+    order = np.arange(len(boxes))
     pairs, crowded = _touching(blobs, known, boxes, spread, of)
     if crowded:
         order = _in_order(boxes, np.ones(len(boxes), np.bool_))
-        own, measured = _of_edges(noise[0], PLACES), _of_edges(noise[1], PLACES)
-        missed, seen = np.empty(len(boxes)), np.empty(len(boxes))
+        own = _of_edges(noise[0], PLACES)
+        measured = _of_edges(noise[1], PLACES)
+        missed = np.empty(len(boxes))
+        seen = np.empty(len(boxes))
         frame = Frame(blobs, boxes, spread, own, measured, clutter, missed, seen, lives, rule)
         _assign(frame, pairs, _in_order(blobs, known), order, of)
     parts: Parts = _divided(blobs, boxes, of, order, lives, seconds)
@@ -89,13 +102,19 @@ def explained(
 
 @njit(**INNER)
 def _of_edges(covariance: F8, rows: tuple[int, ...]) -> F8:
-    """(k, 4, 4) covariances of the edges of boxes, of (k, d, d) whose ``rows`` are centre x, centre y, width, height."""
+    """(k, 4, 4) covariances of the edges of boxes, of (k, d, d) whose ``rows`` are centre x, centre
+    y, width, height.
+    """
     out = np.empty((len(covariance), 4, 4))
     for k in range(len(covariance)):
         for a in range(4):
-            i, w, s = rows[a % 2], rows[a % 2 + 2], -0.5 if a < 2 else 0.5
+            i = rows[a % 2]
+            w = rows[a % 2 + 2]
+            s = -0.5 if a < 2 else 0.5
             for b in range(4):
-                j, v, u = rows[b % 2], rows[b % 2 + 2], -0.5 if b < 2 else 0.5
+                j = rows[b % 2]
+                v = rows[b % 2 + 2]
+                u = -0.5 if b < 2 else 0.5
                 centre = covariance[k, i, j] + s * covariance[k, w, j]
                 out[k, a, b] = centre + u * (covariance[k, i, v] + s * covariance[k, w, v])
     return out
@@ -103,11 +122,14 @@ def _of_edges(covariance: F8, rows: tuple[int, ...]) -> F8:
 
 @njit(**INNER)
 def _touching(blobs: F8, known: Bool, boxes: F8, spread: F8, of: I8) -> tuple[Bool, bool]:
-    """(N, n) which pairs touch, the targets' edges moved out by a deviation, and whether any blob or target touches two.
+    """(N, n) which pairs touch, the targets' edges moved out by a deviation, and whether any blob
+    or target touches two.
 
     A blob that each target touches is written into ``of`` (n,).
     """
-    pairs, used, crowded = np.zeros((len(blobs), len(boxes)), np.bool_), np.zeros(len(blobs), np.bool_), False
+    pairs = np.zeros((len(blobs), len(boxes)), np.bool_)
+    used = np.zeros(len(blobs), np.bool_)
+    crowded = False
     out = np.empty(4)
     for t in range(len(boxes)):
         for side in range(4):
@@ -117,19 +139,26 @@ def _touching(blobs: F8, known: Bool, boxes: F8, spread: F8, of: I8) -> tuple[Bo
             across = blobs[b, 0] <= out[2] and out[0] <= blobs[b, 2]
             if known[b] and across and blobs[b, 1] <= out[3] and out[1] <= blobs[b, 3]:
                 crowded = crowded or used[b] or of[t] >= 0
-                pairs[b, t], used[b], of[t] = True, True, b
+                pairs[b, t] = True
+                used[b] = True
+                of[t] = b
     return pairs, crowded
 
 
 @njit(**INNER)
 def _in_order(boxes: F8, used: Bool) -> I8:
-    """Indices of the boxes ``used`` in the order of their edges, so that nothing depends on the order in which they come."""
-    order, count = np.empty(len(boxes), np.int64), 0
+    """Indices of the boxes ``used`` in the order of their edges, so that nothing depends on the
+    order in which they come.
+    """
+    order = np.empty(len(boxes), np.int64)
+    count = 0
     for i in range(len(boxes)):
         if used[i]:
-            k, count = count, count + 1
+            k = count
+            count = count + 1
             while k > 0:
-                side, before = 0, order[k - 1]
+                side = 0
+                before = order[k - 1]
                 while side < 3 and boxes[i, side] == boxes[before, side]:
                     side += 1
                 if boxes[i, side] >= boxes[before, side]:
@@ -151,12 +180,16 @@ def _area(boxes: F8, i: int) -> float:
 def _assign(frame: Frame, pairs: Bool, blobs: I8, targets: I8, of: I8) -> None:
     """Write the blob of each target in the best explanation, −1 for none, into ``of`` (n,).
 
-    ``blobs`` and ``targets`` are in the order of their edges. The logarithms of `Frame` for targets are written first.
+    ``blobs`` and ``targets`` are in the order of their edges. The logarithms of `Frame` for targets
+    are written first.
     """
-    a, c, (r, p, _, _) = frame.blobs, frame.boxes, frame.lives
+    a = frame.blobs
+    c = frame.boxes
+    r, p, _, _ = frame.lives
     shared = np.zeros(pairs.shape)
     for t in range(len(of)):
-        covered, of[t] = 0.0, -1
+        covered = 0.0
+        of[t] = -1
         for b in range(len(a)):
             width = min(a[b, 2], c[t, 2]) - max(a[b, 0], c[t, 0])
             height = min(a[b, 3], c[t, 3]) - max(a[b, 1], c[t, 1])
@@ -169,15 +202,19 @@ def _assign(frame: Frame, pairs: Bool, blobs: I8, targets: I8, of: I8) -> None:
         for b in range(len(a)):
             shared[b, t] /= max(min(_area(a, b), _area(c, t)), TINY)
     group, kept = _grouped(pairs, shared, blobs, targets)
-    inside, members = np.empty(len(blobs), np.int64), np.empty(len(targets), np.int64)
+    inside = np.empty(len(blobs), np.int64)
+    members = np.empty(len(targets), np.int64)
     for first in blobs:
-        n, m = 0, 0
+        n = 0
+        m = 0
         for b in blobs:
             if group[b] == group[first]:
-                inside[n], n = b, n + 1
+                inside[n] = b
+                n = n + 1
         for t in targets:
             if group[len(a) + t] == group[first]:
-                members[m], m = t, m + 1
+                members[m] = t
+                m = m + 1
         if inside[0] == first and n == 1 and m == 1:
             of[members[0]] = first
         elif inside[0] == first and m > 0:
@@ -186,20 +223,30 @@ def _assign(frame: Frame, pairs: Bool, blobs: I8, targets: I8, of: I8) -> None:
 
 @njit(**INNER)
 def _grouped(pairs: Bool, strength: F8, blobs: I8, targets: I8) -> tuple[I8, Bool]:
-    """(N + n,) the group of each blob, then of each target, of at most `GROUP` members, and the pairs (N, n) that are kept.
+    """(N + n,) the group of each blob, then of each target, of at most `GROUP` members, and the
+    pairs (N, n) that are kept.
 
     The strongest pairs are joined first; one that would make a group too large is left out.
     """
-    n, size, count = len(pairs), pairs.sum(), 0
-    blob, target, weight = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size)
+    n = len(pairs)
+    size = pairs.sum()
+    count = 0
+    blob = np.empty(size, np.int64)
+    target = np.empty(size, np.int64)
+    weight = np.empty(size)
     for b in blobs:
         for t in targets:
             if pairs[b, t]:
-                blob[count], target[count], weight[count] = b, t, strength[b, t]
+                blob[count] = b
+                target[count] = t
+                weight[count] = strength[b, t]
                 count += 1
-    group, kept = np.arange(n + pairs.shape[1]), np.zeros(pairs.shape, np.bool_)
+    group = np.arange(n + pairs.shape[1])
+    kept = np.zeros(pairs.shape, np.bool_)
     for q in descending(weight):
-        a, c, together = group[blob[q]], group[n + target[q]], 0
+        a = group[blob[q]]
+        c = group[n + target[q]]
+        together = 0
         for i in range(len(group)):
             together += group[i] == a or group[i] == c
         if a == c or together <= GROUP:
@@ -212,21 +259,29 @@ def _grouped(pairs: Bool, strength: F8, blobs: I8, targets: I8) -> tuple[I8, Boo
 
 @njit(**INNER)
 def _explain(frame: Frame, kept: Bool, blobs: I8, targets: I8, of: I8) -> None:
-    """Write the blob of each target of a group in the best explanation into ``of`` (n,); of equally likely ones the first.
+    """Write the blob of each target of a group in the best explanation into ``of`` (n,); of equally
+    likely ones the first.
 
-    Explanations are numbered like the digits of a number: a target's are no blob, then those it may be in, the last
-    target's turn fastest. What was computed of a blob and a set of targets stands in a table.
+    Explanations are numbered like the digits of a number: a target's are no blob, then those it may
+    be in, the last target's turn fastest. What was computed of a blob and a set of targets stands
+    in a table.
     """
-    m, turn, top = len(targets), 0, -math.inf
-    options, count, digit = np.full((m, GROUP), -1, np.int64), np.ones(m, np.int64), np.zeros(m, np.int64)
+    m = len(targets)
+    turn = 0
+    top = -math.inf
+    options = np.full((m, GROUP), -1, np.int64)
+    count = np.ones(m, np.int64)
+    digit = np.zeros(m, np.int64)
     for i in range(m):
         for k in range(len(blobs)):
             if kept[blobs[k], targets[i]]:
                 options[i, count[i]] = k
                 count[i] += 1
-    table, sets = np.full((len(blobs), 1 << m), np.nan), np.empty(len(blobs), np.int64)
+    table = np.full((len(blobs), 1 << m), np.nan)
+    sets = np.empty(len(blobs), np.int64)
     while turn >= 0:
-        value, total = 0.0, 0.0
+        value = 0.0
+        total = 0.0
         sets[:] = 0
         for i in range(m):
             k = options[i, digit[i]]
@@ -253,20 +308,28 @@ def _explain(frame: Frame, kept: Bool, blobs: I8, targets: I8, of: I8) -> None:
 
 @njit(**INNER)
 def _log_likelihood(frame: Frame, blob: int, targets: I8, chosen: int) -> float:
-    """Of a blob that is of those targets whose bits are set in ``chosen``; −∞ where that may not be."""
-    several, k, seen = np.empty(len(targets), np.int64), 0, 0.0
+    """Of a blob that is of those targets whose bits are set in ``chosen``; −∞ where that may not
+    be.
+    """
+    several = np.empty(len(targets), np.int64)
+    k = 0
+    seen = 0.0
     for i in range(len(targets)):
         if chosen >> i & 1:
-            several[k], k, seen = targets[i], k + 1, seen + frame.seen[targets[i]]
+            several[k] = targets[i]
+            k = k + 1
+            seen = seen + frame.seen[targets[i]]
     if k == 0:
         return math.log(max(frame.clutter[blob], TINY))
-    owner, rule = _owners(frame.boxes, several[:k]), frame.rule
+    owner = _owners(frame.boxes, several[:k])
+    rule = frame.rule
     for t in several[:k]:
         late = t != owner[0] and t != owner[2] and frame.lives.hidden[t] > rule.max_hidden_time
         if k > 1 and (late or frame.lives.separate[t] < rule.min_separate_time):
             return -math.inf
     # The union of the boxes as a Gaussian: edges of different targets are independent.
-    step, spread = np.empty(4), np.zeros((4, 4))
+    step = np.empty(4)
+    spread = np.zeros((4, 4))
     for i in range(4):
         t = owner[i]
         step[i] = frame.blobs[blob, i] - frame.boxes[t, i]
@@ -277,8 +340,10 @@ def _log_likelihood(frame: Frame, blob: int, targets: I8, chosen: int) -> float:
                     spread[i, j] += frame.own[t, i, j]
                 if len(frame.measured):
                     spread[i, j] += frame.measured[blob, i, j]
-    root, y = np.empty((4, 4)), np.empty(4)
-    log_det, distance2 = factor(spread, root), norm2(step, root, y)
+    root = np.empty((4, 4))
+    y = np.empty(4)
+    log_det = factor(spread, root)
+    distance2 = norm2(step, root, y)
     if not distance2 <= GATE2:  # also NaN, where the spread has no factors
         return -math.inf
     merged = (k - 1) * math.log(max(rule.merge_probability, TINY))
@@ -291,7 +356,8 @@ def _owners(boxes: F8, several: I8) -> I8:
     owner = np.full(4, several[0])
     for i in several:
         for side in range(4):
-            edge, outermost = boxes[i, side], boxes[owner[side], side]
+            edge = boxes[i, side]
+            outermost = boxes[owner[side], side]
             if edge > outermost if side > 1 else edge < outermost:
                 owner[side] = i
     return owner
@@ -299,15 +365,24 @@ def _owners(boxes: F8, several: I8) -> I8:
 
 @njit(**INNER)
 def _divided(blobs: F8, boxes: F8, of: I8, order: I8, lives: Lives, seconds: float) -> Parts:
-    """What `explained` returns, where ``of`` (n,) is each target's blob; in a blob they come in this ``order`` (n,)."""
-    count, part, total = np.zeros(len(blobs), np.int64), np.empty(len(blobs), np.int64), 0
+    """What `explained` returns, where ``of`` (n,) is each target's blob; in a blob they come in
+    this ``order`` (n,).
+    """
+    count = np.zeros(len(blobs), np.int64)
+    part = np.empty(len(blobs), np.int64)
+    total = 0
     for b in of:
         if b >= 0:
             count[b] += 1
     for b in range(len(blobs)):
-        part[b], total = total, total + max(count[b], 1)
-    xyxy, source, target = np.empty((total, 4)), np.empty(total, np.int64), np.full(total, -1, np.int64)
-    end, hidden, separate = part.copy(), lives.hidden.copy(), lives.separate.copy()
+        part[b] = total
+        total = total + max(count[b], 1)
+    xyxy = np.empty((total, 4))
+    source = np.empty(total, np.int64)
+    target = np.full(total, -1, np.int64)
+    end = part.copy()
+    hidden = lives.hidden.copy()
+    separate = lives.separate.copy()
     for t in order:
         if of[t] >= 0:
             target[end[of[t]]] = t
@@ -333,49 +408,69 @@ def _divided(blobs: F8, boxes: F8, of: I8, order: I8, lives: Lives, seconds: flo
 
 @njit(**INNER)
 def _place(boxes: F8, t: int, axis: int, owner: I8, xyxy: F8, k: int) -> None:
-    """Write over a merged blob's edges along an axis, in row k, those of its target t, whose size is unchanged.
+    """Write over a merged blob's edges along an axis, in row k, those of its target t, whose size
+    is unchanged.
 
-    The target lies where the edges that it has put it, midway if it has both; one that has none stays where it is expected,
-    inside the blob.
+    The target lies where the edges that it has put it, midway if it has both; one that has none
+    stays where it is expected, inside the blob.
     """
-    low, high, start, size = xyxy[k, axis], xyxy[k, axis + 2], boxes[t, axis], boxes[t, axis + 2] - boxes[t, axis]
+    low = xyxy[k, axis]
+    high = xyxy[k, axis + 2]
+    start = boxes[t, axis]
+    size = boxes[t, axis + 2] - boxes[t, axis]
     room = high - low - size
     if owner[axis] == t:
         start = low
     if owner[axis + 2] == t:
         start = (low + high - size) / 2 if owner[axis] == t else high - size
     start = min(max(start, low), max(low, high - size)) if room > 0.0 else low + room / 2
-    xyxy[k, axis], xyxy[k, axis + 2] = start, start + size
+    xyxy[k, axis] = start
+    xyxy[k, axis + 2] = start + size
 
 
 @njit(**ENTRY)
 def continued(
-    found: tuple[I8, I8, F8], state: F8, covariance: F8, noise: F8, lives: Lives, longest: float, seconds: float
+    found: tuple[I8, I8, F8],
+    state: F8,
+    covariance: F8,
+    noise: F8,
+    lives: Lives,
+    longest: float,
+    seconds: float,
 ) -> tuple[F8, F8, F8, F8, Bool]:
-    """(k,) the seconds of `Lives` for the estimates, (n,) r and ``hidden`` of the targets after the frame, and which of
-    them the estimates do not show but may be there.
+    """(k,) the seconds of `Lives` for the estimates, (n,) r and ``hidden`` of the targets after the
+    frame, and which of them the estimates do not show but may be there.
 
-    ``found``: the target (N′,) of each detection, the detection (k,) and the state (d, k) of each estimate. ``noise``:
-    deviations (d, n) of the targets' states. ``longest``: seconds for which a target may stay hidden.
+    ``found``: the target (N′,) of each detection, the detection (k,) and the state (d, k) of each
+    estimate. ``noise``: deviations (d, n) of the targets' states. ``longest``: seconds for which a
+    target may stay hidden.
     """
     target, detection, now = found
     n = len(lives.existence)
-    of, hidden, separate = np.full(len(detection), -1, np.int64), np.zeros(len(detection)), np.zeros(len(detection))
-    shown, seen, left = np.zeros(n, np.bool_), np.zeros(n, np.bool_), np.empty(n, np.bool_)
+    of = np.full(len(detection), -1, np.int64)
+    hidden = np.zeros(len(detection))
+    separate = np.zeros(len(detection))
+    shown = np.zeros(n, np.bool_)
+    seen = np.zeros(n, np.bool_)
+    left = np.empty(n, np.bool_)
     for i in range(len(of)):
         t = target[detection[i]] if detection[i] >= 0 else -1
         if t >= 0 and not shown[t]:
-            of[i], shown[t] = t, True
+            of[i] = t
+            shown[t] = True
     _continue_nearest(now, state, covariance, noise, of, shown)
     for i in range(len(of)):
         if of[i] >= 0:
-            hidden[i], separate[i] = lives.hidden[of[i]], lives.separate[of[i]]
+            hidden[i] = lives.hidden[of[i]]
+            separate[i] = lives.separate[of[i]]
     for t in target:
         if t >= 0:
             seen[t] = True
-    there, unseen = lives.existence.copy(), lives.hidden + seconds
+    there = lives.existence.copy()
+    unseen = lives.hidden + seconds
     for t in range(n):
-        r, p = there[t], lives.p_detect[t]
+        r = there[t]
+        p = lives.p_detect[t]
         if not seen[t]:
             there[t] = r * (1.0 - p) / max(1.0 - r * p, 1.0 - MAX_EXISTENCE)
         left[t] = not shown[t] and there[t] > MIN_EXISTENCE and unseen[t] <= longest
@@ -384,21 +479,31 @@ def continued(
 
 @njit(**INNER)
 def _continue_nearest(now: F8, state: F8, covariance: F8, noise: F8, of: I8, shown: Bool) -> None:
-    """Give estimates that continue no target the nearest that is left, within the gate, the nearest pair first."""
+    """Give estimates that continue no target the nearest that is left, within the gate, the nearest
+    pair first.
+    """
     distance2 = np.full((len(of), len(shown)), np.inf)
     for t in range(len(shown)):
-        a, c = covariance[t, 0, 0] + noise[0, t] * noise[0, t], covariance[t, 1, 1] + noise[1, t] * noise[1, t]
-        b, d = covariance[t, 0, 1], covariance[t, 1, 0]
+        a = covariance[t, 0, 0] + noise[0, t] * noise[0, t]
+        c = covariance[t, 1, 1] + noise[1, t] * noise[1, t]
+        b = covariance[t, 0, 1]
+        d = covariance[t, 1, 0]
         for i in range(len(of)):
             if of[i] < 0 and not shown[t]:
-                x, y = now[0, i] - state[0, t], now[1, i] - state[1, t]
+                x = now[0, i] - state[0, t]
+                y = now[1, i] - state[1, t]
                 distance2[i, t] = (x * (c * x - b * y) + y * (a * y - d * x)) / (a * c - b * d)
     nearest = 0.0
     while nearest <= NEAR:
-        nearest, k, j = np.inf, 0, 0
+        nearest = np.inf
+        k = 0
+        j = 0
         for i in range(len(of)):
             for t in range(len(shown)):
                 if of[i] < 0 and not shown[t] and distance2[i, t] < nearest:
-                    nearest, k, j = distance2[i, t], i, t
+                    nearest = distance2[i, t]
+                    k = i
+                    j = t
         if nearest <= NEAR:
-            of[k], shown[j] = j, True
+            of[k] = j
+            shown[j] = True

@@ -1,7 +1,9 @@
-"""Gaussian mixtures: densities, expectation-maximisation [M09 §III-B], and its recursive form [M09 (16)-(20)].
+"""Gaussian mixtures: densities, expectation-maximisation [M09 §III-B], and its recursive form [M09
+(16)-(20)].
 
-`log_densities` evaluates Gaussians that were `whitened` once. `em_step` gives the mass, mean and covariance of each
-component's samples, from which the caller makes the next mixture. `recursive_em` takes one sample at a time.
+`log_densities` evaluates Gaussians that were `whitened` once. `em_step` gives the mass, mean and
+covariance of each component's samples, from which the caller makes the next mixture. `recursive_em`
+takes one sample at a time.
 """
 
 from __future__ import annotations
@@ -18,8 +20,10 @@ from phdtrack.kernels.gaussian import LOG_2PI, factor, norm2
 
 # Points that are evaluated at a time.
 CHUNK = 128
-# Logarithms below this are those of a density that is 0; so is one that is LEAST nats below another one at the same place.
-NOTHING, LEAST = -1e30, -60.0
+# Logarithms below this are those of a density that is 0; so is one that is LEAST nats below another
+# one at the same place.
+NOTHING = -1e30
+LEAST = -60.0
 # A component of less mass than this has no samples: its square must not vanish.
 NO_MASS = 1e-100
 # A share of a sample that moves nothing by more than rounding.
@@ -37,8 +41,8 @@ class Gaussians(NamedTuple):
 
 
 class Whitened(NamedTuple):
-    """k Gaussians, ready to be evaluated: ``mean`` (d, k), ``inverse`` (k, d, d) L⁻¹ of the covariances L Lᵀ, and
-    ``log_peak`` (k,) logarithms of weight times peak density."""
+    """k Gaussians, ready to be evaluated: ``mean`` (d, k), ``inverse`` (k, d, d) L⁻¹ of the
+    covariances L Lᵀ, and ``log_peak`` (k,) logarithms of weight times peak density."""
 
     mean: F8
     inverse: F8
@@ -48,8 +52,11 @@ class Whitened(NamedTuple):
 @njit(**ENTRY)
 def whitened(mixture: Gaussians) -> Whitened:
     """The Gaussians, ready to be evaluated."""
-    count, d = mixture.covariance.shape[0], mixture.covariance.shape[1]
-    inverse, log_peak, root = np.zeros((count, d, d)), np.empty(count), np.zeros((d, d))
+    count = mixture.covariance.shape[0]
+    d = mixture.covariance.shape[1]
+    inverse = np.zeros((count, d, d))
+    log_peak = np.empty(count)
+    root = np.zeros((d, d))
     for j in range(count):
         log_det = factor(mixture.covariance[j], root)
         log_weight = math.log(mixture.weight[j]) if mixture.weight[j] > 0.0 else -math.inf
@@ -69,14 +76,20 @@ def steps_from(x: Real, begin: int, size: int, mean: F8, j: int, step: Real) -> 
     """Write x − m of component ``j`` into ``step`` (d, ≥ size)."""
     real = x.dtype.type
     for r in range(x.shape[0]):
-        row, to, at = x[r], step[r], real(mean[r, j])
+        row = x[r]
+        to = step[r]
+        at = real(mean[r, j])
         for i in range(size):
             to[i] = row[begin + i] - at
 
 
 @njit(**VECTOR)
-def log_density_of(step: Real, size: int, inverse: F8, log_peak: float, part: Real, out: Real) -> None:
-    """log(weight · N(x; m, Σ)) of ``size`` samples whose x − m is in ``step``; ``part`` is scratch."""
+def log_density_of(
+    step: Real, size: int, inverse: F8, log_peak: float, part: Real, out: Real
+) -> None:
+    """log(weight · N(x; m, Σ)) of ``size`` samples whose x − m is in ``step``; ``part`` is
+    scratch.
+    """
     real = step.dtype.type
     for i in range(size):
         out[i] = real(0)
@@ -84,12 +97,14 @@ def log_density_of(step: Real, size: int, inverse: F8, log_peak: float, part: Re
         for i in range(size):
             part[i] = real(0)
         for s in range(r + 1):
-            row, scale = step[s], real(inverse[r, s])
+            row = step[s]
+            scale = real(inverse[r, s])
             for i in range(size):
                 part[i] += scale * row[i]
         for i in range(size):
             out[i] += part[i] * part[i]
-    top, half = real(log_peak), real(-0.5)
+    top = real(log_peak)
+    half = real(-0.5)
     for i in range(size):
         out[i] = top + half * out[i]
 
@@ -97,8 +112,11 @@ def log_density_of(step: Real, size: int, inverse: F8, log_peak: float, part: Re
 @njit(**(ENTRY | {"fastmath": FAST}))
 def log_densities(x: F8, gaussians: Whitened) -> F8:
     """(k, n) log(weight · N(x)) of every Gaussian at points ``x`` (d, n)."""
-    (d, n), (mean, inverse, log_peak) = x.shape, gaussians
-    out, step, part = np.empty((log_peak.size, n)), np.empty((d, CHUNK)), np.empty(CHUNK)
+    d, n = x.shape
+    mean, inverse, log_peak = gaussians
+    out = np.empty((log_peak.size, n))
+    step = np.empty((d, CHUNK))
+    part = np.empty(CHUNK)
     for begin in range(0, n, CHUNK):
         size = min(CHUNK, n - begin)
         for j in range(log_peak.size):
@@ -110,8 +128,8 @@ def log_densities(x: F8, gaussians: Whitened) -> F8:
 class Candidates(NamedTuple):
     """The components that each of B blocks of samples may belong to.
 
-    ``start`` (B + 1,): block b holds the samples from start[b] to start[b + 1]. ``first`` (B + 1,) and ``component`` (P,):
-    its components are component[first[b]:first[b + 1]].
+    ``start`` (B + 1,): block b holds the samples from start[b] to start[b + 1]. ``first`` (B + 1,)
+    and ``component`` (P,): its components are component[first[b]:first[b + 1]].
     """
 
     start: I8
@@ -122,9 +140,9 @@ class Candidates(NamedTuple):
 class Moments(NamedTuple):
     """What one step of EM makes of the samples.
 
-    ``mass`` (k,): Σ of the samples' weights times responsibilities. ``mean`` (d, k), ``covariance`` (k, d, d): of each
-    component's samples; as before without mass. ``background``: mass of the background density. ``log_likelihood``:
-    Σ weight · log density, nats.
+    ``mass`` (k,): Σ of the samples' weights times responsibilities. ``mean`` (d, k), ``covariance``
+    (k, d, d): of each component's samples; as before without mass. ``background``: mass of the
+    background density. ``log_likelihood``: Σ weight · log density, nats.
     """
 
     mass: F8
@@ -137,10 +155,11 @@ class Moments(NamedTuple):
 class Recursion(NamedTuple):
     """How the recursive form learns.
 
-    ``prior``: τ, half the number of parameters of a component. ``memory``: samples 1/β that are remembered at most.
-    ``min_uniform``: smallest share of the uniform density. ``log_volume``: logarithm of the volume of the uniform density.
-    ``steady``: number of samples taken at the constant rate; later ones have a rate that falls like 1/k, without the prior.
-    ``floor`` (d,): variances added to every sample's scatter, so that no covariance vanishes.
+    ``prior``: τ, half the number of parameters of a component. ``memory``: samples 1/β that are
+    remembered at most. ``min_uniform``: smallest share of the uniform density. ``log_volume``:
+    logarithm of the volume of the uniform density. ``steady``: number of samples taken at the
+    constant rate; later ones have a rate that falls like 1/k, without the prior. ``floor`` (d,):
+    variances added to every sample's scatter, so that no covariance vanishes.
     """
 
     prior: float
@@ -162,15 +181,20 @@ def one_block(samples: int, components: int) -> Candidates:
 
 
 @njit(**VECTOR)
-def _responsibilities(table: Real, count: int, size: int, weight: Real, background: Real, top: Real, total: Real) -> float:
-    """Turn log densities in ``table`` (≥ count, ≥ size) into weight times responsibility; gives Σ weight · log density.
+def _responsibilities(
+    table: Real, count: int, size: int, weight: Real, background: Real, top: Real, total: Real
+) -> float:
+    """Turn log densities in ``table`` (≥ count, ≥ size) into weight times responsibility; gives Σ
+    weight · log density.
 
-    The logarithm in ``background`` becomes the weight times the responsibility of the background; ``top``, ``total`` are
-    scratch.
+    The logarithm in ``background`` becomes the weight times the responsibility of the background;
+    ``top``, ``total`` are scratch.
     """
     real = table.dtype.type
     log_likelihood: Any = 0.0
-    nothing, least, zero = real(NOTHING), real(LEAST), real(0)
+    nothing = real(NOTHING)
+    least = real(LEAST)
+    zero = real(0)
     for i in range(size):
         top[i] = background[i]
     for c in range(count):
@@ -200,8 +224,12 @@ def _responsibilities(table: Real, count: int, size: int, weight: Real, backgrou
 
 
 @njit(**VECTOR)
-def _add_moments(step: Real, share: Real, size: int, j: int, mass: F8, first: F8, second: F8) -> None:
-    """Add the sums over samples of share, share · step and share · step · stepᵀ to component ``j``'s."""
+def _add_moments(
+    step: Real, share: Real, size: int, j: int, mass: F8, first: F8, second: F8
+) -> None:
+    """Add the sums over samples of share, share · step and share · step · stepᵀ to component
+    ``j``'s.
+    """
     zero = step.dtype.type(0)
     total = zero
     for i in range(size):
@@ -230,47 +258,65 @@ def _add_known(known: Gaussians, b: int, j: int, mean: F8, mass: F8, first: F8, 
         step = known.mean[r, b] - mean[r, j]
         first[j, r] += total * step
         for s in range(r + 1):
-            second[j, r, s] += total * (known.covariance[b, r, s] + step * (known.mean[s, b] - mean[s, j]))
+            second[j, r, s] += total * (
+                known.covariance[b, r, s] + step * (known.mean[s, b] - mean[s, j])
+            )
 
 
 @njit(**INNER)
 def _from_sums(mixture: Gaussians, mass: F8, first: F8, second: F8) -> tuple[F8, F8]:
     """Means (d, k) and covariances (k, d, d) from sums of steps from the old means."""
-    mean, cov = mixture.mean.copy(), mixture.covariance.copy()
+    mean = mixture.mean.copy()
+    cov = mixture.covariance.copy()
     for j in range(mass.size):
         if mass[j] < NO_MASS:
             continue
         for r in range(mean.shape[0]):
             mean[r, j] += first[j, r] / mass[j]
             for s in range(r + 1):
-                cov[j, r, s] = second[j, r, s] / mass[j] - first[j, r] * first[j, s] / (mass[j] * mass[j])
+                cov[j, r, s] = second[j, r, s] / mass[j] - first[j, r] * first[j, s] / (
+                    mass[j] * mass[j]
+                )
                 cov[j, s, r] = cov[j, r, s]
     return mean, cov
 
 
 @njit(**(ENTRY | {"fastmath": FAST}))
 def em_step(
-    x: Real, weight: F8, log_background: F8, mixture: Gaussians, candidates: Candidates, known: Gaussians
+    x: Real,
+    weight: F8,
+    log_background: F8,
+    mixture: Gaussians,
+    candidates: Candidates,
+    known: Gaussians,
 ) -> Moments:
     """Expectation and the sums of maximisation for weighted samples ``x`` (d, n) [M09 §III-B].
 
-    The new weights, a floor under covariances and a prior are left to the caller. Samples of blocks without candidates count
-    for no component. Those of a block with one candidate and no background are all that component's: their densities are not
-    computed and not in ``log_likelihood``, and no sample is looked at where the mass, mean and covariance of the blocks are
-    ``known``.
+    The new weights, a floor under covariances and a prior are left to the caller. Samples of blocks
+    without candidates count for no component. Those of a block with one candidate and no background
+    are all that component's: their densities are not computed and not in ``log_likelihood``, and no
+    sample is looked at where the mass, mean and covariance of the blocks are ``known``.
 
-    ``weight`` (n,) of the samples, or (1,) for all of them. ``log_background`` (n,): logarithm of a further density at each
-    sample, (0,) for none; the weights of the ``mixture`` count it in: density = background + Σ weight · N(x).
+    ``weight`` (n,) of the samples, or (1,) for all of them. ``log_background`` (n,): logarithm of a
+    further density at each sample, (0,) for none; the weights of the ``mixture`` count it in:
+    density = background + Σ weight · N(x).
     """
-    d, (start, first_of, component) = x.shape[0], candidates
+    d = x.shape[0]
+    start, first_of, component = candidates
     _, inverse, log_peak = whitened(mixture)
     count = mixture.weight.size
-    mass, first, second = np.zeros(count), np.zeros((count, d)), np.zeros((count, d, d))
+    mass = np.zeros(count)
+    first = np.zeros((count, d))
+    second = np.zeros((count, d, d))
     widest = np.max(np.diff(first_of)) if first_of.size > 1 else 0
-    step, table = np.empty((d, CHUNK), x.dtype), np.empty((widest, CHUNK), x.dtype)
-    part, total = np.empty(CHUNK, x.dtype), np.empty(CHUNK, x.dtype)
-    own, other = np.empty(CHUNK, x.dtype), np.empty(CHUNK, x.dtype)
-    background, log_likelihood = 0.0, 0.0
+    step = np.empty((d, CHUNK), x.dtype)
+    table = np.empty((widest, CHUNK), x.dtype)
+    part = np.empty(CHUNK, x.dtype)
+    total = np.empty(CHUNK, x.dtype)
+    own = np.empty(CHUNK, x.dtype)
+    other = np.empty(CHUNK, x.dtype)
+    background = 0.0
+    log_likelihood = 0.0
     for b in range(start.size - 1):
         near = component[first_of[b] : first_of[b + 1]]
         if near.size == 1 and log_background.size == 0 and known.weight.size > 0:
@@ -300,7 +346,9 @@ def em_step(
 
 @njit(**INNER)
 def _move(mean: F8, cov: F8, step: F8, floor: F8, rate: float) -> None:
-    """Move a component by a part ``rate`` of the way to a sample at mean + ``step``, in place [M09 (19), (20)]."""
+    """Move a component by a part ``rate`` of the way to a sample at mean + ``step``, in place [M09
+    (19), (20)].
+    """
     for r in range(step.size):
         for s in range(r + 1):
             cov[r, s] += rate * (step[r] * step[s] + (floor[r] if r == s else 0.0) - cov[r, s])
@@ -309,20 +357,30 @@ def _move(mean: F8, cov: F8, step: F8, floor: F8, rate: float) -> None:
 
 
 @njit(**ENTRY)
-def recursive_em(mixture: Gaussians, uniform: float, samples: F8, order: I8, rule: Recursion) -> tuple[Gaussians, float]:
+def recursive_em(
+    mixture: Gaussians, uniform: float, samples: F8, order: I8, rule: Recursion
+) -> tuple[Gaussians, float]:
     """The mixture and the share of a uniform density after one sample at a time [M09 (16)-(20)].
 
-    A component whose weight turns negative is removed. After the steady samples, each one counts for the Gaussians by the
-    probability that it did not come from the uniform density, whose share is ``uniform`` at first and not among the weights,
-    which sum to 1. ``order`` (K,): indices of the ``samples`` (n, d) in the order in which they are taken; they may repeat.
+    A component whose weight turns negative is removed. After the steady samples, each one counts
+    for the Gaussians by the probability that it did not come from the uniform density, whose share
+    is ``uniform`` at first and not among the weights, which sum to 1. ``order`` (K,): indices of
+    the ``samples`` (n, d) in the order in which they are taken; they may repeat.
     """
-    left, mean, cov = mixture.weight.copy(), mixture.mean.T.copy(), mixture.covariance.copy()
-    d, late = mean.shape[1], 0.0
-    root, log_peak, step, y = np.zeros(cov.shape), np.empty(left.size), np.empty(d), np.empty(d)
+    left = mixture.weight.copy()
+    mean = mixture.mean.T.copy()
+    cov = mixture.covariance.copy()
+    d = mean.shape[1]
+    late = 0.0
+    root = np.zeros(cov.shape)
+    log_peak = np.empty(left.size)
+    step = np.empty(d)
+    y = np.empty(d)
     for m in range(left.size):
         log_peak[m] = -0.5 * (factor(cov[m], root[m]) + d * LOG_2PI)
     for k in range(order.size):
-        x, alive = samples[order[k]], left.size
+        x = samples[order[k]]
+        alive = left.size
         share = np.empty(alive)
         for m in range(alive):
             for r in range(d):
@@ -333,14 +391,23 @@ def recursive_em(mixture: Gaussians, uniform: float, samples: F8, order: I8, rul
         share = np.exp(share - top)
         total = share.sum()
         share /= total
-        ratio = math.exp(min(700.0, top + math.log(total) + rule.log_volume)) * (1.0 - uniform) / uniform
-        flat, settling = 1.0 / (1.0 + ratio), k >= rule.steady
+        ratio = (
+            math.exp(min(700.0, top + math.log(total) + rule.log_volume))
+            * (1.0 - uniform)
+            / uniform
+        )
+        flat = 1.0 / (1.0 + ratio)
+        settling = k >= rule.steady
         rate = min(1.0 / rule.memory, MAX_PRIOR / (rule.prior * alive))
-        prior, beta = rule.prior * rate, min(1.0, rate)
+        prior = rule.prior * rate
+        beta = min(1.0, rate)
         if settling:
             late += rate
-            prior, beta = 0.0, beta / (1.0 + late)
-        uniform = min(1.0 - rule.min_uniform, max(rule.min_uniform, uniform + beta * (flat - uniform)))
+            prior = 0.0
+            beta = beta / (1.0 + late)
+        uniform = min(
+            1.0 - rule.min_uniform, max(rule.min_uniform, uniform + beta * (flat - uniform))
+        )
         beta *= 1.0 - flat if settling else 1.0
         for m in range(alive):
             moved = min(1.0, beta * share[m] / left[m])
@@ -352,6 +419,10 @@ def recursive_em(mixture: Gaussians, uniform: float, samples: F8, order: I8, rul
                 log_peak[m] = -0.5 * (factor(cov[m], root[m]) + d * LOG_2PI)
         if left.min() <= 0.0:
             kept = np.flatnonzero(left > 0.0)
-            left, mean, cov, root, log_peak = left[kept], mean[kept], cov[kept], root[kept], log_peak[kept]
+            left = left[kept]
+            mean = mean[kept]
+            cov = cov[kept]
+            root = root[kept]
+            log_peak = log_peak[kept]
         left /= left.sum()
     return Gaussians(left, mean.T.copy(), cov), uniform

@@ -1,8 +1,10 @@
-"""Newborn particles around the measurements: where they lie, and the density of the proposal that they were drawn from.
+"""Newborn particles around the measurements: where they lie, and the density of the proposal that
+they were drawn from.
 
-The newborn of measurement j are the columns first[j] … first[j + 1] − 1. All of a frame are placed from one table of points
-of a truncated standard Gaussian, of which each measurement takes its own stretch: each one's newborn follow the proposal
-exactly; those of two measurements in one frame are not independent of each other, which changes no expectation.
+The newborn of measurement j are the columns first[j] … first[j + 1] − 1. All of a frame are placed
+from one table of points of a truncated standard Gaussian, of which each measurement takes its own
+stretch: each one's newborn follow the proposal exactly; those of two measurements in one frame are
+not independent of each other, which changes no expectation.
 """
 
 from __future__ import annotations
@@ -23,9 +25,10 @@ U = np.uint64
 class Proposal(NamedTuple):
     """The Gaussians about N measurements that newborn particles are drawn from.
 
-    ``mean`` (d, N) states; ``rows`` (r,) of the state that measurements show; ``root``, ``inverse`` (N, r, r) the Cholesky
-    factor of what is shown and its inverse; ``velocity`` (N, 2, 2) a factor for velocities; ``peak`` (N,) the density at the
-    mean, J_j of them together; ``reach`` (2, N) half the extent in position.
+    ``mean`` (d, N) states; ``rows`` (r,) of the state that measurements show; ``root``, ``inverse``
+    (N, r, r) the Cholesky factor of what is shown and its inverse; ``velocity`` (N, 2, 2) a factor
+    for velocities; ``peak`` (N,) the density at the mean, J_j of them together; ``reach`` (2, N)
+    half the extent in position.
     """
 
     mean: F8
@@ -39,14 +42,19 @@ class Proposal(NamedTuple):
 
 @njit(**ENTRY)
 def proposals(mean: F8, cov: F8, rows: I8, counts: I8, limit: float, kept: float) -> Proposal:
-    """The proposals from states (d, N) and covariances (N, d, d), for ``counts`` (N,) newborn of each measurement.
+    """The proposals from states (d, N) and covariances (N, d, d), for ``counts`` (N,) newborn of
+    each measurement.
 
-    ``rows`` (r,) of the state are what measurements show. ``limit``, ``kept``: the squared radius at which a Gaussian is
-    cut, and the part of it inside.
+    ``rows`` (r,) of the state are what measurements show. ``limit``, ``kept``: the squared radius
+    at which a Gaussian is cut, and the part of it inside.
     """
-    count, r = counts.size, rows.size
-    root, inverse, velocity = np.zeros((count, r, r)), np.zeros((count, r, r)), np.empty((count, 2, 2))
-    peak, reach = np.empty(count), np.empty((2, count))
+    count = counts.size
+    r = rows.size
+    root = np.zeros((count, r, r))
+    inverse = np.zeros((count, r, r))
+    velocity = np.empty((count, 2, 2))
+    peak = np.empty(count)
+    reach = np.empty((2, count))
     for j in range(count):
         peak[j] = counts[j] / (kept * (2.0 * np.pi) ** (0.5 * r))
         for a in range(r):
@@ -64,8 +72,10 @@ def proposals(mean: F8, cov: F8, rows: I8, counts: I8, limit: float, kept: float
                 inverse[j, a, b] = -total / root[j, a, a]
         for a in range(reach.shape[0]):
             reach[a, j] = np.sqrt(limit * cov[j, rows[a], rows[a]])
-        # The covariance of a uniform direction and a Gaussian amplitude is half the amplitude's variance.
-        velocity[j, 0, 0], velocity[j, 0, 1] = np.sqrt(2.0 * cov[j, 2, 2]), 0.0
+        # The covariance of a uniform direction and a Gaussian amplitude is half the amplitude's
+        # variance.
+        velocity[j, 0, 0] = np.sqrt(2.0 * cov[j, 2, 2])
+        velocity[j, 0, 1] = 0.0
         velocity[j, 1, 0] = 2.0 * cov[j, 3, 2] / velocity[j, 0, 0] if cov[j, 2, 2] > 0.0 else 0.0
         velocity[j, 1, 1] = np.sqrt(max(2.0 * cov[j, 3, 3] - velocity[j, 1, 0] ** 2, 0.0))
     return Proposal(mean, rows, root, inverse, velocity, peak, reach)
@@ -73,56 +83,79 @@ def proposals(mean: F8, cov: F8, rows: I8, counts: I8, limit: float, kept: float
 
 @njit(**ENTRY)
 def standard_points(normal: Real, uniform: F8, radii: F8) -> Real:
-    """(r + 3, P) standard Gaussian vectors inside a truncated region, velocities, and exp(−r²/2) of each vector.
+    """(r + 3, P) standard Gaussian vectors inside a truncated region, velocities, and exp(−r²/2) of
+    each vector.
 
-    The quantiles of the radii are a golden-section sequence, so that every stretch of the points has about every radius: the
-    importance weights of a flat γ follow the radius alone, and a thousand independent ones would leave the mass of the
-    newborn uncertain by 9 %. Velocities have uniform direction and standard Gaussian amplitude [M07 §2]. They are made of
-    standard ``normal`` numbers (r + 1, P), ``uniform`` ones (P + 1,), and the ``radii`` (K,) at equal steps of the quantile.
+    The quantiles of the radii are a golden-section sequence, so that every stretch of the points
+    has about every radius: the importance weights of a flat γ follow the radius alone, and a
+    thousand independent ones would leave the mass of the newborn uncertain by 9 %. Velocities have
+    uniform direction and standard Gaussian amplitude [M07 §2]. They are made of standard ``normal``
+    numbers (r + 1, P), ``uniform`` ones (P + 1,), and the ``radii`` (K,) at equal steps of the
+    quantile.
     """
-    r, count = normal.shape[0] - 1, normal.shape[1]
-    out, cells, real = np.empty((r + 3, count), normal.dtype), radii.size - 1, normal.dtype.type
+    r = normal.shape[0] - 1
+    count = normal.shape[1]
+    out = np.empty((r + 3, count), normal.dtype)
+    cells = radii.size - 1
+    real = normal.dtype.type
     for i in range(count):
         turn = uniform[count] + GOLDEN * i
         place = (turn - np.floor(turn)) * cells
         below = min(int(place), cells - 1)
-        radius, square = radii[below] + (radii[below + 1] - radii[below]) * (place - below), 0.0
+        radius = radii[below] + (radii[below + 1] - radii[below]) * (place - below)
+        square = 0.0
         for a in range(r):
             square += normal[a, i] * normal[a, i]
         for a in range(r):
             out[a, i] = normal[a, i] * radius / np.sqrt(square)
         cosine, sine = cos_sin_turn(F(uniform[i]))
-        out[r, i], out[r + 1, i] = normal[r, i] * cosine, normal[r, i] * sine
+        out[r, i] = normal[r, i] * cosine
+        out[r + 1, i] = normal[r, i] * sine
         out[r + 2, i] = exp_of(real(-0.5 * radius * radius))
     return out
 
 
 @njit(**(ENTRY | {"fastmath": FAST}))
-def place_newborn(about: Proposal, points: Real, begin: I8, first: I8, limit: float, out: Real, density: Real) -> None:
-    """Write newborn states into ``out`` (d, L), and Σ_i J_i p_i(x) there into ``density`` (L,) [M07 §2].
+def place_newborn(
+    about: Proposal, points: Real, begin: I8, first: I8, limit: float, out: Real, density: Real
+) -> None:
+    """Write newborn states into ``out`` (d, L), and Σ_i J_i p_i(x) there into ``density`` (L,) [M07
+    §2].
 
-    Those of each measurement are placed from ``points`` (r + 3, P) from ``begin`` (N,) on. p_i is cut at the squared radius
-    ``limit``.
+    Those of each measurement are placed from ``points`` (r + 3, P) from ``begin`` (N,) on. p_i is
+    cut at the squared radius ``limit``.
     """
     mean, rows, root, inverse, velocity, peak, reach = about
-    count, r, real = mean.shape[1], rows.size, out.dtype.type
-    lower, upper = mean[:2] - reach, mean[:2] + reach
-    grid, found = make_grid(lower, upper, 0.0, 0.0), np.empty(count, np.int64)
+    count = mean.shape[1]
+    r = rows.size
+    real = out.dtype.type
+    lower = mean[:2] - reach
+    upper = mean[:2] + reach
+    grid = make_grid(lower, upper, 0.0, 0.0)
+    found = np.empty(count, np.int64)
     squares = np.empty(np.max(np.diff(first)), out.dtype)
     for j in range(count):
         n = first[j + 1] - first[j]
         if n == 0:
             continue
         _place(mean, rows, root, velocity, points, j, begin[j], first[j], n, out)
-        at, own, source = U(first[j]), real(peak[j]), U(begin[j])
+        at = U(first[j])
+        own = real(peak[j])
+        source = U(begin[j])
         for i in range(U(n)):
-            # Of its own proposal by its radius: on the rim of the region rounding could put a particle outside.
+            # Of its own proposal by its radius: on the rim of the region rounding could put a
+            # particle outside.
             density[at + i] = own * points[r + 2, source + i]
-        for m in range(overlapping(lower[0, j], lower[1, j], upper[0, j], upper[1, j], grid, found)):
+        for m in range(
+            overlapping(lower[0, j], lower[1, j], upper[0, j], upper[1, j], grid, found)
+        ):
             k = found[m]
             if k != j and peak[k] > 0.0:
                 _squares(mean, rows, inverse, k, first[j], n, out, squares)
-                factor, rim, zero, half = real(peak[k]), real(limit), real(0), real(-0.5)
+                factor = real(peak[k])
+                rim = real(limit)
+                zero = real(0)
+                half = real(-0.5)
                 for i in range(U(n)):
                     value = factor * exp_of(half * squares[i])
                     density[at + i] += value if squares[i] <= rim else zero
@@ -132,14 +165,20 @@ def place_newborn(about: Proposal, points: Real, begin: I8, first: I8, limit: fl
 def _place(
     mean: F8, rows: I8, root: F8, velocity: F8, points: Real, j: int, begin: int, first: int, n: int, out: Real
 ) -> None:  # fmt: skip
-    """Write n states of measurement ``j`` from column ``first`` on, from the points from ``begin`` on."""
-    at, source, r, real = U(first), U(begin), rows.size, out.dtype.type
+    """Write n states of measurement ``j`` from column ``first`` on, from the points from ``begin``
+    on.
+    """
+    at = U(first)
+    source = U(begin)
+    r = rows.size
+    real = out.dtype.type
     for a in range(mean.shape[0]):
         middle = real(mean[a, j])
         for i in range(U(n)):
             out[a, at + i] = middle
     for a in range(r + 2):
-        row, lower = U(rows[a] if a < r else 2 + a - r), 0 if a < r else r
+        row = U(rows[a] if a < r else 2 + a - r)
+        lower = 0 if a < r else r
         for c in range(lower, a + 1):
             factor = real(root[j, a, c] if a < r else velocity[j, a - r, c - r])
             if factor != real(0):
@@ -148,9 +187,13 @@ def _place(
 
 
 @njit(**VECTOR)
-def _squares(mean: F8, rows: I8, inverse: F8, k: int, first: int, n: int, state: Real, squares: Real) -> None:
+def _squares(
+    mean: F8, rows: I8, inverse: F8, k: int, first: int, n: int, state: Real, squares: Real
+) -> None:
     """Write the squared distances of n states from measurement ``k``."""
-    at, r, real = U(first), rows.size, state.dtype.type
+    at = U(first)
+    r = rows.size
+    real = state.dtype.type
     for i in range(U(n)):
         squares[i] = real(0)
     for a in range(r):
@@ -158,7 +201,9 @@ def _squares(mean: F8, rows: I8, inverse: F8, k: int, first: int, n: int, state:
         for c in range(a):
             diagonal &= inverse[k, a, c] == 0.0
         if diagonal:
-            row, factor, middle = U(rows[a]), real(inverse[k, a, a]), real(mean[rows[a], k])
+            row = U(rows[a])
+            factor = real(inverse[k, a, a])
+            middle = real(mean[rows[a], k])
             for i in range(U(n)):
                 part = factor * (state[row, at + i] - middle)
                 squares[i] += part * part
@@ -166,5 +211,7 @@ def _squares(mean: F8, rows: I8, inverse: F8, k: int, first: int, n: int, state:
             for i in range(U(n)):
                 part = real(0)
                 for c in range(a + 1):
-                    part += real(inverse[k, a, c]) * (state[U(rows[c]), at + i] - real(mean[rows[c], k]))
+                    part += real(inverse[k, a, c]) * (
+                        state[U(rows[c]), at + i] - real(mean[rows[c], k])
+                    )
                 squares[i] += part * part

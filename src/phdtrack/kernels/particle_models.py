@@ -1,12 +1,14 @@
-"""What the particle sweeps ask of a model: small compiled functions of one particle, chosen by the model's record.
+"""What the particle sweeps ask of a model: small compiled functions of one particle, chosen by the
+model's record.
 
-A motion and a sensor hand over a record of their numbers (`BoxWalk`, `OwnSize`, …). The functions `move`, `survives`,
-`sees_velocity`, `prepare`, `seen`, `distance` and `neighbourhood` have one implementation for each type of record. The
-sweeps (`kernels.particles`) call them, and Numba compiles the sweeps for the types that they are given. To add a model,
-write a record and register its functions with `implements`.
+A motion and a sensor hand over a record of their numbers (`BoxWalk`, `OwnSize`, …). The functions
+`move`, `survives`, `sees_velocity`, `prepare`, `seen`, `distance` and `neighbourhood` have one
+implementation for each type of record. The sweeps (`kernels.particles`) call them, and Numba
+compiles the sweeps for the types that they are given. To add a model, write a record and register
+its functions with `implements`.
 
-Particles lie in a scratch array: row r of particle i is ``s[r * BLOCK + i]``. Rows 0 to 7 are the state, rows 8 to 15 hold
-standard normal numbers while particles are moved.
+Particles lie in a scratch array: row r of particle i is ``s[r * BLOCK + i]``. Rows 0 to 7 are the
+state, rows 8 to 15 hold standard normal numbers while particles are moved.
 """
 
 from __future__ import annotations
@@ -28,14 +30,24 @@ F = np.float32
 BLOCK = 256
 X, Y, VX, VY, W, H = (BLOCK * row for row in range(6))
 N0, N1, N2, N3, N4, N5 = (BLOCK * row for row in range(8, 14))
-ZERO, FOUR = F(0.0), F(4.0)
-_COMPILE = {"error_model": "numpy", "no_cfunc_wrapper": True, "no_cpython_wrapper": True, "fastmath": FAST}
+ZERO = F(0.0)
+FOUR = F(4.0)
+_COMPILE = {
+    "error_model": "numpy",
+    "no_cfunc_wrapper": True,
+    "no_cpython_wrapper": True,
+    "fastmath": FAST,
+}
 
 _FORMS: dict[str, dict[type, Callable[..., Any]]] = {}
 
 
-def implements(function: Callable[..., Any], *models: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """A decorator that makes a function the implementation of ``function`` for these types of records."""
+def implements(
+    function: Callable[..., Any], *models: type
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """A decorator that makes a function the implementation of ``function`` for these types of
+    records.
+    """
 
     def register(form: Callable[..., Any]) -> Callable[..., Any]:
         _FORMS[function.__name__].update(dict.fromkeys(models, form))
@@ -45,7 +57,9 @@ def implements(function: Callable[..., Any], *models: type) -> Callable[[Callabl
 
 
 def _by_record(function: Callable[..., Any]) -> Callable[..., Any]:
-    """``function`` as it was registered for the type of its first argument, or for any object, compiled or not."""
+    """``function`` as it was registered for the type of its first argument, or for any object,
+    compiled or not.
+    """
     forms = _FORMS.setdefault(function.__name__, {})
 
     @wraps(function)
@@ -72,22 +86,30 @@ def survives(model: Number, s: Real, i: int) -> Number:
 
 @_by_record
 def move(model: Number, s: Real, i: int) -> Number:
-    """Replace the state of particle i by a draw of f(·|x), from the normal numbers in the rows N0, N1, …"""
+    """Replace the state of particle i by a draw of f(·|x), from the normal numbers in the rows N0,
+    N1, …
+    """
 
 
 @_by_record
 def sees_velocity(model: Number) -> Number:
-    """Whether `prepare` and `distance` read rows 2 and 3 of the state; only then are these there."""
+    """Whether `prepare` and `distance` read rows 2 and 3 of the state; only then are these
+    there.
+    """
 
 
 @_by_record
 def prepare(model: Number, s: Real, i: int) -> Number:
-    """Write what `distance` needs of particle i besides its state, the same for all measurements, to the rows N0, N1, …"""
+    """Write what `distance` needs of particle i besides its state, the same for all measurements,
+    to the rows N0, N1, …
+    """
 
 
 @_by_record
 def seen(model: Number, table: Real, j: int) -> Number:
-    """The numbers of measurement j that `distance` reads, as a tuple; ``table`` has a column for each measurement."""
+    """The numbers of measurement j that `distance` reads, as a tuple; ``table`` has a column for
+    each measurement.
+    """
 
 
 @_by_record
@@ -125,7 +147,8 @@ number = by_type(_number_single, _number_double)
 class SensorNumbers(NamedTuple):
     """What a sensor hands over for one frame.
 
-    ``model`` : its record; ``table`` (k, N) the measurements' columns for `seen`; ``detection`` (1,) p_D, or (0,) where it
+    ``model`` : its record; ``table`` (k, N) the measurements' columns for `seen`; ``detection``
+        (1,) p_D, or (0,) where it
     differs from target to target: then `Sensor.p_detect` is asked.
     """
 
@@ -143,9 +166,10 @@ def precision(model: Number) -> np.dtype[np.floating[Any]]:
 class BoxWalk(NamedTuple):
     """`models.BoxMotion` over one interval [M09 (11)].
 
-    ``dt``, ``kick`` (deviation of the velocity's change), ``resize`` (of the sizes), ``rest`` (of the position beside what
-    the velocity explains, for dt > 1), ``min_size``, ``scaled`` (1: noises are multiples of the size), ``survival``, and the
-    frame's ``width`` and ``height`` (0: no border).
+    ``dt``, ``kick`` (deviation of the velocity's change), ``resize`` (of the sizes), ``rest`` (of
+    the position beside what the velocity explains, for dt > 1), ``min_size``, ``scaled`` (1: noises
+    are multiples of the size), ``survival``, and the frame's ``width`` and ``height`` (0: no
+    border).
     """
 
     dt: np.float32
@@ -162,8 +186,8 @@ class BoxWalk(NamedTuple):
 class Walk(NamedTuple):
     """Constant velocity with white noise, of points in an image or on a plane [D14, E13 §4].
 
-    The velocity of an axis changes by ``kick``·n, the position by ``dt``·v + ``coupled``·n + ``rest``·n'. ``survival``
-    inside the borders ``left``, ``low``, ``right``, ``high``, outside 0.
+    The velocity of an axis changes by ``kick``·n, the position by ``dt``·v + ``coupled``·n +
+    ``rest``·n'. ``survival`` inside the borders ``left``, ``low``, ``right``, ``high``, outside 0.
     """
 
     dt: float
@@ -185,13 +209,16 @@ class OwnSize(NamedTuple):
 
 
 class GivenSize(NamedTuple):
-    """`models.BoxSensor` whose deviations are the measurement's: rows 4 to 7 of the table hold one over them."""
+    """`models.BoxSensor` whose deviations are the measurement's: rows 4 to 7 of the table hold one
+    over them.
+    """
 
     norm: np.float32
 
 
 class PlanePoint(NamedTuple):
-    """A measured position; rows 2 to 4 of the table hold R⁻¹ as xx, xy, yy, row 5 the density's factor.
+    """A measured position; rows 2 to 4 of the table hold R⁻¹ as xx, xy, yy, row 5 the density's
+    factor.
 
     ``reach`` is the extent of a block.
     """
@@ -199,14 +226,31 @@ class PlanePoint(NamedTuple):
     reach: float
 
 
-def walk(dt: float, noise: tuple[float, float, float], survival: float, borders: tuple[float, float, float, float]) -> Walk:
-    """Constant velocity with the ``noise`` of position, both, and velocity of an axis; borders all 0 are none."""
+def walk(
+    dt: float,
+    noise: tuple[float, float, float],
+    survival: float,
+    borders: tuple[float, float, float, float],
+) -> Walk:
+    """Constant velocity with the ``noise`` of position, both, and velocity of an axis; borders all
+    0 are none.
+    """
     place, both, speed = noise
     kick = math.sqrt(speed)
     coupled = both / kick if kick > 0 else 0.0
     edges = (-math.inf, -math.inf, math.inf, math.inf) if borders == (0, 0, 0, 0) else borders
     left, low, right, high = (float(edge) for edge in edges)
-    return Walk(float(dt), kick, coupled, math.sqrt(max(place - coupled**2, 0.0)), float(survival), left, low, right, high)
+    return Walk(
+        float(dt),
+        kick,
+        coupled,
+        math.sqrt(max(place - coupled**2, 0.0)),
+        float(survival),
+        left,
+        low,
+        right,
+        high,
+    )
 
 
 def position_numbers(z: F8, covariance: F8) -> tuple[PlanePoint, F8]:
@@ -214,8 +258,14 @@ def position_numbers(z: F8, covariance: F8) -> tuple[PlanePoint, F8]:
     inverse = np.linalg.inv(covariance)
     factor = np.sqrt(np.linalg.det(inverse)) / (2 * math.pi)
     # Ten deviations hold the particles of one target, and few more.
-    reach = 10 * math.sqrt(float(np.trace(covariance, axis1=1, axis2=2).mean()) / 2) if z.shape[1] else 1.0
-    return PlanePoint(reach), np.stack([z[0], z[1], inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1], factor])
+    reach = (
+        10 * math.sqrt(float(np.trace(covariance, axis1=1, axis2=2).mean()) / 2)
+        if z.shape[1]
+        else 1.0
+    )
+    return PlanePoint(reach), np.stack(
+        [z[0], z[1], inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1], factor]
+    )
 
 
 @implements(normals, BoxWalk)
@@ -230,38 +280,51 @@ def _four(model: Number) -> int:
 
 @implements(survives, BoxWalk)
 def _survives_box(model: Number, s: Real, i: int) -> Number:
-    x, y, w, h = s[X + i], s[Y + i], HALF * s[W + i], HALF * s[H + i]
+    x = s[X + i]
+    y = s[Y + i]
+    w = HALF * s[W + i]
+    h = HALF * s[H + i]
     inside = (x > -w) & (x < model.width + w) & (y > -h) & (y < model.height + h)
     return model.survival if inside | (model.width <= ZERO) else ZERO
 
 
 @implements(move, BoxWalk)
 def _move_box(model: Number, s: Real, i: int) -> None:
-    smallest, w, h = model.min_size, s[W + i], s[H + i]
+    smallest = model.min_size
+    w = s[W + i]
+    h = s[H + i]
     unit_x = ONE + model.scaled * ((w if w > smallest else smallest) - ONE)
     unit_y = ONE + model.scaled * ((h if h > smallest else smallest) - ONE)
-    push_x, push_y = model.kick * unit_x * s[N0 + i], model.kick * unit_y * s[N1 + i]
-    vx, vy = s[VX + i], s[VY + i]
+    push_x = model.kick * unit_x * s[N0 + i]
+    push_y = model.kick * unit_y * s[N1 + i]
+    vx = s[VX + i]
+    vy = s[VY + i]
     s[X + i] += model.dt * (vx + HALF * push_x) + model.rest * unit_x * s[N4 + i]
     s[Y + i] += model.dt * (vy + HALF * push_y) + model.rest * unit_y * s[N5 + i]
-    s[VX + i], s[VY + i] = vx + push_x, vy + push_y
+    s[VX + i] = vx + push_x
+    s[VY + i] = vy + push_y
     s[W + i] = smallest + abs(w + model.resize * unit_x * s[N2 + i] - smallest)
     s[H + i] = smallest + abs(h + model.resize * unit_y * s[N3 + i] - smallest)
 
 
 @implements(survives, Walk)
 def _survives_plane(model: Number, s: Real, i: int) -> Number:
-    x, y = s[X + i], s[Y + i]
+    x = s[X + i]
+    y = s[Y + i]
     inside = (x >= model.left) & (x <= model.right) & (y >= model.low) & (y <= model.high)
     return model.survival if inside else 0.0
 
 
 @implements(move, Walk)
 def _move_plane(model: Number, s: Real, i: int) -> None:
-    nx, ny, vx, vy = s[N0 + i], s[N1 + i], s[VX + i], s[VY + i]
+    nx = s[N0 + i]
+    ny = s[N1 + i]
+    vx = s[VX + i]
+    vy = s[VY + i]
     s[X + i] += model.dt * vx + model.coupled * nx + model.rest * s[N2 + i]
     s[Y + i] += model.dt * vy + model.coupled * ny + model.rest * s[N3 + i]
-    s[VX + i], s[VY + i] = vx + model.kick * nx, vy + model.kick * ny
+    s[VX + i] = vx + model.kick * nx
+    s[VY + i] = vy + model.kick * ny
 
 
 @implements(seen, OwnSize)
@@ -272,15 +335,23 @@ def _seen_box(model: Number, table: Real, j: int) -> Number:
 @implements(prepare, OwnSize)
 def _prepare_own(model: Number, s: Real, i: int) -> None:
     # One over the deviations of a box of this size, and the density's factor.
-    sw, sh = model.noise * s[W + i], model.noise * s[H + i]
-    iw, ih = ONE / (sw if sw > model.min_noise else model.min_noise), ONE / (sh if sh > model.min_noise else model.min_noise)
-    s[N0 + i], s[N1 + i], s[N2 + i] = iw, ih, NORM * (iw * ih) * (iw * ih)
+    sw = model.noise * s[W + i]
+    sh = model.noise * s[H + i]
+    iw = ONE / (sw if sw > model.min_noise else model.min_noise)
+    ih = ONE / (sh if sh > model.min_noise else model.min_noise)
+    s[N0 + i] = iw
+    s[N1 + i] = ih
+    s[N2 + i] = NORM * (iw * ih) * (iw * ih)
 
 
 @implements(distance, OwnSize)
 def _distance_box(model: Number, z: Number, s: Real, i: int) -> Number:
-    iw, ih = s[N0 + i], s[N1 + i]
-    dx, dy, dw, dh = (z[0] - s[X + i]) * iw, (z[1] - s[Y + i]) * ih, (z[2] - s[W + i]) * iw, (z[3] - s[H + i]) * ih
+    iw = s[N0 + i]
+    ih = s[N1 + i]
+    dx = (z[0] - s[X + i]) * iw
+    dy = (z[1] - s[Y + i]) * ih
+    dw = (z[2] - s[W + i]) * iw
+    dh = (z[3] - s[H + i]) * ih
     return FOUR * (dx * dx + dy * dy) + (dw * dw + dh * dh), s[N2 + i]
 
 
@@ -305,13 +376,29 @@ NORM = F(4.0 / (2.0 * np.pi) ** 2)
 
 @implements(seen, GivenSize)
 def _seen_given(model: Number, table: Real, j: int) -> Number:
-    ix, iy, iw, ih = table[4, j], table[5, j], table[6, j], table[7, j]
-    return table[0, j], table[1, j], table[2, j], table[3, j], ix, iy, iw, ih, model.norm * (ix * iy) * (iw * ih)
+    ix = table[4, j]
+    iy = table[5, j]
+    iw = table[6, j]
+    ih = table[7, j]
+    return (
+        table[0, j],
+        table[1, j],
+        table[2, j],
+        table[3, j],
+        ix,
+        iy,
+        iw,
+        ih,
+        model.norm * (ix * iy) * (iw * ih),
+    )
 
 
 @implements(distance, GivenSize)
 def _distance_given(model: Number, z: Number, s: Real, i: int) -> Number:
-    dx, dy, dw, dh = (z[0] - s[X + i]) * z[4], (z[1] - s[Y + i]) * z[5], (z[2] - s[W + i]) * z[6], (z[3] - s[H + i]) * z[7]
+    dx = (z[0] - s[X + i]) * z[4]
+    dy = (z[1] - s[Y + i]) * z[5]
+    dw = (z[2] - s[W + i]) * z[6]
+    dh = (z[3] - s[H + i]) * z[7]
     return (dx * dx + dy * dy) + (dw * dw + dh * dh), z[8]
 
 
@@ -327,7 +414,8 @@ def _seen_point(model: Number, table: Real, j: int) -> Number:
 
 @implements(distance, PlanePoint)
 def _distance_point(model: Number, z: Number, s: Real, i: int) -> Number:
-    dx, dy = z[0] - s[X + i], z[1] - s[Y + i]
+    dx = z[0] - s[X + i]
+    dy = z[1] - s[Y + i]
     return z[2] * dx * dx + 2.0 * z[3] * dx * dy + z[4] * dy * dy, z[5]
 
 

@@ -1,11 +1,12 @@
 """Sweeps over blocks of particles: predict, likelihoods, weights [M07 §2, M09 §III].
 
-A block is a run of at most `BLOCK` particles that lie close together, so that the measurements near it are found once for
-all of them. The model's functions come from `kernels.particle_models`. A block's work depends on its own number alone:
-however the blocks are divided among threads, the result is the same to the bit.
+A block is a run of at most `BLOCK` particles that lie close together, so that the measurements near
+it are found once for all of them. The model's functions come from `kernels.particle_models`. A
+block's work depends on its own number alone: however the blocks are divided among threads, the
+result is the same to the bit.
 
-Weights are ``unit·share``, ``share`` (L,) in the precision of the states, or (0,) where all are 1. Sums over blocks are
-float64.
+Weights are ``unit·share``, ``share`` (L,) in the precision of the states, or (0,) where all are 1.
+Sums over blocks are float64.
 """
 
 from __future__ import annotations
@@ -61,21 +62,25 @@ from phdtrack.kernels.particle_models import (
 )
 
 F = np.float32
-# Columns are counted without a sign (U): the check of one that might be negative keeps loops from being vectorised.
-# Rows of the scratch array behind the state and the normal numbers: weights, these times p_D, sums; states of generators.
+# Columns are counted without a sign (U): the check of one that might be negative keeps loops from
+# being vectorised. Rows of the scratch array behind the state and the normal numbers: weights,
+# these times p_D, sums; states of generators.
 WEIGHT, SEEN, SUM = (BLOCK * row for row in range(16, 19))
 S0, S1, S2, S3 = (BLOCK * row for row in range(18, 22))
 ROWS = 23
-MINUS_TWO, MINUS_HALF = F(-2.0), F(-0.5)
-# Squared distances beyond which a likelihood is 0, in single and double precision: products of numbers below the smallest
-# normal one take a hundred times as long.
-FAR, VERY_FAR = F(100.0), F(1400.0)
+MINUS_TWO = F(-2.0)
+MINUS_HALF = F(-0.5)
+# Squared distances beyond which a likelihood is 0, in single and double precision: products of
+# numbers below the smallest normal one take a hundred times as long.
+FAR = F(100.0)
+VERY_FAR = F(1400.0)
 
 
 class Part(NamedTuple):
     """Particles in B blocks.
 
-    ``state`` (d, L); ``share`` (L,) or (0,): 1 each; ``detect`` p_D, (L,) of each or (1,) of all; ``start`` (B + 1,).
+    ``state`` (d, L); ``share`` (L,) or (0,): 1 each; ``detect`` p_D, (L,) of each or (1,) of all;
+    ``start`` (B + 1,).
     """
 
     state: Real
@@ -87,10 +92,11 @@ class Part(NamedTuple):
 class Sums(NamedTuple):
     """The measurements near each block, and what they say of it.
 
-    ``extents`` (B, 6) left, top, right, bottom of its positions, mean width and height of a few neighbourhoods in it;
-    ``mass``, ``missed`` (B,) Σ share, Σ (1 − p_D)·share. ``first`` (B + 1,): block b has the pairs first[b] …
-    first[b + 1] − 1; ``which`` (P,): the measurement of each; ``evidence`` (P,) Σ p_D·share·g(z|x) of each, ``near`` (P,)
-    Σ share of the particles inside the region.
+    ``extents`` (B, 6) left, top, right, bottom of its positions, mean width and height of a few
+    neighbourhoods in it; ``mass``, ``missed`` (B,) Σ share, Σ (1 − p_D)·share. ``first`` (B + 1,):
+    block b has the pairs first[b] … first[b + 1] − 1; ``which`` (P,): the measurement of each;
+    ``evidence`` (P,) Σ p_D·share·g(z|x) of each, ``near`` (P,) Σ share of the particles inside the
+    region.
     """
 
     extents: Real
@@ -104,13 +110,17 @@ class Sums(NamedTuple):
 
 @njit(**VECTOR)
 def load(s: Real, n: int, state: Real, at: int, velocity: bool) -> None:
-    """Copy the columns at … at + n − 1 of ``state`` (d, L) into the block; copies of the last fill the vector registers."""
+    """Copy the columns at … at + n − 1 of ``state`` (d, L) into the block; copies of the last fill
+    the vector registers.
+    """
     full = min(whole(n), state.shape[1] - at)
     for r in range(state.shape[0]):
-        row, begin = U(r * BLOCK), U(at)
+        row = U(r * BLOCK)
+        begin = U(at)
         if not velocity and (r * BLOCK == VX or r * BLOCK == VY):
             continue
-        # Whole registers, what lies behind the block with them: numbers that are left over are copied one by one.
+        # Whole registers, what lies behind the block with them: numbers that are left over are
+        # copied one by one.
         for i in range(U(full)):
             s[row + i] = state[r, begin + i]
         for i in range(U(n), U(whole(n))):
@@ -119,8 +129,11 @@ def load(s: Real, n: int, state: Real, at: int, velocity: bool) -> None:
 
 @njit(**VECTOR)
 def load_row(s: Real, row: int, n: int, values: Real, at: int) -> None:
-    """Copy values[at] … into a row of the block: of an empty array ones, of one number that number; zeros follow."""
-    to, begin = U(row), U(at)
+    """Copy values[at] … into a row of the block: of an empty array ones, of one number that number;
+    zeros follow.
+    """
+    to = U(row)
+    begin = U(at)
     if values.size > 1:
         for i in range(U(min(whole(n), values.size - at))):
             s[to + i] = values[begin + i]
@@ -133,40 +146,56 @@ def load_row(s: Real, row: int, n: int, values: Real, at: int) -> None:
 
 
 @njit(**VECTOR)
-def fill_normals(s: Real, n: int, c1: np.uint32, c2: np.uint32, k0: np.uint32, k1: np.uint32) -> None:
+def fill_normals(
+    s: Real, n: int, c1: np.uint32, c2: np.uint32, k0: np.uint32, k1: np.uint32
+) -> None:
     """Standard normals into the rows N0 to N3 [Box and Muller 1958].
 
-    Particle i takes the words of the two streams of lane i mod `LANES` whose states are the words of the counter
-    (lane, c1, c2, 0). The streams' states go through the rows from G on, in one array with the normals: so the compiler
-    sees that rows do not overlap.
+    Particle i takes the words of the two streams of lane i mod `LANES` whose states are the words
+    of the counter (lane, c1, c2, 0). The streams' states go through the rows from G on, in one
+    array with the normals: so the compiler sees that rows do not overlap.
     """
     like = s[0]
     for i in range(LANES):
         a, b, c, d = philox(WORD(i), c1, c2, WORD(0), k0, k1, ROUNDS)
-        s[S0 + i], s[S1 + i], s[S2 + i], s[S3 + i] = number(a, like), number(b, like), number(c, like), number(d, like)
+        s[S0 + i] = number(a, like)
+        s[S1 + i] = number(b, like)
+        s[S2 + i] = number(c, like)
+        s[S3 + i] = number(d, like)
     for i in range(n):
-        a, b, c, d = word(s[S0 + i]), word(s[S1 + i]), word(s[S2 + i]), word(s[S3 + i])
+        a = word(s[S0 + i])
+        b = word(s[S1 + i])
+        c = word(s[S2 + i])
+        d = word(s[S3 + i])
         first, a, b = xoroshiro(a, b)
         second, a, b = xoroshiro(a, b)
         third, c, d = xoroshiro(c, d)
         fourth, c, d = xoroshiro(c, d)
-        s[S0 + LANES + i], s[S1 + LANES + i] = number(a, like), number(b, like)
-        s[S2 + LANES + i], s[S3 + LANES + i] = number(c, like), number(d, like)
-        s[N0 + i], s[N1 + i] = unit(first), unit(second)
-        s[N2 + i], s[N3 + i] = unit(third), unit(fourth)
+        s[S0 + LANES + i] = number(a, like)
+        s[S1 + LANES + i] = number(b, like)
+        s[S2 + LANES + i] = number(c, like)
+        s[S3 + LANES + i] = number(d, like)
+        s[N0 + i] = unit(first)
+        s[N1 + i] = unit(second)
+        s[N2 + i] = unit(third)
+        s[N3 + i] = unit(fourth)
     for i in range(n):
         radius = np.sqrt(MINUS_TWO * log32(F(s[N0 + i])))
         cosine, sine = cos_sin_turn(F(s[N1 + i]))
-        s[N0 + i], s[N1 + i] = radius * cosine, radius * sine
+        s[N0 + i] = radius * cosine
+        s[N1 + i] = radius * sine
     for i in range(n):
         radius = np.sqrt(MINUS_TWO * log32(F(s[N2 + i])))
         cosine, sine = cos_sin_turn(F(s[N3 + i]))
-        s[N2 + i], s[N3 + i] = radius * cosine, radius * sine
+        s[N2 + i] = radius * cosine
+        s[N3 + i] = radius * sine
 
 
 @njit(**VECTOR)
 def move_block(motion: Number, s: Real, n: int) -> None:
-    """Multiply the weights of n particles by p_S and move them. (Loops over one array in a function alone vectorise.)"""
+    """Multiply the weights of n particles by p_S and move them. (Loops over one array in a function
+    alone vectorise.)
+    """
     for i in range(n):
         s[WEIGHT + i] *= survives(motion, s, i)
     for i in range(n):
@@ -174,13 +203,28 @@ def move_block(motion: Number, s: Real, n: int) -> None:
 
 
 @njit(**(ENTRY | {"fastmath": FAST}))
-def predict(lo: int, hi: int, motion: Number, state: Real, share: Real, start: I8, key: I8, moved: Real, kept: Real) -> None:
-    """Move the blocks lo … hi − 1 by f(·|x) into ``moved`` (d, L), and multiply their shares by p_S into ``kept`` (L,)."""
-    k0, k1 = WORD(key[0]), WORD(key[1])
+def predict(
+    lo: int,
+    hi: int,
+    motion: Number,
+    state: Real,
+    share: Real,
+    start: I8,
+    key: I8,
+    moved: Real,
+    kept: Real,
+) -> None:
+    """Move the blocks lo … hi − 1 by f(·|x) into ``moved`` (d, L), and multiply their shares by p_S
+    into ``kept`` (L,).
+    """
+    k0 = WORD(key[0])
+    k1 = WORD(key[1])
     # Zeros: a motion may multiply normal numbers that were not drawn with 0.
-    s, d = np.zeros(ROWS * BLOCK, state.dtype), state.shape[0]
+    s = np.zeros(ROWS * BLOCK, state.dtype)
+    d = state.shape[0]
     for b in range(lo, hi):
-        at, n = start[b], start[b + 1] - start[b]
+        at = start[b]
+        n = start[b + 1] - start[b]
         if n == 0:
             continue
         full = whole(n)
@@ -193,7 +237,8 @@ def predict(lo: int, hi: int, motion: Number, state: Real, share: Real, start: I
         fill_normals(s, full, WORD(b), WORD(0), k0, k1)
         move_block(motion, s, full)
         # Whole registers: what is too much the next block overwrites.
-        begin, full = U(at), min(full, start[hi] - at)
+        begin = U(at)
+        full = min(full, start[hi] - at)
         for r in range(d):
             for i in range(U(full)):
                 moved[r, begin + i] = s[r * BLOCK + i]
@@ -203,24 +248,35 @@ def predict(lo: int, hi: int, motion: Number, state: Real, share: Real, start: I
 
 @njit(**VECTOR)
 def outline(sensor: Number, s: Real, n: int, out: Real) -> None:
-    """Write left, top, right, bottom of n positions, mean width and height of a few neighbourhoods, into ``out`` (6,)."""
+    """Write left, top, right, bottom of n positions, mean width and height of a few neighbourhoods,
+    into ``out`` (6,).
+    """
     left = right = sortable(s[X])
     top = bottom = sortable(s[Y])
     for i in range(n):
-        x, y = sortable(s[X + i]), sortable(s[Y + i])
-        left, right = min(left, x), max(right, x)
-        top, bottom = min(top, y), max(bottom, y)
-    out[0], out[1], out[2], out[3] = sorted_number(left), sorted_number(top), sorted_number(right), sorted_number(bottom)
+        x = sortable(s[X + i])
+        y = sortable(s[Y + i])
+        left = min(left, x)
+        right = max(right, x)
+        top = min(top, y)
+        bottom = max(bottom, y)
+    out[0] = sorted_number(left)
+    out[1] = sorted_number(top)
+    out[2] = sorted_number(right)
+    out[3] = sorted_number(bottom)
     wide = high = s.dtype.type(0)
     for i in range(LANES):
         w, h = neighbourhood(sensor, s, i)
         wide += w
         high += h
-    out[4], out[5] = wide / LANES, high / LANES
+    out[4] = wide / LANES
+    out[5] = high / LANES
 
 
 @njit(**VECTOR)
-def load_part(sensor: Number, s: Real, n: int, state: Real, share: Real, detect: Real, at: int) -> None:
+def load_part(
+    sensor: Number, s: Real, n: int, state: Real, share: Real, detect: Real, at: int
+) -> None:
     """Copy a block's states and weights, write its weights times p_D, and what likelihoods need."""
     load(s, n, state, at, sees_velocity(sensor))
     load_row(s, WEIGHT, n, share, at)
@@ -234,7 +290,8 @@ def load_part(sensor: Number, s: Real, n: int, state: Real, share: Real, detect:
 @njit(**VECTOR)
 def add_up(s: Real, n: int) -> tuple[Number, Number]:
     """Σ share, and Σ (1 − p_D)·share of n particles."""
-    known, lost = s.dtype.type(0), s.dtype.type(0)
+    known = s.dtype.type(0)
+    lost = s.dtype.type(0)
     for i in range(n):
         known += s[WEIGHT + i]
         lost += s[WEIGHT + i] - s[SEEN + i]
@@ -242,9 +299,15 @@ def add_up(s: Real, n: int) -> tuple[Number, Number]:
 
 
 @njit(**VECTOR)
-def evaluate(sensor: Number, table: Real, j: int, s: Real, n: int, limit: Number) -> tuple[Number, Number]:
-    """Σ p_D·share·g(z_j|x) of n particles, and Σ share of those within the squared radius ``limit``."""
-    z, far, half = seen(sensor, table, j), FAR if s.itemsize < 8 else VERY_FAR, s.dtype.type(MINUS_HALF)
+def evaluate(
+    sensor: Number, table: Real, j: int, s: Real, n: int, limit: Number
+) -> tuple[Number, Number]:
+    """Σ p_D·share·g(z_j|x) of n particles, and Σ share of those within the squared radius
+    ``limit``.
+    """
+    z = seen(sensor, table, j)
+    far = FAR if s.itemsize < 8 else VERY_FAR
+    half = s.dtype.type(MINUS_HALF)
     zero = total = near = s.dtype.type(0)
     for i in range(n):
         d2, factor = distance(sensor, z, s, i)
@@ -257,7 +320,9 @@ def evaluate(sensor: Number, table: Real, j: int, s: Real, n: int, limit: Number
 @njit(**VECTOR)
 def add_detected(sensor: Number, table: Real, j: int, s: Real, n: int, by: Number) -> None:
     """Add ``by``·p_D·share·g(z_j|x) of n particles to SUM."""
-    z, far, half = seen(sensor, table, j), FAR if s.itemsize < 8 else VERY_FAR, s.dtype.type(MINUS_HALF)
+    z = seen(sensor, table, j)
+    far = FAR if s.itemsize < 8 else VERY_FAR
+    half = s.dtype.type(MINUS_HALF)
     zero = s.dtype.type(0)
     for i in range(n):
         d2, factor = distance(sensor, z, s, i)
@@ -268,37 +333,55 @@ def add_detected(sensor: Number, table: Real, j: int, s: Real, n: int, by: Numbe
 @njit(**INNER)
 def longer(which: I8, sums: F8, used: int, size: int) -> tuple[I8, F8]:
     """The first ``used`` pairs in lists of ``size``."""
-    wide, deep = np.empty(size, np.int64), np.empty((2, size))
+    wide = np.empty(size, np.int64)
+    deep = np.empty((2, size))
     for e in range(used):
-        wide[e], deep[0, e], deep[1, e] = which[e], sums[0, e], sums[1, e]
+        wide[e] = which[e]
+        deep[0, e] = sums[0, e]
+        deep[1, e] = sums[1, e]
     return wide, deep
 
 
 @njit(**(ENTRY | {"fastmath": FAST}))
-def likelihoods(lo: int, hi: int, part: Part, sensor: Number, table: Real, gates: Grid, region: float) -> Sums:
+def likelihoods(
+    lo: int, hi: int, part: Part, sensor: Number, table: Real, gates: Grid, region: float
+) -> Sums:
     """What the measurements say of the blocks lo … hi − 1.
 
-    A block and the measurements whose ``gates`` its extent overlaps are a pair. ``region``: the squared radius within which
-    mass counts as explaining a measurement.
+    A block and the measurements whose ``gates`` its extent overlaps are a pair. ``region``: the
+    squared radius within which mass counts as explaining a measurement.
     """
-    (state, share, detect, start), blocks, used = part, hi - lo, 0
-    extents, mass, missed = np.zeros((blocks, 6), state.dtype), np.zeros(blocks), np.zeros(blocks)
-    s, found, limit = np.empty(ROWS * BLOCK, state.dtype), np.empty(table.shape[1] + 1, np.int64), state.dtype.type(region)
-    first, which, sums = np.zeros(blocks + 1, np.int64), np.empty(2 * blocks + 64, np.int64), np.empty((2, 2 * blocks + 64))
+    state, share, detect, start = part
+    blocks = hi - lo
+    used = 0
+    extents = np.zeros((blocks, 6), state.dtype)
+    mass = np.zeros(blocks)
+    missed = np.zeros(blocks)
+    s = np.empty(ROWS * BLOCK, state.dtype)
+    found = np.empty(table.shape[1] + 1, np.int64)
+    limit = state.dtype.type(region)
+    first = np.zeros(blocks + 1, np.int64)
+    which = np.empty(2 * blocks + 64, np.int64)
+    sums = np.empty((2, 2 * blocks + 64))
     for b in range(blocks):
-        at, n, near = start[lo + b], start[lo + b + 1] - start[lo + b], 0
+        at = start[lo + b]
+        n = start[lo + b + 1] - start[lo + b]
+        near = 0
         if n > 0:
             load_part(sensor, s, n, state, share, detect, at)
             outline(sensor, s, whole(n), extents[b])
             left, top, right, bottom, _, _ = extents[b]
             near = overlapping(float(left), float(top), float(right), float(bottom), gates, found)
             known, lost = add_up(s, whole(n))
-            mass[b], missed[b] = float(known), float(lost)
+            mass[b] = float(known)
+            missed[b] = float(lost)
         if used + near > which.size:
             which, sums = longer(which, sums, used, 2 * (used + near))
         for m in range(near):
             total, inside = evaluate(sensor, table, found[m], s, whole(n), limit)
-            which[used + m], sums[0, used + m], sums[1, used + m] = found[m], float(total), float(inside)
+            which[used + m] = found[m]
+            sums[0, used + m] = float(total)
+            sums[1, used + m] = float(inside)
         used += near
         first[b + 1] = used
     return Sums(extents, mass, missed, first, which[:used], sums[0, :used], sums[1, :used])
@@ -306,11 +389,20 @@ def likelihoods(lo: int, hi: int, part: Part, sensor: Number, table: Real, gates
 
 @njit(**VECTOR)
 def update_weights(
-    sensor: Number, table: Real, s: Real, n: int, which: I8, begin: int, end: int, missed: float, factor: F8
+    sensor: Number,
+    table: Real,
+    s: Real,
+    n: int,
+    which: I8,
+    begin: int,
+    end: int,
+    missed: float,
+    factor: F8,
 ) -> None:
     """Make the shares in WEIGHT those after the update [M07 (5), M09 (10)].
 
-    share·(``missed``·(1 − p_D) + Σ_z ``factor``[z]·p_D·g(z|x)), z of the pairs ``begin`` … ``end`` − 1.
+    share·(``missed``·(1 − p_D) + Σ_z ``factor``[z]·p_D·g(z|x)), z of the pairs ``begin`` … ``end``
+    − 1.
     """
     real = s.dtype.type
     for i in range(n):
@@ -323,22 +415,37 @@ def update_weights(
 
 @njit(**(ENTRY | {"fastmath": FAST}))
 def weigh(
-    lo: int, hi: int, part: Part, sums: Sums, sensor: Number, table: Real, missed: float, factor: F8, result: Real
+    lo: int,
+    hi: int,
+    part: Part,
+    sums: Sums,
+    sensor: Number,
+    table: Real,
+    missed: float,
+    factor: F8,
+    result: Real,
 ) -> None:
-    """Shares after the update of the blocks lo … hi − 1 into ``result`` (L,), see `update_weights`."""
+    """Shares after the update of the blocks lo … hi − 1 into ``result`` (L,), see
+    `update_weights`.
+    """
     state, share, detect, start = part
     s = np.empty(ROWS * BLOCK, state.dtype)
     for b in range(lo, hi):
-        begin, n = U(start[b]), start[b + 1] - start[b]
+        begin = U(start[b])
+        n = start[b + 1] - start[b]
         load_part(sensor, s, n, state, share, detect, start[b])
-        update_weights(sensor, table, s, whole(n), sums.which, sums.first[b], sums.first[b + 1], missed, factor)
+        update_weights(
+            sensor, table, s, whole(n), sums.which, sums.first[b], sums.first[b + 1], missed, factor
+        )
         for i in range(U(n)):
             result[begin + i] = s[WEIGHT + i]
 
 
 @njit(**ENTRY)
 def masses(sums: Sums, missed: float, factor: F8) -> F8:
-    """(B,) the sums of the blocks' shares after the update; ``missed``, ``factor`` as in `weigh`."""
+    """(B,) the sums of the blocks' shares after the update; ``missed``, ``factor`` as in
+    `weigh`.
+    """
     out = missed * sums.missed
     for b in range(out.size):
         for e in range(sums.first[b], sums.first[b + 1]):

@@ -1,7 +1,8 @@
-"""Pictures kept as planes, as decoders have them: smoothed, their noise and their light, and what is drawn on them.
+"""Pictures kept as planes, as decoders have them: smoothed, their noise and their light, and what
+is drawn on them.
 
-They are YUV 4:2:0 in one row (n,): brightness (H·W), and below it the blue and the red colour difference, each a plane of
-half width and height, rounded up.
+They are YUV 4:2:0 in one row (n,): brightness (H·W), and below it the blue and the red colour
+difference, each a plane of half width and height, rounded up.
 """
 
 from __future__ import annotations
@@ -17,20 +18,37 @@ from phdtrack.kernels.blobs import mirrored
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER, INT, VECTOR, D, F
 
-# Brightness is 16 (black) to 235 (white), colour differences 16 to 240 (BT.601): grey levels and levels of colour in each.
-BLACK, GREYS, COLOURS = 16, 255 / 219, 255 / 224
-# Brightness is compared as the logarithm of grey level + `LIFT`: noise in the dark counts less. `LOG` has it in whole
-# numbers, 0 for black; by its scale they fit into a byte.
-LIFT, LOG_SCALE = 15, 88.0
-LOG: U1 = np.rint(LOG_SCALE * np.log1p(GREYS * np.clip(np.arange(256) - BLACK, 0, 219) / LIFT)).astype(np.uint8)
-# Blue, green and red, 0 to 255, of brightness less BLACK, and the colour differences of blue and red less 128.
-TO_BGR: F8 = np.array([[1, 1.772, 0], [1, -0.344136, -0.714136], [1, 0, 1.402]]) * np.array([GREYS, COLOURS, COLOURS])
+# Brightness is 16 (black) to 235 (white), colour differences 16 to 240 (BT.601): grey levels and
+# levels of colour in each.
+BLACK = 16
+GREYS = 255 / 219
+COLOURS = 255 / 224
+# Brightness is compared as the logarithm of grey level + `LIFT`: noise in the dark counts less.
+# `LOG` has it in whole numbers, 0 for black; by its scale they fit into a byte.
+LIFT = 15
+LOG_SCALE = 88.0
+LOG: U1 = np.rint(
+    LOG_SCALE * np.log1p(GREYS * np.clip(np.arange(256) - BLACK, 0, 219) / LIFT)
+).astype(np.uint8)
+# Blue, green and red, 0 to 255, of brightness less BLACK, and the colour differences of blue and
+# red less 128.
+TO_BGR: F8 = np.array([[1, 1.772, 0], [1, -0.344136, -0.714136], [1, 0, 1.402]]) * np.array(
+    [GREYS, COLOURS, COLOURS]
+)
 FROM_BGR: F8 = np.asarray(np.linalg.inv(TO_BGR), np.float64)
-# Grey levels between which a pixel tells of the light, the fewest pixels, and the deviations within which they fit.
-_DARKEST, _BRIGHTEST, _FEWEST, _NEAR, _ROUNDS = 8, 245, 50, 2.5, 3
+# Grey levels between which a pixel tells of the light, the fewest pixels, and the deviations within
+# which they fit.
+_DARKEST = 8
+_BRIGHTEST = 245
+_FEWEST = 50
+_NEAR = 2.5
+_ROUNDS = 3
 _BINS = 8192
-# Pixels of a row that are passed over together where nothing was drawn on them, and the bits of two of them.
-_STRETCH, _TWO, _BITS = 8, D(0xFFFF), D(16)
+# Pixels of a row that are passed over together where nothing was drawn on them, and the bits of two
+# of them.
+_STRETCH = 8
+_TWO = D(0xFFFF)
+_BITS = D(16)
 
 
 def luma(picture: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:
@@ -41,20 +59,26 @@ def luma(picture: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:
 def colours(picture: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:
     """(2, h, w) its colour differences of blue and red, the same memory."""
     height, width = shape
-    return picture[height * width :].reshape(2, (height + 1) // 2, (width + 1) // 2, *picture.shape[1:])
+    return picture[height * width :].reshape(
+        2, (height + 1) // 2, (width + 1) // 2, *picture.shape[1:]
+    )
 
 
 @njit(**ENTRY)
 def smooth(picture: U1, shape: tuple[int, int]) -> None:
-    """Replace the colours of a picture (n,) of this shape by the means of squares of nine, rounded."""
-    height, width = (shape[0] + 1) // 2, (shape[1] + 1) // 2
+    """Replace the colours of a picture (n,) of this shape by the means of squares of nine,
+    rounded.
+    """
+    height = (shape[0] + 1) // 2
+    width = (shape[1] + 1) // 2
     sums = np.empty((3, width), np.int32)
     for first in (shape[0] * shape[1], shape[0] * shape[1] + height * width):
         _three(picture, first, sums, 0)
         for y in range(height):
             if y + 1 < height:
                 _three(picture, first + (y + 1) * width, sums, (y + 1) % 3)
-            above, below = mirrored(y - 1, height) % 3, mirrored(y + 1, height) % 3
+            above = mirrored(y - 1, height) % 3
+            below = mirrored(y + 1, height) % 3
             _ninth(sums, (above, y % 3, below), picture, first + y * width)
 
 
@@ -62,11 +86,14 @@ def smooth(picture: U1, shape: tuple[int, int]) -> None:
 def _three(picture: U1, start: int, sums: I4, slot: int) -> None:
     """The sum of each number of a row and its two neighbours."""
     width = sums.shape[1]
-    left, here, right = D(start - 1), D(start), D(start + 1)
+    left = D(start - 1)
+    here = D(start)
+    right = D(start + 1)
     for i in range(D(1), D(max(width - 1, 1))):
         sums[slot, i] = INT(picture[left + i]) + INT(picture[here + i]) + INT(picture[right + i])
     for k in (0, width - 1):
-        a, b = mirrored(k - 1, width), mirrored(k + 1, width)
+        a = mirrored(k - 1, width)
+        b = mirrored(k + 1, width)
         sums[slot, k] = INT(picture[start + k]) + INT(picture[start + a]) + INT(picture[start + b])
 
 
@@ -81,13 +108,17 @@ def _ninth(sums: I4, rows: tuple[int, int, int], picture: U1, start: int) -> Non
 
 @njit(**ENTRY)
 def noise(image: U1, before: U1, shape: tuple[int, int], step: int) -> I8:
-    """(3, 256) how often every ``step``-th pixel both ways of ``image`` (n,), of this shape, differs by so much.
+    """(3, 256) how often every ``step``-th pixel both ways of ``image`` (n,), of this shape,
+    differs by so much.
 
-    From ``before`` (3, h, w): logarithm of brightness, and the colours, which become those of this image; ``step`` is even.
+    From ``before`` (3, h, w): logarithm of brightness, and the colours, which become those of this
+    image; ``step`` is even.
     """
-    (tall, wide), (_, height, width) = shape, before.shape
+    tall, wide = shape
+    _, height, width = before.shape
     across = (wide + 1) // 2
-    counts, now = np.zeros((3, 256), np.int64), np.empty(3, np.uint8)
+    counts = np.zeros((3, 256), np.int64)
+    now = np.empty(3, np.uint8)
     for y in range(height):
         for x in range(width):
             now[0] = LOG[image[step * (y * wide + x)]]
@@ -101,8 +132,12 @@ def noise(image: U1, before: U1, shape: tuple[int, int], step: int) -> I8:
 
 @njit(**INNER)
 def quartile(counts: I8) -> float:
-    """The third quartile of whole numbers from 0 on of which there are so many each, as NumPy's percentile."""
-    place, below, low = 0.75 * (counts.sum() - 1), 0, -1
+    """The third quartile of whole numbers from 0 on of which there are so many each, as NumPy's
+    percentile.
+    """
+    place = 0.75 * (counts.sum() - 1)
+    below = 0
+    low = -1
     for value in range(counts.size):
         below += counts[value]
         if low < 0 and below > math.floor(place):
@@ -114,15 +149,22 @@ def quartile(counts: I8) -> float:
 
 @njit(**ENTRY)
 def lighting(reference: F4, image: U1, foreground: U1, step: int) -> F4:
-    """(3, 4) what brings the ``reference`` into the light of ``image``: a matrix, and in its last column what is added.
+    """(3, 4) what brings the ``reference`` into the light of ``image``: a matrix, and in its last
+    column what is added.
 
-    It maps brightness less 16, and the colour differences of blue and red less 128. Blue, green and red each have a gain and
-    an offset, fitted to every ``step``-th pixel both ways outside of the ``foreground``; 1 and 0 where too few tell.
+    It maps brightness less 16, and the colour differences of blue and red less 128. Blue, green and
+    red each have a gain and an offset, fitted to every ``step``-th pixel both ways outside of the
+    ``foreground``; 1 and 0 where too few tell.
     """
     height, width = foreground.shape
-    first, n, across = step // 2, np.zeros(3, np.int64), (width + 1) // 2
+    first = step // 2
+    n = np.zeros(3, np.int64)
+    across = (width + 1) // 2
     room = len(range(first, height, step)) * len(range(first, width, step))
-    x, y, size, counts = np.empty((3, room)), np.empty((3, room)), np.empty(room), np.empty(_BINS, np.int32)
+    x = np.empty((3, room))
+    y = np.empty((3, room))
+    size = np.empty(room)
+    counts = np.empty(_BINS, np.int32)
     for i in range(first, height, step):
         for j in range(first, width, step):
             if foreground[i, j] == 0:
@@ -130,11 +172,22 @@ def lighting(reference: F4, image: U1, foreground: U1, step: int) -> F4:
                 red = blue + (height + 1) // 2 * across
                 p = i * width + j
                 for c in range(3):
-                    a, b, d = TO_BGR[c, 0], TO_BGR[c, 1], TO_BGR[c, 2]
-                    was = a * (reference[p] - 16) + b * (reference[blue] - 128) + d * (reference[red] - 128)
-                    now = a * (F(image[p]) - 16) + b * (F(image[blue]) - 128) + d * (F(image[red]) - 128)
+                    a = TO_BGR[c, 0]
+                    b = TO_BGR[c, 1]
+                    d = TO_BGR[c, 2]
+                    was = (
+                        a * (reference[p] - 16)
+                        + b * (reference[blue] - 128)
+                        + d * (reference[red] - 128)
+                    )
+                    now = (
+                        a * (F(image[p]) - 16)
+                        + b * (F(image[blue]) - 128)
+                        + d * (F(image[red]) - 128)
+                    )
                     if was > _DARKEST and was < _BRIGHTEST and now > _DARKEST and now < _BRIGHTEST:
-                        x[c, n[c]], y[c, n[c]] = was, now
+                        x[c, n[c]] = was
+                        y[c, n[c]] = now
                         n[c] += 1
     out = np.zeros((3, 4), np.float32)
     for c in range(3):
@@ -153,12 +206,17 @@ def _line(x: F8, y: F8, size: F8, counts: I4) -> tuple[float, float]:
         return 1.0, 0.0
     for i in range(x.size):
         size[i] = y[i] / x[i]
-    gain, offset = _median(size, counts), 0.0
+    gain = _median(size, counts)
+    offset = 0.0
     for _ in range(_ROUNDS):
         for i in range(x.size):
             size[i] = abs(y[i] - gain * x[i] - offset)
         limit = _NEAR * (1.4826 * _median(size, counts) + 0.5)
-        n, a, b, aa, ab = 0, 0.0, 0.0, 0.0, 0.0
+        n = 0
+        a = 0.0
+        b = 0.0
+        aa = 0.0
+        ab = 0.0
         for i in range(x.size):
             if size[i] < limit:
                 n += 1
@@ -166,8 +224,12 @@ def _line(x: F8, y: F8, size: F8, counts: I4) -> tuple[float, float]:
                 b += y[i]
                 aa += x[i] * x[i]
                 ab += x[i] * y[i]
-        a, b, aa, ab = a / n, b / n, aa / n, ab / n
-        # A scene of one brightness does not tell gain from offset: keep the gain and move the offset alone.
+        a = a / n
+        b = b / n
+        aa = aa / n
+        ab = ab / n
+        # A scene of one brightness does not tell gain from offset: keep the gain and move the
+        # offset alone.
         if aa - a * a > 100.0:
             gain = (ab - a * b) / (aa - a * a)
         n = 0
@@ -181,11 +243,18 @@ def _line(x: F8, y: F8, size: F8, counts: I4) -> tuple[float, float]:
 
 @njit(**INNER)
 def _median(values: F8, counts: I4) -> float:
-    """The median of n > 0 numbers, within a few thousandths of their range: the mean of those that share its bin."""
-    low, high = values[0], values[0]
+    """The median of n > 0 numbers, within a few thousandths of their range: the mean of those that
+    share its bin.
+    """
+    low = values[0]
+    high = values[0]
     for value in values:
-        low, high = min(low, value), max(high, value)
-    scale, reached, bin, total = (counts.size - 1) / max(high - low, 1e-9), 0, 0, 0.0
+        low = min(low, value)
+        high = max(high, value)
+    scale = (counts.size - 1) / max(high - low, 1e-9)
+    reached = 0
+    bin = 0
+    total = 0.0
     counts[:] = 0
     for value in values:
         counts[int((value - low) * scale)] += 1
@@ -200,7 +269,8 @@ def _median(values: F8, counts: I4) -> float:
 
 @njit(**ENTRY)
 def blend(y: U1, u: U1, v: U1, sheet: U1, opacity: U1) -> None:
-    """Mix ``sheet`` (H, W, 3), BGR, into ``y`` (H, W), ``u`` and ``v`` (H/2, W/2) by ``opacity`` (H, W), which is then 0.
+    """Mix ``sheet`` (H, W, 3), BGR, into ``y`` (H, W), ``u`` and ``v`` (H/2, W/2) by ``opacity``
+    (H, W), which is then 0.
 
     H and W are even. Colours are those of BT.601 with the range 16 … 235.
     """
@@ -210,11 +280,13 @@ def blend(y: U1, u: U1, v: U1, sheet: U1, opacity: U1) -> None:
         upper = opacity[i, : whole * _STRETCH].view(np.uint64)
         lower = opacity[i + 1, : whole * _STRETCH].view(np.uint64)
         for k in range(whole):
-            drawn, j = upper[k] | lower[k], k * _STRETCH
+            drawn = upper[k] | lower[k]
+            j = k * _STRETCH
             while drawn:
                 if drawn & _TWO:
                     _mix(y, u, v, sheet, opacity, i, j)
-                drawn, j = drawn >> _BITS, j + 2
+                drawn = drawn >> _BITS
+                j = j + 2
         for j in range(whole * _STRETCH, width, 2):
             _mix(y, u, v, sheet, opacity, i, j)
 
@@ -222,12 +294,16 @@ def blend(y: U1, u: U1, v: U1, sheet: U1, opacity: U1) -> None:
 @njit(**INNER)
 def _mix(y: U1, u: U1, v: U1, sheet: U1, opacity: U1, i: int, j: int) -> None:
     """Mix the four pixels from (i, j) on, which share their colours."""
-    whole, blue, red = np.int64(0), np.int64(0), np.int64(0)
+    whole = np.int64(0)
+    blue = np.int64(0)
+    red = np.int64(0)
     for row in range(i, i + 2):
         for column in range(j, j + 2):
             a = np.int64(opacity[row, column])
             if a:
-                b, g, r = np.int64(sheet[row, column, 0]), np.int64(sheet[row, column, 1]), np.int64(sheet[row, column, 2])
+                b = np.int64(sheet[row, column, 0])
+                g = np.int64(sheet[row, column, 1])
+                r = np.int64(sheet[row, column, 2])
                 light = 16 + ((66 * r + 129 * g + 25 * b + 128) >> 8)
                 mixed = np.int64(y[row, column]) * (255 - a) + light * a + 128
                 # Over 255, rounded, without a division.

@@ -1,18 +1,21 @@
 """The Poisson multi-Bernoulli filter over the records of `kernels.gaussian` [W15].
 
-A target t exists with probability r, as itself or as a source of static clutter, and has hypotheses i of weight w_i, which
-are given its existence. With p_i the probability that hypothesis i is detected, q_i(z) = N(z; ẑ_i, S_i), γ̂(z) the density of
-first detections and κ(z) that of false alarms,
+A target t exists with probability r, as itself or as a source of static clutter, and has hypotheses
+i of weight w_i, which are given its existence. With p_i the probability that hypothesis i is
+detected, q_i(z) = N(z; ẑ_i, S_i), γ̂(z) the density of first detections and κ(z) that of false
+alarms,
 
-    missed            1 − r Σ w_i p_i;  then it exists with probability r Σ w_i (1 − p_i) / (1 − r Σ w_i p_i)
-    detected          r w_i p_i q_i(z), by hypothesis i
-    no earlier target κ(z) + γ̂(z):  a new target with r = γ̂/(κ + γ̂)
+    missed            1 − r Σ w_i p_i;  then it exists with probability r Σ w_i (1 − p_i) / (1 − r Σ
+    w_i p_i) detected          r w_i p_i q_i(z), by hypothesis i no earlier target κ(z) + γ̂(z):  a
+    new target with r = γ̂/(κ + γ̂)
 
-The odds of a pair (target, measurement) are ψ = Σ_i r w_i p_i q_i(z) / (missed · (κ + γ̂)). Belief propagation
-(`kernels.association`) turns them into the probability of each pair over all one-to-one assignments. A hypothesis after the
-update is a hypothesis before it with a measurement, or with none; r is the sum of the probabilities of all of a target.
+The odds of a pair (target, measurement) are ψ = Σ_i r w_i p_i q_i(z) / (missed · (κ + γ̂)). Belief
+propagation (`kernels.association`) turns them into the probability of each pair over all one-to-one
+assignments. A hypothesis after the update is a hypothesis before it with a measurement, or with
+none; r is the sum of the probabilities of all of a target.
 
-Arrays count targets (T), hypotheses (C), measurements (N) or pairs of a hypothesis and a measurement (P).
+Arrays count targets (T), hypotheses (C), measurements (N) or pairs of a hypothesis and a
+measurement (P).
 """
 
 from __future__ import annotations
@@ -25,41 +28,57 @@ from phdtrack.kernels import F8, I8, Records
 from phdtrack.kernels.association import EDGE, beliefs
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
-from phdtrack.kernels.gaussian import PAIR, Expected, Measurements, NewTargets, Predicted, gated, records, write_posteriors
+from phdtrack.kernels.gaussian import (
+    PAIR,
+    Expected,
+    Measurements,
+    NewTargets,
+    Predicted,
+    gated,
+    records,
+    write_posteriors,
+)
 
 TINY = float(np.finfo(np.float64).tiny)
 # Log odds of what is certain, in double precision.
 CERTAIN = 40.0
 # Largest log odds that scores alone give: so much is forgotten again when they change.
 LIMIT = 8.0
-# A target whose scores have raised these log odds by so much is genuine for good: lower ones later say that it is hidden.
+# A target whose scores have raised these log odds by so much is genuine for good: lower ones later
+# say that it is hidden.
 PROVED = 3.0
 # A target that cannot be missed is missed with this probability: impossible, but comparable.
 NEVER = 1e-15
 # Deleted targets whose probability to exist was never as large are not kept for the past.
 CONFIRMED = 0.05
-# How well the place of static clutter can be known, as a share of the variances by which the sensor resolves states. Were it
-# known better and better, a target that stands still would be explained by it better and better.
+# How well the place of static clutter can be known, as a share of the variances by which the sensor
+# resolves states. Were it known better and better, a target that stands still would be explained by
+# it better and better.
 STATIC_SHARE = 0.5
 
-# A target: the probabilities that it exists, and that it does and is not static clutter (its presence), and the greatest
-# presence that it ever had; its label, rising, from 0, none given twice; its hypotheses begin … end − 1, and the heaviest of
-# them that is not static, −1 where there is none.
+# A target: the probabilities that it exists, and that it does and is not static clutter (its
+# presence), and the greatest presence that it ever had; its label, rising, from 0, none given
+# twice; its hypotheses begin … end − 1, and the heaviest of them that is not static, −1 where there
+# is none.
 TARGET = records("r presence max_presence", "label begin end best")
-# A hypothesis: its weight, which sum to one for each target; the probability that the target cannot be detected at present;
-# the log odds that it is genuine, and no lasting false alarm;
-# its target; the measurement of the frame that it took, −1 for none; its hypothesis in the frame before, −1 where the target
-# begins; whether it is a source of static clutter: it stays where it is, and is no target. How many times the model's the
-# variances of its noises are, of the first two components of a measurement and of two others, and the degrees of freedom of
-# that; which of the factors its acceleration has.
-HYPOTHESIS = records("weight occluded genuine position_scale size_scale freedom", "target detection parent static motion")
+# A hypothesis: its weight, which sum to one for each target; the probability that the target cannot
+# be detected at present; the log odds that it is genuine, and no lasting false alarm; its target;
+# the measurement of the frame that it took, −1 for none; its hypothesis in the frame before, −1
+# where the target begins; whether it is a source of static clutter: it stays where it is, and is no
+# target. How many times the model's the variances of its noises are, of the first two components of
+# a measurement and of two others, and the degrees of freedom of that; which of the factors its
+# acceleration has.
+HYPOTHESIS = records(
+    "weight occluded genuine position_scale size_scale freedom",
+    "target detection parent static motion",
+)
 
 
 class Layer(NamedTuple):
     """The targets of one frame.
 
-    ``targets`` (T,) of `TARGET`, by label; ``hypotheses`` (C,) of `HYPOTHESIS`, by target, the heaviest first after an
-    update, with ``mean`` (C, d) and ``covariance`` (C, d, d).
+    ``targets`` (T,) of `TARGET`, by label; ``hypotheses`` (C,) of `HYPOTHESIS`, by target, the
+    heaviest first after an update, with ``mean`` (C, d) and ``covariance`` (C, d, d).
     """
 
     targets: Records
@@ -71,8 +90,9 @@ class Layer(NamedTuple):
 class Scores(NamedTuple):
     """What the scores of a frame's measurements say.
 
-    ``odds`` (N,): p(s|target)/p(s|false alarm). ``log_odds`` (N,): log p(s|target)/p(s|lasting false alarm). ``prior``: log
-    odds that a new target is genuine, and no lasting false alarm; `CERTAIN` where there are none.
+    ``odds`` (N,): p(s|target)/p(s|false alarm). ``log_odds`` (N,): log p(s|target)/p(s|lasting
+    false alarm). ``prior``: log odds that a new target is genuine, and no lasting false alarm;
+    `CERTAIN` where there are none.
     """
 
     odds: F8
@@ -81,7 +101,9 @@ class Scores(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """Those of `filters.PMB` that an update needs; ``gate`` in deviations, ``merge_distance`` 0 to merge nothing."""
+    """Those of `filters.PMB` that an update needs; ``gate`` in deviations, ``merge_distance`` 0 to
+    merge nothing.
+    """
 
     existence_threshold: float
     hypothesis_threshold: float
@@ -99,19 +121,24 @@ def predicted_layer(
     layer: Layer, p: Predicted, noise: F8, occlude: float, reappear: float, freedom: tuple[float, float],
     genuine: tuple[float, float],
 ) -> Layer:  # fmt: skip
-    """The targets after an interval, ``p`` their hypotheses after the motion; static clutter stays where it is.
+    """The targets after an interval, ``p`` their hypotheses after the motion; static clutter stays
+    where it is.
 
-    ``noise`` (d, C): deviations by which the sensor resolves them, `Sensor.noise`. ``occlude``, ``reappear``: probabilities
-    that a visible target is occluded after the interval, and an occluded one visible. ``freedom``: the degrees of freedom
-    with which a target's noises begin, 0 where they are the model's, and the part of what is known of them that is kept; in
-    place of the rest they are the model's again. ``genuine``: the log odds with which a target is genuine before its scores
-    are known, and the part kept of what they said.
+    ``noise`` (d, C): deviations by which the sensor resolves them, `Sensor.noise`. ``occlude``,
+    ``reappear``: probabilities that a visible target is occluded after the interval, and an
+    occluded one visible. ``freedom``: the degrees of freedom with which a target's noises begin, 0
+    where they are the model's, and the part of what is known of them that is kept; in place of the
+    rest they are the model's again. ``genuine``: the log odds with which a target is genuine before
+    its scores are known, and the part kept of what they said.
     """
-    (start, kept), (prior, remembered) = freedom, genuine
+    start, kept = freedom
+    prior, remembered = genuine
     before, old, old_mean, old_cov = layer
     moved_mean, moved_cov, p_survive = p
-    targets, hypotheses = np.empty(before.size, TARGET), np.empty(old.size, HYPOTHESIS)
-    mean, cov = np.empty(old_mean.shape), np.empty(old_cov.shape)
+    targets = np.empty(before.size, TARGET)
+    hypotheses = np.empty(old.size, HYPOTHESIS)
+    mean = np.empty(old_mean.shape)
+    cov = np.empty(old_cov.shape)
     for t in range(targets.size):
         targets[t] = before[t]
         target = targets[t]
@@ -122,7 +149,8 @@ def predicted_layer(
         for c in range(target.begin, target.end):
             hypotheses[c] = old[c]
             h = hypotheses[c]
-            h.parent, h.detection = c, -1
+            h.parent = c
+            h.detection = -1
             if start > 0.0:
                 known = kept * h.freedom
                 h.freedom = known + (1.0 - kept) * start
@@ -147,41 +175,87 @@ def predicted_layer(
 
 @njit(**ENTRY)
 def updated_layer(
-    layer: Layer, e: Expected, m: Measurements, new: NewTargets, scores: Scores, s: Settings, fresh: int
+    layer: Layer,
+    e: Expected,
+    m: Measurements,
+    new: NewTargets,
+    scores: Scores,
+    s: Settings,
+    fresh: int,
 ) -> tuple[Layer, tuple[float, float, float, F8, F8, int], I8, F8]:
-    """The targets after the measurements, with new ones, what was learned, and the targets that have ended [W15].
+    """The targets after the measurements, with new ones, what was learned, and the targets that
+    have ended [W15].
 
-    ``m`` has κ by their scores, κ(z)/odds; ``new``: what targets are whose first detections these are, which are labelled
-    from ``fresh`` on. What was learned is in the order of `types.UpdateInfo`. Then come the best hypothesis of the frame
-    before of each target that was once confirmed and has been deleted, and (T,) the probabilities with which deleted targets
+    ``m`` has κ by their scores, κ(z)/odds; ``new``: what targets are whose first detections these
+    are, which are labelled from ``fresh`` on. What was learned is in the order of
+    `types.UpdateInfo`. Then come the best hypothesis of the frame before of each target that was
+    once confirmed and has been deleted, and (T,) the probabilities with which deleted targets
     exist, 0 of others.
     """
-    layer, e, m, new, scores = Layer(*layer), Expected(*e), Measurements(*m), NewTargets(*new), Scores(*scores)
+    layer = Layer(*layer)
+    e = Expected(*e)
+    m = Measurements(*m)
+    new = NewTargets(*new)
+    scores = Scores(*scores)
     s = Settings(*s)
     targets, hypotheses, mean, covariance = layer
-    count, n, p_detect = len(targets), len(m.z), np.empty(len(hypotheses))
+    count = len(targets)
+    n = len(m.z)
+    p_detect = np.empty(len(hypotheses))
     tails = np.empty((len(hypotheses) if s.noise_freedom > 0.0 else 0, 3))
     for c in range(len(hypotheses)):
         h = hypotheses[c]
-        p_detect[c] = s.static_detection_probability if h.static else (1.0 - h.occluded) * e.p_detect[c]
+        p_detect[c] = (
+            s.static_detection_probability if h.static else (1.0 - h.occluded) * e.p_detect[c]
+        )
         if s.noise_freedom > 0.0:
-            tails[c, 0], tails[c, 1], tails[c, 2] = h.position_scale, h.size_scale, h.freedom
-    pairs = gated(e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, s.gate, p_detect, tails)
-    exists, found = np.empty(count), np.empty((3, n))
-    born, vanished, started, predicted = _associate(
-        targets, hypotheses, p_detect, pairs, exists, m.clutter * scores.odds, new.density, scores, s, found
+            tails[c, 0] = h.position_scale
+            tails[c, 1] = h.size_scale
+            tails[c, 2] = h.freedom
+    pairs = gated(
+        e.rows, e.z, e.covariance, e.noise, m.z, m.noise, m.period, s.gate, p_detect, tails
     )
-    options, kept = np.empty(len(hypotheses) + len(pairs), PAIR), np.empty(count, np.int64)
+    exists = np.empty(count)
+    found = np.empty((3, n))
+    born, vanished, started, predicted = _associate(
+        targets,
+        hypotheses,
+        p_detect,
+        pairs,
+        exists,
+        m.clutter * scores.odds,
+        new.density,
+        scores,
+        s,
+        found,
+    )
+    options = np.empty(len(hypotheses) + len(pairs), PAIR)
+    kept = np.empty(count, np.int64)
     k = _choose(
         targets, hypotheses, p_detect, pairs, exists, s.existence_threshold, s.hypothesis_threshold, s.max_hypotheses,
         options, kept,
     )  # fmt: skip
-    options, room, d = options[:k], k + (1 + s.motions) * started, mean.shape[1]
-    out = Layer(np.empty(count + started, TARGET), np.empty(room, HYPOTHESIS), np.empty((room, d)), np.empty((room, d, d)))
+    options = options[:k]
+    room = k + (1 + s.motions) * started
+    d = mean.shape[1]
+    out = Layer(
+        np.empty(count + started, TARGET),
+        np.empty(room, HYPOTHESIS),
+        np.empty((room, d)),
+        np.empty((room, d, d)),
+    )
     write_posteriors(mean, covariance, e, m, options, out.mean, out.covariance)
     gone = np.empty(count, np.int64)
     t, k, lost, mass = _write_kept(
-        (layer, p_detect), exists, kept, options, scores, s.merge_distance * s.merge_distance, len(m.period) > 2, out, gone
+        (layer, p_detect),
+        exists,
+        kept,
+        options,
+        scores,
+        s.merge_distance * s.merge_distance,
+        len(m.period) > 2,
+        out,
+        gone,
     )
     exists[kept > 0] = 0.0
     k, mass = _write_new(found[2], (new.mean, new.covariance), scores, s, fresh, t, k, mass, out)
@@ -194,19 +268,28 @@ def _associate(
     targets: Records, hypotheses: Records, p_detect: F8, pairs: Records, exists: F8, clutter: F8, density: F8,
     scores: Scores, s: Settings, found: F8,
 ) -> tuple[float, int, int, float]:  # fmt: skip
-    """Write the probability of each pair as its weight, and those that a target exists and was missed into ``exists`` (T,).
+    """Write the probability of each pair as its weight, and those that a target exists and was
+    missed into ``exists`` (T,).
 
-    ``p_detect`` (C,) is of hypotheses, ``clutter`` and ``density`` (N,) are κ and γ̂ without scores. Writes
-    into ``found`` (3, N) C(z) and κ(z), and the probability that a new target exists. Returns the mass of new targets, how
-    many measurements have κ + C = 0, how many begin one, and the mass predicted.
+    ``p_detect`` (C,) is of hypotheses, ``clutter`` and ``density`` (N,) are κ and γ̂ without
+    scores. Writes into ``found`` (3, N) C(z) and κ(z), and the probability that a new target
+    exists. Returns the mass of new targets, how many measurements have κ + C = 0, how many begin
+    one, and the mass predicted.
     """
-    evidence, false, r_new, first = found[0], found[1], found[2], np.empty(clutter.size)
-    prior, genuine = s.static_clutter_prior, probability(scores.prior)
+    evidence = found[0]
+    false = found[1]
+    r_new = found[2]
+    first = np.empty(clutter.size)
+    genuine = probability(scores.prior)
+    prior = s.static_clutter_prior
     for j in range(clutter.size):
         first[j] = density[j] * (1.0 + genuine * (scores.odds[j] - 1.0))
         evidence[j] = clutter[j] + first[j]
     p_new = _weigh(targets, hypotheses, p_detect, pairs, exists, scores.odds, evidence)
-    born, vanished, started, predicted = 0.0, 0, 0, 0.0
+    born = 0.0
+    vanished = 0
+    started = 0
+    predicted = 0.0
     for j in range(clutter.size):
         alone = clutter[j] + first[j]
         alone = alone if alone > TINY else TINY
@@ -221,7 +304,9 @@ def _associate(
         vanished += evidence[j] == 0.0
     for q in range(pairs.size):
         h = hypotheses[pairs[q].gaussian]
-        false[pairs[q].measurement] += pairs[q].weight * (1.0 if h.static else 1.0 - probability(h.genuine))
+        false[pairs[q].measurement] += pairs[q].weight * (
+            1.0 if h.static else 1.0 - probability(h.genuine)
+        )
     for j in range(clutter.size):
         false[j] *= evidence[j]
         evidence[j] -= false[j]
@@ -231,20 +316,35 @@ def _associate(
 
 
 @njit(**INNER)
-def _weigh(targets: Records, hypotheses: Records, p_detect: F8, pairs: Records, missed: F8, odds: F8, evidence: F8) -> F8:
-    """(N,) probability that a measurement is no target's; the others are written as by `_associate`.
+def _weigh(
+    targets: Records,
+    hypotheses: Records,
+    p_detect: F8,
+    pairs: Records,
+    missed: F8,
+    odds: F8,
+    evidence: F8,
+) -> F8:
+    """(N,) probability that a measurement is no target's; the others are written as by
+    `_associate`.
 
-    ``odds`` (N,) are p(s|target)/p(s|false alarm). ``evidence`` is κ + γ̂, to which Σ r w p q p(s)/p(s|false alarm) is
-    added; a lasting false alarm has the scores of false alarms.
+    ``odds`` (N,) are p(s|target)/p(s|false alarm). ``evidence`` is κ + γ̂, to which Σ r w p q
+    p(s)/p(s|false alarm) is added; a lasting false alarm has the scores of false alarms.
     """
-    edges, place, edge_of = np.empty(pairs.size, EDGE), np.empty(evidence.size, np.int64), np.empty(pairs.size, np.int64)
+    edges = np.empty(pairs.size, EDGE)
+    place = np.empty(evidence.size, np.int64)
+    edge_of = np.empty(pairs.size, np.int64)
     alone = np.empty(evidence.size)
     for j in range(place.size):
-        place[j], alone[j] = -1, evidence[j] if evidence[j] > TINY else TINY
+        place[j] = -1
+        alone[j] = evidence[j] if evidence[j] > TINY else TINY
     # A literal zero is a type of its own.
-    count, q = 0 * pairs.size, 0 * pairs.size
+    count = 0 * pairs.size
+    q = 0 * pairs.size
     for t in range(targets.size):
-        target, detected, begun = targets[t], 0.0, count
+        target = targets[t]
+        detected = 0.0
+        begun = count
         for c in range(target.begin, target.end):
             detected += hypotheses[c].weight * p_detect[c]
         miss = 1.0 - target.r * detected if 1.0 - target.r * detected > NEVER else NEVER
@@ -252,15 +352,22 @@ def _weigh(targets: Records, hypotheses: Records, p_detect: F8, pairs: Records, 
         missed[t] = unseen if unseen < 1.0 else 1.0
         while q < pairs.size and pairs[q].gaussian < target.end:
             pair = pairs[q]
-            c, j = pair.gaussian, pair.measurement
+            c = pair.gaussian
+            j = pair.measurement
             scored = 1.0 + probability(hypotheses[c].genuine) * (odds[j] - 1.0)
-            joint = target.r * hypotheses[c].weight * p_detect[c] * np.exp(pair.log_density) * scored
+            joint = (
+                target.r * hypotheses[c].weight * p_detect[c] * np.exp(pair.log_density) * scored
+            )
             evidence[j] += joint
             if place[j] < begun:
-                place[j], edge = count, edges[count]
-                edge.target, edge.measurement, edge.odds = t, j, 0.0
+                place[j] = count
+                edge = edges[count]
+                edge.target = t
+                edge.measurement = j
+                edge.odds = 0.0
                 count += 1
-            pair.weight, edge_of[q] = joint / (miss * alone[j]), place[j]
+            pair.weight = joint / (miss * alone[j])
+            edge_of[q] = place[j]
             edges[place[j]].odds += pair.weight
             q += 1
     p_new: F8
@@ -279,30 +386,48 @@ def _choose(
     targets: Records, hypotheses: Records, p_detect: F8, pairs: Records, exists: F8, least: float, share: float, most: float,
     options: Records, kept: I8,
 ) -> int:  # fmt: skip
-    """Write the options of each target that are above the thresholds, the heaviest first; how many there are.
+    """Write the options of each target that are above the thresholds, the heaviest first; how many
+    there are.
 
-    An option is a `PAIR` of the hypothesis before and its measurement, −1 for none; its weight is not normalised. ``kept``
-    and ``exists`` (T,) as by `_associate`. The second becomes the probability that the target exists: it is kept from
-    ``least`` on, with ``most`` options of no less than the ``share`` of it.
+    An option is a `PAIR` of the hypothesis before and its measurement, −1 for none; its weight is
+    not normalised. ``kept`` and ``exists`` (T,) as by `_associate`. The second becomes the
+    probability that the target exists: it is kept from ``least`` on, with ``most`` options of no
+    less than the ``share`` of it.
     """
-    q, k = 0 * pairs.size, 0 * pairs.size
+    q = 0 * pairs.size
+    k = 0 * pairs.size
     for t in range(targets.size):
-        target, total, unseen, begun, end = targets[t], exists[t], 0.0, q, k
+        target = targets[t]
+        total = exists[t]
+        unseen = 0.0
+        begun = q
+        end = k
         for c in range(target.begin, target.end):
             unseen += hypotheses[c].weight * (1.0 - p_detect[c])
         while q < pairs.size and pairs[q].gaussian < target.end:
-            total, q = total + pairs[q].weight, q + 1
+            total = total + pairs[q].weight
+            q = q + 1
         unseen = exists[t] / unseen if unseen > 0.0 else 0.0
-        exists[t], kept[t] = total if total < 1.0 else 1.0, 0
+        exists[t] = total if total < 1.0 else 1.0
+        kept[t] = 0
         # A target whose probability has just risen may have begun, however rare births are.
         if not (total >= least or total > target.r):
             continue
         # First those with a measurement, then those without, each sorted in, the heaviest first.
         for o in range(q - begun + target.end - target.begin):
-            i, j, value, place, d2, first = begun + o, -1, 0.0, end, 0.0, 0.0
+            i = begun + o
+            j = -1
+            value = 0.0
+            place = end
+            d2 = 0.0
+            first = 0.0
             if i < q:
                 pair = pairs[i]
-                i, j, value, d2, first = pair.gaussian, pair.measurement, pair.weight, pair.distance2, pair.first
+                i = pair.gaussian
+                j = pair.measurement
+                value = pair.weight
+                d2 = pair.distance2
+                first = pair.first
             else:
                 i += target.begin - q
                 value = unseen * hypotheses[i].weight * (1.0 - p_detect[i])
@@ -311,7 +436,11 @@ def _choose(
                     options[place] = options[place - 1]
                     place -= 1
                 option = options[place]
-                option.gaussian, option.measurement, option.weight, option.distance2, option.first = i, j, value, d2, first
+                option.gaussian = i
+                option.measurement = j
+                option.weight = value
+                option.distance2 = d2
+                option.first = first
                 end += 1
         kept[t] = end - k if end - k < most else int(most)
         k += kept[t]
@@ -326,8 +455,12 @@ def probability(log_odds: float) -> float:
 
 
 @njit(**INNER)
-def copy_gaussian(mean: F8, covariance: F8, i: int, out_mean: F8, out_covariance: F8, k: int) -> None:
-    """Copy Gaussian i to place k. In loops: an assignment of rows would compile Numba's code for its error messages."""
+def copy_gaussian(
+    mean: F8, covariance: F8, i: int, out_mean: F8, out_covariance: F8, k: int
+) -> None:
+    """Copy Gaussian i to place k. In loops: an assignment of rows would compile Numba's code for
+    its error messages.
+    """
     for a in range(mean.shape[1]):
         out_mean[k, a] = mean[i, a]
         for b in range(mean.shape[1]):
@@ -348,13 +481,17 @@ def after_score(genuine: float, scores: Scores, j: int) -> float:
 
 @njit(**INNER)
 def heavier_like(hypotheses: Records, mean: F8, cov: F8, begin: int, k: int, limit: float) -> int:
-    """The first of the hypotheses begin … k − 1 of the kind of k and within √``limit`` of its own deviations; k for none."""
+    """The first of the hypotheses begin … k − 1 of the kind of k and within √``limit`` of its own
+    deviations; k for none.
+    """
     for i in range(begin, k):
         distance2 = 0.0
         for a in range(mean.shape[1]):
-            step, variance = mean[i, a] - mean[k, a], cov[i, a, a]
+            step = mean[i, a] - mean[k, a]
+            variance = cov[i, a, a]
             distance2 += step * step / (variance if variance > 1e-12 else 1e-12)
-        h, other = hypotheses[i], hypotheses[k]
+        h = hypotheses[i]
+        other = hypotheses[k]
         if h.static == other.static and h.motion == other.motion and distance2 < limit:
             return i
     return k
@@ -365,26 +502,45 @@ def _write_kept(
     before: tuple[Layer, F8], exists: F8, kept: I8, options: Records, scores: Scores, limit: float, sizes: bool, out: Layer,
     gone: I8,
 ) -> tuple[int, int, int, float]:  # fmt: skip
-    """Write the targets that are kept into the first places of ``out``; how many targets and hypotheses there are.
+    """Write the targets that are kept into the first places of ``out``; how many targets and
+    hypotheses there are.
 
-    ``before`` are the targets predicted, with the p_D of their hypotheses; ``out`` has the Gaussians of the options with a
-    measurement. Hypotheses within √``limit`` deviations of a heavier one are counted as that one. ``sizes``: measurements
-    have four components; of two the noise of all is theirs. The others are as of `_choose`. Of deleted targets that were
-    once confirmed the best hypothesis of the frame before is written into ``gone`` (T,). Returns also how many these are,
-    and the mass of the targets.
+    ``before`` are the targets predicted, with the p_D of their hypotheses; ``out`` has the
+    Gaussians of the options with a measurement. Hypotheses within √``limit`` deviations of a
+    heavier one are counted as that one. ``sizes``: measurements have four components; of two the
+    noise of all is theirs. The others are as of `_choose`. Of deleted targets that were once
+    confirmed the best hypothesis of the frame before is written into ``gone`` (T,). Returns also
+    how many these are, and the mass of the targets.
     """
     targets, hypotheses, mean, cov = out
     (old_targets, old, old_mean, old_cov), p_detect = before
-    number, k, end, lost, mass = 0, 0 * kept.size, 0 * kept.size, 0, 0.0
+    number = 0
+    k = 0 * kept.size
+    end = 0 * kept.size
+    lost = 0
+    mass = 0.0
     for t in range(kept.size):
-        total, begin, option, end, target = 0.0, k, end, end + kept[t], old_targets[t]
+        total = 0.0
+        begin = k
+        option = end
+        end = end + kept[t]
+        target = old_targets[t]
         for i in range(option, end):
             total += options[i].weight
         for i in range(option, end):
-            c, h, weight = options[i].gaussian, hypotheses[k], options[i].weight / total
-            h.static, h.motion, h.parent, h.target, h.occluded = old[c].static, old[c].motion, old[c].parent, number, 0.0
-            h.detection, h.freedom = options[i].measurement, old[c].freedom
-            h.position_scale, h.size_scale, h.genuine = old[c].position_scale, old[c].size_scale, old[c].genuine
+            c = options[i].gaussian
+            h = hypotheses[k]
+            weight = options[i].weight / total
+            h.static = old[c].static
+            h.motion = old[c].motion
+            h.parent = old[c].parent
+            h.target = number
+            h.occluded = 0.0
+            h.detection = options[i].measurement
+            h.freedom = old[c].freedom
+            h.position_scale = old[c].position_scale
+            h.size_scale = old[c].size_scale
+            h.genuine = old[c].genuine
             if h.detection >= 0:
                 h.genuine = after_score(h.genuine, scores, h.detection)
             if h.detection < 0:
@@ -396,7 +552,9 @@ def _write_kept(
                 copy_gaussian(mean, cov, i, mean, cov, k)
             if h.detection >= 0 and h.freedom > 0.0:
                 # Two components each, which are two observations of a variance.
-                n, first, d2 = h.freedom, options[i].first, options[i].distance2
+                n = h.freedom
+                first = options[i].first
+                d2 = options[i].distance2
                 h.position_scale = (n * h.position_scale + first) / (n + 2.0)
                 h.size_scale = (n * h.size_scale + (d2 - first if sizes else first)) / (n + 2.0)
                 h.freedom = n + 2.0
@@ -407,7 +565,9 @@ def _write_kept(
                 h.weight = weight
                 k += 1
         if k > begin:
-            mass += write_target(targets, hypotheses, number, target.label, exists[t], target.max_presence, begin, k)
+            mass += write_target(
+                targets, hypotheses, number, target.label, exists[t], target.max_presence, begin, k
+            )
             number += 1
         elif target.max_presence >= CONFIRMED and target.best >= 0 and old[target.best].parent >= 0:
             gone[lost] = old[target.best].parent
@@ -417,41 +577,77 @@ def _write_kept(
 
 @njit(**INNER)
 def write_target(
-    targets: Records, hypotheses: Records, t: int, label: int, r: float, max_presence: float, begin: int, end: int
+    targets: Records,
+    hypotheses: Records,
+    t: int,
+    label: int,
+    r: float,
+    max_presence: float,
+    begin: int,
+    end: int,
 ) -> float:
-    """Write target t, whose hypotheses are written; its presence. ``max_presence`` is the greatest before."""
-    target, total, best = targets[t], 0.0, -1
+    """Write target t, whose hypotheses are written; its presence. ``max_presence`` is the greatest
+    before.
+    """
+    target = targets[t]
+    total = 0.0
+    best = -1
     for c in range(begin, end):
         h = hypotheses[c]
         if not h.static:
             total += h.weight * probability(h.genuine)
             if best < 0 or h.weight > hypotheses[best].weight:
                 best = c
-    target.label, target.r, target.begin, target.end, target.best = label, r, begin, end, best
-    target.presence, target.max_presence = r * total, r * total if r * total > max_presence else max_presence
+    target.label = label
+    target.r = r
+    target.begin = begin
+    target.end = end
+    target.best = best
+    target.presence = r * total
+    target.max_presence = r * total if r * total > max_presence else max_presence
     return r * total
 
 
 @njit(**INNER)
 def _write_new(
-    r_new: F8, new: tuple[F8, F8], scores: Scores, s: Settings, fresh: int, t: int, k: int, mass: float, out: Layer
+    r_new: F8,
+    new: tuple[F8, F8],
+    scores: Scores,
+    s: Settings,
+    fresh: int,
+    t: int,
+    k: int,
+    mass: float,
+    out: Layer,
 ) -> tuple[int, float]:
-    """Write the new targets, of r above 0, from places t and k of ``out`` on; how many hypotheses there are, and the mass.
+    """Write the new targets, of r above 0, from places t and k of ``out`` on; how many hypotheses
+    there are, and the mass.
 
     They come in the order of the measurements and are labelled from ``fresh`` on.
     """
-    (targets, hypotheses, mean, cov), (new_mean, new_cov) = out, new
+    targets, hypotheses, mean, cov = out
+    new_mean, new_cov = new
     prior = s.static_clutter_prior
     for j in range(r_new.size):
         if r_new[j] > 0.0:
             begin = k
             for motion in range(s.motions + (prior > 0.0)):
-                h, static = hypotheses[k], motion == s.motions
-                h.weight, h.static, h.occluded = prior if static else (1.0 - prior) / s.motions, static, 0.0
-                h.motion, h.position_scale, h.size_scale, h.freedom = 0 if static else motion, 1.0, 1.0, s.noise_freedom
-                h.target, h.detection, h.parent, h.genuine = t, j, -1, after_score(scores.prior, scores, j)
+                h = hypotheses[k]
+                static = motion == s.motions
+                h.weight = prior if static else (1.0 - prior) / s.motions
+                h.static = static
+                h.occluded = 0.0
+                h.motion = 0 if static else motion
+                h.position_scale = 1.0
+                h.size_scale = 1.0
+                h.freedom = s.noise_freedom
+                h.target = t
+                h.detection = j
+                h.parent = -1
+                h.genuine = after_score(scores.prior, scores, j)
                 copy_gaussian(new_mean, new_cov, j, mean, cov, k)
                 k += 1
             mass += write_target(targets, hypotheses, t, fresh, r_new[j], 0.0, begin, k)
-            t, fresh = t + 1, fresh + 1
+            t = t + 1
+            fresh = fresh + 1
     return k, mass

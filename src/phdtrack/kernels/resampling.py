@@ -1,7 +1,8 @@
 """Systematic resampling of particles in blocks [M07 §2].
 
-The comb is laid over the masses of the blocks after the update, which follow from sums of likelihoods. Only the particles of
-blocks on which one of its teeth falls are weighed, and those on which one falls are copied.
+The comb is laid over the masses of the blocks after the update, which follow from sums of
+likelihoods. Only the particles of blocks on which one of its teeth falls are weighed, and those on
+which one falls are copied.
 """
 
 from __future__ import annotations
@@ -22,15 +23,16 @@ QUARTER = BLOCK // 4
 # Offspring that are written of every particle, whether it has them or not.
 COPIES = 4
 FIXED = 2.0**32
-SMALL, MOST_CELLS = 1e-9, 2048.0
+SMALL = 1e-9
+MOST_CELLS = 2048.0
 
 
 class Comb(NamedTuple):
     """The resampling comb over blocks in their order.
 
-    ``teeth``, ``first`` (B,) how many offspring each has, and the column of the first;
-    ``phase``, ``width`` (B,) where its first tooth stands and how wide it is, in steps of the comb; ``divided`` (B,) 1 or 2
-    where its particles are to be parted along x or y.
+    ``teeth``, ``first`` (B,) how many offspring each has, and the column of the first; ``phase``,
+    ``width`` (B,) where its first tooth stands and how wide it is, in steps of the comb;
+    ``divided`` (B,) 1 or 2 where its particles are to be parted along x or y.
     """
 
     teeth: I8
@@ -42,24 +44,41 @@ class Comb(NamedTuple):
 
 @njit(**ENTRY)
 def by_cells(extents: Real) -> I8:
-    """(B,) the blocks in the order of the cells that their centres lie in; cells are as large as neighbourhoods are."""
+    """(B,) the blocks in the order of the cells that their centres lie in; cells are as large as
+    neighbourhoods are.
+    """
     n = extents.shape[0]
-    x, y = np.empty(n), np.empty(n)
-    width, height = 0.0, 0.0
+    x = np.empty(n)
+    y = np.empty(n)
+    width = 0.0
+    height = 0.0
     for i in range(n):
-        x[i], y[i] = 0.5 * (extents[i, 0] + extents[i, 2]), 0.5 * (extents[i, 1] + extents[i, 3])
+        x[i] = 0.5 * (extents[i, 0] + extents[i, 2])
+        y[i] = 0.5 * (extents[i, 1] + extents[i, 3])
         width += extents[i, 4]
         height += extents[i, 5]
-    x0, y0, x1, y1 = np.inf, np.inf, -np.inf, -np.inf
+    x0 = np.inf
+    y0 = np.inf
+    x1 = -np.inf
+    y1 = -np.inf
     for i in range(n):
-        x0, x1, y0, y1 = min(x0, x[i]), max(x1, x[i]), min(y0, y[i]), max(y1, y[i])
-    wide, high = x1 - x0 if n else 0.0, y1 - y0 if n else 0.0
-    nx, ny = int(min(wide * n / max(width, SMALL), MOST_CELLS)) + 1, int(min(high * n / max(height, SMALL), MOST_CELLS)) + 1
+        x0 = min(x0, x[i])
+        x1 = max(x1, x[i])
+        y0 = min(y0, y[i])
+        y1 = max(y1, y[i])
+    wide = x1 - x0 if n else 0.0
+    high = y1 - y0 if n else 0.0
+    nx = int(min(wide * n / max(width, SMALL), MOST_CELLS)) + 1
+    ny = int(min(high * n / max(height, SMALL), MOST_CELLS)) + 1
     if nx * ny > 4 * n + 16:
         shrink = np.sqrt((4 * n + 16) / (nx * ny))
-        nx, ny = max(int(nx * shrink), 1), max(int(ny * shrink), 1)
-    per_x, per_y = nx / max(wide, SMALL), ny / max(high, SMALL)
-    start, cell, order = np.zeros(nx * ny + 1, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+        nx = max(int(nx * shrink), 1)
+        ny = max(int(ny * shrink), 1)
+    per_x = nx / max(wide, SMALL)
+    per_y = ny / max(high, SMALL)
+    start = np.zeros(nx * ny + 1, np.int64)
+    cell = np.empty(n, np.int64)
+    order = np.empty(n, np.int64)
     for i in range(n):
         cell[i] = cell_of(y[i], y0, per_y, ny) * nx + cell_of(x[i], x0, per_x, nx)
         start[cell[i] + 1] += 1
@@ -73,53 +92,87 @@ def by_cells(extents: Real) -> I8:
 
 @njit(**ENTRY)
 def comb(mass: F8, extents: Real, count: int, offset: float) -> tuple[Comb, I8]:
-    """The teeth of a comb of ``count`` teeth over the blocks, and ``start`` (B',) of the blocks of their offspring.
+    """The teeth of a comb of ``count`` teeth over the blocks, and ``start`` (B',) of the blocks of
+    their offspring.
 
-    Tooth k stands at (k + offset)/count of the total, 0 ≤ offset < 1. Masses (B,) count in steps of 2⁻³² of the total, so
-    that the order of a sum cannot matter. A block that is wider than its neighbourhood is to be parted along its longer
-    side: what has drifted apart is parted in a few frames.
+    Tooth k stands at (k + offset)/count of the total, 0 ≤ offset < 1. Masses (B,) count in steps of
+    2⁻³² of the total, so that the order of a sum cannot matter. A block that is wider than its
+    neighbourhood is to be parted along its longer side: what has drifted apart is parted in a few
+    frames.
     """
-    n, order = mass.size, by_cells(extents)
-    teeth, first, divided = np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64)
-    phase, width = np.zeros(n), np.zeros(n)
-    scale, total, reached, done = FIXED / max(mass.sum(), 1e-300), 0, 0, 0
+    n = mass.size
+    order = by_cells(extents)
+    teeth = np.zeros(n, np.int64)
+    first = np.zeros(n, np.int64)
+    divided = np.zeros(n, np.int64)
+    phase = np.zeros(n)
+    width = np.zeros(n)
+    scale = FIXED / max(mass.sum(), 1e-300)
+    total = 0
+    reached = 0
+    done = 0
     for b in range(n):
         total += int(mass[b] * scale)
     per = count / max(total, 1)
     for b in order:
-        size, begin = int(mass[b] * scale), reached * per
+        size = int(mass[b] * scale)
+        begin = reached * per
         reached += size
         upto = int(np.ceil(reached * per - offset))
         upto = count if reached >= total else max(min(upto, count), done)
-        teeth[b], first[b], phase[b], width[b] = upto - done, done, done + offset - begin, size * per
+        teeth[b] = upto - done
+        first[b] = done
+        phase[b] = done + offset - begin
+        width[b] = size * per
         done = upto
-        wide, high = extents[b, 2] - extents[b, 0], extents[b, 3] - extents[b, 1]
+        wide = extents[b, 2] - extents[b, 0]
+        high = extents[b, 3] - extents[b, 1]
         if wide > extents[b, 4] or high > extents[b, 5]:
             # In neighbourhoods, without a division: a given state may have no size.
             divided[b] = 1 if wide * extents[b, 5] >= high * extents[b, 4] else 2
-    return Comb(teeth, first, phase, width, divided), offspring_blocks(order, teeth, divided, extents)
+    return Comb(teeth, first, phase, width, divided), offspring_blocks(
+        order, teeth, divided, extents
+    )
 
 
 @njit(**INNER)
 def offspring_blocks(order: I8, teeth: I8, divided: I8, extents: Real) -> I8:
     """Where the blocks of offspring begin.
 
-    Offspring are put together into blocks of at most `BLOCK` while their common extent is at most the neighbourhood's. Those
-    of a block that is parted are halved.
+    Offspring are put together into blocks of at most `BLOCK` while their common extent is at most
+    the neighbourhood's. Those of a block that is parted are halved.
     """
-    start, blocks, filled = np.zeros(2 * order.size + teeth.sum() // BLOCK + 2, np.int64), 0, 0
-    left, top, right, bottom = 0.0, 0.0, 0.0, 0.0
+    start = np.zeros(2 * order.size + teeth.sum() // BLOCK + 2, np.int64)
+    blocks = 0
+    filled = 0
+    left = 0.0
+    top = 0.0
+    right = 0.0
+    bottom = 0.0
     for b in order:
-        rest, most = teeth[b], BLOCK
+        rest = teeth[b]
+        most = BLOCK
         if rest == 0:
             continue
-        x0, y0, x1, y1 = float(extents[b, 0]), float(extents[b, 1]), float(extents[b, 2]), float(extents[b, 3])
-        left, right, top, bottom = min(left, x0), max(right, x1), min(top, y0), max(bottom, y1)
-        apart = divided[b] > 0 or not (right - left <= extents[b, 4] and bottom - top <= extents[b, 5])
+        x0 = float(extents[b, 0])
+        y0 = float(extents[b, 1])
+        x1 = float(extents[b, 2])
+        y1 = float(extents[b, 3])
+        left = min(left, x0)
+        right = max(right, x1)
+        top = min(top, y0)
+        bottom = max(bottom, y1)
+        apart = divided[b] > 0 or not (
+            right - left <= extents[b, 4] and bottom - top <= extents[b, 5]
+        )
         if filled > 0 and apart:
-            blocks, filled = blocks + 1, 0
+            blocks = blocks + 1
+            filled = 0
         if filled == 0:
-            left, top, right, bottom = x0, y0, x1, y1
+            left = x0
+            top = y0
+            right = x1
+            bottom = y1
         if divided[b] > 0 and rest < 2 * BLOCK:
             most = (rest + 1) // 2
         while rest > 0:
@@ -128,32 +181,49 @@ def offspring_blocks(order: I8, teeth: I8, divided: I8, extents: Real) -> I8:
             rest -= take
             start[blocks + 1] = start[blocks] + filled
             if filled >= most or (rest == 0 and divided[b] > 0):
-                blocks, filled = blocks + 1, 0
+                blocks = blocks + 1
+                filled = 0
     return start[: blocks + (2 if filled > 0 else 1)]
 
 
 @njit(**(ENTRY | {"fastmath": FAST}))
 def pick(
-    lo: int, hi: int, part: Part, sums: Sums, sensor: Number, table: Real, missed: float, factor: F8, teeth: Comb, out: Real
+    lo: int,
+    hi: int,
+    part: Part,
+    sums: Sums,
+    sensor: Number,
+    table: Real,
+    missed: float,
+    factor: F8,
+    teeth: Comb,
+    out: Real,
 ) -> None:
-    """The offspring of the blocks lo … hi − 1, weighed as by `weigh`, into their columns of ``out``."""
+    """The offspring of the blocks lo … hi − 1, weighed as by `weigh`, into their columns of
+    ``out``.
+    """
     state, share, detect, start = part
     many, place, phase, width, divided = teeth
-    s, upto, order = np.empty(ROWS * BLOCK, state.dtype), np.empty(BLOCK, np.int32), np.empty(BLOCK, np.uint32)
+    s = np.empty(ROWS * BLOCK, state.dtype)
+    upto = np.empty(BLOCK, np.int32)
+    order = np.empty(BLOCK, np.uint32)
     owner = np.empty(out.shape[1] + COPIES, np.uint32)
     for b in range(lo, hi):
         n = start[b + 1] - start[b]
         if many[b] == 0:
             continue
         load_part(sensor, s, n, state, share, detect, start[b])
-        update_weights(sensor, table, s, whole(n), sums.which, sums.first[b], sums.first[b + 1], missed, factor)
+        update_weights(
+            sensor, table, s, whole(n), sums.which, sums.first[b], sums.first[b + 1], missed, factor
+        )
         if divided[b] > 0:
             divide(s, n, X if divided[b] == 1 else Y, order)
         own_teeth(s, n, many[b], phase[b], width[b], upto, owner)
         if divided[b] > 0:
             for t in range(many[b]):
                 owner[t] = order[owner[t]]
-        begin, to = U(start[b]), U(place[b])
+        begin = U(start[b])
+        to = U(place[b])
         for r in range(state.shape[0]):
             for t in range(U(many[b])):
                 out[r, to + t] = state[r, begin + owner[t]]
@@ -161,15 +231,21 @@ def pick(
 
 @njit(**INNER)
 def divide(s: Real, n: int, row: int, order: U4) -> None:
-    """Write the order in which the particles before the middle of their extent along a row come first; put weights in it."""
-    least, most, count = s[row], s[row], 0
+    """Write the order in which the particles before the middle of their extent along a row come
+    first; put weights in it.
+    """
+    least = s[row]
+    most = s[row]
+    count = 0
     for i in range(n):
-        least, most = min(least, s[row + i]), max(most, s[row + i])
+        least = min(least, s[row + i])
+        most = max(most, s[row + i])
     middle = s.dtype.type(0.5) * (least + most)
     for before in (True, False):
         for i in range(n):
             if (s[row + i] < middle) == before:
-                order[count], s[SUM + count] = i, s[WEIGHT + i]
+                order[count] = i
+                s[SUM + count] = s[WEIGHT + i]
                 count += 1
     for i in range(n):
         s[WEIGHT + i] = s[SUM + i]
@@ -179,15 +255,19 @@ def divide(s: Real, n: int, row: int, order: U4) -> None:
 def own_teeth(s: Real, n: int, count: int, phase: float, width: float, upto: I4, owner: U4) -> None:
     """Write the particle on whose stretch of the weights each tooth of the comb falls.
 
-    In steps of the comb the block is ``width`` wide and its ``count`` teeth stand at phase, phase + 1, …
-    Rounding can leave the last teeth beyond the last sum: they belong to the last particle that has a weight.
+    In steps of the comb the block is ``width`` wide and its ``count`` teeth stand at phase, phase +
+    1, … Rounding can leave the last teeth beyond the last sum: they belong to the last particle
+    that has a weight.
     """
-    total, last, begin = running_sum(s, n), n - 1, U(0)
+    total = running_sum(s, n)
+    last = n - 1
+    begin = U(0)
     # Below 1, or a tooth at the very beginning would fall on particles without weight there.
     shift = min(1.0 - phase, 1.0 - 2.0**-24)
     teeth_before(s, n, width / total if total > 0.0 else 0.0, shift, count, upto)
     for i in range(U(n)):
-        # So many without asking, or a branch is missed: what is too much the next particle overwrites.
+        # So many without asking, or a branch is missed: what is too much the next particle
+        # overwrites.
         for t in range(U(COPIES)):
             owner[begin + t] = i
         for t in range(begin + U(COPIES), U(upto[i])):
@@ -201,17 +281,25 @@ def own_teeth(s: Real, n: int, count: int, phase: float, width: float, upto: I4,
 
 @njit(**INNER)
 def running_sum(s: Real, n: int) -> float:
-    """The running sum of the weights into SUM, of four quarters at once so that none waits for another's; the whole."""
+    """The running sum of the weights into SUM, of four quarters at once so that none waits for
+    another's; the whole.
+    """
     zero = s.dtype.type(0)
     for i in range(n, BLOCK):
         s[WEIGHT + i] = zero
-    a, b, c, e = zero, zero, zero, zero
+    a = zero
+    b = zero
+    c = zero
+    e = zero
     for i in range(QUARTER):
         a += s[WEIGHT + i]
         b += s[WEIGHT + QUARTER + i]
         c += s[WEIGHT + 2 * QUARTER + i]
         e += s[WEIGHT + 3 * QUARTER + i]
-        s[SUM + i], s[SUM + QUARTER + i], s[SUM + 2 * QUARTER + i], s[SUM + 3 * QUARTER + i] = a, b, c, e
+        s[SUM + i] = a
+        s[SUM + QUARTER + i] = b
+        s[SUM + 2 * QUARTER + i] = c
+        s[SUM + 3 * QUARTER + i] = e
     b += a
     c += b
     for i in range(QUARTER):
@@ -224,7 +312,9 @@ def running_sum(s: Real, n: int) -> float:
 @njit(**VECTOR)
 def teeth_before(s: Real, n: int, scale: float, shift: float, count: int, upto: I4) -> None:
     """How many teeth stand before the end of each particle's stretch, from the running sums."""
-    most, per, more = np.int32(count), s.dtype.type(scale), s.dtype.type(shift)
+    most = np.int32(count)
+    per = s.dtype.type(scale)
+    more = s.dtype.type(shift)
     for i in range(n):
         here = np.int32(s[SUM + i] * per + more)
         upto[i] = here if here < most else most

@@ -1,4 +1,5 @@
-"""The steps of the Rauch–Tung–Striebel smoother over n Gaussians at once [R65]; their formulas: docs/methods.md, Smoothing.
+"""The steps of the Rauch–Tung–Striebel smoother over n Gaussians at once [R65]; their formulas:
+docs/methods.md, Smoothing.
 
 Means are (n, d), covariances (n, d, d), measurements (n, r); all C-contiguous.
 """
@@ -13,13 +14,16 @@ from phdtrack.kernels import F8, I8, Bool
 from phdtrack.kernels.cache import njit
 from phdtrack.kernels.fast32 import ENTRY, INNER
 
-# A pivot that is smaller than this share of its own diagonal element is rounding: the matrix is singular there.
+# A pivot that is smaller than this share of its own diagonal element is rounding: the matrix is
+# singular there.
 _SINGULAR = 1e-14
 
 
 @njit(**INNER)
 def _factor(a: F8, low: F8) -> float:
-    """Fill ``low`` with the factors of a = L D Lᵀ, D on the diagonal, 0 where a is singular; log |a| of what is not."""
+    """Fill ``low`` with the factors of a = L D Lᵀ, D on the diagonal, 0 where a is singular; log
+    |a| of what is not.
+    """
     log_determinant = 0.0
     for j in range(a.shape[0]):
         pivot = a[j, j]
@@ -77,7 +81,8 @@ def _add_turned(a: F8, b: F8, between: F8, out: F8) -> None:
 @njit(**ENTRY)
 def predicted(covariance: F8, jacobian: F8, noise: F8) -> F8:
     """(n, d, d) F P Fᵀ + Q."""
-    out, between = noise.copy(), np.empty(covariance.shape[1:])
+    out = noise.copy()
+    between = np.empty(covariance.shape[1:])
     for n in range(len(covariance)):
         _add_turned(jacobian[n], covariance[n], between, out[n])
     return out
@@ -86,13 +91,19 @@ def predicted(covariance: F8, jacobian: F8, noise: F8) -> F8:
 @njit(**INNER)
 def _room(d: int, r: int) -> tuple[F8, F8, F8, F8, F8, F8, F8]:
     """Room for what lies between a prediction and an update."""
-    small, wide, square = np.empty((2, r, r)), np.empty((2, d, r)), np.empty((2, d, d))
+    small = np.empty((2, r, r))
+    wide = np.empty((2, d, r))
+    square = np.empty((2, d, d))
     return small[0], small[1], np.empty((r, d)), wide[0], wide[1], square[0], square[1]
 
 
 @njit(**INNER)
-def _update(mean: F8, covariance: F8, step: F8, noise: F8, rows: I8, room: tuple[F8, ...], out: F8) -> None:
-    """Fill ``mean`` and ``out`` with the Gaussian given a measurement of these rows, ``step`` (r,) from the prediction."""
+def _update(
+    mean: F8, covariance: F8, step: F8, noise: F8, rows: I8, room: tuple[F8, ...], out: F8
+) -> None:
+    """Fill ``mean`` and ``out`` with the Gaussian given a measurement of these rows, ``step`` (r,)
+    from the prediction.
+    """
     s, low, part, gain, narrow, left, between = room
     for i in range(len(rows)):
         part[i] = covariance[rows[i]]
@@ -115,23 +126,34 @@ def _update(mean: F8, covariance: F8, step: F8, noise: F8, rows: I8, room: tuple
 @njit(**ENTRY)
 def updated(mean: F8, covariance: F8, z: F8, noise: F8, rows: I8) -> tuple[F8, F8]:
     """Means and covariances given measurements of these rows of the state."""
-    mean_out, out, room = mean.copy(), np.empty(covariance.shape), _room(mean.shape[1], len(rows))
+    mean_out = mean.copy()
+    out = np.empty(covariance.shape)
+    room = _room(mean.shape[1], len(rows))
     for n in range(len(mean)):
         _update(mean_out[n], covariance[n], z[n] - mean[n][rows], noise[n], rows, room, out[n])
     return mean_out, out
 
 
 @njit(**ENTRY)
-def smooth(now: tuple[F8, F8], ahead: tuple[F8, F8, F8, F8], later: tuple[F8, F8], onward: Bool) -> None:
-    """Put the Gaussians given what the next frame says after all in place of filtered ones, the last first, if ``onward``.
+def smooth(
+    now: tuple[F8, F8], ahead: tuple[F8, F8, F8, F8], later: tuple[F8, F8], onward: Bool
+) -> None:
+    """Put the Gaussians given what the next frame says after all in place of filtered ones, the
+    last first, if ``onward``.
 
-    ``now`` and ``later`` are means and covariances, ``ahead`` the predictions' with the Jacobian and noise they came of.
+    ``now`` and ``later`` are means and covariances, ``ahead`` the predictions' with the Jacobian
+    and noise they came of.
     """
     mean, covariance = now
     expected, expected_covariance, jacobian, noise = ahead
     d = mean.shape[1]
-    low, part, gain, left = np.empty((d, d)), np.empty((d, d)), np.empty((d, d)), np.empty((d, d))
-    between, added, before = np.empty((d, d)), np.empty((d, d)), np.empty((d, d))
+    low = np.empty((d, d))
+    part = np.empty((d, d))
+    gain = np.empty((d, d))
+    left = np.empty((d, d))
+    between = np.empty((d, d))
+    added = np.empty((d, d))
+    before = np.empty((d, d))
     for n in range(len(mean) - 1, -1, -1):
         if not onward[n]:
             continue
@@ -155,9 +177,13 @@ def smooth(now: tuple[F8, F8], ahead: tuple[F8, F8, F8, F8], later: tuple[F8, F8
 
 @njit(**INNER)
 def _log_density(step: F8, covariance: F8, noise: F8, rows: I8, first: int, room: F8) -> float:
-    """Log density, but for constants, at a distance ``step`` (r,) of the Gaussian with covariance H P Hᵀ + R: of so many
-    components of the measurement from the ``first`` on as ``room`` (3, n, n) has."""
-    s, low, v, size = room[0], room[1], room[2, :, :1], room.shape[1]
+    """Log density, but for constants, at a distance ``step`` (r,) of the Gaussian with covariance H
+    P Hᵀ + R: of so many components of the measurement from the ``first`` on as ``room`` (3, n, n)
+    has."""
+    s = room[0]
+    low = room[1]
+    v = room[2, :, :1]
+    size = room.shape[1]
     for i in range(size):
         v[i, 0] = step[first + i]
         for j in range(size):
@@ -179,21 +205,35 @@ def filtered(
     scales: tuple[F8, F8],
     evidence: F8,
 ) -> None:
-    """Predict Gaussians of one frame for the next one and update them, each by the measurement that it has there.
+    """Predict Gaussians of one frame for the next one and update them, each by the measurement that
+    it has there.
 
-    ``at`` (n, 4): where each stands in ``now`` (means and covariances), and where in the next frame, its path, the column of
-    its measurement, −1 for none. ``ahead``: where the motion takes them: means, Jacobians, noises. ``kept``: predictions,
-    Jacobians and noises, filled where they are not empty. ``seen``: measurements as states (d, Z), covariances, and the rows
-    that they show. ``scales``: of the deviations of each path's noises. ``evidence`` (2, K) grows.
+    ``at`` (n, 4): where each stands in ``now`` (means and covariances), and where in the next
+    frame, its path, the column of its measurement, −1 for none. ``ahead``: where the motion takes
+    them: means, Jacobians, noises. ``kept``: predictions, Jacobians and noises, filled where they
+    are not empty. ``seen``: measurements as states (d, Z), covariances, and the rows that they
+    show. ``scales``: of the deviations of each path's noises. ``evidence`` (2, K) grows.
     """
-    (mean, covariance), (moved, jacobian, noise), (state, spread, rows) = now, ahead, seen
-    d, r = mean.shape[1], len(rows)
-    added, between, expected, own, step = np.empty((d, d)), np.empty((d, d)), np.empty((d, d)), np.empty((r, r)), np.empty(r)
+    mean, covariance = now
+    moved, jacobian, noise = ahead
+    state, spread, rows = seen
+    d = mean.shape[1]
+    r = len(rows)
+    added = np.empty((d, d))
+    between = np.empty((d, d))
+    expected = np.empty((d, d))
+    own = np.empty((r, r))
+    step = np.empty(r)
     # The first two components of a measurement, and the others.
-    room, half = _room(d, r), min(2, r)
-    place, size = np.empty((3, half, half)), np.empty((3, r - half, r - half))
+    room = _room(d, r)
+    half = min(2, r)
+    place = np.empty((3, half, half))
+    size = np.empty((3, r - half, r - half))
     for n in range(len(at)):
-        before, here, path, column = at[n, 0], at[n, 1], at[n, 2], at[n, 3]
+        before = at[n, 0]
+        here = at[n, 1]
+        path = at[n, 2]
+        column = at[n, 3]
         for i in range(d):
             for j in range(d):
                 added[i, j] = noise[n, i, j] * scales[0][path, i] * scales[0][path, j]
@@ -201,14 +241,19 @@ def filtered(
         _add_turned(jacobian[n], covariance[before], between, expected)
         mean[here] = moved[n]
         if len(kept[0]):
-            kept[0][here], kept[1][here], kept[2][here], kept[3][here] = moved[n], expected, jacobian[n], added
+            kept[0][here] = moved[n]
+            kept[1][here] = expected
+            kept[2][here] = jacobian[n]
+            kept[3][here] = added
         if column < 0:
             covariance[here] = expected
             continue
         for i in range(r):
             step[i] = state[rows[i], column] - moved[n, rows[i]]
             for j in range(r):
-                own[i, j] = spread[column, rows[i], rows[j]] * scales[1][path, i] * scales[1][path, j]
+                own[i, j] = (
+                    spread[column, rows[i], rows[j]] * scales[1][path, i] * scales[1][path, j]
+                )
         evidence[0, path] += _log_density(step, expected, own, rows, 0, place)
         evidence[1, path] += _log_density(step, expected, own, rows, half, size)
         _update(mean[here], expected, step, own, rows, room, covariance[here])

@@ -1,4 +1,6 @@
-"""Verdicts on detections that look at no score, and the logistic regression that they teach. See `models.scores`."""
+"""Verdicts on detections that look at no score, and the logistic regression that they teach. See
+`models.scores`.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from phdtrack.kernels.fast32 import ENTRY
 
 
 class Line(NamedTuple):
-    """A Gaussian over (a, b): ``precision`` (2, 2), times mean (2,), and how many verdicts (2,) were true and false."""
+    """A Gaussian over (a, b): ``precision`` (2, 2), times mean (2,), and how many verdicts (2,)
+    were true and false.
+    """
 
     information: F8
     precision: F8
@@ -29,17 +33,24 @@ PROBABILITY, LOGIT, RANK = range(3)
 def scaled(
     score: F8, low: float, high: float, logits: tuple[float, float], bound: float, least: float
 ) -> tuple[float, float, int, F8]:
-    """Both ends and the kind of all scores, and x (n,) of those of a frame, NaN where they say nothing.
+    """Both ends and the kind of all scores, and x (n,) of those of a frame, NaN where they say
+    nothing.
 
-    Those before were between ``low`` and ``high``. ``logits``: the largest log odds, and those that say nothing; ``bound``
-    of log odds; ``least`` probability.
+    Those before were between ``low`` and ``high``. ``logits``: the largest log odds, and those that
+    say nothing; ``bound`` of log odds; ``least`` probability.
     """
     for s in score:
         if s < low:
             low = s
         if s > high:
             high = s
-    kind = PROBABILITY if low >= 0.0 and high <= 1.0 else LOGIT if low < 0.0 and high <= logits[0] else RANK
+    kind = (
+        PROBABILITY
+        if low >= 0.0 and high <= 1.0
+        else LOGIT
+        if low < 0.0 and high <= logits[0]
+        else RANK
+    )
     x = np.full(score.size, np.nan)
     if low < high and kind != RANK:
         for j in range(score.size):
@@ -55,18 +66,24 @@ def scaled(
 
 
 @njit(**ENTRY)
-def chained(before: F8, boxes: F8, x: F8, waiting: F8, length: I8, overlap: float) -> tuple[F8, I8, F8, F8, int]:
+def chained(
+    before: F8, boxes: F8, x: F8, waiting: F8, length: I8, overlap: float
+) -> tuple[F8, I8, F8, F8, int]:
     """The chains of detections after a frame, and its verdicts.
 
-    ``before`` (n, 4) are the boxes of the frame before, of whose chains ``waiting`` (n, L) are what waits, NaN where nothing
-    does, and ``length`` (n,) how long they are. ``boxes`` (m, 4) and ``x`` (m,) are of this frame. Back come both for its m
-    chains, x of what was true, as its chain has lasted for L frames, and false, as it has ended before, and how many of the
-    frame before were alone: linked neither before nor now.
+    ``before`` (n, 4) are the boxes of the frame before, of whose chains ``waiting`` (n, L) are what
+    waits, NaN where nothing does, and ``length`` (n,) how long they are. ``boxes`` (m, 4) and ``x``
+    (m,) are of this frame. Back come both for its m chains, x of what was true, as its chain has
+    lasted for L frames, and false, as it has ended before, and how many of the frame before were
+    alone: linked neither before nor now.
     """
-    m, most = boxes.shape[0], waiting.shape[1]
+    m = boxes.shape[0]
+    most = waiting.shape[1]
     link = following(before, boxes, overlap)
-    now, long = np.full((m, most), np.nan), np.ones(m, np.int64)
-    true, false = np.empty(m * most), np.empty(waiting.size)
+    now = np.full((m, most), np.nan)
+    long = np.ones(m, np.int64)
+    true = np.empty(m * most)
+    false = np.empty(waiting.size)
     t = f = alone = 0 * m
     ended = np.ones(before.shape[0], np.bool_)
     for j in range(m):
@@ -94,12 +111,15 @@ def chained(before: F8, boxes: F8, x: F8, waiting: F8, length: I8, overlap: floa
 
 @njit(**ENTRY)
 def newton(before: Line, true: F8, false: F8, prior: Line, remembered: float) -> tuple[F8, F8, F8]:
-    """The line after one step of Newton's method with the verdicts on detections with these x; old ones are forgotten."""
+    """The line after one step of Newton's method with the verdicts on detections with these x; old
+    ones are forgotten.
+    """
     information, precision, verdicts = before
     start, own, first = prior
     n = true.size + false.size
     kept = max(1 - n / remembered, 0.0)
-    information, precision = kept * information + (1 - kept) * start, kept * precision + (1 - kept) * own
+    information = kept * information + (1 - kept) * start
+    precision = kept * precision + (1 - kept) * own
     verdicts = kept * verdicts + (1 - kept) * first
     verdicts[0] += true.size
     verdicts[1] += false.size
@@ -110,7 +130,8 @@ def newton(before: Line, true: F8, false: F8, prior: Line, remembered: float) ->
     for k in range(n):
         x, label = (true[k], 1.0) if k < true.size else (false[k - true.size], 0.0)
         p = 1 / (1 + math.exp(-(a * x + offset)))
-        curve, miss = p * (1 - p), label - p
+        curve = p * (1 - p)
+        miss = label - p
         information[0] += curve * (a * x + b) * x + miss * x
         information[1] += curve * (a * x + b) + miss
         precision[0, 0] += curve * x * x

@@ -1,13 +1,14 @@
-"""Marks in the formats of other labelling tools: CSV, COCO and CVAT are written, COCO and CVAT are read again.
+"""Marks in the formats of other labelling tools: CSV, COCO and CVAT are written, COCO and CVAT are
+read again.
 
-In COCO and CVAT there is a picture for each frame to label, which says whether it is done, and a box for each object and
-each false alarm: what is marked or drawn, and on frames that are done the detections without a mark, too, which are true. A
-box has the attributes ``mark``, ``labeller`` and ``box``, its number. So phdtrack reads all of it again, and another tool
-the objects by their label.
+In COCO and CVAT there is a picture for each frame to label, which says whether it is done, and a
+box for each object and each false alarm: what is marked or drawn, and on frames that are done the
+detections without a mark, too, which are true. A box has the attributes ``mark``, ``labeller`` and
+``box``, its number. So phdtrack reads all of it again, and another tool the objects by their label.
 
-Boxes that another tool drew, or phdtrack on other detections, are matched with the detections of their frame, so that the
-sum of their overlaps (IoU, each of at least `ALIKE`) is largest: a box with a detection is its true place, one without was
-missed.
+Boxes that another tool drew, or phdtrack on other detections, are matched with the detections of
+their frame, so that the sum of their overlaps (IoU, each of at least `ALIKE`) is largest: a box
+with a detection is its true place, one without was missed.
 """
 
 from __future__ import annotations
@@ -32,15 +33,16 @@ from phdtrack.label.store import DRAWN, MARKS, Label, LabelStore, Mark
 from phdtrack.label.suggestions import ALIKE
 from phdtrack.types import DetectionTable, SequenceInfo
 
-_OBJECT, _FALSE = "object", "false alarm"
+_OBJECT = "object"
+_FALSE = "false alarm"
 # Files have two decimals: what differs by no more, in pixels, is in the same place.
 _SAME = 0.02
 _CORNERS = ("xtl", "ytl", "xbr", "ybr")
 
 
 class Taken(NamedTuple):
-    """What was taken of a file: marks by what they say, and frames that are done; and what was not: boxes on frames that are
-    not to be labelled, and false alarms that are no detections here."""
+    """What was taken of a file: marks by what they say, and frames that are done; and what was not:
+    boxes on frames that are not to be labelled, and false alarms that are no detections here."""
 
     false: int
     objects: int
@@ -51,14 +53,22 @@ class Taken(NamedTuple):
 
 
 def frames_of(given: Annotated) -> list[int]:
-    """The frames to label in a file that phdtrack wrote, in their order; none in those of others."""
-    order = [(place, one["frame"]) for one in given.pictures if (place := _whole(one.get("order"))) is not None]
+    """The frames to label in a file that phdtrack wrote, in their order; none in those of
+    others.
+    """
+    order = [
+        (place, one["frame"])
+        for one in given.pictures
+        if (place := _whole(one.get("order"))) is not None
+    ]
     return [number for _, number in sorted(order)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exchange:
-    """The labels, the detections that they are on, and the sequence, with the number of its frames."""
+    """The labels, the detections that they are on, and the sequence, with the number of its
+    frames.
+    """
 
     store: LabelStore
     table: DetectionTable
@@ -69,21 +79,31 @@ class Exchange:
         return {"csv": self._csv, "json": self._coco, "xml": self._cvat}[kind]()
 
     def take(self, given: Annotated, labeller: str = "") -> Taken:
-        """Keep what a file says as marks of those who made them, or of ``labeller`` where it does not say who.
+        """Keep what a file says as marks of those who made them, or of ``labeller`` where it does
+        not say who.
 
-        A frame is done if the file says so and has a box for each of its detections. Raises `InputError` where the file is
-        of pictures of another size; nothing has changed then.
+        A frame is done if the file says so and has a box for each of its detections. Raises
+        `InputError` where the file is of pictures of another size; nothing has changed then.
         """
         for one in given.pictures:
             size = [_whole(one.get(name)) for name in ("width", "height")]
             if all(size) and self.info.width and size != [self.info.width, self.info.height]:
                 problem = f"expected pictures of {self.info.width} x {self.info.height}, came {size[0]} x {size[1]}"
-                raise InputError(problem, where=f"frame {one['frame']} of the file", cure="Is it of another video?")
+                raise InputError(
+                    problem,
+                    where=f"frame {one['frame']} of the file",
+                    cure="Is it of another video?",
+                )
         digest = given.about.get("detections")
-        drawn, last = [number for number, _ in self.store.frames()], self.info.frames
+        drawn = [number for number, _ in self.store.frames()]
+        last = self.info.frames
         # Marks of a clip belong to the frame that it is about.
-        home = {frame: number for number in drawn for frame in clip(number, last)} | {number: number for number in drawn}
-        by_frame, all_made, elsewhere = dict[int, list[dict[str, Any]]](), list[Label](), 0
+        home = {frame: number for number in drawn for frame in clip(number, last)} | {
+            number: number for number in drawn
+        }
+        by_frame = dict[int, list[dict[str, Any]]]()
+        all_made = list[Label]()
+        elsewhere = 0
         for box in given.boxes:
             known = box["frame"] in (home if box.get("mark") == "birth" else drawn)
             elsewhere += not known
@@ -95,66 +115,109 @@ class Exchange:
             for who in sorted({label.who for label in made}):
                 if mine := [label for label in made if label.who == who and label.mark != "none"]:
                     self.store.mark(home[frame], mine, who or labeller)
-        seen, done = Counter({label.frame: 0 for label in all_made}), 0
-        seen.update(frame for frame, box in {(label.frame, label.box) for label in all_made} if box < DRAWN)
+        seen = Counter({label.frame: 0 for label in all_made})
+        done = 0
+        seen.update(
+            frame for frame, box in {(label.frame, label.box) for label in all_made} if box < DRAWN
+        )
         for one in given.pictures:
             number = one["frame"]
-            if str(one.get("done")).lower() == "true" and number in drawn and seen[number] == len(self.table.at(number)):
+            if (
+                str(one.get("done")).lower() == "true"
+                and number in drawn
+                and seen[number] == len(self.table.at(number))
+            ):
                 self.store.finish(number, who=labeller)
                 done += 1
         marks = Counter("drawn" if label.box >= DRAWN else label.mark for label in all_made)
         unmatched = sum(map(len, by_frame.values())) - len(all_made)
-        return Taken(marks["false"], marks["true"] + marks["birth"], marks["drawn"], done, elsewhere, unmatched)
+        return Taken(
+            marks["false"],
+            marks["true"] + marks["birth"],
+            marks["drawn"],
+            done,
+            elsewhere,
+            unmatched,
+        )
 
     def _labels(self, frame: int, boxes: list[dict[str, Any]], digest: str | None) -> list[Label]:
-        """What the boxes of one frame say, ``none`` for true detections as they are; ``digest`` is of the detections that
-        they were written with, None where that is not known."""
-        found, known = self.table.at(frame).xyxy, [one for one in self.store.labels(frame) if one.box >= DRAWN]
+        """What the boxes of one frame say, ``none`` for true detections as they are; ``digest`` is
+        of the detections that they were written with, None where that is not known."""
+        found = self.table.at(frame).xyxy
+        known = [one for one in self.store.labels(frame) if one.box >= DRAWN]
         numbers = [*range(len(found)), *(one.box for one in known)]
-        places = np.concatenate([found, np.array([one.place for one in known], np.float64).reshape(-1, 4)])
+        places = np.concatenate(
+            [found, np.array([one.place for one in known], np.float64).reshape(-1, 4)]
+        )
         corners = np.array([box["xyxy"] for box in boxes], np.float64)
         overlap = iou(corners, places)
         pairs = zip(*linear_sum_assignment(-np.where(overlap >= ALIKE, overlap, 0)), strict=True)
         partner = {int(i): numbers[k] for i, k in pairs if overlap[i, k] >= ALIKE}
-        made, free = list[Label](), max([DRAWN, *(one.box + 1 for one in known)])
+        made = list[Label]()
+        free = max([DRAWN, *(one.box + 1 for one in known)])
         for i, box in enumerate(boxes):
-            mark = box.get("mark") if box.get("mark") in MARKS else "false" if box["label"] == _FALSE else "true"
-            number, own = partner.get(i, free), _whole(box.get("box"))
-            if digest == self.store.digest and own is not None and (own < len(found) or DRAWN <= own < 2 * DRAWN):
+            mark = (
+                box.get("mark")
+                if box.get("mark") in MARKS
+                else "false"
+                if box["label"] == _FALSE
+                else "true"
+            )
+            number = partner.get(i, free)
+            own = _whole(box.get("box"))
+            if (
+                digest == self.store.digest
+                and own is not None
+                and (own < len(found) or DRAWN <= own < 2 * DRAWN)
+            ):
                 number = own
             if number >= DRAWN and mark == "false":
                 continue
             free += number == free
             moved = number >= DRAWN or float(np.abs(corners[i] - found[number]).max()) > _SAME
-            # What phdtrack wrote of other detections is where those were; what somebody edited is where he put it.
+            # What phdtrack wrote of other detections is where those were; what somebody edited is
+            # where he put it.
             if mark == "none" and moved and (number >= DRAWN or digest is None):
                 mark = "true"
             place = cast(tuple[float, float, float, float], tuple(corners[i].tolist()))
             kept = place if mark == "true" or (mark == "birth" and moved) else None
-            made.append(Label(frame, number, cast(Mark, mark), kept, str(box.get("labeller") or "")[:100]))
+            made.append(
+                Label(frame, number, cast(Mark, mark), kept, str(box.get("labeller") or "")[:100])
+            )
         return made
 
     def _known(self) -> Iterator[tuple[Label, list[float]]]:
-        """What is marked, and what is true on frames that are done, with its corners; by frame and box."""
+        """What is marked, and what is true on frames that are done, with its corners; by frame and
+        box.
+        """
         labels = {(label.frame, label.box): label for label in self.store.labels()}
         for number, done in self.store.frames():
             for k in range(len(self.table.at(number)) if done else 0):
                 labels.setdefault((number, k), Label(number, k, "none"))
         for _, one in sorted(labels.items()):
-            place = self.table.at(one.frame).xyxy[one.box].tolist() if one.place is None else one.place
+            place = (
+                self.table.at(one.frame).xyxy[one.box].tolist() if one.place is None else one.place
+            )
             yield one, [round(value, 2) for value in place]
 
     def _pictures(self) -> dict[int, dict[str, Any]]:
         """What is said of the frames to label, and nothing of others that have marks; by number."""
         pictures: dict[int, dict[str, Any]] = {label.frame: {} for label in self.store.labels()}
-        pictures |= {number: {"order": k, "done": done} for k, (number, done) in enumerate(self.store.frames())}
+        pictures |= {
+            number: {"order": k, "done": done}
+            for k, (number, done) in enumerate(self.store.frames())
+        }
         return dict(sorted(pictures.items()))
 
     def _csv(self) -> str:
         out = io.StringIO()
         writer = csv.writer(out, lineterminator="\n")
         writer.writerow(["frame", "box", "mark", "left", "top", "right", "bottom", "labeller"])
-        writer.writerows((one.frame, one.box, one.mark, *at, one.who) for one, at in self._known() if one.mark != "none")
+        writer.writerows(
+            (one.frame, one.box, one.mark, *at, one.who)
+            for one, at in self._known()
+            if one.mark != "none"
+        )
         return out.getvalue()
 
     def _coco(self) -> str:
@@ -176,23 +239,38 @@ class Exchange:
             for k, (one, (left, top, right, bottom)) in enumerate(self._known(), start=1)
         ]
         names = [{"id": 1, "name": _OBJECT}, {"id": 2, "name": _FALSE}]
-        about = {"description": f"marks of phdtrack label: {self.info.name}", "detections": self.store.digest}
+        about = {
+            "description": f"marks of phdtrack label: {self.info.name}",
+            "detections": self.store.digest,
+        }
         whole = {"info": about, "images": images, "annotations": annotations, "categories": names}
         return json.dumps(whole, ensure_ascii=False) + "\n"
 
     def _cvat(self) -> str:
         boxes = dict[int, list[str]]()
         for one, at in self._known():
-            corners = " ".join(f'{name}="{value:.12g}"' for name, value in zip(_CORNERS, at, strict=True))
+            corners = " ".join(
+                f'{name}="{value:.12g}"' for name, value in zip(_CORNERS, at, strict=True)
+            )
             label = _FALSE if one.mark == "false" else _OBJECT
             more = _attributes({"mark": one.mark, "labeller": one.who, "box": one.box})
-            boxes.setdefault(one.frame, []).append(f'<box label="{label}" occluded="0" {corners} z_order="0">{more}</box>')
-        lines = ['<?xml version="1.0" encoding="utf-8"?>', "<annotations>", "<version>1.1</version>"]
+            boxes.setdefault(one.frame, []).append(
+                f'<box label="{label}" occluded="0" {corners} z_order="0">{more}</box>'
+            )
+        lines = [
+            '<?xml version="1.0" encoding="utf-8"?>',
+            "<annotations>",
+            "<version>1.1</version>",
+        ]
         lines.append(f"<meta><phdtrack detections={quoteattr(self.store.digest)}/></meta>")
         for number, picture in self._pictures().items():
             size = f'width="{self.info.width}" height="{self.info.height}"'
             tag = f'<tag label="frame">{_attributes(picture)}</tag>' if picture else ""
-            lines += [f'<image id="{number - 1}" name="{number:06d}.jpg" {size}>{tag}', *boxes.get(number, []), "</image>"]
+            lines += [
+                f'<image id="{number - 1}" name="{number:06d}.jpg" {size}>{tag}',
+                *boxes.get(number, []),
+                "</image>",
+            ]
         return "\n".join([*lines, "</annotations>"]) + "\n"
 
 
@@ -204,5 +282,11 @@ def _whole(value: object) -> int | None:
 
 def _attributes(values: dict[str, Any]) -> str:
     """CVAT's attributes; truth values are its words."""
-    words = {name: str(value).lower() if isinstance(value, bool) else str(value) for name, value in values.items()}
-    return "".join(f"<attribute name={quoteattr(name)}>{escape(word)}</attribute>" for name, word in words.items())
+    words = {
+        name: str(value).lower() if isinstance(value, bool) else str(value)
+        for name, value in values.items()
+    }
+    return "".join(
+        f"<attribute name={quoteattr(name)}>{escape(word)}</attribute>"
+        for name, word in words.items()
+    )

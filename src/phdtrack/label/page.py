@@ -1,4 +1,6 @@
-"""The page on which a person marks false detections and births: what it shows. `live.serving` decides who may use it."""
+"""The page on which a person marks false detections and births: what it shows. `live.serving`
+decides who may use it.
+"""
 
 from __future__ import annotations
 
@@ -30,24 +32,31 @@ from phdtrack.types import F8, Detections, DetectionTable, Image, SequenceInfo
 _OF_TYPE = {
     "image/jpeg": {"Cache-Control": "private, max-age=86400, immutable"},
     "text/csv": {"Content-Disposition": 'attachment; filename="labels.csv"'},
-    "application/json; charset=utf-8": {"Content-Disposition": 'attachment; filename="labels.coco.json"'},
+    "application/json; charset=utf-8": {
+        "Content-Disposition": 'attachment; filename="labels.coco.json"'
+    },
     "text/xml": {"Content-Disposition": 'attachment; filename="labels.cvat.xml"'},
 }
 STATIC = Path(__file__).parent / "static"
 # A map is drawn from so many marks on, in red or green (BGR), of this width.
-_MIN_MARKS, _MAP_WIDTH = 10, 320
+_MIN_MARKS = 10
+_MAP_WIDTH = 320
 # Marks that may be anywhere, as a share, from which on it is in doubt whether there are places.
 _DOUBT = 0.5
 _COLOURS = {"false": (40, 40, 220), "birth": (90, 170, 30)}
-_OUTLINE, _GREY = (62, 210, 255), 96
-# Crops that are shown at once; the next ones follow when these are dealt with. Their size in pixels.
-_CROPS, _SIDE = 600, 96
+_OUTLINE = (62, 210, 255)
+_GREY = 96
+# Crops that are shown at once; the next ones follow when these are dealt with. Their size in
+# pixels.
+_CROPS = 600
+_SIDE = 96
 # Marks that may be sent at once.
 MAX_MARKS = 10_000
 
 
 class Sent(BaseModel):
-    """What the page sends to change a frame: marks and who made them, or whether it has been looked at.
+    """What the page sends to change a frame: marks and who made them, or whether it has been looked
+    at.
 
     ``key`` tells that the same is sent again.
     """
@@ -66,7 +75,8 @@ class Session:
     ----------
     store : keeps the marks.
     table, info : the detections, and the sequence, with the number of its frames.
-    stills : the frames as JPEG by number, those of the clips too, of any size; the others are shown grey.
+    stills : the frames as JPEG by number, those of the clips too, of any size; the others are shown
+        grey.
     background : looks for what may be false; None where nothing does.
     command : learns from the marks, in a terminal.
     labeller : name of who labels, unless somebody gives another one on the page.
@@ -90,7 +100,9 @@ class Session:
         return f"{self.command} --births hand" if progress.births >= MIN_BIRTHS else self.command
 
     def overview(self) -> dict[str, object]:
-        """Size, name, the file of labels (its name, and where it is ``kept``), how far each frame is, and the progress."""
+        """Size, name, the file of labels (its name, and where it is ``kept``), how far each frame
+        is, and the progress.
+        """
         info = self.info
         clips = [(number, done, clip(number, info.frames)) for number, done in self.store.frames()]
         return {
@@ -99,7 +111,10 @@ class Session:
             "width": info.width,
             "height": info.height,
             "fps": info.fps,
-            "frames": [{"number": number, "done": done, "clip": [c.start, c.stop - 1]} for number, done, c in clips],
+            "frames": [
+                {"number": number, "done": done, "clip": [c.start, c.stop - 1]}
+                for number, done, c in clips
+            ],
             "progress": self._progress(),
             "kept": str(self.store.path),
             "labeller": self.labeller,
@@ -107,13 +122,18 @@ class Session:
         }
 
     def disputes(self) -> list[tuple[int, int, dict[str, str]]]:
-        """(frame, box, what each labeller says) of the boxes of which several say different things."""
+        """(frame, box, what each labeller says) of the boxes of which several say different
+        things.
+        """
         return [(*box, said) for box, said in self.store.disputes().items()]
 
     def frame(self, number: int, who: str = "") -> dict[str, object]:
-        """The boxes of a frame (left, top, right, bottom, score), by their numbers the marks, who made them, and the places
-        of those that were drawn or moved; whether it is done, what ``who`` can undo."""
-        found, labels, (undo, redo) = self._boxes(number), self.store.labels(number), self.store.steps(number, who)
+        """The boxes of a frame (left, top, right, bottom, score), by their numbers the marks, who
+        made them, and the places of those that were drawn or moved; whether it is done, what
+        ``who`` can undo."""
+        found = self._boxes(number)
+        labels = self.store.labels(number)
+        undo, redo = self.store.steps(number, who)
         return {
             "number": number,
             "boxes": np.column_stack([found.xyxy, found.confidence]).round(2).tolist(),
@@ -133,12 +153,16 @@ class Session:
         return self.stills[number] if number in self.stills else _encoded(grey)
 
     def crop(self, number: int, box: int) -> bytes:
-        """The picture of one detection, outlined, with what is around it, of at most 96 × 96 pixels."""
+        """The picture of one detection, outlined, with what is around it, of at most 96 × 96
+        pixels.
+        """
         image = cv2.imdecode(np.frombuffer(self.still(number), np.uint8), cv2.IMREAD_COLOR)
         assert image is not None
         corners = (self._box(number, box) * image.shape[1] / self.info.width).reshape(2, 2)
         margin = 0.2 * (corners[1] - corners[0]).max()
-        (x, y), (right, bottom) = np.maximum([corners[0] - margin, corners[1] + margin + 1], 0).astype(int).tolist()
+        (x, y), (right, bottom) = (
+            np.maximum([corners[0] - margin, corners[1] + margin + 1], 0).astype(int).tolist()
+        )
         part = np.asarray(image[y:bottom, x:right], np.uint8)
         if part.size == 0:
             part = np.full((_SIDE, _SIDE, 3), _GREY, np.uint8)
@@ -150,21 +174,31 @@ class Session:
         return _encoded(part)
 
     def alike(self, number: int, box: int) -> list[tuple[int, int]]:
-        """(frame, box) of the unmarked detections on all frames to label that lie where this one does, itself included."""
-        this, marked, found = self._box(number, box), self._marked, list[tuple[int, int]]()
+        """(frame, box) of the unmarked detections on all frames to label that lie where this one
+        does, itself included.
+        """
+        this = self._box(number, box)
+        marked = self._marked
+        found = list[tuple[int, int]]()
         for other, _ in self.store.frames():
             near = np.flatnonzero(iou(this[None], self.table.at(other).xyxy)[0] >= ALIKE).tolist()
             found += [(other, k) for k in near if (other, k) not in marked]
         return found
 
     def suggestions(self) -> dict[str, object]:
-        """What may be false, worst first, of what has no mark: frame, box, reason, score, place; how far it is.
+        """What may be false, worst first, of what has no mark: frame, box, reason, score, place;
+        how far it is.
 
-        ``ticked`` is the score from which it is taken for false unless a person says otherwise, ``more`` the number of
-        suggestions that are left out for now.
+        ``ticked`` is the score from which it is taken for false unless a person says otherwise,
+        ``more`` the number of suggestions that are left out for now.
         """
-        work, marked = self.background, self._marked
-        found = [one for one in (work.found if work else None) or () if (one.frame, one.box) not in marked]
+        work = self.background
+        marked = self._marked
+        found = [
+            one
+            for one in (work.found if work else None) or ()
+            if (one.frame, one.box) not in marked
+        ]
         return {
             "ready": work is None or work.found is not None or bool(work.problem),
             "share": 1.0 if work is None else work.share,
@@ -175,8 +209,8 @@ class Session:
         }
 
     def place_map(self, mark: str) -> dict[str, object]:
-        """What was ``learned`` of the marked boxes' places so far, if anything was, and a ``picture`` of it as an address:
-        coloured where they are likely, clear where not."""
+        """What was ``learned`` of the marked boxes' places so far, if anything was, and a
+        ``picture`` of it as an address: coloured where they are likely, clear where not."""
         if mark not in _COLOURS:
             raise InputError(f"expected {' or '.join(_COLOURS)}, got {mark!r}")
         scale = min(1.0, _MAP_WIDTH / self.info.width)
@@ -186,7 +220,8 @@ class Session:
         if learned := boxes.shape[1] >= _MIN_MARKS:
             size = (float(self.info.width), float(self.info.height))
             density = box_density(boxes, size)
-            # Where it is in doubt it is asked how well the places predict marks that they were not learned from.
+            # Where it is in doubt it is asked how well the places predict marks that they were not
+            # learned from.
             if density.uniform >= _DOUBT:
                 density = learn_boxes(boxes, 1, size, FALSE_BOXES).learned.density
             learned = density.has_places
@@ -198,9 +233,11 @@ class Session:
         return {"learned": learned, "picture": f"data:image/png;base64,{data}"}
 
     def _change(self, number: int, what: str, sent: bytes) -> dict[str, object]:
-        """The frame and the progress after its marks were changed; ``what`` is marks, undo, redo or done.
+        """The frame and the progress after its marks were changed; ``what`` is marks, undo, redo or
+        done.
 
-        Raises `InputError` where what was ``sent``, `Sent` as JSON, cannot be used; nothing has changed then.
+        Raises `InputError` where what was ``sent``, `Sent` as JSON, cannot be used; nothing has
+        changed then.
         """
         try:
             told = Sent.model_validate_json(sent)
@@ -211,7 +248,9 @@ class Session:
         self._boxes(number)
         match what:
             case "marks":
-                found = {number: self._boxes(number) for number in {label.frame for label in told.marks}}
+                found = {
+                    number: self._boxes(number) for number in {label.frame for label in told.marks}
+                }
                 for label in told.marks:
                     if label.box < DRAWN:
                         _checked(found[label.frame], label.frame, label.box)
@@ -227,7 +266,9 @@ class Session:
     def _progress(self) -> dict[str, object]:
         """How far the work is, and what to do ``next`` when all frames are done."""
         progress = self.store.progress()
-        return asdict(progress) | {"next": self.learn(progress) if progress.done == progress.frames else ""}
+        return asdict(progress) | {
+            "next": self.learn(progress) if progress.done == progress.frames else ""
+        }
 
     def _boxes(self, number: int) -> Detections:
         """The detections of a frame to label, or of the clip about one."""
@@ -261,15 +302,23 @@ def label_app(session: Session) -> Starlette:
         "/api/suggestions": (session.suggestions, JSON),
         "/api/map/{mark:str}": (session.place_map, JSON),
         "/api/labels.csv": (partial(session.exchange.text, "csv"), "text/csv"),
-        "/api/labels.json": (partial(session.exchange.text, "json"), "application/json; charset=utf-8"),
+        "/api/labels.json": (
+            partial(session.exchange.text, "json"),
+            "application/json; charset=utf-8",
+        ),
         "/api/labels.xml": (partial(session.exchange.text, "xml"), "text/xml"),
         "/api/disputes": (session.disputes, JSON),
         "/still/{number:int}.jpg": (session.still, "image/jpeg"),
         "/crop/{number:int}/{box:int}.jpg": (session.crop, "image/jpeg"),
     }
-    routes = [Route(path, endpoint(work, media, _OF_TYPE.get(media))) for path, (work, media) in answers.items()]
+    routes = [
+        Route(path, endpoint(work, media, _OF_TYPE.get(media)))
+        for path, (work, media) in answers.items()
+    ]
     routes.append(Route("/api/frame/{number:int}", endpoint(session.frame, query=["who"])))
-    change = Route("/api/frame/{number:int}/{what:str}", endpoint(session._change), methods=["POST"])
+    change = Route(
+        "/api/frame/{number:int}/{what:str}", endpoint(session._change), methods=["POST"]
+    )
     return Starlette(routes=[*routes, change, *static(STATIC)])
 
 

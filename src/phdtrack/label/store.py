@@ -1,10 +1,12 @@
-"""Labels of detections in one SQLite file: every mark is kept the moment it is made, by however many people at once.
+"""Labels of detections in one SQLite file: every mark is kept the moment it is made, by however
+many people at once.
 
-A file is a list of actions, each of one or more marks, or that a frame is done, and of who made it; nothing is ever
-overwritten. The last mark on a box, or on a frame, whose action is not undone counts, whoever made it. So undoing is a flag,
-which people set on their own actions only, and of two people who mark the same box both keep their click: where they
-disagree, `LabelStore.disputes` says it. A page that does not know whether its click arrived sends it again: what carries a
-``key`` that the file has seen changes nothing.
+A file is a list of actions, each of one or more marks, or that a frame is done, and of who made it;
+nothing is ever overwritten. The last mark on a box, or on a frame, whose action is not undone
+counts, whoever made it. So undoing is a flag, which people set on their own actions only, and of
+two people who mark the same box both keep their click: where they disagree, `LabelStore.disputes`
+says it. A page that does not know whether its click arrived sends it again: what carries a ``key``
+that the file has seen changes nothing.
 """
 
 from __future__ import annotations
@@ -24,12 +26,16 @@ from phdtrack.errors import InputError
 from phdtrack.types import DetectionTable, Truth
 
 Mark = Literal["false", "birth", "true", "none"]
-"""``false``: the detector is wrong there. ``birth``: a target enters there. ``true``: an object is where the box was drawn
-or moved to. ``none``: nothing of these, after all; a drawn box is gone then."""
+"""``false``: the detector is wrong there. ``birth``: a target enters there. ``true``: an object is
+where the box was drawn or moved to. ``none``: nothing of these, after all; a drawn box is gone
+then."""
 MARKS: tuple[str, ...] = get_args(Mark)
 DRAWN = 1_000_000_000
-"""Boxes with numbers from this one on are not detections: they were drawn about objects that the detector missed."""
-FORMAT, _EARLIER = "2", "1"
+"""Boxes with numbers from this one on are not detections: they were drawn about objects that the
+detector missed.
+"""
+FORMAT = "2"
+_EARLIER = "1"
 NO_OBJECT = 0.3
 """A box whose overlap (IoU) with every object is below this is on none."""
 # Pixels within which a place is.
@@ -58,7 +64,8 @@ CREATE TABLE IF NOT EXISTS place (
 CREATE TABLE IF NOT EXISTS request (key TEXT PRIMARY KEY) STRICT;
 CREATE INDEX IF NOT EXISTS mark_by_box ON mark (frame, box, action);
 """
-# What says of a frame, not of a box, whether it is done; files of before may have it beside the frame's number only.
+# What says of a frame, not of a box, whether it is done; files of before may have it beside the
+# frame's number only.
 _FRAME = -1
 _FRAMES = f"""
 SELECT number, coalesce((
@@ -85,10 +92,11 @@ SELECT frame, box, who, mark FROM (
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """What a box is: ``box`` counts from 0 among the detections of ``frame``, or from `DRAWN` for a box that was drawn.
+    """What a box is: ``box`` counts from 0 among the detections of ``frame``, or from `DRAWN` for a
+    box that was drawn.
 
-    ``place`` (left, top, right, bottom; pixels) is where a person has drawn the box or moved it to, None for the detection's
-    own. ``who`` made the mark; labels are compared without it.
+    ``place`` (left, top, right, bottom; pixels) is where a person has drawn the box or moved it to,
+    None for the detection's own. ``who`` made the mark; labels are compared without it.
     """
 
     frame: int
@@ -100,7 +108,9 @@ class Label:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Frames looked at, of how many; on all of them boxes marked as false, as births, and drawn; those in dispute."""
+    """Frames looked at, of how many; on all of them boxes marked as false, as births, and drawn;
+    those in dispute.
+    """
 
     done: int
     frames: int
@@ -112,35 +122,55 @@ class Progress:
 
 @dataclass(frozen=True, slots=True)
 class LabelStore:
-    """The labels in one file. Every method opens it, does one thing wholly or not at all, and closes it."""
+    """The labels in one file. Every method opens it, does one thing wholly or not at all, and
+    closes it.
+    """
 
     path: Path
 
     @classmethod
     def open(cls, path: Path, source: str, digest: str, frames: Sequence[int]) -> LabelStore:
-        """The labels of some detections; the file is made where there is none, gone on with where there is. Raises
-        `InputError` where it is that of other detections, or no file of labels.
+        """The labels of some detections; the file is made where there is none, gone on with where
+        there is. Raises `InputError` where it is that of other detections, or no file of labels.
 
         Parameters
         ----------
         path : of the file.
         source, digest : name of the video or file, and a digest of its detections.
-        frames : numbers to label, in the order to show them; those that a file holds already stay, in front.
+        frames : numbers to label, in the order to show them; those that a file holds already stay,
+            in front.
         """
-        store, about = cls(path), {"format": FORMAT, "source": source, "detections": digest, "name": secrets.token_hex(8)}
+        store = cls(path)
+        about = {
+            "format": FORMAT,
+            "source": source,
+            "detections": digest,
+            "name": secrets.token_hex(8),
+        }
         try:
             with store._connection() as db, db:
                 db.executescript(_TABLES)
                 known = about | dict(db.execute("SELECT name, value FROM about"))
                 if known["format"] not in (FORMAT, _EARLIER):
-                    raise InputError(f"expected labels of format {FORMAT}, got {known['format']!r}", where=path)
+                    raise InputError(
+                        f"expected labels of format {FORMAT}, got {known['format']!r}", where=path
+                    )
                 if known["detections"] != digest:
                     problem = f"the labels are those of other detections (of {known['source']}), not of these of {source}"
-                    raise InputError(problem, where=path, cure="Give another --labels file, or the detections of then")
-                db.executemany("INSERT OR REPLACE INTO about VALUES (?, ?)", (known | {"format": FORMAT}).items())
+                    raise InputError(
+                        problem,
+                        where=path,
+                        cure="Give another --labels file, or the detections of then",
+                    )
+                db.executemany(
+                    "INSERT OR REPLACE INTO about VALUES (?, ?)",
+                    (known | {"format": FORMAT}).items(),
+                )
                 place = "(SELECT coalesce(max(place) + 1, 0) FROM frame)"
                 rows = [(int(number),) for number in frames]
-                db.executemany(f"INSERT OR IGNORE INTO frame (number, place) VALUES (?, {place})", rows)
+                db.executemany(
+                    f"INSERT OR IGNORE INTO frame (number, place) VALUES (?, {place})", rows
+                )
         except sqlite3.DatabaseError as error:
             raise InputError(f"cannot be used as a file of labels ({error})", where=path) from None
         return store
@@ -157,13 +187,15 @@ class LabelStore:
 
     @property
     def ports(self) -> range:
-        """Ports for the page of this file, the same each time: what a browser keeps for one port is not seen on others."""
+        """Ports for the page of this file, the same each time: what a browser keeps for one port is
+        not seen on others.
+        """
         first = 20_000 + int(self.name, 16) % 12_000
         return range(first, first + 8)
 
     def mark(self, frame: int, marks: Iterable[Label], who: str = "", key: str = "") -> None:
-        """Keep marks as one action; of two on one box the last counts. Raises `InputError` for no mark, an unknown one, and
-        a place that is none or that the mark cannot have.
+        """Keep marks as one action; of two on one box the last counts. Raises `InputError` for no
+        mark, an unknown one, and a place that is none or that the mark cannot have.
 
         Parameters
         ----------
@@ -179,7 +211,8 @@ class LabelStore:
         self._act(frame, given, who, key)
 
     def mark_false(self, table: DetectionTable, truth: Truth) -> None:
-        """Mark the detections that are on no annotated object, `NO_OBJECT`, on all frames, which are done then.
+        """Mark the detections that are on no annotated object, `NO_OBJECT`, on all frames, which
+        are done then.
 
         Parameters
         ----------
@@ -203,10 +236,14 @@ class LabelStore:
         again : the other way: make the action that was undone last count again.
         """
         chosen = f"SELECT {'min' if again else 'max'}(id) FROM action WHERE {_OWN} AND undone = {int(again)}"
-        self._change(key, (f"UPDATE action SET undone = {int(not again)} WHERE id = ({chosen})", [(frame, who)]))
+        self._change(
+            key,
+            (f"UPDATE action SET undone = {int(not again)} WHERE id = ({chosen})", [(frame, who)]),
+        )
 
     def finish(self, frame: int, done: bool = True, key: str = "", who: str = "") -> None:
-        """Say that a frame has been looked at, which `undo` takes back. One without false boxes is looked at too.
+        """Say that a frame has been looked at, which `undo` takes back. One without false boxes is
+        looked at too.
 
         Parameters
         ----------
@@ -218,11 +255,16 @@ class LabelStore:
 
     def steps(self, frame: int, who: str = "") -> tuple[int, int]:
         """How many actions on ``frame`` ``who`` can undo and redo."""
-        known = [undone for (undone,) in self._rows(f"SELECT undone FROM action WHERE {_OWN}", frame, who)]
+        known = [
+            undone
+            for (undone,) in self._rows(f"SELECT undone FROM action WHERE {_OWN}", frame, who)
+        ]
         return known.count(0), known.count(1)
 
     def labels(self, frame: int | None = None) -> list[Label]:
-        """What every marked box is, or those of one ``frame``; boxes marked as ``none`` again are not listed."""
+        """What every marked box is, or those of one ``frame``; boxes marked as ``none`` again are
+        not listed.
+        """
         return [
             Label(number, box, mark, None if place[0] is None else tuple(place), who)
             for number, box, mark, who, *place, _ in self._rows(_CURRENT, frame)
@@ -230,13 +272,16 @@ class LabelStore:
         ]
 
     def disputes(self) -> dict[tuple[int, int], dict[str, str]]:
-        """By frame and box: who says what of the boxes of which several people say different things, each by the last mark.
+        """By frame and box: who says what of the boxes of which several people say different
+        things, each by the last mark.
 
         A detection that somebody took a mark off again, and one that was moved, is true to them.
         """
         said = dict[tuple[int, int], dict[str, str]]()
         for frame, box, who, mark in self._rows(_BY_PERSON):
-            said.setdefault((frame, box), {})[who] = "true" if mark == "none" and box < DRAWN else mark
+            said.setdefault((frame, box), {})[who] = (
+                "true" if mark == "none" and box < DRAWN else mark
+            )
         return {box: marks for box, marks in said.items() if len(set(marks.values())) > 1}
 
     def frames(self) -> list[tuple[int, bool]]:
@@ -245,9 +290,18 @@ class LabelStore:
 
     def progress(self) -> Progress:
         """How far the work is."""
-        done, labels = [done for _, done in self.frames()], self.labels()
-        marks, drawn = [label.mark for label in labels], sum(label.box >= DRAWN for label in labels)
-        return Progress(sum(done), len(done), marks.count("false"), marks.count("birth"), drawn, len(self.disputes()))
+        done = [done for _, done in self.frames()]
+        labels = self.labels()
+        marks = [label.mark for label in labels]
+        drawn = sum(label.box >= DRAWN for label in labels)
+        return Progress(
+            sum(done),
+            len(done),
+            marks.count("false"),
+            marks.count("birth"),
+            drawn,
+            len(self.disputes()),
+        )
 
     def _rows(self, question: str, *values: int | str | None) -> list[tuple[Any, ...]]:
         """The answer to a question."""
@@ -259,10 +313,14 @@ class LabelStore:
         last = {(label.frame, label.box): label for label in labels}.values()
         self._change(
             key,
-            # What was undone before is gone for good once something new was done: redoing would mix the two.
+            # What was undone before is gone for good once something new was done: redoing would mix
+            # the two.
             (f"UPDATE action SET undone = 2 WHERE {_OWN} AND undone = 1", [(frame, who)]),
             ("INSERT INTO action (frame, who) VALUES (?, ?)", [(frame, who)]),
-            ("INSERT INTO mark SELECT max(id), ?, ?, ? FROM action", [(one.frame, one.box, one.mark) for one in last]),
+            (
+                "INSERT INTO mark SELECT max(id), ?, ?, ? FROM action",
+                [(one.frame, one.box, one.mark) for one in last],
+            ),
             (
                 "INSERT INTO place SELECT max(id), ?, ?, ?, ?, ?, ? FROM action",
                 [(one.frame, one.box, *one.place) for one in last if one.place is not None],
@@ -270,9 +328,12 @@ class LabelStore:
         )
 
     def _change(self, key: str, *steps: tuple[str, Sequence[tuple[object, ...]]]) -> None:
-        """Take all steps, a statement and its rows each, or none of them where ``key`` has been seen before."""
+        """Take all steps, a statement and its rows each, or none of them where ``key`` has been
+        seen before.
+        """
         with self._connection() as db, db:
-            # From the start no other connection writes: what is read first must still hold when it is written.
+            # From the start no other connection writes: what is read first must still hold when it
+            # is written.
             db.execute("BEGIN IMMEDIATE")
             if key and not db.execute("INSERT OR IGNORE INTO request VALUES (?)", (key,)).rowcount:
                 return
@@ -288,9 +349,13 @@ class LabelStore:
 
 def _check(label: Label) -> None:
     """Raise `InputError` where a box cannot be what the label says."""
-    box, mark, place = label.box, label.mark, label.place
+    box = label.box
+    mark = label.mark
+    place = label.place
     if mark not in MARKS or not 0 <= box < 2 * DRAWN:
-        raise InputError(f"expected one of {', '.join(MARKS)} on a box from 0, got {mark!r} on {box}")
+        raise InputError(
+            f"expected one of {', '.join(MARKS)} on a box from 0, got {mark!r} on {box}"
+        )
     problem = ""
     if place is None and (mark == "true" or (mark == "birth" and box >= DRAWN)):
         problem = f"expected the place of box {box}, got none"
@@ -298,7 +363,9 @@ def _check(label: Label) -> None:
         problem = f"expected no place of a box that is marked {mark}, got {place}"
     elif mark == "false" and box >= DRAWN:
         problem = "expected a detection to be marked as false, got a box that was drawn"
-    elif place and not (max(map(abs, place)) < _FAR and place[2] > place[0] and place[3] > place[1]):
+    elif place and not (
+        max(map(abs, place)) < _FAR and place[2] > place[0] and place[3] > place[1]
+    ):
         problem = f"expected left < right and top < bottom in pixels, got {place}"
     if problem:
         raise InputError(problem, where=f"frame {label.frame}")

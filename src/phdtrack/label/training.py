@@ -1,8 +1,9 @@
-"""A scene from a tracker's own tracks, a person's marks, and what would be suggested to a person [M09 §IV].
+"""A scene from a tracker's own tracks, a person's marks, and what would be suggested to a person
+[M09 §IV].
 
-Where a person has marked false alarms, a run with these false alarms in its model shows which of them are followed all the
-same: flickering light moves as little as a person who stands. Tracks that stay among them are no births, and
-`associate.rejection` withholds them.
+Where a person has marked false alarms, a run with these false alarms in its model shows which of
+them are followed all the same: flickering light moves as little as a person who stands. Tracks that
+stay among them are no births, and `associate.rejection` withholds them.
 """
 
 from __future__ import annotations
@@ -27,10 +28,19 @@ from phdtrack.models.scene import FalseAlarmRatio, SceneClutter, in_one_volume
 from phdtrack.protocols import AnyStages
 from phdtrack.report.pages import counted
 from phdtrack.scene import LearnedDensity, Scene, TrackedObjects
-from phdtrack.scene.training import FALSE_BOXES, OBJECT_BOXES, Training, births_in, learn_births, learn_boxes, with_prior
+from phdtrack.scene.training import (
+    FALSE_BOXES,
+    OBJECT_BOXES,
+    Training,
+    births_in,
+    learn_births,
+    learn_boxes,
+    with_prior,
+)
 from phdtrack.types import DetectionTable, SequenceInfo, Tracks
 
-# Frames, drawn at random, whose suggestions are taken where no person labels: M09's false alarms were of as many.
+# Frames, drawn at random, whose suggestions are taken where no person labels: M09's false alarms
+# were of as many.
 UNATTENDED = 200
 LIMITS = (
     "No person has checked them. A person who sits or stands in one place for nine tenths of the stretch, or for two thirds "
@@ -41,8 +51,9 @@ LIMITS = (
 
 
 class Lesson(NamedTuple):
-    """What was learned of births or of false alarms, None for nothing, and its ``gain`` in nats per unseen sample above the
-    uniform density, NaN where that is not known; what is said of it; ``source``, where it comes from, in words."""
+    """What was learned of births or of false alarms, None for nothing, and its ``gain`` in nats per
+    unseen sample above the uniform density, NaN where that is not known; what is said of it;
+    ``source``, where it comes from, in words."""
 
     learned: LearnedDensity | None
     gain: float
@@ -51,7 +62,9 @@ class Lesson(NamedTuple):
 
 
 class Trained(NamedTuple):
-    """The scene, what was learned of births and of false alarms, and everything that is said of it, in order."""
+    """The scene, what was learned of births and of false alarms, and everything that is said of it,
+    in order.
+    """
 
     scene: Scene
     births: Lesson
@@ -69,7 +82,8 @@ class SceneTraining:
     info, table : the sequence and its detections.
     stretch : the frames to learn from.
     stages, seed : how to track.
-    marks, labels : a person's, None where there are none, and the file in which they were looked for.
+    marks, labels : a person's, None where there are none, and the file in which they were looked
+        for.
     advance : is called with the number of frames tracked.
     """
 
@@ -84,7 +98,8 @@ class SceneTraining:
     advance: Callable[[int], object]
 
     def train(self, births: str, clutter: str) -> Trained:
-        """The scene from ``births`` of "tracks" or marked by "hand", and ``clutter`` of "labels" or "unattended".
+        """The scene from ``births`` of "tracks" or marked by "hand", and ``clutter`` of "labels" or
+        "unattended".
 
         Raises `InputError` where targets are not boxes in the image.
         """
@@ -92,26 +107,44 @@ class SceneTraining:
             problem = "a scene is learned for boxes in the image only"
             raise InputError(problem, where="motion.kind", cure="Use motion.kind=box")
         if clutter == "unattended":
-            alarms, marked = self._lesson("false alarms", self._unattended_clutter, LIMITS), None
+            alarms = self._lesson("false alarms", self._unattended_clutter, LIMITS)
+            marked = None
         else:
             alarms = self._lesson("false alarms", self._marked_clutter)
             marked = alarms.learned
-        sentences, tracks, followed = [alarms.sentence], Tracks.empty(), None
+        sentences = [alarms.sentence]
+        tracks = Tracks.empty()
+        followed = None
         if births == "tracks" or marked is not None:
             tracks = self._tracked(alarms.learned).tracks
         if marked is not None:
             tracks, followed, sentence = self._without_followed(marked, tracks)
             sentences.append(sentence)
-        born = self._lesson("births", self._marked_births if births == "hand" else partial(self._births_of_tracks, tracks))
+        born = self._lesson(
+            "births",
+            self._marked_births if births == "hand" else partial(self._births_of_tracks, tracks),
+        )
         gains = {"births gain": born.gain, "clutter gain": alarms.gain}
-        notes: dict[str, float | int | str] = {name: value for name, value in gains.items() if math.isfinite(value)}
-        notes |= {"births from": births, "clutter from": clutter, "first": self.stretch.start, "last": self.stretch.stop - 1}
-        size, rate = (self.info.width, self.info.height), self.stages.model.rate
+        notes: dict[str, float | int | str] = {
+            name: value for name, value in gains.items() if math.isfinite(value)
+        }
+        notes |= {
+            "births from": births,
+            "clutter from": clutter,
+            "first": self.stretch.start,
+            "last": self.stretch.stop - 1,
+        }
+        size = (self.info.width, self.info.height)
+        rate = self.stages.model.rate
         scene = Scene(*size, rate, self.source, born.learned, alarms.learned, notes, followed)
         return Trained(scene, born, alarms, (*sentences, born.sentence))
 
-    def _lesson(self, part: str, learn: Callable[[], tuple[Training, str]], limits: str = "") -> Lesson:
-        """What ``learn`` gives, with what it says of it and its gain on unseen samples; why nothing, where it fails."""
+    def _lesson(
+        self, part: str, learn: Callable[[], tuple[Training, str]], limits: str = ""
+    ) -> Lesson:
+        """What ``learn`` gives, with what it says of it and its gain on unseen samples; why
+        nothing, where it fails.
+        """
         try:
             training, text = learn()
             learned = self._with_prior(training.learned)
@@ -123,7 +156,12 @@ class SceneTraining:
         if not learned.density.has_places:
             text += "; nothing was learned of where, as no place is likelier than others"
         sentence = f"{part}: {text}; {gain}"
-        return Lesson(learned, training.gain, f"{sentence}. {limits}" if limits else sentence, f"{text}. {limits}".strip())
+        return Lesson(
+            learned,
+            training.gain,
+            f"{sentence}. {limits}" if limits else sentence,
+            f"{text}. {limits}".strip(),
+        )
 
     def _marked_clutter(self) -> tuple[Training, str]:
         """False alarms from marks [M09 §IV]."""
@@ -139,15 +177,24 @@ class SceneTraining:
 
     def _unattended_clutter(self) -> tuple[Training, str]:
         """False alarms from what would be suggested to a person."""
-        frames = [self.stretch.start + k - 1 for k in shuffled(len(self.stretch), self.seed)[:UNATTENDED]]
+        frames = [
+            self.stretch.start + k - 1 for k in shuffled(len(self.stretch), self.seed)[:UNATTENDED]
+        ]
         taken = [one for one in suggest(self._tracked(), frames) if one.score >= TICKED]
         table = self.table
-        rows = np.searchsorted(table.frame, [one.frame for one in taken]) + np.array([one.box for one in taken], np.int64)
+        rows = np.searchsorted(table.frame, [one.frame for one in taken]) + np.array(
+            [one.box for one in taken], np.int64
+        )
         try:
-            training = learn_boxes(to_cxcywh(table.detections.xyxy[rows]), len(frames), self._size, FALSE_BOXES)
+            training = learn_boxes(
+                to_cxcywh(table.detections.xyxy[rows]), len(frames), self._size, FALSE_BOXES
+            )
         except InputError as error:
-            raise InputError(error.problem, where=error.where, cure="Look yourself: phdtrack label") from None
-        reasons, places = Counter(one.reason for one in taken), {one.place for one in taken if one.place >= 0}
+            raise InputError(
+                error.problem, where=error.where, cure="Look yourself: phdtrack label"
+            ) from None
+        reasons = Counter(one.reason for one in taken)
+        places = {one.place for one in taken if one.place >= 0}
         why = []
         if reasons["place"]:
             why.append(f"{reasons['place']} at {counted(len(places), 'place')} that fire too often")
@@ -156,13 +203,20 @@ class SceneTraining:
         many = f"{counted(training.learned.samples, 'box', 'boxes')} of {counted(len(frames), 'frame')}"
         return training, f"{many} taken for false ({', '.join(why)})"
 
-    def _without_followed(self, alarms: LearnedDensity, tracks: Tracks) -> tuple[Tracks, TrackedObjects | None, str]:
-        """The tracks of a run that knew the marked false alarms, but for those that stay among them; which of the false
-        alarms it followed all the same, None where that is not known; and a sentence about it."""
+    def _without_followed(
+        self, alarms: LearnedDensity, tracks: Tracks
+    ) -> tuple[Tracks, TrackedObjects | None, str]:
+        """The tracks of a run that knew the marked false alarms, but for those that stay among
+        them; which of the false alarms it followed all the same, None where that is not known; and
+        a sentence about it."""
         marks = self._marked
         try:
-            training = learn_boxes(marks.object_boxes, len(marks.looked_at), self._size, OBJECT_BOXES)
-            followed = TrackedObjects(marks.share_followed(tracks), self._with_prior(training.learned))
+            training = learn_boxes(
+                marks.object_boxes, len(marks.looked_at), self._size, OBJECT_BOXES
+            )
+            followed = TrackedObjects(
+                marks.share_followed(tracks), self._with_prior(training.learned)
+            )
         except InputError as error:
             return tracks, None, f"no track is held back: {error}"
         text = f"the tracker follows {100 * followed.share:.2g} % of the false alarms although it knows them"
@@ -171,14 +225,16 @@ class SceneTraining:
 
     def _births_of_tracks(self, tracks: Tracks) -> tuple[Training, str]:
         """Births from the tracks that the tracker itself makes and that go somewhere [M09 §IV]."""
-        fps, rate = self.info.fps, self.stages.model.rate
+        fps = self.info.fps
+        rate = self.stages.model.rate
         states = births_in(tracks, fps, rate)
         text = f"{counted(states.shape[1], 'track')} began in {counted(len(self.stretch), 'frame')}"
         return learn_births(states, len(self.stretch) / fps * rate, self._size), text
 
     def _marked_births(self) -> tuple[Training, str]:
         """Births from marks on the clips about the frames that a person has looked at."""
-        marks, rate = self._marked, self.stages.model.rate
+        marks = self._marked
+        rate = self.stages.model.rate
         states = marks.birth_states(rate)
         text = f"{counted(states.shape[1], 'birth')} marked by a person on {counted(len(marks.watched), 'frame')}"
         unknown = int(np.isnan(states[2]).sum())
@@ -199,10 +255,17 @@ class SceneTraining:
 
     def _tracked(self, alarms: LearnedDensity | None = None) -> Evidence:
         """What a tracker makes of the stretch that knows these false alarms."""
-        stages, model = self.stages, self.stages.model
+        model = self.stages.model
+        stages = self.stages
         if alarms is not None:
-            own = model.clutter.clutter_per_detection if isinstance(model.clutter, BoxClutter) else 0.0
-            birth, clutter = in_one_volume(model.birth, SceneClutter(alarms.rate, alarms.density, own))
+            own = (
+                model.clutter.clutter_per_detection
+                if isinstance(model.clutter, BoxClutter)
+                else 0.0
+            )
+            birth, clutter = in_one_volume(
+                model.birth, SceneClutter(alarms.rate, alarms.density, own)
+            )
             stages = replace(stages, model=replace(model, birth=birth, clutter=clutter))
         return Evidence.of(self.table, self.info.fps, self.stretch, stages, self.seed, self.advance)
 

@@ -1,9 +1,10 @@
 """What a camera knows, on disk every few seconds: after a restart its tracks and counts go on.
 
-``checkpoint.state`` in the folder of the camera holds the tracker, who is where, the counts, also of each minute, the maps,
-and frames whose rows are still to come. Groups are found anew and get new numbers: no event says that the old ones vanished.
-The next run takes it up where its source shows pictures of the same size, and settings that decide what a state means are
-the same. Its time goes on by the clock, and its frame numbers after the last one.
+``checkpoint.state`` in the folder of the camera holds the tracker, who is where, the counts, also
+of each minute, the maps, and frames whose rows are still to come. Groups are found anew and get new
+numbers: no event says that the old ones vanished. The next run takes it up where its source shows
+pictures of the same size, and settings that decide what a state means are the same. Its time goes
+on by the clock, and its frame numbers after the last one.
 """
 
 from __future__ import annotations
@@ -22,14 +23,18 @@ from phdtrack.live.zones import Place
 from phdtrack.state import World, from_bytes, pack, restored, to_bytes
 from phdtrack.types import F8
 
-NAME, EVERY = "checkpoint.state", 10.0
+NAME = "checkpoint.state"
+EVERY = 10.0
 """The file, and the seconds between two of them where nothing else is said."""
 # Identities that a run which was killed may have given since; bytes of what a file may hold.
-LOST, _LARGEST = 1000, 1 << 30
+LOST = 1000
+_LARGEST = 1 << 30
 
 
 class HeldFrame(NamedTuple):
-    """A frame whose rows are still to come: number, seconds, seconds since 1970, and boxes (N, 4)."""
+    """A frame whose rows are still to come: number, seconds, seconds since 1970, and boxes (N,
+    4).
+    """
 
     number: int
     time: float
@@ -38,7 +43,9 @@ class HeldFrame(NamedTuple):
 
 
 class SavedWatch(NamedTuple):
-    """Lines and zones, who is there, and the counts. It is saved with each event, so that none comes twice or is missing."""
+    """Lines and zones, who is there, and the counts. It is saved with each event, so that none
+    comes twice or is missing.
+    """
 
     places: tuple[Place, ...]
     state: WatchState
@@ -50,7 +57,9 @@ class SavedWatch(NamedTuple):
     @classmethod
     def read(cls, content: bytes, where: Path) -> SavedWatch:
         """What `content` gave. Raises `InputError` where it is damaged."""
-        found: SavedWatch = restored(from_bytes(content, where)["watch"], cls, None, World(None, {}), str(where))
+        found: SavedWatch = restored(
+            from_bytes(content, where)["watch"], cls, None, World(None, {}), str(where)
+        )
         return found
 
 
@@ -91,7 +100,13 @@ def key_of(fixed: Mapping[str, object], width: int, height: int) -> str:
 
 
 def save(
-    folder: Path, key: str, tracker: Callable[[], dict[str, Any]], camera: SavedCamera, highest: int, *, ended: bool
+    folder: Path,
+    key: str,
+    tracker: Callable[[], dict[str, Any]],
+    camera: SavedCamera,
+    highest: int,
+    *,
+    ended: bool,
 ) -> None:
     """Write the checkpoint, whole or not at all. Raises `InputError` where it cannot be written.
 
@@ -111,10 +126,11 @@ def save(
 
 
 def load(folder: Path, key: str) -> tuple[int, bool, Any, SavedCamera | InputError] | None:
-    """The lowest identity less 1 that may be given, whether the run had ended, the tracker's state, and all else.
+    """The lowest identity less 1 that may be given, whether the run had ended, the tracker's state,
+    and all else.
 
-    None where there is no checkpoint. The last is an `InputError` where it is of other settings. Raises `InputError` where
-    it is damaged, `OSError` where it cannot be read now.
+    None where there is no checkpoint. The last is an `InputError` where it is of other settings.
+    Raises `InputError` where it is damaged, `OSError` where it cannot be read now.
     """
     path = folder / NAME
     try:
@@ -123,13 +139,21 @@ def load(folder: Path, key: str) -> tuple[int, bool, Any, SavedCamera | InputErr
         return None
     try:
         value = from_bytes(zlib.decompressobj().decompress(content, _LARGEST), path)
-        words, highest, ended, tracker, camera = (value[n] for n in ("key", "highest", "ended", "tracker", "camera"))
+        words, highest, ended, tracker, camera = (
+            value[n] for n in ("key", "highest", "ended", "tracker", "camera")
+        )
         if not isinstance(words, str) or type(highest) is not int or not 0 <= highest < 1 << 52:
             raise ValueError
-        before, now = json.loads(words), json.loads(key)
+        before = json.loads(words)
+        now = json.loads(key)
         other = [name for name in now if before.get(name) != now[name]]
     except (zlib.error, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise InputError("it is cut off or changed", where=path) from error
     if other:
         return highest, True, None, InputError(f"it differs in: {', '.join(other)}", where=path)
-    return highest, bool(ended), tracker, restored(camera, SavedCamera, None, World(None, {}), str(path))
+    return (
+        highest,
+        bool(ended),
+        tracker,
+        restored(camera, SavedCamera, None, World(None, {}), str(path)),
+    )

@@ -1,6 +1,8 @@
-"""Sends events on: to a webhook, and by MQTT. What could not be sent is sent later, in its order, also after a restart.
+"""Sends events on: to a webhook, and by MQTT. What could not be sent is sent later, in its order,
+also after a restart.
 
-A receiver may get an event twice, when its answer is lost: ``id`` is the same then (also in the header Idempotency-Key).
+A receiver may get an event twice, when its answer is lost: ``id`` is the same then (also in the
+header Idempotency-Key).
 """
 
 from __future__ import annotations
@@ -24,21 +26,25 @@ from phdtrack.errors import InputError, needed
 from phdtrack.live.outputs import EventLog
 
 # Seconds without a word, and of a whole delivery once the name is looked up.
-TIMEOUT, WHOLE = 10.0, 30.0
-FIRST_PAUSE, LONGEST_PAUSE = 1.0, 300.0
+TIMEOUT = 10.0
+WHOLE = 30.0
+FIRST_PAUSE = 1.0
+LONGEST_PAUSE = 300.0
 # IPv6 that a gateway makes IPv4 of; all other addresses of single machines.
-_NAT64, _UNICAST = ipaddress.IPv6Network("64:ff9b::/96"), ipaddress.IPv6Network("2000::/3")
+_NAT64 = ipaddress.IPv6Network("64:ff9b::/96")
+_UNICAST = ipaddress.IPv6Network("2000::/3")
 Send = Callable[[str, str], None]
 """Sends an event, by its identifier and its JSON. Raises `OSError` where it did not arrive."""
 
 
 @dataclass(frozen=True, slots=True)
 class Webhook:
-    """Posts each event as JSON to an address, with its user and password, where it has them (Basic).
+    """Posts each event as JSON to an address, with its user and password, where it has them
+    (Basic).
 
-    The address is looked up each time, and the connection goes to what was looked up: a name that leads to this machine or
-    to a private network is refused, unless ``private`` networks are allowed. Redirections are not followed. From the
-    look-up on it takes half a minute at most.
+    The address is looked up each time, and the connection goes to what was looked up: a name that
+    leads to this machine or to a private network is refused, unless ``private`` networks are
+    allowed. Redirections are not followed. From the look-up on it takes half a minute at most.
     """
 
     url: str
@@ -47,19 +53,24 @@ class Webhook:
     def __post_init__(self) -> None:
         parts = _parts(self.url, "--webhook")
         if parts.scheme not in ("http", "https") or not parts.hostname:
-            raise InputError("expected an address that begins with http:// or https://", where="--webhook")
+            raise InputError(
+                "expected an address that begins with http:// or https://", where="--webhook"
+            )
 
     def __call__(self, name: str, event: str) -> None:
         """Post one event; `OSError` where no answer says that it arrived."""
         parts = urlsplit(self.url)
-        host, port = str(parts.hostname), parts.port or (443 if parts.scheme == "https" else 80)
+        host = str(parts.hostname)
+        port = parts.port or (443 if parts.scheme == "https" else 80)
         connection = http.client.HTTPConnection(host, port, timeout=TIMEOUT)
         try:
             connection.sock, end = self._connected(host, port)
             if parts.scheme == "https":
                 context = ssl.create_default_context()
                 # It greets below, where time is limited.
-                connection.sock = context.wrap_socket(connection.sock, False, False, server_hostname=host)
+                connection.sock = context.wrap_socket(
+                    connection.sock, False, False, server_hostname=host
+                )
             headers = {"Content-Type": "application/json", "Idempotency-Key": name}
             if parts.username:
                 user = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
@@ -78,10 +89,12 @@ class Webhook:
             raise OSError(f"the answer was {status}")
 
     def _connected(self, host: str, port: int) -> tuple[socket.socket, float]:
-        """A connection to what the name leads to, and until when it may last; `OSError` where that is not allowed, or none
-        of it answers."""
+        """A connection to what the name leads to, and until when it may last; `OSError` where that
+        is not allowed, or none of it answers."""
         try:
-            found = [str(info[4][0]) for info in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)]
+            found = [
+                str(info[4][0]) for info in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+            ]
         except UnicodeError as error:
             raise OSError(f"{host} is no name") from error
         if not self.private and not all(map(_public, found)):
@@ -102,7 +115,9 @@ def _left(end: float) -> float:
 
 @contextmanager
 def _until(end: float, sock: socket.socket) -> Iterator[None]:
-    """Cuts the connection at ``end``, and raises `TimeoutError` then: its own time-out begins anew with each byte."""
+    """Cuts the connection at ``end``, and raises `TimeoutError` then: its own time-out begins anew
+    with each byte.
+    """
 
     def cut() -> None:
         with suppress(OSError):
@@ -138,26 +153,37 @@ def _parts(url: str, where: str) -> SplitResult:
         parts = urlsplit(url)
         if parts.port != 0 and url.isascii() and url.isprintable() and " " not in url:
             return parts
-    raise InputError("expected an address in printable ASCII, others as %XX, with a port up to 65535", where=where)
+    raise InputError(
+        "expected an address in printable ASCII, others as %XX, with a port up to 65535",
+        where=where,
+    )
 
 
 class Mqtt:
-    """Publishes each event to ``topic``/kind of a broker (``mqtt://[user:password@]host[:port]/topic``), at least once.
+    """Publishes each event to ``topic``/kind of a broker
+    (``mqtt://[user:password@]host[:port]/topic``), at least once.
 
     Raises `InputError` where the address is none, or paho-mqtt is missing.
     """
 
     def __init__(self, url: str) -> None:
-        client, enums = needed("paho.mqtt.client"), needed("paho.mqtt.enums")
+        client = needed("paho.mqtt.client")
+        enums = needed("paho.mqtt.enums")
         parts = _parts(url, "--mqtt")
         if parts.scheme not in ("mqtt", "mqtts") or not parts.hostname:
-            raise InputError("expected an address that begins with mqtt:// or mqtts://", where="--mqtt")
+            raise InputError(
+                "expected an address that begins with mqtt:// or mqtts://", where="--mqtt"
+            )
         self._topic = parts.path.strip("/") or "phdtrack"
         if set(self._topic) & set("+#"):
             raise InputError("expected a topic without the wildcards + and #", where="--mqtt")
-        # The event that was given to the client last, and its number there; the numbers that the broker has confirmed.
-        self._given, self._confirmed, self._news = ("", 0), set[int](), threading.Condition()
-        self._host, self._port = parts.hostname, parts.port or (8883 if parts.scheme == "mqtts" else 1883)
+        # The event that was given to the client last, and its number there; the numbers that the
+        # broker has confirmed.
+        self._given = ("", 0)
+        self._confirmed = set[int]()
+        self._news = threading.Condition()
+        self._host = parts.hostname
+        self._port = parts.port or (8883 if parts.scheme == "mqtts" else 1883)
         self._client: Any = client.Client(enums.CallbackAPIVersion.VERSION2)
         self._client.on_publish = self._heard
         if parts.username:
@@ -171,7 +197,8 @@ class Mqtt:
             self._client.connect(self._host, self._port)
             self._client.loop_start()
         if self._given[0] != name:
-            # The client itself sends again what is not confirmed, also over a new connection: given twice it comes twice.
+            # The client itself sends again what is not confirmed, also over a new connection: given
+            # twice it comes twice.
             topic = f"{self._topic}/{json.loads(event)['kind']}"
             self._given = name, int(self._client.publish(topic, event, qos=1).mid)
         with self._news:
@@ -189,15 +216,18 @@ class Mqtt:
 def receivers(addresses: Iterable[str]) -> list[str]:
     """A name for each address, by which it is known after a restart, too.
 
-    It is the hash of host, port and path: user, password and query may be renewed, and are written nowhere. Those that are
-    alike in it are numbered. Raises `InputError` for what is no address.
+    It is the hash of host, port and path: user, password and query may be renewed, and are written
+    nowhere. Those that are alike in it are numbered. Raises `InputError` for what is no address.
     """
     found = list[str]()
     for address in addresses:
         parts = _parts(address, "--webhook, --mqtt")
-        port = parts.port or {"http": 80, "https": 443, "mqtt": 1883, "mqtts": 8883}.get(parts.scheme)
+        port = parts.port or {"http": 80, "https": 443, "mqtt": 1883, "mqtts": 8883}.get(
+            parts.scheme
+        )
         plain = f"{parts.scheme.removesuffix('s')}://{parts.hostname}:{port}{parts.path}"
-        name, count = hashlib.sha256(plain.encode()).hexdigest()[:16], 1
+        name = hashlib.sha256(plain.encode()).hexdigest()[:16]
+        count = 1
         while f"{name}-{count}" in found:
             count += 1
         found.append(f"{name}-{count}")
@@ -205,17 +235,22 @@ def receivers(addresses: Iterable[str]) -> list[str]:
 
 
 class Courier:
-    """Delivers what waits in a log, in a thread of its own: on each failure it waits twice as long, at most five minutes.
+    """Delivers what waits in a log, in a thread of its own: on each failure it waits twice as long,
+    at most five minutes.
 
     ``receiver`` is its name in the log, from `receivers`.
     """
 
     def __init__(self, log: EventLog, send: Send, receiver: str) -> None:
-        self._log, self._send, self._receiver, self.problem = log, send, receiver, ""
+        self._log = log
+        self._send = send
+        self._receiver = receiver
+        self.problem = ""
         log.register(receiver)
         # The row of the event that it got last: to write that down may fail.
         self._sent = 0
-        self._wake, self._stopped = threading.Event(), threading.Event()
+        self._wake = threading.Event()
+        self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="phdtrack events", daemon=True)
         self._thread.start()
 
@@ -240,11 +275,14 @@ class Courier:
                         self._send(name, event)
                         self._sent = row
                     self._log.delivered(self._receiver, row)
-                    pause, self.problem = FIRST_PAUSE, ""
+                    pause = FIRST_PAUSE
+                    self.problem = ""
                     if self._stopped.is_set():
                         return
             except Exception as error:
-                self.problem = str(getattr(error, "strerror", None) or error) or type(error).__name__
+                self.problem = (
+                    str(getattr(error, "strerror", None) or error) or type(error).__name__
+                )
                 # New events do not shorten the pause.
                 self._stopped.wait(pause)
                 pause = min(2 * pause, LONGEST_PAUSE)

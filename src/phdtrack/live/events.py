@@ -1,10 +1,13 @@
-"""What happens in front of a camera, as events: who appears and leaves, crosses a line, enters and leaves a zone.
+"""What happens in front of a camera, as events: who appears and leaves, crosses a line, enters and
+leaves a zone.
 
-`Watch.advance` is a pure function of the state and a frame's online rows. Only confirmed rows count. Between two sightings
-of a track its anchor is taken to have moved straight: who is lost before a line and found behind it has crossed it.
+`Watch.advance` is a pure function of the state and a frame's online rows. Only confirmed rows
+count. Between two sightings of a track its anchor is taken to have moved straight: who is lost
+before a line and found behind it has crossed it.
 
-A track that trembles on a border counts once: a line is crossed when the anchor is clear of it by the hysteresis on the
-other side, and a zone is left when it is outside by that much. The hysteresis is a share of the box's height.
+A track that trembles on a border counts once: a line is crossed when the anchor is clear of it by
+the hysteresis on the other side, and a zone is left when it is outside by that much. The hysteresis
+is a share of the box's height.
 """
 
 from __future__ import annotations
@@ -23,7 +26,8 @@ from phdtrack.live.zones import Place, Point
 from phdtrack.types import F8, Tracks
 
 # Cells of the maps across; a cell forgets half of what it knows in so many seconds.
-CELLS, HALF_LIFE = 64, 3600.0
+CELLS = 64
+HALF_LIFE = 3600.0
 Kind = Literal["appear", "leave", "cross", "enter", "exit", "dwell", "group"]
 
 
@@ -33,8 +37,10 @@ class Event:
 
     Attributes
     ----------
-    kind : ``appear``, ``leave``; ``cross`` of a line; ``enter``, ``exit``, ``dwell`` of a zone; ``group``.
-    number, time, index : the frame in which it became certain, its seconds, and which of the frame's events it is, from 0.
+    kind : ``appear``, ``leave``; ``cross`` of a line; ``enter``, ``exit``, ``dwell`` of a zone;
+        ``group``.
+    number, time, index : the frame in which it became certain, its seconds, and which of the
+        frame's events it is, from 0.
     identity, class_id : of the track; of a group its identity and 0.
     place : name of the line or zone, or what happened to the group.
     direction : of a crossing: ``in`` from the line's left to its right, ``out`` back.
@@ -61,7 +67,15 @@ class Event:
     @classmethod
     def of_group(cls, event: GroupEvent, index: int = 0) -> Event:
         """What happened to a group, as `groups` reports it."""
-        return cls("group", event.frame, event.time, index, event.group, place=event.kind, other=event.other)
+        return cls(
+            "group",
+            event.frame,
+            event.time,
+            index,
+            event.group,
+            place=event.kind,
+            other=event.other,
+        )
 
     def as_dict(self, source: str, wall: str, names: Mapping[int, str]) -> dict[str, object]:
         """For JSON, without what does not apply.
@@ -69,7 +83,8 @@ class Event:
         Parameters
         ----------
         source : name of the camera.
-        wall : ISO time of the frame: ``id`` is made of it, since frames and identities begin anew after a restart.
+        wall : ISO time of the frame: ``id`` is made of it, since frames and identities begin anew
+            after a restart.
         names : of the classes.
         """
         found: dict[str, object] = {
@@ -93,7 +108,9 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Count:
-    """Of a line, how many crossed it each way; of a zone, how many came and went, and the seconds of all ended stays."""
+    """Of a line, how many crossed it each way; of a zone, how many came and went, and the seconds
+    of all ended stays.
+    """
 
     entered: int = 0
     left: int = 0
@@ -115,7 +132,8 @@ class Visitor:
     first, last : seconds at which it was first and last seen.
     class_id : its class when last seen.
     feet, centre : its anchors then.
-    net : for each place its crossings of the line since it was last clear of it, from left to right less the others.
+    net : for each place its crossings of the line since it was last clear of it, from left to right
+        less the others.
     since : for each place the time at which it entered the zone; NaN outside, and for lines.
     dwelled : for each place whether ``dwell`` was said of this stay.
     """
@@ -151,9 +169,11 @@ class Watch(Checked):
     ----------
     places : lines and zones.
     names : of the classes that places ask for.
-    hysteresis : how far an anchor must be from a border before it has crossed it, as a share of the box's height.
+    hysteresis : how far an anchor must be from a border before it has crossed it, as a share of the
+        box's height.
     dwell : seconds in a zone after which ``dwell`` is said.
-    leave_after : seconds without a sighting after which a track has left; should it come back, it appears anew.
+    leave_after : seconds without a sighting after which a track has left; should it come back, it
+        appears anew.
     """
 
     places: tuple[Place, ...] = ()
@@ -167,7 +187,9 @@ class Watch(Checked):
         return WatchState({}, tuple(Count() for _ in self.places))
 
     def carried(self, state: WatchState, before: Watch) -> WatchState:
-        """The state of other settings, for these: places of the same name and points go on as they were."""
+        """The state of other settings, for these: places of the same name and points go on as they
+        were.
+        """
         at = {(place.name, place.points, place.closed): k for k, place in enumerate(before.places)}
         source = [at.get((place.name, place.points, place.closed), -1) for place in self.places]
         counts = tuple(state.counts[k] if k >= 0 else Count() for k in source)
@@ -182,9 +204,11 @@ class Watch(Checked):
         }
         return WatchState(visitors, counts)
 
-    def advance(self, state: WatchState, rows: Tracks, number: int, time: float) -> tuple[WatchState, tuple[Event, ...]]:
-        """The state with the rows of a frame, also an empty one, and the events in the order of identities: first of those
-        who are there, then of those who have left.
+    def advance(
+        self, state: WatchState, rows: Tracks, number: int, time: float
+    ) -> tuple[WatchState, tuple[Event, ...]]:
+        """The state with the rows of a frame, also an empty one, and the events in the order of
+        identities: first of those who are there, then of those who have left.
 
         Parameters
         ----------
@@ -192,15 +216,22 @@ class Watch(Checked):
         rows : online rows of one frame.
         number, time : of the frame, from 1, and in seconds; both grow.
         """
-        visitors, frame = dict(state.visitors), _Frame(number, time, list(state.counts))
+        visitors = dict(state.visitors)
+        frame = _Frame(number, time, list(state.counts))
         order = [k for k in rows.identity.argsort(kind="stable").tolist() if rows.confirmed[k]]
         for k in order:
-            identity, label = int(rows.identity[k]), int(rows.class_id[k])
+            identity = int(rows.identity[k])
+            label = int(rows.class_id[k])
             left, top, right, bottom = rows.xyxy[k].tolist()
-            feet, centre = ((left + right) / 2, bottom), ((left + right) / 2, (top + bottom) / 2)
+            feet = ((left + right) / 2, bottom)
+            centre = ((left + right) / 2, (top + bottom) / 2)
             before = visitors.get(identity)
             if before is None:
-                outside = (0,) * len(self.places), (math.nan,) * len(self.places), (False,) * len(self.places)
+                outside = (
+                    (0,) * len(self.places),
+                    (math.nan,) * len(self.places),
+                    (False,) * len(self.places),
+                )
                 before = Visitor(identity, time, time, label, feet, centre, *outside)
                 frame.add("appear", before)
             now = replace(before, last=time, class_id=label, feet=feet, centre=centre)
@@ -217,10 +248,16 @@ class Watch(Checked):
 
     def _moved(self, frame: _Frame, before: Visitor, now: Visitor, margin: float) -> Visitor:
         """The visitor after a move, with what that means for each place."""
-        net, since, dwelled = list(now.net), list(now.since), list(now.dwelled)
+        net = list(now.net)
+        since = list(now.since)
+        dwelled = list(now.dwelled)
         for k, place in enumerate(self.places):
             inside = not math.isnan(since[k])
-            if not inside and place.classes and self.names.get(now.class_id, str(now.class_id)) not in place.classes:
+            if (
+                not inside
+                and place.classes
+                and self.names.get(now.class_id, str(now.class_id)) not in place.classes
+            ):
                 continue
             depth = place.distance(now.anchor(place))
             if not place.closed:
@@ -230,7 +267,8 @@ class Watch(Checked):
                         frame.cross(k, place, now, inward=net[k] > 0)
                     net[k] = 0
             elif not inside and depth >= 0:
-                since[k], dwelled[k] = now.last, False
+                since[k] = now.last
+                dwelled[k] = False
                 frame.count(k, entered=1)
                 frame.add("enter", now, place, occupancy=frame.counts[k].occupancy)
             elif inside and depth < 0 and -depth >= margin:
@@ -238,7 +276,13 @@ class Watch(Checked):
                 since[k] = math.nan
             elif inside and not dwelled[k] and now.last - since[k] >= self.dwell:
                 dwelled[k] = True
-                frame.add("dwell", now, place, seconds=now.last - since[k], occupancy=frame.counts[k].occupancy)
+                frame.add(
+                    "dwell",
+                    now,
+                    place,
+                    seconds=now.last - since[k],
+                    occupancy=frame.counts[k].occupancy,
+                )
         return replace(now, net=tuple(net), since=tuple(since), dwelled=tuple(dwelled))
 
 
@@ -256,7 +300,9 @@ class _Frame:
         x, y = who.feet if place is None else who.anchor(place)
         known = {"identity": who.identity, "class_id": who.class_id, "x": x, "y": y} | more
         name = "" if place is None else place.name
-        self.events.append(Event(kind, self.number, self.time, len(self.events), place=name, **known))
+        self.events.append(
+            Event(kind, self.number, self.time, len(self.events), place=name, **known)
+        )
 
     def count(self, k: int, entered: int = 0, left: int = 0, seconds: float = 0.0) -> None:
         """Add to the counts of the place at ``k``."""
@@ -275,10 +321,11 @@ class _Frame:
 
 
 def place_events(watch: Watch, tracks: Tracks, last: int, fps: float) -> list[Event]:
-    """What happens at lines and zones (cross, enter, exit, dwell) in a sequence whose tracks are all known, in its order.
+    """What happens at lines and zones (cross, enter, exit, dwell) in a sequence whose tracks are
+    all known, in its order.
 
-    Who vanishes in a zone has left it when last seen: `Watch.advance` says so later, when it is certain. Who is in a zone
-    in the last frame does not leave it.
+    Who vanishes in a zone has left it when last seen: `Watch.advance` says so later, when it is
+    certain. Who is in a zone in the last frame does not leave it.
 
     Parameters
     ----------
@@ -287,8 +334,12 @@ def place_events(watch: Watch, tracks: Tracks, last: int, fps: float) -> list[Ev
     last : number of the last frame of the sequence.
     fps : frames per second.
     """
-    state, since, found = watch.start(), dict[tuple[int, str], float](), list[Event]()
-    for number in _walked(np.unique(tracks.frame).tolist(), last, math.ceil(watch.leave_after * fps) + 1):
+    state = watch.start()
+    since = dict[tuple[int, str], float]()
+    found = list[Event]()
+    for number in _walked(
+        np.unique(tracks.frame).tolist(), last, math.ceil(watch.leave_after * fps) + 1
+    ):
         rows = tracks.take(np.arange(*np.searchsorted(tracks.frame, [number, number + 1])))
         state, events = watch.advance(state, rows, number, (number - 1) / fps)
         for event in events:
@@ -310,7 +361,9 @@ def place_events(watch: Watch, tracks: Tracks, last: int, fps: float) -> list[Ev
 
 
 def _walked(frames: Sequence[int], last: int, patience: int) -> Iterator[int]:
-    """The frames, up to the last one, and those empty ones between and after them in which a track may be found gone."""
+    """The frames, up to the last one, and those empty ones between and after them in which a track
+    may be found gone.
+    """
     before = 0
     for number in (*(frame for frame in frames if frame < last), last, last + patience + 1):
         yield from range(before + 1, min(before + patience + 1, number))
@@ -322,9 +375,10 @@ def _walked(frames: Sequence[int], last: int, patience: int) -> Iterator[int]:
 class Tally(NamedTuple):
     """What was counted at a place, of a class or of ``all``.
 
-    Of a line: how many crossed it in and out; the rest is NaN. Of a zone: how many visits began and ended, how many are
-    ``inside`` at the end, at ``most`` at once and on average (``mean``), and the seconds of a visit, on average (``stay``)
-    and the ``longest``. A visit that has no end lasts until the end of the sequence.
+    Of a line: how many crossed it in and out; the rest is NaN. Of a zone: how many visits began and
+    ended, how many are ``inside`` at the end, at ``most`` at once and on average (``mean``), and
+    the seconds of a visit, on average (``stay``) and the ``longest``. A visit that has no end lasts
+    until the end of the sequence.
     """
 
     place: str
@@ -339,7 +393,8 @@ class Tally(NamedTuple):
 
 
 def tallies(watch: Watch, events: Sequence[Event], begin: float, end: float) -> list[Tally]:
-    """What was counted at each place, in their order: of all classes, then of each where classes have names.
+    """What was counted at each place, in their order: of all classes, then of each where classes
+    have names.
 
     Parameters
     ----------
@@ -351,14 +406,18 @@ def tallies(watch: Watch, events: Sequence[Event], begin: float, end: float) -> 
     for place in watch.places:
         mine = [event for event in events if event.place == place.name]
         labels = sorted({event.class_id for event in mine}) if watch.names else []
-        groups = {"all": mine} | {watch.names.get(k, str(k)): [e for e in mine if e.class_id == k] for k in labels}
+        groups = {"all": mine} | {
+            watch.names.get(k, str(k)): [e for e in mine if e.class_id == k] for k in labels
+        }
         found += [_tally(place, label, group, begin, end) for label, group in groups.items()]
     return found
 
 
 def _tally(place: Place, label: str, events: Sequence[Event], begin: float, end: float) -> Tally:
     """What was counted of a class."""
-    since, stays, most = dict[int, float](), list[float](), 0
+    since = dict[int, float]()
+    stays = list[float]()
+    most = 0
     entered = sum(event.kind == "enter" or event.direction == "in" for event in events)
     left = sum(event.kind == "exit" or event.direction == "out" for event in events)
     if not place.closed:
@@ -381,7 +440,9 @@ def _rounded(value: float) -> float | None:
 
 
 class Minute(NamedTuple):
-    """The mean and the largest number of confirmed tracks in a minute's ``frames``; it begins at ``wall`` (UTC seconds)."""
+    """The mean and the largest number of confirmed tracks in a minute's ``frames``; it begins at
+    ``wall`` (UTC seconds).
+    """
 
     wall: float
     mean: float
@@ -401,12 +462,16 @@ class Minute(NamedTuple):
         if not minutes or minutes[-1].wall != start:
             minutes.append(Minute(start, 0.0, 0, 0))
         _, mean, most, frames = minutes[-1]
-        minutes[-1] = Minute(start, mean + (tracks - mean) / (frames + 1), max(most, tracks), frames + 1)
+        minutes[-1] = Minute(
+            start, mean + (tracks - mean) / (frames + 1), max(most, tracks), frames + 1
+        )
 
 
 @dataclass(slots=True)
 class Maps:
-    """Where people were, and where false alarms, in cells of the picture (h, w); both fade with a half-life of an hour."""
+    """Where people were, and where false alarms, in cells of the picture (h, w); both fade with a
+    half-life of an hour.
+    """
 
     people: F8
     clutter: F8

@@ -1,4 +1,5 @@
-"""Where the rows, pictures and events of a camera go: files by the hour with a quota, and a log of events.
+"""Where the rows, pictures and events of a camera go: files by the hour with a quota, and a log of
+events.
 
 A folder for each camera:
 
@@ -7,7 +8,8 @@ A folder for each camera:
 * ``events.sqlite``: the events in a table, with how far each receiver was told of them;
 * ``events.jsonl``: the same, a line for each.
 
-A file that grows ends in ``.part`` and gets its name when it is complete. An event is on disk before it is passed on.
+A file that grows ends in ``.part`` and gets its name when it is complete. An event is on disk
+before it is passed on.
 """
 
 from __future__ import annotations
@@ -30,8 +32,10 @@ from phdtrack.types import Image, Tracks
 from phdtrack.video import VideoWriter
 
 _LINES = "events.jsonl"
-# Milliseconds for which is waited for another process that writes into the table: at first, and while a camera waits.
-_PATIENT, _IMPATIENT = "PRAGMA busy_timeout=5000", "PRAGMA busy_timeout=200"
+# Milliseconds for which is waited for another process that writes into the table: at first, and
+# while a camera waits.
+_PATIENT = "PRAGMA busy_timeout=5000"
+_IMPATIENT = "PRAGMA busy_timeout=200"
 _TABLES = (
     "PRAGMA journal_mode=WAL",
     "PRAGMA synchronous=FULL",
@@ -43,19 +47,21 @@ _TABLES = (
 # The number of the next row: none that an event has had, also where somebody has deleted some.
 _NEXT = "(SELECT 1 + MAX(COALESCE(MAX(rowid), 0), (SELECT COALESCE(MAX(has), 0) FROM receivers)) FROM events)"
 _ADD = f"INSERT OR IGNORE INTO events (rowid, id, time, kind, place, identity, event) VALUES ({_NEXT}, ?, ?, ?, ?, ?, ?)"
-_WAITING = (
-    "SELECT rowid, id, event FROM events WHERE rowid > (SELECT has FROM receivers WHERE name = ?) ORDER BY rowid LIMIT ?"
-)
+_WAITING = "SELECT rowid, id, event FROM events WHERE rowid > (SELECT has FROM receivers WHERE name = ?) ORDER BY rowid LIMIT ?"
 HEAD = "time,frame,identity,class,left,top,width,height,confidence,detection,confirmed\n"
 Told = dict[str, object]
 """An event for JSON."""
-HOUR, SEGMENT = 3600.0, 600.0
+HOUR = 3600.0
+SEGMENT = 600.0
 _ROW = "%s,%d,%d,%d,%.7g,%.7g,%.7g,%.7g,%.4g,%d,%d\n"
 
 
 def stamp(wall: float) -> str:
     """ISO time in UTC of seconds since 1970, as 2026-11-24T05:10:00.250Z."""
-    return datetime.fromtimestamp(wall, UTC).isoformat(timespec="milliseconds").removesuffix("+00:00") + "Z"
+    return (
+        datetime.fromtimestamp(wall, UTC).isoformat(timespec="milliseconds").removesuffix("+00:00")
+        + "Z"
+    )
 
 
 class Segments:
@@ -70,7 +76,10 @@ class Segments:
     """
 
     def __init__(self, folder: Path, suffix: str, seconds: float, quota: int = 0) -> None:
-        self.folder, self._suffix, self._seconds, self._quota = folder, suffix, seconds, quota
+        self.folder = folder
+        self._suffix = suffix
+        self._seconds = seconds
+        self._quota = quota
         self._stretch = -1
         self.open: Path | None = None
         folder.mkdir(parents=True, exist_ok=True)
@@ -85,7 +94,10 @@ class Segments:
         start = datetime.fromtimestamp(self._stretch * self._seconds, UTC)
         name = start.strftime("%Y-%m-%dT%H" if self._seconds >= HOUR else "%Y-%m-%dT%H-%M-%S")
         count = 1
-        while any(self._path(name, count).with_suffix(suffix).exists() for suffix in (self._suffix, ".parquet")):
+        while any(
+            self._path(name, count).with_suffix(suffix).exists()
+            for suffix in (self._suffix, ".parquet")
+        ):
             count += 1
         self.open = self._path(name, count).with_name(self._path(name, count).name + PART)
         return self.open
@@ -128,10 +140,13 @@ def _age(file: Path) -> tuple[str, int]:
 
 
 class RowsLog:
-    """Online rows by the hour. With ``parquet`` a complete hour is turned into a Parquet file; it grows as text."""
+    """Online rows by the hour. With ``parquet`` a complete hour is turned into a Parquet file; it
+    grows as text.
+    """
 
     def __init__(self, folder: Path, quota: int = 0, *, parquet: bool = False) -> None:
-        self._segments, self._parquet = Segments(folder, ".csv", HOUR, quota), parquet
+        self._segments = Segments(folder, ".csv", HOUR, quota)
+        self._parquet = parquet
         self._file: TextIO | None = None
         for left in self._segments.left():
             _whole_lines(left)
@@ -141,7 +156,9 @@ class RowsLog:
             (file if file.suffix == PART else file.with_suffix(".csv")).unlink(missing_ok=True)
 
     def write(self, rows: Tracks, wall: float) -> None:
-        """Append the rows of a frame, also none; ``wall``: its seconds since 1970. They reach the operating system."""
+        """Append the rows of a frame, also none; ``wall``: its seconds since 1970. They reach the
+        operating system.
+        """
         if self._file is not None and self._segments.over(wall):
             self.finish()
         if not len(rows):
@@ -151,23 +168,39 @@ class RowsLog:
             self._file = self._segments.begin(wall).open("w", encoding="ascii", newline="\n")
             self._file.write(HEAD)
         boxes = np.hstack([rows.xyxy[:, :2], rows.xyxy[:, 2:] - rows.xyxy[:, :2]])
-        columns = (rows.frame, rows.identity, rows.class_id, *boxes.T, rows.confidence, rows.detection, rows.confirmed)
+        columns = (
+            rows.frame,
+            rows.identity,
+            rows.class_id,
+            *boxes.T,
+            rows.confidence,
+            rows.detection,
+            rows.confirmed,
+        )
         values = zip(*(column.tolist() for column in columns), strict=True)
         self._file.write("".join(_ROW % (stamp(wall), *row) for row in values))
         self._file.flush()
 
     def last_frame(self) -> int:
-        """The number of the frame of the newest row that is on disk; 0 where there is none, or it cannot be read."""
+        """The number of the frame of the newest row that is on disk; 0 where there is none, or it
+        cannot be read.
+        """
         for file in reversed(self._segments.complete()):
             # What somebody has changed or cut is passed over.
             with suppress(OSError, ValueError, IndexError):
                 if file.suffix == ".parquet":
-                    return int(needed("pyarrow.parquet").read_table(file, columns=["frame"])["frame"][-1].as_py())
+                    return int(
+                        needed("pyarrow.parquet")
+                        .read_table(file, columns=["frame"])["frame"][-1]
+                        .as_py()
+                    )
                 return int(_last_line(file).split(",")[1])
         return 0
 
     def finish(self) -> None:
-        """Complete the present file, as Parquet where that is wanted. Raises `InputError` without pyarrow."""
+        """Complete the present file, as Parquet where that is wanted. Raises `InputError` without
+        pyarrow.
+        """
         if self._file is None:
             return
         self._file.flush()
@@ -183,13 +216,16 @@ class RowsLog:
 
 
 class VideoLog:
-    """Annotated pictures in videos of ten minutes, whose time is true: a picture stays until the next one comes.
+    """Annotated pictures in videos of ten minutes, whose time is true: a picture stays until the
+    next one comes.
 
     A gap of more than ``longest`` seconds begins a new file.
     """
 
     def __init__(self, folder: Path, fps: float, quota: int = 0, *, longest: float = 5.0) -> None:
-        self._segments, self._fps, self._longest = Segments(folder, ".mp4", SEGMENT, quota), fps, longest
+        self._segments = Segments(folder, ".mp4", SEGMENT, quota)
+        self._fps = fps
+        self._longest = longest
         self._video: VideoWriter | None = None
         self._start = self._last = 0.0
         for left in self._segments.left():
@@ -200,7 +236,11 @@ class VideoLog:
 
     def due(self, wall: float) -> bool:
         """Whether a picture of this time would be shown, or is followed too closely by others."""
-        return self._video is None or wall < self._last or round((wall - self._start) * self._fps) >= self._video.frames
+        return (
+            self._video is None
+            or wall < self._last
+            or round((wall - self._start) * self._fps) >= self._video.frames
+        )
 
     def write(self, image: Image, wall: float) -> None:
         """Show (H, W, 3) BGR from this time on."""
@@ -208,7 +248,9 @@ class VideoLog:
         if self._video is None or ended:
             self.finish()
             height, width = image.shape[:2]
-            self._video = VideoWriter(self._segments.begin(wall), width, height, self._fps, fragmented=True)
+            self._video = VideoWriter(
+                self._segments.begin(wall), width, height, self._fps, fragmented=True
+            )
             self._start = wall
         due = round((wall - self._start) * self._fps) + 1 - self._video.frames
         for _ in range(due):
@@ -224,53 +266,70 @@ class VideoLog:
 
 
 class EventLog:
-    """Events in SQLite, each once however often it is given, and how far each receiver has them; the same as JSON lines.
+    """Events in SQLite, each once however often it is given, and how far each receiver has them;
+    the same as JSON lines.
 
-    The table is what counts: in one transaction with the events it takes up what is known of the visitors after them. The
-    file of lines is a receiver like others, and may lag behind or be moved away; ``problem`` says why it lags.
+    The table is what counts: in one transaction with the events it takes up what is known of the
+    visitors after them. The file of lines is a receiver like others, and may lag behind or be moved
+    away; ``problem`` says why it lags.
 
     Raises `InputError` where the files cannot be written.
     """
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        self._path, self._lock, self._closed, self.problem = folder / _LINES, threading.Lock(), False, ""
+        self._path = folder / _LINES
+        self._lock = threading.Lock()
+        self._closed = False
+        self.problem = ""
         try:
-            self._base = sqlite3.connect(folder / "events.sqlite", check_same_thread=False, isolation_level=None)
+            self._base = sqlite3.connect(
+                folder / "events.sqlite", check_same_thread=False, isolation_level=None
+            )
             for statement in (_PATIENT, *_TABLES):
                 self._base.execute(statement)
             self._take_up_lines()
             self._base.execute(_IMPATIENT)
         except (OSError, sqlite3.Error) as error:
             cure = "Does another program hold events.sqlite? If not, choose another --out."
-            raise InputError(f"the events cannot be written: {error}", where=folder, cure=cure) from None
+            raise InputError(
+                f"the events cannot be written: {error}", where=folder, cure=cure
+            ) from None
         self._add_lines()
 
     def write(self, events: Iterable[Told], watched: tuple[int, bytes] | None = None) -> list[Told]:
-        """Those of the events that are new, once they are on disk. Raises `sqlite3.Error` where nothing was written.
+        """Those of the events that are new, once they are on disk. Raises `sqlite3.Error` where
+        nothing was written.
 
         Parameters
         ----------
         events : each with at least ``id``, ``time`` and ``kind``.
-        watched : number of the frame, and what is known of visitors after it; None to leave that as it is.
+        watched : number of the frame, and what is known of visitors after it; None to leave that as
+            it is.
         """
         fresh = []
         with self._lock:
             with self._transaction():
                 for event in events:
-                    values = [event.get(name) for name in ("id", "time", "kind", "place", "identity")]
+                    values = [
+                        event.get(name) for name in ("id", "time", "kind", "place", "identity")
+                    ]
                     sentence = json.dumps(event, ensure_ascii=False, allow_nan=False)
                     if self._base.execute(_ADD, (*values, sentence)).rowcount:
                         fresh.append(event)
                 if watched is not None:
-                    self._base.execute("REPLACE INTO watched (one, number, state) VALUES (1, ?, ?)", watched)
+                    self._base.execute(
+                        "REPLACE INTO watched (one, number, state) VALUES (1, ?, ?)", watched
+                    )
             self._add_lines()
         return fresh
 
     def watched(self) -> tuple[int, bytes] | None:
         """What `write` was given last; None for nothing."""
         with self._lock:
-            found: tuple[int, bytes] | None = self._base.execute("SELECT number, state FROM watched").fetchone()
+            found: tuple[int, bytes] | None = self._base.execute(
+                "SELECT number, state FROM watched"
+            ).fetchone()
             return found
 
     def forget_watched(self) -> None:
@@ -281,21 +340,28 @@ class EventLog:
     def highest(self, kind: str = "") -> int:
         """The highest identity of all events, or of those of a kind."""
         with self._lock:
-            ((found,),) = self._base.execute("SELECT MAX(identity) FROM events WHERE ? IN ('', kind)", (kind,))
+            ((found,),) = self._base.execute(
+                "SELECT MAX(identity) FROM events WHERE ? IN ('', kind)", (kind,)
+            )
             return int(found or 0)
 
     def register(self, receiver: str) -> None:
-        """Say that a receiver is to have all events from now on; one that is known goes on where it was.
+        """Say that a receiver is to have all events from now on; one that is known goes on where it
+        was.
 
         Raises `InputError` where that cannot be written.
         """
         try:
             with self._lock:
                 self._base.execute(_PATIENT)
-                self._base.execute(f"INSERT OR IGNORE INTO receivers (name, has) VALUES (?, {_NEXT} - 1)", (receiver,))
+                self._base.execute(
+                    f"INSERT OR IGNORE INTO receivers (name, has) VALUES (?, {_NEXT} - 1)",
+                    (receiver,),
+                )
                 self._base.execute(_IMPATIENT)
         except sqlite3.Error as error:
-            where, cure = self._path.with_suffix(".sqlite"), "Does another program hold it?"
+            where = self._path.with_suffix(".sqlite")
+            cure = "Does another program hold it?"
             raise InputError(f"cannot be written into ({error})", where=where, cure=cure) from None
 
     def waiting(self, receiver: str, most: int = 100) -> list[tuple[int, str, str]]:
@@ -309,7 +375,9 @@ class EventLog:
             self._base.execute("UPDATE receivers SET has = ? WHERE name = ?", (row, receiver))
 
     def close(self) -> None:
-        """Nothing is left to write. Raises `InputError` where the file of lines lacks some of the events."""
+        """Nothing is left to write. Raises `InputError` where the file of lines lacks some of the
+        events.
+        """
         with self._lock:
             if not self._closed:
                 self._add_lines()
@@ -331,7 +399,9 @@ class EventLog:
             raise
 
     def _take_up_lines(self) -> None:
-        """Find out how far the file of lines goes: a run that was killed may have written more, or half a line."""
+        """Find out how far the file of lines goes: a run that was killed may have written more, or
+        half a line.
+        """
         self._base.execute("INSERT OR IGNORE INTO receivers (name, has) VALUES (?, 0)", (_LINES,))
         if not self._path.exists():
             return
@@ -352,7 +422,9 @@ class EventLog:
                     file.writelines(f"{event}\n" for _, _, event in waiting)
                     file.flush()
                     os.fsync(file.fileno())
-                self._base.execute("UPDATE receivers SET has = ? WHERE name = ?", (waiting[-1][0], _LINES))
+                self._base.execute(
+                    "UPDATE receivers SET has = ? WHERE name = ?", (waiting[-1][0], _LINES)
+                )
             self.problem = ""
         except (OSError, sqlite3.Error) as error:
             self.problem = f"{_LINES} is still to be brought up to date: {error}"
@@ -367,7 +439,9 @@ def _last_line(path: Path) -> str:
 
 
 def _whole_lines(path: Path) -> None:
-    """Cut a text file after its last complete line: what follows was being written when an earlier run ended."""
+    """Cut a text file after its last complete line: what follows was being written when an earlier
+    run ended.
+    """
     with path.open("r+b") as file:
         end = file.seek(0, os.SEEK_END)
         while end > 0:
@@ -384,10 +458,13 @@ def _whole_lines(path: Path) -> None:
 def _whole_fragments(path: Path) -> bool:
     """Cut a fragmented video after its last complete fragment; whether it has one."""
     with path.open("r+b") as file:
-        end, at, whole = file.seek(0, os.SEEK_END), 0, 0
+        end = file.seek(0, os.SEEK_END)
+        at = 0
+        whole = 0
         while at + 8 <= end:
             file.seek(at)
-            size, kind = int.from_bytes(file.read(4), "big"), file.read(4)
+            size = int.from_bytes(file.read(4), "big")
+            kind = file.read(4)
             if size < 8 or at + size > end:
                 break
             at += size

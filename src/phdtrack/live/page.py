@@ -1,7 +1,8 @@
-"""The page of cameras at work: pictures, counts, maps, states, events, and lines and zones that are drawn on the picture.
+"""The page of cameras at work: pictures, counts, maps, states, events, and lines and zones that are
+drawn on the picture.
 
-The application is plain; who may use it is decided by what is put around it. Nothing that it answers holds the address of a
-camera.
+The application is plain; who may use it is decided by what is put around it. Nothing that it
+answers holds the address of a camera.
 """
 
 from __future__ import annotations
@@ -26,9 +27,13 @@ from phdtrack.live.zones import places_of, write_places
 
 STATIC = Path(__file__).parent / "static"
 # Of what is sent to save places: bytes, places, corners of all together. Events that are shown.
-MAX_BODY, MAX_PLACES, MAX_CORNERS, _EVENTS = 65536, 50, 400, 60
+MAX_BODY = 65536
+MAX_PLACES = 50
+MAX_CORNERS = 400
+_EVENTS = 60
 # Seconds that a request waits for a new picture; the width of maps.
-_PATIENCE, _MAP_WIDTH = 2.0, 480
+_PATIENCE = 2.0
+_MAP_WIDTH = 480
 Row = tuple[Mapping[str, str], float]
 METRICS = {
     "source_up": "1 while pictures come.",
@@ -56,12 +61,17 @@ class Page:
 
     def overview(self) -> list[dict[str, object]]:
         """Name, state and number of tracks of each camera."""
-        return [{"name": one.name, "state": _state(one), "tracks": one.tracks} for one in self.cameras.values()]
+        return [
+            {"name": one.name, "state": _state(one), "tracks": one.tracks}
+            for one in self.cameras.values()
+        ]
 
     def camera(self, name: str) -> dict[str, object]:
         """Everything about one camera but pictures."""
-        one, (watch, state) = self.cameras[name], self.cameras[name].watched
-        status, (median, most) = asdict(one.source.status()), one.latency()
+        one = self.cameras[name]
+        watch, state = self.cameras[name].watched
+        status = asdict(one.source.status())
+        median, most = one.latency()
         places = [
             {
                 "name": place.name,
@@ -94,24 +104,33 @@ class Page:
         return list(self.cameras[name].minutes)
 
     def picture(self, name: str, after: int) -> tuple[int, bytes]:
-        """Number and drawn picture (JPEG) of the newest frame, empty where there is none. It waits for one ``after``."""
+        """Number and drawn picture (JPEG) of the newest frame, empty where there is none. It waits
+        for one ``after``.
+        """
         number, image = self.cameras[name].picture(after, _PATIENCE)
-        return number, b"" if image is None else cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
+        return number, b"" if image is None else cv2.imencode(
+            ".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 80]
+        )[1].tobytes()
 
     def map(self, name: str, what: str) -> bytes:
         """Where people were, or where false alarms, over the darkened picture, as JPEG."""
         one = self.cameras[name]
-        image, status = one.ground, one.source.status()
+        image = one.ground
+        status = one.source.status()
         size = (_MAP_WIDTH, max(1, round(_MAP_WIDTH * (status.height or 9) / (status.width or 16))))
         ground = np.full((size[1], size[0], 3), 40, np.uint8)
         if image is not None:
-            grey = cv2.cvtColor(cv2.resize(image, size, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2GRAY)
+            grey = cv2.cvtColor(
+                cv2.resize(image, size, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2GRAY
+            )
             ground = np.repeat(grey[..., None] // 2, 3, axis=2)
         if one.maps is not None:
             grid = one.maps.people if what == "people" else one.maps.clutter
             # By the square root a place a quarter as busy as the busiest is still plain to see.
             share = np.sqrt(grid / grid.max()) if grid.max() > 0 else grid
-            share = np.clip(cv2.resize(share, size, interpolation=cv2.INTER_LINEAR), 0, 1)[..., None]
+            share = np.clip(cv2.resize(share, size, interpolation=cv2.INTER_LINEAR), 0, 1)[
+                ..., None
+            ]
             colour = cv2.applyColorMap((255 * share).astype(np.uint8), cv2.COLORMAP_INFERNO)
             ground = (ground * (1 - share) + colour * share).astype(np.uint8)
         return cv2.imencode(".jpg", ground, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
@@ -119,11 +138,15 @@ class Page:
     def save(self, name: str, sent: bytes) -> dict[str, object]:
         """Write lines and zones into the camera's file; it reads them when the next picture comes.
 
-        Raises `InputError` where they cannot be used, or the camera has no file of them; nothing has changed then.
+        Raises `InputError` where they cannot be used, or the camera has no file of them; nothing
+        has changed then.
         """
-        where, file = "what was sent", self.cameras[name].settings.places
+        where = "what was sent"
+        file = self.cameras[name].settings.places
         if file is None:
-            raise InputError("this camera has no file of lines and zones", cure="Start it with --places FILE.")
+            raise InputError(
+                "this camera has no file of lines and zones", cure="Start it with --places FILE."
+            )
         if len(sent) > MAX_BODY:
             raise InputError(f"expected at most {MAX_BODY} bytes, got {len(sent)}", where=where)
         try:
@@ -136,7 +159,9 @@ class Page:
         points = [row.get("points") for one in lists for row in one if isinstance(row, dict)]
         corners = sum(len(each) for each in points if isinstance(each, list))
         if sum(map(len, lists)) > MAX_PLACES or corners > MAX_CORNERS:
-            problem = f"expected at most {MAX_PLACES} lines and zones, of {MAX_CORNERS} corners together"
+            problem = (
+                f"expected at most {MAX_PLACES} lines and zones, of {MAX_CORNERS} corners together"
+            )
             raise InputError(problem, where=where)
         try:
             places = places_of(tables, where)
@@ -149,9 +174,20 @@ class Page:
         """All numbers in the text format of Prometheus."""
         found: dict[str, list[Row]] = {name: [] for name in METRICS}
         for name, one in self.cameras.items():
-            status, (watch, state), camera = one.source.status(), one.watched, {"camera": name}
-            plain = (status.state == "live", status.fps, status.connects, status.frames, status.dropped, status.undecodable)
-            for metric, value in zip(METRICS, (*plain, one.frames, one.tracks, len(one.problems)), strict=False):
+            status = one.source.status()
+            watch, state = one.watched
+            camera = {"camera": name}
+            plain = (
+                status.state == "live",
+                status.fps,
+                status.connects,
+                status.frames,
+                status.dropped,
+                status.undecodable,
+            )
+            for metric, value in zip(
+                METRICS, (*plain, one.frames, one.tracks, len(one.problems)), strict=False
+            ):
                 found[metric].append((camera, value))
             for reason, boxes in one.left_out._asdict().items():
                 found["boxes_left_out_total"].append((camera | {"reason": reason}, boxes))
@@ -160,7 +196,9 @@ class Page:
             for kind, count in sorted(one.counted.items()):
                 found["events_total"].append((camera | {"kind": kind}, count))
             for place, counts in zip(watch.places, state.counts, strict=True):
-                found["place_entered_total"].append((camera | {"place": place.name}, counts.entered))
+                found["place_entered_total"].append(
+                    (camera | {"place": place.name}, counts.entered)
+                )
                 found["place_left_total"].append((camera | {"place": place.name}, counts.left))
         lines = list[str]()
         for name, rows in found.items():
@@ -168,7 +206,9 @@ class Page:
             lines += [f"# HELP phdtrack_{name} {METRICS[name]}", f"# TYPE phdtrack_{name} {kind}"]
             for labels, value in rows:
                 inside = ",".join(f'{key}="{_escaped(text)}"' for key, text in labels.items())
-                lines.append(f"phdtrack_{name}{{{inside}}} {'NaN' if np.isnan(value) else format(float(value), '.10g')}")
+                lines.append(
+                    f"phdtrack_{name}{{{inside}}} {'NaN' if np.isnan(value) else format(float(value), '.10g')}"
+                )
         return "\n".join(lines) + "\n"
 
 
@@ -181,7 +221,11 @@ def live_app(cameras: Sequence[Camera]) -> Starlette:
         wanted = int(after) if after.isascii() and after.isdecimal() and len(after) < 16 else 0
         number, data = await run_in_threadpool(page.picture, request.path_params["name"], wanted)
         headers = {"X-Frame": str(number)}
-        return Response(data, 200, headers, "image/jpeg") if data else Response(status_code=204, headers=headers)
+        return (
+            Response(data, 200, headers, "image/jpeg")
+            if data
+            else Response(status_code=204, headers=headers)
+        )
 
     async def index(request: Request) -> Response:
         return HTMLResponse((STATIC / "live.html").read_bytes())
@@ -191,14 +235,19 @@ def live_app(cameras: Sequence[Camera]) -> Starlette:
 
     async def health(request: Request) -> Response:
         dead = [one.name for one in cameras if not one.working]
-        return PlainTextResponse(f"{', '.join(dead)} not working\n" if dead else "ok\n", 503 if dead else 200)
+        return PlainTextResponse(
+            f"{', '.join(dead)} not working\n" if dead else "ok\n", 503 if dead else 200
+        )
 
     def known(answer: Endpoint) -> Endpoint:
         """The answer for cameras that there are, and maps that there are."""
 
         async def checked(request: Request) -> Response:
             given = request.path_params
-            if given["name"] not in page.cameras or given.get("what", "people") not in ("people", "clutter"):
+            if given["name"] not in page.cameras or given.get("what", "people") not in (
+                "people",
+                "clutter",
+            ):
                 return PlainTextResponse("there is no such camera\n", 404)
             return await answer(request)
 

@@ -1,14 +1,19 @@
-"""How the pages are served, and to whom: what `docs/security.md` promises is kept here, number by number.
+"""How the pages are served, and to whom: what `docs/security.md` promises is kept here, number by
+number.
 
 Only the browser on this machine, or a client with the token, may talk to a page:
 
-* ``Host`` must be one that the server was started for: a foreign name that leads here (DNS rebinding) is refused.
-* What changes anything must come from the page itself: ``Origin``, where sent, must be the server's, and a header is
-  required that no form on another site can send.
-* With a token, every request must bring it: as ``?token=…`` the first time, then as a cookie that only this server gets.
-* Every answer has a content security policy that lets the page load from here and from nowhere else.
+* ``Host`` must be one that the server was started for: a foreign name that leads here (DNS
+  rebinding) is refused.
+* What changes anything must come from the page itself: ``Origin``, where sent, must be the
+  server's, and a header is required that no form on another site can send.
+* With a token, every request must bring it: as ``?token=…`` the first time, then as a cookie that
+  only this server gets.
+* Every answer has a content security policy that lets the page load from here and from nowhere
+  else.
 
-Uvicorn and h11 read the requests. Neither limits how long a client may take or how many there are: that is added here.
+Uvicorn and h11 read the requests. Neither limits how long a client may take or how many there are:
+that is added here.
 """
 
 from __future__ import annotations
@@ -54,15 +59,25 @@ HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-ASKED, COOKIE = "x-phdtrack", "phdtrack_"
-# Seconds until a connection is cut that is silent, from the first byte of a request until its header is there, from there
-# until its body is there, and until an answer is taken.
-SILENT, HEADER, BODY, ANSWER = 15.0, 10.0, 20.0, 40.0
+ASKED = "x-phdtrack"
+COOKIE = "phdtrack_"
+# Seconds until a connection is cut that is silent, from the first byte of a request until its
+# header is there, from there until its body is there, and until an answer is taken.
+SILENT = 15.0
+HEADER = 10.0
+BODY = 20.0
+ANSWER = 40.0
 # Connections at once, in all and of one address; bytes of a request's address, header and body.
-CONNECTIONS, OF_ADDRESS = 128, 32
-MAX_TARGET, MAX_HEADER, MAX_BODY = 2048, 16384, 2**20
-# Wrong tokens in so many seconds of one address and of all; then the others in that time are not looked at.
-GUESSES, ALL_GUESSES, GUESSING = 10, 100, 60.0
+CONNECTIONS = 128
+OF_ADDRESS = 32
+MAX_TARGET = 2048
+MAX_HEADER = 16384
+MAX_BODY = 2**20
+# Wrong tokens in so many seconds of one address and of all; then the others in that time are not
+# looked at.
+GUESSES = 10
+ALL_GUESSES = 100
+GUESSING = 60.0
 _NAME = re.compile(r"([A-Za-z0-9](?:[A-Za-z0-9.-]*[A-Za-z0-9])?|\[[0-9A-Fa-f:.]+\])(?::\d{1,5})?")
 _BUSY = b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 5\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 _METHODS = ("GET", "HEAD", "POST")
@@ -72,7 +87,8 @@ Endpoint = Callable[[Request], Awaitable[Response]]
 
 
 class Guard:
-    """Refuses who may not use the page and requests that are too large, and puts the headers on every answer.
+    """Refuses who may not use the page and requests that are too large, and puts the headers on
+    every answer.
 
     Parameters
     ----------
@@ -84,12 +100,22 @@ class Guard:
     """
 
     def __init__(
-        self, app: ASGIApp, hosts: frozenset[str], token: str = "", scheme: str = "http", clock: Clock = time.monotonic
+        self,
+        app: ASGIApp,
+        hosts: frozenset[str],
+        token: str = "",
+        scheme: str = "http",
+        clock: Clock = time.monotonic,
     ) -> None:
-        self._app, self._hosts, self._token, self._scheme = app, hosts, token, scheme
+        self._app = app
+        self._hosts = hosts
+        self._token = token
+        self._scheme = scheme
         # Its name tells servers apart that one browser knows: an old cookie is no wrong guess.
         self._cookie = COOKIE + hashlib.sha256(token.encode()).hexdigest()[:8]
-        self._clock, self._begun, self._wrong = clock, clock(), Counter[str]()
+        self._clock = clock
+        self._begun = clock()
+        self._wrong = Counter[str]()
         self._let_in = set[str]()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -102,12 +128,23 @@ class Guard:
                 headers = MutableHeaders(scope=message)
                 headers.update(HEADERS)
                 headers.setdefault("Cache-Control", "no-store")
-                if self._token and message["status"] < 400 and request.query_params.get("token") == self._token:
+                if (
+                    self._token
+                    and message["status"] < 400
+                    and request.query_params.get("token") == self._token
+                ):
                     secure = "; Secure" if self._scheme == "https" else ""
-                    headers.append("Set-Cookie", f"{self._cookie}={self._token}; HttpOnly; Path=/; SameSite=strict{secure}")
+                    headers.append(
+                        "Set-Cookie",
+                        f"{self._cookie}={self._token}; HttpOnly; Path=/; SameSite=strict{secure}",
+                    )
             await send(message)
 
-        answer = _unusable(request) or self._foreign(request) or (self._unknown(request, given) if self._token else None)
+        answer = (
+            _unusable(request)
+            or self._foreign(request)
+            or (self._unknown(request, given) if self._token else None)
+        )
         if answer is not None:
             await answer(scope, receive, dressed)
             return
@@ -116,7 +153,9 @@ class Guard:
             async for part in request.stream():
                 body += part
                 if len(body) > MAX_BODY:
-                    await _refused(413, f"expected at most {MAX_BODY} bytes")(scope, receive, dressed)
+                    await _refused(413, f"expected at most {MAX_BODY} bytes")(
+                        scope, receive, dressed
+                    )
                     return
         except ClientDisconnect:
             return
@@ -129,10 +168,15 @@ class Guard:
 
     def _foreign(self, request: Request) -> Response | None:
         """What is refused for where it was sent to, and where it comes from."""
-        host, origin = request.headers.get("host", ""), request.headers.get("origin")
+        host = request.headers.get("host", "")
+        origin = request.headers.get("origin")
         if host.lower() not in self._hosts:
-            return _refused(421, f"this server is not {host!r}: start it with --allow-host NAME if it is to be")
-        if origin is not None and origin.lower() not in {f"{self._scheme}://{known}" for known in self._hosts}:
+            return _refused(
+                421, f"this server is not {host!r}: start it with --allow-host NAME if it is to be"
+            )
+        if origin is not None and origin.lower() not in {
+            f"{self._scheme}://{known}" for known in self._hosts
+        }:
             return _refused(403, "requests of other sites are refused")
         if request.method == "POST" and request.headers.get(ASKED) != "1":
             return _refused(403, f"the header {ASKED}: 1 is missing")
@@ -140,9 +184,11 @@ class Guard:
 
     def _unknown(self, request: Request, given: str) -> Response | None:
         """What is refused for its token."""
-        now, address = self._clock(), _network(request.client.host if request.client else "")
+        now = self._clock()
+        address = _network(request.client.host if request.client else "")
         if now - self._begun >= GUESSING:
-            self._begun, self._wrong = now, Counter()
+            self._begun = now
+            self._wrong = Counter()
         many = self._wrong.total() >= ALL_GUESSES and address not in self._let_in
         if given and (many or self._wrong[address] >= GUESSES):
             answer = _refused(429, "too many wrong tokens: try again in a minute")
@@ -158,7 +204,8 @@ class Guard:
 
 def _unusable(request: Request) -> Response | None:
     """What no page of ours sends."""
-    headers, target = request.scope["headers"], request.scope.get("raw_path", b"") + b"?" + request.scope["query_string"]
+    headers = request.scope["headers"]
+    target = request.scope.get("raw_path", b"") + b"?" + request.scope["query_string"]
     if request.method not in _METHODS:
         return _refused(405, f"expected {', '.join(_METHODS)}")
     if len(target) > MAX_TARGET:
@@ -182,14 +229,19 @@ def _refused(status: int, why: str) -> Response:
 
 def _network(address: str) -> str:
     """What counts as one address: of IPv6 the network, in which a machine may take any."""
-    return str(ipaddress.ip_network((address.partition("%")[0], 64), strict=False)) if ":" in address else address
+    return (
+        str(ipaddress.ip_network((address.partition("%")[0], 64), strict=False))
+        if ":" in address
+        else address
+    )
 
 
 def static(folder: Path) -> list[Route]:
     """Routes to the files in a folder as they are now, below /static."""
 
     def answering(file: Path) -> Endpoint:
-        data, media = file.read_bytes(), mimetypes.guess_type(file.name)[0]
+        data = file.read_bytes()
+        media = mimetypes.guess_type(file.name)[0]
 
         async def answer(request: Request) -> Response:
             return Response(data, media_type=media)
@@ -200,34 +252,47 @@ def static(folder: Path) -> list[Route]:
 
 
 def endpoint(
-    work: Callable[..., Any], media: str = JSON, headers: Mapping[str, str] | None = None, query: Sequence[str] = ()
+    work: Callable[..., Any],
+    media: str = JSON,
+    headers: Mapping[str, str] | None = None,
+    query: Sequence[str] = (),
 ) -> Endpoint:
-    """What answers with the result of ``work``, which runs in a thread; what it cannot use is a 400 with a sentence.
+    """What answers with the result of ``work``, which runs in a thread; what it cannot use is a 400
+    with a sentence.
 
     Parameters
     ----------
-    work : is given the parameters of the path, those of the ``query``, and as ``sent`` the body of a POST.
+    work : is given the parameters of the path, those of the ``query``, and as ``sent`` the body of
+        a POST.
     media : type of the answer; of `JSON` it is what JSON says of the result.
     headers : of the answer.
     query : names of parameters, empty where the address has none.
     """
 
     async def answer(request: Request) -> Response:
-        given = dict(request.path_params) | {name: request.query_params.get(name, "") for name in query}
+        given = dict(request.path_params) | {
+            name: request.query_params.get(name, "") for name in query
+        }
         try:
             sent = {"sent": await request.body()} if request.method == "POST" else {}
             result = await run_in_threadpool(work, **given, **sent)
         except InputError as error:
             return JSONResponse({"error": str(error)}, 400)
-        return JSONResponse(json_value(result)) if media == JSON else Response(result, 200, headers, media)
+        return (
+            JSONResponse(json_value(result))
+            if media == JSON
+            else Response(result, 200, headers, media)
+        )
 
     return answer
 
 
 class Address(NamedTuple):
-    """Where a page is: the open socket, the address to open, and the token in it (empty on loopback).
+    """Where a page is: the open socket, the address to open, and the token in it (empty on
+    loopback).
 
-    ``hosts`` are the values of ``Host`` by which it may be asked for, ``tls`` is None without encryption.
+    ``hosts`` are the values of ``Host`` by which it may be asked for, ``tls`` is None without
+    encryption.
     """
 
     listening: socket.socket
@@ -245,8 +310,8 @@ def listen(
     key: Path | None = None,
     preferred: Sequence[int] = (),
 ) -> Address:
-    """Take a port. The address has a token unless it is loopback under its own names. Raises `InputError` where the port
-    cannot be had, or a name or file cannot be used.
+    """Take a port. The address has a token unless it is loopback under its own names. Raises
+    `InputError` where the port cannot be had, or a name or file cannot be used.
 
     Parameters
     ----------
@@ -257,16 +322,29 @@ def listen(
     for name in allow:
         if not _NAME.fullmatch(name):
             cure = "Say a name as cam.example.org, or an address as 192.168.1.5 or [fd00::5]."
-            raise InputError(f"expected a name without http:// and /, got {name!r}", where="--allow-host", cure=cure)
+            raise InputError(
+                f"expected a name without http:// and /, got {name!r}",
+                where="--allow-host",
+                cure=cure,
+            )
     tls = _tls(certificate, key)
     try:
         loopback = host == "localhost" or ipaddress.ip_address(host).is_loopback
         listening = _bound(host, (port,) if port else (*preferred, 0))
     except (OSError, ValueError) as error:
         problem = getattr(error, "strerror", None) or error
-        raise InputError(f"cannot listen on {host}:{port} ({problem})", where="--port", cure="Choose another port") from None
-    taken, shown = listening.getsockname()[1], f"[{host}]" if ":" in host else host
-    names = {"127.0.0.1", "localhost", "[::1]"} if loopback else {shown, socket.gethostname(), socket.getfqdn()}
+        raise InputError(
+            f"cannot listen on {host}:{port} ({problem})",
+            where="--port",
+            cure="Choose another port",
+        ) from None
+    taken = listening.getsockname()[1]
+    shown = f"[{host}]" if ":" in host else host
+    names = (
+        {"127.0.0.1", "localhost", "[::1]"}
+        if loopback
+        else {shown, socket.gethostname(), socket.getfqdn()}
+    )
     if allow or shown in ("0.0.0.0", "[::]"):
         shown = allow[0] if allow else socket.gethostname()
     # What is forwarded from the usual port comes without a number.
@@ -291,16 +369,16 @@ def _tls(certificate: Path | None, key: Path | None) -> ssl.SSLContext | None:
     if certificate is None and key is None:
         return None
     if certificate is None or key is None:
-        raise InputError("expected a certificate and its key, got one of them", where="--certificate, --key")
+        raise InputError(
+            "expected a certificate and its key, got one of them", where="--certificate, --key"
+        )
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     try:
         # Without a word OpenSSL would ask for it on the terminal.
         context.load_cert_chain(certificate, key, password=lambda: "")
     except (OSError, ValueError) as error:
-        problem = (
-            f"expected a certificate and its key, not encrypted, as PEM ({getattr(error, 'reason', '') or error.args[-1]})"
-        )
+        problem = f"expected a certificate and its key, not encrypted, as PEM ({getattr(error, 'reason', '') or error.args[-1]})"
         cure = "Make a pair: openssl req -x509 -newkey rsa:2048 -nodes -days 365 -keyout key.pem -out certificate.pem"
         raise InputError(problem, where=f"{certificate}, {key}", cure=cure) from None
     return context
@@ -325,7 +403,10 @@ def serve(app: ASGIApp, address: Address) -> None:
     )
     listening = _Listening(address.listening)
     # Uvicorn ends in order on Ctrl-C and then raises it again: here it is how one leaves.
-    with contextlib.suppress(KeyboardInterrupt), asyncio.Runner(loop_factory=partial(_Loop, address.tls)) as runner:
+    with (
+        contextlib.suppress(KeyboardInterrupt),
+        asyncio.Runner(loop_factory=partial(_Loop, address.tls)) as runner,
+    ):
         runner.run(uvicorn.Server(config).serve(sockets=[listening]))
 
 
@@ -341,7 +422,10 @@ class _Listening(socket.socket):
         connection, address = super().accept()
         self._open = {one: network for one, network in self._open.items() if one.fileno() >= 0}
         network = _network(str(address[0]))
-        if len(self._open) < CONNECTIONS and sum(one == network for one in self._open.values()) < OF_ADDRESS:
+        if (
+            len(self._open) < CONNECTIONS
+            and sum(one == network for one in self._open.values()) < OF_ADDRESS
+        ):
             self._open[connection] = network
             return connection, address
         with contextlib.closing(connection), contextlib.suppress(OSError):
@@ -355,7 +439,11 @@ class _Loop(asyncio.SelectorEventLoop):
 
     def __init__(self, tls: ssl.SSLContext | None) -> None:
         super().__init__()
-        self._more = {"ssl": tls, "ssl_handshake_timeout": HEADER, "ssl_shutdown_timeout": HEADER} if tls else {}
+        self._more = (
+            {"ssl": tls, "ssl_handshake_timeout": HEADER, "ssl_shutdown_timeout": HEADER}
+            if tls
+            else {}
+        )
 
     async def create_server(self, *given: Any, **named: Any) -> Any:
         """As asyncio's."""
@@ -367,7 +455,8 @@ class _Connection(H11Protocol):
 
     _cut: asyncio.TimerHandle | None = None
     _awaited: object = None
-    _heard, _since = False, 0.0
+    _heard = False
+    _since = 0.0
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
@@ -389,7 +478,8 @@ class _Connection(H11Protocol):
             self._cut.cancel()
 
     def send_400_response(self, msg: str) -> None:
-        # The application may be about to answer, and must not any more; where it has begun no other answer can be given.
+        # The application may be about to answer, and must not any more; where it has begun no other
+        # answer can be given.
         if self.cycle is not None:
             self.cycle.disconnected = True
         try:
@@ -406,7 +496,8 @@ class _Connection(H11Protocol):
             self._cut.cancel()
         waiting = HEADER if self._heard else SILENT
         seconds = {h11.IDLE: waiting, h11.SEND_BODY: BODY}.get(self.conn.their_state, ANSWER)
-        self._awaited, self._since = awaited, self.loop.time()
+        self._awaited = awaited
+        self._since = self.loop.time()
         self._cut = self.loop.call_later(seconds, self._late)
 
     def _late(self) -> None:

@@ -1,11 +1,14 @@
-"""Cameras that never end: the newest picture, at its true time, over time-outs, failures and reconnections.
+"""Cameras that never end: the newest picture, at its true time, over time-outs, failures and
+reconnections.
 
-A thread of its own reads and decodes everything that a camera sends and keeps the newest picture only: what comes while the
-tracker is busy is dropped and counted, so that nothing lags. A picture's time is that of its arrival. Streams that arrive in
-pieces of seconds (HLS), and files, are played at the pace of their time stamps instead, and these are the times then.
+A thread of its own reads and decodes everything that a camera sends and keeps the newest picture
+only: what comes while the tracker is busy is dropped and counted, so that nothing lags. A picture's
+time is that of its arrival. Streams that arrive in pieces of seconds (HLS), and files, are played
+at the pace of their time stamps instead, and these are the times then.
 
-A camera that cannot be reached, ends, or says nothing for longer than a time-out is tried again, about twice a second. A
-read that hangs in spite of that is left behind, and another thread begins anew.
+A camera that cannot be reached, ends, or says nothing for longer than a time-out is tried again,
+about twice a second. A read that hangs in spite of that is left behind, and another thread begins
+anew.
 """
 
 from __future__ import annotations
@@ -29,15 +32,20 @@ from phdtrack.video.files import bgr
 
 State = Literal["connecting", "live", "silent", "down"]
 # Seconds between two tries: the first, and the longest.
-FIRST_PAUSE, LONGEST_PAUSE = 0.1, 0.5
-# A read that takes so much longer than its time-out is left behind. Pictures of which the rate is measured. Seconds for
-# which pictures may be left out that came while the connection was made; for which packets may bring none.
-GRACE, RECENT, CATCH_UP, UNDECODED = 2.0, 64, 3.0, 60.0
+FIRST_PAUSE = 0.1
+LONGEST_PAUSE = 0.5
+# A read that takes so much longer than its time-out is left behind. Pictures of which the rate is
+# measured. Seconds for which pictures may be left out that came while the connection was made; for
+# which packets may bring none.
+GRACE = 2.0
+RECENT = 64
+CATCH_UP = 3.0
+UNDECODED = 60.0
 
 
 class LiveFrame(NamedTuple):
-    """A picture: its number from 1 among all that arrived, dropped ones too; seconds since the source was started, and since
-    1970 (UTC); (H, W, 3) BGR."""
+    """A picture: its number from 1 among all that arrived, dropped ones too; seconds since the
+    source was started, and since 1970 (UTC); (H, W, 3) BGR."""
 
     number: int
     time: float
@@ -51,11 +59,14 @@ class SourceStatus:
 
     Attributes
     ----------
-    state : ``connecting``; ``live``; ``silent``, connected without pictures; ``down``, waiting for the next try.
+    state : ``connecting``; ``live``; ``silent``, connected without pictures; ``down``, waiting for
+        the next try.
     since : seconds that it has been live, or that no picture has come.
-    connects, frames, dropped, undecodable : since the start. Dropped pictures were never given to anybody.
+    connects, frames, dropped, undecodable : since the start. Dropped pictures were never given to
+        anybody.
     fps : measured over the last pictures; 0 where unknown.
-    width, height : of the pictures that are given, those of the first; ``sent`` is the size that the camera sends now.
+    width, height : of the pictures that are given, those of the first; ``sent`` is the size that
+        the camera sends now.
     problem : what ended the last connection; empty where nothing did.
     """
 
@@ -78,18 +89,24 @@ class LiveSource:
 
     Parameters
     ----------
-    address : ``rtsp://…``, ``http://…`` (MJPEG, HLS), a camera's number, or a file, which is played again and again.
-    connect, read : time-outs in seconds: up to the first picture of a connection, and between two pictures.
+    address : ``rtsp://…``, ``http://…`` (MJPEG, HLS), a camera's number, or a file, which is played
+        again and again.
+    connect, read : time-outs in seconds: up to the first picture of a connection, and between two
+        pictures.
     """
 
     address: str = field(repr=False)
     connect: float = 10.0
     read: float = 5.0
-    _change: threading.Condition = field(default_factory=threading.Condition, init=False, repr=False)
+    _change: threading.Condition = field(
+        default_factory=threading.Condition, init=False, repr=False
+    )
     _status: SourceStatus = field(default_factory=SourceStatus, init=False)
     # Number, arrival, UTC and the decoded picture.
     _newest: tuple[int, float, float, Any] | None = field(default=None, init=False, repr=False)
-    _times: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT), init=False, repr=False)
+    _times: deque[float] = field(
+        default_factory=lambda: deque(maxlen=RECENT), init=False, repr=False
+    )
     # Which reading thread counts; when it last showed that it does not hang.
     _generation: int = field(default=0, init=False, repr=False)
     _progress: float = field(default=0.0, init=False, repr=False)
@@ -110,7 +127,9 @@ class LiveSource:
             self._change.notify_all()
 
     def next(self, timeout: float) -> LiveFrame | None:
-        """The newest picture that was not given yet; None where none comes within ``timeout`` seconds, or it was stopped."""
+        """The newest picture that was not given yet; None where none comes within ``timeout``
+        seconds, or it was stopped.
+        """
         with self._change:
             allowed = (self.read if self._status.state == "live" else self.connect) + GRACE
             if not self._stopped and time.monotonic() - self._progress > allowed:
@@ -122,11 +141,16 @@ class LiveSource:
                 return None
             number, at, wall, picture = self._newest
             self._newest = None
-            width, height = self._status.width, self._status.height
+            width = self._status.width
+            height = self._status.height
         if isinstance(picture, np.ndarray):
             import cv2
 
-            image = picture if picture.shape[1::-1] == (width, height) else cv2.resize(picture, (width, height))
+            image = (
+                picture
+                if picture.shape[1::-1] == (width, height)
+                else cv2.resize(picture, (width, height))
+            )
         else:
             image = bgr(picture, width, height)
         return LiveFrame(number, at - self._start, wall, np.ascontiguousarray(image))
@@ -134,8 +158,13 @@ class LiveSource:
     def status(self) -> SourceStatus:
         """How it is now."""
         with self._change:
-            now, times = time.monotonic(), self._times
-            fps = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 and times[-1] > times[0] else 0.0
+            now = time.monotonic()
+            times = self._times
+            fps = (
+                (len(times) - 1) / (times[-1] - times[0])
+                if len(times) > 1 and times[-1] > times[0]
+                else 0.0
+            )
             state = self._status.state
             quiet = now - times[-1] if times else now - self._since
             if state == "live" and quiet > max(1.0, 3 / fps if fps else 0.0):
@@ -147,12 +176,17 @@ class LiveSource:
         self._generation += 1
         self._progress = time.monotonic()
         thread = threading.Thread(
-            target=self._run, args=(self._generation,), name=f"read {shown(self.address)}", daemon=True
+            target=self._run,
+            args=(self._generation,),
+            name=f"read {shown(self.address)}",
+            daemon=True,
         )
         thread.start()
 
     def _current(self, generation: int, *, moves: bool = True) -> bool:
-        """Whether a thread is the one that counts; where it ``moves`` it has just shown that it does not hang."""
+        """Whether a thread is the one that counts; where it ``moves`` it has just shown that it
+        does not hang.
+        """
         if self._stopped or generation != self._generation:
             return False
         if moves:
@@ -203,19 +237,31 @@ class LiveSource:
 
     def _arrived(self, picture: Any, at: float) -> None:
         """Keep a picture, of a time on the monotonic clock, in place of the one before."""
-        status, wall = self._status, time.time() - (time.monotonic() - at)
-        size = picture.shape[1::-1] if isinstance(picture, np.ndarray) else (picture.width, picture.height)
+        status = self._status
+        wall = time.time() - (time.monotonic() - at)
+        size = (
+            picture.shape[1::-1]
+            if isinstance(picture, np.ndarray)
+            else (picture.width, picture.height)
+        )
         width, height = (status.width, status.height) if status.width else size
         dropped = status.dropped + (self._newest is not None)
         self._status = replace(
-            status, frames=status.frames + 1, dropped=dropped, width=width, height=height, sent=(int(size[0]), int(size[1]))
+            status,
+            frames=status.frames + 1,
+            dropped=dropped,
+            width=width,
+            height=height,
+            sent=(int(size[0]), int(size[1])),
         )
         self._times.append(at)
         self._newest = (self._status.frames, at, wall, picture)
         self._change.notify_all()
 
     def _pictures(self, generation: int) -> Iterator[tuple[Any, float]]:
-        """The pictures of one connection: (H, W, 3) arrays, or PyAV's, each with its time, 0 for that of its arrival."""
+        """The pictures of one connection: (H, W, 3) arrays, or PyAV's, each with its time, 0 for
+        that of its arrival.
+        """
         if self.address.isdecimal():
             yield from ((picture, 0.0) for picture in self._camera(int(self.address)))
             return
@@ -226,30 +272,44 @@ class LiveSource:
         options = {"flags": "low_delay", "fpsprobesize": "0"} if remote else {}
         if urlsplit(self.address).scheme.startswith("rtsp"):
             options["rtsp_transport"] = "tcp"
-        with av.open(self.address, options=options, timeout=(self.connect, self.read) if remote else None) as container:
+        with av.open(
+            self.address, options=options, timeout=(self.connect, self.read) if remote else None
+        ) as container:
             stream = container.streams.video[0]
             stream.thread_type = "SLICE"
-            paced, begun, first, last = not remote or "hls" in container.format.name, 0.0, 0.0, -math.inf
-            behind, before, stamp = remote and not paced and container.format.name != "mpjpeg", 0.0, 0.0
+            paced = not remote or "hls" in container.format.name
+            begun = 0.0
+            first = 0.0
+            last = -math.inf
+            behind = remote and not paced and container.format.name != "mpjpeg"
+            before = 0.0
+            stamp = 0.0
             pictured = time.monotonic()
             caught_up = pictured + CATCH_UP
             for packet in container.demux(stream):
                 with self._change:
-                    # Until the next key frame no picture comes, which cameras may take half a minute for.
+                    # Until the next key frame no picture comes, which cameras may take half a
+                    # minute for.
                     if not self._current(generation, moves=time.monotonic() < pictured + UNDECODED):
                         return
                 try:
                     pictures: list[Any] = list(packet.decode())
                 except av.InvalidDataError:
                     with self._change:
-                        self._status = replace(self._status, undecodable=self._status.undecodable + 1)
+                        self._status = replace(
+                            self._status, undecodable=self._status.undecodable + 1
+                        )
                     continue
                 for picture in pictures:
                     if behind and picture.time is not None:
-                        # What came while the connection was made is older than its arrival, and comes all at once.
+                        # What came while the connection was made is older than its arrival, and
+                        # comes all at once.
                         now = time.monotonic()
-                        behind = now < caught_up and (not before or now - before < (picture.time - stamp) / 2)
-                        before, stamp = now, picture.time
+                        behind = now < caught_up and (
+                            not before or now - before < (picture.time - stamp) / 2
+                        )
+                        before = now
+                        stamp = picture.time
                         if behind:
                             continue
                     at = 0.0
@@ -257,8 +317,10 @@ class LiveSource:
                         at = begun + (picture.time - first)
                         late = time.monotonic() - at
                         if abs(late) > self.read or at <= last:
-                            # The first one; or the time stamps jumped, or the stream was held up: from here on anew.
-                            begun, first = time.monotonic(), picture.time
+                            # The first one; or the time stamps jumped, or the stream was held up:
+                            # from here on anew.
+                            begun = time.monotonic()
+                            first = picture.time
                             at = begun
                         elif late < 0:
                             time.sleep(-late)
@@ -284,7 +346,9 @@ class LiveSource:
 
 
 def check_address(address: str) -> None:
-    """Raise `InputError` where it is no address, or has a password with a / that is not written as %2F."""
+    """Raise `InputError` where it is no address, or has a password with a / that is not written as
+    %2F.
+    """
     try:
         urlsplit(address)
     except ValueError:
@@ -299,7 +363,13 @@ def check_address(address: str) -> None:
 
 
 def named(address: str) -> str:
-    """A short name for a source, for folders and pages: letters, digits, points and hyphens only."""
+    """A short name for a source, for folders and pages: letters, digits, points and hyphens
+    only.
+    """
     parts = urlsplit(shown(address))
-    plain = urlunsplit(("", parts.netloc.rpartition("@")[2], parts.path, "", "")) if parts.netloc else shown(address)
+    plain = (
+        urlunsplit(("", parts.netloc.rpartition("@")[2], parts.path, "", ""))
+        if parts.netloc
+        else shown(address)
+    )
     return re.sub(r"[^A-Za-z0-9.-]+", "-", plain).strip("-.") or "camera"

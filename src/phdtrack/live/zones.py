@@ -12,7 +12,8 @@ A file of places is TOML, in pixels of the video:
     anchor = "centre"
     classes = ["person"]
 
-``anchor`` is the part of a box that counts: the middle of its lower edge (``feet``, the default) or its ``centre``.
+``anchor`` is the part of a box that counts: the middle of its lower edge (``feet``, the default) or
+its ``centre``.
 """
 
 from __future__ import annotations
@@ -38,12 +39,14 @@ _SAME = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A line or a zone. Raises `InputError` for too few points, for no numbers, and for a zone whose border crosses itself.
+    """A line or a zone. Raises `InputError` for too few points, for no numbers, and for a zone
+    whose border crosses itself.
 
     Attributes
     ----------
     name : of its own among all places.
-    points : corners in pixels; of a line from its beginning to its end, at least two, of a zone around it, at least three.
+    points : corners in pixels; of a line from its beginning to its end, at least two, of a zone
+        around it, at least three.
     closed : it is a zone.
     anchor : the part of a box that counts.
     classes : names of the classes that count; empty for all.
@@ -61,11 +64,19 @@ class Place:
         if not all(math.isfinite(x) and math.isfinite(y) for x, y in self.points):
             raise InputError("expected points of finite numbers", where=where)
         if len(self.points) < least:
-            raise InputError(f"expected at least {least} points, got {len(self.points)}", where=where)
+            raise InputError(
+                f"expected at least {least} points, got {len(self.points)}", where=where
+            )
         if any(math.dist(a, b) < _SAME for a, b in self.edges):
-            raise InputError("two points that follow each other are the same", where=where, cure="Leave one out.")
+            raise InputError(
+                "two points that follow each other are the same", where=where, cure="Leave one out."
+            )
         if self.closed and _self_crossing(self.edges):
-            raise InputError("the border crosses itself", where=where, cure="Name the corners in their order around it.")
+            raise InputError(
+                "the border crosses itself",
+                where=where,
+                cure="Name the corners in their order around it.",
+            )
 
     @property
     def edges(self) -> list[tuple[Point, Point]]:
@@ -73,7 +84,8 @@ class Place:
         return list(pairwise((*self.points, self.points[0]) if self.closed else self.points))
 
     def distance(self, point: Point) -> float:
-        """Pixels from a point to the line, or to the border of the zone; negative outside of a zone.
+        """Pixels from a point to the line, or to the border of the zone; negative outside of a
+        zone.
 
         A point on the border has distance 0.
         """
@@ -81,9 +93,11 @@ class Place:
         return nearest if not self.closed or self._holds(point) else -nearest
 
     def crossings(self, start: Point, end: Point) -> int:
-        """How often the straight move crosses the line from its left to its right, less how often the other way.
+        """How often the straight move crosses the line from its left to its right, less how often
+        the other way.
 
-        Left and right are those of somebody in the picture who looks from the line's beginning to its end.
+        Left and right are those of somebody in the picture who looks from the line's beginning to
+        its end.
         """
         return sum(_crossing(a, b, start, end) for a, b in self.edges)
 
@@ -98,12 +112,16 @@ class Place:
 
 
 def read_places(path: Path) -> tuple[Place, ...]:
-    """The lines and zones of a TOML file. Raises `InputError` where it is none, or a place cannot be used."""
+    """The lines and zones of a TOML file. Raises `InputError` where it is none, or a place cannot
+    be used.
+    """
     return places_of(read_toml(path), str(path))
 
 
 def write_places(path: Path, places: Sequence[Place]) -> None:
-    """Write the file of these places, whole or not at all. Raises `InputError` where that cannot be done."""
+    """Write the file of these places, whole or not at all. Raises `InputError` where that cannot be
+    done.
+    """
     tables = [
         f"[[{'zone' if one.closed else 'line'}]]\nname = {_text(one.name)}\n"
         f"points = {json.dumps([list(point) for point in one.points])}\nanchor = {_text(one.anchor)}\n"
@@ -127,19 +145,31 @@ def _text(value: str) -> str:
 
 
 def places_of(tables: dict[str, Any], where: str) -> tuple[Place, ...]:
-    """The lines, then the zones, of the tables ``line`` and ``zone``; ``where`` names the file. Raises `InputError`."""
+    """The lines, then the zones, of the tables ``line`` and ``zone``; ``where`` names the file.
+    Raises `InputError`.
+    """
     for name in tables:
         if name not in ("line", "zone"):
-            raise InputError(f"there is no table {name!r}", where=where, cure=did_you_mean(name, ("line", "zone")))
+            raise InputError(
+                f"there is no table {name!r}",
+                where=where,
+                cure=did_you_mean(name, ("line", "zone")),
+            )
     found = list[Place]()
     for kind in ("line", "zone"):
         given = tables.get(kind, [])
         if not isinstance(given, list):
-            raise InputError(f"expected [[{kind}]], got one [{kind}]", where=where, cure="Write two brackets.")
+            raise InputError(
+                f"expected [[{kind}]], got one [{kind}]", where=where, cure="Write two brackets."
+            )
         found += [_place(kind, k, table, where) for k, table in enumerate(given, 1)]
     for first, second in combinations(found, 2):
         if first.name == second.name:
-            raise InputError(f"two places are called {first.name!r}", where=where, cure="Give each a name of its own.")
+            raise InputError(
+                f"two places are called {first.name!r}",
+                where=where,
+                cure="Give each a name of its own.",
+            )
     return tuple(found)
 
 
@@ -152,7 +182,9 @@ def _place(kind: str, number: int, table: Any, where: str) -> Place:
     for key in table:
         if key not in known:
             raise InputError(f"there is no {key!r}", where=at, cure=did_you_mean(key, known))
-    name, anchor, classes = table.get("name", f"{kind} {number}"), table.get("anchor", "feet"), table.get("classes", [])
+    name = table.get("name", f"{kind} {number}")
+    anchor = table.get("anchor", "feet")
+    classes = table.get("classes", [])
     if not isinstance(name, str) or not name:
         raise InputError(f"expected a name in quotes, got {name!r}", where=at)
     if anchor not in ANCHORS:
@@ -160,11 +192,19 @@ def _place(kind: str, number: int, table: Any, where: str) -> Place:
     if not isinstance(classes, list) or not all(isinstance(one, str) for one in classes):
         raise InputError(f"expected classes as a list of names, got {classes!r}", where=at)
     points = table.get("points")
-    pairs = isinstance(points, list) and all(isinstance(p, list) and len(p) == 2 and all(map(_number, p)) for p in points)
+    pairs = isinstance(points, list) and all(
+        isinstance(p, list) and len(p) == 2 and all(map(_number, p)) for p in points
+    )
     if not isinstance(points, list) or not pairs:
         raise InputError("expected points = [[x, y], [x, y], …] in pixels", where=at)
     try:
-        return Place(name, tuple((float(x), float(y)) for x, y in points), kind == "zone", anchor, tuple(classes))
+        return Place(
+            name,
+            tuple((float(x), float(y)) for x, y in points),
+            kind == "zone",
+            anchor,
+            tuple(classes),
+        )
     except InputError as error:
         raise InputError(error.problem, where=at, cure=error.cure) from None
 
@@ -176,20 +216,24 @@ def _number(value: object) -> bool:
 def _right(a: Point, b: Point, point: Point, shift: int = 1) -> bool:
     """Whether the point is to the right of the way from a to b, in a picture whose y points down.
 
-    A point on it is taken to be shifted by (ε, ε²), or against it with ``shift`` −1, for an ε as small as one likes.
+    A point on it is taken to be shifted by (ε, ε²), or against it with ``shift`` −1, for an ε as
+    small as one likes.
     """
-    dx, dy = b[0] - a[0], b[1] - a[1]
+    dx = b[0] - a[0]
+    dy = b[1] - a[1]
     side = dx * (point[1] - a[1]) - dy * (point[0] - a[0])
     return side > 0 if side else shift * (-dy or dx) > 0
 
 
 def _crossing(a: Point, b: Point, start: Point, end: Point) -> int:
-    """1 where the move crosses the piece from a to b from left to right, −1 the other way, 0 where it does not.
+    """1 where the move crosses the piece from a to b from left to right, −1 the other way, 0 where
+    it does not.
 
-    Moves are taken to be shifted by as little as one likes, so that no end of one lies on a line, and none goes through a
-    corner: crossings are counted once, and a way and the way back cancel.
+    Moves are taken to be shifted by as little as one likes, so that no end of one lies on a line,
+    and none goes through a corner: crossings are counted once, and a way and the way back cancel.
     """
-    before, after = _right(a, b, start), _right(a, b, end)
+    before = _right(a, b, start)
+    after = _right(a, b, end)
     if before == after or _right(start, end, a, -1) == _right(start, end, b, -1):
         return 0
     return 1 if after else -1
@@ -197,7 +241,8 @@ def _crossing(a: Point, b: Point, start: Point, end: Point) -> int:
 
 def _distance(point: Point, a: Point, b: Point) -> float:
     """From a point to the piece from a to b."""
-    dx, dy = b[0] - a[0], b[1] - a[1]
+    dx = b[0] - a[0]
+    dy = b[1] - a[1]
     along = ((point[0] - a[0]) * dx + (point[1] - a[1]) * dy) / (dx * dx + dy * dy)
     along = min(1.0, max(0.0, along))
     return math.hypot(point[0] - a[0] - along * dx, point[1] - a[1] - along * dy)
@@ -209,6 +254,10 @@ def _self_crossing(edges: Sequence[tuple[Point, Point]]) -> bool:
     for (i, (a, b)), (j, (c, d)) in combinations(enumerate(edges), 2):
         if j - i in (1, last):
             continue
-        if _crossing(a, b, c, d) or min(_distance(c, a, b), _distance(d, a, b), _distance(a, c, d), _distance(b, c, d)) == 0:
+        if (
+            _crossing(a, b, c, d)
+            or min(_distance(c, a, b), _distance(d, a, b), _distance(a, c, d), _distance(b, c, d))
+            == 0
+        ):
             return True
     return False

@@ -1,4 +1,6 @@
-"""How good are tracks: VACE and CLEAR scores, IDF1, HOTA, OSPA, GOSPA, T-GOSPA, RMSE, lives of tracks, causes of errors."""
+"""How good are tracks: VACE and CLEAR scores, IDF1, HOTA, OSPA, GOSPA, T-GOSPA, RMSE, lives of
+tracks, causes of errors.
+"""
 
 from phdtrack.metrics.errors import Errors, explain
 from phdtrack.metrics.scores import Scores, evaluate, pool

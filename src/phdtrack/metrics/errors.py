@@ -1,21 +1,27 @@
-"""Why are there misses and false boxes: each of the CLEAR mapping gets exactly one cause, and the worst tracks are named.
+"""Why are there misses and false boxes: each of the CLEAR mapping gets exactly one cause, and the
+worst tracks are named.
 
-The mapping is that of MOTA (`matching.tracking_mapping`), so the sums equal its misses and false positives. A box is
-*detected* where a detection overlaps it at the threshold of the mapping.
+The mapping is that of MOTA (`matching.tracking_mapping`), so the sums equal its misses and false
+positives. A box is *detected* where a detection overlaps it at the threshold of the mapping.
 
 A miss has a cause and a place in the life of its object.
 
 * undetected: no detection overlaps the true box; unused: one does, and no track is mapped there.
-* never: the object is mapped in no frame; head: before its first mapped frame; tail: after its last; gap: between.
+* never: the object is mapped in no frame; head: before its first mapped frame; tail: after its
+  last; gap: between.
 
 A false box is the first of
 
-* loose: the true box that it overlaps most, by .1 or more, is mapped to no track. The threshold was not reached;
-* ghost: its track is mapped in another frame, and nothing is detected here: shown where its object had been, or bridged;
-* duplicate: it overlaps a true box by half of the threshold or more, which then is mapped to another track;
+* loose: the true box that it overlaps most, by .1 or more, is mapped to no track. The threshold was
+  not reached;
+* ghost: its track is mapped in another frame, and nothing is detected here: shown where its object
+  had been, or bridged;
+* duplicate: it overlaps a true box by half of the threshold or more, which then is mapped to
+  another track;
 * clutter: all others. The track follows false alarms, or an object that nobody annotated.
 
-Without detections the first cause of misses holds all of them, and a ghost must overlap no true box by .1.
+Without detections the first cause of misses holds all of them, and a ghost must overlap no true box
+by .1.
 """
 
 from __future__ import annotations
@@ -26,10 +32,18 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.arrays import iou as overlaps
-from phdtrack.metrics.matching import ROUNDING, Scene, above, build, check_threshold, tracking_mapping
+from phdtrack.metrics.matching import (
+    ROUNDING,
+    Scene,
+    above,
+    build,
+    check_threshold,
+    tracking_mapping,
+)
 from phdtrack.types import F8, I8, Bool, DetectionTable, Tracks, Truth
 
-CAUSES, PLACES = ("undetected", "unused"), ("never", "head", "gap", "tail")
+CAUSES = ("undetected", "unused")
+PLACES = ("never", "head", "gap", "tail")
 FALSE = ("loose", "ghost", "duplicate", "clutter")
 # The names of the sums in `Errors.sums`.
 SUMS = (*(f"miss_{name}" for name in (*CAUSES, *PLACES)), *(f"false_{name}" for name in FALSE))
@@ -48,7 +62,8 @@ class Errors:
     objects, tracks : (G,), (O,) identities.
     boxes, shown : (G,), (O,) number of boxes of each.
     last, last_shown : (G,), (O,) the last frame in which each is mapped, 0 where none is.
-    ignored : number of output boxes that fell to distractors and ignored regions, and count as nothing.
+    ignored : number of output boxes that fell to distractors and ignored regions, and count as
+        nothing.
     detected : whether detections were given; else all misses stand under the first cause.
     """
 
@@ -84,7 +99,8 @@ class Errors:
 
     def as_dict(self, worst: int) -> dict[str, object]:
         """The sums, and the ``worst`` objects and tracks, by name for JSON."""
-        misses, false = self.misses.sum(axis=0).tolist(), self.false.sum(axis=0).tolist()
+        misses = self.misses.sum(axis=0).tolist()
+        false = self.false.sum(axis=0).tolist()
         objects = [
             {"identity": int(self.objects[i]), "boxes": int(self.boxes[i]), "misses": self._cells(self.misses[i].tolist()),
              "last": int(self.last[i])}
@@ -95,8 +111,16 @@ class Errors:
              "false_positives": dict(zip(FALSE, self.false[i].tolist(), strict=True))}
             for i in self.worst_tracks(worst)
         ]  # fmt: skip
-        by_cause = {"misses": self._cells(misses), "false_positives": dict(zip(FALSE, false, strict=True))}
-        return {**by_cause, "ignored": self.ignored, "worst_objects": objects, "worst_tracks": tracks}
+        by_cause = {
+            "misses": self._cells(misses),
+            "false_positives": dict(zip(FALSE, false, strict=True)),
+        }
+        return {
+            **by_cause,
+            "ignored": self.ignored,
+            "worst_objects": objects,
+            "worst_tracks": tracks,
+        }
 
     def _cells(self, table: list[list[int]]) -> dict[str, dict[str, int]]:
         """A table of misses (2, 4) by the names of causes and places."""
@@ -113,8 +137,8 @@ def _most(number: I8, most: int) -> I8:
 class _Rows(NamedTuple):
     """The (M,) boxes of one side, frames ascending.
 
-    Their frame, index of identity, whether it is mapped, whether it is detected, the largest overlap with a box of the other
-    side, and whether that one is mapped.
+    Their frame, index of identity, whether it is mapped, whether it is detected, the largest
+    overlap with a box of the other side, and whether that one is mapped.
     """
 
     frame: I8
@@ -127,9 +151,11 @@ class _Rows(NamedTuple):
     def lives(self, size: int) -> tuple[I8, I8]:
         """(size,) of each identity: the first and last frame in which it is mapped, 0 for none."""
         first, last = np.zeros((2, size), np.int64)
-        frame, who = self.frame[self.mapped], self.who[self.mapped]
+        frame = self.frame[self.mapped]
+        who = self.who[self.mapped]
         # Where an index comes more than once the last value is kept.
-        first[who[::-1]], last[who] = frame[::-1], frame
+        first[who[::-1]] = frame[::-1]
+        last[who] = frame
         return first, last
 
 
@@ -138,32 +164,43 @@ _NO_ROWS = _Rows(_NONE, _NONE, _NONE > 0, _NONE > 0, np.zeros(0), _NONE > 0)
 
 
 def explain(
-    truth: Truth, tracks: Tracks, detections: DetectionTable | None = None, *, frames: int = 0, iou: float = 0.5
+    truth: Truth,
+    tracks: Tracks,
+    detections: DetectionTable | None = None,
+    *,
+    frames: int = 0,
+    iou: float = 0.5,
 ) -> Errors:
-    """The misses and false boxes of ``tracks`` against ``truth`` by cause, as the module says. Raises `InputError` for what
-    `evaluate` would refuse.
+    """The misses and false boxes of ``tracks`` against ``truth`` by cause, as the module says.
+    Raises `InputError` for what `evaluate` would refuse.
 
     Parameters
     ----------
     truth, tracks : annotated boxes, output boxes; what is ignored in `evaluate` is ignored here.
     detections : what the tracker was given; None: not known.
-    frames : number of frames of the sequence, later rows are left out; 0: up to the last row of either side.
+    frames : number of frames of the sequence, later rows are left out; 0: up to the last row of
+        either side.
     iou : the overlap from which a pair of boxes may match, in (0, 1].
     """
     check_threshold(iou)
-    scene, given = build(truth, tracks, frames), detections is not None
+    scene = build(truth, tracks, frames)
+    given = detections is not None
     true, shown = _sides(scene, (truth.xyxy, tracks.xyxy), detections, iou)
-    objects, outputs = len(scene.truth_identity), len(scene.output_identity)
-    (first, last), (_, last_shown) = true.lives(objects), shown.lives(outputs)
+    objects = len(scene.truth_identity)
+    outputs = len(scene.output_identity)
+    first, last = true.lives(objects)
+    _, last_shown = shown.lives(outputs)
 
     missed = ~true.mapped
-    frame, who = true.frame[missed], true.who[missed]
+    frame = true.frame[missed]
+    who = true.who[missed]
     place = np.select([last[who] == 0, frame < first[who], frame < last[who]], [0, 1, 2], 3)
     misses = np.zeros((objects, len(CAUSES), len(PLACES)), np.int64)
     np.add.at(misses, (who, true.detected[missed].astype(np.int64), place), 1)
 
     wrong = ~shown.mapped
-    who, near = shown.who[wrong], shown.best[wrong] >= _NEAR
+    who = shown.who[wrong]
+    near = shown.best[wrong] >= _NEAR
     ghost = (last_shown[who] > 0) & ~(shown.detected[wrong] if given else near)
     twice = shown.best[wrong] >= iou / 2 - ROUNDING
     cause = np.select([near & ~shown.rival[wrong], ghost, twice], [0, 1, 2], 3)
@@ -184,7 +221,9 @@ def explain(
     )
 
 
-def _sides(scene: Scene, xyxy: tuple[F8, F8], detections: DetectionTable | None, iou: float) -> tuple[_Rows, _Rows]:
+def _sides(
+    scene: Scene, xyxy: tuple[F8, F8], detections: DetectionTable | None, iou: float
+) -> tuple[_Rows, _Rows]:
     """The true and the output boxes, which are rows of ``xyxy``."""
     mapping = tracking_mapping(scene, iou)
     edges = np.searchsorted(mapping.position, np.arange(len(scene.pairs) + 1))
@@ -195,9 +234,17 @@ def _sides(scene: Scene, xyxy: tuple[F8, F8], detections: DetectionTable | None,
         mapped = np.isin(pair.truth, mapping.truth[now]), np.isin(pair.output, mapping.output[now])
         sides = (pair.truth, pair.truth_row, pair.iou), (pair.output, pair.output_row, pair.iou.T)
         for side, (who, row, overlap) in enumerate(sides):
-            detected: Bool = above(overlaps(xyxy[side][row], seen), iou).max(axis=1, initial=0.0) > 0
-            rival = mapped[1 - side][overlap.argmax(axis=1)] if overlap.size else np.zeros(len(who), np.bool_)
+            detected: Bool = (
+                above(overlaps(xyxy[side][row], seen), iou).max(axis=1, initial=0.0) > 0
+            )
+            rival = (
+                mapped[1 - side][overlap.argmax(axis=1)]
+                if overlap.size
+                else np.zeros(len(who), np.bool_)
+            )
             best = overlap.max(axis=1, initial=0.0)
-            parts[side].append(_Rows(np.full(len(who), pair.number), who, mapped[side], detected, best, rival))
+            parts[side].append(
+                _Rows(np.full(len(who), pair.number), who, mapped[side], detected, best, rival)
+            )
     true, shown = (_Rows(*map(np.concatenate, zip(*part, strict=True))) for part in parts)
     return true, shown

@@ -1,11 +1,13 @@
 """All scores of a sequence, or of several pooled; `counts.py` says what each means.
 
-`evaluate` scores one sequence; `pool` adds the sums behind several such results and forms the scores again, which is not
-the mean of the scores: MODA is the mean over the frames of all sequences, N_MODA, MOTA, IDF1 and HOTA are pooled as in
-TrackEval's combined row, OSPA and GOSPA are means over all frames, SFDA over those that hold a box; ATA and OSPA2 are those
-of the sequences one after the other, with new identities in each.
+`evaluate` scores one sequence; `pool` adds the sums behind several such results and forms the
+scores again, which is not the mean of the scores: MODA is the mean over the frames of all
+sequences, N_MODA, MOTA, IDF1 and HOTA are pooled as in TrackEval's combined row, OSPA and GOSPA are
+means over all frames, SFDA over those that hold a box; ATA and OSPA2 are those of the sequences one
+after the other, with new identities in each.
 
-A score whose denominator is empty is NaN, never 0 or 1 by convention: MOTA without truth, MOTP without a mapped pair.
+A score whose denominator is empty is NaN, never 0 or 1 by convention: MOTA without truth, MOTP
+without a mapped pair.
 """
 
 from __future__ import annotations
@@ -25,7 +27,8 @@ from phdtrack.types import F8, Tracks, Truth
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scores:
-    """Scores of a sequence or of several; NaN where undefined. Shares are at most 1, not per cent; delays are in frames.
+    """Scores of a sequence or of several; NaN where undefined. Shares are at most 1, not per cent;
+    delays are in frames.
 
     ``counts`` are the sums and ``iou`` the overlap that made a match; `as_dict` leaves them out.
     """
@@ -74,29 +77,39 @@ class Scores:
         return dict(json_value(self))
 
 
-def evaluate(truth: Truth, tracks: Tracks, *, frames: int = 0, iou: float = 0.5, first: int = 1) -> Scores:
-    """Score ``tracks`` against ``truth``. Raises `InputError` for other types, settings out of range, wrong shapes, frame
-    numbers below 1, boxes without finite extent, and an identity twice in a frame of either side.
+def evaluate(
+    truth: Truth, tracks: Tracks, *, frames: int = 0, iou: float = 0.5, first: int = 1
+) -> Scores:
+    """Score ``tracks`` against ``truth``. Raises `InputError` for other types, settings out of
+    range, wrong shapes, frame numbers below 1, boxes without finite extent, and an identity twice
+    in a frame of either side.
 
     Parameters
     ----------
-    truth : annotated boxes; output matched to its distractors counts neither for nor against, as in MOT16 and later.
+    truth : annotated boxes; output matched to its distractors counts neither for nor against, as in
+        MOT16 and later.
     tracks : every row counts, confirmed or not, predicted or not. `Tracks.take` chooses among them.
-    frames : number of frames of the sequence, rows after it are left out; 0: up to the last frame of either side.
+    frames : number of frames of the sequence, rows after it are left out; 0: up to the last frame
+        of either side.
     iou : the overlap from which a pair of boxes may match, in (0, 1]; HOTA has its own.
-    first : the first frame that counts, where a part of a sequence is scored: rows before it are left out.
+    first : the first frame that counts, where a part of a sequence is scored: rows before it are
+        left out.
     """
     check_threshold(iou)
     for one, kind, what in ((truth, Truth, "annotated objects"), (tracks, Tracks, "tracks")):
         if not isinstance(one, kind):
             cure = "Of files they are read by phdtrack.formats.read_truth and read_tracks."
-            raise InputError(f"expected {what} as {kind.__name__}, got {type(one).__name__}", where="evaluate", cure=cure)
+            raise InputError(
+                f"expected {what} as {kind.__name__}, got {type(one).__name__}",
+                where="evaluate",
+                cure=cure,
+            )
     return scores_of(count(build(truth, tracks, frames, first), iou), iou)
 
 
 def pool(parts: Sequence[Scores]) -> Scores:
-    """The scores over several sequences, each one's result of `evaluate` (or of `pool`) with the same threshold. Raises
-    `InputError` for no results, or results with different thresholds."""
+    """The scores over several sequences, each one's result of `evaluate` (or of `pool`) with the
+    same threshold. Raises `InputError` for no results, or results with different thresholds."""
     if not parts:
         raise InputError("expected the scores of at least one sequence, got none")
     iou = parts[0].iou
@@ -104,11 +117,15 @@ def pool(parts: Sequence[Scores]) -> Scores:
     if different:
         problem = f"expected results with the same settings, got IoU {iou} and {different[0]}"
         raise InputError(problem, cure="Evaluate all sequences with the same threshold.")
-    return scores_of(Counts(*(sum(getattr(part.counts, f.name) for part in parts) for f in fields(Counts))), iou)
+    return scores_of(
+        Counts(*(sum(getattr(part.counts, f.name) for part in parts) for f in fields(Counts))), iou
+    )
 
 
 def hota_per_alpha(counts: Counts) -> tuple[F8, F8, F8]:
-    """(19,) each: HOTA_α, DetA_α and AssA_α; NaN where both sides are empty, AssA 0 where no pair is mapped."""
+    """(19,) each: HOTA_α, DetA_α and AssA_α; NaN where both sides are empty, AssA 0 where no pair
+    is mapped.
+    """
     found = counts.hota_matches
     either = counts.truth_boxes + counts.output_boxes - found
     det_a = np.divide(found, either, out=np.full_like(either, np.nan), where=either > 0)
@@ -118,7 +135,9 @@ def hota_per_alpha(counts: Counts) -> tuple[F8, F8, F8]:
 
 def scores_of(counts: Counts, iou: float) -> Scores:
     """The scores that follow from ``counts``, made with the threshold ``iou`` [M09 (22)–(25)]."""
-    c, boxes, tracks = counts, counts.truth_boxes, counts.truth_objects + counts.output_identities
+    c = counts
+    boxes = counts.truth_boxes
+    tracks = counts.truth_objects + counts.output_identities
     wrong = boxes + c.output_boxes - 2 * c.matches
     hota, det_a, ass_a = (float(part.mean()) for part in hota_per_alpha(c))
     same = {f.name for f in fields(Scores)} & {f.name for f in fields(Counts)}

@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING
 from phdtrack.files import lazy
 
 if TYPE_CHECKING:
-    from phdtrack.models.births import FixedBirth, MeasurementBirth, PlaneBirth, PointBirth, UniformBirth
+    from phdtrack.models.births import (
+        FixedBirth,
+        MeasurementBirth,
+        PlaneBirth,
+        PointBirth,
+        UniformBirth,
+    )
     from phdtrack.models.box import BoxMotion, BoxSensor
     from phdtrack.models.clutter import BoxClutter, PlaneClutter, UniformClutter
     from phdtrack.models.plane import PlaneMotion, PlaneSensor
@@ -37,4 +43,6 @@ _MODULES = {
     "Plane": "phdtrack.models.plane",
     "Point": "phdtrack.models.point",
 }
-__getattr__, __dir__ = lazy(__name__, {name: next(_MODULES[key] for key in _MODULES if key in name) for name in __all__})
+__getattr__, __dir__ = lazy(
+    __name__, {name: next(_MODULES[key] for key in _MODULES if key in name) for name in __all__}
+)

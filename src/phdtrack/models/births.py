@@ -1,8 +1,8 @@
 """γ(x): new targets, and the ways to draw them.
 
-`MeasurementBirth`, `PlaneBirth` and `PointBirth` draw around the detections that nothing predicted accounts for [M07 §2], in
-the image, on the ground and of points; `UniformBirth` anywhere [D14 Alg. 2]; `FixedBirth` from given Gaussians [E13 §4].
-Rates are expected births per second.
+`MeasurementBirth`, `PlaneBirth` and `PointBirth` draw around the detections that nothing predicted
+accounts for [M07 §2], in the image, on the ground and of points; `UniformBirth` anywhere [D14 Alg.
+2]; `FixedBirth` from given Gaussians [E13 §4]. Rates are expected births per second.
 """
 
 from __future__ import annotations
@@ -33,33 +33,44 @@ from phdtrack.models.volumes import (
 from phdtrack.protocols import Sensor
 from phdtrack.types import F8, GaussianMixture, Particles
 
-# The part of a Gaussian proposal that newborn particles are drawn from. Outside, the importance ratio of a flat γ to the
-# proposal grows like exp(r²/2) and its variance is infinite: that mass is dropped.
+# The part of a Gaussian proposal that newborn particles are drawn from. Outside, the importance
+# ratio of a flat γ to the proposal grows like exp(r²/2) and its variance is infinite: that mass is
+# dropped.
 KEPT = 0.99
 # So many more points are drawn than one detection needs, so that detections have different ones.
 SPARE = 128
 # Particles that are born in a frame at most: each detection has fewer where there are very many.
 MOST_BORN = 300_000
-# Expected births at most: after a long gap what else is computed with them would be as many numbers.
+# Expected births at most: after a long gap what else is computed with them would be as many
+# numbers.
 MOST_EXPECTED = 3000.0
 
 
 def particles_about(
-    covered: F8, seen: tuple[F8, F8], rows: tuple[int, ...], particles: int, gamma: F8, rng: np.random.Generator
+    covered: F8,
+    seen: tuple[F8, F8],
+    rows: tuple[int, ...],
+    particles: int,
+    gamma: F8,
+    rng: np.random.Generator,
 ) -> Particles:
-    """J_j = ⌈Jmax·max(0, 1 − M_j)⌉ particles around z_j with importance weights γ(x) / Σ_i J_i p_i(x) [M07 §2].
+    """J_j = ⌈Jmax·max(0, 1 − M_j)⌉ particles around z_j with importance weights γ(x) / Σ_i J_i
+    p_i(x) [M07 §2].
 
-    They are in blocks, one for each measurement that has any. What that shows is drawn from the observation noise inside its
-    99 % region (the mass of γ outside all these regions is dropped), the velocity about its mean with uniform direction and
-    Gaussian amplitude. γ uses the same law of velocities, which therefore cancels in the weight.
+    They are in blocks, one for each measurement that has any. What that shows is drawn from the
+    observation noise inside its 99 % region (the mass of γ outside all these regions is dropped),
+    the velocity about its mean with uniform direction and Gaussian amplitude. γ uses the same law
+    of velocities, which therefore cancels in the weight.
 
     Parameters
     ----------
     covered : array (N,), M_j, the mass predicted at each measurement.
-    seen : the states (d, N) and covariances (N, d, d) that the measurements show, as `Sensor.states` gives them.
+    seen : the states (d, N) and covariances (N, d, d) that the measurements show, as
+        `Sensor.states` gives them.
     rows : `Sensor.observed`.
     particles : Jmax.
-    gamma : (N,) density of births, the same in the whole region of a measurement; 0 at boxes without extent.
+    gamma : (N,) density of births, the same in the whole region of a measurement; 0 at boxes
+        without extent.
     rng : random numbers.
     """
     mean, cov = seen
@@ -70,21 +81,24 @@ def particles_about(
         return Particles(np.zeros((len(mean), 0)), np.zeros(0))
     limit = chi2_quantile(len(observed), KEPT)
     about = proposals(mean, cov, np.array(observed), counts, limit, KEPT)
-    first, begin = np.zeros(len(counts) + 1, np.int64), (SPARE * rng.random(len(counts))).astype(np.int64)
+    first = np.zeros(len(counts) + 1, np.int64)
+    begin = (SPARE * rng.random(len(counts))).astype(np.int64)
     np.cumsum(counts, out=first[1:])
     many = int(counts.max()) + SPARE
     # Boxes in the precision of their filter: there are many.
     dtype: np.dtype[Any] = np.dtype(np.float32 if len(observed) == 4 else np.float64)
     normal = rng.standard_normal((len(observed) + 1, many), dtype=dtype.type)
     points = standard_points(normal, rng.random(many + 1), _radii(len(observed)))
-    state, density = reused((len(mean), int(first[-1])), dtype), reused((int(first[-1]),), dtype)
+    state = reused((len(mean), int(first[-1])), dtype)
+    density = reused((int(first[-1]),), dtype)
     place_newborn(about, points, begin, first, limit, state, density)
     weight = np.divide(np.repeat(gamma.astype(dtype), np.diff(first)), density, out=density)
     # Of a small box the noise's region reaches sizes below 0, where nothing is born.
     if not (weight.min() > 0 and state[4:].min(initial=1) > 0):
         possible = (weight > 0) & (state[4:] > 0).all(axis=0)
         first = np.concatenate([[0], np.cumsum(possible)])[first]
-        state, weight = state[:, possible], weight[possible]
+        state = state[:, possible]
+        weight = weight[possible]
     start = np.unique(first)
     if len(weight) and (mass := np.add.reduceat(weight, start[:-1])).max() > 1:
         # A detection is of one target at most.
@@ -92,27 +106,34 @@ def particles_about(
     return Particles(state, weight, start)
 
 
-def births_around(seen: tuple[F8, F8], density: F8, given: GaussianMixture | None = None, seconds: float = 1.0) -> Births:
+def births_around(
+    seen: tuple[F8, F8], density: F8, given: GaussianMixture | None = None, seconds: float = 1.0
+) -> Births:
     """γT around detections, and the Gaussians of a mixture.
 
     Parameters
     ----------
-    seen : the states (d, N) and covariances (N, d, d) that the detections alone show, as `Sensor.states` gives them.
+    seen : the states (d, N) and covariances (N, d, d) that the detections alone show, as
+        `Sensor.states` gives them.
     density : array (N,), γT at the detections, per unit of measurement volume.
     given : Gaussians whose weights are births per second; None for none.
     seconds : T, the interval of the given Gaussians.
     """
-    (mean, covariance), d = seen, len(seen[0])
+    mean, covariance = seen
+    d = len(seen[0])
     around = NewTargets(density, np.ascontiguousarray(mean.T), covariance)
     if given is None:
         return Births(around, np.zeros(0), np.zeros((0, d)), np.zeros((0, d, d)))
-    given_mean, given_covariance = np.ascontiguousarray(given.mean.T), np.ascontiguousarray(given.covariance)
+    given_mean = np.ascontiguousarray(given.mean.T)
+    given_covariance = np.ascontiguousarray(given.covariance)
     return Births(around, given.weight * seconds, given_mean, given_covariance)
 
 
 @lru_cache(maxsize=8)
 def _radii(dof: int) -> F8:
-    """The radii at equal steps of the quantile of a standard Gaussian in ``dof`` dimensions inside its kept part."""
+    """The radii at equal steps of the quantile of a standard Gaussian in ``dof`` dimensions inside
+    its kept part.
+    """
     from scipy.special import gammaincinv
 
     return np.sqrt(2 * gammaincinv(dof / 2, KEPT * np.linspace(0, 1, 2049)))
@@ -138,9 +159,20 @@ class _AroundDetections(abc.ABC):
     def density(self, z: F8) -> F8:
         """(N,) γ per second at the detections ``z`` (m, N), and in the regions of their noise."""
 
-    def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
-        """Particles around the detections that weigh what γT is there [M07 §2], see `particles_about`."""
-        return particles_about(covered, sensor.states(z), sensor.observed, self.particles, self.density(z) * seconds, rng)
+    def sample(
+        self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator
+    ) -> Particles:
+        """Particles around the detections that weigh what γT is there [M07 §2], see
+        `particles_about`.
+        """
+        return particles_about(
+            covered,
+            sensor.states(z),
+            sensor.observed,
+            self.particles,
+            self.density(z) * seconds,
+            rng,
+        )
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
         """γT around the detections."""
@@ -154,12 +186,14 @@ class _AroundDetections(abc.ABC):
 
 @dataclass(frozen=True, slots=True)
 class MeasurementBirth(_AroundDetections):
-    """γ of boxes, uniform over the image or the same at every scale, drawn around the detections [M07 §2].
+    """γ of boxes, uniform over the image or the same at every scale, drawn around the detections
+    [M07 §2].
 
     Parameters
     ----------
     births_per_second : expected births per second, uniform over the image.
-    births_per_detection : instead, expected births per second in the neighbourhood of a box (see `models.volumes`).
+    births_per_detection : instead, expected births per second in the neighbourhood of a box (see
+        `models.volumes`).
     particles : Jmax, particles drawn around a detection of which nothing is predicted.
     frame_size : the image's width and height in pixels, needed for births uniform over it.
     volume : of positions and sizes over which births are uniform, pixel⁴; 0: all of the frame's.
@@ -197,21 +231,25 @@ class PointBirth(_AroundDetections):
     def density(self, z: F8) -> F8:
         """(N,) γ per second and pixel² at the detections.
 
-        The image has no border here: a centroid measured with noise may lie a little outside, and so may its target.
+        The image has no border here: a centroid measured with noise may lie a little outside, and
+        so may its target.
         """
         return np.full(z.shape[1], self.births_per_second / image_area(self.frame_size))
 
 
 @dataclass(frozen=True, slots=True)
 class PlaneBirth(_AroundDetections):
-    """γ on the ground, uniform over a region or the same at every scale, drawn around the detections.
+    """γ on the ground, uniform over a region or the same at every scale, drawn around the
+    detections.
 
     Parameters
     ----------
     births_per_second : expected births per second, uniform over the region.
-    births_per_detection : instead, expected births per second in the ellipse of a detection's noise (see `models.volumes`).
+    births_per_detection : instead, expected births per second in the ellipse of a detection's noise
+        (see `models.volumes`).
     particles : Jmax, particles drawn around a detection of which nothing is predicted.
-    borders : left, low, right and high border of the region in metres, needed for births uniform over it.
+    borders : left, low, right and high border of the region in metres, needed for births uniform
+        over it.
     """
 
     births_per_second: NonNegative = 0.0
@@ -242,12 +280,23 @@ class UniformBirth(Checked):
     births_per_second: NonNegative = 2.5
     particles: PositiveCount = 10
 
-    def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
-        """Particles of equal mass anywhere, whatever was measured; velocities of uniform direction, Gaussian amplitude."""
-        state, cov = sensor.states(np.array(self.frame_size)[:, None] * rng.random((2, self.particles)))
-        amplitude, angle = rng.standard_normal(self.particles), rng.uniform(0, 2 * math.pi, self.particles)
-        state[2:4] = np.sqrt(2 * cov[:, 2, 2]) * amplitude * np.stack([np.cos(angle), np.sin(angle)])
-        return Particles(state, np.full(self.particles, self.births_per_second * seconds / self.particles))
+    def sample(
+        self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator
+    ) -> Particles:
+        """Particles of equal mass anywhere, whatever was measured; velocities of uniform direction,
+        Gaussian amplitude.
+        """
+        state, cov = sensor.states(
+            np.array(self.frame_size)[:, None] * rng.random((2, self.particles))
+        )
+        amplitude = rng.standard_normal(self.particles)
+        angle = rng.uniform(0, 2 * math.pi, self.particles)
+        state[2:4] = (
+            np.sqrt(2 * cov[:, 2, 2]) * amplitude * np.stack([np.cos(angle), np.sin(angle)])
+        )
+        return Particles(
+            state, np.full(self.particles, self.births_per_second * seconds / self.particles)
+        )
 
     def gaussians(self, z: F8, sensor: Sensor, seconds: float) -> Births:
         """There are none. Raises `InputError` always."""
@@ -275,7 +324,9 @@ class FixedBirth(Checked):
     places: GaussianMixture
     particles: PositiveCount = 300
 
-    def sample(self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator) -> Particles:
+    def sample(
+        self, z: F8, covered: F8, sensor: Sensor, seconds: float, rng: np.random.Generator
+    ) -> Particles:
         """Particles from each Gaussian, of total mass weight·seconds, whatever was measured."""
         return draw(self.places, self.particles, seconds, rng)
 

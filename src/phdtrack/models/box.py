@@ -1,26 +1,30 @@
 """Boxes in the image: how they move, and what a detector shows of them.
 
-**Motion.** State x = (px, py, vx, vy, w, h): centre, velocity per time unit (a frame at 25 Hz in M07 and M09), width and
-height; constant velocity of the centre, random walk of the size. One white-noise acceleration drives position and velocity
-of an axis, so f is degenerate in (p, v) and has no density in the full state space.
+**Motion.** State x = (px, py, vx, vy, w, h): centre, velocity per time unit (a frame at 25 Hz in
+M07 and M09), width and height; constant velocity of the centre, random walk of the size. One
+white-noise acceleration drives position and velocity of an axis, so f is degenerate in (p, v) and
+has no density in the full state space.
 
-With ``scaled_noise`` all noises are multiples of the target's own size ("state-dependent variances", SDV), because large
-objects in the image accelerate faster [M09 (11)]; without, they are constants ("fixed variances", FV). The papers print T²/2
-and T for an interval T, under which a gap of two frames is not two steps of one. The covariance used is
+With ``scaled_noise`` all noises are multiples of the target's own size ("state-dependent
+variances", SDV), because large objects in the image accelerate faster [M09 (11)]; without, they are
+constants ("fixed variances", FV). The papers print T²/2 and T for an interval T, under which a gap
+of two frames is not two steps of one. The covariance used is
 
-    position  a² (T³/3 − min(T, T³)/12)     position, velocity  a² T²/2     velocity  a² T      size  b² T
+    position  a² (T³/3 − min(T, T³)/12)     position, velocity  a² T²/2     velocity  a² T      size
+    b² T
 
-equal to the papers' at T = 1 and, for whole T, to T of their steps. For T < 1 the subtracted term keeps it positive
-semidefinite with one noise an axis, as printed.
+equal to the papers' at T = 1 and, for whole T, to T of their steps. For T < 1 the subtracted term
+keeps it positive semidefinite with one noise an axis, as printed.
 
-**Sensor.** Measurement z = (px, py, w, h): centre and size of the detected box. The likelihood is Gaussian with diagonal
-covariance [M07 §2, M09 §III]; its deviations follow a size (w, h), whose choice has a name:
+**Sensor.** Measurement z = (px, py, w, h): centre and size of the detected box. The likelihood is
+Gaussian with diagonal covariance [M07 §2, M09 §III]; its deviations follow a size (w, h), whose
+choice has a name:
 
     σ_w = max(s·w, floor)   σ_h = max(s·h, floor)   σ_px = σ_w/2   σ_py = σ_h/2
 
-``particle``: the size of the state itself [M09]; ``detection``: the size of the detection [M07 §2]; ``fixed``: constants
-(M09's fair comparison, FV); ``given``: the covariance that each detection brings. The normaliser 1/∏σ differs per particle
-and is kept.
+``particle``: the size of the state itself [M09]; ``detection``: the size of the detection [M07 §2];
+``fixed``: constants (M09's fair comparison, FV); ``given``: the covariance that each detection
+brings. The normaliser 1/∏σ differs per particle and is kept.
 
 p_D is a constant, as in the papers.
 """
@@ -62,7 +66,9 @@ TINY = 1e-12
 
 @lru_cache(maxsize=8)
 def _box_noise(scaling: Scaling, share: float, floor: float, fixed: tuple[float, float]) -> Noise:
-    """`BoxNoise` as the kernels take it: made once, as a step of ten targets takes hardly longer than making it."""
+    """`BoxNoise` as the kernels take it: made once, as a step of ten targets takes hardly longer
+    than making it.
+    """
     return _SCALINGS[scaling], share, floor, fixed[0] ** 2, fixed[1] ** 2
 
 
@@ -77,12 +83,13 @@ class BoxSensor(Checked):
     min_noise : smallest σ_w and σ_h, pixels; M09 has none (0).
     scaling : what the deviations follow, see above.
     fixed_noise : deviations of position and of size in pixels, for ``scaling="fixed"``.
-    birth_speed : standard deviation of an unknown velocity's amplitude, in box sizes √(wh) per time unit. No paper gives
-        it: the default 0.06 is 1.5 box sizes per second at 25 Hz, a brisk walk for a standing person.
-    birth_speed_pixels : the same in pixels per time unit, for ``scaling="fixed"``: M09's initial velocity variance of 200
-        is read as the amplitude's, which is 100 along each axis.
-    gate_probability : part of the detections of a target that its gate holds; detections touch no particles beyond. 1: no
-        gate.
+    birth_speed : standard deviation of an unknown velocity's amplitude, in box sizes √(wh) per time
+        unit. No paper gives it: the default 0.06 is 1.5 box sizes per second at 25 Hz, a brisk walk
+        for a standing person.
+    birth_speed_pixels : the same in pixels per time unit, for ``scaling="fixed"``: M09's initial
+        velocity variance of 200 is read as the amplitude's, which is 100 along each axis.
+    gate_probability : part of the detections of a target that its gate holds; detections touch no
+        particles beyond. 1: no gate.
     """
 
     detection_probability: Probability = 0.95
@@ -112,9 +119,11 @@ class BoxSensor(Checked):
         return z[: len(seen)] - seen
 
     def measure(self, detections: Detections) -> F8:
-        """(4, N) centres and sizes; (8, N) with the variances below them where the scaling is ``given``.
+        """(4, N) centres and sizes; (8, N) with the variances below them where the scaling is
+        ``given``.
 
-        The likelihood is diagonal: what a detection's covariance has beside its diagonal is not used.
+        The likelihood is diagonal: what a detection's covariance has beside its diagonal is not
+        used.
         """
         z = to_cxcywh(detections.xyxy)
         if self.scaling != "given":
@@ -135,15 +144,21 @@ class BoxSensor(Checked):
         return np.vstack([z, variance])
 
     def _deviations(self, z: F8) -> F8:
-        """(4, N) deviations of the components of z, by its own size where they are not given or fixed."""
+        """(4, N) deviations of the components of z, by its own size where they are not given or
+        fixed.
+        """
         if self.scaling == "given":
             return np.sqrt(z[4:8])
         sides = np.maximum(self.box_noise * z[2:4], self.min_noise)
         position, size = self.fixed_noise if self.scaling == "fixed" else (sides / 2, sides)
-        return np.concatenate([np.broadcast_to(position, sides.shape), np.broadcast_to(size, sides.shape)])
+        return np.concatenate(
+            [np.broadcast_to(position, sides.shape), np.broadcast_to(size, sides.shape)]
+        )
 
     def covariance(self, z: F8, x: F8) -> F8:
-        """(P, 4, 4) diagonal noise covariance of (px, py, w, h) for pairs of columns; sizes are those of the mean state."""
+        """(P, 4, 4) diagonal noise covariance of (px, py, w, h) for pairs of columns; sizes are
+        those of the mean state.
+        """
         noise = self.target_noise(np.ascontiguousarray(x))
         return noise if len(noise) else self.measurement_noise(np.ascontiguousarray(z))
 
@@ -168,7 +183,9 @@ class BoxSensor(Checked):
         return p
 
     def particle_model(self, z: F8) -> SensorNumbers:
-        """The numbers of g and p_D for the particle filters, and a column for each measurement [M07 §2, M09 §III]."""
+        """The numbers of g and p_D for the particle filters, and a column for each measurement [M07
+        §2, M09 §III].
+        """
         detection = np.array([self.detection_probability], np.float32)
         if self.scaling == "particle":
             # A floor of zero would let the deviation of a vanishing box vanish.
@@ -184,8 +201,8 @@ class BoxSensor(Checked):
     def gate(self, z: F8) -> tuple[F8, F8]:
         """Rectangles in the image that hold all states of which z is within the gate.
 
-        Where σ follows the state's own size w, the states within G deviations of z in position and in size reach
-        max(sG/2 · w_z/√(1 − G²s²), G·floor/2) from it, for G·s < 1.
+        Where σ follows the state's own size w, the states within G deviations of z in position and
+        in size reach max(sG/2 · w_z/√(1 − G²s²), G·floor/2) from it, for G·s < 1.
         """
         g = self._gate
         half = g * self._deviations(z)[:2]
@@ -210,17 +227,25 @@ class BoxSensor(Checked):
 
     @property
     def _speed(self) -> float:
-        """Deviation of an unknown velocity's components, in box sizes, or in pixels where the noise is fixed."""
-        return (self.birth_speed_pixels if self.scaling == "fixed" else self.birth_speed) / math.sqrt(2)
+        """Deviation of an unknown velocity's components, in box sizes, or in pixels where the noise
+        is fixed.
+        """
+        return (
+            self.birth_speed_pixels if self.scaling == "fixed" else self.birth_speed
+        ) / math.sqrt(2)
 
     def noise(self, x: F8) -> F8:
-        """Deviations of the state's components: the measurement's of a box of this size, and an unknown velocity's."""
+        """Deviations of the state's components: the measurement's of a box of this size, and an
+        unknown velocity's.
+        """
         return np.asarray(box_deviations(np.ascontiguousarray(x), self._numbers, self._speed))
 
     def boxes(self, x: F8) -> F8:
         """(n, 4) the boxes of the states."""
-        half, out = 0.5 * x[4:6], np.empty((x.shape[1], 4))
-        out[:, :2], out[:, 2:] = (x[:2] - half).T, (x[:2] + half).T
+        half = 0.5 * x[4:6]
+        out = np.empty((x.shape[1], 4))
+        out[:, :2] = (x[:2] - half).T
+        out[:, 2:] = (x[:2] + half).T
         return out
 
 
@@ -230,16 +255,18 @@ class BoxMotion(Checked):
 
     Parameters
     ----------
-    acceleration : standard deviation of the acceleration, in widths (x) and heights (y) per time unit², or in pixels
-        per time unit² where not ``scaled_noise``.
-    size_noise : standard deviation of the change of size, in widths and heights per √time unit, or in pixels.
+    acceleration : standard deviation of the acceleration, in widths (x) and heights (y) per time
+        unit², or in pixels per time unit² where not ``scaled_noise``.
+    size_noise : standard deviation of the change of size, in widths and heights per √time unit, or
+        in pixels.
     survival_probability : probability p_S that a target is still there after one second.
     scaled_noise : state-dependent variances (SDV); False for fixed ones (FV).
     min_size : widths and heights are reflected at this many pixels: no particle takes w ≤ 0.
-    frame_size : width and height of the image in pixels; a target whose box has left it does not survive. (0, 0): no such
-        border.
-    roughening : what is added to the acceleration of particles, and to theirs alone, as its deviation: few particles that
-        move by little noise soon come from one ancestor, which need not have had the right velocity [G93].
+    frame_size : width and height of the image in pixels; a target whose box has left it does not
+        survive. (0, 0): no such border.
+    roughening : what is added to the acceleration of particles, and to theirs alone, as its
+        deviation: few particles that move by little noise soon come from one ancestor, which need
+        not have had the right velocity [G93].
     """
 
     acceleration: NonNegative = 0.03
@@ -253,13 +280,17 @@ class BoxMotion(Checked):
 
     def p_survive(self, x: F8, seconds: float) -> F8:
         """p_S^seconds inside the image, 0 where the whole box has left it."""
-        half, size = 0.5 * x[4:6], np.array(self.frame_size)[:, None]
+        half = 0.5 * x[4:6]
+        size = np.array(self.frame_size)[:, None]
         inside = ((x[:2] > -half) & (x[:2] < size + half)).all(axis=0) | (size.min() <= 0)
         return np.where(inside, self.survival_probability**seconds, 0.0)
 
     def particle_model(self, dt: float, seconds: float) -> BoxWalk:
-        """The numbers of f over ``dt`` and p_S over ``seconds`` for the particle filters [M09 (11)]."""
-        root, (width, height) = math.sqrt(dt), self.frame_size
+        """The numbers of f over ``dt`` and p_S over ``seconds`` for the particle filters [M09
+        (11)].
+        """
+        root = math.sqrt(dt)
+        width, height = self.frame_size
         drawn = math.hypot(self.acceleration, self.roughening)
         rest = drawn * math.sqrt((dt**3 - dt) / 12) if dt > 1 else 0.0
         framed = width > 0 and height > 0
@@ -276,12 +307,20 @@ class BoxMotion(Checked):
         along = self.dynamics(dt, 0.0)
         # Noises by planes, as the kernels that predict many states read them.
         mean, f, noise = moved_boxes(np.ascontiguousarray(x), *map(float, along[:6]), along.scaled)
-        # One Jacobian for all, as np.broadcast_to would give it in more time than the rest takes for a few states.
-        return mean, np.ndarray((x.shape[1], *f.shape), np.float64, f, 0, (0, *f.strides)), noise.transpose(2, 0, 1)
+        # One Jacobian for all, as np.broadcast_to would give it in more time than the rest takes
+        # for a few states.
+        return (
+            mean,
+            np.ndarray((x.shape[1], *f.shape), np.float64, f, 0, (0, *f.strides)),
+            noise.transpose(2, 0, 1),
+        )
 
     def dynamics(self, dt: float, seconds: float) -> BoxDynamics:
-        """The motion over an interval of ``dt`` time units, as the kernels of boxes take it [M09 (11)]."""
-        dt, pushed = float(dt), self.acceleration**2
+        """The motion over an interval of ``dt`` time units, as the kernels of boxes take it [M09
+        (11)].
+        """
+        dt = float(dt)
+        pushed = self.acceleration**2
         return BoxDynamics(
             dt, pushed * (dt**3 / 3 - min(dt, dt**3) / 12), pushed * dt**2 / 2, pushed * dt, self.size_noise**2 * dt,
             self.min_size, self.scaled_noise, self.survival_probability**seconds, *self.frame_size,

@@ -7,7 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from phdtrack.errors import Checked, InputError, NonNegative, Positive, check
-from phdtrack.models.volumes import EVERYWHERE, Region, area, image_volume, local_area, local_volume, one_rate
+from phdtrack.models.volumes import (
+    EVERYWHERE,
+    Region,
+    area,
+    image_volume,
+    local_area,
+    local_volume,
+    one_rate,
+)
 from phdtrack.protocols import Clutter
 from phdtrack.types import F8
 
@@ -34,14 +42,17 @@ class UniformClutter(Checked):
 class BoxClutter:
     """False alarms of boxes, uniform over the image or the same at every scale [M07 §2].
 
-    The latter is a density κ(z) = rate/(4w²h²) that no other detection changes (see `models.volumes`).
+    The latter is a density κ(z) = rate/(4w²h²) that no other detection changes (see
+    `models.volumes`).
 
     Parameters
     ----------
-    clutter_per_detection : expected false alarms in the neighbourhood of a box: ±1 box in position, 0.5 to 1.5 in size.
+    clutter_per_detection : expected false alarms in the neighbourhood of a box: ±1 box in position,
+        0.5 to 1.5 in size.
     clutter_per_frame : instead, expected false alarms per frame, anywhere in the image.
     frame_size : the image's width and height in pixels, needed for false alarms anywhere.
-    volume : of positions and sizes over which false alarms anywhere are uniform, pixel⁴; 0: all of the frame's.
+    volume : of positions and sizes over which false alarms anywhere are uniform, pixel⁴; 0: all of
+        the frame's.
     """
 
     clutter_per_detection: NonNegative = 0.0
@@ -56,20 +67,24 @@ class BoxClutter:
     def intensity(self, z: F8) -> F8:
         """κ(z), per frame and pixel⁴."""
         if self.clutter_per_frame:
-            return np.full(z.shape[1], self.clutter_per_frame / (self.volume or image_volume(self.frame_size)))
+            return np.full(
+                z.shape[1], self.clutter_per_frame / (self.volume or image_volume(self.frame_size))
+            )
         return self.clutter_per_detection / local_volume(z)
 
 
 @dataclass(frozen=True, slots=True)
 class PlaneClutter:
-    """False alarms on the ground, uniform over a region or the same at every scale (see `models.volumes`).
+    """False alarms on the ground, uniform over a region or the same at every scale (see
+    `models.volumes`).
 
     Parameters
     ----------
     clutter_per_detection : expected false alarms in the ellipse of a detection's noise.
     clutter_per_frame : instead, expected false alarms per frame, anywhere in the region.
     density : false alarms per frame and m², which replaces the other two where it is not 0.
-    borders : left, low, right and high border of the region in metres, needed for false alarms anywhere in it.
+    borders : left, low, right and high border of the region in metres, needed for false alarms
+        anywhere in it.
     """
 
     clutter_per_detection: NonNegative = 0.3
@@ -86,23 +101,27 @@ class PlaneClutter:
         if self.density:
             return np.full(z.shape[1], self.density)
         if self.clutter_per_frame:
-            return np.full(z.shape[1], self.clutter_per_frame / area(self.borders, "PlaneClutter.borders"))
+            return np.full(
+                z.shape[1], self.clutter_per_frame / area(self.borders, "PlaneClutter.borders")
+            )
         return self.clutter_per_detection / local_area(z)
 
 
 @dataclass(frozen=True, eq=False)
 class ScoredClutter:
-    """κ(z, s) of the detections of one frame, each with a score s, for a g(z|x) that leaves scores out.
+    """κ(z, s) of the detections of one frame, each with a score s, for a g(z|x) that leaves scores
+    out.
 
-    With p(s|object) taken out of numerator and denominator of every ratio of the update, what is left of the scores is
-    κ(z)/odds, odds = p(s|object)/p(s|false alarm): a detection of low odds can only be explained by a target that
-    exists already, and starts none.
+    With p(s|object) taken out of numerator and denominator of every ratio of the update, what is
+    left of the scores is κ(z)/odds, odds = p(s|object)/p(s|false alarm): a detection of low odds
+    can only be explained by a target that exists already, and starts none.
 
     Parameters
     ----------
     base : κ(z) without scores.
     odds : (N,) of the detections, in the order in which ``intensity`` is asked for them.
-    log_odds : (N,) log p(s|target)/p(s|lasting false alarm), for filters that know of false alarms that last.
+    log_odds : (N,) log p(s|target)/p(s|lasting false alarm), for filters that know of false alarms
+        that last.
     more : how many times as many false alarms there are as κ says.
     """
 
@@ -114,5 +133,7 @@ class ScoredClutter:
     def intensity(self, z: F8) -> F8:
         """more·κ(z)/odds. Raises `InputError` for other detections than those with the odds."""
         if z.shape[1] != len(self.odds):
-            raise InputError(f"expected the {len(self.odds)} detections that the odds are of, got {z.shape[1]}")
+            raise InputError(
+                f"expected the {len(self.odds)} detections that the odds are of, got {z.shape[1]}"
+            )
         return self.base.intensity(z) * (self.more / self.odds)

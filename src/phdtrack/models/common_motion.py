@@ -1,20 +1,24 @@
 """The camera's motion from the detections alone: what all targets do that no target did before.
 
-A target's own motion is in its state. What is left over and common to all, a shift, a zoom and a turn about the middle of
-the image (`kernels.common_motion`), is the camera's. Its velocity ω, of these four components in pixels, follows
+A target's own motion is in its state. What is left over and common to all, a shift, a zoom and a
+turn about the middle of the image (`kernels.common_motion`), is the camera's. Its velocity ω, of
+these four components in pixels, follows
 
     ω_k = e^(−T/τ) ω_{k−1} + ε_k,    ε_k of Student's t with the scales √q
 
 A camera that goes on as before is soon in the velocities of all targets, and ω is what is new.
 
-Where the camera's motion is given, by a file or measured in pictures, it takes the place of the first term, less what of it
-is in the velocities already, and its ε have scales of their own. Which of the two holds is decided by the evidence for both
-so far, with hysteresis: motions that say nothing of the detections, or say it wrongly, are not followed.
+Where the camera's motion is given, by a file or measured in pictures, it takes the place of the
+first term, less what of it is in the velocities already, and its ε have scales of their own. Which
+of the two holds is decided by the evidence for both so far, with hysteresis: motions that say
+nothing of the detections, or say it wrongly, are not followed.
 
-A still camera must lose nothing. So q is learned, from what the detections say without the prior and how exactly: each frame
-says r² − C of it, r with variance C, and counts 1/(q + C)². Of the mean one standard error is taken off, and a component
-without any q stands still. A camera that suddenly moves is found by a vote on the differences of like boxes; its motion must
-explain the detections better by a margin. How exact boxes are is learned, too, from all pairs: a factor for each component.
+A still camera must lose nothing. So q is learned, from what the detections say without the prior
+and how exactly: each frame says r² − C of it, r with variance C, and counts 1/(q + C)². Of the mean
+one standard error is taken off, and a component without any q stands still. A camera that suddenly
+moves is found by a vote on the differences of like boxes; its motion must explain the detections
+better by a margin. How exact boxes are is learned, too, from all pairs: a factor for each
+component.
 """
 
 from __future__ import annotations
@@ -33,9 +37,12 @@ from phdtrack.protocols import CameraEstimator, Model
 from phdtrack.types import F8, STILL, Detections, Estimates
 
 # Pairs that the beginning counts for in what is learned of boxes, and of how many it is remembered.
-_PAIRS, _PAIRS_KEPT = 40.0, 500.0
-# Log-evidence of one frame for or against the given motion, at most, and frames after which it counts for 37 %.
-_MOST, _EVIDENCE_FRAMES = 10.0, 33.0
+_PAIRS = 40.0
+_PAIRS_KEPT = 500.0
+# Log-evidence of one frame for or against the given motion, at most, and frames after which it
+# counts for 37 %.
+_MOST = 10.0
+_EVIDENCE_FRAMES = 33.0
 # No camera zooms by more from one frame to the next (logarithm).
 _ZOOM = 4.6
 
@@ -48,8 +55,10 @@ class CameraState:
     ----------
     mean, covariance : (n, d), (n, d, d) the targets of the last frame.
     velocity : (4,) ω, of shift, zoom and turn, pixels per time unit.
-    excess, weight : (2, 4) sums of what frames said of q, weighed, and of the weights; without and with a given motion.
-    scale, pairs : (4,) how many times the model's the variances of differences are, and pairs behind that.
+    excess, weight : (2, 4) sums of what frames said of q, weighed, and of the weights; without and
+        with a given motion.
+    scale, pairs : (4,) how many times the model's the variances of differences are, and pairs
+        behind that.
     evidence : log-odds of the given motion against none; whether it is ``followed``.
     left : (4,) what of the given velocity was not followed, and so is in the targets' own.
     """
@@ -72,7 +81,9 @@ def _after(step: F8, base: F8) -> F8:
 
 
 class _Found(NamedTuple):
-    """One alternative: the whole ``warp``, its evidence, new sums of q, and sums of squared errors and of pairs (2, 4)."""
+    """One alternative: the whole ``warp``, its evidence, new sums of q, and sums of squared errors
+    and of pairs (2, 4).
+    """
 
     warp: F8
     evidence: float
@@ -87,11 +98,13 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
 
     Parameters
     ----------
-    velocity_memory : seconds after which a camera's velocity counts for 37 %: it is then in the targets' own.
+    velocity_memory : seconds after which a camera's velocity counts for 37 %: it is then in the
+        targets' own.
     memory : frames after which what was learned of the camera counts for 37 %.
     least_share : common motions below this share of a box are taken for errors of the detector.
     jump_penalty : log-odds against a sudden motion in a frame.
-    switch_evidence : log-evidence by which a given motion must be worse than none to be left alone, and better to return.
+    switch_evidence : log-evidence by which a given motion must be worse than none to be left alone,
+        and better to return.
     frame_size : of the images, pixels.
     """
 
@@ -119,52 +132,99 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
             warp = bases[-1 if state.followed else 0]
             return self._moved(state, warp, given, dt, fading), warp
         alternatives = [
-            self._found(state, z, replace(model, warp=base) if len(base) or len(model.warp) else model, dt, which)
+            self._found(
+                state,
+                z,
+                replace(model, warp=base) if len(base) or len(model.warp) else model,
+                dt,
+                which,
+            )
             for which, base in enumerate(bases)
         ]
-        evidence, followed = state.evidence, state.followed
+        evidence = state.evidence
+        followed = state.followed
         if len(alternatives) == 2:
             more = min(max(alternatives[1].evidence - alternatives[0].evidence, -_MOST), _MOST)
             evidence = math.exp(-1 / _EVIDENCE_FRAMES) * evidence + more
             followed = evidence > (-self.switch_evidence if followed else self.switch_evidence)
         chosen = alternatives[-1 if followed else 0]
         kept = math.exp(-chosen.squares[1, 0] / _PAIRS_KEPT) * state.pairs
-        scale = state.scale * (_PAIRS + kept + chosen.squares[0]) / (_PAIRS + kept + chosen.squares[1])
-        excess, weight = state.excess.copy(), state.weight.copy()
+        scale = (
+            state.scale * (_PAIRS + kept + chosen.squares[0]) / (_PAIRS + kept + chosen.squares[1])
+        )
+        excess = state.excess.copy()
+        weight = state.weight.copy()
         for which, one in enumerate(alternatives):
-            excess[which], weight[which] = one.excess, one.weight
-        scale, pairs = np.minimum(np.maximum(scale, 0.01), 10.0), kept + chosen.squares[1]
+            excess[which] = one.excess
+            weight[which] = one.weight
+        scale = np.minimum(np.maximum(scale, 0.01), 10.0)
+        pairs = kept + chosen.squares[1]
         after = CameraState(
-            state.mean, state.covariance, state.velocity, excess, weight, scale, pairs, evidence, followed, state.left
+            state.mean,
+            state.covariance,
+            state.velocity,
+            excess,
+            weight,
+            scale,
+            pairs,
+            evidence,
+            followed,
+            state.left,
         )
         return self._moved(after, chosen.warp, given, dt, fading), chosen.warp
 
     def with_targets(self, state: CameraState, estimates: Estimates) -> CameraState:
         """The state with the targets of this frame."""
-        s, mean = state, np.ascontiguousarray(estimates.state.T)
+        s = state
+        mean = np.ascontiguousarray(estimates.state.T)
         more = s.velocity, s.excess, s.weight, s.scale, s.pairs, s.evidence, s.followed, s.left
         return CameraState(mean, estimates.covariance, *more)
 
     def _found(self, state: CameraState, z: F8, model: Model, dt: float, which: int) -> _Found:
-        """What the measurements (m, N) say after the camera's motion of the model; ``which`` is 1 where that was given."""
+        """What the measurements (m, N) say after the camera's motion of the model; ``which`` is 1
+        where that was given.
+        """
         _, _, ahead = moved(model, state.mean, state.covariance, dt, "linear")
-        columns, frame = np.ascontiguousarray(ahead.mean.T), self._frame
+        columns = np.ascontiguousarray(ahead.mean.T)
+        frame = self._frame
         noise = model.sensor.target_noise(columns)
-        noise = noise if len(noise) else model.sensor.measurement_noise(z).mean(axis=0, keepdims=True)
-        boxes = differences(ahead.mean, ahead.covariance, noise, np.ascontiguousarray(z[:4].T), state.scale)
-        detected, density = np.minimum(model.sensor.p_detect(columns), 0.95), z.shape[1] / (4 * frame[0] * frame[1])
+        noise = (
+            noise if len(noise) else model.sensor.measurement_noise(z).mean(axis=0, keepdims=True)
+        )
+        boxes = differences(
+            ahead.mean, ahead.covariance, noise, np.ascontiguousarray(z[:4].T), state.scale
+        )
+        detected = np.minimum(model.sensor.p_detect(columns), 0.95)
+        density = z.shape[1] / (4 * frame[0] * frame[1])
         kept = math.exp(-1 / self.memory)
         rule = (detected, density, frame, dt, self.jump_penalty, self.least_share, kept)
         motion, *said = found(boxes, rule, which == 0, state.excess[which], state.weight[which])
         return _Found(_after(self._warp(motion), model.warp), *said)
 
-    def _moved(self, state: CameraState, warp: F8, given: F8, dt: float, fading: float) -> CameraState:
-        """The state after the camera moved by ``warp`` in the interval, and ``given`` was said of it."""
+    def _moved(
+        self, state: CameraState, warp: F8, given: F8, dt: float, fading: float
+    ) -> CameraState:
+        """The state after the camera moved by ``warp`` in the interval, and ``given`` was said of
+        it.
+        """
         velocity = self._motion(warp) / dt
-        left = fading * state.left if state.followed or not len(given) else self._motion(given) / dt - velocity
+        left = (
+            fading * state.left
+            if state.followed or not len(given)
+            else self._motion(given) / dt - velocity
+        )
         s = state
         return CameraState(
-            s.mean, s.covariance, velocity, s.excess, s.weight, s.scale, s.pairs, s.evidence, s.followed, left
+            s.mean,
+            s.covariance,
+            velocity,
+            s.excess,
+            s.weight,
+            s.scale,
+            s.pairs,
+            s.evidence,
+            s.followed,
+            left,
         )
 
     def _of_note(self, motion: F8) -> F8:
@@ -178,18 +238,32 @@ class CommonMotion(Checked, CameraEstimator[CameraState]):
         return np.array([width / 2, height / 2, width / 2])
 
     def _warp(self, motion: F8) -> F8:
-        """(3, 3) the similarity with this shift, zoom and turn (4,) about the middle of the image; of none `types.STILL`."""
+        """(3, 3) the similarity with this shift, zoom and turn (4,) about the middle of the image;
+        of none `types.STILL`.
+        """
         if not motion.any():
             return STILL
         x, y, half = self._frame
-        zoom, turn = math.exp(min(max(motion[2] / half, -_ZOOM), _ZOOM)), motion[3] / half
-        c, s = zoom * math.cos(turn), zoom * math.sin(turn)
-        return np.array([[c, -s, x + motion[0] - c * x + s * y], [s, c, y + motion[1] - s * x - c * y], [0.0, 0.0, 1.0]])
+        zoom = math.exp(min(max(motion[2] / half, -_ZOOM), _ZOOM))
+        turn = motion[3] / half
+        c = zoom * math.cos(turn)
+        s = zoom * math.sin(turn)
+        return np.array(
+            [
+                [c, -s, x + motion[0] - c * x + s * y],
+                [s, c, y + motion[1] - s * x - c * y],
+                [0.0, 0.0, 1.0],
+            ]
+        )
 
     def _motion(self, warp: F8) -> F8:
         """(4,) shift, zoom and turn of what is in the middle of the image."""
         if not len(warp):
             return np.zeros(4)
         x, y, half = self._frame
-        there, down, right, sideways, size = warp_of.warp_states(np.array([[x, y, 1.0, 0.0, 1.0]]).T, warp)[:, 0]
-        return np.array([there - x, down - y, half * math.log(size), half * math.atan2(sideways, right)])
+        there, down, right, sideways, size = warp_of.warp_states(
+            np.array([[x, y, 1.0, 0.0, 1.0]]).T, warp
+        )[:, 0]
+        return np.array(
+            [there - x, down - y, half * math.log(size), half * math.atan2(sideways, right)]
+        )

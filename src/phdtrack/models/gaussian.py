@@ -1,26 +1,29 @@
 """What a model answers to the Gaussian filters about one frame: the records of `kernels.gaussian`.
 
-Where f or h bends within a Gaussian's width, Gaussians go through it by sigma points; else by Jacobians.
+Where f or h bends within a Gaussian's width, Gaussians go through it by sigma points; else by
+Jacobians.
 
-``linear``: f's Jacobian F at the mean, and H as a choice of rows, `Sensor.observed`, which only a linear sensor has; the
-filters read them out of mean and covariance
-[V06 (24)–(29), (35)–(38)].
+``linear``: f's Jacobian F at the mean, and H as a choice of rows, `Sensor.observed`, which only a
+linear sensor has; the filters read them out of mean and covariance [V06 (24)–(29), (35)–(38)].
 
-``unscented`` [V06 §IV-B]: 2d + 1 points go through the function and are weighed, by the scaled transform with c = α²(d + κ)
+``unscented`` [V06 §IV-B]: 2d + 1 points go through the function and are weighed, by the scaled
+transform with c = α²(d + κ)
 
     χ_0 = m,  χ_i = m ± (√(cP))_i,   W_i = 1/2c,  W_0 = 1 − d/c,   in covariances W_0 + 1 − α² + β
 
-at κ = 3 − d, α² = β = 2/3, so that c = 2. With this κ and β = 2 − 2α², mean and variance of a quadratic function of any one
-component are exact; with β ≥ α² no covariance is negative; α is the largest that has both. The sums with W_i about the mean
-are then the same as sums about the centre, e_i = f(χ_i) − f(m):
+at κ = 3 − d, α² = β = 2/3, so that c = 2. With this κ and β = 2 − 2α², mean and variance of a
+quadratic function of any one component are exact; with β ≥ α² no covariance is negative; α is the
+largest that has both. The sums with W_i about the mean are then the same as sums about the centre,
+e_i = f(χ_i) − f(m):
 
     predict   m' = f(m) + Σ e_i/4,   P' = Σ e_i e_iᵀ/4 + Q(m)
     update    ẑ = h(m) + Σ e_i/4,   H P Hᵀ → Σ e_i e_iᵀ/4,   P Hᵀ → Σ (χ_i − m) e_iᵀ/4
 
-For linear functions both are the same but for rounding. Differences of measurements are the sensor's (`Sensor.innovation`),
-so that angles are compared the short way round.
+For linear functions both are the same but for rounding. Differences of measurements are the
+sensor's (`Sensor.innovation`), so that angles are compared the short way round.
 
-The motion of boxes, which most users follow, is compiled (`kernels.box`); any other is asked by the methods of its protocol.
+The motion of boxes, which most users follow, is compiled (`kernels.box`); any other is asked by the
+methods of its protocol.
 """
 
 from __future__ import annotations
@@ -34,18 +37,28 @@ import numpy as np
 from phdtrack.errors import InputError
 from phdtrack.kernels import rts
 from phdtrack.kernels.box import predicted_boxes
-from phdtrack.kernels.gaussian import Births, Expected, Measurements, NewTargets, Predicted, first_states
+from phdtrack.kernels.gaussian import (
+    Births,
+    Expected,
+    Measurements,
+    NewTargets,
+    Predicted,
+    first_states,
+)
 from phdtrack.models.box import BoxMotion
 from phdtrack.protocols import Model, Sensor
 from phdtrack.types import F8, I8
 
 Transform = Literal["linear", "unscented"]
 # c, and the weight of each point beside the centre.
-SCALE, WEIGHT = 2.0, 0.25
+SCALE = 2.0
+WEIGHT = 0.25
 SAME = np.zeros(0)
 
 
-def predicted(model: Model, mean: F8, covariance: F8, dt: float, transform: Transform, factor: F8 = SAME) -> Predicted:
+def predicted(
+    model: Model, mean: F8, covariance: F8, dt: float, transform: Transform, factor: F8 = SAME
+) -> Predicted:
     """Gaussians after an interval [V06 (24)–(29), §IV-B].
 
     Parameters
@@ -54,11 +67,14 @@ def predicted(model: Model, mean: F8, covariance: F8, dt: float, transform: Tran
     mean, covariance : arrays (J, d) and (J, d, d).
     dt : interval in the model's time unit.
     transform : ``linear`` or ``unscented``, see above.
-    factor : array (J,), multiplies the variances with which position and velocity change; (0,): none.
+    factor : array (J,), multiplies the variances with which position and velocity change; (0,):
+        none.
     """
     motion = model.motion
     if type(motion) is BoxMotion and transform == "linear":
-        boxes: Predicted = predicted_boxes(mean, covariance, tuple(motion.dynamics(dt, dt / model.rate)), factor)
+        boxes: Predicted = predicted_boxes(
+            mean, covariance, tuple(motion.dynamics(dt, dt / model.rate)), factor
+        )
         return boxes
     columns = np.ascontiguousarray(mean.T)
     p_survive = motion.p_survive(columns, dt / model.rate)
@@ -102,7 +118,8 @@ def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> 
     mean, covariance, transform : as in `predicted`.
     """
     columns = np.ascontiguousarray(mean.T)
-    noise, p_detect = sensor.target_noise(columns), sensor.p_detect(columns)
+    noise = sensor.target_noise(columns)
+    p_detect = sensor.p_detect(columns)
     if transform == "linear":
         if not sensor.linear:
             raise InputError(
@@ -113,10 +130,13 @@ def expected(sensor: Sensor, mean: F8, covariance: F8, transform: Transform) -> 
         return Expected(row_numbers(sensor.observed), mean, covariance, covariance, noise, p_detect)
     points = sigma_points(columns, covariance)
     d, many, count = points.shape
-    through = sensor.expected(points.reshape(d, many * count)).reshape(len(sensor.angles), many, count)
+    through = sensor.expected(points.reshape(d, many * count)).reshape(
+        len(sensor.angles), many, count
+    )
     step = sensor.innovation(through, through[:, :1])
     z = np.ascontiguousarray((through[:, 0] + WEIGHT * step.sum(axis=1)).T)
-    rows, cross = row_numbers(tuple(range(z.shape[1]))), _product(points - points[:, :1], step)
+    rows = row_numbers(tuple(range(z.shape[1])))
+    cross = _product(points - points[:, :1], step)
     return Expected(rows, z, _product(step, step), cross, noise, p_detect)
 
 
@@ -143,17 +163,26 @@ def sigma_points(mean: F8, cov: F8) -> F8:
     """(d, 2d + 1, J) points of Gaussians (d, J), (J, d, d), the means first."""
     # The symmetric root exists where a variance is 0, too.
     value, vector = np.linalg.eigh(cov)
-    root = (vector * np.sqrt(np.maximum(SCALE * value, 0.0))[:, None, :]) @ vector.transpose(0, 2, 1)
+    root = (vector * np.sqrt(np.maximum(SCALE * value, 0.0))[:, None, :]) @ vector.transpose(
+        0, 2, 1
+    )
     columns = root.transpose(1, 2, 0)
-    return np.concatenate([np.zeros((len(mean), 1, len(cov))), columns, -columns], axis=1) + mean[:, None, :]
+    return (
+        np.concatenate([np.zeros((len(mean), 1, len(cov))), columns, -columns], axis=1)
+        + mean[:, None, :]
+    )
 
 
 def _product(a: F8, b: F8) -> F8:
-    """(J, r, s) Σ a_i b_iᵀ/4 over differences from the centre, (r, 2d + 1, J) and (s, 2d + 1, J)."""
+    """(J, r, s) Σ a_i b_iᵀ/4 over differences from the centre, (r, 2d + 1, J) and (s, 2d + 1,
+    J).
+    """
     return np.ascontiguousarray(WEIGHT * np.einsum("akj,bkj->jab", a, b))
 
 
-def new_targets(model: Model, births: Births, m: Measurements, gate: float, transform: Transform) -> NewTargets:
+def new_targets(
+    model: Model, births: Births, m: Measurements, gate: float, transform: Transform
+) -> NewTargets:
     """What targets say whose first detections the measurements are.
 
     Parameters

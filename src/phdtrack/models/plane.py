@@ -1,30 +1,35 @@
 """People on the ground: how they move, and what a detector shows of them.
 
-**Motion.** State x = (px, py, vx, vy): metres and metres per second in the world's axes; the time unit is the second.
-Constant velocity, pushed by a white-noise acceleration (`models.positions`).
+**Motion.** State x = (px, py, vx, vy): metres and metres per second in the world's axes; the time
+unit is the second. Constant velocity, pushed by a white-noise acceleration (`models.positions`).
 
-**Sensor.** The foot of a person's box, led to the ground by the camera [E13 §3]: z = (X, Y, c_xx, c_xy, c_yy), the ground
-point that the middle of the box's lower edge shows, metres, and its own covariance, m². g(z|x) = N((X, Y); (px, py), R):
+**Sensor.** The foot of a person's box, led to the ground by the camera [E13 §3]: z = (X, Y, c_xx,
+c_xy, c_yy), the ground point that the middle of the box's lower edge shows, metres, and its own
+covariance, m². g(z|x) = N((X, Y); (px, py), R):
 
-``given``: R is the covariance that each detection brings, P_W = J C Jᵀ: C of the foot point in pixels, J the camera's metres
-per pixel there. Far away a pixel is metres, and the filter then knows. ``fixed``: the same for all; E13's R = 0.5 I m².
+``given``: R is the covariance that each detection brings, P_W = J C Jᵀ: C of the foot point in
+pixels, J the camera's metres per pixel there. Far away a pixel is metres, and the filter then
+knows. ``fixed``: the same for all; E13's R = 0.5 I m².
 
-The detection probability is a constant or falls with what is to be seen of the person's box, at the nominal size:
+The detection probability is a constant or falls with what is to be seen of the person's box, at the
+nominal size:
 
     p_D(x) = p_D · visible(x) · max(1 − c(x)^1.5, least)
 
-``visible`` is the part of the box inside the image (``view``), c the largest part that the box of one single nearer target
-covers (``occlusion``): a detector finds a person by the part that it sees, which E13's filter does not know [E13 §6]. The
-exponent was measured: of boxes that are covered to 5, 22, 45, 65 and 87 %, detectors find .98, .86, .72, .50 and .18 of what
-they find of free ones.
+``visible`` is the part of the box inside the image (``view``), c the largest part that the box of
+one single nearer target covers (``occlusion``): a detector finds a person by the part that it sees,
+which E13's filter does not know [E13 §6]. The exponent was measured: of boxes that are covered to
+5, 22, 45, 65 and 87 %, detectors find .98, .86, .72, .50 and .18 of what they find of free ones.
 
-The targets that hide are those that the last frame showed, where the motion expects them now, and not the boxes of this
-frame: a box does not say which target is seen. And if p_D fell for people whom this frame shows, the weight that remains of
-the undetected part would count them twice. A target does not hide itself: a state is that of the hider
-nearest to it, where that is within the 99 % region of the sensor's noise, and all others may hide it. In a crowd many
-hiders lie within that region: were all of them taken for the state's own, hardly anybody would count as hidden.
+The targets that hide are those that the last frame showed, where the motion expects them now, and
+not the boxes of this frame: a box does not say which target is seen. And if p_D fell for people
+whom this frame shows, the weight that remains of the undetected part would count them twice. A
+target does not hide itself: a state is that of the hider nearest to it, where that is within the 99
+% region of the sensor's noise, and all others may hide it. In a crowd many hiders lie within that
+region: were all of them taken for the state's own, hardly anybody would count as hidden.
 
-Without a camera the image is a plan in metres: a box's middle is the position, and no target hides another.
+Without a camera the image is a plan in metres: a box's middle is the position, and no target hides
+another.
 """
 
 from __future__ import annotations
@@ -51,11 +56,12 @@ class PlaneMotion(PositionMotion):
 
     Parameters
     ----------
-    acceleration : a; ``continuous``: standard deviation of the velocity's change over one second, m/s; ``piecewise``: of the
-        acceleration, m/s², E13's is 1.
+    acceleration : a; ``continuous``: standard deviation of the velocity's change over one second,
+        m/s; ``piecewise``: of the acceleration, m/s², E13's is 1.
     survival_probability : probability p_S that a target is still there after one second.
     form : ``continuous`` or ``piecewise``, see `models.positions`.
-    borders : left, low, right and high border in metres; a target that has left it does not survive. All 0: no border.
+    borders : left, low, right and high border in metres; a target that has left it does not
+        survive. All 0: no border.
     """
 
     acceleration: NonNegative = 7**-0.5
@@ -105,17 +111,24 @@ class Hiders:
         xyxy : array (L, 4), their boxes.
         depth : array (L,), how far away they stand.
         """
-        low, high = np.ascontiguousarray(xyxy[:, :2].T), np.ascontiguousarray(xyxy[:, 2:].T)
-        lower, upper = np.ascontiguousarray(self.xyxy[:, :2].T), np.ascontiguousarray(self.xyxy[:, 2:].T)
+        low = np.ascontiguousarray(xyxy[:, :2].T)
+        high = np.ascontiguousarray(xyxy[:, 2:].T)
+        lower = np.ascontiguousarray(self.xyxy[:, :2].T)
+        upper = np.ascontiguousarray(self.xyxy[:, 2:].T)
         i, j = overlapping_pairs(low, high, make_grid(lower, upper))
         apart = (((place[:, i] - self.place[:, j]) / self.noise[:, j]) ** 2).sum(axis=0)
         own = np.full(len(depth), self.region)
         np.minimum.at(own, i, apart)
         others = (self.depth[j] < depth[i]) & (apart > own[i])
-        i, j = i[others], j[others]
-        width, height = np.maximum(np.minimum(high[:, i], upper[:, j]) - np.maximum(low[:, i], lower[:, j]), 0.0)
+        i = i[others]
+        j = j[others]
+        width, height = np.maximum(
+            np.minimum(high[:, i], upper[:, j]) - np.maximum(low[:, i], lower[:, j]), 0.0
+        )
         covered = np.zeros(len(depth))
-        np.maximum.at(covered, i, width / (high[0, i] - low[0, i]) * (height / (high[1, i] - low[1, i])))
+        np.maximum.at(
+            covered, i, width / (high[0, i] - low[0, i]) * (height / (high[1, i] - low[1, i]))
+        )
         return np.maximum(1 - covered**SHAPE, self.least)
 
 
@@ -125,21 +138,25 @@ class PlaneSensor(PositionSensor):
 
     Parameters
     ----------
-    detection_probability : probability p_D that a target that is wholly visible is detected in a frame; E13's is 0.7.
+    detection_probability : probability p_D that a target that is wholly visible is detected in a
+        frame; E13's is 0.7.
     scaling : where R comes from, ``given`` or ``fixed``, see above.
-    fixed_noise : standard deviation of each coordinate in metres, for ``fixed``, and where nothing better is known; E13's
-        is √0.5.
-    box_noise : deviations of the foot point, as fractions of the box's width and height, of detections without a covariance.
+    fixed_noise : standard deviation of each coordinate in metres, for ``fixed``, and where nothing
+        better is known; E13's is √0.5.
+    box_noise : deviations of the foot point, as fractions of the box's width and height, of
+        detections without a covariance.
     min_noise : the smallest of them, pixels.
-    birth_speed : standard deviation of an unknown velocity's amplitude, m/s; E13's variance of 1 on each axis is √2.
+    birth_speed : standard deviation of an unknown velocity's amplitude, m/s; E13's variance of 1 on
+        each axis is √2.
     size : width and height of a person, metres, for the boxes of states.
-    gate_probability : part of the detections of a target that its gate holds; detections touch no particles beyond. 1: no
-        gate.
-    view : let p_D fall with the part of the person's box that is outside of the image, or be 0 outside of ``borders`` where
-        there is no camera.
+    gate_probability : part of the detections of a target that its gate holds; detections touch no
+        particles beyond. 1: no gate.
+    view : let p_D fall with the part of the person's box that is outside of the image, or be 0
+        outside of ``borders`` where there is no camera.
     occlusion : let p_D fall where nearer people cover the person.
     min_detection_probability : share of p_D that is left of a person who is covered altogether.
-    borders : what is watched, left, low, right and high border in metres, where there is no camera. All 0: everything.
+    borders : what is watched, left, low, right and high border in metres, where there is no camera.
+        All 0: everything.
     frame_size : width and height of the image, pixels; (0, 0): no border.
     camera : between pixels and ground; None for detections in metres.
     hiders : the targets expected in the frame that is looked at, as `watching` finds them.
@@ -167,11 +184,14 @@ class PlaneSensor(PositionSensor):
         check_region(self.borders, "PlaneSensor.borders")
 
     def measure(self, detections: Detections) -> F8:
-        """(5, N) ground points and their covariances; columns of NaN for feet that do not stand on the ground."""
+        """(5, N) ground points and their covariances; columns of NaN for feet that do not stand on
+        the ground.
+        """
         if len(detections) == 0:
             return np.zeros((5, 0))
         box = to_cxcywh(detections.xyxy)
-        foot, cov = _FOOT @ box, detections.covariance
+        foot = _FOOT @ box
+        cov = detections.covariance
         if self.scaling == "fixed":
             noise = np.tile(self.fixed_noise**2 * np.eye(2), (len(detections), 1, 1))
         elif self.camera is not None:
@@ -199,7 +219,8 @@ class PlaneSensor(PositionSensor):
         if self.camera is None:
             watched = inside(x, self.borders) if self.view else np.ones(x.shape[1], np.bool_)
             return np.where(watched, self.detection_probability, 0.0)
-        out, (width, height) = np.full(x.shape[1], self.detection_probability), self.frame_size
+        out = np.full(x.shape[1], self.detection_probability)
+        width, height = self.frame_size
         framed = self.view and width > 0 and height > 0
         if not framed and self.hiders is None:
             return out
@@ -207,35 +228,51 @@ class PlaneSensor(PositionSensor):
         if framed:
             out *= share_inside(boxes, width, height)
         if self.hiders is not None:
-            out *= self.hiders.seen_part(x[:2], boxes, self.camera.depth(np.ascontiguousarray(x[:2])))
+            out *= self.hiders.seen_part(
+                x[:2], boxes, self.camera.depth(np.ascontiguousarray(x[:2]))
+            )
         return out
 
     def watching(self, targets: F8) -> PlaneSensor:
-        """The sensor where people are expected at these states; itself without them, or where occlusion is not asked for."""
+        """The sensor where people are expected at these states; itself without them, or where
+        occlusion is not asked for.
+        """
         if not self.occlusion or self.camera is None or targets.shape[1] == 0:
             return self
-        place, noise = np.ascontiguousarray(targets[:2]), self.noise(targets)[:2]
+        place = np.ascontiguousarray(targets[:2])
+        noise = self.noise(targets)[:2]
         depth = self.camera.depth(place)
-        return replace(self, hiders=Hiders(self.boxes(targets), depth, place, noise, OWN, self.min_detection_probability))
+        return replace(
+            self,
+            hiders=Hiders(
+                self.boxes(targets), depth, place, noise, OWN, self.min_detection_probability
+            ),
+        )
 
     def noise(self, x: F8) -> F8:
-        """(4, n) deviations by which components at ``x`` are resolved: of a person's foot there, of an unknown velocity."""
+        """(4, n) deviations by which components at ``x`` are resolved: of a person's foot there, of
+        an unknown velocity.
+        """
         out = np.empty((4, x.shape[1]))
-        out[:2], out[2:] = self.fixed_noise, self.birth_speed / math.sqrt(2)
+        out[:2] = self.fixed_noise
+        out[2:] = self.birth_speed / math.sqrt(2)
         if self.camera is None or self.scaling == "fixed":
             return out
         foot = self.camera.pixels(np.ascontiguousarray(x[:2]))
         box = to_cxcywh(self.boxes(x))
-        variance = np.diagonal(ground_covariance(self.camera, foot, self._pixel_covariance(box[2:])), axis1=1, axis2=2).T
+        variance = np.diagonal(
+            ground_covariance(self.camera, foot, self._pixel_covariance(box[2:])), axis1=1, axis2=2
+        ).T
         known = np.isfinite(variance).all(axis=0)
         out[:2, known] = np.sqrt(variance[:, known])
         return out
 
     def boxes(self, x: F8) -> F8:
-        """(n, 4) boxes of people of the nominal size standing there, as wide as the camera sees metres across at the foot.
+        """(n, 4) boxes of people of the nominal size standing there, as wide as the camera sees
+        metres across at the foot.
 
-        A camera that knows no heights (a homography) gives the height by the same scale. A person outside of the image has a
-        box of one pixel far outside of the image.
+        A camera that knows no heights (a homography) gives the height by the same scale. A person
+        outside of the image has a box of one pixel far outside of the image.
         """
         wide, tall = self.size
         place = np.ascontiguousarray(x[:2])

@@ -1,17 +1,21 @@
 """Points in the image: how they move, and what a detector shows of them [D14].
 
-**Motion.** State x = (px, py, vx, vy), pixels and pixels per time unit. Over T = 1 position and velocity of an axis are
-disturbed independently, both with variance q:
+**Motion.** State x = (px, py, vx, vy), pixels and pixels per time unit. Over T = 1 position and
+velocity of an axis are disturbed independently, both with variance q:
 
-    Q(1) = q I,        and for whole T, of T such steps,   Q(T) = q [T³/3 − T²/2 + 7T/6   (T² − T)/2]
-                                                                    [(T² − T)/2            T        ]
+    Q(1) = q I,        and for whole T, of T such steps,   Q(T) = q [T³/3 − T²/2 + 7T/6   (T² −
+    T)/2]
+                                                                    [(T² − T)/2            T
+                                                                    ]
 
-for the position and velocity of an axis. As a polynomial in T this holds for every T > 0: it is what white noise of
-density q [[7/6, −1/2], [−1/2, 1]] on position and velocity gives, and an interval cut anywhere gives the same as the whole.
+for the position and velocity of an axis. As a polynomial in T this holds for every T > 0: it is
+what white noise of density q [[7/6, −1/2], [−1/2, 1]] on position and velocity gives, and an
+interval cut anywhere gives the same as the whole.
 
-**Sensor.** Measurement z = (px, py), the centroid of a box, g(z|x) = N(z; (px, py), r I), r in pixels². (D14 prints
-z = (px, py, 1, 1), which would observe a constant velocity of 1; it is not meant.) A source of detections may put more rows
-into z, such as the label of the target that a detection is known to come from: they are not compared.
+**Sensor.** Measurement z = (px, py), the centroid of a box, g(z|x) = N(z; (px, py), r I), r in
+pixels². (D14 prints z = (px, py, 1, 1), which would observe a constant velocity of 1; it is not
+meant.) A source of detections may put more rows into z, such as the label of the target that a
+detection is known to come from: they are not compared.
 """
 
 from __future__ import annotations
@@ -38,8 +42,10 @@ class PointMotion(PositionMotion):
     Parameters
     ----------
     noise_variance : q, of each component's noise over one time unit, pixels²; D14's is 2.
-    survival_probability : probability p_S that a target is still there after one second; D14's is 1.
-    borders : left, low, right and high border in pixels; a target that has left it does not survive. All 0: no border.
+    survival_probability : probability p_S that a target is still there after one second; D14's is
+        1.
+    borders : left, low, right and high border in pixels; a target that has left it does not
+        survive. All 0: no border.
     """
 
     noise_variance: NonNegative = 2.0
@@ -49,7 +55,11 @@ class PointMotion(PositionMotion):
     def _variances(self, dt: float) -> Variances:
         """Of position, of position and velocity, of velocity, over ``dt`` time units."""
         place = dt**3 / 3 - dt**2 / 2 + 7 * dt / 6
-        return self.noise_variance * place, self.noise_variance * (dt**2 - dt) / 2, self.noise_variance * dt
+        return (
+            self.noise_variance * place,
+            self.noise_variance * (dt**2 - dt) / 2,
+            self.noise_variance * dt,
+        )
 
     warp_states = staticmethod(warp.warp_states)
     warp_jacobian = staticmethod(warp.warp_jacobian)
@@ -65,8 +75,8 @@ class PointSensor(PositionSensor):
     noise_variance : r, variance of each coordinate, pixels²; D14's are 0.5, 1 and 2.
     birth_speed : standard deviation of an unknown velocity's amplitude, pixels per time unit.
     size : width and height in pixels of the boxes of states, which have none of their own.
-    gate_probability : part of the detections of a target that its gate holds; detections touch no particles beyond. 1: no
-        gate.
+    gate_probability : part of the detections of a target that its gate holds; detections touch no
+        particles beyond. 1: no gate.
     """
 
     detection_probability: Probability = 0.95
@@ -91,16 +101,21 @@ class PointSensor(PositionSensor):
 
     def particle_model(self, z: F8) -> SensorNumbers:
         """The numbers of g and p_D for the particle filters, and a column for each measurement."""
-        return SensorNumbers(*position_numbers(z, self.covariance(z, z)), np.array([self.detection_probability]))
+        return SensorNumbers(
+            *position_numbers(z, self.covariance(z, z)), np.array([self.detection_probability])
+        )
 
     def watching(self, targets: F8) -> PointSensor:
         """Itself: points hide no others."""
         return self
 
     def noise(self, x: F8) -> F8:
-        """(4, n) deviations by which components are resolved: of a centroid, of an unknown velocity."""
+        """(4, n) deviations by which components are resolved: of a centroid, of an unknown
+        velocity.
+        """
         out = np.empty((4, x.shape[1]))
-        out[:2], out[2:] = math.sqrt(self.noise_variance), self.birth_speed / math.sqrt(2)
+        out[:2] = math.sqrt(self.noise_variance)
+        out[2:] = self.birth_speed / math.sqrt(2)
         return out
 
     def boxes(self, x: F8) -> F8:

@@ -1,15 +1,18 @@
-"""What targets without a size share: straight motion that noise pushes, and a measured place with Gaussian noise.
+"""What targets without a size share: straight motion that noise pushes, and a measured place with
+Gaussian noise.
 
 `models.plane` and `models.point` have the kinds of motion and sensor that rest on these.
 
-**Motion.** State x = (px, py, vx, vy, …). Along each axis noise disturbs position and velocity over an interval by variances
-(of position, of position and velocity, of velocity). Those of a white-noise acceleration of deviation a have two forms over
-an interval T [E13 §4]:
+**Motion.** State x = (px, py, vx, vy, …). Along each axis noise disturbs position and velocity over
+an interval by variances (of position, of position and velocity, of velocity). Those of a
+white-noise acceleration of deviation a have two forms over an interval T [E13 §4]:
 
-    piecewise     a² (T⁴/4, T³/2, T²): the noise is constant over the interval, as the papers print it
-    continuous    a² (T³/3, T²/2, T): it is white, and a gap of two frames is the same as two steps of one
+    piecewise     a² (T⁴/4, T³/2, T²): the noise is constant over the interval, as the papers print
+    it continuous    a² (T³/3, T²/2, T): it is white, and a gap of two frames is the same as two
+    steps of one
 
-**Sensor.** g(z|x) = N(z; h(x), R) of two components. R belongs to each measurement, or is the same for all targets.
+**Sensor.** g(z|x) = N(z; h(x), R) of two components. R belongs to each measurement, or is the same
+for all targets.
 """
 
 from __future__ import annotations
@@ -31,7 +34,9 @@ Variances = tuple[float, float, float]
 
 
 class PositionMotion:
-    """f and p_S of targets that go straight. A kind of motion has these fields, or else gives its variances."""
+    """f and p_S of targets that go straight. A kind of motion has these fields, or else gives its
+    variances.
+    """
 
     __slots__ = ()
     dim: ClassVar[int] = 4
@@ -64,12 +69,15 @@ class PositionMotion:
         return np.where(inside(x, self.borders), self.survival_probability**seconds, 0.0)
 
     def particle_model(self, dt: float, seconds: float) -> Any:
-        """The numbers of f over ``dt`` and p_S over ``seconds`` for the particle filters [E13 §4, D14]."""
+        """The numbers of f over ``dt`` and p_S over ``seconds`` for the particle filters [E13 §4,
+        D14].
+        """
         return walk(dt, self._variances(dt), self.survival_probability**seconds, self.borders)
 
     def transition(self, x: F8, dt: float) -> tuple[F8, F8, F8]:
         """Mean, Jacobian and noise covariance of f(·|x) over the interval ``dt`` [E13 §4, D14]."""
-        n, f = x.shape[1], np.eye(4)
+        n = x.shape[1]
+        f = np.eye(4)
         f[0, 2] = f[1, 3] = dt
         # Laid out in memory as `BoxMotion` does, for which the kernels are compiled.
         jacobian = np.ndarray((n, 4, 4), np.float64, f, 0, (0, *f.strides))
@@ -106,7 +114,9 @@ class PositionSensor(Checked):
         return math.sqrt(chi2_quantile(2, self.gate_probability))
 
     def _noise(self, z: F8) -> tuple[F8, F8, F8]:
-        """R as R_xx, R_xy, R_yy of the shape of ``z[0]``: what z brings, where R is not the same for all."""
+        """R as R_xx, R_xy, R_yy of the shape of ``z[0]``: what z brings, where R is not the same
+        for all.
+        """
         return z[2], z[3], z[4]
 
     def expected(self, x: F8) -> F8:
@@ -131,11 +141,15 @@ class PositionSensor(Checked):
         return self.covariance(z[:, :0] if self.constant_noise else z, z)
 
     def particle_model(self, z: F8) -> SensorNumbers:
-        """The numbers of g and p_D for the particle filters, and a column for each measurement; p_D is asked for."""
+        """The numbers of g and p_D for the particle filters, and a column for each measurement; p_D
+        is asked for.
+        """
         return SensorNumbers(*position_numbers(z, self.covariance(z, z)), np.zeros(0))
 
     def gate(self, z: F8) -> tuple[F8, F8]:
-        """Rectangles that reach G deviations along each axis from z; they hold the ellipse d ≤ G."""
+        """Rectangles that reach G deviations along each axis from z; they hold the ellipse d ≤
+        G.
+        """
         xx, _, yy = self._noise(z)
         half = self._gate * np.sqrt(np.stack([xx, yy]))
         return z[:2] - half, z[:2] + half
@@ -143,7 +157,8 @@ class PositionSensor(Checked):
     def states(self, z: F8) -> tuple[F8, F8]:
         """Targets at rest that would give z, with the covariance of what z alone tells."""
         n = z.shape[1]
-        x, cov = np.zeros((4, n)), np.zeros((n, 4, 4))
+        x = np.zeros((4, n))
+        cov = np.zeros((n, 4, 4))
         x[:2] = z[:2]
         cov[:, :2, :2] = self.covariance(z, x)
         cov[:, 2, 2] = cov[:, 3, 3] = self.birth_speed**2 / 2

@@ -1,7 +1,9 @@
-"""The fixed-interval smoother of Rauch, Tung and Striebel, step by step, over n Gaussians at once [R65].
+"""The fixed-interval smoother of Rauch, Tung and Striebel, step by step, over n Gaussians at once
+[R65].
 
-Equations: docs/methods.md, Smoothing. Forward, too, a covariance is a sum of squares, P = A P⁻ Aᵀ + K R Kᵀ with A = I − K H:
-no rounding makes a variance negative, as P⁻ − K H P⁻ does where a camera zooms in.
+Equations: docs/methods.md, Smoothing. Forward, too, a covariance is a sum of squares, P = A P⁻ Aᵀ +
+K R Kᵀ with A = I − K H: no rounding makes a variance negative, as P⁻ − K H P⁻ does where a camera
+zooms in.
 
 Means are (n, d), covariances (n, d, d).
 """
@@ -19,7 +21,9 @@ from phdtrack.types import F8, I8, STILL
 
 
 class Ahead(NamedTuple):
-    """Predictions ``mean`` (n, d) and ``covariance`` (n, d, d), and Jacobians and noises (n, d, d) they were made with."""
+    """Predictions ``mean`` (n, d) and ``covariance`` (n, d, d), and Jacobians and noises (n, d, d)
+    they were made with.
+    """
 
     mean: F8
     covariance: F8
@@ -28,16 +32,20 @@ class Ahead(NamedTuple):
 
 
 def moved(motion: Motion, mean: F8, dt: float, warp: F8 = STILL) -> tuple[F8, F8, F8]:
-    """Means (n, d), Jacobians and noises (n, d, d) one frame later: the camera's motion, then the targets'.
+    """Means (n, d), Jacobians and noises (n, d, d) one frame later: the camera's motion, then the
+    targets'.
 
     Parameters
     ----------
     motion, mean : the model's motion; (n, d).
-    dt, warp : interval in the model's time unit; (3, 3) the camera's motion in it, `types.STILL` where there is none.
+    dt, warp : interval in the model's time unit; (3, 3) the camera's motion in it, `types.STILL`
+        where there is none.
     """
     x = np.ascontiguousarray(mean.T)
     slope = motion.warp_jacobian(x, warp) if len(warp) else None
-    later, jacobian, noise = motion.transition(x if slope is None else motion.warp_states(x, warp), dt)
+    later, jacobian, noise = motion.transition(
+        x if slope is None else motion.warp_states(x, warp), dt
+    )
     f = jacobian if slope is None else jacobian @ slope
     return np.ascontiguousarray(later.T), np.ascontiguousarray(f), np.ascontiguousarray(noise)
 
@@ -63,11 +71,15 @@ def update(mean: F8, covariance: F8, z: F8, noise: F8, rows: I8) -> tuple[F8, F8
     z, noise : (n, r), (n, r, r) measurements and their covariances.
     rows : (r,) of the state that they show.
     """
-    after: tuple[F8, F8] = rts.updated(*map(np.ascontiguousarray, (mean, covariance, z, noise)), rows)
+    after: tuple[F8, F8] = rts.updated(
+        *map(np.ascontiguousarray, (mean, covariance, z, noise)), rows
+    )
     return after
 
 
-def smooth_back(mean: F8, covariance: F8, ahead: Ahead, later: F8, later_covariance: F8) -> tuple[F8, F8]:
+def smooth_back(
+    mean: F8, covariance: F8, ahead: Ahead, later: F8, later_covariance: F8
+) -> tuple[F8, F8]:
     """Means and covariances given what the next frame says after all.
 
     Parameters
@@ -78,7 +90,9 @@ def smooth_back(mean: F8, covariance: F8, ahead: Ahead, later: F8, later_covaria
     """
     smoothed = mean.copy(), covariance.copy()
     given = (smoothed, tuple(ahead), (later, later_covariance))
-    rts.smooth(*(tuple(map(np.ascontiguousarray, one)) for one in given), np.ones(len(mean), np.bool_))
+    rts.smooth(
+        *(tuple(map(np.ascontiguousarray, one)) for one in given), np.ones(len(mean), np.bool_)
+    )
     return smoothed
 
 
@@ -89,16 +103,19 @@ def bridge(motion: Motion, ends: tuple[F8, F8, F8, F8], steps: F8, warps: Sequen
     ----------
     motion : the model's motion.
     ends : means (n, d) and covariances (n, d, d) before the gaps, then those after them.
-    steps : (L + 1,) intervals from the states before through the frames of the gaps to the states after.
+    steps : (L + 1,) intervals from the states before through the frames of the gaps to the states
+        after.
     warps : (L + 1) camera motions in the intervals; empty where the camera stands still.
     """
     before, cov_before, after, cov_after = ends
     forward: list[tuple[F8, F8, Ahead]] = []
-    mean, cov = before, cov_before
+    mean = before
+    cov = cov_before
     for dt, warp in zip(steps.tolist(), warps or (STILL,) * len(steps), strict=True):
         ahead = predict(motion, mean, cov, dt, warp)
         forward.append((mean, cov, ahead))
-        mean, cov = ahead.mean, ahead.covariance
+        mean = ahead.mean
+        cov = ahead.covariance
     mean, cov = update(mean, cov, after, cov_after, np.arange(before.shape[1]))
     out = np.empty((before.shape[1], len(before), len(steps) - 1))
     for k in range(len(steps) - 1, 0, -1):

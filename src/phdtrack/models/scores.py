@@ -1,22 +1,27 @@
-"""Scores of detections as evidence: p(s|target)/p(s|false alarm), right on the first frame and learned without any labels.
+"""Scores of detections as evidence: p(s|target)/p(s|false alarm), right on the first frame and
+learned without any labels.
 
-Today's detectors report boxes down to a score of 0.05 and leave it to the tracker what to make of them. With x the log odds
-log(s/(1 − s)) of a score s between 0 and 1, the score less a constant where scores are log odds themselves, or the log odds
-of its rank among those seen where they are on another scale,
+Today's detectors report boxes down to a score of 0.05 and leave it to the tracker what to make of
+them. With x the log odds log(s/(1 − s)) of a score s between 0 and 1, the score less a constant
+where scores are log odds themselves, or the log odds of its rank among those seen where they are on
+another scale,
 
     log p(s|target)/p(s|false alarm) = a·x + b
 
-within limits, a logistic regression whose prior reads s as a probability. It learns from delayed verdicts that do not look
-at scores: a detection that overlaps one of the next frame, and so on through `LENGTH` frames, was true, one whose chain ends
-before was false. A verdict of the tracker itself would call false whatever it does not follow, and confirm its own doubts.
-Each verdict is one step of Newton's method on the posterior of (a, b), a Gaussian with the precision of what was seen so
-far; what is old is forgotten. Where all scores are the same they say nothing.
+within limits, a logistic regression whose prior reads s as a probability. It learns from delayed
+verdicts that do not look at scores: a detection that overlaps one of the next frame, and so on
+through `LENGTH` frames, was true, one whose chain ends before was false. A verdict of the tracker
+itself would call false whatever it does not follow, and confirm its own doubts. Each verdict is one
+step of Newton's method on the posterior of (a, b), a Gaussian with the precision of what was seen
+so far; what is old is forgotten. Where all scores are the same they say nothing.
 
-How many false alarms there are is learned, too: few detections of targets overlap one neither of the frame before nor of the
-next. Where more than the share `ScoreOdds.usual_alone` are alone, false alarms are as much more than the model says.
+How many false alarms there are is learned, too: few detections of targets overlap one neither of
+the frame before nor of the next. Where more than the share `ScoreOdds.usual_alone` are alone, false
+alarms are as much more than the model says.
 
-False alarms that last, as of a poster or of one's own mirror image, are linked like targets, so that nothing is learned of
-them. Against these a score is read as the probability that it claims to be, and a rank as half of what was learned.
+False alarms that last, as of a poster or of one's own mirror image, are linked like targets, so
+that nothing is learned of them. Against these a score is read as the probability that it claims to
+be, and a rank as half of what was learned.
 """
 
 from __future__ import annotations
@@ -35,7 +40,8 @@ from phdtrack.types import F8, I8, Detections, Step
 # Scores, and verdicts, that are remembered, the newest.
 KEPT = 3000
 # Frames that a chain of detections must last to be of a target, and the overlap (IoU) of its links.
-LENGTH, LINKED = 6, 0.3
+LENGTH = 6
+LINKED = 0.3
 # Precisions of a and of b that the prior has, and its verdicts, true and false.
 PRIOR_PRECISION = np.array([4.0, 1.0])
 PRIOR_VERDICTS = np.array([7.0, 3.0])
@@ -46,10 +52,13 @@ FIRST_SEEN = 100.0
 RANKS = (1.0, 0.45)
 # What a rank says of false alarms that last, as a share of what it says of others.
 LASTING_SHARE = 0.5
-# Scores are log odds where some are negative and none is above the first. A detector that reports negative ones reports more
-# than it believes: the second is what says nothing. The third: x is between minus and plus this,
-# as of probabilities from the last.
-LARGEST_LOGIT, EVEN_LOGIT, BOUND, LEAST = 25.0, 2.0, math.log(999), 0.001
+# Scores are log odds where some are negative and none is above the first. A detector that reports
+# negative ones reports more than it believes: the second is what says nothing. The third: x is
+# between minus and plus this, as of probabilities from the last.
+LARGEST_LOGIT = 25.0
+EVEN_LOGIT = 2.0
+BOUND = math.log(999)
+LEAST = 0.001
 _NO_SCORES = np.zeros(0)
 
 
@@ -62,10 +71,12 @@ class ScoresSeen:
     scores : (n,) the newest of those that are ranked.
     extent : the least and the greatest score that was ever seen.
     boxes : (m, 4) detections of the last frame.
-    waiting : (m, `LENGTH`) x of the detections of their chains that wait for a verdict, NaN where there is none.
+    waiting : (m, `LENGTH`) x of the detections of their chains that wait for a verdict, NaN where
+        there is none.
     length : (m,) frames that their chains have lasted.
     line : what is known of (a, b); None before the first verdict.
-    alone : how many detections overlapped none of the frames beside them, and of how many; old ones are forgotten.
+    alone : how many detections overlapped none of the frames beside them, and of how many; old ones
+        are forgotten.
     """
 
     scores: F8 = field(default_factory=lambda: np.zeros(0))
@@ -89,10 +100,11 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
     Parameters
     ----------
     slope : a of the prior for probabilities: 1 reads a score as one, 0.5 believes it less, 2 more.
-    even_score : between 0 and 1, the score that targets and false alarms have equally often, by the prior.
+    even_score : between 0 and 1, the score that targets and false alarms have equally often, by the
+        prior.
     max_odds : the ratio is at most this, and at least one over it.
-    usual_alone : the share of detections that overlap none of the frames beside, up to which false alarms are as many as
-        the model says.
+    usual_alone : the share of detections that overlap none of the frames beside, up to which false
+        alarms are as many as the model says.
     """
 
     slope: Positive = 2.0
@@ -107,7 +119,8 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
             raise InputError(problem, where="[rates] of kind scores")
 
     def log_odds(self, score: F8, state: ScoresSeen) -> tuple[F8, F8]:
-        """Log p(s|target)/p(s|false alarm) of the scores (n,) of a frame, and the same against false alarms that last.
+        """Log p(s|target)/p(s|false alarm) of the scores (n,) of a frame, and the same against
+        false alarms that last.
 
         Both (n,), and 0 for NaN and where all scores are the same.
         """
@@ -127,7 +140,9 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
             return self._prior(kind)
         (p, q), (_, r) = state.line.precision.tolist()
         first, second = state.line.information.tolist()
-        return max((r * first - q * second) / (p * r - q * q), 0.0), (p * second - q * first) / (p * r - q * q)
+        return max((r * first - q * second) / (p * r - q * q), 0.0), (p * second - q * first) / (
+            p * r - q * q
+        )
 
     def _prior(self, kind: int) -> tuple[float, float]:
         """a and b of the prior."""
@@ -147,17 +162,26 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
         return replace(model, clutter=ScoredClutter(model.clutter, np.exp(single), lasting, more))
 
     def advance(self, state: ScoresSeen, step: Step) -> ScoresSeen:
-        """Remember the scores of a frame, prolong the chains, and learn from those on which there is a verdict."""
+        """Remember the scores of a frame, prolong the chains, and learn from those on which there
+        is a verdict.
+        """
         if not step.detections.observed:
             return state
-        boxes, score, line = step.detections.xyxy, step.detections.confidence, state.line
+        boxes = step.detections.xyxy
+        score = step.detections.confidence
+        line = state.line
         extent, kind, x, scores = _scaled(state, score)
-        waiting, length, true, false, single = chained(state.boxes, boxes, x, state.waiting, state.length, LINKED)
+        waiting, length, true, false, single = chained(
+            state.boxes, boxes, x, state.waiting, state.length, LINKED
+        )
         n = len(state.boxes)
         kept = max(1 - n / KEPT, 0.0)
         alone = kept * state.alone[0] + single, kept * state.alone[1] + n
         if kind != state.kind:
-            waiting, line, true, false = np.full(waiting.shape, np.nan), None, true[:0], false[:0]
+            waiting = np.full(waiting.shape, np.nan)
+            line = None
+            true = true[:0]
+            false = false[:0]
         if len(true) + len(false):
             # As plain tuples: Numba looks up the class of every named one.
             prior = (PRIOR_PRECISION * self._prior(kind), _PRECISION, PRIOR_VERDICTS)
@@ -166,8 +190,12 @@ class ScoreOdds(Checked, Learning[ScoresSeen]):
 
 
 def _scaled(state: ScoresSeen, score: F8) -> tuple[tuple[float, float], int, F8, F8]:
-    """The extent of all scores, their kind, x of those (n,) of a frame, NaN where they say nothing, and what is ranked."""
-    low, high, kind, x = scaled(np.ascontiguousarray(score), *state.extent, (LARGEST_LOGIT, EVEN_LOGIT), BOUND, LEAST)
+    """The extent of all scores, their kind, x of those (n,) of a frame, NaN where they say nothing,
+    and what is ranked.
+    """
+    low, high, kind, x = scaled(
+        np.ascontiguousarray(score), *state.extent, (LARGEST_LOGIT, EVEN_LOGIT), BOUND, LEAST
+    )
     if kind != RANK:
         return (low, high), kind, x, state.scores
     known = np.concatenate([state.scores, score[~np.isnan(score)]])[-KEPT:]

@@ -1,17 +1,19 @@
-"""How births and false alarms are spread: densities over the image or the ground, none of which looks at other detections.
+"""How births and false alarms are spread: densities over the image or the ground, none of which
+looks at other detections.
 
-What counts is the ratio of the birth density to the clutter density at a measurement. Over the same volume one detection
-alone brings a mass of about rate_birth/rate_clutter; how fast further ones raise it depends on the volume's size against
-the noise's.
+What counts is the ratio of the birth density to the clutter density at a measurement. Over the same
+volume one detection alone brings a mass of about rate_birth/rate_clutter; how fast further ones
+raise it depends on the volume's size against the noise's.
 
-``image``: uniform over all positions and all sizes of the frame, W²H² pixel⁴; on the ground ``region``: a rectangle. One
-more coherent detection suffices.
+``image``: uniform over all positions and all sizes of the frame, W²H² pixel⁴; on the ground
+``region``: a rectangle. One more coherent detection suffices.
 
-``local``: the same at every scale. A box (w, h) has the density rate/(4w²h²), so that the ``rate`` is expected among boxes
-within ±1 box in position and with 0.5 to 1.5 of its size: small boxes come as close together as their size allows, as
-distant objects do. On the ground the rate is that of the ellipse of `PLANE_REACH` deviations of a detection's own noise, so
-that the ratio to the noise is the same near the camera and far away. About two more detections are needed. M07's words,
-"around the detections", suggest this. It has no total over the frame: small boxes have no end.
+``local``: the same at every scale. A box (w, h) has the density rate/(4w²h²), so that the ``rate``
+is expected among boxes within ±1 box in position and with 0.5 to 1.5 of its size: small boxes come
+as close together as their size allows, as distant objects do. On the ground the rate is that of the
+ellipse of `PLANE_REACH` deviations of a detection's own noise, so that the ratio to the noise is
+the same near the camera and far away. About two more detections are needed. M07's words, "around
+the detections", suggest this. It has no total over the frame: small boxes have no end.
 """
 
 from __future__ import annotations
@@ -29,7 +31,9 @@ SIZES = (0.5, 1.5)
 
 
 def one_rate(rates: tuple[float, float], where: str) -> None:
-    """Raise `InputError` where both rates are above 0: a density is uniform or the same at every scale."""
+    """Raise `InputError` where both rates are above 0: a density is uniform or the same at every
+    scale.
+    """
     everywhere, each = rates
     if everywhere > 0 and each > 0:
         problem = f"expected a rate everywhere or around each detection, not both, got {everywhere:g} and {each:g}"
@@ -69,7 +73,9 @@ EVERYWHERE: Region = (0.0, 0.0, 0.0, 0.0)
 def check_region(region: Region, where: str) -> None:
     """Raise `InputError` where the region is none."""
     left, low, right, high = region
-    if not all(math.isfinite(border) for border in region) or (region != EVERYWHERE and not (left < right and low < high)):
+    if not all(math.isfinite(border) for border in region) or (
+        region != EVERYWHERE and not (left < right and low < high)
+    ):
         raise InputError(
             f"expected a region of the ground as left, low, right, high in metres, got {list(region)}",
             where=where,
@@ -81,12 +87,18 @@ def area(region: Region, where: str) -> float:
     """Its area in m²; `InputError` where it has no border."""
     check_region(region, where)
     if region == EVERYWHERE:
-        raise InputError("a uniform density over the ground needs the region's borders", where=where, cure="Give its region")
+        raise InputError(
+            "a uniform density over the ground needs the region's borders",
+            where=where,
+            cure="Give its region",
+        )
     return (region[2] - region[0]) * (region[3] - region[1])
 
 
 def inside(x: F8, region: Region) -> Bool:
-    """Whether positions, the first two rows of ``x``, lie in the closed region; elementwise over columns."""
+    """Whether positions, the first two rows of ``x``, lie in the closed region; elementwise over
+    columns.
+    """
     if region == EVERYWHERE:
         everywhere: Bool = x[0] == x[0]
         return everywhere
@@ -96,6 +108,8 @@ def inside(x: F8, region: Region) -> Bool:
 
 
 def local_area(z: F8) -> F8:
-    """(N,) area of the ellipse of `PLANE_REACH` deviations of measurements (5, N) on the ground, m²."""
+    """(N,) area of the ellipse of `PLANE_REACH` deviations of measurements (5, N) on the ground,
+    m².
+    """
     out: F8 = math.pi * PLANE_REACH**2 * np.sqrt(z[2] * z[4] - z[3] ** 2)
     return out

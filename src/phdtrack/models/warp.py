@@ -1,13 +1,15 @@
-"""A camera that moves: points, velocities and sizes carried from the pixels of one frame to those of the next.
+"""A camera that moves: points, velocities and sizes carried from the pixels of one frame to those
+of the next.
 
 A homography G takes pixels p of the frame before to this one's, of what does not move itself:
 
     q = (A p + t) / D,   D = gᵀp + 1,   G = [A t; gᵀ 1]
 
-Translation, similarity and affine map are its special cases with g = 0. With J = ∂q/∂p = (A − q gᵀ)/D at a target's centre,
-its centre goes by q, its velocity by J, and both its sides by √det J = √(det G / D³), the scale of areas. Not by J's scales
-along the axes: they differ by what shears or tilts the plane that was measured, mostly the ground or a wall, and those who
-walk on it stand upright before as after; a zoom, which does change them, scales both alike.
+Translation, similarity and affine map are its special cases with g = 0. With J = ∂q/∂p = (A − q
+gᵀ)/D at a target's centre, its centre goes by q, its velocity by J, and both its sides by √det J =
+√(det G / D³), the scale of areas. Not by J's scales along the axes: they differ by what shears or
+tilts the plane that was measured, mostly the ground or a wall, and those who walk on it stand
+upright before as after; a zoom, which does change them, scales both alike.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ _SCALES = (1e-4, 1e4)
 def as_warp(matrix: ArrayLike, where: str) -> F8:
     """The homography (3, 3) with lower right element 1, from a (3, 3) or an affine (2, 3) matrix.
 
-    Raises `InputError` where it is none, not finite, mirrors the image or scales it beyond belief; ``where`` says whose.
+    Raises `InputError` where it is none, not finite, mirrors the image or scales it beyond belief;
+    ``where`` says whose.
     """
     try:
         given = np.array(matrix, dtype=np.float64)
@@ -55,13 +58,25 @@ def as_warp(matrix: ArrayLike, where: str) -> F8:
 
 
 def warp_states(x: F8, warp: F8) -> F8:
-    """(d, n) states ``x`` in the pixels that ``warp`` leads to; rows behind (px, py, vx, vy) are lengths."""
-    return np.asarray(warped_states(np.ascontiguousarray(x, np.float64), np.ascontiguousarray(warp), np.linalg.det(warp)))
+    """(d, n) states ``x`` in the pixels that ``warp`` leads to; rows behind (px, py, vx, vy) are
+    lengths.
+    """
+    return np.asarray(
+        warped_states(
+            np.ascontiguousarray(x, np.float64), np.ascontiguousarray(warp), np.linalg.det(warp)
+        )
+    )
 
 
 def warp_jacobian(x: F8, warp: F8) -> F8:
-    """(n, d, d) Jacobians of `warp_states`: J for places and velocities, and how J and the scale change with the place."""
-    return np.asarray(warped_slopes(np.ascontiguousarray(x, np.float64), np.ascontiguousarray(warp), np.linalg.det(warp)))
+    """(n, d, d) Jacobians of `warp_states`: J for places and velocities, and how J and the scale
+    change with the place.
+    """
+    return np.asarray(
+        warped_slopes(
+            np.ascontiguousarray(x, np.float64), np.ascontiguousarray(warp), np.linalg.det(warp)
+        )
+    )
 
 
 def back(warp: F8) -> F8:
@@ -71,7 +86,9 @@ def back(warp: F8) -> F8:
 
 
 def after(warps: list[F8]) -> F8:
-    """What takes the pixels before the first of these motions to those after the last; `types.STILL` counts as none."""
+    """What takes the pixels before the first of these motions to those after the last;
+    `types.STILL` counts as none.
+    """
     whole: F8 = np.eye(3)
     for warp in warps:
         if len(warp):

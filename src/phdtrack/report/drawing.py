@@ -1,14 +1,15 @@
 """Pictures that OpenCV draws: annotated frames, and the ground from above.
 
-An annotated frame shows detections as thin white outlines, red and crossed where the filter takes them for false alarms
-(posterior clutter probability above one half) and no track lies over them; fading trails at the feet of tracks; tracks in
-the colour of their identity with its number, dashed where no detection supports the box; tracks not yet confirmed faintly
-and without a number; and a header: frame number, number of tracks, the filter's expected count.
+An annotated frame shows detections as thin white outlines, red and crossed where the filter takes
+them for false alarms (posterior clutter probability above one half) and no track lies over them;
+fading trails at the feet of tracks; tracks in the colour of their identity with its number, dashed
+where no detection supports the box; tracks not yet confirmed faintly and without a number; and a
+header: frame number, number of tracks, the filter's expected count.
 
-The twelve colours of identities are light enough for dark pictures and strong enough for white paper. Consecutive ones
-differ by at least 40 units of CIE L*a*b*, for normal sight and in the simulation of protanopia and deuteranopia by
-Machado, Oliveira and Fernandes (2009). They repeat: wherever an identity is drawn its number stands there too.
-Colours are RGB here, BGR in the picture.
+The twelve colours of identities are light enough for dark pictures and strong enough for white
+paper. Consecutive ones differ by at least 40 units of CIE L*a*b*, for normal sight and in the
+simulation of protanopia and deuteranopia by Machado, Oliveira and Fernandes (2009). They repeat:
+wherever an identity is drawn its number stands there too. Colours are RGB here, BGR in the picture.
 """
 
 from __future__ import annotations
@@ -34,14 +35,26 @@ if TYPE_CHECKING:
 
 Rgb = tuple[int, int, int]
 _HEX = "ff9f1c 1fb5ad ffe14d a78bfa 2ec27e 4d7cfe ff4d4d e8d5ff c98b5b 4cc9f0 b5e853 ff7ac6"
-COLOURS: tuple[Rgb, ...] = tuple((each[0], each[1], each[2]) for each in map(bytes.fromhex, _HEX.split()))
-_BLACK, _WHITE, _FALSE_ALARM = (0, 0, 0), (255, 255, 255), (200, 45, 45)
+COLOURS: tuple[Rgb, ...] = tuple(
+    (each[0], each[1], each[2]) for each in map(bytes.fromhex, _HEX.split())
+)
+_BLACK = (0, 0, 0)
+_WHITE = (255, 255, 255)
+_FALSE_ALARM = (200, 45, 45)
 _UNKNOWN: F8 = np.zeros(0)
-_GRID, _INK, _WITHOUT_IDENTITY = (228, 231, 236), (58, 66, 80), (140, 140, 140)
+_GRID = (228, 231, 236)
+_INK = (58, 66, 80)
+_WITHOUT_IDENTITY = (140, 140, 140)
 _PAPER: Rgb = (235, 235, 228)
-_FIELD, _ROAD_EDGE, _WARNING = (216, 228, 246), (150, 120, 80), (208, 60, 60)
-# Lines of the grid across a plan at most; plans are drawn in sixteenths of a pixel; strengths and points of a trail.
-_MAX_LINES, _FRACTION_BITS, _FADING, _POINTS = 12, 4, 8, 19
+_FIELD = (216, 228, 246)
+_ROAD_EDGE = (150, 120, 80)
+_WARNING = (208, 60, 60)
+# Lines of the grid across a plan at most; plans are drawn in sixteenths of a pixel; strengths and
+# points of a trail.
+_MAX_LINES = 12
+_FRACTION_BITS = 4
+_FADING = 8
+_POINTS = 19
 
 
 def identity_colour(identity: int) -> Rgb:
@@ -55,12 +68,16 @@ def feet(xyxy: F8) -> F8:
 
 
 class _Canvas:
-    """A copy of a picture to draw on, or a sheet, which `onto` puts into a picture by the opacity of each pixel.
-    Widths, the length of a dash and letters suit the size: they are for 480 lines, and grow with it."""
+    """A copy of a picture to draw on, or a sheet, which `onto` puts into a picture by the opacity
+    of each pixel. Widths, the length of a dash and letters suit the size: they are for 480 lines,
+    and grow with it."""
 
     def __init__(self, image: Image) -> None:
-        unit, sizes = min(image.shape[0], 0.75 * image.shape[1]) / 480, ((1.6, 1), (0.7, 1), (1, 1), (8, 5))
-        self.line, self.thin, self._bold, self._dash = (max(least, round(part * unit)) for part, least in sizes)
+        unit = min(image.shape[0], 0.75 * image.shape[1]) / 480
+        sizes = ((1.6, 1), (0.7, 1), (1, 1), (8, 5))
+        self.line, self.thin, self._bold, self._dash = (
+            max(least, round(part * unit)) for part, least in sizes
+        )
         # Text of very small frames can still be read.
         self._font = max(0.34, 0.39 * unit)
         self.image = image.copy()
@@ -68,18 +85,24 @@ class _Canvas:
         # Left, top, right and bottom of the labels, none of which lies on another.
         self.taken: list[tuple[int, int, int, int]] = []
 
-    def glaze_boxes(self, boxes: F8, colour: Rgb, width: int, opacity: float, *, crossed: bool = False) -> None:
+    def glaze_boxes(
+        self, boxes: F8, colour: Rgb, width: int, opacity: float, *, crossed: bool = False
+    ) -> None:
         """The outlines of boxes (n, 4), with their diagonals where they are ``crossed``."""
         for _, (left, top, right, bottom) in self._corners(boxes):
             cv2.rectangle(self.image, (left, top), (right, bottom), colour[::-1], width)
             cv2.rectangle(self._opacity, (left, top), (right, bottom), round(255 * opacity), width)
             if crossed:
-                ends = np.array([[[left, top], [right, bottom]], [[left, bottom], [right, top]]], np.int32)
+                ends = np.array(
+                    [[[left, top], [right, bottom]], [[left, bottom], [right, top]]], np.int32
+                )
                 self.coloured_lines(list(ends), colour, width)
                 self.glaze_lines(list(ends), width, opacity)
 
     def coloured_lines(self, lines: Sequence[NDArray[np.int32]], colour: Rgb, width: int) -> None:
-        """The colour of lines through points (n, 2), with the margin that their smoothed edges need."""
+        """The colour of lines through points (n, 2), with the margin that their smoothed edges
+        need.
+        """
         cv2.polylines(self.image, lines, False, colour[::-1], width + 2)
 
     def glaze_lines(self, lines: Sequence[NDArray[np.int32]], width: int, opacity: float) -> None:
@@ -87,19 +110,26 @@ class _Canvas:
         cv2.polylines(self._opacity, lines, False, round(255 * opacity), width, cv2.LINE_AA)
 
     def onto(self, picture: Image) -> Image:
-        """The picture, (H, W, 3) BGR or its planes (3H/2, W), with what is on this sheet, which is empty afterwards."""
+        """The picture, (H, W, 3) BGR or its planes (3H/2, W), with what is on this sheet, which is
+        empty afterwards.
+        """
         if picture.ndim == 2:
-            flat, (high, wide) = picture.reshape(-1), self._opacity.shape
-            light, rest = flat[: high * wide].reshape(high, wide), flat[high * wide :].reshape(2, high // 2, wide // 2)
+            flat = picture.reshape(-1)
+            high, wide = self._opacity.shape
+            light = flat[: high * wide].reshape(high, wide)
+            rest = flat[high * wide :].reshape(2, high // 2, wide // 2)
             blend(light, rest[0], rest[1], self.image, self._opacity)
             return picture
         place = np.nonzero(self._opacity)
         alpha = self._opacity[place][:, None].astype(np.uint16)
         mixed = (picture[place] * (255 - alpha) + self.image[place] * alpha + 127) // 255
-        picture[place], self._opacity[place] = mixed.astype(np.uint8), 0
+        picture[place] = mixed.astype(np.uint8)
+        self._opacity[place] = 0
         return picture
 
-    def targets(self, boxes: F8, colours: Sequence[Rgb], dashed: Bool, labels: Sequence[str]) -> None:
+    def targets(
+        self, boxes: F8, colours: Sequence[Rgb], dashed: Bool, labels: Sequence[str]
+    ) -> None:
         """The outlines of boxes (n, 4), and on top of all of them their labels."""
         shown = self._corners(boxes)
         for k, (left, top, right, bottom) in shown:
@@ -107,7 +137,9 @@ class _Canvas:
                 cv2.rectangle(self.image, (left, top), (right, bottom), colours[k][::-1], self.line)
                 cv2.rectangle(self._opacity, (left, top), (right, bottom), 255, self.line)
                 continue
-            for a, b in pairwise(np.array([[left, top], [right, top], [right, bottom], [left, bottom], [left, top]])):
+            for a, b in pairwise(
+                np.array([[left, top], [right, top], [right, bottom], [left, bottom], [left, top]])
+            ):
                 # An odd number of equal pieces, every other one drawn: the corners always are.
                 pieces = max(3, 2 * round(float(np.abs(b - a).max()) / self._dash / 2) + 1)
                 edges = np.linspace(a, b, pieces + 1).round().astype(int).tolist()
@@ -117,38 +149,65 @@ class _Canvas:
         for k, box in shown:
             self.plate(labels[k], box[:2], colours[k])
 
-    def plate(self, text: str, corner: Sequence[int], fill: Rgb, opacity: float = 1.0, *, once: bool = False) -> None:
-        """Text on a coloured plate with this lower left corner, moved and shrunk to stay in the picture. What is drawn
-        ``once`` is not kept for the next frames."""
+    def plate(
+        self,
+        text: str,
+        corner: Sequence[int],
+        fill: Rgb,
+        opacity: float = 1.0,
+        *,
+        once: bool = False,
+    ) -> None:
+        """Text on a coloured plate with this lower left corner, moved and shrunk to stay in the
+        picture. What is drawn ``once`` is not kept for the next frames."""
         look = (text, fill, round(255 * opacity), self._font, self._bold, self.image.shape[1])
         plate, alpha = _plate(*look) if once else _kept_plate(*look)
-        (high, wide), (tall, room) = alpha.shape, self.image.shape[:2]
+        high, wide = alpha.shape
+        tall, room = self.image.shape[:2]
         left = min(max(corner[0], 0), max(room - wide, 0))
         bottom = min(max(corner[1], high), max(tall, high))
         seen = slice(bottom - high, bottom), slice(left, left + wide)
         part = self.image[seen].shape[:2]
-        self.image[seen], self._opacity[seen] = plate[: part[0], : part[1]], alpha[: part[0], : part[1]]
+        self.image[seen] = plate[: part[0], : part[1]]
+        self._opacity[seen] = alpha[: part[0], : part[1]]
 
     def text(self, text: str, spot: Sequence[int], colour: Rgb) -> None:
         """Small letters without a plate."""
-        cv2.putText(self.image, text, spot, cv2.FONT_HERSHEY_SIMPLEX, 0.8 * self._font, colour[::-1], 1, cv2.LINE_AA)
+        cv2.putText(
+            self.image,
+            text,
+            spot,
+            cv2.FONT_HERSHEY_SIMPLEX,
+            0.8 * self._font,
+            colour[::-1],
+            1,
+            cv2.LINE_AA,
+        )
 
     def path(self, points: F8, colour: Rgb, width: int) -> None:
         """A line through points (2, K)."""
-        cv2.polylines(self.image, [_fixed(points)], False, colour[::-1], width, cv2.LINE_AA, _FRACTION_BITS)
+        cv2.polylines(
+            self.image, [_fixed(points)], False, colour[::-1], width, cv2.LINE_AA, _FRACTION_BITS
+        )
 
     def contours(self, contours: Sequence[F8]) -> None:
-        """A group's outline, dark on light: colours are for people. Rings (2, K) within others are holes."""
+        """A group's outline, dark on light: colours are for people. Rings (2, K) within others are
+        holes.
+        """
         rings = [_fixed(ring) for ring in contours]
         for colour, width in ((_WHITE, self.line + 2), (_INK, self.line)):
             cv2.polylines(self.image, rings, True, colour[::-1], width, cv2.LINE_AA, _FRACTION_BITS)
 
     def label(self, text: str, corner: Sequence[int], fill: Rgb) -> None:
         """A plate like `plate`, moved up where it would lie on an earlier one."""
-        (wide, high), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, self._font, self._bold)
+        (wide, high), below = cv2.getTextSize(
+            text, cv2.FONT_HERSHEY_SIMPLEX, self._font, self._bold
+        )
         pad = max(2, high // 4)
-        wide, high = wide + 2 * pad, high + 2 * pad + below // 2
-        left, bottom = min(max(corner[0], 0), max(self.image.shape[1] - wide, 0)), max(corner[1], high)
+        wide = wide + 2 * pad
+        high = high + 2 * pad + below // 2
+        left = min(max(corner[0], 0), max(self.image.shape[1] - wide, 0))
+        bottom = max(corner[1], high)
         beside = [each for each in self.taken if each[0] < left + wide and left < each[2]]
         for _ in beside:
             under = [top for _, top, _, low in beside if top < bottom and bottom - high < low]
@@ -159,18 +218,29 @@ class _Canvas:
         self.plate(text, (left, bottom), fill)
 
     def _corners(self, boxes: F8) -> list[tuple[int, list[int]]]:
-        """The index and the whole-pixel left, top, right, bottom of those boxes (n, 4) of which something can be drawn.
+        """The index and the whole-pixel left, top, right, bottom of those boxes (n, 4) of which
+        something can be drawn.
 
-        Boxes reaching far out are cut one frame beyond the edges: OpenCV's coordinates overflow otherwise.
+        Boxes reaching far out are cut one frame beyond the edges: OpenCV's coordinates overflow
+        otherwise.
         """
         size = np.array(self.image.shape[1::-1], np.float64)
-        low, high = np.minimum(boxes[:, :2], boxes[:, 2:]), np.maximum(boxes[:, :2], boxes[:, 2:])
-        seen = np.flatnonzero(np.isfinite(boxes).all(axis=1) & (high >= 0).all(axis=1) & (low <= size).all(axis=1))
-        cut = np.hstack([np.clip(each[seen], -size, 2 * size) for each in (low, high)]).round().astype(int)
+        low = np.minimum(boxes[:, :2], boxes[:, 2:])
+        high = np.maximum(boxes[:, :2], boxes[:, 2:])
+        seen = np.flatnonzero(
+            np.isfinite(boxes).all(axis=1) & (high >= 0).all(axis=1) & (low <= size).all(axis=1)
+        )
+        cut = (
+            np.hstack([np.clip(each[seen], -size, 2 * size) for each in (low, high)])
+            .round()
+            .astype(int)
+        )
         return list(zip(seen.tolist(), cut.tolist(), strict=True))
 
 
-def _plate(text: str, fill: Rgb, opacity: int, font: float, bold: int, room: int) -> tuple[Image, Image]:
+def _plate(
+    text: str, fill: Rgb, opacity: int, font: float, bold: int, room: int
+) -> tuple[Image, Image]:
     """(h, w, 3) BGR of text on a coloured plate, and its opacity (h, w).
 
     Where it would be wider than the ``room`` its letters are smaller.
@@ -187,8 +257,19 @@ def _plate(text: str, fill: Rgb, opacity: int, font: float, bold: int, room: int
     alpha = np.full(plate.shape[:2], opacity, np.uint8)
     # Black or white, whichever is easier to read by relative luminance.
     light = np.array([0.2126, 0.7152, 0.0722]) @ (np.array(fill) / 255) ** 2.2 > 0.2
-    for sheet, colour in ((plate, _BLACK if light else _WHITE), (alpha, 255))[: 1 + (opacity < 255)]:
-        cv2.putText(sheet, text, (pad, len(alpha) - under), cv2.FONT_HERSHEY_SIMPLEX, font, colour, bold, cv2.LINE_AA)
+    for sheet, colour in ((plate, _BLACK if light else _WHITE), (alpha, 255))[
+        : 1 + (opacity < 255)
+    ]:
+        cv2.putText(
+            sheet,
+            text,
+            (pad, len(alpha) - under),
+            cv2.FONT_HERSHEY_SIMPLEX,
+            font,
+            colour,
+            bold,
+            cv2.LINE_AA,
+        )
     return plate, alpha
 
 
@@ -196,16 +277,25 @@ _kept_plate = lru_cache(maxsize=500)(_plate)  # labels of tracks are drawn again
 
 
 class Annotator:
-    """Draws frame after frame and remembers the trails, which reach ``trail_seconds`` back at the rate of ``info``.
+    """Draws frame after frame and remembers the trails, which reach ``trail_seconds`` back at the
+    rate of ``info``.
 
-    Labels say the class, too, where ``names`` are given. ``blur`` (`arrays.pixelated`) hides what is in all boxes first.
+    Labels say the class, too, where ``names`` are given. ``blur`` (`arrays.pixelated`) hides what
+    is in all boxes first.
     """
 
     def __init__(
-        self, info: SequenceInfo, *, trail_seconds: float = 1.5, names: Mapping[int, str] | None = None, blur: str = ""
+        self,
+        info: SequenceInfo,
+        *,
+        trail_seconds: float = 1.5,
+        names: Mapping[int, str] | None = None,
+        blur: str = "",
     ) -> None:
-        self._length, self._blur = max(2, round(trail_seconds * (info.fps if info.fps > 0 else 25.0))), blur
-        self._past, self._names = Tracks.empty(), names
+        self._length = max(2, round(trail_seconds * (info.fps if info.fps > 0 else 25.0)))
+        self._blur = blur
+        self._past = Tracks.empty()
+        self._names = names
         self._sheet = _Canvas(np.zeros((max(1, info.height), max(1, info.width), 3), np.uint8))
 
     def __call__(
@@ -220,7 +310,8 @@ class Annotator:
     ) -> Image:
         """The frame with everything drawn on it, a new picture; into planes it is drawn in place.
 
-        Raises `InputError` where the picture is not (H, W, 3) uint8, or the probabilities do not fit the detections.
+        Raises `InputError` where the picture is not (H, W, 3) uint8, or the probabilities do not
+        fit the detections.
 
         Parameters
         ----------
@@ -231,30 +322,45 @@ class Annotator:
         mass : the filter's expected count; left out of the header where not finite.
         clutter_probability : (N,) for the detections, or (0,) where unknown.
         """
-        where, known, count = f"frame {number}", len(clutter_probability), len(detections)
+        where = f"frame {number}"
+        known = len(clutter_probability)
+        count = len(detections)
         planes = image.shape == (len(self._sheet.image) * 3 // 2, self._sheet.image.shape[1])
         if not (planes or image.shape[2:] == (3,)) or image.dtype != np.uint8:
-            raise InputError(f"expected a BGR picture (H, W, 3) of uint8, got {image.shape} of {image.dtype}", where=where)
+            raise InputError(
+                f"expected a BGR picture (H, W, 3) of uint8, got {image.shape} of {image.dtype}",
+                where=where,
+            )
         if known not in (0, count):
-            raise InputError(f"expected a clutter probability for each of {count} detections, got {known}", where=where)
+            raise InputError(
+                f"expected a clutter probability for each of {count} detections, got {known}",
+                where=where,
+            )
         rows = tracks.take(tracks.frame == number)
         if not planes:
             image = pixelated(image, np.vstack([rows.xyxy, detections.xyxy]), self._blur).copy()
             if image.shape != self._sheet.image.shape:
                 self._sheet = _Canvas(np.zeros_like(image))
         canvas = self._sheet
-        with np.errstate(all="ignore"):  # where a track lies is no false alarm: it may rest on later frames
+        with np.errstate(
+            all="ignore"
+        ):  # where a track lies is no false alarm: it may rest on later frames
             tracked = iou(detections.xyxy, rows.xyxy[rows.confirmed]).max(axis=1, initial=0.0) > 0.5
         false_alarm = ~tracked & (clutter_probability > 0.5) if known else np.zeros(count, np.bool_)
         canvas.glaze_boxes(detections.xyxy[~false_alarm], _WHITE, canvas.thin, 0.75)
-        canvas.glaze_boxes(detections.xyxy[false_alarm], _FALSE_ALARM, canvas.thin, 0.75, crossed=True)
+        canvas.glaze_boxes(
+            detections.xyxy[false_alarm], _FALSE_ALARM, canvas.thin, 0.75, crossed=True
+        )
         # From the top of the frame downwards, because what stands lower is usually nearer.
         rows = rows.take(np.argsort(rows.xyxy[:, 3], kind="stable"))
         self._trails(number, rows.take(rows.confirmed))
         for k in np.flatnonzero(~rows.confirmed):
-            canvas.glaze_boxes(rows.xyxy[k : k + 1], identity_colour(int(rows.identity[k])), canvas.line, 0.4)
+            canvas.glaze_boxes(
+                rows.xyxy[k : k + 1], identity_colour(int(rows.identity[k])), canvas.line, 0.4
+            )
         rows = rows.take(rows.confirmed)
-        identities, labels = rows.identity.tolist(), [str(k) for k in rows.identity.tolist()]
+        identities = rows.identity.tolist()
+        labels = [str(k) for k in rows.identity.tolist()]
         if self._names is not None:
             words = [self._names.get(one, str(one)) for one in rows.class_id.tolist()]
             labels = [f"{word} {label}" for word, label in zip(words, labels, strict=True)]
@@ -265,22 +371,34 @@ class Annotator:
         return canvas.onto(image)
 
     def _trails(self, number: int, rows: Tracks) -> None:
-        """A line through the earlier and present feet of each identity, which fades towards the oldest."""
+        """A line through the earlier and present feet of each identity, which fades towards the
+        oldest.
+        """
         past = Tracks.concatenate([self._past, rows])
         self._past = past = past.take(past.frame > number - self._length)
         # By identity, and the lines by strength: OpenCV draws many at once in the time of a few.
         order = np.argsort(past.identity, kind="stable")
         identities, starts = np.unique(past.identity[order], return_index=True)
-        there, frames, by_strength = feet(past.xyxy[order]), past.frame[order], dict[float, list[NDArray[np.int32]]]()
-        for identity, start, end in zip(identities.tolist(), starts, [*starts[1:], len(order)], strict=False):
+        there = feet(past.xyxy[order])
+        frames = past.frame[order]
+        by_strength = dict[float, list[NDArray[np.int32]]]()
+        for identity, start, end in zip(
+            identities.tolist(), starts, [*starts[1:], len(order)], strict=False
+        ):
             mine = there[start:end]
             # So many points are enough; the same in each frame, and the last one.
             kept = frames[start:end] % max(1, self._length // _POINTS) == 0
             kept[-1] = True
             mine = mine[kept]
-            points = np.clip(mine[np.isfinite(mine).all(axis=1)], -1e4, 1e4).round().astype(np.int32)
+            points = (
+                np.clip(mine[np.isfinite(mine).all(axis=1)], -1e4, 1e4).round().astype(np.int32)
+            )
             pieces = min(_FADING, len(points) - 1)
-            bounds = [round(k * (len(points) - 1) / pieces) for k in range(pieces + 1)] if pieces > 0 else []
+            bounds = (
+                [round(k * (len(points) - 1) / pieces) for k in range(pieces + 1)]
+                if pieces > 0
+                else []
+            )
             lines = [points[first : last + 1] for first, last in pairwise(bounds)]
             self._sheet.coloured_lines(lines, identity_colour(identity), self._sheet.line)
             for k, line in enumerate(lines, start=1):
@@ -308,7 +426,8 @@ class PlanScene:
 
 @dataclass(frozen=True, slots=False, eq=False)
 class Plan:
-    """The ground from above, white, x to the right and y upwards, with a grid in metres [E13 Fig. 1].
+    """The ground from above, white, x to the right and y upwards, with a grid in metres [E13 Fig.
+    1].
 
     Parameters
     ----------
@@ -337,38 +456,69 @@ class Plan:
 
     def pixels(self, place: F8) -> F8:
         """(2, N) pixels of places (2, N) on the ground."""
-        offset = place - np.array([[self.extent[0] + self.extent[2]], [self.extent[1] + self.extent[3]]]) / 2
-        out: F8 = offset * np.array([[self.scale], [-self.scale]]) + np.array([[self.width], [self.height]]) / 2
+        offset = (
+            place
+            - np.array([[self.extent[0] + self.extent[2]], [self.extent[1] + self.extent[3]]]) / 2
+        )
+        out: F8 = (
+            offset * np.array([[self.scale], [-self.scale]])
+            + np.array([[self.width], [self.height]]) / 2
+        )
         return out
 
     def draw(self, scene: PlanScene) -> Image:
-        """A picture (height, width, 3) BGR of one frame: detections, people, groups with their counts, warnings."""
-        canvas, frame = _Canvas(self.ground), scene.frame
+        """A picture (height, width, 3) BGR of one frame: detections, people, groups with their
+        counts, warnings.
+        """
+        canvas = _Canvas(self.ground)
+        frame = scene.frame
         for rings in frame.contours:
             canvas.contours([self.pixels(ring) for ring in rings])
         for _, spot in self._shown(scene.detections):
             size = 2 * max(3, 2 * canvas.line + 1)
-            cv2.drawMarker(canvas.image, spot, _INK[::-1], cv2.MARKER_TILTED_CROSS, size, canvas.thin, cv2.LINE_AA)
-        people = [(k, spot, identity_colour(int(scene.identity[k]))) for k, spot in self._shown(scene.people)]
+            cv2.drawMarker(
+                canvas.image,
+                spot,
+                _INK[::-1],
+                cv2.MARKER_TILTED_CROSS,
+                size,
+                canvas.thin,
+                cv2.LINE_AA,
+            )
+        people = [
+            (k, spot, identity_colour(int(scene.identity[k])))
+            for k, spot in self._shown(scene.people)
+        ]
         for _, spot, colour in people:
             for reach, filling in ((2 * canvas.line + 3, _WHITE), (2 * canvas.line + 2, colour)):
                 cv2.circle(canvas.image, spot, reach, filling[::-1], -1, cv2.LINE_AA)
         for group in np.unique(frame.membership).tolist():
             inside = np.isin(scene.identity, frame.member[frame.membership == group])
             self._outline(canvas, scene.people[:, inside])
-        centre, velocity = frame.groups.mean[:2], frame.groups.mean[2:]
+        centre = frame.groups.mean[:2]
+        velocity = frame.groups.mean[2:]
         # The way of the next second.
-        for way in np.stack([self.pixels(centre), self.pixels(centre + velocity)]).transpose(2, 0, 1):
+        for way in np.stack([self.pixels(centre), self.pixels(centre + velocity)]).transpose(
+            2, 0, 1
+        ):
             if np.hypot(*(way[1] - way[0])) > 3:
                 tail, tip = np.clip(way, -1e4, 1e4).round().astype(int).tolist()
-                cv2.arrowedLine(canvas.image, tail, tip, _INK[::-1], canvas.thin, cv2.LINE_AA, tipLength=0.25)
-        place, meetings = dict(zip(frame.identity.tolist(), centre.T, strict=True)), list[tuple[str, list[int]]]()
+                cv2.arrowedLine(
+                    canvas.image, tail, tip, _INK[::-1], canvas.thin, cv2.LINE_AA, tipLength=0.25
+                )
+        place = dict(zip(frame.identity.tolist(), centre.T, strict=True))
+        meetings = list[tuple[str, list[int]]]()
         for warning in frame.warnings:
             if warning.first in place and warning.second in place:
-                between = self.pixels(np.stack([place[warning.first], place[warning.second]], axis=1))
+                between = self.pixels(
+                    np.stack([place[warning.first], place[warning.second]], axis=1)
+                )
                 canvas.path(between, _WARNING, canvas.line)
                 meetings.append(
-                    (f"meet in {warning.seconds:.1f} s", np.clip(between.mean(axis=1), 0, 1e4).astype(int).tolist())
+                    (
+                        f"meet in {warning.seconds:.1f} s",
+                        np.clip(between.mean(axis=1), 0, 1e4).astype(int).tolist(),
+                    )
                 )
         for k, (x, y), colour in people:
             if scene.identity[k]:
@@ -380,11 +530,15 @@ class Plan:
             canvas.label(words, corner, _WARNING)
         detected = int(np.isfinite(scene.detections).all(axis=0).sum())
         header = f"frame {frame.number}   {frame.time:.1f} s   {frame.people:.1f} people in {frame.named} groups"
-        canvas.plate(header + (f"   {detected} detections" if detected else ""), (0, 0), _INK, once=True)
+        canvas.plate(
+            header + (f"   {detected} detections" if detected else ""), (0, 0), _INK, once=True
+        )
         return canvas.image
 
     def _outline(self, canvas: _Canvas, people: F8) -> None:
-        """A line around the places (2, n) of a group's people, half a metre from them; none around one alone."""
+        """A line around the places (2, n) of a group's people, half a metre from them; none around
+        one alone.
+        """
         known = people[:, np.isfinite(people).all(axis=0)]
         if known.shape[1] < 2:
             return
@@ -398,7 +552,13 @@ class Plan:
         """What is the same in all frames: field of view, grid and edges."""
         canvas = _Canvas(np.full((self.height, self.width, 3), 255, np.uint8))
         if self.field.shape[1] > 2:
-            cv2.fillPoly(canvas.image, [_fixed(self.pixels(self.field))], _FIELD[::-1], cv2.LINE_AA, _FRACTION_BITS)
+            cv2.fillPoly(
+                canvas.image,
+                [_fixed(self.pixels(self.field))],
+                _FIELD[::-1],
+                cv2.LINE_AA,
+                _FRACTION_BITS,
+            )
         # The smallest of 1, 2, 5, 10, … times a power of ten with few enough lines.
         size = np.array([self.width, self.height]) / self.scale
         smallest = size.max() / _MAX_LINES
@@ -408,12 +568,18 @@ class Plan:
         reach = np.stack([middle - size / 2, middle + size / 2], axis=1)
         for axis in (0, 1):
             # Adding 0 makes 0 of −0.
-            for value in np.arange(np.ceil(reach[axis, 0] / step), reach[axis, 1] / step) * step + 0.0:
+            for value in (
+                np.arange(np.ceil(reach[axis, 0] / step), reach[axis, 1] / step) * step + 0.0
+            ):
                 ends = reach.copy()
                 ends[axis] = value
                 line = self.pixels(ends)
                 canvas.path(line, _GRID, canvas.thin)
-                spot = (int(line[0, 0]) + 3, self.height - 5) if axis == 0 else (3, int(line[1, 0]) - 3)
+                spot = (
+                    (int(line[0, 0]) + 3, self.height - 5)
+                    if axis == 0
+                    else (3, int(line[1, 0]) - 3)
+                )
                 canvas.text(f"{value:g}{' m' if value == 0 else ''}", spot, _WITHOUT_IDENTITY)
         for edge in self.edges:
             canvas.path(self.pixels(edge), _ROAD_EDGE, canvas.line + 1)
@@ -422,11 +588,17 @@ class Plan:
     def _shown(self, place: F8) -> list[tuple[int, tuple[int, int]]]:
         """The index and the whole pixel of those places (2, N) that are in the picture."""
         spots = enumerate(np.nan_to_num(self.pixels(place), nan=-1.0).T.tolist())
-        return [(k, (int(x), int(y))) for k, (x, y) in spots if 0 <= x < self.width and 0 <= y < self.height]
+        return [
+            (k, (int(x), int(y)))
+            for k, (x, y) in spots
+            if 0 <= x < self.width and 0 <= y < self.height
+        ]
 
 
 def draw_contours(image: Image, contours: Sequence[Sequence[F8]]) -> Image:
-    """A copy of a picture (H, W, 3) BGR with the outlines of groups: of each its rings (2, K) in pixels."""
+    """A copy of a picture (H, W, 3) BGR with the outlines of groups: of each its rings (2, K) in
+    pixels.
+    """
     canvas = _Canvas(image)
     for rings in contours:
         canvas.contours(rings)
@@ -434,8 +606,8 @@ def draw_contours(image: Image, contours: Sequence[Sequence[F8]]) -> Image:
 
 
 def draw_plates(image: Image, plates: Sequence[tuple[str, Sequence[int]]]) -> Image:
-    """A copy of a picture (H, W, 3) BGR with sentences on dark plates, none on another: of each its text and lower left
-    corner in pixels."""
+    """A copy of a picture (H, W, 3) BGR with sentences on dark plates, none on another: of each its
+    text and lower left corner in pixels."""
     canvas = _Canvas(image)
     for text, corner in plates:
         canvas.label(text, corner, _INK)
@@ -443,8 +615,12 @@ def draw_plates(image: Image, plates: Sequence[tuple[str, Sequence[int]]]) -> Im
 
 
 def _label(frame: GroupFrame, g: int) -> str:
-    """The group and its number of people; nothing for one person alone, who has a label, or where there is probably none."""
-    identity, count, deviation = frame.identity[g], frame.groups.count[g], frame.groups.deviation[g]
+    """The group and its number of people; nothing for one person alone, who has a label, or where
+    there is probably none.
+    """
+    identity = frame.identity[g]
+    count = frame.groups.count[g]
+    deviation = frame.groups.deviation[g]
     if (identity and count < 1.5) or count < 0.5:
         return ""
     many = f"{count:.1f}" + (f" +-{deviation:.1f}" if deviation >= 0.05 else "")
@@ -453,4 +629,6 @@ def _label(frame: GroupFrame, g: int) -> str:
 
 def _fixed(points: F8) -> np.ndarray[tuple[int, ...], np.dtype[np.int32]]:
     """(K, 1, 2) points (2, K) in sixteenths of a pixel, as OpenCV takes them."""
-    return np.ascontiguousarray((np.clip(points.T, -1e5, 1e5) * 2**_FRACTION_BITS).round().astype(np.int32))[:, None]
+    return np.ascontiguousarray(
+        (np.clip(points.T, -1e5, 1e5) * 2**_FRACTION_BITS).round().astype(np.int32)
+    )[:, None]

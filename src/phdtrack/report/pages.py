@@ -1,12 +1,13 @@
-"""The pages, sections and sentences of reports, from the Jinja2 templates in ``report/templates``, and ``run.json``.
+"""The pages, sections and sentences of reports, from the Jinja2 templates in ``report/templates``,
+and ``run.json``.
 
-A report is one file that can be read without network, on a phone, on paper and in the dark: pictures are ``data:``
-addresses, the style sheet is inline, there is no script, and a content security policy forbids to fetch anything. Whatever a
-template prints is escaped, unless it is `markupsafe.Markup`. Control characters and lone surrogates, which no browser
-shows, become �.
+A report is one file that can be read without network, on a phone, on paper and in the dark:
+pictures are ``data:`` addresses, the style sheet is inline, there is no script, and a content
+security policy forbids to fetch anything. Whatever a template prints is escaped, unless it is
+`markupsafe.Markup`. Control characters and lone surrogates, which no browser shows, become �.
 
-``run.json`` and its like are plain JSON: values that are not numbers (NaN, infinity) become null, arrays lists, paths
-strings. Keys keep their names and order; new ones are added at the end.
+``run.json`` and its like are plain JSON: values that are not numbers (NaN, infinity) become null,
+arrays lists, paths strings. Keys keep their names and order; new ones are added at the end.
 """
 
 from __future__ import annotations
@@ -32,15 +33,21 @@ if TYPE_CHECKING:
 # A space that does not break; unlike the narrow ones every legacy terminal encoding has it.
 _NBSP = "\u00a0"
 _NOT_SHOWN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff]")
-# A track below `_SHORT` seconds is short. Doubtful is a share of short tracks above `_MOST_SHORT` (0 to .2 where tracks were
-# good), among at least `_ENOUGH`, and a share of boxes without a track above `_MOST_UNUSED` (0 to .3).
-_SHORT, _MOST_SHORT, _MOST_UNUSED, _ENOUGH = 0.5, 0.3, 0.4, 5
+# A track below `_SHORT` seconds is short. Doubtful is a share of short tracks above `_MOST_SHORT`
+# (0 to .2 where tracks were good), among at least `_ENOUGH`, and a share of boxes without a track
+# above `_MOST_UNUSED` (0 to .3).
+_SHORT = 0.5
+_MOST_SHORT = 0.3
+_MOST_UNUSED = 0.4
+_ENOUGH = 5
 _STAGE_TIMES = ("mean", "median", "p95", "share")
 
 
 @cache
 def environment() -> Environment:
-    """Where the templates are, and the functions that they can call. Jinja2 is imported here, on first use."""
+    """Where the templates are, and the functions that they can call. Jinja2 is imported here, on
+    first use.
+    """
     from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
     made = Environment(
@@ -52,7 +59,10 @@ def environment() -> Environment:
         lstrip_blocks=True,
     )
     made.globals["charts"] = charts
-    made.filters |= {function.__name__: function for function in (grouped, counted, duration, percent, score, known_mean)}
+    made.filters |= {
+        function.__name__: function
+        for function in (grouped, counted, duration, percent, score, known_mean)
+    }
     return made
 
 
@@ -63,7 +73,9 @@ def render(template: str, **context: object) -> Markup:
 
 def lines(template: str, **context: object) -> tuple[str, ...]:
     """The sentences of a text template, which has one on each line."""
-    return tuple(str(line).strip() for line in render(template, **context).split("\n") if line.strip())
+    return tuple(
+        str(line).strip() for line in render(template, **context).split("\n") if line.strip()
+    )
 
 
 def score_meanings() -> dict[str, str]:
@@ -78,34 +90,45 @@ def sentences(record: RunRecord) -> tuple[str, ...]:
 
 
 def doubts(record: RunRecord, *, background: bool) -> tuple[str, ...]:
-    """What makes the tracks of a run doubtful, with what would help, in a sentence; none where nothing does.
+    """What makes the tracks of a run doubtful, with what would help, in a sentence; none where
+    nothing does.
 
-    Many short tracks are doubtful with any detector, many boxes without a track where they come from a ``background`` one:
-    other detectors' low scores are the filter's work.
+    Many short tracks are doubtful with any detector, many boxes without a track where they come
+    from a ``background`` one: other detectors' low scores are the filter's work.
     """
-    length, whole = record.lifetimes, record.whole
+    length = record.lifetimes
+    whole = record.whole
     short = float((length < _SHORT * record.info.fps).mean()) if len(length) else 0.0
-    unused = 1 - (whole.rows - whole.predicted) / whole.detections if background and whole.detections >= _ENOUGH else 0.0
+    unused = (
+        1 - (whole.rows - whole.predicted) / whole.detections
+        if background and whole.detections >= _ENOUGH
+        else 0.0
+    )
     limits = {"most_short": _MOST_SHORT, "most_unused": _MOST_UNUSED, "enough": _ENOUGH}
     return lines("doubts.txt", short=short, count=len(length), unused=unused, **limits)
 
 
 def report_html(record: RunRecord, config: Mapping[str, object]) -> str:
     """The report of a run, the whole page; ``config`` are the settings, listed at the end."""
-    title, lead = record.about.title or record.info.name or "Tracking run", " ".join(sentences(record))
-    return str(render("run.html", title=title, lead=lead, record=record, settings=flattened(config)))
+    title = record.about.title or record.info.name or "Tracking run"
+    lead = " ".join(sentences(record))
+    return str(
+        render("run.html", title=title, lead=lead, record=record, settings=flattened(config))
+    )
 
 
 def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, object]:
     """The run as JSON values: ``config`` is the whole configuration as nested mappings.
 
-    Times are seconds. ``frames_per_second`` is that of everything from the first frame up to the report: detection,
-    tracking, drawing; but for the ``frames_left_out`` in which kernels were compiled or loaded. It has this meaning in the
-    report and on the terminal, too; ``stages`` are milliseconds per frame, whose sum may
-    exceed a frame's share of the time because stages overlap.
+    Times are seconds. ``frames_per_second`` is that of everything from the first frame up to the
+    report: detection, tracking, drawing; but for the ``frames_left_out`` in which kernels were
+    compiled or loaded. It has this meaning in the report and on the terminal, too; ``stages`` are
+    milliseconds per frame, whose sum may exceed a frame's share of the time because stages overlap.
     ``log_evidence`` is that of each frame, null where the filter has none.
     """
-    about, info, times = record.about, record.info, record.stage_times
+    about = record.about
+    info = record.info
+    times = record.stage_times
     document = {
         "command": about.command,
         "title": about.title,
@@ -117,7 +140,11 @@ def run_document(record: RunRecord, config: Mapping[str, object]) -> dict[str, o
         "source": {"name": info.name, "width": info.width, "height": info.height, "fps": info.fps},
         "frames": record.whole.frames,
         "frames_per_second": record.frames_per_second,
-        "stages": {name: dict(zip(_STAGE_TIMES, times[name], strict=True)) for name in STAGES if name in times},
+        "stages": {
+            name: dict(zip(_STAGE_TIMES, times[name], strict=True))
+            for name in STAGES
+            if name in times
+        },
         "tracks": record.whole.objects,
         "track_rows": record.whole.rows,
         "predicted_rows": record.whole.predicted,
@@ -141,7 +168,9 @@ def grouped(number: float) -> str:
 
 
 def counted(number: int, *noun: str) -> str:
-    """A number with its noun, as "1 frame" and "2 frames"; its plural is the second where that has more than an s."""
+    """A number with its noun, as "1 frame" and "2 frames"; its plural is the second where that has
+    more than an s.
+    """
     return f"{grouped(number)} {noun[0] if number == 1 else (*noun, f'{noun[0]}s')[1]}"
 
 
@@ -170,7 +199,9 @@ def score(value: float) -> str:
 
 
 def flattened(config: Mapping[str, object], prefix: str = "") -> tuple[tuple[str, str], ...]:
-    """Pairs (dotted name, text) of a nested configuration, in its order: the form that ``--set`` takes."""
+    """Pairs (dotted name, text) of a nested configuration, in its order: the form that ``--set``
+    takes.
+    """
     pairs: list[tuple[str, str]] = []
     for key, value in config.items():
         if isinstance(value, Mapping):
@@ -181,5 +212,9 @@ def flattened(config: Mapping[str, object], prefix: str = "") -> tuple[tuple[str
 
 
 def write_run(path: Path, document: Mapping[str, object]) -> None:
-    """Write the document as indented UTF-8. Raises `InputError` where the file cannot be written."""
-    write_text(path, json.dumps(json_value(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+    """Write the document as indented UTF-8. Raises `InputError` where the file cannot be
+    written.
+    """
+    write_text(
+        path, json.dumps(json_value(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    )

@@ -1,7 +1,7 @@
 """What the report of a run shows, and the recorder that collects it while the run goes on.
 
-A `Recorder` keeps numbers per frame and a small picture, so that memory does not grow with the video beyond some hundred
-bytes a frame.
+A `Recorder` keeps numbers per frame and a small picture, so that memory does not grow with the
+video beyond some hundred bytes a frame.
 """
 
 from __future__ import annotations
@@ -35,8 +35,10 @@ class About:
     versions, scores : pairs of name and value.
     warnings, notes : sentences to show.
     tracking_seconds : wall time of detection and tracking, which overlap; 0 where not measured.
-    left_out : frames in which kernels were compiled or loaded; ``tracking_seconds`` is without them.
-    finishing_seconds : wall time of what follows up to the report: corrected tracks, scores, annotated video.
+    left_out : frames in which kernels were compiled or loaded; ``tracking_seconds`` is without
+        them.
+    finishing_seconds : wall time of what follows up to the report: corrected tracks, scores,
+        annotated video.
     sections : of the report, as markup, that come after the key figures.
     """
 
@@ -83,8 +85,11 @@ class Whole(NamedTuple):
         """With corrected rows; identities that are ``known`` were counted before."""
         names, first = np.unique(rows.identity, return_index=True)
         fresh = first[~np.isin(names, [*set().union(*known)])]
-        classes, predicted = self.classes + Counter(rows.class_id[fresh].tolist()), int(rows.predicted.sum())
-        return self._replace(classes=classes, rows=self.rows + len(rows), predicted=self.predicted + predicted)
+        classes = self.classes + Counter(rows.class_id[fresh].tolist())
+        predicted = int(rows.predicted.sum())
+        return self._replace(
+            classes=classes, rows=self.rows + len(rows), predicted=self.predicted + predicted
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,10 +102,11 @@ class RunRecord:
     tracks : the corrected tracks.
     numbers, times : (F,) frame numbers from 1, ascending, and seconds.
     n_detections : (F,) detections.
-    mass : (F,) expected number of objects, the integral of the intensity; NaN where the filter has none.
+    mass : (F,) expected number of objects, the integral of the intensity; NaN where the filter has
+        none.
     clutter_mass : (F,) expected number of false alarms, the sum of κ/(κ + C) over the detections.
-    count_range : (F, 2) between which numbers the filter's number of objects lies with 90 % probability; NaN in frames
-        without a distribution, (0, 2) where no frame has one.
+    count_range : (F, 2) between which numbers the filter's number of objects lies with 90 %
+        probability; NaN in frames without a distribution, (0, 2) where no frame has one.
     seconds : (F, S) time that each of the `STAGES` took.
     truth_count : (F,) annotated objects, or (0,) where there is no truth.
     background : (h, w, 3) BGR frame from the second half, scaled down; (0, 0, 3) without video.
@@ -140,15 +146,20 @@ class RunRecord:
         """The number of tracks of each class that has any, by its name; {} without classes."""
         if self.names is None:
             return {}
-        return {self.names.get(one, str(one)): count for one, count in sorted(self.whole.classes.items())}
+        return {
+            self.names.get(one, str(one)): count
+            for one, count in sorted(self.whole.classes.items())
+        }
 
     @property
     def frames_per_second(self) -> float:
-        """Frames over the wall time from the first one up to the report, as if frames left out had taken as long as others.
+        """Frames over the wall time from the first one up to the report, as if frames left out had
+        taken as long as others.
 
         Where it was not measured it is by the sum of the stages; NaN without either.
         """
-        about, frames = self.about, self.whole.frames
+        about = self.about
+        frames = self.whole.frames
         total = about.tracking_seconds or (0.0 if about.left_out else float(self.seconds.sum()))
         if not total > 0 or frames <= about.left_out:
             return math.nan
@@ -156,31 +167,48 @@ class RunRecord:
 
     @property
     def stage_times(self) -> Mapping[str, Sequence[float]]:
-        """By stage, and together: mean, median, 95th percentile in ms per frame, share of the whole; {} without frames."""
+        """By stage, and together: mean, median, 95th percentile in ms per frame, share of the
+        whole; {} without frames.
+        """
         if not len(self):
             return {}
         table = 1000 * np.column_stack([self.seconds, self.seconds.sum(axis=1)])
         share = table.sum(axis=0) / max(float(table[:, -1].sum()), 1e-12)
-        columns = np.array([table.mean(axis=0), np.median(table, axis=0), np.quantile(table, 0.95, axis=0), share])
+        columns = np.array(
+            [table.mean(axis=0), np.median(table, axis=0), np.quantile(table, 0.95, axis=0), share]
+        )
         return dict(zip((*STAGES, "together"), columns.T.tolist(), strict=True))
 
 
 class Recorder:
-    """Collects a `RunRecord` while a run goes on: `add` every frame in order, `record` at the end or when it breaks off.
+    """Collects a `RunRecord` while a run goes on: `add` every frame in order, `record` at the end
+    or when it breaks off.
 
-    The picture that is kept is of the 1st, 2nd, 4th, 8th, … frame, the last of these. ``truth`` is None where nothing is
-    annotated. Of more than ``most`` frames the last ones are kept, and corrected rows are to be counted by `count`, when
-    they are final. ``blur`` (`arrays.pixelated`) hides boxes of detections, estimates and tracks.
+    The picture that is kept is of the 1st, 2nd, 4th, 8th, … frame, the last of these. ``truth`` is
+    None where nothing is annotated. Of more than ``most`` frames the last ones are kept, and
+    corrected rows are to be counted by `count`, when they are final. ``blur`` (`arrays.pixelated`)
+    hides boxes of detections, estimates and tracks.
     """
 
-    def __init__(self, info: SequenceInfo, truth: Truth | None = None, most: int | None = None, blur: str = "") -> None:
-        self._info, self._truth, self._blur = info, truth, blur
-        self._rows, self._endless = deque[tuple[float, ...]](maxlen=most), most is not None
-        self._whole, self._first = Whole(0, 0.0, 0, 0.0, Counter(), 0, 0), math.nan
+    def __init__(
+        self,
+        info: SequenceInfo,
+        truth: Truth | None = None,
+        most: int | None = None,
+        blur: str = "",
+    ) -> None:
+        self._info = info
+        self._truth = truth
+        self._blur = blur
+        self._rows = deque[tuple[float, ...]](maxlen=most)
+        self._endless = most is not None
+        self._whole = Whole(0, 0.0, 0, 0.0, Counter(), 0, 0)
+        self._first = math.nan
         # Identities of the last two times that rows were counted.
         self._known = set[int](), set[int]()
         # The picture that is kept, and the number of its frame.
-        self._picture, self._pictured = NO_IMAGE, 0
+        self._picture = NO_IMAGE
+        self._pictured = 0
 
     def add(self, frame: Frame | None, step: Step, detect_seconds: float) -> None:
         """Take in one frame.
@@ -191,10 +219,14 @@ class Recorder:
         step : what the tracker made of the frame.
         detect_seconds : time that detection took, seconds.
         """
-        info, whole = step.info, self._whole
-        false, tracks = float(info.clutter_probability.sum()), int(step.tracks.confirmed.sum())
+        info = step.info
+        whole = self._whole
+        false = float(info.clutter_probability.sum())
+        tracks = int(step.tracks.confirmed.sum())
         row = (step.number, step.time, len(step.detections), info.mass, false, info.log_evidence)
-        self._rows.append((*row, *_likely_range(info.cardinality), tracks, detect_seconds, *step.seconds))
+        self._rows.append(
+            (*row, *_likely_range(info.cardinality), tracks, detect_seconds, *step.seconds)
+        )
         self._first = self._first if whole.frames else step.time
         self._whole = whole._replace(
             frames=whole.frames + 1,
@@ -204,7 +236,8 @@ class Recorder:
         )
         if frame is not None and self._whole.frames.bit_count() == 1:
             boxes = np.vstack([step.detections.xyxy, step.estimates.xyxy])
-            self._picture, self._pictured = self._hidden(_small(frame), boxes), step.number
+            self._picture = self._hidden(_small(frame), boxes)
+            self._pictured = step.number
 
     def count(self, rows: Tracks) -> None:
         """Count corrected rows of a source without an end."""
@@ -213,9 +246,13 @@ class Recorder:
         self._known = self._known[1], set(rows.identity.tolist())
 
     def record(self, tracks: Tracks, about: About) -> RunRecord:
-        """Everything so far, with the corrected tracks of all frames that are kept; collecting may go on."""
-        truth, table = self._truth, np.array(self._rows, dtype=np.float64).reshape(-1, 9 + len(STAGES))
-        numbers, ranges = table[:, 0].astype(np.int64), table[:, 6:8]
+        """Everything so far, with the corrected tracks of all frames that are kept; collecting may
+        go on.
+        """
+        truth = self._truth
+        table = np.array(self._rows, dtype=np.float64).reshape(-1, 9 + len(STAGES))
+        numbers = table[:, 0].astype(np.int64)
+        ranges = table[:, 6:8]
         return RunRecord(
             info=self._info,
             about=about,
@@ -227,15 +264,21 @@ class Recorder:
             clutter_mass=table[:, 4],
             count_range=ranges if np.isfinite(ranges).any() else ranges[:0],
             seconds=table[:, 9:],
-            truth_count=np.zeros(0, np.int64) if truth is None else _count(truth.frame[~truth.distractor], numbers),
+            truth_count=np.zeros(0, np.int64)
+            if truth is None
+            else _count(truth.frame[~truth.distractor], numbers),
             background=self._hidden(self._picture, tracks.xyxy[tracks.frame == self._pictured]),
             log_evidence=table[:, 5],
             whole=self._whole if self._endless else self._whole.with_rows(tracks),
-            track_count=table[:, 8].astype(np.int64) if self._endless else _count(tracks.frame, numbers),
+            track_count=table[:, 8].astype(np.int64)
+            if self._endless
+            else _count(tracks.frame, numbers),
         )
 
     def _hidden(self, image: Image, boxes: F8) -> Image:
-        """A small picture of a frame with what is in boxes of the frame, in its own pixels, hidden."""
+        """A small picture of a frame with what is in boxes of the frame, in its own pixels,
+        hidden.
+        """
         return pixelated(image, image.shape[1] / max(1, self._info.width) * boxes, self._blur)
 
 
@@ -250,7 +293,9 @@ def shrunk(image: Image, width: int) -> Image:
     high, wide = image.shape[:2]
     if wide <= width:
         return image
-    small: Image = cv2.resize(image, (width, max(1, round(high * width / wide))), interpolation=cv2.INTER_AREA)
+    small: Image = cv2.resize(
+        image, (width, max(1, round(high * width / wide))), interpolation=cv2.INTER_AREA
+    )
     return small
 
 

@@ -1,4 +1,6 @@
-"""Learned scenes: where targets are born and where a detector is wrong, as training has taught [M09 §IV]."""
+"""Learned scenes: where targets are born and where a detector is wrong, as training has taught [M09
+§IV].
+"""
 
 from phdtrack.scene.em import grid, learn
 from phdtrack.scene.files import LearnedDensity, Scene, TrackedObjects, read_scene, write_scene

@@ -1,24 +1,28 @@
-"""Learning a scene's density from samples: recursive MAP-EM, then EM for the whole model with split and merge moves.
+"""Learning a scene's density from samples: recursive MAP-EM, then EM for the whole model with split
+and merge moves.
 
-Equations of the first [M09 §IV-B, (16)-(20); Z04]: docs/methods.md, A learned scene; β is the rate, and τ = N/2, N the
-number of parameters of a component. What the paper leaves open:
+Equations of the first [M09 §IV-B, (16)-(20); Z04]: docs/methods.md, A learned scene; β is the rate,
+and τ = N/2, N the number of parameters of a component. What the paper leaves open:
 
-* The rule needs β < 1/(Mτ), 6e-4 with the paper's grids, so that one pass over a few hundred samples hardly moves a weight.
-  The samples are taken in several passes, each in another order, with β = min(1/n, ½/(Mτ)) for n samples. Then the estimate
-  settles: without the prior, with a rate that falls like 1/k.
+* The rule needs β < 1/(Mτ), 6e-4 with the paper's grids, so that one pass over a few hundred
+  samples hardly moves a weight. The samples are taken in several passes, each in another order,
+  with β = min(1/n, ½/(Mτ)) for n samples. Then the estimate settles: without the prior, with a rate
+  that falls like 1/k.
 * β o_m/π_m stays below 1, and F, a small diagonal, keeps every covariance above itself.
-* Samples may have gaps (NaN): a birth that a person marked has a place but no velocity. A gap is filled
-  from the nearest complete sample.
+* Samples may have gaps (NaN): a birth that a person marked has a place but no velocity. A gap is
+  filled from the nearest complete sample.
 * α_u begins at 1 − 1e-3, because from 1 nothing is ever learned, and stays within [1e-3, 1 − 1e-3].
 
-The recursion ends in a local optimum. EM for the whole model, uniform part included, then tries moves: a component goes; one
-is split along its longest axis; a new one begins where samples crowd. The move that makes
+The recursion ends in a local optimum. EM for the whole model, uniform part included, then tries
+moves: a component goes; one is split along its longest axis; a new one begins where samples crowd.
+The move that makes
 
     −log p(x_1 … x_n) + Σ_m τ [log n_m + (d + 2)/(n_m − d − 2)] + M/2 log n
 
-smallest stays, if it makes it smaller: the N parameters of a component are known from the n_m samples that it explains, and
-its weight from all [S78]. The fraction is half of the correction for few samples [B94]: with all of it eight marks are no
-place, and with none of it eight samples that lie together by chance are one.
+smallest stays, if it makes it smaller: the N parameters of a component are known from the n_m
+samples that it explains, and its weight from all [S78]. The fraction is half of the correction for
+few samples [B94]: with all of it eight marks are no place, and with none of it eight samples that
+lie together by chance are one.
 """
 
 from __future__ import annotations
@@ -30,30 +34,45 @@ from typing import NamedTuple
 import numpy as np
 
 from phdtrack.errors import InputError
-from phdtrack.kernels.mixtures import Gaussians, Moments, Recursion, em_step, nothing_known, one_block, recursive_em
+from phdtrack.kernels.mixtures import (
+    Gaussians,
+    Moments,
+    Recursion,
+    em_step,
+    nothing_known,
+    one_block,
+    recursive_em,
+)
 from phdtrack.scene.mixture import SceneDensity, marginal
 from phdtrack.types import F8, I8
 
 MIN_UNIFORM = 1e-3
 # Standard deviations of F as parts of the samples' own; split and merge moves at most.
-FLOOR, MAX_MOVES = 0.01, 20
+FLOOR = 0.01
+MAX_MOVES = 20
 _EACH = np.ones(1)
 # Samples taken at the steady rate, at most; passes while the rate falls.
-MAX_TAKEN, SETTLING_PASSES = 1_000_000, 20
+MAX_TAKEN = 1_000_000
+SETTLING_PASSES = 20
 # EM has converged where a step gains fewer nats; steps at most.
-CONVERGED, MAX_STEPS = 1e-3, 200
-# Steps of EM after which moves are compared, and for a new component; how many of the best moves are fitted wholly.
-TRIAL_STEPS, NEW_STEPS, FULL_TRIALS = 5, 10, 2
+CONVERGED = 1e-3
+MAX_STEPS = 200
+# Steps of EM after which moves are compared, and for a new component; how many of the best moves
+# are fitted wholly.
+TRIAL_STEPS = 5
+NEW_STEPS = 10
+FULL_TRIALS = 2
 # Samples among which crowds are looked for, at most: the time grows with their number squared.
 MAX_CROWD_SAMPLES = 1000
 
 
 def learn(density: SceneDensity, samples: F8) -> SceneDensity:
-    """``density``, where learning begins, after the samples (d, n), NaN where one does not show a component.
+    """``density``, where learning begins, after the samples (d, n), NaN where one does not show a
+    component.
 
-    It is the same for the same samples, and ``density`` itself where there is nothing to learn from. Samples outside the
-    volume are left out. Raises `InputError` for samples of another dimension, infinite or without any component, and where
-    there are no Gaussians to move.
+    It is the same for the same samples, and ``density`` itself where there is nothing to learn
+    from. Samples outside the volume are left out. Raises `InputError` for samples of another
+    dimension, infinite or without any component, and where there are no Gaussians to move.
     """
     _check_samples(density, samples)
     used = density.contains(np.where(np.isnan(samples), density.low[:, None], samples))
@@ -61,12 +80,19 @@ def learn(density: SceneDensity, samples: F8) -> SceneDensity:
     n = x.shape[1]
     if n == 0:
         return density
-    tau, rng = parameters(density.dim) / 2, np.random.default_rng(0)
-    # The first pass takes the memory of the slowest rate, 2Mτ samples; the weights of two equal components, one of which is
-    # to go, part like exp(2τk/n).
-    passes = min(max(20, math.ceil(6 * len(density) * tau / n), math.ceil(1.5 * n / tau)), max(5, MAX_TAKEN // n))
-    order = np.concatenate([rng.permutation(n) for _ in range(passes + min(passes, SETTLING_PASSES))])
-    x, extent = _filled(x), density.high - density.low
+    tau = parameters(density.dim) / 2
+    rng = np.random.default_rng(0)
+    # The first pass takes the memory of the slowest rate, 2Mτ samples; the weights of two equal
+    # components, one of which is to go, part like exp(2τk/n).
+    passes = min(
+        max(20, math.ceil(6 * len(density) * tau / n), math.ceil(1.5 * n / tau)),
+        max(5, MAX_TAKEN // n),
+    )
+    order = np.concatenate(
+        [rng.permutation(n) for _ in range(passes + min(passes, SETTLING_PASSES))]
+    )
+    x = _filled(x)
+    extent = density.high - density.low
     mean = x.mean(axis=1)[:, None]
     least: F8 = np.maximum(FLOOR**2 * np.square(x - mean).mean(axis=1), (1e-4 * extent) ** 2)
     left, uniform = recursive_em(
@@ -81,9 +107,15 @@ def learn(density: SceneDensity, samples: F8) -> SceneDensity:
 
 
 def grid(
-    low: F8, high: F8, counts: tuple[int, int], centre: F8, spread: F8, uniform: float = 1 - MIN_UNIFORM
+    low: F8,
+    high: F8,
+    counts: tuple[int, int],
+    centre: F8,
+    spread: F8,
+    uniform: float = 1 - MIN_UNIFORM,
 ) -> SceneDensity:
-    """A density of counts[0] × counts[1] Gaussians of equal weight over the positions, where learning begins [M09 §IV-B].
+    """A density of counts[0] × counts[1] Gaussians of equal weight over the positions, where
+    learning begins [M09 §IV-B].
 
     M09 takes 12 × 10 for births and 16 × 14 for false alarms.
 
@@ -91,20 +123,26 @@ def grid(
     ----------
     low, high : (d,) bounds of the volume; rows 0 and 1 are the position.
     counts : Gaussians across and down; in position each is as wide as the grid's step.
-    centre, spread : (d,) mean and standard deviation of the other components (mean size, zero velocity).
+    centre, spread : (d,) mean and standard deviation of the other components (mean size, zero
+        velocity).
     uniform : α_u.
     """
-    extent, steps = high - low, np.array(counts)
+    extent = high - low
+    steps = np.array(counts)
     across, down = (low[k] + extent[k] * (np.arange(steps[k]) + 0.5) / steps[k] for k in range(2))
     place = np.stack([part.ravel() for part in np.meshgrid(across, down)])
     m = place.shape[1]
     mean = np.vstack([place, np.tile(centre[2:, None], m)])
     deviation = np.concatenate([extent[:2] / steps, spread[2:]])
-    return SceneDensity(low, high, uniform, np.full(m, 1 / m), mean, np.tile(np.diag(deviation**2), (m, 1, 1)))
+    return SceneDensity(
+        low, high, uniform, np.full(m, 1 / m), mean, np.tile(np.diag(deviation**2), (m, 1, 1))
+    )
 
 
 def parameters(dim: int) -> int:
-    """N, the number of parameters of a component: mean and covariance; 27 in six dimensions, 14 in four."""
+    """N, the number of parameters of a component: mean and covariance; 27 in six dimensions, 14 in
+    four.
+    """
     return dim + dim * (dim + 1) // 2
 
 
@@ -114,8 +152,11 @@ def limited_uniform(share: float) -> float:
 
 
 def best_uniform(log_ratio: F8) -> float:
-    """α_u of the greatest likelihood within its limits, by EM, for (n,) `SceneDensity.log_ratio` at the samples."""
-    ratio, share = np.exp(np.minimum(700.0, log_ratio)), 0.5
+    """α_u of the greatest likelihood within its limits, by EM, for (n,) `SceneDensity.log_ratio` at
+    the samples.
+    """
+    ratio = np.exp(np.minimum(700.0, log_ratio))
+    share = 0.5
     for _ in range(MAX_STEPS):
         share = limited_uniform(float(np.mean(share / (share + (1 - share) * ratio))))
     return share
@@ -135,14 +176,19 @@ class Samples(NamedTuple):
 
 def moments(p: SceneDensity, samples: Samples) -> Moments:
     """One step of EM for p, its uniform part included. Truncation is left out."""
-    mixture, n = Gaussians((1 - p.uniform) * p.weight, p.mean, p.covariance), samples.x.shape[1]
+    mixture = Gaussians((1 - p.uniform) * p.weight, p.mean, p.covariance)
+    n = samples.x.shape[1]
     flat = np.full(n, math.log(p.flat))
-    found: Moments = em_step(samples.x, _EACH, flat, mixture, one_block(n, len(p)), nothing_known(p.dim))
+    found: Moments = em_step(
+        samples.x, _EACH, flat, mixture, one_block(n, len(p)), nothing_known(p.dim)
+    )
     return found._replace(covariance=found.covariance + np.diag(samples.floor))
 
 
 def _fitted(p: SceneDensity, samples: Samples, steps: int = MAX_STEPS) -> SceneDensity:
-    """``p`` after at most so many steps of EM; components that explain less than τ samples go, all but the last."""
+    """``p`` after at most so many steps of EM; components that explain less than τ samples go, all
+    but the last.
+    """
     before = -math.inf
     for _ in range(steps):
         now = moments(p, samples)
@@ -151,10 +197,12 @@ def _fitted(p: SceneDensity, samples: Samples, steps: int = MAX_STEPS) -> SceneD
         before = now.log_likelihood
         keep = now.mass > min(parameters(p.dim) / 2, 0.999 * float(now.mass.max()))
         if keep.all():
-            uniform, weight = limited_uniform(now.background / samples.total), now.mass / now.mass.sum()
+            uniform = limited_uniform(now.background / samples.total)
+            weight = now.mass / now.mass.sum()
             p = replace(p, uniform=uniform, weight=weight, mean=now.mean, covariance=now.covariance)
         else:
-            p, before = _without(p, np.flatnonzero(~keep)), -math.inf
+            p = _without(p, np.flatnonzero(~keep))
+            before = -math.inf
     return p
 
 
@@ -165,11 +213,15 @@ def _improved(p: SceneDensity, samples: Samples) -> SceneDensity:
     for _ in range(MAX_MOVES):
         trials = [_fitted(trial, samples, TRIAL_STEPS) for trial in _moved(p, samples)]
         best = np.argsort([criterion(trial, samples) for trial in trials])[:FULL_TRIALS]
-        found = [(criterion(trial, samples), trial) for trial in (_fitted(trials[i], samples) for i in best)]
+        found = [
+            (criterion(trial, samples), trial)
+            for trial in (_fitted(trials[i], samples) for i in best)
+        ]
         shortest, better = min(found, key=lambda one: one[0])
         if not shortest < length - CONVERGED:
             break
-        p, length = better, shortest
+        p = better
+        length = shortest
     return p
 
 
@@ -191,7 +243,8 @@ def _moved(p: SceneDensity, samples: Samples) -> list[SceneDensity]:
 def _without(p: SceneDensity, which: I8) -> SceneDensity:
     """``p`` without the components ``which``."""
     weight = np.delete(p.weight, which)
-    mean, covariance = np.delete(p.mean, which, axis=1), np.delete(p.covariance, which, axis=0)
+    mean = np.delete(p.mean, which, axis=1)
+    covariance = np.delete(p.covariance, which, axis=0)
     return replace(p, weight=weight / weight.sum(), mean=mean, covariance=covariance)
 
 
@@ -204,37 +257,56 @@ def _split(p: SceneDensity, m: int) -> SceneDensity:
     half = p.covariance[m] - np.outer(step, step)
     weight = np.append(np.delete(p.weight, m), np.full(2, p.weight[m] / 2))
     mean = np.column_stack([np.delete(p.mean, m, axis=1), p.mean[:, m] - step, p.mean[:, m] + step])
-    return replace(p, weight=weight, mean=mean, covariance=np.concatenate([np.delete(p.covariance, m, axis=0), [half] * 2]))
+    return replace(
+        p,
+        weight=weight,
+        mean=mean,
+        covariance=np.concatenate([np.delete(p.covariance, m, axis=0), [half] * 2]),
+    )
 
 
 def _with_crowds(p: SceneDensity, samples: Samples) -> list[SceneDensity]:
-    """``p`` with one more component, fitted while ``p`` stays as it is: each begins in another crowd of samples."""
-    x, n, floor = samples.x, samples.x.shape[1], np.diag(samples.floor)
-    parts, found = p.log_parts(x), []
+    """``p`` with one more component, fitted while ``p`` stays as it is: each begins in another
+    crowd of samples.
+    """
+    n = samples.x.shape[1]
+    x = samples.x
+    floor = np.diag(samples.floor)
+    parts = p.log_parts(x)
+    found = []
     log_density = np.logaddexp.reduce(parts, axis=0)
     for near in _crowds(p, np.argmax(parts, axis=0), x, samples.floor):
         share = len(near) / n
-        mean, cov = x[:, near].mean(axis=1)[:, None], (np.cov(x[:, near], bias=True) + floor)[None]
+        mean = x[:, near].mean(axis=1)[:, None]
+        cov = (np.cov(x[:, near], bias=True) + floor)[None]
         for _ in range(NEW_STEPS):
             mixture = Gaussians(np.array([share]), mean, cov)
             others = log_density + math.log(1 - share)
             now = em_step(x, _EACH, others, mixture, one_block(n, 1), nothing_known(len(x)))
-            mean, cov, share = now.mean, now.covariance + floor, min(float(now.mass[0]) / samples.total, 0.5)
+            mean = now.mean
+            cov = now.covariance + floor
+            share = min(float(now.mass[0]) / samples.total, 0.5)
         if share * samples.total > parameters(p.dim) / 2:
             uniform = (1 - share) * p.uniform
             all_weights = np.append((1 - share) * (1 - p.uniform) * p.weight, share) / (1 - uniform)
             all_covariances = np.concatenate([p.covariance, cov])
-            found.append(SceneDensity(p.low, p.high, uniform, all_weights, np.hstack([p.mean, mean]), all_covariances))
+            found.append(
+                SceneDensity(
+                    p.low, p.high, uniform, all_weights, np.hstack([p.mean, mean]), all_covariances
+                )
+            )
     return found
 
 
 def _crowds(p: SceneDensity, owner: I8, x: F8, floor: F8) -> list[I8]:
-    """Of the samples x (d, n) of each part, ``owner`` (n,), those around the one that lies in the densest unexplained crowd.
+    """Of the samples x (d, n) of each part, ``owner`` (n,), those around the one that lies in the
+    densest unexplained crowd.
 
     A crowd are the nearest samples in position, as many as a component must explain.
     """
     k = math.ceil(parameters(p.dim) / 2) + 1
-    place, owner = np.ascontiguousarray(x[:2, :MAX_CROWD_SAMPLES]), owner[:MAX_CROWD_SAMPLES]
+    place = np.ascontiguousarray(x[:2, :MAX_CROWD_SAMPLES])
+    owner = owner[:MAX_CROWD_SAMPLES]
     if place.shape[1] <= k:
         return []
     scaled = place / np.sqrt(place.var(axis=1) + floor[:2])[:, None]
@@ -247,9 +319,12 @@ def _crowds(p: SceneDensity, owner: I8, x: F8, floor: F8) -> list[I8]:
 
 
 def _filled(x: F8) -> F8:
-    """Samples (d, n) whose gaps are filled from the nearest complete one, with 0 where there is none."""
+    """Samples (d, n) whose gaps are filled from the nearest complete one, with 0 where there is
+    none.
+    """
     gaps = np.isnan(x)
-    complete, out = x[:, ~gaps.any(axis=0)], np.where(gaps, 0.0, x)
+    complete = x[:, ~gaps.any(axis=0)]
+    out = np.where(gaps, 0.0, x)
     scale = np.maximum(complete.std(axis=1), 1e-150) if complete.shape[1] else np.zeros(0)
     for j in np.flatnonzero(gaps.any(axis=0)) if complete.shape[1] else ():
         step = np.where(gaps[:, j], 0.0, (complete - out[:, [j]]).T / scale)
@@ -261,10 +336,18 @@ def _filled(x: F8) -> F8:
 def _check_samples(density: SceneDensity, samples: F8) -> None:
     """Raise `InputError` where the learner cannot take the samples."""
     if samples.ndim != 2 or len(samples) != density.dim:
-        raise InputError(f"expected samples ({density.dim}, n), got shape {samples.shape}", where="samples")
+        raise InputError(
+            f"expected samples ({density.dim}, n), got shape {samples.shape}", where="samples"
+        )
     if np.isinf(samples).any() or np.isnan(samples).all(axis=0).any():
         raise InputError(
-            "every sample must be finite in what it shows, and show something", where="samples", cure="Leave the others out"
+            "every sample must be finite in what it shows, and show something",
+            where="samples",
+            cure="Leave the others out",
         )
     if len(density) == 0:
-        raise InputError("a density without Gaussians learns nothing", where="density", cure="Begin with scene.grid(…)")
+        raise InputError(
+            "a density without Gaussians learns nothing",
+            where="density",
+            cure="Begin with scene.grid(…)",
+        )

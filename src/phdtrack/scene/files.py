@@ -3,10 +3,11 @@
     {"format": 1, "width": 768, "height": 576, "rate": 25, "source": "…",
      "births": {"rate": s̄, "samples": n, "low": […], "high": […], "uniform": α_u,
                 "weight": […], "mean": [[…] per Gaussian], "covariance": [[[…]] per Gaussian]},
-     "clutter": the same with r̄ and four components, "followed": {"share": λ, "objects": the same}, "notes": {…}}
+     "clutter": the same with r̄ and four components, "followed": {"share": λ, "objects": the same},
+     "notes": {…}}
 
-Rates are births per time unit, of which ``rate`` make a second, and false alarms, or detections of objects, per frame. Every
-part may be missing.
+Rates are births per time unit, of which ``rate`` make a second, and false alarms, or detections of
+objects, per frame. Every part may be missing.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ FORMAT = 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LearnedDensity:
-    """A ``density`` with its ``rate``, s̄ (births per time unit), r̄ (false alarms per frame) or detections of objects per
-    frame, and the number of ``samples`` that it was learned from."""
+    """A ``density`` with its ``rate``, s̄ (births per time unit), r̄ (false alarms per frame) or
+    detections of objects per frame, and the number of ``samples`` that it was learned from."""
 
     rate: float
     density: SceneDensity
@@ -39,7 +40,8 @@ class LearnedDensity:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedObjects:
-    """What a tracker follows besides targets: the ``share`` of false alarms that become tracks, and where ``objects`` are.
+    """What a tracker follows besides targets: the ``share`` of false alarms that become tracks, and
+    where ``objects`` are.
 
     A share of 0 stands for a scene whose detections were not looked at: then no track is withheld.
     """
@@ -59,7 +61,8 @@ class Scene:
     source : the video or the detections that it was learned from.
     births, clutter : what was learned; None where there was too little.
     notes : other figures, such as held-out log-likelihoods: names and plain values.
-    followed : false alarms and objects that become tracks; None where too few detections were looked at.
+    followed : false alarms and objects that become tracks; None where too few detections were
+        looked at.
     """
 
     width: int
@@ -79,7 +82,8 @@ def write_scene(path: Path, scene: Scene) -> None:
         **{name: getattr(scene, name) for name in ("width", "height", "rate", "source")},
         "births": scene.births and _plain(scene.births),
         "clutter": scene.clutter and _plain(scene.clutter),
-        "followed": scene.followed and {"share": scene.followed.share, "objects": _plain(scene.followed.objects)},
+        "followed": scene.followed
+        and {"share": scene.followed.share, "objects": _plain(scene.followed.objects)},
         "notes": dict(scene.notes),
     }
     write_text(path, json.dumps(document, indent=1) + "\n")
@@ -91,7 +95,9 @@ def read_scene(path: Path) -> Scene:
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         found = document.get("format") if isinstance(document, dict) else type(document).__name__
         raise InputError(
-            f"expected a learned scene of format {FORMAT}, got {reprlib.repr(found)}", where=path, cure="Learn it again"
+            f"expected a learned scene of format {FORMAT}, got {reprlib.repr(found)}",
+            where=path,
+            cure="Learn it again",
         )
     try:
         return Scene(
@@ -112,7 +118,13 @@ def read_scene(path: Path) -> Scene:
 def _plain(learned: LearnedDensity) -> dict[str, Any]:
     """A density as JSON has it."""
     p = learned.density
-    arrays = {"low": p.low, "high": p.high, "weight": p.weight, "mean": p.mean.T, "covariance": p.covariance}
+    arrays = {
+        "low": p.low,
+        "high": p.high,
+        "weight": p.weight,
+        "mean": p.mean.T,
+        "covariance": p.covariance,
+    }
     plain = {name: array.tolist() for name, array in arrays.items()}
     return {"rate": learned.rate, "samples": learned.samples, "uniform": p.uniform} | plain
 
@@ -126,8 +138,12 @@ def _learned(document: Any, dim: int) -> LearnedDensity | None:
     cov = np.array(document["covariance"], np.float64).reshape(-1, len(low), len(low))
     rate = float(document["rate"])
     if not 0 <= rate < np.inf or len(low) != dim:
-        raise InputError(f"expected a rate from 0 and {dim} components, got {rate:g} and {len(low)}")
-    density = SceneDensity(low, high, float(document["uniform"]), weight, np.ascontiguousarray(mean), cov)
+        raise InputError(
+            f"expected a rate from 0 and {dim} components, got {rate:g} and {len(low)}"
+        )
+    density = SceneDensity(
+        low, high, float(document["uniform"]), weight, np.ascontiguousarray(mean), cov
+    )
     return LearnedDensity(rate, density, int(document["samples"]))
 
 

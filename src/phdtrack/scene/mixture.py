@@ -1,8 +1,10 @@
-"""The density of a scene's births or false alarms: a uniform part and truncated Gaussians [M09 (14), (15), (21)].
+"""The density of a scene's births or false alarms: a uniform part and truncated Gaussians [M09
+(14), (15), (21)].
 
-Equations: docs/methods.md, A learned scene. The volume is a box, low ≤ x ≤ high, outside of which p is 0. Z_m, the mass of
-the m-th Gaussian inside, is computed by separation of variables [A. Genz, *Numerical computation of multivariate normal
-probabilities*, J. Comp. Graph. Stat. 1 (1992)] on a lattice of fixed points; for independent components it is exact.
+Equations: docs/methods.md, A learned scene. The volume is a box, low ≤ x ≤ high, outside of which p
+is 0. Z_m, the mass of the m-th Gaussian inside, is computed by separation of variables [A. Genz,
+*Numerical computation of multivariate normal probabilities*, J. Comp. Graph. Stat. 1 (1992)] on a
+lattice of fixed points; for independent components it is exact.
 """
 
 from __future__ import annotations
@@ -28,7 +30,8 @@ _POINTS = 512
 
 @dataclass(frozen=True, eq=False)
 class SceneDensity:
-    """p(x) on a volume. Raises `InputError` where shapes do not fit, or bounds, shares or covariances are none.
+    """p(x) on a volume. Raises `InputError` where shapes do not fit, or bounds, shares or
+    covariances are none.
 
     Attributes
     ----------
@@ -47,7 +50,9 @@ class SceneDensity:
     def __post_init__(self) -> None:
         if problem := _problem(self):
             raise InputError(
-                problem, where="SceneDensity", cure="Give bounds, shares, means and covariances of one dimension"
+                problem,
+                where="SceneDensity",
+                cure="Give bounds, shares, means and covariances of one dimension",
             )
 
     def __len__(self) -> int:
@@ -60,10 +65,13 @@ class SceneDensity:
 
     @cached_property
     def has_places(self) -> bool:
-        """Whether it says where: more than a hundredth is not uniform, and some position is three times as likely as on
-        average. One Gaussian fitted to uniform positions is 1.9 times as likely in its middle."""
+        """Whether it says where: more than a hundredth is not uniform, and some position is three
+        times as likely as on average. One Gaussian fitted to uniform positions is 1.9 times as
+        likely in its middle."""
         place = marginal(self, (0, 1))
-        return self.uniform < 0.99 and bool((place(place.mean) * place.volume).max(initial=0.0) >= 3)
+        return self.uniform < 0.99 and bool(
+            (place(place.mean) * place.volume).max(initial=0.0) >= 3
+        )
 
     @cached_property
     def volume(self) -> float:
@@ -82,10 +90,16 @@ class SceneDensity:
 
     @cached_property
     def gaussians(self) -> Gaussians:
-        """The Gaussians, untruncated, with weights α_g π_m / Z_m; 0 for one that counts as outside."""
-        weight = (1 - self.uniform) * self.weight / np.maximum(self.truncated_mass, MIN_TRUNCATED_MASS)
+        """The Gaussians, untruncated, with weights α_g π_m / Z_m; 0 for one that counts as
+        outside.
+        """
+        weight = (
+            (1 - self.uniform) * self.weight / np.maximum(self.truncated_mass, MIN_TRUNCATED_MASS)
+        )
         inside = self.truncated_mass > MIN_TRUNCATED_MASS
-        return Gaussians(weight * inside, np.ascontiguousarray(self.mean), np.ascontiguousarray(self.covariance))
+        return Gaussians(
+            weight * inside, np.ascontiguousarray(self.mean), np.ascontiguousarray(self.covariance)
+        )
 
     @cached_property
     def _whitened(self) -> Whitened:
@@ -94,18 +108,24 @@ class SceneDensity:
         return out
 
     def log_parts(self, x: F8) -> F8:
-        """(1 + M, L) logarithms of the uniform part and of each Gaussian at ``x`` (d, L), as if there were no border."""
+        """(1 + M, L) logarithms of the uniform part and of each Gaussian at ``x`` (d, L), as if
+        there were no border.
+        """
         found: F8 = log_densities(np.ascontiguousarray(x), self._whitened)
         return np.vstack([np.full((1, x.shape[1]), math.log(self.flat)), found])
 
     def log_ratio(self, x: F8) -> F8:
-        """(L,) logarithm of the Gaussians' density over the uniform one, 1/V, at ``x`` (d, L), whatever their shares."""
+        """(L,) logarithm of the Gaussians' density over the uniform one, 1/V, at ``x`` (d, L),
+        whatever their shares.
+        """
         gaussians: F8 = np.logaddexp.reduce(self.log_parts(x)[1:], axis=0)
         return gaussians - math.log((1 - self.uniform) / self.volume)
 
     def contains(self, x: F8) -> Bool:
         """(L,) whether the columns of ``x`` (d, L) lie in the volume."""
-        return np.asarray(np.logical_and.reduce((x >= self.low[:, None]) & (x <= self.high[:, None]), axis=0))
+        return np.asarray(
+            np.logical_and.reduce((x >= self.low[:, None]) & (x <= self.high[:, None]), axis=0)
+        )
 
     def log(self, x: F8) -> F8:
         """(L,) log p at the columns of ``x`` (d, L); −inf outside the volume."""
@@ -133,16 +153,27 @@ class SceneDensity:
 def marginal(p: SceneDensity, rows: tuple[int, ...]) -> SceneDensity:
     """The density of the components ``rows``; the truncation at the other borders is left out."""
     keep = list(rows)
-    return SceneDensity(p.low[keep], p.high[keep], p.uniform, p.weight, p.mean[keep], p.covariance[:, keep][:, :, keep])
+    return SceneDensity(
+        p.low[keep],
+        p.high[keep],
+        p.uniform,
+        p.weight,
+        p.mean[keep],
+        p.covariance[:, keep][:, :, keep],
+    )
 
 
 def shown_volume(p: SceneDensity) -> float:
-    """V of the positions and sizes of boxes, pixel⁴, for a density of boxes (d = 4) or of their states (d = 6)."""
+    """V of the positions and sizes of boxes, pixel⁴, for a density of boxes (d = 4) or of their
+    states (d = 6).
+    """
     return p.volume if p.dim == len(OBSERVED) else marginal(p, OBSERVED).volume
 
 
 def _mass_inside(mean: F8, covariance: F8, low: F8, high: F8) -> F8:
-    """(M,) masses of Gaussians, d ≤ 8, in the box from ``low`` to ``high``, accurate to about 1e-3 for states."""
+    """(M,) masses of Gaussians, d ≤ 8, in the box from ``low`` to ``high``, accurate to about 1e-3
+    for states.
+    """
     from scipy.special import ndtr, ndtri
 
     d, count = mean.shape
@@ -155,7 +186,8 @@ def _mass_inside(mean: F8, covariance: F8, low: F8, high: F8) -> F8:
     for r in range(d):
         shift = np.einsum("ms,smp->mp", root[:, r, :r], y[:r]) + mean[r][:, None]
         scale = root[:, r, r][:, None]
-        below, above = ndtr((low[r] - shift) / scale), ndtr((high[r] - shift) / scale)
+        below = ndtr((low[r] - shift) / scale)
+        above = ndtr((high[r] - shift) / scale)
         product *= above - below
         if r < d - 1:
             # Where nothing is left the point does not matter; ndtri must not be given 0 or 1.
@@ -164,9 +196,11 @@ def _mass_inside(mean: F8, covariance: F8, low: F8, high: F8) -> F8:
 
 
 def place_map(p: SceneDensity, shape: tuple[int, int], step: float) -> F8:
-    """Map of where p's Gaussians lie, all sizes and velocities together, with largest value 1 [M09 Figs. 7, 8].
+    """Map of where p's Gaussians lie, all sizes and velocities together, with largest value 1 [M09
+    Figs. 7, 8].
 
-    A quarter of the mean size is added as deviation, because what happens at a place is seen as a box and not as its centre.
+    A quarter of the mean size is added as deviation, because what happens at a place is seen as a
+    box and not as its centre.
 
     Parameters
     ----------
@@ -178,7 +212,9 @@ def place_map(p: SceneDensity, shape: tuple[int, int], step: float) -> F8:
     for axis in range(2):
         cov[:, axis, axis] += (0.25 * p.mean[p.dim - 2 + axis]) ** 2
     place = marginal(replace(p, covariance=cov), (0, 1))
-    down, across = np.meshgrid((np.arange(shape[0]) + 0.5) * step, (np.arange(shape[1]) + 0.5) * step, indexing="ij")
+    down, across = np.meshgrid(
+        (np.arange(shape[0]) + 0.5) * step, (np.arange(shape[1]) + 0.5) * step, indexing="ij"
+    )
     at = np.stack([across.ravel(), down.ravel()]) + place.low[:, None]
     likely = np.exp(place.log_parts(at)[1:]).sum(axis=0)
     return np.asarray((likely / max(likely.max(initial=0.0), 1e-300)).reshape(shape))
@@ -186,7 +222,8 @@ def place_map(p: SceneDensity, shape: tuple[int, int], step: float) -> F8:
 
 def _problem(p: SceneDensity) -> str:
     """What is wrong with it, or nothing."""
-    d, m = len(p.low), len(p.weight)
+    d = len(p.low)
+    m = len(p.weight)
     parts = (p.low, p.high, p.weight, p.mean, p.covariance)
     if [part.shape for part in parts] != [(d,), (d,), (m,), (d, m), (m, d, d)]:
         shapes = ", ".join(str(part.shape) for part in parts)

@@ -1,13 +1,16 @@
-"""Scene training: a density of births, false alarms or objects from the samples of a stretch [M09 §IV, §V].
+"""Scene training: a density of births, false alarms or objects from the samples of a stretch [M09
+§IV, §V].
 
-Births are learned from the first states of tracks, false alarms from detections that a person marked. How well a density
-fits is the log-likelihood of samples that it has not seen, less that of the uniform density: every fifth sample is left out,
-a density is learned from the others, and asked; where samples are few each is left out once. The density that is kept learns
-from all. Three things keep it from trusting few samples too much:
+Births are learned from the first states of tracks, false alarms from detections that a person
+marked. How well a density fits is the log-likelihood of samples that it has not seen, less that of
+the uniform density: every fifth sample is left out, a density is learned from the others, and
+asked; where samples are few each is left out once. The density that is kept learns from all. Three
+things keep it from trusting few samples too much:
 
 * Its uniform part has at least the share α_u that makes the unseen samples likeliest.
 * Each Gaussian has the covariance of the next sample, not of those it was fitted to [G13 §3.6].
-* A shrinkage prior: α_u is at least 10/(n + 10) for n samples (Laplace's rule), over the sizes that are detected.
+* A shrinkage prior: α_u is at least 10/(n + 10) for n samples (Laplace's rule), over the sizes that
+  are detected.
 """
 
 from __future__ import annotations
@@ -25,34 +28,45 @@ from phdtrack.scene.mixture import SceneDensity
 from phdtrack.types import F8, I8, Tracks
 
 # M09's grids.
-BIRTH_GRID, CLUTTER_GRID = (12, 10), (16, 14)
+BIRTH_GRID = (12, 10)
+CLUTTER_GRID = (16, 14)
 MIN_SAMPLES = 10
 # τ of births, fewer than which are no component.
 MIN_BIRTHS = math.ceil(parameters(6) / 2)
 # What boxes are, for messages.
-FALSE_BOXES, OBJECT_BOXES = "detections marked as false", "objects on the frames that were looked at"
+FALSE_BOXES = "detections marked as false"
+OBJECT_BOXES = "objects on the frames that were looked at"
 # Every so many samples one is left out; up to so many samples each of them is left out in turn.
-FOLDS, MAX_ALL_FOLDS = 5, 400
+FOLDS = 5
+MAX_ALL_FOLDS = 400
 # Seconds of a track from which its first velocity is taken.
 LEAD = 0.4
 # Seconds for which a track must last, and its own sizes that it must go, to teach a birth.
-MIN_DURATION, MIN_DISTANCE = 1.0, 1.0
-# Samples that the shrinkage prior counts for; how much the range of detected sizes, between two quantiles, is widened.
-PRIOR, WIDENING, SIZE_QUANTILES = 10, 1.5, (0.01, 0.99)
+MIN_DURATION = 1.0
+MIN_DISTANCE = 1.0
+# Samples that the shrinkage prior counts for; how much the range of detected sizes, between two
+# quantiles, is widened.
+PRIOR = 10
+WIDENING = 1.5
+SIZE_QUANTILES = (0.01, 0.99)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Training:
-    """What was learned, and its ``gain``: nats per unseen sample above the uniform density, NaN with too few samples."""
+    """What was learned, and its ``gain``: nats per unseen sample above the uniform density, NaN
+    with too few samples.
+    """
 
     learned: LearnedDensity
     gain: float
 
 
 def learn_births(states: F8, time_units: float, frame_size: tuple[float, float]) -> Training:
-    """Births p(x|b) with s̄, their number per time unit. The volume holds every velocity seen, doubled.
+    """Births p(x|b) with s̄, their number per time unit. The volume holds every velocity seen,
+    doubled.
 
-    Raises `InputError` for fewer births than a component needs (τ: 14), no time, or no known velocity.
+    Raises `InputError` for fewer births than a component needs (τ: 14), no time, or no known
+    velocity.
 
     Parameters
     ----------
@@ -63,16 +77,24 @@ def learn_births(states: F8, time_units: float, frame_size: tuple[float, float])
     cure = "Learn from a longer stretch, or mark more of them"
     _check_number(states.shape[1], "births while the scene was watched", cure, MIN_BIRTHS)
     if not time_units > 0:
-        raise InputError(f"expected a stretch of some length, got {time_units:g} time units", where="learning births")
+        raise InputError(
+            f"expected a stretch of some length, got {time_units:g} time units",
+            where="learning births",
+        )
     speeds = np.abs(states[2:4][np.isfinite(states[2:4])])
     if len(speeds) == 0:
-        raise InputError("no birth's velocity is known", where="learning births", cure="Mark where detections follow")
+        raise InputError(
+            "no birth's velocity is known",
+            where="learning births",
+            cure="Mark where detections follow",
+        )
     volume = state_volume(frame_size, 2 * float(speeds.max()) + 1e-6)
     return _trained(_start(states, *volume, BIRTH_GRID), states, states.shape[1] / time_units)
 
 
 def learn_boxes(boxes: F8, frames: int, frame_size: tuple[float, float], what: str) -> Training:
-    """Where boxes come, with their number per frame: false alarms p(z|c), r̄, or detections of objects p(z|o).
+    """Where boxes come, with their number per frame: false alarms p(z|c), r̄, or detections of
+    objects p(z|o).
 
     Raises `InputError` for fewer than ten boxes, or no frames.
 
@@ -85,42 +107,57 @@ def learn_boxes(boxes: F8, frames: int, frame_size: tuple[float, float], what: s
     """
     _check_number(boxes.shape[1], what, "Look at more frames, or mark more of them")
     if frames < 1:
-        raise InputError(f"expected frames on which detections were looked at, got {frames}", where="learning from boxes")
-    return _trained(_start(boxes, *measurement_volume(*frame_size), CLUTTER_GRID), boxes, boxes.shape[1] / frames)
+        raise InputError(
+            f"expected frames on which detections were looked at, got {frames}",
+            where="learning from boxes",
+        )
+    return _trained(
+        _start(boxes, *measurement_volume(*frame_size), CLUTTER_GRID),
+        boxes,
+        boxes.shape[1] / frames,
+    )
 
 
 def box_density(boxes: F8, frame_size: tuple[float, float]) -> SceneDensity:
-    """The density of boxes (4, n) for a picture: how well it fits is not asked, which takes the most time."""
+    """The density of boxes (4, n) for a picture: how well it fits is not asked, which takes the
+    most time.
+    """
     return learn(_start(boxes, *measurement_volume(*frame_size), CLUTTER_GRID), boxes)
 
 
 def predictive(p: SceneDensity, samples: float) -> SceneDensity:
     """The density of the next sample after ``p`` was fitted to so many samples [G13 §3.6].
 
-    The next sample of an unknown Gaussian in d dimensions has Student's density with n − d degrees of freedom. The Gaussian
-    nearest to that has (n + 1)/(n − d − 2) times the covariance of the n samples.
+    The next sample of an unknown Gaussian in d dimensions has Student's density with n − d degrees
+    of freedom. The Gaussian nearest to that has (n + 1)/(n − d − 2) times the covariance of the n
+    samples.
     """
     n = np.maximum(samples * (1 - p.uniform) * p.weight, parameters(p.dim) / 2)
     return replace(p, covariance=p.covariance * ((n + 1) / (n - p.dim - 2))[:, None, None])
 
 
 def with_prior(learned: LearnedDensity, size: F8) -> LearnedDensity:
-    """The density with the shrinkage prior over the range of sizes (2, n) that were detected: the last two components.
+    """The density with the shrinkage prior over the range of sizes (2, n) that were detected: the
+    last two components.
 
     Raises `InputError` without detections.
     """
     if size.shape[1] == 0:
         raise InputError("there are no detections whose sizes could be known", where="sizes")
     smallest, largest = np.quantile(size, SIZE_QUANTILES, axis=1)
-    density, n = learned.density, learned.samples
-    low, high = density.low.copy(), density.high.copy()
-    low[-2:], high[-2:] = smallest / WIDENING, largest * WIDENING
+    density = learned.density
+    n = learned.samples
+    low = density.low.copy()
+    high = density.high.copy()
+    low[-2:] = smallest / WIDENING
+    high[-2:] = largest * WIDENING
     uniform = max(density.uniform, PRIOR / (n + PRIOR))
     return replace(learned, density=replace(density, low=low, high=high, uniform=uniform))
 
 
 def births_in(tracks: Tracks, fps: float, rate: float, everything: bool = False) -> F8:
-    """(6, n) states (px, py, vx, vy, w, h) in which the tracks began that last and go somewhere; flicker does neither.
+    """(6, n) states (px, py, vx, vy, w, h) in which the tracks began that last and go somewhere;
+    flicker does neither.
 
     Tracks of the first frame began before it [M09 §IV].
 
@@ -137,25 +174,34 @@ def births_in(tracks: Tracks, fps: float, rate: float, everything: bool = False)
     opening = int(tracks.frame.min(initial=np.iinfo(np.int64).max))
     states = []
     for rows in np.split(order, start[1:]) if len(order) else []:
-        lasting = len(rows) >= (3 if everything else max(5, round(MIN_DURATION * fps))) and tracks.frame[rows[0]] > opening
+        lasting = (
+            len(rows) >= (3 if everything else max(5, round(MIN_DURATION * fps)))
+            and tracks.frame[rows[0]] > opening
+        )
         if lasting and (everything or _distance_gone(box[:, rows]) >= MIN_DISTANCE):
-            states.append(first_state(box[:, rows], (tracks.frame[rows] - tracks.frame[rows[0]]) / fps))
+            states.append(
+                first_state(box[:, rows], (tracks.frame[rows] - tracks.frame[rows[0]]) / fps)
+            )
     out = np.array(states).reshape(-1, 6).T.copy()
     out[2:4] /= rate
     return out
 
 
 def _distance_gone(box: F8) -> float:
-    """Distance between the medians of the first and last fifth of boxes (4, n) of a track, in its sizes √(wh)."""
+    """Distance between the medians of the first and last fifth of boxes (4, n) of a track, in its
+    sizes √(wh).
+    """
     fifth = max(1, box.shape[1] // 5)
     step = np.median(box[:2, -fifth:], axis=1) - np.median(box[:2, :fifth], axis=1)
     return float(np.linalg.norm(step) / np.sqrt(np.median(box[2] * box[3])))
 
 
 def first_state(box: F8, seconds: F8) -> F8:
-    """(r + 2,) the first position, the velocity per second, and the other components of a track that shows ``box`` (r, n).
+    """(r + 2,) the first position, the velocity per second, and the other components of a track
+    that shows ``box`` (r, n).
 
-    The velocity is the slope of a line through the first `LEAD` seconds; ``seconds`` (n,) begin at 0.
+    The velocity is the slope of a line through the first `LEAD` seconds; ``seconds`` (n,) begin at
+    0.
     """
     lead = max(3, int((seconds <= LEAD).sum()))
     centred = seconds[:lead] - seconds[:lead].mean()
@@ -164,7 +210,9 @@ def first_state(box: F8, seconds: F8) -> F8:
 
 
 def state_volume(size: tuple[float, float], max_speed: float) -> tuple[F8, F8]:
-    """Bounds (6,) of the states of births: centre in the frame, speed along each axis, any size in the frame."""
+    """Bounds (6,) of the states of births: centre in the frame, speed along each axis, any size in
+    the frame.
+    """
     low = np.array([0.0, 0.0, -max_speed, -max_speed, 0.0, 0.0])
     return low, np.array([*size, max_speed, max_speed, *size], np.float64)
 
@@ -179,15 +227,20 @@ def _start(samples: F8, low: F8, high: F8, counts: tuple[int, int]) -> SceneDens
     mean = np.nanmean(samples, axis=1)
     if counts == BIRTH_GRID:
         mean[2:4] = 0
-    return grid(low, high, counts, mean, np.maximum(np.nanstd(samples, axis=1), 0.01 * (high - low)))
+    return grid(
+        low, high, counts, mean, np.maximum(np.nanstd(samples, axis=1), 0.01 * (high - low))
+    )
 
 
 def _trained(start: SceneDensity, samples: F8, rate: float) -> Training:
-    """The density learned from the samples in the volume, with the uniform share of those left out."""
+    """The density learned from the samples in the volume, with the uniform share of those left
+    out.
+    """
     used = start.contains(np.where(np.isnan(samples), start.low[:, None], samples))
     inside = np.ascontiguousarray(samples[:, used])
     density = predictive(learn(start, inside), inside.shape[1])
-    log_ratio, gain = _left_out(start, inside), math.nan
+    log_ratio = _left_out(start, inside)
+    gain = math.nan
     if len(log_ratio) >= 2:
         uniform = best_uniform(log_ratio)
         gain = float(np.logaddexp(math.log(uniform), math.log(1 - uniform) + log_ratio).mean())
@@ -196,7 +249,9 @@ def _trained(start: SceneDensity, samples: F8, rate: float) -> Training:
 
 
 def _left_out(start: SceneDensity, samples: F8) -> F8:
-    """(n,) log of the Gaussians learned from the others over 1/V at each sample that was left out."""
+    """(n,) log of the Gaussians learned from the others over 1/V at each sample that was left
+    out.
+    """
     complete: I8 = np.flatnonzero(np.isfinite(samples).all(axis=0))
     log_ratio = [np.zeros(0)]
     for fold in range(FOLDS) if len(complete) <= MAX_ALL_FOLDS else [FOLDS - 1]:
@@ -211,4 +266,6 @@ def _left_out(start: SceneDensity, samples: F8) -> F8:
 def _check_number(count: int, what: str, cure: str, least: int = MIN_SAMPLES) -> None:
     """Raise `InputError` where there are too few samples."""
     if count < least:
-        raise InputError(f"expected at least {least} {what}, got {count}", where="learning", cure=cure)
+        raise InputError(
+            f"expected at least {least} {what}, got {count}", where="learning", cure=cure
+        )

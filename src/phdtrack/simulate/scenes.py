@@ -1,13 +1,16 @@
-"""Scenes by name, with truth and simulated detections of people who walk over flat ground, seen by a level camera.
+"""Scenes by name, with truth and simulated detections of people who walk over flat ground, seen by
+a level camera.
 
-Arrivals are a Poisson process in time. Each person walks from an entrance to another one over a point between, pauses now
-and then, and has a speed and a stature. `Scenario.walks` adds given walks. The truth is what lies in the frame, clipped
-to it; occluded people stay in it, as annotators of benchmarks keep them.
+Arrivals are a Poisson process in time. Each person walks from an entrance to another one over a
+point between, pauses now and then, and has a speed and a stature. `Scenario.walks` adds given
+walks. The truth is what lies in the frame, clipped to it; occluded people stay in it, as annotators
+of benchmarks keep them.
 
-Lengths on the ground are in body heights. With focal length f (pixels), camera height c (body heights), horizon row y₀ and
-image centre x₀, a foot point at lateral X and depth Z is seen at
+Lengths on the ground are in body heights. With focal length f (pixels), camera height c (body
+heights), horizon row y₀ and image centre x₀, a foot point at lateral X and depth Z is seen at
 
-    x = x₀ + f X / Z        y = y₀ + f c / Z        and a figure there is   f / Z = (y − y₀) / c   pixels tall.
+    x = x₀ + f X / Z        y = y₀ + f c / Z        and a figure there is   f / Z = (y − y₀) / c
+    pixels tall.
 """
 
 from __future__ import annotations
@@ -19,7 +22,16 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from phdtrack.arrays import share_inside
-from phdtrack.errors import Checked, Count, InputError, NonNegative, Positive, PositiveCount, Probability, did_you_mean
+from phdtrack.errors import (
+    Checked,
+    Count,
+    InputError,
+    NonNegative,
+    Positive,
+    PositiveCount,
+    Probability,
+    did_you_mean,
+)
 from phdtrack.simulate.detector import DetectorModel, detect
 from phdtrack.types import F8, I8, DetectionTable, SequenceInfo, Truth
 
@@ -29,7 +41,9 @@ _MIN_VISIBLE = 0.3
 
 
 class Camera(NamedTuple):
-    """``horizon`` and ``centre`` in pixels, ``focal`` in pixels, ``height`` above the ground in body heights."""
+    """``horizon`` and ``centre`` in pixels, ``focal`` in pixels, ``height`` above the ground in
+    body heights.
+    """
 
     centre: float
     horizon: float
@@ -37,7 +51,9 @@ class Camera(NamedTuple):
     height: float
 
     def to_ground(self, xy: F8) -> F8:
-        """(n, 2) lateral and depth of the foot points ``xy`` (n, 2) in pixels, which must lie below the horizon."""
+        """(n, 2) lateral and depth of the foot points ``xy`` (n, 2) in pixels, which must lie below
+        the horizon.
+        """
         depth = self.focal * self.height / (xy[:, 1] - self.horizon)
         return np.stack([(xy[:, 0] - self.centre) * depth / self.focal, depth], axis=1)
 
@@ -48,7 +64,9 @@ class Camera(NamedTuple):
 
 
 def _standing(camera: Camera, foot: F8, stature: float, aspect: float) -> F8:
-    """(n, 4) xyxy of figures that stand at the pixels ``foot`` (n, 2); their relative height, width over height."""
+    """(n, 4) xyxy of figures that stand at the pixels ``foot`` (n, 2); their relative height, width
+    over height.
+    """
     tall = stature * ((foot[:, 1] - camera.horizon) / camera.height)
     half = aspect * tall / 2
     return np.stack([foot[:, 0] - half, foot[:, 1] - tall, foot[:, 0] + half, foot[:, 1]], axis=1)
@@ -59,7 +77,8 @@ class Walk(NamedTuple):
 
     Attributes
     ----------
-    points : two or more foot points (x, y) as fractions of the frame's width and height; corners are rounded.
+    points : two or more foot points (x, y) as fractions of the frame's width and height; corners
+        are rounded.
     at : second at which the walk begins; may be before the first frame.
     speed : body heights per second on the ground.
     stature : height relative to the scene's usual.
@@ -74,14 +93,18 @@ class Walk(NamedTuple):
 
 
 def _followed(walk: Walk, camera: Camera, size: Point, times: F8) -> tuple[F8, I8]:
-    """Foot points (n, 2) in pixels at those ``times`` (T,) at which the walk is under way, and which (n,) these are."""
+    """Foot points (n, 2) in pixels at those ``times`` (T,) at which the walk is under way, and
+    which (n,) these are.
+    """
     line = camera.to_ground(np.array(walk.points) * np.array(size))
     for _ in range(4 if len(line) > 2 else 0):  # the corners are cut (Chaikin), the ends stay
-        a, b = line[:-1], line[1:]
+        a = line[:-1]
+        b = line[1:]
         cut = np.stack([0.75 * a + 0.25 * b, 0.25 * a + 0.75 * b], axis=1).reshape(-1, 2)
         line = np.concatenate([line[:1], cut, line[-1:]])
     length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
-    since, paused = times - walk.at, 0.0
+    since = times - walk.at
+    paused = 0.0
     spent = np.zeros_like(since)
     for walked, pause in walk.pauses:
         spent += np.clip(since - (walked + paused), 0, pause)
@@ -93,7 +116,9 @@ def _followed(walk: Walk, camera: Camera, size: Point, times: F8) -> tuple[F8, I
 
 
 class Entrance(NamedTuple):
-    """Where people come and go: a border of the frame, or a door at ``foot`` (x, y in fractions of the frame)."""
+    """Where people come and go: a border of the frame, or a door at ``foot`` (x, y in fractions of
+    the frame).
+    """
 
     side: Literal["left", "right", "bottom", "door"]
     foot: Point = (0.5, 0.5)
@@ -102,17 +127,21 @@ class Entrance(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Scenario(Checked):
-    """Settings of a scene with people; lengths in the picture are fractions of the frame's width or height.
+    """Settings of a scene with people; lengths in the picture are fractions of the frame's width or
+    height.
 
     Attributes
     ----------
     name, frames, fps, width, height : of the sequence; width and height in pixels.
-    horizon, focal, camera_height : row of the horizon, focal length in frame widths, height in body heights (`Camera`).
+    horizon, focal, camera_height : row of the horizon, focal length in frame widths, height in body
+        heights (`Camera`).
     rows : foot rows (top, bottom) between which people walk.
-    arrivals : people per second; they begin at second ``lead_in``, which may be negative: then some are there at once.
+    arrivals : people per second; they begin at second ``lead_in``, which may be negative: then some
+        are there at once.
     entrances : where the arriving come from and go to.
     speed, speed_spread : mean and standard deviation over people, in body heights per second.
-    aspect, stature_spread : width over height of a figure; standard deviation of its relative height.
+    aspect, stature_spread : width over height of a figure; standard deviation of its relative
+        height.
     pause_rate, pause_seconds : pauses per second of walking and their mean length.
     walks : walks in addition to the arrivals.
     obstacles : standing things (left, top, right, bottom) that hide what is behind them.
@@ -143,15 +172,25 @@ class Scenario(Checked):
         Checked.__post_init__(self)
         low = min((y for walk in self.walks for _, y in walk.points), default=1.0)
         expected = {
-            f"at least 16x16 pixels, got {self.width}x{self.height}": min(self.width, self.height) >= 16,
-            f"rows below the horizon {self.horizon:g}, got {self.rows}": self.horizon < self.rows[0] <= self.rows[1],
-            f"camera_height above the tallest head, 1.3, got {self.camera_height:g}": self.camera_height > 1.3,
-            "walks with two points or more and a positive speed": all(len(w.points) > 1 and w.speed > 0 for w in self.walks),
+            f"at least 16x16 pixels, got {self.width}x{self.height}": min(self.width, self.height)
+            >= 16,
+            f"rows below the horizon {self.horizon:g}, got {self.rows}": self.horizon
+            < self.rows[0]
+            <= self.rows[1],
+            f"camera_height above the tallest head, 1.3, got {self.camera_height:g}": self.camera_height
+            > 1.3,
+            "walks with two points or more and a positive speed": all(
+                len(w.points) > 1 and w.speed > 0 for w in self.walks
+            ),
             f"walks below the horizon {self.horizon:g}, got a foot at {low:g}": low > self.horizon,
         }
         for what, met in expected.items():
             if not met:
-                raise InputError(f"expected {what}", where=f"scenario {self.name}", cure="Change this setting of the scene")
+                raise InputError(
+                    f"expected {what}",
+                    where=f"scenario {self.name}",
+                    cure="Change this setting of the scene",
+                )
 
     @property
     def info(self) -> SequenceInfo:
@@ -161,21 +200,34 @@ class Scenario(Checked):
     @property
     def camera(self) -> Camera:
         """The camera, in pixels."""
-        return Camera(self.width / 2, self.horizon * self.height, self.focal * self.width, self.camera_height)
+        return Camera(
+            self.width / 2, self.horizon * self.height, self.focal * self.width, self.camera_height
+        )
 
     @property
     def obstacles_px(self) -> F8:
         """(K, 4) xyxy of the obstacles, pixels."""
-        return np.asarray(np.array(self.obstacles, np.float64).reshape(-1, 4) * np.tile([self.width, self.height], 2))
+        return np.asarray(
+            np.array(self.obstacles, np.float64).reshape(-1, 4)
+            * np.tile([self.width, self.height], 2)
+        )
 
     @property
     def doors_px(self) -> F8:
-        """(D, 4) xyxy of the doors, pixels: a quarter taller than the people, and half as wide as high."""
-        feet = np.array([e.foot for e in self.entrances if e.side == "door"], dtype=np.float64).reshape(-1, 2)
-        return _standing(self.camera, feet * np.array([self.width, self.height]), stature=1.25, aspect=0.5)
+        """(D, 4) xyxy of the doors, pixels: a quarter taller than the people, and half as wide as
+        high.
+        """
+        feet = np.array(
+            [e.foot for e in self.entrances if e.side == "door"], dtype=np.float64
+        ).reshape(-1, 2)
+        return _standing(
+            self.camera, feet * np.array([self.width, self.height]), stature=1.25, aspect=0.5
+        )
 
     def figures(self, rng: np.random.Generator) -> Truth:
-        """All figures with any part in the frame, numbered in the order of their arrival; boxes not clipped."""
+        """All figures with any part in the frame, numbered in the order of their arrival; boxes not
+        clipped.
+        """
         walks = sorted((*self.walks, *self._arriving(rng)), key=lambda walk: walk.at)
         times = np.arange(self.frames) / self.fps
         parts = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)))]
@@ -184,7 +236,9 @@ class Scenario(Checked):
             box = _standing(self.camera, foot, walk.stature, self.aspect)
             seen = share_inside(box, self.width, self.height) > 0
             if seen.any():
-                parts.append((index[seen] + 1, np.full(int(seen.sum()), len(parts), np.int64), box[seen]))
+                parts.append(
+                    (index[seen] + 1, np.full(int(seen.sum()), len(parts), np.int64), box[seen])
+                )
         frame, identity, boxes = (np.concatenate(column) for column in zip(*parts, strict=True))
         return truth_rows(frame, identity, boxes)
 
@@ -195,12 +249,17 @@ class Scenario(Checked):
         return truth_rows(figures.frame[kept], figures.identity[kept], inside)
 
     def _arriving(self, rng: np.random.Generator) -> list[Walk]:
-        """The walks of the people who arrive by chance; a random stream each, so that one more arrival changes no other."""
+        """The walks of the people who arrive by chance; a random stream each, so that one more
+        arrival changes no other.
+        """
         seconds = max(self.frames / self.fps - self.lead_in, 0)
         if not self.entrances or not self.arrivals:
             return []
         begins = self.lead_in + np.sort(rng.random(rng.poisson(self.arrivals * seconds))) * seconds
-        return [self._draw_walk(float(at), person) for at, person in zip(begins, rng.spawn(len(begins)), strict=True)]
+        return [
+            self._draw_walk(float(at), person)
+            for at, person in zip(begins, rng.spawn(len(begins)), strict=True)
+        ]
 
     def _draw_walk(self, at: float, rng: np.random.Generator) -> Walk:
         """The way, speed, stature and pauses of one person."""
@@ -218,8 +277,11 @@ class Scenario(Checked):
         return Walk((start, between, end), at, speed, stature, pauses)
 
     def _foot(self, entrance: Entrance, stature: float, rng: np.random.Generator) -> Point:
-        """A foot point at an entrance at which the figure is just outside the frame, or in the door."""
-        row, column = float(rng.uniform(*self.rows)), float(rng.uniform(0.2, 0.8))
+        """A foot point at an entrance at which the figure is just outside the frame, or in the
+        door.
+        """
+        row = float(rng.uniform(*self.rows))
+        column = float(rng.uniform(0.2, 0.8))
         box = _standing(self.camera, np.array([[0.0, row * self.height]]), stature, self.aspect)
         half = float(box[0, 2]) / self.width
         match entrance.side:
@@ -254,7 +316,8 @@ class Scene:
     ----------
     info : size, rate, number of frames and name.
     truth : what an annotator would mark, boxes clipped to the frame.
-    figures : what the renderer draws: all figures of which any part is in the frame, boxes not clipped.
+    figures : what the renderer draws: all figures of which any part is in the frame, boxes not
+        clipped.
     detections : M simulated detections of the truth, with clutter.
     source : (M,) int64 where each came from, as in `Detected`.
     places : (P, 4) xyxy of the places with persistent clutter, where the renderer lets leaves wave.
@@ -280,11 +343,13 @@ class Look(Checked):
     ----------
     noise : standard deviation of the camera's noise, grey levels.
     flicker : relative standard deviation of the brightness of the whole picture.
-    plants : number of waving plants where the scene has no persistent places; where it has, one grows at each.
+    plants : number of waving plants where the scene has no persistent places; where it has, one
+        grows at each.
     wave : how far the top of a plant moves in a usual gust, in plant heights.
     lamps : number of blinking lights and shimmering reflections.
     shadow : darkness of the shadows, 0 to 1.
-    blown : leaves that the wind blows past the camera, expected number per frame; each is in one frame only.
+    blown : leaves that the wind blows past the camera, expected number per frame; each is in one
+        frame only.
     """
 
     noise: NonNegative = 2.0
@@ -316,9 +381,15 @@ _BEHIND = (
 STREET = Scenario()
 """People cross a street in both directions and pause now and then."""
 CROSSING = Scenario("crossing", frames=450, arrivals=0.0, walks=_PAIRS)
-"""Three pairs that walk towards each other and pass close by, at three distances from the camera."""
+"""Three pairs that walk towards each other and pass close by, at three distances from the
+camera.
+"""
 OCCLUSION = Scenario(
-    "occlusion", frames=500, arrivals=0.0, walks=_BEHIND, obstacles=((0.28, 0.25, 0.35, 0.84), (0.60, 0.38, 0.72, 0.80))
+    "occlusion",
+    frames=500,
+    arrivals=0.0,
+    walks=_BEHIND,
+    obstacles=((0.28, 0.25, 0.35, 0.84), (0.60, 0.38, 0.72, 0.80)),
 )
 """Six people who pass behind a column and a kiosk, and one of them in front."""
 CROWD = Scenario(
@@ -341,32 +412,57 @@ CORRIDOR = Scenario(
     rows=(0.45, 0.95),
     arrivals=0.4,
     lead_in=0.5,
-    entrances=(Entrance("door", (0.55, 0.30)), Entrance("door", (0.17, 0.52)), Entrance("bottom"), Entrance("right")),
+    entrances=(
+        Entrance("door", (0.55, 0.30)),
+        Entrance("door", (0.17, 0.52)),
+        Entrance("bottom"),
+        Entrance("right"),
+    ),
     pause_rate=0.15,
     pause_seconds=2.5,
 )
-"""A shopping centre's corridor seen along its length, with the door of a shop, at CAVIAR's size and rate."""
-_WATCHED = Scenario("yard", frames=1000, width=384, height=288, rows=(0.55, 0.95), arrivals=0.3, lead_in=-10.0)
-YARD = replace(_WATCHED, entrances=(Entrance("left"), Entrance("right"), Entrance("door", (0.3, 0.53), 1.5)))
-"""A house with a door and a road before it, trees and blinking lights: a scene to learn, at CAVIAR's size."""
+"""A shopping centre's corridor seen along its length, with the door of a shop, at CAVIAR's size and
+rate.
+"""
+_WATCHED = Scenario(
+    "yard", frames=1000, width=384, height=288, rows=(0.55, 0.95), arrivals=0.3, lead_in=-10.0
+)
+YARD = replace(
+    _WATCHED, entrances=(Entrance("left"), Entrance("right"), Entrance("door", (0.3, 0.53), 1.5))
+)
+"""A house with a door and a road before it, trees and blinking lights: a scene to learn, at
+CAVIAR's size.
+"""
 GARDEN = replace(_WATCHED, name="garden", arrivals=0.12)
-"""Few people among a dozen trees in a strong wind: most detections are false, and always in the same places."""
+"""Few people among a dozen trees in a strong wind: most detections are false, and always in the
+same places.
+"""
 _COLUMNS = tuple((left, 0.3, left + 0.06, 0.86) for left in (0.15, 0.45, 0.75))
 ARCADE = replace(_WATCHED, name="arcade", rows=(0.56, 0.82), arrivals=0.25, obstacles=_COLUMNS)
 """All people pass behind three columns, and tracks begin again next to them."""
 EMPTY = Scenario("empty", frames=300, arrivals=0.0)
 """No people: every detection is false."""
 
-NAMED = MappingProxyType({w.name: w for w in (STREET, CROSSING, OCCLUSION, CROWD, CORRIDOR, YARD, GARDEN, ARCADE, EMPTY)})
+NAMED = MappingProxyType(
+    {w.name: w for w in (STREET, CROSSING, OCCLUSION, CROWD, CORRIDOR, YARD, GARDEN, ARCADE, EMPTY)}
+)
 """All scenes by name."""
-# Where a scene is not as usual: places with persistent false alarms, at which plants grow, and the look of the video.
+# Where a scene is not as usual: places with persistent false alarms, at which plants grow, and the
+# look of the video.
 _PLACES = {"yard": 3, "garden": 12, "arcade": 3}
-_LOOKS = {"yard": Look(wave=0.12), "garden": Look(wave=0.30, lamps=10), "arcade": Look(wave=0.12, lamps=4)}
+_LOOKS = {
+    "yard": Look(wave=0.12),
+    "garden": Look(wave=0.30, lamps=10),
+    "arcade": Look(wave=0.12, lamps=4),
+}
 
 
-def make_scene(world: str | Scenario, seed: int, detector: DetectorModel | None = None, **settings: Any) -> Scene:
-    """The scene of that name or with these settings; its truth does not depend on ``detector``. Raises `InputError` where no
-    scene has this name, it has no such setting, or the value is impossible.
+def make_scene(
+    world: str | Scenario, seed: int, detector: DetectorModel | None = None, **settings: Any
+) -> Scene:
+    """The scene of that name or with these settings; its truth does not depend on ``detector``.
+    Raises `InputError` where no scene has this name, it has no such setting, or the value is
+    impossible.
 
     Parameters
     ----------
@@ -382,13 +478,24 @@ def make_scene(world: str | Scenario, seed: int, detector: DetectorModel | None 
     known = [field.name for field in fields(world)]
     for key in settings:
         if key not in known:
-            raise InputError(f"scene {world.name} has no setting {key!r}", cure=did_you_mean(key, known))
+            raise InputError(
+                f"scene {world.name} has no setting {key!r}", cure=did_you_mean(key, known)
+            )
     world, detector = replace(world, **settings), detector or default_detector(world)
     world_rng, detector_rng = np.random.default_rng(seed).spawn(2)
     figures = world.figures(world_rng)
     truth = world.truth(figures)
     found = detect(truth, world.info, detector_rng, detector, obstacles=world.obstacles_px)
-    return Scene(world.info, truth, figures, found.table, found.source, found.places, world.obstacles_px, world.doors_px)
+    return Scene(
+        world.info,
+        truth,
+        figures,
+        found.table,
+        found.source,
+        found.places,
+        world.obstacles_px,
+        world.doors_px,
+    )
 
 
 def default_detector(world: Scenario) -> DetectorModel:

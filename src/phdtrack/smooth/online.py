@@ -1,14 +1,16 @@
-"""Boxes of online rows: between the filter's and the detection's, as far as the detections that follow teach.
+"""Boxes of online rows: between the filter's and the detection's, as far as the detections that
+follow teach.
 
-A filter that keeps identities when targets jump assumes wide noises, so that its boxes follow exact detections too slowly.
-Shown is, of each target that was detected,
+A filter that keeps identities when targets jump assumes wide noises, so that its boxes follow exact
+detections too slowly. Shown is, of each target that was detected,
 
     b = z + a (m − z)
 
-with z the detection's box, m the filter's, and one share a for centres and one for sizes of a stream. The two boxes that
-follow, z′ and z″, tell where the target was, without the errors that m and z have: at r = z′ − (z″ − z′) T/T′, after
-intervals T and T′. So a is the slope of the regression of r − z on m − z, both in widths and heights of the box, in which
-steps that are large for the stream count less. It begins at `PRIOR` and forgets what is old.
+with z the detection's box, m the filter's, and one share a for centres and one for sizes of a
+stream. The two boxes that follow, z′ and z″, tell where the target was, without the errors that m
+and z have: at r = z′ − (z″ − z′) T/T′, after intervals T and T′. So a is the slope of the
+regression of r − z on m − z, both in widths and heights of the box, in which steps that are large
+for the stream count less. It begins at `PRIOR` and forgets what is old.
 """
 
 from __future__ import annotations
@@ -20,15 +22,20 @@ import numpy as np
 from phdtrack.kernels.box import agreement, between
 from phdtrack.types import F8, I8, Detections, Tracks
 
-# The share before anything is seen, as if from so many sides of boxes; the most that it may be: beyond 1 is the prediction.
-PRIOR, PRIOR_WEIGHT, MOST = 0.5, 50.0, 1.5
+# The share before anything is seen, as if from so many sides of boxes; the most that it may be:
+# beyond 1 is the prediction.
+PRIOR = 0.5
+PRIOR_WEIGHT = 50.0
+MOST = 1.5
 # Sides of boxes that are remembered.
 KEPT = 3000.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shown:
-    """The rows of a frame that rest on detections: ``identity`` (n,), boxes ``seen`` and ``filtered`` (n, 4); seconds."""
+    """The rows of a frame that rest on detections: ``identity`` (n,), boxes ``seen`` and
+    ``filtered`` (n, 4); seconds.
+    """
 
     time: float = 0.0
     identity: I8 = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -42,9 +49,11 @@ class ShareState:
 
     Attributes
     ----------
-    waiting : number, seconds and boxes (n, 4) of the frames whose rows are still to come, the oldest first.
+    waiting : number, seconds and boxes (n, 4) of the frames whose rows are still to come, the
+        oldest first.
     last : the two frames before.
-    sums : (2, 4) of centres and of sizes: of products, of squares, how many, and the mean size of m − z.
+    sums : (2, 4) of centres and of sizes: of products, of squares, how many, and the mean size of m
+        − z.
     """
 
     waiting: tuple[tuple[int, float, F8], ...] = ()
@@ -68,21 +77,32 @@ class DetectionShare:
     def advance(
         self, state: ShareState, tracks: Tracks, detections: Detections, number: int, time: float
     ) -> tuple[ShareState, Tracks]:
-        """The state and the rows with the boxes that are shown; rows name a detection by its place in their frame."""
-        return self.shown(ShareState((*state.waiting, (number, time, detections.xyxy)), state.last, state.sums), tracks)
+        """The state and the rows with the boxes that are shown; rows name a detection by its place
+        in their frame.
+        """
+        return self.shown(
+            ShareState((*state.waiting, (number, time, detections.xyxy)), state.last, state.sums),
+            tracks,
+        )
 
     def shown(self, state: ShareState, tracks: Tracks) -> tuple[ShareState, Tracks]:
-        """The state after these rows, all of frames that it waits for, and the rows with the boxes that are shown."""
+        """The state after these rows, all of frames that it waits for, and the rows with the boxes
+        that are shown.
+        """
         if len(tracks) == 0:
             return state, tracks
-        last, sums, xyxy, until = state.last, state.sums, tracks.xyxy.copy(), int(tracks.frame[-1])
+        last = state.last
+        sums = state.sums
+        xyxy = tracks.xyxy.copy()
+        until = int(tracks.frame[-1])
         detected = tracks.detection >= 0
         for number, time, boxes in state.waiting:
             rows = np.flatnonzero(detected & (tracks.frame == number))
             if number <= until and len(rows):
                 now = Shown(time, tracks.identity[rows], boxes[tracks.detection[rows]], xyxy[rows])
                 sums = _learned(sums, *last, now)
-                last, xyxy[rows] = (last[1], now), between(now.seen, now.filtered, *_share(sums))
+                last = (last[1], now)
+                xyxy[rows] = between(now.seen, now.filtered, *_share(sums))
         waiting = tuple(frame for frame in state.waiting if frame[0] > until)
         return ShareState(waiting, last, sums), replace(tracks, xyxy=xyxy)
 
@@ -92,7 +112,9 @@ def _share(sums: F8) -> tuple[float, float]:
     out = []
     for product, square, count, _ in sums.tolist():
         slope = product / max(square, 1e-12)
-        out.append(min(max((count * slope + PRIOR_WEIGHT * PRIOR) / (count + PRIOR_WEIGHT), 0.0), MOST))
+        out.append(
+            min(max((count * slope + PRIOR_WEIGHT * PRIOR) / (count + PRIOR_WEIGHT), 0.0), MOST)
+        )
     return out[0], out[1]
 
 
@@ -100,6 +122,8 @@ def _learned(sums: F8, first: Shown, second: Shown, now: Shown) -> F8:
     """The sums with what a further frame says of the rows two frames ago."""
     if len(first.identity) == 0:
         return sums
-    ratio, kept = (second.time - first.time) / (now.time - second.time), max(1 - 2 * len(now.identity) / KEPT, 0.0)
-    then, between = (first.identity, first.seen, first.filtered), (second.identity, second.seen)
+    ratio = (second.time - first.time) / (now.time - second.time)
+    kept = max(1 - 2 * len(now.identity) / KEPT, 0.0)
+    then = (first.identity, first.seen, first.filtered)
+    between = (second.identity, second.seen)
     return np.asarray(agreement(then, between, (now.identity, now.seen), ratio, kept, sums))

@@ -1,6 +1,8 @@
-"""What a state holds as bytes: JSON and arrays, of which nothing but numbers, texts, lists and arrays can be made again.
+"""What a state holds as bytes: JSON and arrays, of which nothing but numbers, texts, lists and
+arrays can be made again.
 
-A block is length, checksum, content. So is every block of a file that grows by them, and one that was cut off is found out.
+A block is length, checksum, content. So is every block of a file that grows by them, and one that
+was cut off is found out.
 """
 
 from __future__ import annotations
@@ -27,11 +29,17 @@ _DTYPE = re.compile(r"[<>|][biuf](1|2|4|8)")
 
 def _plain(dtype: np.dtype[Any]) -> bool:
     """Whether these are numbers, or records of numbers."""
-    return all(dtype[name].kind in _KINDS for name in dtype.names) if dtype.names else dtype.kind in _KINDS
+    return (
+        all(dtype[name].kind in _KINDS for name in dtype.names)
+        if dtype.names
+        else dtype.kind in _KINDS
+    )
 
 
 def _dtype(said: Any) -> np.dtype[Any]:
-    """The type of an array that a block names. Raises ``ValueError`` or ``TypeError`` where it is none of ours."""
+    """The type of an array that a block names. Raises ``ValueError`` or ``TypeError`` where it is
+    none of ours.
+    """
     columns = said if isinstance(said, list) else [("", said)]
     if not all(_DTYPE.fullmatch(kind) for _, kind in columns):
         raise ValueError
@@ -39,14 +47,16 @@ def _dtype(said: Any) -> np.dtype[Any]:
 
 
 def to_bytes(value: Any) -> bytes:
-    """A block that holds dictionaries with texts as keys, lists, tuples, numbers, texts and arrays of numbers. Raises
-    `InputError` for anything else."""
+    """A block that holds dictionaries with texts as keys, lists, tuples, numbers, texts and arrays
+    of numbers. Raises `InputError` for anything else."""
     arrays = list[bytes]()
 
     def plain(one: Any) -> Any:
         if isinstance(one, np.ndarray) and _plain(one.dtype):
             arrays.append(np.ascontiguousarray(one).tobytes())
-            return {"array": [one.dtype.descr if one.dtype.names else one.dtype.str, list(one.shape)]}
+            return {
+                "array": [one.dtype.descr if one.dtype.names else one.dtype.str, list(one.shape)]
+            }
         if isinstance(one, tuple):
             return {"tuple": [plain(item) for item in one]}
         if isinstance(one, list):
@@ -63,7 +73,9 @@ def to_bytes(value: Any) -> bytes:
 
 
 def from_bytes(block: bytes, where: str | Path = "") -> Any:
-    """The value of one block. Raises `InputError` where it is cut off or changed, or no block of `to_bytes`."""
+    """The value of one block. Raises `InputError` where it is cut off or changed, or no block of
+    `to_bytes`.
+    """
     problem = InputError("expected a saved state, which is cut off or changed", where=where)
     if len(block) < _HEAD.size + 4:
         raise problem
@@ -85,7 +97,8 @@ def from_bytes(block: bytes, where: str | Path = "") -> Any:
             return tuple(value(item) for item in inside)
         if kind == "dict":
             return {str(key): value(item) for key, item in inside.items()}
-        dtype, shape = _dtype(inside[0]), [int(n) for n in inside[1]]
+        dtype = _dtype(inside[0])
+        shape = [int(n) for n in inside[1]]
         size = math.prod(shape) * dtype.itemsize
         if kind != "array" or min(shape, default=0) < 0 or at + size > len(content):
             raise ValueError
@@ -103,7 +116,9 @@ def from_bytes(block: bytes, where: str | Path = "") -> Any:
 
 
 def blocks(file: BinaryIO, where: str | Path = "") -> Iterator[tuple[int, Any]]:
-    """Where in the file each whole block ends, and its value; what follows the last whole one is passed over."""
+    """Where in the file each whole block ends, and its value; what follows the last whole one is
+    passed over.
+    """
     end = file.tell()
     while True:
         head = file.read(_HEAD.size)

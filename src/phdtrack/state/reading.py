@@ -1,4 +1,6 @@
-"""Records made of what was packed, with every part checked (`forms`); nothing but records of this package is made."""
+"""Records made of what was packed, with every part checked (`forms`); nothing but records of this
+package is made.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,12 @@ _ROUNDING = 1e-9
 _INEXACT = 1e-3
 # Whole numbers that can still be added to.
 _WHOLE = 2.0**53
-_DTYPES: dict[Any, tuple[str, ...]] = {np.float64: ("f8",), np.int64: ("i8",), np.bool_: ("?",), np.void: ("V",)}
+_DTYPES: dict[Any, tuple[str, ...]] = {
+    np.float64: ("f8",),
+    np.int64: ("i8",),
+    np.bool_: ("?",),
+    np.void: ("V",),
+}
 _REAL = ("f4", "f8")
 
 Reader = Callable[[Any, Any, World, str], Any]
@@ -42,9 +49,17 @@ class _Field(NamedTuple):
     def of(cls, line: str) -> _Field:
         """Of a word of `FORMS`."""
         name, shape, bounds, more = (*line.split(":"), "", "", "")[:4]
-        (name, _, column), (low, _, high) = name.partition("."), bounds.partition("..")
+        name, _, column = name.partition(".")
+        low, _, high = bounds.partition("..")
         words = frozenset(filter(None, more.split(",")))
-        return cls(name, column, tuple(shape.split(",")) if shape else None, _limit(low), _limit(high), words)
+        return cls(
+            name,
+            column,
+            tuple(shape.split(",")) if shape else None,
+            _limit(low),
+            _limit(high),
+            words,
+        )
 
 
 def _limit(word: str) -> float | str:
@@ -69,8 +84,9 @@ def names_of(kind: Any) -> tuple[str, ...]:
 
 
 def pack(value: Any) -> Any:
-    """Dictionaries, lists, numbers and copies of arrays, of which `restored` makes the same value. Raises `InputError` for a
-    value of something else than numbers, arrays, tuples, dictionaries and this package's records."""
+    """Dictionaries, lists, numbers and copies of arrays, of which `restored` makes the same value.
+    Raises `InputError` for a value of something else than numbers, arrays, tuples, dictionaries and
+    this package's records."""
     kind: Any = type(value)
     if is_record(kind):
         inside = {name: pack(getattr(value, name)) for name in names_of(kind)}
@@ -80,15 +96,19 @@ def pack(value: Any) -> Any:
     if isinstance(value, tuple):
         return [pack(item) for item in value]
     if isinstance(value, dict):
-        return {"record": "dict", "keys": list(value), "values": [pack(item) for item in value.values()]}
+        return {
+            "record": "dict",
+            "keys": list(value),
+            "values": [pack(item) for item in value.values()],
+        }
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
     raise InputError(f"a state of type {kind.__name__} cannot be saved", where="state_dict")
 
 
 def restored(packed: Any, hint: Any, like: Any, world: World, where: str) -> Any:
-    """The value that was packed, checked: every type, shape and range, and how they fit each other. Only records of this
-    package are made. `InputError` names the place in the state that is wrong.
+    """The value that was packed, checked: every type, shape and range, and how they fit each other.
+    Only records of this package are made. `InputError` names the place in the state that is wrong.
 
     Parameters
     ----------
@@ -104,7 +124,9 @@ def restored(packed: Any, hint: Any, like: Any, world: World, where: str) -> Any
 
 def _wrong(where: str, problem: str) -> InputError:
     """The error of a place in a state."""
-    return InputError(problem, where=where, cure="It is damaged, or of a tracker with other settings")
+    return InputError(
+        problem, where=where, cure="It is damaged, or of a tracker with other settings"
+    )
 
 
 def _named(packed: Any) -> str:
@@ -116,15 +138,20 @@ def _named(packed: Any) -> str:
 @cache
 def _reader(hint: Any) -> Reader:
     """What reads values of a type."""
-    kind, inside = get_origin(hint), get_args(hint)
+    kind = get_origin(hint)
+    inside = get_args(hint)
     if hint in (int, float, bool, str):
-        return partial(_number, {int: (int,), float: (float, int), bool: (bool,), str: (str,)}[hint])
+        return partial(
+            _number, {int: (int,), float: (float, int), bool: (bool,), str: (str,)}[hint]
+        )
     if kind is Literal:
         return partial(_number, (str,))
     if kind is np.ndarray:
         return partial(_array, _DTYPES.get(get_args(inside[1])[0], _REAL))
     if kind is tuple:
-        return partial(_tuple, [_reader(one) for one in inside if one is not ...], inside[-1] is ...)
+        return partial(
+            _tuple, [_reader(one) for one in inside if one is not ...], inside[-1] is ...
+        )
     if kind is dict:
         return partial(_dictionary, _reader(inside[0]), _reader(inside[1]))
     if kind in (Union, UnionType):
@@ -158,26 +185,38 @@ def _columns(name: str) -> np.dtype[np.void]:
     return TARGET if name == "targets" else HYPOTHESIS
 
 
-def _tuple(readers: list[Reader], endless: bool, packed: Any, like: Any, world: World, where: str) -> Any:
+def _tuple(
+    readers: list[Reader], endless: bool, packed: Any, like: Any, world: World, where: str
+) -> Any:
     if not isinstance(packed, (list, tuple)) or not (endless or len(packed) == len(readers)):
         raise _wrong(where, f"expected {'some' if endless else len(readers)} values in a row")
-    return tuple(readers[0 if endless else k](one, None, world, f"{where}[{k}]") for k, one in enumerate(packed))
+    return tuple(
+        readers[0 if endless else k](one, None, world, f"{where}[{k}]")
+        for k, one in enumerate(packed)
+    )
 
 
-def _dictionary(key: Reader, value: Reader, packed: Any, like: Any, world: World, where: str) -> Any:
+def _dictionary(
+    key: Reader, value: Reader, packed: Any, like: Any, world: World, where: str
+) -> Any:
     if _named(packed) != "dict" or packed.keys() != {"record", "keys", "values"}:
         raise _wrong(where, "expected keys and values")
     keys, values = (packed[name] for name in ("keys", "values"))
     if not isinstance(keys, list) or not isinstance(values, list) or len(keys) != len(values):
         raise _wrong(where, "expected as many keys as values")
     names = [key(one, None, world, f"{where}, key {k}") for k, one in enumerate(keys)]
-    return {name: value(one, None, world, f"{where}[{name}]") for name, one in zip(names, values, strict=True)}
+    return {
+        name: value(one, None, world, f"{where}[{name}]")
+        for name, one in zip(names, values, strict=True)
+    }
 
 
 def _one_of(readers: dict[str, Reader], packed: Any, like: Any, world: World, where: str) -> Any:
     if packed is None and "NoneType" in readers:
         return None
-    return (readers.get(_named(packed).partition(":")[2]) or next(iter(readers.values())))(packed, like, world, where)
+    return (readers.get(_named(packed).partition(":")[2]) or next(iter(readers.values())))(
+        packed, like, world, where
+    )
 
 
 def _open(packed: Any, like: Any, world: World, where: str) -> Any:
@@ -189,7 +228,9 @@ def _open(packed: Any, like: Any, world: World, where: str) -> Any:
     usual = type(like).__name__
     allowed = (usual, "ParticleBlocks") if usual == "Particles" else (usual,)
     if record not in allowed or not module.startswith("phdtrack."):
-        raise _wrong(where, f"expected {' or '.join(allowed)}, got {found or type(packed).__name__}")
+        raise _wrong(
+            where, f"expected {' or '.join(allowed)}, got {found or type(packed).__name__}"
+        )
     kind: Any = type(like)
     if kind.__name__ == record:
         return _reader(kind)(packed, like, world, where)
@@ -203,11 +244,18 @@ def _open(packed: Any, like: Any, world: World, where: str) -> Any:
 
 @cache
 def _plan(kind: Any) -> tuple[dict[str, Reader], list[_Field]]:
-    """How the fields of a record are read, and their forms: of numbers, that they are finite, where nothing else is said."""
-    hints, names = get_type_hints(kind), names_of(kind)
+    """How the fields of a record are read, and their forms: of numbers, that they are finite, where
+    nothing else is said.
+    """
+    hints = get_type_hints(kind)
+    names = names_of(kind)
     form = [_Field.of(line) for line in FORMS.get(kind.__name__, "").split()]
     known = {field.name for field in form}
-    form += [_Field.of(f"{name}::") for name in names if hints[name] in (int, float) and name not in known]
+    form += [
+        _Field.of(f"{name}::")
+        for name in names
+        if hints[name] in (int, float) and name not in known
+    ]
     arrays = {name for name in names if get_origin(hints[name]) is np.ndarray}
     assert arrays <= known, f"no form of {kind.__name__}"
     return {name: _reader(hints[name]) for name in names}, form
@@ -221,7 +269,10 @@ def _record(kind: Any, packed: Any, like: Any, world: World, where: str) -> Any:
     if not isinstance(inside, dict) or inside.keys() != readers.keys():
         raise _wrong(where, f"expected a {kind.__name__}")
     before = like if type(like) is kind else None
-    found = {n: read(inside[n], getattr(before, n, None), world, f"{where}.{n}") for n, read in readers.items()}
+    found = {
+        n: read(inside[n], getattr(before, n, None), world, f"{where}.{n}")
+        for n, read in readers.items()
+    }
     _check(found, form, world, where)
     try:
         made = kind(**found)
@@ -244,10 +295,14 @@ def _check(found: dict[str, Any], form: list[_Field], world: World, where: str) 
     for field in form:
         value = found[field.name][field.column] if field.column else found[field.name]
         if not _is_good(value, field, found, known):
-            low, high = (f"{one:g}" if isinstance(one, float) else one for one in (field.low, field.high))
+            low, high = (
+                f"{one:g}" if isinstance(one, float) else one for one in (field.low, field.high)
+            )
             bounds = f"from {low} to {high}".removesuffix(" to ") if low else "that are finite"
             more = " and ".join(sorted(_SAID[one] for one in field.more if one in _SAID))
-            raise _wrong(f"{where}.{field.name}", f"expected numbers {bounds}{more and f', {more}'}")
+            raise _wrong(
+                f"{where}.{field.name}", f"expected numbers {bounds}{more and f', {more}'}"
+            )
 
 
 _SAID = {
@@ -258,20 +313,30 @@ _SAID = {
 }
 
 
-def _has_shape(value: Any, shape: tuple[str, ...], known: dict[str, int], world: dict[str, int]) -> bool:
+def _has_shape(
+    value: Any, shape: tuple[str, ...], known: dict[str, int], world: dict[str, int]
+) -> bool:
     """Whether an array has this shape; lengths that are not known yet are known then."""
     if value.ndim != len(shape):
         return False
-    nothing = any(length == 0 and not word.endswith("?") for length, word in zip(value.shape, shape, strict=True))
+    nothing = any(
+        length == 0 and not word.endswith("?")
+        for length, word in zip(value.shape, shape, strict=True)
+    )
     for length, word in zip(value.shape, shape, strict=True):
         if word.isdecimal():
             if length != int(word):
                 return False
             continue
-        letter, less = word[0], 1 if word.endswith("+1") else 0
+        letter = word[0]
+        less = 1 if word.endswith("+1") else 0
         if word.endswith("?") and length == 0 and nothing:
             continue
-        if length < less or (world if letter in "dm" else known).setdefault(letter, length - less) != length - less:
+        if (
+            length < less
+            or (world if letter in "dm" else known).setdefault(letter, length - less)
+            != length - less
+        ):
             return False
     return True
 
@@ -281,7 +346,9 @@ def _bound(limit: float | str, usual: float, found: dict[str, Any], known: dict[
     if isinstance(limit, float):
         return limit
     name = limit.removesuffix("-1")
-    return float(known[name] if name in known else found[name]) - (name != limit) if limit else usual
+    return (
+        float(known[name] if name in known else found[name]) - (name != limit) if limit else usual
+    )
 
 
 def _is_good(value: Any, field: _Field, found: dict[str, Any], known: dict[str, int]) -> bool:
@@ -290,26 +357,32 @@ def _is_good(value: Any, field: _Field, found: dict[str, Any], known: dict[str, 
     if array and (not value.size or value.dtype.kind in "bV"):
         return True
     usual = _WHOLE if isinstance(value, int) or (array and value.dtype.kind == "i") else LARGEST
-    low, high = _bound(field.low, -usual, found, known), _bound(field.high, usual, found, known)
+    low = _bound(field.low, -usual, found, known)
+    high = _bound(field.high, usual, found, known)
     if not array:
         return low <= value <= high or ("nan" in field.more and math.isnan(value))
     if "nan" in field.more or "inf" in field.more:
         bad = np.isnan(value) if "inf" in field.more else np.isinf(value)
         return {"nan", "inf"} <= field.more or not bad.any()
     # NaN is the least and the greatest.
-    if not (low - _ROUNDING <= np.minimum.reduce(value, None) and np.maximum.reduce(value, None) <= high + _ROUNDING):
+    if not (
+        low - _ROUNDING <= np.minimum.reduce(value, None)
+        and np.maximum.reduce(value, None) <= high + _ROUNDING
+    ):
         return False
     if "up" in field.more or "rise" in field.more:
         steps = np.diff(value)
-        return bool(len(steps) == 0 or (steps.min() > 0 if "rise" in field.more else steps.min() >= 0))
+        return bool(
+            len(steps) == 0 or (steps.min() > 0 if "rise" in field.more else steps.min() >= 0)
+        )
     if "cov" in field.more or "cov0" in field.more:
         return _is_covariance(value, definite="cov" in field.more)
     return True
 
 
 def _is_covariance(value: np.ndarray[Any, Any], *, definite: bool) -> bool:
-    """Whether all are covariances but for rounding: (n, d, d), symmetric, no correlation that others do not allow, and
-    variances from 0, or above it where they are ``definite``."""
+    """Whether all are covariances but for rounding: (n, d, d), symmetric, no correlation that
+    others do not allow, and variances from 0, or above it where they are ``definite``."""
     variance = value.diagonal(axis1=1, axis2=2)
     if not variance.size:
         return True

@@ -1,11 +1,14 @@
-"""The motion of the camera: none, given in a file, or measured between two pictures by following points of the background.
+"""The motion of the camera: none, given in a file, or measured between two pictures by following
+points of the background.
 
-Corners (Shi and Tomasi) of the earlier picture, outside the boxes of what was detected there, are followed by pyramids of
-Lucas and Kanade's method into the later one and back; those that do not come back to where they began are dropped. RANSAC
-finds the similarity, or homography, that most of the others agree on. Its random numbers are OpenCV's own, begun anew in
-every call: the same pictures give the same map.
+Corners (Shi and Tomasi) of the earlier picture, outside the boxes of what was detected there, are
+followed by pyramids of Lucas and Kanade's method into the later one and back; those that do not
+come back to where they began are dropped. RANSAC finds the similarity, or homography, that most of
+the others agree on. Its random numbers are OpenCV's own, begun anew in every call: the same
+pictures give the same map.
 
-Pictures are scaled down first. What moves in them and was not detected is outvoted as long as it is less than the rest.
+Pictures are scaled down first. What moves in them and was not detected is outvoted as long as it is
+less than the rest.
 """
 
 from __future__ import annotations
@@ -19,11 +22,14 @@ from phdtrack.errors import Checked, InputError, Positive, PositiveCount, Share
 from phdtrack.types import F8, Image
 
 # Corners weaker than this share of the best are none; they keep this share of the width apart.
-_QUALITY, _APART = 0.01, 0.012
+_QUALITY = 0.01
+_APART = 0.012
 # Around a box as much of its size is left out besides: shadows, and limbs that the box has not.
 _MARGIN = 0.1
-# No camera zooms by more from one frame to the next, or moves the picture by more than this share of its width.
-_ZOOM, _JUMP = 1.5, 0.6
+# No camera zooms by more from one frame to the next, or moves the picture by more than this share
+# of its width.
+_ZOOM = 1.5
+_JUMP = 0.6
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +43,8 @@ class GivenWarps:
 
     Parameters
     ----------
-    file : a row for each frame, ``frame,g11,g12,g13,g21,g22,g23[,g31,g32,g33]``: see `formats.read_warps`.
+    file : a row for each frame, ``frame,g11,g12,g13,g21,g22,g23[,g31,g32,g33]``: see
+        `formats.read_warps`.
     """
 
     file: str
@@ -53,10 +60,12 @@ class SparseFlow(Checked):
     ----------
     width : pictures are scaled down to this many pixels before they are looked at.
     max_points : corners that are followed at most.
-    form : ``similarity`` (shift, turn, zoom), which few points determine well; ``homography`` for a camera that pans with a
-        wide lens, or a scene that is one plane.
-    max_error : pixels of the scaled picture by which a point may miss the map, and its way back its beginning.
-    min_points : points that must fit the map; with fewer the camera is taken to stand still in that frame.
+    form : ``similarity`` (shift, turn, zoom), which few points determine well; ``homography`` for a
+        camera that pans with a wide lens, or a scene that is one plane.
+    max_error : pixels of the scaled picture by which a point may miss the map, and its way back its
+        beginning.
+    min_points : points that must fit the map; with fewer the camera is taken to stand still in that
+        frame.
     min_inlier_share : share of the points followed that must fit it.
     """
 
@@ -75,8 +84,8 @@ class CameraMotion:
     warp = motion(image, boxes)                 # the identity for the first
     rows = tracker.update(boxes, warp=warp)
 
-    Call it once for every `Tracker.update`, with the picture that the boxes are from. ``measured`` is False where the motion
-    could not be found in the last picture and is taken for none.
+    Call it once for every `Tracker.update`, with the picture that the boxes are from. ``measured``
+    is False where the motion could not be found in the last picture and is taken for none.
     """
 
     def __init__(self, settings: SparseFlow | None = None) -> None:
@@ -89,7 +98,8 @@ class CameraMotion:
         self.measured = True
 
     def __call__(self, image: Image, xyxy: F8) -> F8:
-        """(3, 3) map from the pixels of the picture before to this one's (H, W, 3), in which ``xyxy`` (n, 4) were detected.
+        """(3, 3) map from the pixels of the picture before to this one's (H, W, 3), in which
+        ``xyxy`` (n, 4) were detected.
 
         Raises `InputError` where ``image`` is no picture.
         """
@@ -101,7 +111,9 @@ class CameraMotion:
 
 
 class _View(NamedTuple):
-    """One picture as the flow sees it: ``gray`` (h, w) uint8, scaled by ``scale``, with ``boxes`` (n, 4) in its pixels."""
+    """One picture as the flow sees it: ``gray`` (h, w) uint8, scaled by ``scale``, with ``boxes``
+    (n, 4) in its pixels.
+    """
 
     gray: Image
     scale: float
@@ -113,26 +125,40 @@ def _view(image: Image, xyxy: F8, width: int) -> _View:
     import cv2
 
     if image.ndim not in (2, 3) or not image.size:
-        raise InputError(f"expected a picture (H, W, 3), got an array of shape {image.shape}", where="camera motion")
+        raise InputError(
+            f"expected a picture (H, W, 3), got an array of shape {image.shape}",
+            where="camera motion",
+        )
     gray = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     scale = min(1.0, width / gray.shape[1])
     if scale < 1:
-        gray = cv2.resize(gray, (width, max(1, round(scale * gray.shape[0]))), interpolation=cv2.INTER_AREA)
+        gray = cv2.resize(
+            gray, (width, max(1, round(scale * gray.shape[0]))), interpolation=cv2.INTER_AREA
+        )
     return _View(gray, scale, scale * np.asarray(xyxy, np.float64).reshape(-1, 4))
 
 
 def _between(before: _View, after: _View, settings: SparseFlow) -> F8 | None:
-    """(3, 3) how the camera moved between two views, in pixels of the video; None where it cannot be measured."""
+    """(3, 3) how the camera moved between two views, in pixels of the video; None where it cannot
+    be measured.
+    """
     import cv2
 
     found, arrived = _followed(before, after, settings)
     if len(found) < settings.min_points:
         return None
     if settings.form == "homography":
-        matrix, inside = cv2.findHomography(found, arrived, cv2.RANSAC, settings.max_error, maxIters=2000, confidence=0.999)
+        matrix, inside = cv2.findHomography(
+            found, arrived, cv2.RANSAC, settings.max_error, maxIters=2000, confidence=0.999
+        )
     else:
         matrix, inside = cv2.estimateAffinePartial2D(
-            found, arrived, method=cv2.RANSAC, ransacReprojThreshold=settings.max_error, maxIters=2000, confidence=0.999
+            found,
+            arrived,
+            method=cv2.RANSAC,
+            ransacReprojThreshold=settings.max_error,
+            maxIters=2000,
+            confidence=0.999,
         )
     if matrix is None or not np.isfinite(matrix).all():
         return None
@@ -156,21 +182,33 @@ def _followed(before: _View, after: _View, settings: SparseFlow) -> tuple[F8, F8
     background: Image = np.full(before.gray.shape, 255, np.uint8)
     for left, top, right, bottom in before.boxes:
         margin = _MARGIN * max(right - left, bottom - top)
-        x0, y0, x1, y1 = np.maximum([left - margin, top - margin, right + margin, bottom + margin], 0).astype(int)
+        x0, y0, x1, y1 = np.maximum(
+            [left - margin, top - margin, right + margin, bottom + margin], 0
+        ).astype(int)
         background[y0:y1, x0:x1] = 0
     apart = max(3.0, _APART * before.gray.shape[1])
-    corners = cv2.goodFeaturesToTrack(before.gray, settings.max_points, _QUALITY, apart, mask=background)
+    corners = cv2.goodFeaturesToTrack(
+        before.gray, settings.max_points, _QUALITY, apart, mask=background
+    )
     if corners is None:
         return none, none
-    there, arrived, _ = cv2.calcOpticalFlowPyrLK(before.gray, after.gray, corners, None, winSize=(21, 21), maxLevel=4)
-    back, returned, _ = cv2.calcOpticalFlowPyrLK(after.gray, before.gray, there, None, winSize=(21, 21), maxLevel=4)
+    there, arrived, _ = cv2.calcOpticalFlowPyrLK(
+        before.gray, after.gray, corners, None, winSize=(21, 21), maxLevel=4
+    )
+    back, returned, _ = cv2.calcOpticalFlowPyrLK(
+        after.gray, before.gray, there, None, winSize=(21, 21), maxLevel=4
+    )
     good = (arrived.ravel() == 1) & (returned.ravel() == 1)
     good &= np.linalg.norm((back - corners).reshape(-1, 2), axis=1) <= settings.max_error
-    return corners.reshape(-1, 2)[good].astype(np.float64), there.reshape(-1, 2)[good].astype(np.float64)
+    return corners.reshape(-1, 2)[good].astype(np.float64), there.reshape(-1, 2)[good].astype(
+        np.float64
+    )
 
 
 def _credible(warp: F8, before: _View) -> bool:
-    """Whether a camera may have moved so: the corners of the picture stay in order and near where they were."""
+    """Whether a camera may have moved so: the corners of the picture stay in order and near where
+    they were.
+    """
     high, wide = (side / before.scale for side in before.gray.shape)
     moved = warp @ np.array([[0, wide, wide, 0], [0, 0, high, high], [1, 1, 1, 1]])
     if (moved[2] <= 0.2).any():

@@ -32,7 +32,9 @@ MODEL = world()
 
 
 def cloud(rng, at, mass: float, count: int = 400, spread: float = 0.5) -> Particles:
-    """Particles about a state, as wide as ``spread`` of the measurement's noise: half of it is a typical posterior."""
+    """Particles about a state, as wide as ``spread`` of the measurement's noise: half of it is a
+    typical posterior.
+    """
     x = np.asarray(at, dtype=float)[:, None]
     state = x + spread * MODEL.sensor.noise(x) * rng.standard_normal((len(x), count))
     return Particles(state, np.full(count, mass / count))

@@ -9,8 +9,17 @@ from phdtrack.models import BoxMotion, BoxSensor, MeasurementBirth, UniformClutt
 from phdtrack.protocols import Model
 from phdtrack.types import GaussianMixture
 
-MODEL = Model(BoxMotion(), BoxSensor(), MeasurementBirth(births_per_detection=0.25), UniformClutter(1.0, 1e10))
-MEAN = np.array([[100.0, 100, 2, 0, 40, 80], [300, 120, 0, 1, 40, 80], [306, 120, 0, 1, 40, 80], [500, 90, 0, 0, 30, 70]]).T
+MODEL = Model(
+    BoxMotion(), BoxSensor(), MeasurementBirth(births_per_detection=0.25), UniformClutter(1.0, 1e10)
+)
+MEAN = np.array(
+    [
+        [100.0, 100, 2, 0, 40, 80],
+        [300, 120, 0, 1, 40, 80],
+        [306, 120, 0, 1, 40, 80],
+        [500, 90, 0, 0, 30, 70],
+    ]
+).T
 MIXTURE = GaussianMixture(np.array([0.9, 2.2, 0.6, 0.49]), MEAN, np.tile(np.eye(6), (4, 1, 1)))
 Z = MEAN[[0, 1, 4, 5]][:, [1, 0]] + 1.0
 
@@ -31,7 +40,9 @@ def test_those_that_no_sensor_could_tell_apart_are_one():
 
 
 def test_repeated_as_vo_and_ma_do():
-    """Each as often as its rounded weight; the mass is shared, and a detection serves one of them."""
+    """Each as often as its rounded weight; the mass is shared, and a detection serves one of
+    them.
+    """
     found = Components(repeat=True).extract(MIXTURE, Z, MODEL)
     np.testing.assert_array_equal(found.state, MEAN[:, [0, 1, 1, 2]])
     np.testing.assert_allclose(found.weight, [0.9, 1.1, 1.1, 0.6])

@@ -25,7 +25,8 @@ def held(kind: type, rng, number: np.ndarray = NUMBER) -> Cardinalised:
 
 @pytest.mark.parametrize("kind", [Components, KMeans, Mixture])
 def test_the_heaviest_as_many_as_there_are(kind: type, rng):
-    state, z = held(kind, rng), seen(HERE, THERE, moved(900))
+    state = held(kind, rng)
+    z = seen(HERE, THERE, moved(900))
     two = kind().extract(state, z, MODEL)
     np.testing.assert_allclose(np.sort(two.state[0]), np.sort(MEAN[0, 1:]), atol=3)
     assert sorted(two.detection.tolist()) == [1, 2]
@@ -35,14 +36,17 @@ def test_the_heaviest_as_many_as_there_are(kind: type, rng):
     # There are no more states than peaks.
     assert len(kind().extract(Cardinalised(state.intensity, np.eye(9)[8]), z, MODEL)) == 3
     # Without the number only the weights decide.
-    plain, same = (kind(counted=c).extract(s, z, MODEL) for c, s in ((False, state), (True, state.intensity)))
+    plain, same = (
+        kind(counted=c).extract(s, z, MODEL) for c, s in ((False, state), (True, state.intensity))
+    )
     np.testing.assert_array_equal(plain.state, same.state)
 
 
 def test_what_is_near_a_heavier_component_is_part_of_it(rng):
     """The covariance of the heaviest decides; the detection may be that of a part."""
     state = np.stack([HERE, moved(1.5), moved(4), THERE], axis=1)
-    boxes, weight = MODEL.sensor.boxes(state), np.array([0.2, 0.6, 0.3, 0.5])
+    boxes = MODEL.sensor.boxes(state)
+    weight = np.array([0.2, 0.6, 0.3, 0.5])
     cov = np.stack([9 * np.eye(6), np.eye(6), 9 * np.eye(6), np.eye(6)])
     found = united(Estimates(state, cov, weight, boxes, np.array([3, -1, 2, 1])), MODEL.sensor)
     np.testing.assert_allclose(found.weight, [0.8, 0.5, 0.3])

@@ -6,7 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from extract_cases import EXTRACTORS, HERE, MODEL, NAMES, ROWS, THERE, cloud, moved, nearest_state, seen, together, world
+from extract_cases import (
+    EXTRACTORS,
+    HERE,
+    MODEL,
+    NAMES,
+    ROWS,
+    THERE,
+    cloud,
+    moved,
+    nearest_state,
+    seen,
+    together,
+    world,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,17 +35,25 @@ both = pytest.mark.parametrize("extractor", EXTRACTORS, ids=NAMES)
 @both
 @pytest.mark.parametrize("p_detect", [0.7, 0.8, 0.9, 0.98])
 def test_one_target_is_always_one_state(extractor, p_detect: float):
-    """Filtered through misses, at the masses it then has: up to 1/(1 − p_M p_S), which is 1.42 at p_D = 0.7."""
-    model, recursion, heaviest, believed = world(p_detect), ParticlePHD(300), 0.0, 0
+    """Filtered through misses, at the masses it then has: up to 1/(1 − p_M p_S), which is 1.42 at
+    p_D = 0.7.
+    """
+    model = world(p_detect)
+    recursion = ParticlePHD(300)
+    heaviest = 0.0
+    believed = 0
     for seed in range(6):
         rng = np.random.default_rng(seed)
-        state, x = recursion.start(model, rng), np.append([2000.0, 2000, 2, 1], HERE[4:])[:, None]
+        state = recursion.start(model, rng)
+        x = np.append([2000.0, 2000, 2, 1], HERE[4:])[:, None]
         for _ in range(30):
             x = drawn(model.motion, x, 1.0, rng)
             x[4:6] = np.clip(x[4:6], [[25], [60]], [[60], [150]])
             z = x[ROWS] + model.sensor.noise(x)[ROWS] * rng.standard_normal((4, 1))
             z = z[:, : int(rng.random() < p_detect)]
-            state, _ = recursion.update(recursion.predict(state, model, 1.0, rng), z, model, 1.0, rng)
+            state, _ = recursion.update(
+                recursion.predict(state, model, 1.0, rng), z, model, 1.0, rng
+            )
             state = recursion.reduce(state, rng)
             heaviest = max(heaviest, state.mass)
             found = extractor.extract(state, z, model)
@@ -70,7 +91,9 @@ def test_two_targets_a_box_apart_are_two(extractor, mass: float, number_seen: in
         assert len(found) == 2
         assert {nearest_state(found, HERE), nearest_state(found, beside)} == {0, 1}
         # Where it was not seen the split decides alone, and may cut a little of the neighbour off.
-        np.testing.assert_allclose(found.weight[nearest_state(found, HERE)], mass * share, rtol=0.15)
+        np.testing.assert_allclose(
+            found.weight[nearest_state(found, HERE)], mass * share, rtol=0.15
+        )
 
 
 @both
@@ -79,7 +102,8 @@ def test_a_missed_target_is_found_and_does_not_move_another(extractor, rng):
     found = extractor.extract(state, seen(HERE), MODEL)
     alone = extractor.extract(cloud(np.random.default_rng(20090706), HERE, 1.0), seen(HERE), MODEL)
     assert len(found) == 2
-    a, b = nearest_state(found, HERE), nearest_state(found, THERE)
+    a = nearest_state(found, HERE)
+    b = nearest_state(found, THERE)
     np.testing.assert_allclose(found.state[:, a], alone.state[:, 0], rtol=1e-9)
     assert found.weight[b] == pytest.approx(0.7)
     np.testing.assert_allclose(found.state[:2, b], THERE[:2], atol=2)
@@ -89,7 +113,9 @@ def test_a_missed_target_is_found_and_does_not_move_another(extractor, rng):
 
 @both
 def test_missed_targets_are_found_behind_the_scraps_of_clutter(extractor):
-    """Each false alarm leaves a few particles; they must not use up the search for a target that was missed."""
+    """Each false alarm leaves a few particles; they must not use up the search for a target that
+    was missed.
+    """
     for seed in range(10):
         rng = np.random.default_rng(seed)
         scraps = [cloud(rng, [*rng.uniform(0, 4000, 2), 0, 0, 30, 70], 0.02, 10) for _ in range(25)]
@@ -111,7 +137,9 @@ def test_a_missed_target_whose_particles_lie_scattered_in_memory_is_found(extrac
         *(cloud(rng, [x, 3000, 0, 0, 30, 60], 0.03, 20) for x in range(0, 4000, 200)),
     )
     order = rng.permutation(len(state))
-    found = extractor.extract(Particles(state.state[:, order].copy(), state.weight[order]), seen(HERE), MODEL)
+    found = extractor.extract(
+        Particles(state.state[:, order].copy(), state.weight[order]), seen(HERE), MODEL
+    )
     assert len(found) == 2
 
 
@@ -126,7 +154,9 @@ def test_a_far_light_remnant_does_not_bias_a_target(extractor, rng):
 
 @both
 def test_detected_twice_and_joined_by_overlap(extractor):
-    """The filter takes two detections for two targets; the extractor with overlap for one object."""
+    """The filter takes two detections for two targets; the extractor with overlap for one
+    object.
+    """
     for seed in range(8):
         rng = np.random.default_rng(seed)
         beside = moved(5, 8, 0, 0, 3, -6)
@@ -137,7 +167,9 @@ def test_detected_twice_and_joined_by_overlap(extractor):
         assert joined.weight[0] == pytest.approx(2.0)
         np.testing.assert_allclose(joined.state[:, 0], state.state.mean(1), rtol=1e-6)
         assert joined.detection[0] in (0, 1)
-        apart = replace(extractor, merge_iou=0.4).extract(together(cloud(rng, HERE, 1.0), cloud(rng, THERE, 1.0)), z, MODEL)
+        apart = replace(extractor, merge_iou=0.4).extract(
+            together(cloud(rng, HERE, 1.0), cloud(rng, THERE, 1.0)), z, MODEL
+        )
         assert len(apart) == 2
 
 
@@ -184,10 +216,26 @@ def test_covariances_are_positive_definite(extractor, rng):
 def test_the_order_of_detections_does_not_matter(extractor, seed: int, targets: int, alarms: int):
     """The set of states is the same, and each names the same detection."""
     rng = np.random.default_rng(seed)
-    at = np.array([[200.0 + 400 * i, 500, 0, 0, rng.uniform(20, 60), rng.uniform(50, 120)] for i in range(targets)])
+    at = np.array(
+        [
+            [200.0 + 400 * i, 500, 0, 0, rng.uniform(20, 60), rng.uniform(50, 120)]
+            for i in range(targets)
+        ]
+    )
     state = together(*(cloud(rng, x, rng.uniform(0.5, 1.4), 120) for x in at))
     z = seen(*at)[:, rng.random(targets) < 0.8] + rng.normal(0, 1, 1)
-    z = np.hstack([z, np.vstack([rng.uniform(0, 2600, (1, alarms)), np.full((1, alarms), 1500), np.full((2, alarms), 50)])])
+    z = np.hstack(
+        [
+            z,
+            np.vstack(
+                [
+                    rng.uniform(0, 2600, (1, alarms)),
+                    np.full((1, alarms), 1500),
+                    np.full((2, alarms), 50),
+                ]
+            ),
+        ]
+    )
     order = rng.permutation(z.shape[1])
     a = extractor.extract(state, z, MODEL)
     b = extractor.extract(state, np.ascontiguousarray(z[:, order]), MODEL)
@@ -203,13 +251,16 @@ def test_the_order_of_detections_does_not_matter(extractor, seed: int, targets: 
 @both
 def test_states_name_the_detection_that_they_rest_on(extractor, rng):
     """The closest within the 99 % region; one detection serves one state."""
-    far, near = moved(25), moved(2)
+    far = moved(25)
+    near = moved(2)
     found = extractor.extract(cloud(rng, HERE, 1.0), seen(THERE, far, near), MODEL)
     assert list(found.detection) == [2]
     found = extractor.extract(cloud(rng, HERE, 1.0), seen(THERE, moved(0, 0, 0, 0, 40)), MODEL)
     assert list(found.detection) == [-1]
     beside = moved(30)
-    found = extractor.extract(together(cloud(rng, HERE, 1.0), cloud(rng, beside, 1.0)), seen(HERE), MODEL)
+    found = extractor.extract(
+        together(cloud(rng, HERE, 1.0), cloud(rng, beside, 1.0)), seen(HERE), MODEL
+    )
     assert sorted(found.detection) == [-1, 0]
     assert found.detection[nearest_state(found, HERE)] == 0
 
@@ -220,7 +271,8 @@ def test_a_detection_serves_the_closest_state_only():
     peaks = Gaussians(np.ones(2), np.array([beside, HERE]).T.copy(), np.stack([np.eye(6)] * 2))
     assert list(finish(peaks, seen(moved(1)), MODEL).detection) == [-1, 0]
     assert list(finish(peaks, seen(moved(1), moved(6)), MODEL).detection) == [1, 0]
-    # The closest pair goes first: the second detection is nearer to both, and the first is left to the other.
+    # The closest pair goes first: the second detection is nearer to both, and the first is left to
+    # the other.
     assert list(finish(peaks, seen(moved(-3), moved(2.5)), MODEL).detection) == [1, 0]
     assert list(finish(peaks, seen(), MODEL).detection) == [-1, -1]
 
@@ -228,7 +280,9 @@ def test_a_detection_serves_the_closest_state_only():
 def test_the_mixture_finds_means_and_shares_of_overlapping_targets(rng):
     """Two clouds that touch: K-means cuts between them and pushes the means apart, EM does not."""
     beside = moved(14)
-    state = together(cloud(rng, HERE, 1.2, 4000, spread=1.0), cloud(rng, beside, 0.8, 4000, spread=1.0))
+    state = together(
+        cloud(rng, HERE, 1.2, 4000, spread=1.0), cloud(rng, beside, 0.8, 4000, spread=1.0)
+    )
     found = Mixture(merge_iou=1.0, iterations=60).extract(state, seen(HERE, beside), MODEL)
     assert len(found) == 2
     order = np.argsort(found.state[0])

@@ -1,4 +1,6 @@
-"""Sparse flow: a known path of the camera is found, in a rendered clip and in noise; where it cannot be, that is told."""
+"""Sparse flow: a known path of the camera is found, in a rendered clip and in noise; where it
+cannot be, that is told.
+"""
 
 import cv2
 import numpy as np
@@ -16,19 +18,30 @@ NOBODY = np.zeros((0, 4))
 
 @pytest.fixture(scope="module")
 def clip():
-    """Pictures of a street by a camera in a hand, the boxes in them, and the true maps between them."""
-    scene = make_scene("street", 1, DetectorModel(p_detect=0.9, clutter_rate=1.0), frames=40, lead_in=-6.0)
-    path = np.array([[1.0, 0, -100], [0, 1.0, -50], [0, 0, 1.0]]) @ handheld(40, np.random.default_rng(3))
+    """Pictures of a street by a camera in a hand, the boxes in them, and the true maps between
+    them.
+    """
+    scene = make_scene(
+        "street", 1, DetectorModel(p_detect=0.9, clutter_rate=1.0), frames=40, lead_in=-6.0
+    )
+    path = np.array([[1.0, 0, -100], [0, 1.0, -50], [0, 0, 1.0]]) @ handheld(
+        40, np.random.default_rng(3)
+    )
     frames = [filmed(frame, path, WINDOW) for frame in Rendered(scene, np.random.default_rng(1))]
     return frames, moving(scene, path).detections, [step(path, frame.number) for frame in frames]
 
 
-@pytest.mark.parametrize(("form", "worst", "typical"), [("similarity", 0.8, 0.2), ("homography", 4.0, 1.0)])
+@pytest.mark.parametrize(
+    ("form", "worst", "typical"), [("similarity", 0.8, 0.2), ("homography", 4.0, 1.0)]
+)
 @pytest.mark.parametrize("told", [True, False], ids=["boxes left out", "boxes not known"])
-def test_the_path_of_a_filmed_street_is_found(clip, form: str, worst: float, typical: float, told: bool):
+def test_the_path_of_a_filmed_street_is_found(
+    clip, form: str, worst: float, typical: float, told: bool
+):
     """In pixels, at the corners of the picture, where errors are largest."""
     frames, table, true = clip
-    motion, errors = CameraMotion(SparseFlow(form=form)), []
+    motion = CameraMotion(SparseFlow(form=form))
+    errors = []
     for frame, wanted in zip(frames, true, strict=True):
         warp = motion(frame.image, table.at(frame.number).xyxy if told else NOBODY)
         assert motion.measured
@@ -44,13 +57,16 @@ def texture(rng: np.random.Generator, high: int, wide: int) -> np.ndarray:
 
 def test_a_large_picture_is_measured_small_and_told_in_its_own_pixels(rng):
     """The middle of a zoom and a turn is where it is, to a tenth of a pixel of 1280 x 720."""
-    wide, c, s = texture(rng, 900, 1500), 1.03 * np.cos(0.02), 1.03 * np.sin(0.02)
+    wide = texture(rng, 900, 1500)
+    c = 1.03 * np.cos(0.02)
+    s = 1.03 * np.sin(0.02)
     there = np.array([[1.0, 0, 640], [0, 1.0, 360], [0, 0, 1.0]])
     turn = there @ np.array([[c, -s, 12.0], [s, c, -7.0], [0, 0, 1.0]]) @ warp_of.back(there)
     middle = np.array([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1.0]])
     shift = np.array([[1.0, 0, -110], [0, 1.0, -90], [0, 0, 1.0]])
     before, after = (
-        cv2.warpPerspective(wide, warp_of.back(middle) @ warp @ middle, (1280, 720)) for warp in (shift, turn @ shift)
+        cv2.warpPerspective(wide, warp_of.back(middle) @ warp @ middle, (1280, 720))
+        for warp in (shift, turn @ shift)
     )
     motion = CameraMotion()
     motion(before, NOBODY)
@@ -64,15 +80,19 @@ def test_a_large_picture_is_measured_small_and_told_in_its_own_pixels(rng):
 
 
 def test_what_was_detected_has_no_vote(rng):
-    """A bus before a wall: most of the picture, and it drives one way while the camera turns the other."""
-    wall, bus = texture(rng, 240, 400), texture(rng, 150, 230)
+    """A bus before a wall: most of the picture, and it drives one way while the camera turns the
+    other.
+    """
+    wall = texture(rng, 240, 400)
+    bus = texture(rng, 150, 230)
     pictures = []
     for k in range(2):
         picture = wall[20:220, 40 - 6 * k : 340 - 6 * k].copy()
         picture[25:175, 30 - 9 * k : 260 - 9 * k] = bus
         pictures.append(picture)
     box = np.array([[30.0, 25.0, 260.0, 175.0]])
-    told, untold = CameraMotion(), CameraMotion()
+    told = CameraMotion()
+    untold = CameraMotion()
     told(pictures[0], box)
     untold(pictures[0], NOBODY)
     np.testing.assert_allclose(told(pictures[1], box)[:2, 2], [6.0, 0.0], atol=0.1)

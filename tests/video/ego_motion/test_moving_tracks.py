@@ -1,4 +1,6 @@
-"""Tracking under a camera that moves: with its motion told, identities are kept that are lost without."""
+"""Tracking under a camera that moves: with its motion told, identities are kept that are lost
+without.
+"""
 
 from dataclasses import replace
 
@@ -28,28 +30,39 @@ SETTINGS = {
 @pytest.fixture(scope="module")
 def street():
     """The scene as it is and as a hand-held camera sees it, and the camera's path."""
-    still = make_scene("street", 3, DetectorModel(p_detect=0.9, clutter_rate=1.0), frames=FRAMES, lead_in=-4.0)
+    still = make_scene(
+        "street", 3, DetectorModel(p_detect=0.9, clutter_rate=1.0), frames=FRAMES, lead_in=-4.0
+    )
     path = handheld(FRAMES, np.random.default_rng(7))
     return still, moving(still, path), path
 
 
 def tracked(scene, path, settings, seed: int = 0) -> tuple[Tracker, Tracks]:
-    tracker, rows = Tracker((640, 360), fps=25, seed=seed, **settings), []
+    tracker = Tracker((640, 360), fps=25, seed=seed, **settings)
+    rows = []
     for k in range(1, FRAMES + 1):
-        rows.append(tracker.update(scene.detections.at(k), warp=None if path is None else step(path, k)))
+        rows.append(
+            tracker.update(scene.detections.at(k), warp=None if path is None else step(path, k))
+        )
     return tracker, Tracks.concatenate(rows)
 
 
 @pytest.mark.parametrize("name", SETTINGS)
 def test_identities_are_kept(street, name: str):
-    """Shares of what the same filter reaches where the camera stands; of particles the mean of four runs, for one run's
-    online IDF1 scatters by 0.1."""
+    """Shares of what the same filter reaches where the camera stands; of particles the mean of four
+    runs, for one run's online IDF1 scatters by 0.1."""
     still, seen, path = street
     scores = []
     for scene, told in ((still, None), (seen, path), (seen, None)):
-        runs = [tracked(scene, told, SETTINGS[name], seed) for seed in range(4 if name == "particle-phd" else 1)]
+        runs = [
+            tracked(scene, told, SETTINGS[name], seed)
+            for seed in range(4 if name == "particle-phd" else 1)
+        ]
         rows = [(tracker.tracks(), online) for tracker, online in runs]
-        found = [[evaluate(scene.truth, tracks, frames=FRAMES) for tracks in kinds] for kinds in zip(*rows, strict=True)]
+        found = [
+            [evaluate(scene.truth, tracks, frames=FRAMES) for tracks in kinds]
+            for kinds in zip(*rows, strict=True)
+        ]
         scores.append([np.mean([(one.IDF1, one.MOTA) for one in kind], axis=0) for kind in found])
     for stands, told, untold in zip(*scores, strict=True):
         assert told[0] > 0.9 * stands[0]
@@ -59,7 +72,9 @@ def test_identities_are_kept(street, name: str):
 
 def test_what_lies_at_pixels_does_not_go_with_a_moving_camera():
     stages = config.build(config.load(), SequenceInfo(640, 480, 25.0))
-    entrance = FixedBirth(GaussianMixture(np.ones(1), np.array([[100.0, 100, 0, 0, 40, 80]]).T, np.eye(6)[None]))
+    entrance = FixedBirth(
+        GaussianMixture(np.ones(1), np.array([[100.0, 100, 0, 0, 40, 80]]).T, np.eye(6)[None])
+    )
     tracker = Tracker(stages=replace(stages, model=replace(stages.model, birth=entrance)), fps=25)
     tracker.update(np.zeros((0, 4)), warp=None)
     with pytest.raises(InputError, match=r"^camera motion: .*birth.kind=places.* stands still"):
@@ -78,17 +93,24 @@ def test_settings_that_a_loop_cannot_follow_and_matrices_that_are_none_are_told(
 
 @pytest.mark.parametrize("kind", ["gm-phd", "mht", "pmb", "gm-cphd"])
 def test_a_shift_of_the_camera_shifts_all_rows_and_nothing_else(kind: str):
-    """Online, and corrected with pieces joined and rows smoothed: to rounding what they are where the camera stands."""
+    """Online, and corrected with pieces joined and rows smoothed: to rounding what they are where
+    the camera stands.
+    """
     path = np.cumsum(np.random.default_rng(4).normal(0, 20, (70, 2)).round(), axis=0)
     results = []
     for shifts, told in ((np.zeros((70, 2)), False), (path, True)):
         # What online boxes learn from the frames that follow is not told of the camera.
         told_only = {"common_motion": {"kind": "none"}, "smooth": {"detection_share": False}}
-        tracker, online = Tracker((4000, 3000), filter=kind, associate={"output_delay": 2}, **told_only), []
+        tracker = Tracker((4000, 3000), filter=kind, associate={"output_delay": 2}, **told_only)
+        online = []
         for k, boxes in enumerate(two_people(70)):
             warp = np.eye(3)
             warp[:2, 2] = shifts[k] - shifts[max(k - 1, 0)]
-            online.append(tracker.update(boxes + np.tile(shifts[k] + [1700, 1300], 2), warp=warp if told else None))
+            online.append(
+                tracker.update(
+                    boxes + np.tile(shifts[k] + [1700, 1300], 2), warp=warp if told else None
+                )
+            )
         rows = [Tracks.concatenate([*online, tracker.flush()]), tracker.tracks()]
         results.append([(r, r.xyxy - np.tile(shifts[r.frame - 1], 2)) for r in rows])
     for (stands, home), (moves, brought) in zip(*results, strict=True):
@@ -109,13 +131,19 @@ def identified(table, truth, frames, warps, kind: str = "estimated") -> float:
 @pytest.mark.data
 def test_a_street_by_a_camera_in_a_hand(data):
     folder = data / "mot15" / "TUD-Campus"
-    table, truth = read_detections(folder / "det_frcnn" / "det.txt"), read_truth(folder / "gt" / "gt.txt")
+    table = read_detections(folder / "det_frcnn" / "det.txt")
+    truth = read_truth(folder / "gt" / "gt.txt")
     video = next(folder.glob("*.mp4"))
     frames = [frame.number for frame in open_source(str(video))]
-    path, motion = handheld(frames[-1], np.random.default_rng(5)), CameraMotion()
-    moved = DetectionTable(table.frame, replace(table.detections, xyxy=seen(path, table.frame, table.detections.xyxy)))
+    path = handheld(frames[-1], np.random.default_rng(5))
+    motion = CameraMotion()
+    moved = DetectionTable(
+        table.frame, replace(table.detections, xyxy=seen(path, table.frame, table.detections.xyxy))
+    )
     judged = replace(truth, xyxy=seen(path, truth.frame, truth.xyxy))
-    corners, measured, errors = np.array([[0.0, 640, 640, 0], [0, 0, 480, 480]]), [], []
+    corners = np.array([[0.0, 640, 640, 0], [0, 0, 480, 480]])
+    measured = []
+    errors = []
     for frame in open_source(str(video)):
         picture = filmed(frame, path, (640, 480)).image
         warp = motion(picture, moved.at(frame.number).xyxy)
@@ -124,7 +152,10 @@ def test_a_street_by_a_camera_in_a_hand(data):
         errors.append(np.abs(points(warp, corners) - points(wanted, corners)).max())
         measured.append(warp)
     stands = identified(table, truth, frames, [None] * len(frames))
-    told, untold = (identified(moved, judged, frames, warps, "none") for warps in (measured, [None] * len(frames)))
+    told, untold = (
+        identified(moved, judged, frames, warps, "none")
+        for warps in (measured, [None] * len(frames))
+    )
     assert max(errors) < 0.5
     assert told > stands - 0.02
     assert untold < stands - 0.05
